@@ -7,6 +7,7 @@ int32 array. They may overlap, cover more cells than have changed, and extend be
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from protocol.kernels import kernel
 Box = tuple[int, int, int, int]
 """(x0, y0, x1, y1); empty if x0 >= x1 or y0 >= y1."""
 
-Boxes = NDArray[np.int32]
+Boxes = Annotated[NDArray[np.int32], "int32[:,::1]"]
 """Several boxes, shape (n, 4)."""
 
 MAX_BOXES = 16

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +30,7 @@ MAX_SIDE = 2048
 MAX_ROBOTS = 256
 """The largest team. Offers can name the maps of fewer robots (`protocol.packets.MAX_MAPS`)."""
 
-Grid = NDArray[np.uint8]
+Grid = Annotated[NDArray[np.uint8], "uint8[:,::1]"]
 
 _REACH = 0.5
 """Half the side of a cell, in cells."""

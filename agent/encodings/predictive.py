@@ -28,6 +28,7 @@ from agent.predictive.shared_decoder import CachedReader, SharedDecoderCache
 from agent.predictive.stream import Stream
 from agent.settings import Settings
 from protocol import packet_index
+from protocol.arrays import Int32s, Uint8s, Uint16Rows
 from protocol.boxes import Box, bounding_box
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, ray_table
@@ -359,7 +360,7 @@ def fragments(message: bytes, number: int, most: int) -> list[bytes]:
     return [*packets, encode([Update(number % UPDATE_NUMBERS, message)])]
 
 
-@kernel("int64(uint8[:,::1], uint8[:,::1], uint8[:,::1], int64, int64, int64, int64)")
+@kernel
 def _unreported(received: Grid, logged: Grid, own: Grid, x0: int, y0: int, x1: int, y1: int) -> int:
     """Count the cells of a box whose state in `own` neither this robot's log nor a received log reports."""
     count = 0
@@ -373,10 +374,8 @@ def _unreported(received: Grid, logged: Grid, own: Grid, x0: int, y0: int, x1: i
     return count
 
 
-@kernel("void(uint16[:,::1], int32[::1], uint8[::1], uint8[::1], uint8[::1])")
-def _count_votes(
-    votes: NDArray[np.uint16], places: NDArray[np.int32], before: Grid, states: Grid, received: Grid
-) -> None:
+@kernel
+def _count_votes(votes: Uint16Rows, places: Int32s, before: Uint8s, states: Uint8s, received: Uint8s) -> None:
     """A log replaces its `before` states of cells by `states`: update the votes, and the received grid from them."""
     for index in range(len(places)):
         place = places[index]

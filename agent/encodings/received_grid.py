@@ -50,7 +50,7 @@ class ReceivedGrid:
         return self._planning
 
 
-@kernel("void(uint8[:,::1], uint8[:,::1], int32[:,::1], uint8[:,::1])")
+@kernel
 def overlay(below: Grid, above: Grid, boxes: Boxes, both: Grid) -> None:
     """Write to `both`, inside the boxes, the cells of `above` that are known, else those of `below`."""
     for box in boxes:

@@ -22,12 +22,15 @@ from agent.outline.objects import (
     RIGHT,
     TOP,
     Objects,
+    Symbol,
     Symbols,
     Table,
 )
 from agent.outline.polygons import SIDE_X, SIDE_Y, Polygons
 from agent.outline.raster import Edges, draw, fill
+from protocol.arrays import Int32s, Uint8s
 from protocol.boxes import NO_BOXES, Boxes, clip, whole_grid
+from protocol.grid import Grid
 from protocol.kernels import kernel
 
 NEAR_WALL, FREE_AREA, OUTSIDE_OCCUPIED, INSIDE_FREE, INSIDE_OCCUPIED = 1, 2, 4, 8, 16
@@ -36,7 +39,7 @@ adds it to the walls of robots that are near."""
 
 _WALL = OUTSIDE_OCCUPIED | INSIDE_OCCUPIED
 
-Layer = NDArray[np.uint8]
+Layer = Grid
 
 
 class ClaimCounts:
@@ -171,14 +174,14 @@ _CHUNK = 16
 """Edges per chunk; all edges of a chunk whose bounding box does not touch the box to be drawn are skipped."""
 
 
-@kernel("UniTuple(int64, 2)(int32)")
-def _place(symbol: int) -> tuple[int, int]:
+@kernel
+def _place(symbol: Symbol) -> tuple[int, int]:
     """Return the position of a vertex, in quarters of a cell."""
     side = symbol >> 1 & 3
     return ((symbol >> 3 & 0xFFF) - 1) * 4 + SIDE_X[side], ((symbol >> 15) - 1) * 4 + SIDE_Y[side]
 
 
-@kernel("void(int32[::1], int32[:,::1])")
+@kernel
 def _measure(vertices: Symbols, chunks: Boxes) -> None:
     """Write the bounding boxes of the edges of each chunk of an object, with a margin of one cell."""
     for begin in range(0, len(vertices), _CHUNK):
@@ -194,16 +197,16 @@ def _measure(vertices: Symbols, chunks: Boxes) -> None:
         box[0], box[1], box[2], box[3] = x0 - 2, y0 - 2, x1 + 1, y1 + 1
 
 
-@kernel("boolean(int32[::1], int32[::1], int32[::1])")
-def _overlap(row: NDArray[np.int32], box: NDArray[np.int32], part: NDArray[np.int32]) -> bool:
+@kernel
+def _overlap(row: Int32s, box: Int32s, part: Int32s) -> bool:
     """Write the intersection of a box and the box of an object; return whether it is not empty."""
     part[0], part[1] = max(row[LEFT], box[0]), max(row[TOP], box[1])
     part[2], part[3] = min(row[RIGHT], box[2]), min(row[BOTTOM], box[3])
     return bool(part[0] < part[2] and part[1] < part[3])
 
 
-@kernel("int64(int32[::1], int32[:,::1], int32[::1], int32[:,::1])")
-def _edges_near(vertices: Symbols, chunks: Boxes, box: NDArray[np.int32], edges: Edges) -> int:
+@kernel
+def _edges_near(vertices: Symbols, chunks: Boxes, box: Int32s, edges: Edges) -> int:
     """Collect the edges that may cross a column of a box, within it or above it; return their number."""
     count = 0
     for begin in range(0, len(vertices), _CHUNK):
@@ -220,8 +223,8 @@ def _edges_near(vertices: Symbols, chunks: Boxes, box: NDArray[np.int32], edges:
     return count
 
 
-@kernel("void(uint8[:,::1], uint8[::1], int64, int64, int64)")
-def _change(counts: Layer, claims: NDArray[np.uint8], cell: int, before: int, after: int) -> None:
+@kernel
+def _change(counts: Layer, claims: Uint8s, cell: int, before: int, after: int) -> None:
     """Update the counts of a cell about which a layer makes other claims than before."""
     changed = before ^ after
     for k in range(5):
@@ -230,15 +233,8 @@ def _change(counts: Layer, claims: NDArray[np.uint8], cell: int, before: int, af
             claims[cell] = claims[cell] & ~(1 << k) | (counts[k, cell] > 0) << k
 
 
-@kernel("void(int32[::1], uint8[::1], uint8[::1], boolean, uint8[:,::1], uint8[::1])")
-def _apply(
-    cells: NDArray[np.int32],
-    before: NDArray[np.uint8],
-    after: NDArray[np.uint8],
-    near: bool,
-    counts: Layer,
-    claims: NDArray[np.uint8],
-) -> None:
+@kernel
+def _apply(cells: Int32s, before: Uint8s, after: Uint8s, near: bool, counts: Layer, claims: Uint8s) -> None:
     """Update the counts of all changed cells of a layer."""
     for each in range(len(cells)):
         was, now = before[each], after[each]
@@ -248,18 +244,16 @@ def _apply(
         _change(counts, claims, cells[each], was, now)
 
 
-@kernel(
-    "int64(uint8[:,::1], uint8[:,::1], int32[::1], int32[::1], uint8[::1], uint8[::1], int64, int32[::1])"
-)
+@kernel
 def _note_change(
     before: Layer,
     layer: Layer,
-    box: NDArray[np.int32],
-    cells: NDArray[np.int32],
-    was: NDArray[np.uint8],
-    now: NDArray[np.uint8],
+    box: Int32s,
+    cells: Int32s,
+    was: Uint8s,
+    now: Uint8s,
     count: int,
-    changed: NDArray[np.int32],
+    changed: Int32s,
 ) -> int:
     """Append the cells of a box whose claims have changed, and write their bounding box; return the new number."""
     x0, y0 = box[0], box[1]
@@ -278,10 +272,8 @@ def _note_change(
     return count
 
 
-@kernel("boolean(uint8[:,::1], boolean, uint8[:,::1], uint8[::1], int32[::1])")
-def _set_near(
-    layer: Layer, near: bool, counts: Layer, claims: NDArray[np.uint8], box: NDArray[np.int32]
-) -> bool:
+@kernel
+def _set_near(layer: Layer, near: bool, counts: Layer, claims: Uint8s, box: Int32s) -> bool:
     """Add or remove the claim `NEAR_WALL` of all walls of a layer, and write their box; return whether it has walls."""
     height, width = layer.shape
     top, bottom, left, right = height, -1, width, -1
@@ -295,18 +287,10 @@ def _set_near(
     return bottom >= 0
 
 
-@kernel(
-    "Tuple((int32[::1], uint8[::1], uint8[::1], int32[:,::1]))"
-    "(uint8[:,::1], int32[:,::1], int32[::1], boolean, boolean, int32[:,::1])"
-)
+@kernel
 def _render(
-    out: Layer,
-    table: Table,
-    pool: Symbols,
-    free_inside_edges: bool,
-    unknown_pairs: bool,
-    boxes: Boxes,
-) -> tuple[NDArray[np.int32], NDArray[np.uint8], NDArray[np.uint8], Boxes]:
+    out: Layer, table: Table, pool: Symbols, free_inside_edges: bool, unknown_pairs: bool, boxes: Boxes
+) -> tuple[Int32s, Uint8s, Uint8s, Boxes]:
     """Render objects within boxes; return the columns of the `ClaimDifference`."""
     longest, all_chunks = 0, 0
     for row in table:

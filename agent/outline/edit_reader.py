@@ -6,7 +6,7 @@ from the same state. A vertex packet changes the drawing only within the box of 
 
 from __future__ import annotations
 
-from typing import NamedTuple, get_args
+from typing import Annotated, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ from agent.outline.objects import (
     Table,
     enter,
 )
+from protocol.arrays import Int32s, Int64s, Uint8s
 from protocol.boxes import MAX_BOXES, NO_BOXES, Boxes, add_box, bounding_box
 from protocol.kernels import kernel
 from protocol.packets import ALL_KINDS, LAYOUT_BY_BYTE, MAX_VERTICES, Edit
@@ -123,8 +124,8 @@ def read(before: ReaderState, chunk: bytes) -> tuple[int, ReaderState, SavePoint
     return used, ReaderState(Objects(shape, table, pool), vertices, boxes, numbers), saved
 
 
-@kernel("int64(int32[:,::1], int64, int32[::1])")
-def _add_box_of(boxes: Boxes, count: int, symbols: NDArray[np.int32]) -> int:
+@kernel
+def _add_box_of(boxes: Boxes, count: int, symbols: Int32s) -> int:
     """Add the bounding box of vertices with a margin of one cell; return the number of boxes."""
     x0 = y0 = 1 << 20
     x1 = y1 = -1
@@ -138,14 +139,14 @@ def _add_box_of(boxes: Boxes, count: int, symbols: NDArray[np.int32]) -> int:
 _CAPACITY = MAX_VERTICES + 1
 
 
-@kernel("int64(int64[::1], int64)")
-def _place(n: NDArray[np.int64], index: int) -> int:
+@kernel
+def _place(n: Int64s, index: int) -> int:
     """Return the place of a vertex in the gap buffer; vertices behind the gap are at the end."""
     return index if index < n[_GAP] else _CAPACITY - n[_VERTICES] + index
 
 
-@kernel("void(int32[::1], int64[::1], int64)")
-def _move_gap(vertices: NDArray[np.int32], n: NDArray[np.int64], to: int) -> None:
+@kernel
+def _move_gap(vertices: Int32s, n: Int64s, to: int) -> None:
     """Move the gap before the vertex of an index; for successive edits that is a short move."""
     behind = _CAPACITY - n[_VERTICES]
     for i in range(n[_GAP] - 1, to - 1, -1):
@@ -155,8 +156,8 @@ def _move_gap(vertices: NDArray[np.int32], n: NDArray[np.int64], to: int) -> Non
     n[_GAP] = to
 
 
-@kernel("UniTuple(int64, 3)(uint8[::1], int64)")
-def _header(data: NDArray[np.uint8], at: int) -> tuple[int, int, int]:
+@kernel
+def _header(data: Uint8s, at: int) -> tuple[int, int, int]:
     """Return the object, count and inside flag of an `Emerge` or `Change`."""
     packet = 0
     for i in range(5):
@@ -164,23 +165,21 @@ def _header(data: NDArray[np.uint8], at: int) -> tuple[int, int, int]:
     return packet >> 24 & 0xFFF, packet >> 11 & 0x1FFF, packet >> 10 & 1
 
 
-@kernel("int64(int32[:,::1], int64, int32[:,::1], int64)")
+@kernel
 def _add_box_around(boxes: Boxes, count: int, table: Table, number: int) -> int:
     """Add the box of an object; return the number of boxes."""
     row = table[number]
     return add_box(boxes, count, row[LEFT], row[TOP], row[RIGHT], row[BOTTOM])
 
 
-@kernel(
-    "boolean(uint8[::1], int64, int64, int64, int64, int64[::1], int32[:,::1], int32[::1], int32[::1], int32[:,::1])"
-)
+@kernel
 def _apply(
-    data: NDArray[np.uint8],
+    data: Uint8s,
     begin: int,
     end: int,
     height: int,
     width: int,
-    n: NDArray[np.int64],
+    n: Int64s,
     table: Table,
     pool: Symbols,
     vertices: Symbols,
@@ -285,8 +284,8 @@ def _apply(
     return True
 
 
-@kernel("UniTuple(int64, 5)(uint8[::1])")
-def _scan(data: NDArray[np.uint8]) -> tuple[int, int, int, int, int]:
+@kernel
+def _scan(data: Uint8s) -> tuple[int, int, int, int, int]:
     """Scan the packets before applying them.
 
     Returns the bytes of whole edit packets; the number of save points and the end of the last one (-1: none); the sum
@@ -308,7 +307,7 @@ def _scan(data: NDArray[np.uint8]) -> tuple[int, int, int, int, int]:
     return whole, saves, last_save, vertices, highest
 
 
-@kernel("Tuple((int32[::1], int64))(int32[:,::1], int32[::1], int64)")
+@kernel
 def _new_pool(table: Table, pool: Symbols, more: int) -> tuple[Symbols, int]:
     """Copy the objects of a table to a new pool with capacity for `more` symbols; return it and its used length."""
     used = 0
@@ -325,21 +324,17 @@ def _new_pool(table: Table, pool: Symbols, more: int) -> tuple[Symbols, int]:
     return fresh, used
 
 
-@kernel(
-    "Tuple((int32[:,::1], int32[::1], int32[::1], int32[:,::1], int64[::1], int64, int64, int32[:,::1], int32[:,::1]))"
-    "(Array(uint8, 1, 'C', readonly=True), int64, int64, int64[::1], int32[:,::1], int32[::1], int32[::1],"
-    " int32[:,::1])"
-)
+@kernel
 def _read(
-    chunk: NDArray[np.uint8],
+    chunk: Annotated[NDArray[np.uint8], "Array(uint8, 1, 'C', readonly=True)"],
     height: int,
     width: int,
-    numbers: NDArray[np.int64],
+    numbers: Int64s,
     old_table: Table,
     pool: Symbols,
     vertices: Symbols,
     unsaved: Boxes,
-) -> tuple[Table, Symbols, Symbols, Boxes, NDArray[np.int64], int, int, Table, Boxes]:
+) -> tuple[Table, Symbols, Symbols, Boxes, Int64s, int, int, Table, Boxes]:
     """Apply a chunk.
 
     Returns the parts of the new state, the number of save points, the end of the last one, and the table and boxes at

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from agent.outline.alignment import align, match_objects, match_vertices
 from agent.outline.objects import Symbols, symbols
 from agent.outline.polygons import Polygons
+from protocol.arrays import Bools, Int32Rows, Int32s, Uint8s
 from protocol.kernels import kernel
 from protocol.packets import (
     MAX_OBJECTS,
@@ -83,57 +84,52 @@ def edit_packets(held: NumberedPolygons, approximation: Polygons) -> list[bytes]
     return [data[begin:end] for begin, end in pairwise(ends.tolist())]
 
 
-@kernel("int64(uint8[::1], int64, int64, int64)")
-def _put(out: NDArray[np.uint8], at: int, packet: int, size: int) -> int:
+@kernel
+def _put(out: Uint8s, at: int, packet: int, size: int) -> int:
     """Write a packet, most significant byte first; return the offset behind it."""
     for i in range(size):
         out[at + i] = packet >> 8 * (size - 1 - i) & 0xFF
     return at + size
 
 
-@kernel("int64(int64, int64, int64)")
+@kernel
 def _vertex_packet(code: int, index: int, symbol: int) -> int:
     """Return an `Insert` or `Replace` packet as a number, without spare bits set."""
     x, y = symbol >> 3 & 0xFFF, symbol >> 15
     return code << 45 | index << 33 | x << 21 | y << 9 | (symbol & 7) << 6
 
 
-@kernel("int64(int64, int64, int64, int64)")
+@kernel
 def _object_packet(code: int, number: int, count: int, inside: int) -> int:
     """Return an `Emerge` or `Change` packet as a number."""
     return code << 36 | number << 24 | count << 11 | inside << 10
 
 
-@kernel(
-    "Tuple((int64, int64, int32[::1]))"
-    "(int32[::1], int32[::1], int32[::1], int32[::1], int32[::1], int64, int64)"
-)
+@kernel
 def _align_pair(
     old_symbols: Symbols,
-    old_start: NDArray[np.int32],
+    old_start: Int32s,
     new_symbols: Symbols,
-    new_start: NDArray[np.int32],
-    twins: NDArray[np.int32],
+    new_start: Int32s,
+    twins: Int32s,
     old_object: int,
     new_object: int,
-) -> tuple[int, int, NDArray[np.int32]]:
+) -> tuple[int, int, Int32s]:
     """Align one old and one new object (`align`)."""
     first, begin, end = old_start[old_object], new_start[new_object], new_start[new_object + 1]
     own = twins[begin:end] - np.int32(first)
     return align(old_symbols[first : old_start[old_object + 1]], new_symbols[begin:end], own)
 
 
-@kernel(
-    "int32[::1](int32[::1], int32[::1], int32[::1], int32[::1], int32[::1], int32[:,::1])",
-)
+@kernel
 def _pair(
     old_symbols: Symbols,
-    old_start: NDArray[np.int32],
+    old_start: Int32s,
     new_symbols: Symbols,
-    new_start: NDArray[np.int32],
-    twins: NDArray[np.int32],
-    related: NDArray[np.int32],
-) -> NDArray[np.int32]:
+    new_start: Int32s,
+    twins: Int32s,
+    related: Int32Rows,
+) -> Int32s:
     """Pair the new objects with old ones whose number they take over, the largest saving first.
 
     Returns for each new object the old one, or -1. Of the parts of a split object, all but one emerge; of merged
@@ -161,19 +157,16 @@ def _pair(
     return successor
 
 
-@kernel(
-    "Tuple((uint8[::1], int32[::1]))"
-    "(int32[::1], int32[::1], int32[::1], boolean[::1], int32[::1], int32[::1], boolean[::1])"
-)
+@kernel
 def _script(
     old_symbols: Symbols,
-    old_number: NDArray[np.int32],
-    old_start: NDArray[np.int32],
-    old_inside: NDArray[np.bool_],
+    old_number: Int32s,
+    old_start: Int32s,
+    old_inside: Bools,
     new_symbols: Symbols,
-    new_start: NDArray[np.int32],
-    new_inside: NDArray[np.bool_],
-) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:
+    new_start: Int32s,
+    new_inside: Bools,
+) -> tuple[Uint8s, Int32s]:
     """Return the script, and the ends of its packets (from 0)."""
     old_objects, new_objects = len(old_start) - 1, len(new_start) - 1
     twins = match_vertices(old_symbols, new_symbols)

@@ -50,6 +50,7 @@ from agent.outline.claims import (
 )
 from agent.outline.objects import Objects
 from agent.outline.polygons import Polygons
+from protocol.arrays import BoolRows, Int32s, Uint8
 from protocol.boxes import NO_BOXES, Boxes, clip, union, whole_grid
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.kernels import kernel
@@ -180,8 +181,8 @@ class ErrorCount:
         return self._count
 
 
-@kernel("uint8(uint8, uint8, uint8)")
-def _strongest(known: int, claims: int, beside_wall: int) -> int:
+@kernel
+def _strongest(known: Uint8, claims: Uint8, beside_wall: Uint8) -> Uint8:
     """Return the state of a cell by its strongest claim, unless the robot knows it itself."""
     cell = OCCUPIED if beside_wall else UNKNOWN
     cell = FREE if claims & FREE_AREA else cell
@@ -191,8 +192,8 @@ def _strongest(known: int, claims: int, beside_wall: int) -> int:
     return cell if known == UNKNOWN else known
 
 
-@kernel("int64(uint8[:,::1], uint8[:,::1], int32[:,::1], boolean[:,::1])")
-def _count_wrong(own: Grid, claims: Layer, boxes: Boxes, wrong: NDArray[np.bool_]) -> int:
+@kernel
+def _count_wrong(own: Grid, claims: Layer, boxes: Boxes, wrong: BoolRows) -> int:
     """Update `wrong`, the cells that differ, within boxes; return by how many their number has grown."""
     more = 0
     box = np.empty(4, np.int32)
@@ -208,8 +209,8 @@ def _count_wrong(own: Grid, claims: Layer, boxes: Boxes, wrong: NDArray[np.bool_
     return more
 
 
-@kernel("void(uint8[:,::1], uint8[:,::1], int64, int32[::1], uint8[:,::1])")
-def _resolve(own: Grid, claims: Layer, wide: int, box: NDArray[np.int32], resolved: Grid) -> None:
+@kernel
+def _resolve(own: Grid, claims: Layer, wide: int, box: Int32s, resolved: Grid) -> None:
     """Write the state of each cell in a box by its strongest claim, or by the self-explored grid.
 
     Depending on `wide`, the eight neighbors of the walls of near teammates count as beside a wall.
@@ -242,8 +243,8 @@ def _resolve(own: Grid, claims: Layer, wide: int, box: NDArray[np.int32], resolv
             out[x] = _strongest(known[x], claimed[x], beside[x])
 
 
-@kernel("void(uint8[:,::1], uint8[:,::1], int32[::1], uint8[:,::1])")
-def _close_slivers(own: Grid, resolved: Grid, box: NDArray[np.int32], plan: Grid) -> None:
+@kernel
+def _close_slivers(own: Grid, resolved: Grid, box: Int32s, plan: Grid) -> None:
     """Free, within a box, the unknown cells between two free ones of which the robot has not seen both itself."""
     height, width = own.shape
     for y in range(box[1], box[3]):
@@ -258,9 +259,7 @@ def _close_slivers(own: Grid, resolved: Grid, box: NDArray[np.int32], plan: Grid
                 plan[y, x] = FREE if is_reported else plan[y, x]
 
 
-@kernel(
-    "void(uint8[:,::1], uint8[:,::1], int64, boolean, int32[:,::1], int32[:,::1], uint8[:,::1], uint8[:,::1])"
-)
+@kernel
 def _merge(
     own: Grid,
     claims: Layer,

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from heapq import heappop, heappush
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.outline.approximation import Marks
 from agent.outline.polygons import SIDE_X, SIDE_Y, Polygons
+from protocol.arrays import Bools, Int16s, Int32s, Int64Rows, Int64s, Uint8s
 from protocol.kernels import kernel
 from protocol.packets import MAX_VERTICES
 
@@ -80,12 +80,9 @@ def refine(
     return refined
 
 
-_Places = NDArray[np.int32]
-
-
-@kernel("Tuple((float64, int64, boolean))(int32[::1], int32[::1], uint8[::1], int64, int64, int64, int64)")
+@kernel
 def _split_of(
-    x: _Places, y: _Places, occupied: NDArray[np.uint8], first: int, end: int, a: int, b: int
+    x: Int32s, y: Int32s, occupied: Uint8s, first: int, end: int, a: int, b: int
 ) -> tuple[float, int, bool]:
     """Find the split of the edge from point `a` to point `b` of the object ``first:end``.
 
@@ -123,17 +120,9 @@ def _split_of(
     return np.sqrt(largest / square) / 4, farthest, change >= 0
 
 
-@kernel(
-    "boolean(int32[::1], int32[::1], uint8[::1], int32[::1], int64[:,::1], boolean[::1], int64[::1])",
-)
+@kernel
 def _split_all(
-    x: _Places,
-    y: _Places,
-    occupied: NDArray[np.uint8],
-    start: NDArray[np.int32],
-    edges: NDArray[np.int64],
-    marked: NDArray[np.bool_],
-    vertices: NDArray[np.int64],
+    x: Int32s, y: Int32s, occupied: Uint8s, start: Int32s, edges: Int64Rows, marked: Bools, vertices: Int64s
 ) -> bool:
     """Split edges (a, b, split, object) until all are exact; return False if an object gets too many vertices.
 
@@ -160,17 +149,17 @@ def _split_all(
     return True
 
 
-@kernel("int32[::1](int16[::1], int16[::1], uint8[::1], uint8[::1], int32[::1], int32[::1], int64, float64)")
+@kernel
 def _refine(
-    cell_x: NDArray[np.int16],
-    cell_y: NDArray[np.int16],
-    side: NDArray[np.uint8],
-    occupied: NDArray[np.uint8],
-    start: NDArray[np.int32],
-    marks: NDArray[np.int32],
+    cell_x: Int16s,
+    cell_y: Int16s,
+    side: Uint8s,
+    occupied: Uint8s,
+    start: Int32s,
+    marks: Int32s,
     splits: int,
     worth_of_mixed: float,
-) -> NDArray[np.int32]:
+) -> Int32s:
     """Split `splits` edges; if it is negative, split until the approximation is exact."""
     x, y = np.empty(len(cell_x), np.int32), np.empty(len(cell_x), np.int32)
     for i in range(len(cell_x)):

@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.planning.utility import proximity, sees
+from protocol.arrays import Cells, FloatRows, Floats, Int64s
 from protocol.grid import Grid
 from protocol.kernels import kernel
 
-Costs = NDArray[np.float64]
+Costs = FloatRows
 """Shape (robots, goals); infinite without a way."""
 
-Assignment = NDArray[np.int64]
+Assignment = Int64s
 
 STARTS = 8
 """Random starts of the search for the best assignment."""
@@ -62,7 +63,9 @@ def hungarian(costs: Costs) -> Assignment:
     return given
 
 
-def in_turn(grid: Grid, goals: NDArray[np.int32], utility: Costs, costs: Costs, ranges: Costs) -> Assignment:
+def in_turn(
+    grid: Grid, goals: NDArray[np.int32], utility: Floats, costs: Costs, ranges: Floats
+) -> Assignment:
     """Assign goals as Algorithm 1 of Burgard et al. (section II-C) does.
 
     Assign the pair of best utility minus cost, lower the utilities around its goal, and repeat until every robot has a
@@ -95,7 +98,7 @@ def in_turn(grid: Grid, goals: NDArray[np.int32], utility: Costs, costs: Costs, 
 
 
 def best_of_all(
-    grid: Grid, goals: NDArray[np.int32], utility: Costs, costs: Costs, ranges: Costs,
+    grid: Grid, goals: NDArray[np.int32], utility: Floats, costs: Costs, ranges: Floats,
     random: np.random.Generator,
 ) -> Assignment:  # fmt: skip
     """Search for the assignment with the largest `total_value` (Burgard et al. 2005, Algorithm 2).
@@ -116,7 +119,7 @@ def best_of_all(
 
 
 def total_value(
-    grid: Grid, goals: NDArray[np.int32], utility: Costs, costs: Costs, ranges: Costs, given: Assignment
+    grid: Grid, goals: NDArray[np.int32], utility: Floats, costs: Costs, ranges: Floats, given: Assignment
 ) -> float:  # fmt: skip
     """Return the sum over all robots of the utility of its goal, lowered by all other goals, minus its cost."""
     total = 0.0
@@ -130,10 +133,8 @@ def total_value(
     return total
 
 
-@kernel("float64(uint8[:,::1], int32[:,::1], int64, int64, float64, float64)")
-def _overlap(
-    grid: Grid, goals: NDArray[np.int32], one: int, other: int, range_one: float, range_other: float
-) -> float:
+@kernel
+def _overlap(grid: Grid, goals: Cells, one: int, other: int, range_one: float, range_other: float) -> float:
     """Sum of the amounts by which two robots with these goals and ranges lower each other's utilities."""
     lowered = sees(grid, goals[one], goals[other], range_one)
     if range_one == range_other:
@@ -141,10 +142,10 @@ def _overlap(
     return lowered + sees(grid, goals[one], goals[other], range_other)
 
 
-@kernel("void(uint8[:,::1], int32[:,::1], float64[::1], float64[:,::1], float64[::1], int64[::1])")
+@kernel
 def _climb(
-    grid: Grid, goals: NDArray[np.int32], utility: Costs, costs: Costs, ranges: Costs, given: Assignment
-) -> None:  # fmt: skip
+    grid: Grid, goals: Cells, utility: Floats, costs: Costs, ranges: Floats, given: Assignment
+) -> None:
     robots = len(given)
     improved = True
     while improved:

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from agent.planning.clusters import medoids
 from agent.planning.path_planner import PathPlanner
 from agent.planning.utility import sees
+from protocol.arrays import Cells, Int64s
 from protocol.grid import Grid
 from protocol.kernels import kernel
 
@@ -174,8 +175,8 @@ def thin_out(
     return order[: _thin_out(grid, cells, gap, order)]
 
 
-@kernel("int64(uint8[:,::1], int32[:,::1], float64, int64[::1])")
-def _thin_out(grid: Grid, cells: NDArray[np.int32], gap: float, order: NDArray[np.int64]) -> int:
+@kernel
+def _thin_out(grid: Grid, cells: Cells, gap: float, order: Int64s) -> int:
     """Move the representatives that stay to the front of `order`; return their number."""
     kept = 0
     for number in order:
@@ -191,8 +192,8 @@ def _thin_out(grid: Grid, cells: NDArray[np.int32], gap: float, order: NDArray[n
     return kept
 
 
-@kernel("void(int32[:,::1], int64[::1])")
-def _label(cells: NDArray[np.int32], owner: NDArray[np.int64]) -> None:
+@kernel
+def _label(cells: Cells, owner: Int64s) -> None:
     """Write the component of each cell to `owner`, which is -1 before; components are numbered by their first cells."""
     left, top = cells[:, 0].min() - 1, cells[:, 1].min() - 1
     at = np.full((cells[:, 1].max() - top + 2, cells[:, 0].max() - left + 2), -1, np.int32)

@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from protocol.arrays import Cells, FloatRows, Int64s
 from protocol.kernels import kernel
 
 _ROUNDS = 30
 """Largest number of iterations; k-means ends earlier if no mean moves."""
 
-Points = NDArray[np.float64]
+Points = FloatRows
 
 
 def k_means(points: Points, seeds: Points) -> tuple[Points, NDArray[np.int64]]:
@@ -65,8 +66,8 @@ def medoids(
     return found[:total], groups[:total]
 
 
-@kernel("void(float64[:,::1], float64[:,::1], int64[::1])")
-def _lloyd(points: Points, means: Points, owner: NDArray[np.int64]) -> None:
+@kernel
+def _lloyd(points: Points, means: Points, owner: Int64s) -> None:
     count = len(means)
     total = np.empty((count, 3))
     for _ in range(_ROUNDS):
@@ -96,8 +97,8 @@ def _lloyd(points: Points, means: Points, owner: NDArray[np.int64]) -> None:
             break
 
 
-@kernel("int64(float64[:,::1], int64, int32[:,::1])")
-def _medoids(points: Points, count: int, out: NDArray[np.int32]) -> int:
+@kernel
+def _medoids(points: Points, count: int, out: Cells) -> int:
     gap = np.full(len(points), np.inf)
     means = np.empty((count, 2))
     chosen = 0
@@ -131,14 +132,8 @@ def _medoids(points: Points, count: int, out: NDArray[np.int32]) -> int:
     return found
 
 
-@kernel("int64(int32[:,::1], int64[::1], int64[::1], int32[:,::1], int64[::1])")
-def _medoids_of_each(
-    points: NDArray[np.int32],
-    sizes: NDArray[np.int64],
-    counts: NDArray[np.int64],
-    found: NDArray[np.int32],
-    groups: NDArray[np.int64],
-) -> int:
+@kernel
+def _medoids_of_each(points: Cells, sizes: Int64s, counts: Int64s, found: Cells, groups: Int64s) -> int:
     first, total = 0, 0
     for group in range(len(sizes)):
         size = sizes[group]

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from protocol.arrays import Cells, FloatRows, Floats
 from protocol.grid import FREE, OCCUPIED, Grid
 from protocol.kernels import kernel
 
@@ -22,8 +23,6 @@ SUBSTEPS = 20
 
 _TOUCH = 0.01
 """Least distance in meters that counts, so that forces stay finite."""
-
-Vector = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -48,7 +47,7 @@ class Field:
     damping: float
 
 
-@kernel("float64(float64, float64, float64)")
+@kernel
 def repulsion(distance: float, rho: float, gain: float) -> float:
     """Eq. (2): k (1 / d - 1 / rho) / d^2 within rho, away from the source; 0 beyond."""
     if distance > rho:
@@ -57,7 +56,7 @@ def repulsion(distance: float, rho: float, gain: float) -> float:
     return gain * (1.0 / near - 1.0 / rho) / (near * near)
 
 
-@kernel("float64(float64, float64)")
+@kernel
 def attraction(distance: float, gain: float) -> float:
     """Eq. (6): k_att times the distance, toward the frontier point."""
     return gain * distance
@@ -67,12 +66,12 @@ def glide(
     floor: Grid,
     resolution: float,
     at: tuple[float, float],
-    velocity: Vector,
+    velocity: Floats,
     frontier: NDArray[np.int32],
-    robots: Vector,
+    robots: FloatRows,
     field: Field,
     top_speed: float,
-) -> tuple[Vector, Vector]:
+) -> tuple[FloatRows, Floats]:
     """Integrate a robot's motion over one step of the world.
 
     A robot that would leave the free cells of its map slides along their border.
@@ -113,8 +112,8 @@ def glide(
     return path, moving
 
 
-@kernel("void(uint8[:,::1], float64, float64, float64, float64[::1])")
-def closest_obstacle(floor: Grid, x: float, y: float, reach: float, out: Vector) -> None:
+@kernel
+def closest_obstacle(floor: Grid, x: float, y: float, reach: float, out: Floats) -> None:
     """Write to `out` the closest point of an occupied cell within `reach` cells of (x, y); NaN if there is none."""
     height, width = floor.shape
     out[:] = np.nan
@@ -131,18 +130,15 @@ def closest_obstacle(floor: Grid, x: float, y: float, reach: float, out: Vector)
                     out[1] = py
 
 
-@kernel(
-    "void(uint8[:,::1], int32[:,::1], float64[:,::1],"
-    " float64[::1], float64[::1], float64[::1], float64[:,::1])"
-)
+@kernel
 def _integrate(
     floor: Grid,
-    frontier: NDArray[np.int32],
-    robots: Vector,
-    at: Vector,
-    velocity: Vector,
-    numbers: Vector,
-    path: Vector,
+    frontier: Cells,
+    robots: FloatRows,
+    at: Floats,
+    velocity: Floats,
+    numbers: Floats,
+    path: FloatRows,
 ) -> None:
     rho_robots, rho_obstacles, gain_robots, gain_obstacles, gain_frontier, damping, top, size = numbers
     obstacle = np.empty(2)

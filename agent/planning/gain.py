@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from protocol.arrays import Cells, Floats, Int32Rows, Int32s, Int64s
 from protocol.grid import OCCUPIED, UNKNOWN, Grid, ray_table
 from protocol.kernels import kernel
 
@@ -100,14 +101,8 @@ def expected_gain(
     return shares
 
 
-@kernel("void(uint8[:,::1], int32[:,::1], int32[:,::1], int32[::1], float64[::1])")
-def _sum_unknown(
-    grid: Grid,
-    cells: NDArray[np.int32],
-    beam_cells: NDArray[np.int32],
-    start: NDArray[np.int32],
-    unknown: NDArray[np.float64],
-) -> None:
+@kernel
+def _sum_unknown(grid: Grid, cells: Cells, beam_cells: Int32Rows, start: Int32s, unknown: Floats) -> None:
     """Sum over all beams of each cell the integral of the distance over unknown cells, up to the first obstacle."""
     height, width = grid.shape
     for index in range(len(cells)):
@@ -125,15 +120,9 @@ def _sum_unknown(
         unknown[index] = total
 
 
-@kernel("void(uint8[:,::1], int32[:,::1], int32[:,::1], int64[::1], int64[::1], int64[::1], int64[::1])")
+@kernel
 def _count(
-    grid: Grid,
-    cells: NDArray[np.int32],
-    others: NDArray[np.int32],
-    taken: NDArray[np.int64],
-    start: NDArray[np.int64],
-    reach: NDArray[np.int64],
-    gain: NDArray[np.int64],
+    grid: Grid, cells: Cells, others: Cells, taken: Int64s, start: Int64s, reach: Int64s, gain: Int64s
 ) -> None:
     """Count unknown cells; `reach` has the rows of a disc (`_disc_rows`), `taken` those of all others."""
     height, width = grid.shape

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.planning.cost_field import Field
+from protocol.arrays import BoolRows, Bools, FloatRows, Int32Rows, Int32s
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.kernels import kernel
 
@@ -99,13 +100,9 @@ def weighted_costs(terrain: Terrain, x: int, y: int) -> Field:
     return field
 
 
-@kernel("void(uint8[:,::1], float64[:,::1], int32[:,::1], int32[:,::1], boolean[:,::1])")
+@kernel
 def _lay_out(
-    floor: Grid,
-    weights: NDArray[np.float64],
-    straight: NDArray[np.int32],
-    diagonal: NDArray[np.int32],
-    plain: NDArray[np.bool_],
+    floor: Grid, weights: FloatRows, straight: Int32Rows, diagonal: Int32Rows, plain: BoolRows
 ) -> None:
     """Compute the costs of a straight and a diagonal step into each cell, 0 for obstacles and the rim.
 
@@ -126,15 +123,8 @@ def _lay_out(
             plain[y, x] = alike
 
 
-@kernel("void(int32[::1], int32[::1], boolean[::1], int64, int64, float64[:,::1])")
-def _spread(
-    straight: NDArray[np.int32],
-    diagonal: NDArray[np.int32],
-    plain: NDArray[np.bool_],
-    x: int,
-    y: int,
-    field: Field,
-) -> None:
+@kernel
+def _spread(straight: Int32s, diagonal: Int32s, plain: Bools, x: int, y: int, field: Field) -> None:
     height, width = field.shape
     stride = width + 2
     length = np.where(straight > 0, _FAR, _BARRED)

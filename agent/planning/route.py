@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.planning.path_planner import PathPlanner
+from protocol.arrays import Cells
 from protocol.grid import FREE, Grid
 from protocol.kernels import kernel
 
@@ -52,8 +53,8 @@ class Route:
         return self.cells[:count]
 
 
-@kernel("int64(int32[:,::1], int64, int64)")
-def _cells_up_to(cells: NDArray[np.int32], x: int, y: int) -> int:
+@kernel
+def _cells_up_to(cells: Cells, x: int, y: int) -> int:
     """Return the number of cells up to and including (x, y); 0 if the cell is not on the way."""
     for at in range(len(cells) - 1, -1, -1):
         if cells[at, 0] == x and cells[at, 1] == y:
@@ -61,8 +62,8 @@ def _cells_up_to(cells: NDArray[np.int32], x: int, y: int) -> int:
     return 0
 
 
-@kernel("boolean(uint8[:,::1], int64, int64, int32[:,::1])")
-def _is_open(floor: Grid, x: int, y: int, cells: NDArray[np.int32]) -> bool:
+@kernel
+def _is_open(floor: Grid, x: int, y: int, cells: Cells) -> bool:
     for at in range(len(cells)):
         next_x, next_y = cells[at, 0], cells[at, 1]
         if floor[next_y, next_x] != FREE:
@@ -95,7 +96,7 @@ def straighten(floor: Grid, start: tuple[int, int], cells: NDArray[np.int32]) ->
     return out[: _shoot(floor, points, out)].copy()
 
 
-@kernel("boolean(uint8[:,::1], int64, int64, int64, int64)")
+@kernel
 def _is_clear(floor: Grid, x: int, y: int, to_x: int, to_y: int) -> bool:
     dx, dy = abs(to_x - x), abs(to_y - y)
     step_x = 1 if to_x > x else -1
@@ -175,7 +176,7 @@ def crossed(start: tuple[int, int], points: NDArray[np.int32], most: float) -> N
     return np.array(found, np.int32).reshape(-1, 2)
 
 
-@kernel("boolean(uint8[:,::1], int64, int64, int64, int64)")
+@kernel
 def _is_line_clear(floor: Grid, x: int, y: int, to_x: int, to_y: int) -> bool:
     """Return whether a line, in thousandths of a cell, touches free cells alone; checked every tenth of a cell."""
     half = _FINE // 2
@@ -195,8 +196,8 @@ def _is_line_clear(floor: Grid, x: int, y: int, to_x: int, to_y: int) -> bool:
     return True
 
 
-@kernel("int64(uint8[:,::1], int32[:,::1], int32[:,::1])")
-def _shoot(floor: Grid, points: NDArray[np.int32], out: NDArray[np.int32]) -> int:
+@kernel
+def _shoot(floor: Grid, points: Cells, out: Cells) -> int:
     length = 0
     corner = 0
     while corner < len(points) - 1:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from protocol.arrays import Cells, Floats, Int32s
 from protocol.grid import OCCUPIED, Grid
 from protocol.kernels import kernel
 
@@ -57,13 +58,9 @@ def proximity(
     return -lowered
 
 
+@kernel
 def in_sight(grid: Grid, x0: int, y0: int, x1: int, y1: int) -> bool:
     """Return whether no occupied cell lies on the straight line between two cells."""
-    return bool(_in_sight(grid, x0, y0, x1, y1))
-
-
-@kernel("boolean(uint8[:,::1], int64, int64, int64, int64)")
-def _in_sight(grid: Grid, x0: int, y0: int, x1: int, y1: int) -> bool:
     # The line always begins at the same end, so that the result is symmetric.
     if (y1, x1) < (y0, x0):
         x0, y0, x1, y1 = x1, y1, x0, y0
@@ -84,24 +81,17 @@ def _in_sight(grid: Grid, x0: int, y0: int, x1: int, y1: int) -> bool:
             y0 += 1
 
 
-@kernel("float64(uint8[:,::1], int32[::1], int32[::1], float64)")
-def sees(grid: Grid, one: NDArray[np.int32], other: NDArray[np.int32], range_cells: float) -> float:
+@kernel
+def sees(grid: Grid, one: Int32s, other: Int32s, range_cells: float) -> float:
     """Return P(d) of two cells for each other, 0 if an obstacle lies between them; for kernels."""
     distance = np.sqrt(float((one[0] - other[0]) ** 2 + (one[1] - other[1]) ** 2))
-    if distance < range_cells and _in_sight(grid, one[0], one[1], other[0], other[1]):
+    if distance < range_cells and in_sight(grid, one[0], one[1], other[0], other[1]):
         return float(1.0 - distance / range_cells)
     return 0.0
 
 
-@kernel("void(uint8[:,::1], int32[:,::1], int32[:,::1], float64[::1], float64[::1], float64[::1])")
-def _lower(
-    grid: Grid,
-    cells: NDArray[np.int32],
-    targets: NDArray[np.int32],
-    weights: NDArray[np.float64],
-    ranges: NDArray[np.float64],
-    result: NDArray[np.float64],
-) -> None:
+@kernel
+def _lower(grid: Grid, cells: Cells, targets: Cells, weights: Floats, ranges: Floats, result: Floats) -> None:
     for target in range(len(targets)):
         for at in range(len(cells)):
             result[at] -= weights[target] * sees(grid, cells[at], targets[target], ranges[target])

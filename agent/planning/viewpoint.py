@@ -12,10 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.planning.path_planner import PathPlanner
+from protocol.arrays import BoolRows, Cells, Int32s
 from protocol.grid import FREE, UNKNOWN, Grid, RayTable
 from protocol.kernels import kernel
-
-Cells = NDArray[np.int32]
 
 _BEGUN = 1 / 2
 """Cells by which a way may exceed a whole number of steps without another step: robots round lengths."""
@@ -103,15 +102,9 @@ def _are_among(cells: Cells, others: Cells) -> NDArray[np.bool_]:
     return np.isin(cells @ (1, width), others @ (1, width))
 
 
-@kernel("void(uint8[:,::1], int64, int64, int32[:,::1], int32[::1], float64, boolean[:,::1])")
+@kernel
 def _trace_back(
-    part: Grid,
-    x: int,
-    y: int,
-    beam_cells: Cells,
-    start: NDArray[np.int32],
-    reach: float,
-    found: NDArray[np.bool_],
+    part: Grid, x: int, y: int, beam_cells: Cells, start: Int32s, reach: float, found: BoolRows
 ) -> None:
     """Mark the cells from which a beam reaches an unknown neighbor of (x, y), by following each beam backwards."""
     height, width = part.shape

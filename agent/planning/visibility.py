@@ -12,6 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from protocol.arrays import Int64Rows, Int64s
 from protocol.grid import FREE, Grid
 from protocol.kernels import kernel
 
@@ -72,8 +73,8 @@ def _within(points: NDArray[np.int64], at: NDArray[np.int64], reach: float) -> N
     return near
 
 
-@kernel("int64[:,::1](uint8[:,::1])")
-def _corners(floor: Grid) -> NDArray[np.int64]:
+@kernel
+def _corners(floor: Grid) -> Int64Rows:
     """Return the points where ways may bend, at the convex corners of obstacles, shape (n, 2)."""
     height, width = floor.shape
     out = np.empty((256, 2), np.int64)
@@ -99,7 +100,7 @@ def _corners(floor: Grid) -> NDArray[np.int64]:
     return out[:count].copy()
 
 
-@kernel("boolean(uint8[:,::1], int64, int64, int64, int64)")
+@kernel
 def _is_clear(floor: Grid, x0: int, y0: int, x1: int, y1: int) -> bool:
     """Return whether a line keeps the distance `MARGIN` from all obstacles."""
     height, width = floor.shape
@@ -120,8 +121,8 @@ def _is_clear(floor: Grid, x0: int, y0: int, x1: int, y1: int) -> bool:
     return True
 
 
-@kernel("int64(uint8[:,::1], int64[:,::1], int64, float64, int64[::1])")
-def _search(floor: Grid, nodes: NDArray[np.int64], goals: int, reach: float, came: NDArray[np.int64]) -> int:
+@kernel
+def _search(floor: Grid, nodes: Int64Rows, goals: int, reach: float, came: Int64s) -> int:
     """Search by Dijkstra's algorithm from node 0 to the nearest of nodes 1 to `goals`; -1 if none is reachable.
 
     `came` gets the predecessor of each node. Of equally long ways the one over the first nodes counts.

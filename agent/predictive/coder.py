@@ -11,14 +11,14 @@ the code that walks along beams exists once.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from protocol.arrays import Int64s, Uint8s, Uint16Rows
 from protocol.errors import ProtocolError
 from protocol.kernels import kernel
 
-State = NDArray[np.int64]
-Counts = NDArray[np.uint16]
-Data = NDArray[np.uint8]
+State = Int64s
+Counts = Uint16Rows
+Data = Uint8s
 
 LOW, WIDTH, PLACE, SIZE, DECODES, FAILED = range(6)
 """Indices of a coder's state: the lower end of the interval (decoder: offset of the message from it) and its width, in
@@ -64,7 +64,7 @@ def check_end(state: State, packet: str) -> None:
         raise ProtocolError(packet, int(min(state[PLACE], state[SIZE])), reason)
 
 
-@kernel("void(int64[::1], uint8[::1], int64)")
+@kernel
 def _put(state: State, data: Data, byte: int) -> None:
     """Write a byte, and propagate its carry into the bytes before."""
     place = state[PLACE]
@@ -78,7 +78,7 @@ def _put(state: State, data: Data, byte: int) -> None:
     state[PLACE] = place + 1
 
 
-@kernel("void(int64[::1], uint8[::1])")
+@kernel
 def _shift(state: State, data: Data) -> None:
     """Shift the interval by a byte: write its highest byte, or read the next."""
     place = state[PLACE]
@@ -98,7 +98,7 @@ def _shift(state: State, data: Data) -> None:
     state[LOW] = state[LOW] << 8 & _TOP - 1
 
 
-@kernel("int64(int64[::1], uint8[::1], uint16[:,::1], int64, int64, int64)")
+@kernel
 def code_bit(state: State, data: Data, counts: Counts, context: int, bit: int, most: int) -> int:
     """Encode `bit`, or decode a bit; return it.
 
@@ -134,7 +134,7 @@ def code_bit(state: State, data: Data, counts: Counts, context: int, bit: int, m
     return bit
 
 
-@kernel("int64(int64[::1], uint8[::1])")
+@kernel
 def _end(state: State, data: Data) -> int:
     """Write the shortest number inside the interval; return the size of the message in bytes."""
     low, last = state[LOW], state[LOW] + state[WIDTH] - 1
@@ -152,7 +152,7 @@ def _end(state: State, data: Data) -> int:
     return int(state[PLACE])
 
 
-@kernel("int64(int64[::1], uint8[::1], uint16[:,::1], int64, int64, int64)")
+@kernel
 def code_number(state: State, data: Data, counts: Counts, context: int, value: int, most: int) -> int:
     """Encode or decode a number of 0 to `LONGEST` bits: its length, then the bits behind the first (Elias gamma code).
 
@@ -177,7 +177,7 @@ def code_number(state: State, data: Data, counts: Counts, context: int, value: i
     return number
 
 
-@kernel("int64(int64[::1], uint8[::1], uint16[:,::1], int64, int64, int64)")
+@kernel
 def code_signed(state: State, data: Data, counts: Counts, context: int, value: int, most: int) -> int:
     """Encode or decode a number with a sign; otherwise as `code_number`."""
     size = code_number(state, data, counts, context, abs(value), most)

@@ -13,6 +13,7 @@ from hashlib import blake2b
 import numpy as np
 from numpy.typing import NDArray
 
+from protocol.arrays import Int32Rows
 from protocol.boxes import Box
 from protocol.kernels import kernel
 
@@ -109,8 +110,8 @@ class History:
             self._dropped = before
 
 
-@kernel("int64(int32[:,::1], int64, int64, int64, int64, int64, int64)")
-def _last_meeting(boxes: NDArray[np.int32], first: int, end: int, x0: int, y0: int, x1: int, y1: int) -> int:
+@kernel
+def _last_meeting(boxes: Int32Rows, first: int, end: int, x0: int, y0: int, x1: int, y1: int) -> int:
     """Return the last of boxes `first` to `end` - 1 that meets the box (x0, y0, x1, y1); -1 if there is none."""
     for number in range(end - 1, first - 1, -1):
         box = boxes[number]

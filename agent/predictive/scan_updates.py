@@ -11,7 +11,6 @@ A cell of the grid is a byte: its state in the low two bits, and the flag `REPOR
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.predictive.coder import (
     DECODES,
@@ -42,6 +41,7 @@ from agent.predictive.contexts import (
     SAME_ROW,
     neighbors,
 )
+from protocol.arrays import BoolRows, Cells, Int32s, Int64s
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.kernels import kernel
 
@@ -57,11 +57,10 @@ MAX_SCANS = 64
 X, Y, DX, DY, SCANS = range(5)
 """Indices of a `Motion`: cell of the last scan, its offset from the scan before, and whether there was a scan."""
 
-Cells = NDArray[np.int32]
-Motion = NDArray[np.int64]
+Motion = Int64s
 
 
-@kernel("void(int64[::1], uint8[::1], uint16[:,::1], int64[::1], int64, int64)")
+@kernel
 def code_pose(state: State, data: Data, counts: Counts, motion: Motion, x: int, y: int) -> None:
     """Encode or decode the next pose into `motion`, predicting that the robot repeats its last motion.
 
@@ -111,8 +110,7 @@ def code_pose(state: State, data: Data, counts: Counts, motion: Motion, x: int, 
     motion[DX], motion[DY] = went_x, went_y
 
 
-@kernel("int64(int64[::1], uint8[::1], uint16[:,::1], uint8[:,::1], uint8[:,::1], int32[:,::1], int32[::1],"
-        "int64, int64, int32[:,::1], int64)")  # fmt: skip
+@kernel
 def code_scan(
     state: State,
     data: Data,
@@ -120,7 +118,7 @@ def code_scan(
     grid: Grid,
     own: Grid,
     cells: Cells,
-    start: NDArray[np.int32],
+    start: Int32s,
     x: int,
     y: int,
     changes: Cells,
@@ -196,15 +194,9 @@ def code_scan(
     return changed
 
 
-@kernel("int64(uint8[:,::1], uint8[:,::1], boolean[:,::1], int32[:,::1], int32[::1], int64, int64)")
+@kernel
 def count_new_cells(
-    grid: Grid,
-    own: Grid,
-    counted: NDArray[np.bool_],
-    cells: Cells,
-    start: NDArray[np.int32],
-    x: int,
-    y: int,
+    grid: Grid, own: Grid, counted: BoolRows, cells: Cells, start: Int32s, x: int, y: int
 ) -> int:
     """Count the cells that a scan from (x, y) would reveal and no scan counted before reveals; mark them in `counted`.
 
@@ -232,10 +224,8 @@ def count_new_cells(
     return count
 
 
-@kernel("int64(uint8[:,::1], uint8[:,::1], int64, int64, int64, int64, int32[::1])")
-def find_differences(
-    grid: Grid, own: Grid, x0: int, y0: int, x1: int, y1: int, found: NDArray[np.int32]
-) -> int:
+@kernel
+def find_differences(grid: Grid, own: Grid, x0: int, y0: int, x1: int, y1: int, found: Int32s) -> int:
     """Find the cells of the box (x0, y0, x1, y1) that need a correction.
 
     A cell known in `own` needs one if `grid` has another state; a cell unknown in `own`, if the author has reported it.
@@ -253,15 +243,14 @@ def find_differences(
     return count
 
 
-@kernel("int64(int64[::1], uint8[::1], uint16[:,::1], uint8[:,::1], uint8[:,::1], int32[::1], int64, int64[::1],"
-        "int32[:,::1], int64)")  # fmt: skip
+@kernel
 def code_corrections(
     state: State,
     data: Data,
     counts: Counts,
     grid: Grid,
     own: Grid,
-    places: NDArray[np.int32],
+    places: Int32s,
     number: int,
     motion: Motion,
     changes: Cells,

@@ -38,7 +38,6 @@ from agent.predictive.scan_updates import (
     REPORTED,
     SCANS,
     STATE,
-    Cells,
     Motion,
     X,
     Y,
@@ -48,6 +47,7 @@ from agent.predictive.scan_updates import (
     count_new_cells,
     find_differences,
 )
+from protocol.arrays import Bools, Cells, Int32s, Int64s, Uint8s
 from protocol.boxes import NO_BOX, Box, bounding_box
 from protocol.errors import ProtocolError
 from protocol.grid import UNKNOWN, Grid, RayTable
@@ -376,15 +376,15 @@ def _places(grid: Grid, own: Grid, box: Box) -> NDArray[np.int32]:
     return found[:count]
 
 
-@kernel("void(int64[::1], uint8[::1], uint16[:,::1], int64[::1], int64[::1], boolean[::1], int64[::1])")
+@kernel
 def _code_bases(
     state: State,
     data: Data,
     counts: Counts,
-    maps: NDArray[np.int64],
-    more: NDArray[np.int64],
-    bases_grew: NDArray[np.bool_],
-    depends_on: NDArray[np.int64],
+    maps: Int64s,
+    more: Int64s,
+    bases_grew: Bools,
+    depends_on: Int64s,
 ) -> None:
     """Code the number of further updates of each map, `more`, and add it to `depends_on`."""
     for other in maps:
@@ -394,10 +394,8 @@ def _code_bases(
         depends_on[other] += number
 
 
-@kernel("boolean(uint8[:,::1], uint8[:,::1], int32[::1], int64, int64, int64, int64)")
-def _saves_cells(
-    grid: Grid, own: Grid, places: NDArray[np.int32], x0: int, y0: int, x1: int, y1: int
-) -> bool:
+@kernel
+def _saves_cells(grid: Grid, own: Grid, places: Int32s, x0: int, y0: int, x1: int, y1: int) -> bool:
     """Whether an update reports a cell of the box that the robot knows and would have to report itself."""
     width = grid.shape[1]
     for place in places:
@@ -408,8 +406,8 @@ def _saves_cells(
     return False
 
 
-@kernel("void(uint8[::1], int32[::1], uint8[::1], uint8[::1])")
-def _overlay(grid: Grid, places: NDArray[np.int32], states: Grid, before: Grid) -> None:
+@kernel
+def _overlay(grid: Uint8s, places: Int32s, states: Uint8s, before: Uint8s) -> None:
     """Write states to the cells that the author has not reported; save the previous values in `before`."""
     for index in range(len(places)):
         place = places[index]
@@ -418,15 +416,15 @@ def _overlay(grid: Grid, places: NDArray[np.int32], states: Grid, before: Grid) 
             grid[place] = states[index]
 
 
-@kernel("void(uint8[::1], int32[::1], uint8[::1])")
-def _restore(grid: Grid, places: NDArray[np.int32], states: Grid) -> None:
+@kernel
+def _restore(grid: Uint8s, places: Int32s, states: Uint8s) -> None:
     """Write states to cells, the last one first."""
     for index in range(len(places) - 1, -1, -1):
         grid[places[index]] = states[index]
 
 
-@kernel("boolean(uint8[::1], int32[::1], uint8[::1])")
-def _contradicts(own: Grid, places: NDArray[np.int32], states: Grid) -> bool:
+@kernel
+def _contradicts(own: Uint8s, places: Int32s, states: Uint8s) -> bool:
     """Whether an update reports a cell with another state than the self-explored grid has."""
     for index in range(len(places)):
         truth = own[places[index]]

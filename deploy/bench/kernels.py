@@ -28,6 +28,7 @@ from agent.outline.objects import Objects
 from agent.outline.polygons import Polygons
 from agent.outline.simplify import mixed_first, refine
 from agent.planning.cost_field import costs
+from agent.planning.frontier import Floor
 from deploy.bench import baselines
 from deploy.bench.explorations import SAMPLES, Moment, beams, explore, samples
 from deploy.bench.measurement import Measurement, compare, timed
@@ -203,7 +204,7 @@ def _cost_field(moments: Sequence[Moment], graph: Any) -> Measurement:
     kernel, baseline = [], []
     known = [(moment.grid, moment.cell) for moment in samples(moments)[SAMPLES // 4 :]]
     for grid, (x, y) in known:
-        length, spent = timed(partial(costs, grid, x, y))
+        length, spent = timed(lambda: costs(Floor(grid), x, y))  # noqa: B023
         kernel.append(spent)
         prices = np.where(grid == FREE, 1.0, -1.0)
         baseline.append(timed(lambda: graph.MCP_Geometric(prices).find_costs([(y, x)]))[1])  # noqa: B023

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from agent.memo_cache import MemoCache
 from agent.planning.cost_field import costs
+from agent.planning.frontier import Floor
 from agent.planning.occupancy import Terrain, weighted_costs
 from agent.planning.path_planner import PathPlanner
 from agent.planning.route import Route, corners, straighten
@@ -28,7 +29,7 @@ def grids_with_a_cell(draw: st.DrawFn) -> tuple[Grid, int, int]:
 @given(grids_with_a_cell())
 def test_costs_are_those_of_a_plain_search(case: tuple[Grid, int, int]) -> None:
     grid, x, y = case
-    np.testing.assert_allclose(costs(grid, x, y), dijkstra(grid, x, y), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(costs(Floor(grid), x, y), dijkstra(grid, x, y), rtol=0, atol=1e-9)
 
 
 @given(grids_with_a_cell())
