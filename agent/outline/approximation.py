@@ -28,24 +28,12 @@ Marks = Int32s
 
 
 def repair(previous: Polygons, contours: Polygons) -> Marks:
-    """Adapt the last approximation to the current contours (section 4.2.1).
+    """Adapt the last approximation A(t - 1) to the current exact contours P(t), on grids of one shape (section 4.2.1).
 
-    Parameters
-    ----------
-    previous : Polygons
-        A(t - 1), on a grid of the same shape.
-    contours : Polygons
-        P(t), exact.
+    Returns the vertices of A(t) before refinement: all vertices of A(t - 1) that are still contour points, and more for
+    objects with fewer than two. An object without vertices gets its first point; an object with one vertex gets the
+    contour point farthest from it (the first of equals).
 
-    Returns
-    -------
-    int32 array, ascending
-        The vertices of A(t) before refinement, as indices into `contours`: all vertices of A(t - 1) that are
-        still contour points, and more for objects with fewer than two. An object without vertices gets its first
-        point; an object with one vertex gets the contour point farthest from it (the first of equals).
-
-    Notes
-    -----
     Packets can address 4096 objects and 4096 vertices per object. Beyond that, the outside objects with the fewest
     contour points are left out, and objects lose the vertices that deviate least from a straight line.
     """

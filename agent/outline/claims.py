@@ -26,7 +26,7 @@ from agent.outline.objects import (
     Symbols,
     Table,
 )
-from agent.outline.polygons import SIDE_X, SIDE_Y, Polygons
+from agent.outline.polygons import SIDE_X, SIDE_Y
 from agent.outline.raster import Edges, draw, fill
 from protocol.arrays import Int32s, Uint8s
 from protocol.boxes import NO_BOXES, Boxes, clip, whole_grid
@@ -126,13 +126,6 @@ THESIS = Drawing()
 """Everything is drawn and nothing inferred, as in Algorithm 9."""
 
 
-def layer(polygons: Polygons, drawing: Drawing = THESIS) -> Layer:
-    """Render an approximation; return its claims, shape (h, w)."""
-    out = np.zeros(polygons.shape, np.uint8)
-    redraw(out, Objects.of(polygons), drawing, whole_grid(polygons.shape))
-    return out
-
-
 def redraw(out: Layer, objects: Objects, drawing: Drawing, boxes: Boxes) -> ClaimDifference:
     """Render an approximation within boxes, replacing the claims there; return the changes."""
     parts = drawing.free_inside_edges, drawing.unknown_pairs
@@ -140,17 +133,7 @@ def redraw(out: Layer, objects: Objects, drawing: Drawing, boxes: Boxes) -> Clai
 
 
 class DrawnClaims:
-    """The claims of an approximation that changes step by step.
-
-    Parameters
-    ----------
-    shape : (int, int)
-        Height and width of the grid.
-    drawing : Drawing
-        Parts that are drawn.
-    cache : MemoCache
-        Cache of intermediate results, shared by the robots of this process.
-    """
+    """The claims of an approximation that changes step by step; robots of this process share intermediate results."""
 
     def __init__(self, shape: tuple[int, int], drawing: Drawing, cache: MemoCache = NO_CACHE) -> None:
         self.layer: Layer = np.zeros(shape, np.uint8)

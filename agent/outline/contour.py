@@ -36,11 +36,6 @@ class Tracer:
 
     The runs of free cells are kept and updated where the grid changes. The contours themselves are traced anew each
     time: 9000 contour points take 0.03 ms.
-
-    Parameters
-    ----------
-    shape : (int, int)
-        Height and width of the grid.
     """
 
     def __init__(self, shape: tuple[int, int]) -> None:
@@ -56,9 +51,9 @@ class Tracer:
         Parameters
         ----------
         grid : uint8 array of shape (height, width)
-            The self-explored grid: unknown, free and occupied cells.
+            The self-explored grid.
         robot : (int, int)
-            The robot's cell (x, y); it must be free.
+            The robot's cell (x, y).
         changed : int32 array of shape (n, 4), optional
             Boxes outside of which the grid equals that of the last call; None: it may differ anywhere.
 

@@ -1,4 +1,4 @@
-"""Fast reader of edit streams: applies a chunk of packets to the objects, and finds the boxes in which they changed.
+"""Reader of edit streams: applies a chunk of packets to the objects, and finds the boxes in which they changed.
 
 The state before the chunk is not modified. So a malformed chunk changes nothing, and several receivers can continue
 from the same state. A vertex packet changes the drawing only within the box of the vertex and its neighbors.
@@ -26,10 +26,9 @@ from agent.outline.objects import (
 )
 from protocol.arrays import Int32s, Int64s, Uint8s
 from protocol.boxes import MAX_BOXES, NO_BOXES, Boxes, add_box, bounding_box
+from protocol.errors import ProtocolError
 from protocol.kernels import kernel
-from protocol.packets import ALL_KINDS, LAYOUT_BY_BYTE, MAX_VERTICES, Edit
-
-_REJECTED = -1
+from protocol.packets import ALL_KINDS, LAYOUT_BY_BYTE, MAX_VERTICES, AnyPacket, Decoder, Edit
 
 _EDITS = [ALL_KINDS.index(kind.name) for kind in get_args(Edit)]
 _SIZE = np.array([size if kind in _EDITS else 0 for kind, size, *_ in LAYOUT_BY_BYTE], np.int64)
@@ -38,11 +37,28 @@ _SIZE = np.array([size if kind in _EDITS else 0 for kind, size, *_ in LAYOUT_BY_
 SMALL = 3
 """An object with at most so many vertices is redrawn as a whole: each vertex can decide whether it is drawn at all."""
 
-
-_OPEN, _COUNT, _INSIDE, _EDITED, _VERTICES, _GAP, _BOXES, _INSIDES, _USED, _READ = range(10)
+_OPEN, _COUNT, _INSIDE, _EDITED, _VERTICES, _GAP, _BOXES, _INSIDES, _USED, _READ, _ERROR, _DETAILS = range(12)
 """Indices into `ReaderState.numbers`: number of the object being edited (-1: none), its announced vertices, and whether
 it is inside; whether a packet followed the last save point; current vertices of the object, and index of the gap in
-their buffer; number of boxes, of inside objects, and of used symbols in the pool; bytes read of the chunk."""
+their buffer; number of boxes, of inside objects, and of used symbols in the pool; bytes read of the chunk. If a packet
+is rejected, the last one is its offset; then follow the index of the reason in `_REASONS` and three details."""
+
+_MALFORMED, _CLOSED, _NO_INDEX, _FULL, _OUTSIDE, _UNFINISHED = range(1, 7)
+_MISSING, _PRESENT, _BAD_SIZE, _BAD_INSIDES, _UNCHANGED = range(7, 12)
+_REASONS = (
+    "",
+    "malformed",
+    "no object is being edited",
+    "index {1} of object {0}: the last one is {2}",
+    "object {0} is full with {1} vertices",
+    "cell ({0}, {1}) is outside the {width} x {height} grid",
+    "object {0} has {1} vertices instead of the announced {2}",
+    "there is no object {0}",
+    "object {0} already exists",
+    f"{{0}} vertices: an object has 2 to {MAX_VERTICES}",
+    "{0} inside objects: there must be exactly one",
+    "nothing has changed since the last save point",
+)
 
 
 class ReaderState(NamedTuple):
@@ -56,27 +72,21 @@ class ReaderState(NamedTuple):
         Current vertices of the object being edited, as symbols.
     boxes : int32 array, shape (n, 4)
         Boxes of changes since the last save point.
-    numbers : int64 array, shape (10,)
+    numbers : int64 array, shape (14,)
         See the constants above.
     """
 
     objects: Objects
     vertices: Symbols
     boxes: Boxes
-    numbers: NDArray[np.int64]
+    numbers: Int64s
 
     @staticmethod
     def empty(shape: tuple[int, int]) -> ReaderState:
         """Return the state before the first packet, for a grid of `shape` (height, width)."""
-        numbers = np.zeros(10, np.int64)
+        numbers = np.zeros(_DETAILS + 3, np.int64)
         numbers[_OPEN] = -1
         return ReaderState(Objects.empty(shape), np.empty(0, np.int32), NO_BOXES, numbers)
-
-    @property
-    def header(self) -> tuple[int, int, bool, bool]:
-        """Object being edited (-1: none), its announced vertices, whether it is inside; whether all edits are saved."""
-        number, count, inside, edited = self.numbers[: _EDITED + 1].tolist()
-        return number, count, bool(inside), not edited
 
 
 class SavePoint(NamedTuple):
@@ -92,22 +102,16 @@ class SavePoint(NamedTuple):
     """Offset in the chunk behind the last save point."""
 
 
-def read(before: ReaderState, chunk: bytes) -> tuple[int, ReaderState, SavePoint | None] | None:
-    """Apply the whole edit packets at the start of a chunk, up to the first packet of another kind.
+def read(before: ReaderState, chunk: bytes) -> tuple[int, ReaderState, SavePoint | None]:
+    """Apply the whole packets at the start of a chunk; `before` is not modified.
 
-    Parameters
-    ----------
-    before : ReaderState
-        State before the chunk; it is not modified.
+    Returns the bytes of these packets, behind which at most an incomplete one follows; the state after them; and the
+    last save point, if there is one.
 
-    Returns
-    -------
-    used : int
-        Bytes of the applied packets; an incomplete packet, or one of another kind, follows.
-    after : ReaderState
-    saved : SavePoint, optional
-        The last save point of the chunk, if there is one.
-        Instead of these three, None if the chunk is malformed (`agent.outline.draft` finds the cause).
+    Raises
+    ------
+    ProtocolError
+        A packet is malformed, does not fit those before it, or is no edit.
     """
     objects, vertices, boxes, numbers = before
     shape, data = objects.shape, np.frombuffer(chunk, np.uint8)
@@ -115,13 +119,35 @@ def read(before: ReaderState, chunk: bytes) -> tuple[int, ReaderState, SavePoint
         data, *shape, numbers, objects.table, objects.pool, vertices, boxes
     )
     used = int(numbers[_READ])
-    if used == _REJECTED:
-        return None
+    packet = _packet_at(chunk, used)
+    if numbers[_ERROR]:
+        assert packet is not None
+        details = numbers[_DETAILS:].tolist()
+        reason = _REASONS[numbers[_ERROR]].format(*details, height=shape[0], width=shape[1])
+        raise ProtocolError(packet.name, used, reason)
+    if packet is not None:
+        raise ProtocolError(packet.name, used, "edit streams have no packets of this kind")
     saved = None
     if saves:
         box = bounding_box(saved_boxes.tolist()) if len(saved_boxes) else None
         saved = SavePoint(Objects(shape, saved_table, pool), saved_boxes, box, saves, end)
     return used, ReaderState(Objects(shape, table, pool), vertices, boxes, numbers), saved
+
+
+def _packet_at(chunk: bytes, offset: int) -> AnyPacket | None:
+    """Decode the packet at an offset; None if it is incomplete, ProtocolError if it is malformed."""
+    try:
+        return next(Decoder().feed(chunk[offset:]), None)
+    except ProtocolError as error:
+        raise ProtocolError(error.packet, offset + error.offset, error.reason) from None
+
+
+@kernel
+def _reject(n: Int64s, at: int, reason: int, one: int, two: int, three: int) -> bool:
+    """Note the reason and the details why the packet at an offset is rejected; return False."""
+    n[_READ], n[_ERROR] = at, reason
+    n[_DETAILS], n[_DETAILS + 1], n[_DETAILS + 2] = one, two, three
+    return False
 
 
 @kernel
@@ -185,7 +211,7 @@ def _apply(
     vertices: Symbols,
     boxes: Boxes,
 ) -> bool:
-    """Apply the packets from `begin` to `end`; return False if one is malformed.
+    """Apply the packets from `begin` to `end`; return False if one is rejected.
 
     `vertices` is the gap buffer of the object being edited. The other arrays are modified as well.
     """
@@ -196,12 +222,14 @@ def _apply(
         if head >> 5 in (2, 3, 4):
             length = n[_VERTICES]
             if n[_OPEN] < 0:
-                return False
+                return _reject(n, at, _CLOSED, 0, 0, 0)
             if head >> 5 == 4:
                 packet = np.int64(data[at]) << 8 | data[at + 1]
                 index = packet >> 1 & 0xFFF
-                if packet & 1 or index >= length:
-                    return False
+                if packet & 1:
+                    return _reject(n, at, _MALFORMED, 0, 0, 0)
+                if index >= length:
+                    return _reject(n, at, _NO_INDEX, n[_OPEN], index, length - 1)
                 around[0] = around[3] = vertices[_place(n, index)]
                 around[1] = vertices[_place(n, (index + length - 1) % length)]
                 around[2] = vertices[_place(n, (index + 1) % length)]
@@ -214,10 +242,14 @@ def _apply(
                     packet = packet << 8 | data[at + i]
                 index, x, y = packet >> 33 & 0xFFF, packet >> 21 & 0xFFF, packet >> 9 & 0xFFF
                 is_new = head >> 5 == 2
-                if packet & 0x3F or x > width + 1 or y > height + 1:
-                    return False
-                if index > length or (index == length and not is_new) or (is_new and length == MAX_VERTICES):
-                    return False
+                if packet & 0x3F:
+                    return _reject(n, at, _MALFORMED, 0, 0, 0)
+                if is_new and length == MAX_VERTICES:
+                    return _reject(n, at, _FULL, n[_OPEN], length, 0)
+                if index >= length + is_new:
+                    return _reject(n, at, _NO_INDEX, n[_OPEN], index, length + is_new - 1)
+                if x > width + 1 or y > height + 1:
+                    return _reject(n, at, _OUTSIDE, x - 1, y - 1, 0)
                 around[:] = np.int32(y << 15 | x << 3 | (packet >> 6 & 7))
                 if length:
                     around[1] = vertices[_place(n, (index + length - 1) % length)]
@@ -239,7 +271,7 @@ def _apply(
         if n[_OPEN] >= 0:
             number, length = n[_OPEN], n[_VERTICES]
             if length != n[_COUNT]:
-                return False
+                return _reject(n, at, _UNFINISHED, number, length, n[_COUNT])
             _move_gap(vertices, n, length)
             known, was_inside = table[number, FIRST] >= 0, table[number, INSIDE]
             as_a_whole = not known or min(length, table[number, LENGTH]) <= SMALL or was_inside != n[_INSIDE]
@@ -257,24 +289,28 @@ def _apply(
         if head >> 4 == 0xA:
             number = (np.int64(data[at]) << 8 | data[at + 1]) & 0xFFF
             if number >= len(table) or table[number, FIRST] < 0:
-                return False
+                return _reject(n, at, _MISSING, number, 0, 0)
             n[_BOXES] = _add_box_around(boxes, n[_BOXES], table, number)
             n[_INSIDES] -= table[number, INSIDE]
             table[number, FIRST] = -1
             n[_EDITED] = 1
             at += 2
         elif head == 0xF0:
-            if not n[_EDITED] or n[_INSIDES] != 1:
-                return False
+            if not n[_EDITED]:
+                return _reject(n, at, _UNCHANGED, 0, 0, 0)
+            if n[_INSIDES] != 1:
+                return _reject(n, at, _BAD_INSIDES, n[_INSIDES], 0, 0)
             n[_EDITED] = 0
             at += 1
         else:
             number, count, is_inside = _header(data, at)
             known = table[number, FIRST] >= 0
-            if data[at + 4] or data[at + 3] & 3 or known != (head >> 4 == 0xE):
-                return False
+            if data[at + 4] or data[at + 3] & 3:
+                return _reject(n, at, _MALFORMED, 0, 0, 0)
+            if known != (head >> 4 == 0xE):
+                return _reject(n, at, _PRESENT if known else _MISSING, number, 0, 0)
             if count < 2 or count > MAX_VERTICES:
-                return False
+                return _reject(n, at, _BAD_SIZE, count, 0, 0)
             n[_OPEN], n[_COUNT], n[_INSIDE] = number, count, is_inside
             n[_VERTICES] = n[_GAP] = table[number, LENGTH] if known else 0
             for i in range(n[_VERTICES]):
@@ -366,8 +402,7 @@ def _read(
         is_valid = _apply(data, saved, whole, height, width, n, table, pool, edited, boxes)
     _move_gap(edited, n, n[_VERTICES])
     if is_valid:
-        pool[-1] = n[_USED]
-    n[_READ] = whole if is_valid else _REJECTED
+        pool[-1], n[_READ] = n[_USED], whole
     return (
         table,
         pool,

@@ -59,22 +59,12 @@ class NumberedPolygons:
 
 
 def edit_packets(held: NumberedPolygons, approximation: Polygons) -> list[bytes]:
-    """Find the packets that turn the held approximation into a new one (Algorithm 5).
+    """Encode the packets that turn the held approximation, A(t - 1), into A(t) (Algorithm 5); none if they are equal.
 
-    Parameters
-    ----------
-    held : NumberedPolygons
-        A(t - 1), as all packets so far have left it.
-    approximation : Polygons
-        A(t): at most 4096 objects of at most 4096 vertices, no vertex twice.
-
-    Returns
-    -------
-    list of bytes
-        Encoded packets: removed objects, then changed ones, then new ones, each by ascending number, and a save
-        point; nothing if the approximations are equal. Within an object, vertices are deleted from the last to the
-        first, then replaced or inserted from the first to the last at their final index. So it is never longer than
-        before and after.
+    A(t) has at most 4096 objects of at most 4096 vertices, no vertex twice. The packets are removed objects, then
+    changed ones, then new ones, each by ascending number, and a save point. Within an object, vertices are deleted from
+    the last to the first, then replaced or inserted from the first to the last at their final index. So it is never
+    longer than before and after.
     """
     old, new = held.polygons, approximation
     script, ends = _script(
@@ -85,11 +75,13 @@ def edit_packets(held: NumberedPolygons, approximation: Polygons) -> list[bytes]
 
 
 @kernel
-def _put(out: Uint8s, at: int, packet: int, size: int) -> int:
-    """Write a packet, most significant byte first; return the offset behind it."""
+def _put(out: Uint8s, ends: Int32s, packets: int, packet: int, size: int) -> int:
+    """Write a packet behind the first `packets`, most significant byte first; return the number of packets."""
+    at = ends[packets]
     for i in range(size):
         out[at + i] = packet >> 8 * (size - 1 - i) & 0xFF
-    return at + size
+    ends[packets + 1] = at + size
+    return packets + 1
 
 
 @kernel
@@ -187,12 +179,10 @@ def _script(
     most += _DELETE * len(old_symbols) + _INSERT * len(new_symbols)
     out = np.empty(most, np.uint8)
     ends = np.zeros(2 + old_objects + new_objects + len(old_symbols) + len(new_symbols), np.int32)
-    size, packets = 0, 1
+    packets = 0
     for n in old_number:
         if not is_taken[n]:
-            size = _put(out, size, 0b1010 << 12 | n, _REMOVE)
-            ends[packets] = size
-            packets += 1
+            packets = _put(out, ends, packets, 0b1010 << 12 | n, _REMOVE)
     is_changed = successor >= 0
     for k in np.argsort(number):
         if not is_changed[k]:
@@ -203,24 +193,19 @@ def _script(
         before = old_symbols[old_start[former] : old_start[former + 1]]
         after = new_symbols[new_start[k] : new_start[k + 1]]
         packet = _object_packet(0b1110, number[k], len(after), new_inside[k])
-        size = _put(out, size, packet, _CHANGE)
-        ends[packets] = size
-        packets += 1
+        packets = _put(out, ends, packets, packet, _CHANGE)
         stays = np.zeros(len(before), np.bool_)
         for i in source:
             if i >= 0:
                 stays[i] = True
         for i in range(len(before) - 1, -1, -1):
             if not stays[i]:
-                size = _put(out, size, 0b100 << 13 | i << 1, _DELETE)
-                ends[packets] = size
-                packets += 1
+                packets = _put(out, ends, packets, 0b100 << 13 | i << 1, _DELETE)
         for i in range(len(after)):
             symbol = after[i + begin if i + begin < len(after) else i + begin - len(after)]
             if source[i] < 0 or before[source[i]] != symbol:
-                size = _put(out, size, _vertex_packet(0b010 if source[i] < 0 else 0b011, i, symbol), _INSERT)
-                ends[packets] = size
-                packets += 1
+                packet = _vertex_packet(0b010 if source[i] < 0 else 0b011, i, symbol)
+                packets = _put(out, ends, packets, packet, _INSERT)
     lowest = 0
     for k in range(new_objects):
         if number[k] >= 0:
@@ -230,15 +215,10 @@ def _script(
         number[k] = lowest
         lowest += 1
         cycle = new_symbols[new_start[k] : new_start[k + 1]]
-        size = _put(out, size, _object_packet(0b1101, number[k], len(cycle), new_inside[k]), _EMERGE)
-        ends[packets] = size
-        packets += 1
+        packet = _object_packet(0b1101, number[k], len(cycle), new_inside[k])
+        packets = _put(out, ends, packets, packet, _EMERGE)
         for i in range(len(cycle)):
-            size = _put(out, size, _vertex_packet(0b010, i, cycle[i]), _INSERT)
-            ends[packets] = size
-            packets += 1
-    if size:
-        size = _put(out, size, 0xF0, _SAVE)
-        ends[packets] = size
-        packets += 1
-    return out[:size].copy(), ends[:packets].copy()
+            packets = _put(out, ends, packets, _vertex_packet(0b010, i, cycle[i]), _INSERT)
+    if packets:
+        packets = _put(out, ends, packets, 0xF0, _SAVE)
+    return out[: ends[packets]].copy(), ends[: packets + 1].copy()

@@ -64,18 +64,3 @@ class Polygons:
     def objects(self) -> int:
         """Number of polygons."""
         return len(self.inside)
-
-    def canonical(self) -> list[tuple[bool, tuple[tuple[int, int, int, int], ...]]]:
-        """Return a form that does not depend on the order of objects and on where their lists start.
-
-        Each object is (inside, cycle of (x, y, side, occupied)) with the smallest vertex first; the objects are
-        sorted.
-        """
-        cycles = []
-        for k in range(self.objects):
-            part = slice(self.start[k], self.start[k + 1])
-            columns = (self.x[part], self.y[part], self.side[part], self.occupied[part])
-            cycle = list(zip(*(column.tolist() for column in columns), strict=True))
-            first = cycle.index(min(cycle)) if cycle else 0
-            cycles.append((bool(self.inside[k]), tuple(cycle[first:] + cycle[:first])))
-        return sorted(cycles)

@@ -8,7 +8,6 @@ quarters of a cell.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from heapq import heappop, heappush
 
 import numpy as np
@@ -19,35 +18,12 @@ from protocol.arrays import Bools, Int16s, Int32s, Int64Rows, Int64s, Uint8s
 from protocol.kernels import kernel
 from protocol.packets import MAX_VERTICES
 
-
-@dataclass(frozen=True)
-class ValueFunction:
-    """Priority of splitting an edge; larger values first.
-
-    Attributes
-    ----------
-    mixed : float
-        Added to the value of an edge of mixed occupancy, in cells.
-    """
-
-    mixed: float
-
-    def __call__(self, distance: float, mixed: bool) -> float:
-        """Return the value of an edge from the distance of its farthest contour point, in cells, and its occupancy."""
-        return distance + self.mixed if mixed else distance
-
-
-by_distance = ValueFunction(0.0)
-"""Value edges by distance alone, as in the thesis."""
-
-mixed_first = ValueFunction(1e6)
-"""Value edges with occupied and unknown contour points above all others.
-
-Teammates take such an edge for unexplored and drive to a wall that is already known."""
+_WORTH_OF_MIXED = 1e6
+"""Added to the value of an edge of mixed occupancy that is refined first, in cells."""
 
 
 def refine(
-    contours: Polygons, marks: Marks, splits: int | None = None, value: ValueFunction = by_distance
+    contours: Polygons, marks: Marks, splits: int | None = None, *, mixed_first: bool = False
 ) -> Marks:
     """Split the most valuable edges of an approximation.
 
@@ -59,8 +35,10 @@ def refine(
         Vertices of the approximation, as indices into `contours`; at least two per object.
     splits : int, optional
         Number of edges to split; by default until the approximation is exact.
-    value : ValueFunction
-        Determines which edge is split first; of equal values the edge that is earlier in the contours.
+    mixed_first : bool
+        Split edges with occupied and unknown contour points before all others: teammates take such an edge for
+        unexplored and drive to a wall that is already known. Otherwise, as in the thesis, the edge whose farthest
+        contour point is farthest is split first; of equal edges the one that is earlier in the contours.
 
     Returns
     -------
@@ -76,7 +54,8 @@ def refine(
     if splits == 0:
         return marks
     columns = contours.x, contours.y, contours.side, contours.occupied, contours.start
-    refined: Marks = _refine(*columns, marks, -1 if splits is None else splits, value.mixed)
+    worth_of_mixed = _WORTH_OF_MIXED if mixed_first else 0.0
+    refined: Marks = _refine(*columns, marks, -1 if splits is None else splits, worth_of_mixed)
     return refined
 
 

@@ -7,7 +7,6 @@ with the first robot, then the first goal counts.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.planning.utility import proximity, sees
 from protocol.arrays import Cells, FloatRows, Floats, Int64s
@@ -15,7 +14,7 @@ from protocol.grid import Grid
 from protocol.kernels import kernel
 
 Costs = FloatRows
-"""Shape (robots, goals); infinite without a way."""
+"""Cost of the way of each robot to each goal; infinite without a way."""
 
 Assignment = Int64s
 
@@ -23,7 +22,7 @@ STARTS = 8
 """Random starts of the search for the best assignment."""
 
 
-def greedy(costs: Costs, order: NDArray[np.int64]) -> Assignment:
+def greedy(costs: Costs, order: Int64s) -> Assignment:
     """Give each robot, in the given order, the nearest goal that is left (Faigl and Vanek 2014, GA)."""
     left = costs.copy()
     given = np.full(len(costs), -1)
@@ -63,9 +62,7 @@ def hungarian(costs: Costs) -> Assignment:
     return given
 
 
-def in_turn(
-    grid: Grid, goals: NDArray[np.int32], utility: Floats, costs: Costs, ranges: Floats
-) -> Assignment:
+def in_turn(grid: Grid, goals: Cells, utility: Floats, costs: Costs, ranges: Floats) -> Assignment:
     """Assign goals as Algorithm 1 of Burgard et al. (section II-C) does.
 
     Assign the pair of best utility minus cost, lower the utilities around its goal, and repeat until every robot has a
@@ -98,18 +95,21 @@ def in_turn(
 
 
 def best_of_all(
-    grid: Grid, goals: NDArray[np.int32], utility: Floats, costs: Costs, ranges: Floats,
+    grid: Grid,
+    goals: Cells,
+    utility: Floats,
+    costs: Costs,
+    ranges: Floats,
     random: np.random.Generator,
-) -> Assignment:  # fmt: skip
+) -> Assignment:
     """Search for the assignment with the largest `total_value` (Burgard et al. 2005, Algorithm 2).
 
     Hill climbing from the assignment of `in_turn` and from `STARTS` random ones: a robot takes another goal, or two
     robots swap goals. Parameters are those of `in_turn`, with costs squared before they are weighted.
     """
     cost = np.where(np.isfinite(costs), costs, 1e9)
-    first = in_turn(grid, goals, utility, cost, ranges)
-    best, best_value = first, -np.inf
-    for start in [first, *(random.integers(len(goals), size=(STARTS, len(costs))))]:
+    best, best_value = in_turn(grid, goals, utility, cost, ranges), -np.inf
+    for start in [best, *(random.integers(len(goals), size=(STARTS, len(costs))))]:
         given = start.astype(np.int64)
         _climb(grid, goals, utility, cost, ranges, given)
         value = total_value(grid, goals, utility, cost, ranges, given)
@@ -119,8 +119,8 @@ def best_of_all(
 
 
 def total_value(
-    grid: Grid, goals: NDArray[np.int32], utility: Floats, costs: Costs, ranges: Floats, given: Assignment
-) -> float:  # fmt: skip
+    grid: Grid, goals: Cells, utility: Floats, costs: Costs, ranges: Floats, given: Assignment
+) -> float:
     """Return the sum over all robots of the utility of its goal, lowered by all other goals, minus its cost."""
     total = 0.0
     for robot, goal in enumerate(given):

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from heapq import heappop, heappush
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.planning.cost_field import (
     SHIFT,
@@ -50,16 +49,16 @@ class TradeOff:
         Weight of cost against utility, 0 or more.
     """
 
-    targets: NDArray[np.int32]
-    weights: NDArray[np.float64]
-    ranges: NDArray[np.float64]
+    targets: Cells
+    weights: Floats
+    ranges: Floats
     scale: float
     beta: float
 
 
 def best_frontier(
     floor: Floor, grid: Grid, x: int, y: int, trade_off: TradeOff
-) -> tuple[tuple[int, int], NDArray[np.int32]] | None:
+) -> tuple[tuple[int, int], Cells] | None:
     """Find the frontier cell of the largest U - beta V among those that can be reached from (x, y).
 
     The result equals that of `agent.planning.utility.utilities` and `agent.planning.cost_field.costs` for all cells. Of

@@ -8,7 +8,7 @@ of all teammates' targets (steps 4 to 6); without one it takes the first frontie
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from protocol.arrays import Cells, Floats
 from protocol.grid import FREE, UNKNOWN, Grid
@@ -19,8 +19,8 @@ _STEPS = np.array([(1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1), (-1, -1), 
 
 
 def first_by_hops(
-    floor: Grid, grid: Grid, start: tuple[int, int], taken: NDArray[np.int32], ranges: ArrayLike
-) -> tuple[tuple[int, int], NDArray[np.int32]] | None:
+    floor: Grid, grid: Grid, start: tuple[int, int], taken: Cells, ranges: ArrayLike
+) -> tuple[tuple[int, int], Cells] | None:
     """Find the first frontier cell of a breadth-first search from `start`, and the way to it.
 
     `floor` has the cells that the robot may enter, its own cell included. `taken` are the targets of teammates; each

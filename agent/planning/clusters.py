@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from protocol.arrays import Cells, FloatRows, Int64s
 from protocol.kernels import kernel
@@ -14,22 +13,11 @@ _ROUNDS = 30
 Points = FloatRows
 
 
-def k_means(points: Points, seeds: Points) -> tuple[Points, NDArray[np.int64]]:
-    """Cluster points around as many means as there are seeds.
+def k_means(points: Points, seeds: Points) -> tuple[Points, Int64s]:
+    """Cluster points around as many means as there are seeds, the initial means; shapes (n, 2) and (k, 2).
 
-    An empty cluster keeps its mean; of equally near means the first counts.
-
-    Parameters
-    ----------
-    points : float64 array, shape (n, 2)
-    seeds : float64 array, shape (k, 2)
-        The initial means.
-
-    Returns
-    -------
-    means : float64 array, shape (k, 2)
-    owner : int64 array, shape (n,)
-        The cluster of each point.
+    An empty cluster keeps its mean; of equally near means the first counts. Returns the means, and the cluster of each
+    point.
     """
     means = seeds.copy()
     owner = np.zeros(len(points), np.int64)
@@ -37,9 +25,7 @@ def k_means(points: Points, seeds: Points) -> tuple[Points, NDArray[np.int64]]:
     return means, owner
 
 
-def medoids(
-    points: NDArray[np.int32], sizes: NDArray[np.int64], counts: NDArray[np.int64]
-) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+def medoids(points: Cells, sizes: Int64s, counts: Int64s) -> tuple[Cells, Int64s]:
     """Cluster the points of each group, and return the point of each cluster that is nearest to its mean.
 
     The initial means are far apart: the first point, then always the point farthest from all means so far.
@@ -48,10 +34,8 @@ def medoids(
     ----------
     points : int32 array, shape (n, 2)
         Group after group, different within a group; of equally near points the first counts.
-    sizes : int64 array, shape (k,)
-        Number of points of each group, at least one.
-    counts : int64 array, shape (k,)
-        Number of clusters of each group, from one to its number of points.
+    sizes, counts : int64 arrays, shape (k,)
+        Number of points of each group, at least one; number of its clusters, at most as many.
 
     Returns
     -------

@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from protocol.arrays import Cells, FloatRows, Floats
 from protocol.grid import FREE, OCCUPIED, Grid
@@ -56,18 +55,12 @@ def repulsion(distance: float, rho: float, gain: float) -> float:
     return gain * (1.0 / near - 1.0 / rho) / (near * near)
 
 
-@kernel
-def attraction(distance: float, gain: float) -> float:
-    """Eq. (6): k_att times the distance, toward the frontier point."""
-    return gain * distance
-
-
 def glide(
     floor: Grid,
     resolution: float,
     at: tuple[float, float],
     velocity: Floats,
-    frontier: NDArray[np.int32],
+    frontier: Cells,
     robots: FloatRows,
     field: Field,
     top_speed: float,
@@ -79,21 +72,15 @@ def glide(
     Parameters
     ----------
     floor : uint8 array, shape (h, w)
-        The cells that the robot may enter.
-    resolution : float
-        Meters per cell.
+        The cells that the robot may enter, of `resolution` meters.
     at : (x, y)
         The position in cells.
     velocity : float64 array, shape (2,)
-        Meters per second.
+        Meters per second, at most `top_speed`.
     frontier : int32 array, shape (n, 2)
         Frontier cells (x, y); the closest one attracts the robot (Eq. 6).
     robots : float64 array, shape (m, 2)
         Positions of teammates in cells; those within range repel the robot (Eq. 3).
-    field : Field
-        Gains and ranges.
-    top_speed : float
-        Meters per second.
 
     Returns
     -------
@@ -154,7 +141,7 @@ def _integrate(
                 goal = point
         if goal >= 0 and best > 0.0:
             distance = np.sqrt(best)
-            pull = attraction(distance * size, gain_frontier)
+            pull = gain_frontier * (distance * size)
             for axis in range(2):
                 force[axis] += pull * (frontier[goal, axis] - at[axis]) / distance
         for robot in range(len(robots)):

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from agent.planning.cost_field import ONE, ROOT, SHIFT, UNIT, offsets
 from agent.planning.frontier import Floor
-from protocol.arrays import BoolRows, Bools, FloatRows, Int64Rows, Int64s, Uint8s
+from protocol.arrays import BoolRows, Bools, Cells, FloatRows, Int64Rows, Int64s, Uint8s
 from protocol.kernels import kernel
 
 _Jumps = Annotated[NDArray[np.int16], "int16[:,:,::1]"]
@@ -27,49 +27,16 @@ _BEGIN = 8
 """Step number of the start of a search."""
 
 
-def costs_between(floor: Floor, starts: NDArray[np.int32], goals: NDArray[np.int32]) -> NDArray[np.float64]:
-    """Return the length of the shortest way from each start to each goal.
-
-    Parameters
-    ----------
-    floor : Floor
-        The cells that the robot may enter.
-    starts : int32 array, shape (m, 2)
-        Cells (x, y).
-    goals : int32 array, shape (n, 2)
-        Cells (x, y).
-
-    Returns
-    -------
-    float64 array, shape (m, n)
-        In cells; infinite without a way.
-    """
+def costs_between(floor: Floor, starts: Cells, goals: Cells) -> FloatRows:
+    """Return the length of the shortest way from each start to each goal, shape (m, n), infinite without one."""
     return _found(floor, starts, goals, np.zeros(len(starts), np.int64))
 
 
-def costs_among(
-    floor: Floor, starts: NDArray[np.int32], goals: NDArray[np.int32]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the lengths of the shortest ways from each start to each goal, and between all pairs of goals.
+def costs_among(floor: Floor, starts: Cells, goals: Cells) -> tuple[FloatRows, FloatRows]:
+    """Return `costs_between` starts and goals, and between all pairs of goals, which are free cells.
 
     Lengths are symmetric, so each pair of goals is searched once. The outermost goals are searched first, as the
     remaining goals are then close together.
-
-    Parameters
-    ----------
-    floor : Floor
-        The cells that the robot may enter.
-    starts : int32 array, shape (m, 2)
-        Cells (x, y).
-    goals : int32 array, shape (n, 2)
-        Free cells (x, y).
-
-    Returns
-    -------
-    ways : float64 array, shape (m, n)
-        In cells; infinite without a way.
-    between : float64 array, shape (n, n)
-        The same, symmetric.
     """
     if not len(goals):
         return np.empty((len(starts), 0)), np.empty((0, 0))
@@ -84,9 +51,7 @@ def costs_among(
     return np.ascontiguousarray(ways), np.ascontiguousarray(between[np.ix_(back, back)])
 
 
-def _found(
-    floor: Floor, starts: NDArray[np.int32], goals: NDArray[np.int32], first: Int64s
-) -> NDArray[np.float64]:
+def _found(floor: Floor, starts: Cells, goals: Cells, first: Int64s) -> FloatRows:
     """Return the length of the shortest way from each start to each goal with an index of at least its `first`."""
     start, goal = (
         (cells[:, 1].astype(np.int64) + 1) * floor.stride + cells[:, 0] + 1 for cells in (starts, goals)
@@ -100,7 +65,7 @@ def _found(
 
 
 @lru_cache(maxsize=1)
-def _workspace(height: int, stride: int) -> tuple[_Jumps, Int64s, NDArray[np.uint8]]:
+def _workspace(height: int, stride: int) -> tuple[_Jumps, Int64s, Uint8s]:
     """Return the working memory that all searches on floors of one size share: jumps, lengths, arrival steps.
 
     Each search initializes it.

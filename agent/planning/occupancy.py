@@ -35,7 +35,7 @@ _BARRED = np.int32(-1)
 _DONE = np.uint8(16)
 
 
-def smoothed(grid: Grid) -> NDArray[np.float64]:
+def smoothed(grid: Grid) -> FloatRows:
     """Return the occupancy probability of each cell, smoothed by a Gaussian: float64 array, shape (h, w)."""
     from scipy import ndimage  # noqa: PLC0415  slow to import, and few commands need it
 

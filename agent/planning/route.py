@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.planning.path_planner import PathPlanner
 from protocol.arrays import Cells
@@ -17,16 +16,10 @@ _NOWHERE = np.empty((0, 2), np.int32)
 
 
 class Route:
-    """The remaining cells of a robot's way.
-
-    Attributes
-    ----------
-    cells : int32 array, shape (n, 2)
-        Cells (x, y), without the robot's own cell.
-    """
+    """The remaining cells of a robot's way, without its own cell, as `cells`."""
 
     def __init__(self) -> None:
-        self.cells: NDArray[np.int32] = _NOWHERE
+        self.cells: Cells = _NOWHERE
 
     def lead(self, planner: PathPlanner, start: tuple[int, int], end: tuple[int, int]) -> bool:
         """Plan a best way from `start` to `end`; return whether there is one. Without one, the route is empty."""
@@ -48,7 +41,7 @@ class Route:
         """Return whether the remaining cells from `start` on are free on `floor`, and both beside each diagonal."""
         return bool(_is_open(floor, *start, self.cells))
 
-    def next_cells(self, count: int) -> NDArray[np.int32]:
+    def next_cells(self, count: int) -> Cells:
         """Return the next cells, at most `count`: int32 array, shape (n, 2)."""
         return self.cells[:count]
 
@@ -74,20 +67,11 @@ def _is_open(floor: Grid, x: int, y: int, cells: Cells) -> bool:
     return True
 
 
-def straighten(floor: Grid, start: tuple[int, int], cells: NDArray[np.int32]) -> NDArray[np.int32]:
+def straighten(floor: Grid, start: tuple[int, int], cells: Cells) -> Cells:
     """Straighten a way by ray shooting: from each corner straight to the farthest visible cell of the way.
 
     A cell is visible if a straight, 8-connected line of free cells leads to it, and the cells beside its diagonal steps
-    are free. So the new way is no longer than the old one.
-
-    Parameters
-    ----------
-    floor : uint8 array, shape (h, w)
-        The cells that the robot may enter.
-    start : (x, y)
-        The start of the way.
-    cells : int32 array, shape (n, 2)
-        The cells of the way, without the start.
+    are free. So the new way is no longer than the old one. Both lack the start.
     """
     if not len(cells):
         return cells
@@ -117,26 +101,14 @@ def _is_clear(floor: Grid, x: int, y: int, to_x: int, to_y: int) -> bool:
     return True
 
 
-def corners(floor: Grid, start: tuple[int, int], cells: NDArray[np.int32]) -> NDArray[np.int32]:
+def corners(floor: Grid, start: tuple[int, int], cells: Cells) -> Cells:
     """Return the waypoints of a way that may leave the centers of cells: its bends and its end.
 
-    Parameters
-    ----------
-    floor : uint8 array, shape (h, w)
-        The cells that the robot may enter.
-    start : (x, y)
-        The robot's position in thousandths of a cell.
-    cells : int32 array, shape (n, 2)
-        The cells of the way; the first is a neighbor of the robot's cell.
-
-    Returns
-    -------
-    int32 array, shape (m, 2)
-        In thousandths of a cell. If no straight line leads to the first cell, the center of the robot's own cell comes
-        first.
+    `start` and the result, shape (m, 2), are in thousandths of a cell. The first of `cells` is a neighbor of the
+    robot's cell. If no straight line leads to it, the center of the robot's own cell comes first.
     """
     points = cells * _FINE
-    found: list[NDArray[np.int32]] = []
+    found: list[Cells] = []
     at = np.array(start, np.int32)
     if len(points) and not _is_line_clear(floor, *map(int, at), *map(int, points[0])):
         at = (at + _FINE // 2) // _FINE * _FINE
@@ -153,7 +125,7 @@ def corners(floor: Grid, start: tuple[int, int], cells: NDArray[np.int32]) -> ND
     return np.array(found, np.int32).reshape(-1, 2)
 
 
-def crossed(start: tuple[int, int], points: NDArray[np.int32], most: float) -> NDArray[np.int32]:
+def crossed(start: tuple[int, int], points: Cells, most: float) -> Cells:
     """Return the cells that the lines from point to point cross, in order: int32 array, shape (m, 2).
 
     Lines that begin after more than `most` cells are left out. `start` and `points`, shape (n, 2), are in thousandths

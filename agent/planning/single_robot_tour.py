@@ -23,19 +23,10 @@ _LEAST = 1e-7
 
 
 def single_robot_tour(starts: Floats, between: FloatRows) -> list[int]:
-    """Order goals by a short path from a start through all of them.
+    """Order goals by a short path from a start through all of them; unreachable goals are left out.
 
-    Parameters
-    ----------
-    starts : float64 array, shape (n,)
-        Distance from the robot to each goal; infinite without a way.
-    between : float64 array, shape (n, n)
-        Distance between goals, symmetric.
-
-    Returns
-    -------
-    list of int
-        The goals in the order of the tour; unreachable goals are left out.
+    `starts`, shape (n,), has the distance from the robot to each goal, infinite without a way; `between`, shape (n, n),
+    the distances between goals, symmetric.
     """
     goals = np.flatnonzero(np.isfinite(starts))
     count = len(goals)

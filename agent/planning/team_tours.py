@@ -59,13 +59,7 @@ class Task(NamedTuple):
 
 
 def team_tours(task: Task) -> list[list[int]]:
-    """Plan one tour per robot with a small `tours_cost`.
-
-    Returns
-    -------
-    list of lists of int
-        The goals of each robot, in the order of its tour; unreachable goals are left out.
-    """
+    """Plan one tour per robot, goals in their order, with a small `tours_cost`; unreachable goals are left out."""
     robots, goals = task.starts.shape
     tours = np.full((robots, goals), -1)
     counts = np.zeros(robots, np.int64)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from protocol.arrays import Cells, Floats, Int32s
 from protocol.grid import OCCUPIED, Grid
@@ -18,29 +18,15 @@ from protocol.kernels import kernel
 
 def utilities(
     grid: Grid,
-    cells: NDArray[np.int32],
+    cells: Cells,
     targets: Sequence[tuple[int, int]],
     range_cells: ArrayLike,
     weights: Sequence[float] | None = None,
-) -> NDArray[np.float64]:
-    """Return the utility of each of `cells`.
+) -> Floats:
+    """Return the utility of each of `cells` on a planning grid, shape (n,); occupied cells block the line of sight.
 
-    Parameters
-    ----------
-    grid : uint8 array, shape (h, w)
-        The planning grid; occupied cells block the line of sight.
-    cells : int32 array, shape (n, 2)
-        Frontier cells (x, y).
-    targets : sequence of (x, y)
-        Targets of teammates.
-    range_cells : float or float array, shape (m,)
-        Sensor range of each of these teammates: P(d) = max(0, 1 - d / range).
-    weights : sequence of float, optional
-        Weight of each target; default: 1.
-
-    Returns
-    -------
-    float64 array, shape (n,)
+    `range_cells` has the sensor range of the teammate of each of the `targets`, scalar or shape (m,):
+    P(d) = max(0, 1 - d / range). `weights` has the weight of each target, by default 1.
     """
     result = np.ones(len(cells))
     weighted = np.ones(len(targets)) if weights is None else np.asarray(weights, np.float64)
@@ -49,9 +35,7 @@ def utilities(
     return result
 
 
-def proximity(
-    grid: Grid, cells: NDArray[np.int32], target: NDArray[np.int32], range_cells: float
-) -> NDArray[np.float64]:
+def proximity(grid: Grid, cells: Cells, target: Int32s, range_cells: float) -> Floats:
     """Return P(d) of each of `cells` for one target, the amount by which it lowers their utilities, shape (n,)."""
     lowered = np.zeros(len(cells))
     _lower(grid, cells, target.reshape(1, 2), np.ones(1), np.array([range_cells]), lowered)

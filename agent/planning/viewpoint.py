@@ -9,10 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.planning.path_planner import PathPlanner
-from protocol.arrays import BoolRows, Cells, Int32s
+from protocol.arrays import BoolRows, Bools, Cells, Int32s
 from protocol.grid import FREE, UNKNOWN, Grid, RayTable
 from protocol.kernels import kernel
 
@@ -24,23 +23,10 @@ _DIGITS = 6
 
 
 def viewpoint_cells(grid: Grid, goal: tuple[int, int], around: RayTable, reach: float) -> Cells:
-    """Find all cells from which a beam reaches an unknown 4-neighbor of a goal over free cells.
+    """Find all cells from which a beam reaches an unknown 4-neighbor of a goal over free cells, row by row.
 
-    Parameters
-    ----------
-    grid : uint8 array, shape (h, w)
-        The planning grid.
-    goal : (x, y)
-        A frontier cell.
-    around : RayTable
-        The beams of the scanner.
-    reach : float
-        Largest length of a beam in cells.
-
-    Returns
-    -------
-    int32 array, shape (n, 2)
-        Free cells (x, y), row by row, the goal itself among them.
+    `goal` is a frontier cell of the planning grid, itself among the result; `around` has the beams of the scanner,
+    which count up to a length of `reach` cells.
     """
     x0, y0 = max(0, goal[0] - int(reach) - 1), max(0, goal[1] - int(reach) - 1)
     x1, y1 = goal[0] + int(reach) + 2, goal[1] + int(reach) + 2
@@ -96,7 +82,7 @@ def best_viewpoint(
     return (int(cells[best, 0]), int(cells[best, 1])) if np.isfinite(cost[best]) else None
 
 
-def _are_among(cells: Cells, others: Cells) -> NDArray[np.bool_]:
+def _are_among(cells: Cells, others: Cells) -> Bools:
     """Return for each cell whether `others` contains it."""
     width = 1 + max(int(cells[:, 0].max()), int(others[:, 0].max()))
     return np.isin(cells @ (1, width), others @ (1, width))

@@ -10,9 +10,8 @@ The search skips corners farther away than an upper bound of the way, the length
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from protocol.arrays import Int64Rows, Int64s
+from protocol.arrays import Cells, Int64Rows, Int64s
 from protocol.grid import FREE, Grid
 from protocol.kernels import kernel
 
@@ -25,15 +24,11 @@ MARGIN = 100
 _HALF = FINE // 2
 
 
-def shortest_way(
-    floor: Grid, start: tuple[int, int], goals: NDArray[np.int32], most: float
-) -> NDArray[np.int32] | None:
-    """Find the shortest way to the nearest goal.
+def shortest_way(floor: Grid, start: tuple[int, int], goals: Cells, most: float) -> Cells | None:
+    """Find the shortest way to the nearest goal over the cells that the robot may enter.
 
     Parameters
     ----------
-    floor : uint8 array, shape (h, w)
-        The cells that the robot may enter.
     start : (x, y)
         The robot's position in thousandths of a cell. If it is too close to an obstacle, the way begins at the center
         of its cell.
@@ -49,7 +44,7 @@ def shortest_way(
     """
     at = np.array(start, np.int64)
     middle = (at + _HALF) // FINE * FINE
-    first: list[NDArray[np.int64]] = []
+    first: list[Int64Rows] = []
     if not _is_clear(floor, at[0], at[1], at[0], at[1]) or not _is_clear(
         floor, at[0], at[1], middle[0], middle[1]
     ):
@@ -68,8 +63,8 @@ def shortest_way(
     return np.array(first + way[::-1], np.int32).reshape(-1, 2)
 
 
-def _within(points: NDArray[np.int64], at: NDArray[np.int64], reach: float) -> NDArray[np.int64]:
-    near: NDArray[np.int64] = points[((points - at) ** 2).sum(axis=1) <= reach * reach]
+def _within(points: Int64Rows, at: Int64Rows, reach: float) -> Int64Rows:
+    near: Int64Rows = points[((points - at) ** 2).sum(axis=1) <= reach * reach]
     return near
 
 

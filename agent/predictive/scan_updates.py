@@ -16,9 +16,7 @@ from agent.predictive.coder import (
     DECODES,
     FAILED,
     NUMBER,
-    Counts,
-    Data,
-    State,
+    Coder,
     code_bit,
     code_number,
     code_signed,
@@ -61,7 +59,7 @@ Motion = Int64s
 
 
 @kernel
-def code_pose(state: State, data: Data, counts: Counts, motion: Motion, x: int, y: int) -> None:
+def code_pose(coder: Coder, motion: Motion, x: int, y: int) -> None:
     """Encode or decode the next pose into `motion`, predicting that the robot repeats its last motion.
 
     The last motion is mirrored into the octant between +x and the diagonal. The differences along and across it are
@@ -70,11 +68,9 @@ def code_pose(state: State, data: Data, counts: Counts, motion: Motion, x: int, 
     if motion[SCANS] == 0:
         column, row = 0, 0
         for place in range(10, -1, -1):
-            column = column << 1 | code_bit(
-                state, data, counts, FIRST_POSE + place, x >> place & 1, REST_MOST
-            )
+            column = column << 1 | code_bit(coder, FIRST_POSE + place, x >> place & 1, REST_MOST)
         for place in range(10, -1, -1):
-            row = row << 1 | code_bit(state, data, counts, FIRST_POSE + 11 + place, y >> place & 1, REST_MOST)
+            row = row << 1 | code_bit(coder, FIRST_POSE + 11 + place, y >> place & 1, REST_MOST)
         motion[X], motion[Y], motion[DX], motion[DY], motion[SCANS] = column, row, 0, 0, 1
         return
     last_x, last_y = motion[DX], motion[DY]
@@ -89,15 +85,13 @@ def code_pose(state: State, data: Data, counts: Counts, motion: Motion, x: int, 
         along, across = across, along
         went_x, went_y = went_y, went_x
     kind = 0 if along == 0 else 1 if across == 0 else 3 if across == along else 2
-    same = code_bit(
-        state, data, counts, SAME_MOTION + kind, 1 if went_x == along and went_y == across else 0, REST_MOST
-    )
+    same = code_bit(coder, SAME_MOTION + kind, 1 if went_x == along and went_y == across else 0, REST_MOST)
     if same:
         went_x, went_y = along, across
     else:
-        farther = code_signed(state, data, counts, ALONG + kind * NUMBER, went_x - along, REST_MOST)
+        farther = code_signed(coder, ALONG + kind * NUMBER, went_x - along, REST_MOST)
         row = ACROSS + (7 * kind + 3 + max(-3, min(3, farther))) * NUMBER
-        aside = code_signed(state, data, counts, row, went_y - across, REST_MOST)
+        aside = code_signed(coder, row, went_y - across, REST_MOST)
         went_x, went_y = along + farther, across + aside
     if swap:
         went_x, went_y = went_y, went_x
@@ -112,9 +106,7 @@ def code_pose(state: State, data: Data, counts: Counts, motion: Motion, x: int, 
 
 @kernel
 def code_scan(
-    state: State,
-    data: Data,
-    counts: Counts,
+    coder: Coder,
     grid: Grid,
     own: Grid,
     cells: Cells,
@@ -139,13 +131,11 @@ def code_scan(
     changes : int32 array, shape (n, 2)
         Changed cells, as indices of the flat grid, and their previous values, from row `changed` on.
 
-    Returns
-    -------
-    int
-        The number of used rows of `changes`.
+    Returns the number of used rows of `changes`.
     """
     # Unsigned, a cell beyond the left or upper rim has a very large number; unsigned indexing is twice as fast.
     height, width = np.uint64(grid.shape[0]), np.uint64(grid.shape[1])
+    state = coder[0]
     reads = state[DECODES]
     if grid[y, x] & STATE == UNKNOWN:
         changes[changed, 0], changes[changed, 1] = y * grid.shape[1] + x, grid[y, x]
@@ -167,9 +157,7 @@ def code_scan(
             asked_before = asked
             asked = 1
             seen = code_bit(
-                state,
-                data,
-                counts,
+                coder,
                 OBSERVED + 2 * unseen_before + asked_before,
                 1 if truth != UNKNOWN else 0,
                 REST_MOST,
@@ -180,7 +168,7 @@ def code_scan(
                 unseen = 1
                 break
             wall = code_bit(
-                state, data, counts, CELLS + neighbors(grid, int(column), int(row)),
+                coder, CELLS + neighbors(grid, int(column), int(row)),
                 1 if truth == OCCUPIED else 0, CELLS_MOST,
             )  # fmt: skip
             changes[changed, 0] = np.int64(row) * grid.shape[1] + np.int64(column)
@@ -245,9 +233,7 @@ def find_differences(grid: Grid, own: Grid, x0: int, y0: int, x1: int, y1: int, 
 
 @kernel
 def code_corrections(
-    state: State,
-    data: Data,
-    counts: Counts,
+    coder: Coder,
     grid: Grid,
     own: Grid,
     places: Int32s,
@@ -261,30 +247,29 @@ def code_corrections(
     `places` has the `number` corrected cells, as ascending indices of the flat grid; a decoder passes none. The other
     parameters and the result are those of `code_scan`. Returns -1 - `changed` if a decoded cell lies outside the grid.
     """
+    state = coder[0]
     height, width = grid.shape
-    number = code_number(state, data, counts, CORRECTIONS, number, REST_MOST)
+    number = code_number(coder, CORRECTIONS, number, REST_MOST)
     x, y = motion[X], motion[Y]
     for index in range(number):
         to_x, to_y = np.int64(0), np.int64(0)
         if not state[DECODES]:
             to_x, to_y = places[index] % width, places[index] // width
         if index == 0:
-            x += code_signed(state, data, counts, FIRST_X, to_x - x, REST_MOST)
-            y += code_signed(state, data, counts, FIRST_Y, to_y - y, REST_MOST)
+            x += code_signed(coder, FIRST_X, to_x - x, REST_MOST)
+            y += code_signed(coder, FIRST_Y, to_y - y, REST_MOST)
         else:
-            rows = code_number(state, data, counts, NEXT_ROW, to_y - y, REST_MOST)
+            rows = code_number(coder, NEXT_ROW, to_y - y, REST_MOST)
             y += rows
             if rows:
-                x += code_signed(state, data, counts, OTHER_ROW, to_x - x, REST_MOST)
+                x += code_signed(coder, OTHER_ROW, to_x - x, REST_MOST)
             else:
-                x += 1 + code_number(state, data, counts, SAME_ROW, to_x - x - 1, REST_MOST)
+                x += 1 + code_number(coder, SAME_ROW, to_x - x - 1, REST_MOST)
         if state[FAILED] or not (0 <= x < width and 0 <= y < height) or changed >= len(changes):
             return -1 - changed
         before = int(grid[y, x] & STATE)
         truth = (before + 1) % 3 if state[DECODES] else int(own[y, x])
-        other = code_bit(
-            state, data, counts, CHANGED + before, 1 if truth == (before + 2) % 3 else 0, REST_MOST
-        )
+        other = code_bit(coder, CHANGED + before, 1 if truth == (before + 2) % 3 else 0, REST_MOST)
         now = (before + 1 + other) % 3
         changes[changed, 0], changes[changed, 1] = y * width + x, grid[y, x]
         changed += 1

@@ -26,7 +26,7 @@ from agent.outline.five_stages import five_stages
 from agent.outline.merge import TeamMap
 from agent.outline.objects import Objects
 from agent.outline.polygons import Polygons
-from agent.outline.simplify import mixed_first, refine
+from agent.outline.simplify import refine
 from agent.planning.cost_field import costs
 from agent.planning.frontier import Floor
 from deploy.bench import baselines
@@ -162,7 +162,7 @@ def _encode_whole_map(moment: Moment, vertices: int) -> None:
     nothing = NumberedPolygons.empty(moment.grid.shape)
     exact = contours(moment.grid, moment.cell)
     marks = repair(nothing.polygons, exact)
-    marks = refine(exact, marks, max(0, vertices - len(marks)), mixed_first)
+    marks = refine(exact, marks, max(0, vertices - len(marks)), mixed_first=True)
     edit_packets(nothing, approximation(exact, marks))
 
 

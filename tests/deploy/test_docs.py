@@ -40,7 +40,7 @@ from protocol.keys import Keys
 from protocol.messages import Delivery, RoundReport, SendReport
 from protocol.rights import RIGHTS
 from protocol.scans import Scan, draw, encode_scan, fragments
-from tests.agent.outline.edit_scripts import edit_script
+from tests.agent.outline.edit_scripts import canonical, edit_script
 from worldsim.laser import cast
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -240,7 +240,7 @@ def test_the_worked_example_equals_the_code_s_result_to_the_byte(fence: str, mad
 def test_the_hex_in_the_document_decodes_as_explained_there() -> None:
     block = fences("protocol.md")["example"]
     receiver = Receiver((5, 6))
-    models = [held.polygons.canonical() for _, held in scripts()]
+    models = [canonical(held.polygons) for _, held in scripts()]
     for line in block.splitlines():
         if line.startswith("#"):
             continue
@@ -248,7 +248,7 @@ def test_the_hex_in_the_document_decodes_as_explained_there() -> None:
         (packet,) = packets.decode(bytes.fromhex(code))
         assert repr(packet) == explained
         if not isinstance(packet, packets.Offer | packets.Answer) and receiver.feed(bytes.fromhex(code)):
-            assert receiver.held.polygons.canonical() == models.pop(0)
+            assert canonical(receiver.held.polygons) == models.pop(0)
     assert not models
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from agent.outline.approximation import approximation, repair
-from agent.outline.claims import THESIS, Drawing, layer
+from agent.outline.claims import THESIS, Drawing
 from agent.outline.contour import contours
 from agent.outline.edits import NumberedPolygons
 from agent.outline.five_stages import UNDEFINED, five_stages
@@ -23,7 +23,7 @@ from protocol.boxes import NO_BOXES, Boxes
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.packets import encode
 from tests.agent.explorations import Cell, exploration, grids, growing_maps, real_map
-from tests.agent.outline.edit_scripts import edit_script
+from tests.agent.outline.edit_scripts import edit_script, layer
 
 quick = settings(deadline=None)
 
