@@ -8,12 +8,12 @@ their own grid.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 from agent.encodings.base import MapEncoding
-from agent.encodings.changed_cells import ChangedCells
-from agent.encodings.polygon_options import PolygonOptions
+from agent.encodings.options import PolygonOptions
+from agent.encodings.received_grid import ChangedCells
 from agent.memo_cache import NO_CACHE, MemoCache
 from agent.outline.approximation import Marks, approximation, repair
 from agent.outline.claims import Drawing
@@ -40,13 +40,7 @@ class PolygonEncoding(MapEncoding):
         options = PolygonOptions(**settings.polygons)
         shape = settings.height, settings.width
         self._options = options
-        self._drawing = Drawing(
-            options.free_inside_edges,
-            options.unknown_pairs,
-            options.wide_walls,
-            options.close_slivers,
-            options.wide_seen_walls,
-        )
+        self._drawing = Drawing(**{part.name: getattr(options, part.name) for part in fields(Drawing)})
         self._allowance = SplitAllowance(
             settings.robots,
             settings.bandwidth,
@@ -120,9 +114,10 @@ class PolygonEncoding(MapEncoding):
         return packets
 
     def _approximation(self, exact: Polygons, marks: Marks) -> Polygons:
-        """The approximation to log; without objects of two unknown edges, unless `unknown_pairs` is set.
+        """Return the approximation to log.
 
-        An object that has shrunk to two unknown edges is removed; if it grows again, it emerges anew.
+        An object that has shrunk to two unknown edges is removed without `unknown_pairs`; if it grows again, it emerges
+        anew.
         """
         return approximation(exact, marks, unknown_pairs=self._options.unknown_pairs)
 

@@ -19,15 +19,7 @@ from agent.outline.objects import Symbols, symbols
 from agent.outline.polygons import Polygons
 from protocol.arrays import Bools, Int32Rows, Int32s, Uint8s
 from protocol.kernels import kernel
-from protocol.packets import (
-    MAX_OBJECTS,
-    Change,
-    Delete,
-    Emerge,
-    Insert,
-    Remove,
-    Save,
-)
+from protocol.packets import MAX_OBJECTS, Change, Delete, Emerge, Insert, Remove, Save
 
 _INSERT, _DELETE, _EMERGE, _CHANGE, _REMOVE, _SAVE = (
     kind.size for kind in (Insert, Delete, Emerge, Change, Remove, Save)

@@ -162,11 +162,7 @@ class ErrorCount:
         self._count = 0
 
     def count(
-        self,
-        own: Grid,
-        objects: Objects,
-        own_changed: Boxes | None = None,
-        changed: Boxes | None = None,
+        self, own: Grid, objects: Objects, own_changed: Boxes | None = None, changed: Boxes | None = None
     ) -> int:
         """Return the current error; grid and approximation have changed only in these boxes (None: anywhere)."""
         if self._drawn is None or changed is None or own_changed is None:

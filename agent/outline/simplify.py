@@ -14,7 +14,7 @@ import numpy as np
 
 from agent.outline.approximation import Marks
 from agent.outline.polygons import SIDE_X, SIDE_Y, Polygons
-from protocol.arrays import Bools, Int16s, Int32s, Int64Rows, Int64s, Uint8s
+from protocol.arrays import Int16s, Int32s, Uint8s
 from protocol.kernels import kernel
 from protocol.packets import MAX_VERTICES
 
@@ -100,35 +100,6 @@ def _split_of(
 
 
 @kernel
-def _split_all(
-    x: Int32s, y: Int32s, occupied: Uint8s, start: Int32s, edges: Int64Rows, marked: Bools, vertices: Int64s
-) -> bool:
-    """Split edges (a, b, split, object) until all are exact; return False if an object gets too many vertices.
-
-    The result does not depend on the order of splits.
-    """
-    waiting = np.empty((len(x) + 2, 3), np.int64)
-    for edge in edges:
-        k = edge[3]
-        first, end = start[k], start[k + 1]
-        waiting[0] = edge[:3]
-        left = 1
-        while left:
-            left -= 1
-            a, b, split = waiting[left]
-            marked[split] = True
-            vertices[k] += 1
-            for one, other in ((a, split), (split, b)):
-                _, next_split, _ = _split_of(x, y, occupied, first, end, one, other)
-                if next_split >= 0:
-                    waiting[left, 0], waiting[left, 1], waiting[left, 2] = one, other, next_split
-                    left += 1
-        if vertices[k] > MAX_VERTICES:
-            return False
-    return True
-
-
-@kernel
 def _refine(
     cell_x: Int16s,
     cell_y: Int16s,
@@ -169,12 +140,7 @@ def _refine(
                 count += 1
 
     if splits < 0:
-        so_far, so_many = marked.copy(), vertices.copy()
-        if _split_all(x, y, occupied, start, edges[:count], marked, vertices):
-            return np.flatnonzero(marked).astype(np.int32)
-        marked, vertices = so_far, so_many  # an object is full: now the order of splits matters
         splits = len(x)
-
     # At most `splits` of the present edges are split: queue only the most valuable ones.
     least = np.full(1, -np.inf)
     if splits < count and most + splits <= MAX_VERTICES:

@@ -95,12 +95,7 @@ def in_turn(grid: Grid, goals: Cells, utility: Floats, costs: Costs, ranges: Flo
 
 
 def best_of_all(
-    grid: Grid,
-    goals: Cells,
-    utility: Floats,
-    costs: Costs,
-    ranges: Floats,
-    random: np.random.Generator,
+    grid: Grid, goals: Cells, utility: Floats, costs: Costs, ranges: Floats, random: np.random.Generator
 ) -> Assignment:
     """Search for the assignment with the largest `total_value` (Burgard et al. 2005, Algorithm 2).
 

@@ -14,7 +14,7 @@ from agent.planning.breadth_first import first_by_hops
 from agent.planning.cost_field import Field, costs, costs_to, nearest_first, way, way_between
 from agent.planning.frontier import Floor, reachable_frontier
 from agent.planning.jump_point_search import costs_among, costs_between
-from agent.planning.occupancy import Terrain, barred, weighted_costs
+from agent.planning.occupancy import barred, entry_costs, weighted_costs
 from protocol.arrays import Cells, FloatRows, Floats
 from protocol.grid import OCCUPIED, Grid, enlarge
 
@@ -72,33 +72,33 @@ class PathPlanner:
         return self.floor.shape, self.floor.tobytes()
 
     @cached_property
-    def _terrain(self) -> Terrain | None:
-        return Terrain(self.grid, self.floor) if self._kind == "weighted" else None
+    def _weights(self) -> FloatRows | None:
+        return entry_costs(self.grid) if self._kind == "weighted" else None
 
     def costs(self, x: int, y: int) -> Field:
         """Return the cost of the best way from cell (x, y) to every cell, shape (h, w); infinite without a way."""
         if (x, y) not in self._fields:
-            if self._terrain is None:
+            if self._weights is None:
                 self._fields[x, y] = costs(self._laid_out, x, y)
             else:
-                self._fields[x, y] = weighted_costs(self._terrain, x, y)
+                self._fields[x, y] = weighted_costs(self.floor, self._weights, x, y)
         return self._fields[x, y]
 
     def costs_to(self, x: int, y: int, cells: Cells) -> Floats:
         """Return the cost of the best way from cell (x, y) to each of `cells`, shape (n,); fast for close cells."""
-        if self._terrain is None and (x, y) not in self._fields:
+        if self._weights is None and (x, y) not in self._fields:
             return costs_to(self._laid_out, x, y, cells)
         return self.costs(x, y)[cells[:, 1], cells[:, 0]]
 
     def costs_between(self, starts: Cells, goals: Cells) -> FloatRows:
         """Return the cost of the best way from each of `starts` to each of `goals`, shape (m, n)."""
-        if self._terrain is None:
+        if self._weights is None:
             return self._searched(costs_between, starts, goals)
         return np.array([self.costs(x, y)[goals[:, 1], goals[:, 0]] for x, y in starts.tolist()])
 
     def costs_among(self, starts: Cells, goals: Cells) -> tuple[FloatRows, FloatRows]:
         """Return `costs_between` of starts and goals, and of all pairs of goals."""
-        if self._terrain is None:
+        if self._weights is None:
             return self._searched(costs_among, starts, goals)
         return self.costs_between(starts, goals), self.costs_between(goals, goals)
 
@@ -113,10 +113,10 @@ class PathPlanner:
 
     def path(self, start: Cell, end: Cell) -> Cells | None:
         """Return the cells of a best way, without the start; None if there is none."""
-        if self._terrain is not None:
+        if self._weights is not None:
             field = self.costs(*start)
             found = np.isfinite(field[end[1], end[0]])
-            return way(self.floor, field, *end, self._terrain.weights) if found else None
+            return way(self.floor, field, *end, self._weights) if found else None
         if (start, end) in self._ways:
             return self._ways[start, end]
         known = self._fields.get(start)

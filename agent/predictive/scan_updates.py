@@ -12,15 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from agent.predictive.coder import (
-    DECODES,
-    FAILED,
-    NUMBER,
-    Coder,
-    code_bit,
-    code_number,
-    code_signed,
-)
+from agent.predictive.coder import DECODES, FAILED, NUMBER, Coder, code_bit, code_number, code_signed
 from agent.predictive.contexts import (
     ACROSS,
     ALONG,
@@ -157,10 +149,7 @@ def code_scan(
             asked_before = asked
             asked = 1
             seen = code_bit(
-                coder,
-                OBSERVED + 2 * unseen_before + asked_before,
-                1 if truth != UNKNOWN else 0,
-                REST_MOST,
+                coder, OBSERVED + 2 * unseen_before + asked_before, 1 if truth != UNKNOWN else 0, REST_MOST
             )
             if state[FAILED]:
                 return changed

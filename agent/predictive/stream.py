@@ -360,13 +360,7 @@ def _places(grid: Grid, own: Grid, box: Box) -> NDArray[np.int32]:
 
 
 @kernel
-def _code_bases(
-    coder: Coder,
-    maps: Int64s,
-    more: Int64s,
-    bases_grew: Bools,
-    depends_on: Int64s,
-) -> None:
+def _code_bases(coder: Coder, maps: Int64s, more: Int64s, bases_grew: Bools, depends_on: Int64s) -> None:
     """Code the number of further updates of each map, `more`, and add it to `depends_on`."""
     for other in maps:
         row = BASES + NUMBER * int(bases_grew[other])

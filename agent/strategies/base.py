@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.settings import Settings
 from agent.strategies.options import read_options
+from protocol.arrays import Cells
 from protocol.grid import UNKNOWN, Grid
 
 Cell = tuple[int, int]
@@ -136,8 +136,8 @@ class Decision:
     """
 
     target: Cell | None = None
-    path: NDArray[np.int32] = field(default_factory=lambda: NO_CELLS)
-    points: NDArray[np.int32] = field(default_factory=lambda: NO_CELLS)
+    path: Cells = field(default_factory=lambda: NO_CELLS)
+    points: Cells = field(default_factory=lambda: NO_CELLS)
     heading: int = 0
     explored: bool = False
     stalled: bool = False

@@ -14,7 +14,7 @@ import pytest
 from msgspec.structs import replace
 
 from agent.encodings.catalog import ENCODINGS
-from agent.encodings.polygon_options import THESIS_OPTIONS, PolygonOptions
+from agent.encodings.options import THESIS_OPTIONS, PolygonOptions
 from agent.encodings.predictive import PredictiveEncoding
 from agent.outline.approximation import approximation, repair
 from agent.outline.contour import contours

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.encodings.catalog import make_encoding
-from agent.encodings.polygon_options import THESIS_OPTIONS, PolygonOptions
+from agent.encodings.options import THESIS_OPTIONS, PolygonOptions
 from agent.encodings.polygons import PolygonEncoding
 from agent.outline.approximation import repair
 from agent.outline.claims import Drawing

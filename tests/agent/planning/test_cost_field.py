@@ -14,7 +14,7 @@ from scipy import ndimage
 
 from agent.planning.cost_field import DIAGONAL, costs, costs_to, way
 from agent.planning.frontier import Floor
-from agent.planning.occupancy import P_FREE, P_OCCUPIED, Terrain, weighted_costs
+from agent.planning.occupancy import P_FREE, P_OCCUPIED, entry_costs, weighted_costs
 from agent.planning.path_planner import PathPlanner
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from tests.agent.planning.planning_references import ONE, ROOT, drawn, floors, steps_from, whole_lengths
@@ -130,7 +130,7 @@ def test_a_floor_can_be_laid_out_once_for_many_searches() -> None:
 @given(floors())
 def test_weighted_costs_are_those_of_a_plain_search(case: tuple[Grid, int, int]) -> None:
     grid, x, y = case
-    terrain = Terrain(grid, grid)
+    weights = entry_costs(grid)
     grain = 1 << 10
     lengths = {(x, y): 0}
     queue = [(0, x, y)]
@@ -139,14 +139,14 @@ def test_weighted_costs_are_those_of_a_plain_search(case: tuple[Grid, int, int])
         if base > lengths[cx, cy]:
             continue
         for nx, ny, step in steps_from(grid, cx, cy):
-            new = base + round(terrain.weights[ny, nx] * (1 if step == 1 else math.sqrt(2.0)) * grain)
+            new = base + round(weights[ny, nx] * (1 if step == 1 else math.sqrt(2.0)) * grain)
             if new < lengths.get((nx, ny), 1 << 62):
                 lengths[nx, ny] = new
                 heapq.heappush(queue, (new, nx, ny))
     wanted = np.full(grid.shape, np.inf)
     for (cx, cy), length in lengths.items():
         wanted[cy, cx] = length / grain
-    found = weighted_costs(terrain, x, y)
+    found = weighted_costs(grid, weights, x, y)
     assert (np.isfinite(found) == np.isfinite(wanted)).all()
     assert found[np.isfinite(found)] == pytest.approx(wanted[np.isfinite(found)], abs=1e-9)
 
@@ -154,12 +154,10 @@ def test_weighted_costs_are_those_of_a_plain_search(case: tuple[Grid, int, int])
 def test_weights_lie_between_free_floor_and_wall() -> None:
     rng = np.random.default_rng(3)
     grid = rng.choice(np.array([UNKNOWN, FREE, OCCUPIED], np.uint8), (30, 30))
-    weights = Terrain(grid, grid).weights
+    weights = entry_costs(grid)
     assert weights.min() >= 1
     assert weights.max() <= P_OCCUPIED / P_FREE
-    assert (
-        Terrain(np.full((20, 20), FREE, np.uint8), np.full((20, 20), FREE, np.uint8)).weights[5:15, 5:15] == 1
-    ).all()
+    assert (entry_costs(np.full((20, 20), FREE, np.uint8))[5:15, 5:15] == 1).all()
 
 
 @given(floors(), st.sampled_from(("shortest", "weighted")))

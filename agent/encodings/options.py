@@ -1,10 +1,10 @@
-"""Options of the `polygons` encoding, and the thesis' own choice of them."""
+"""Options of the encodings `polygons` and `predictive`, and the thesis' own choice."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 MAX_USE = 100
 """Largest `medium_use`."""
@@ -83,3 +83,19 @@ THESIS_OPTIONS = PolygonOptions(
     wide_walls=False,
     close_slivers=False,
 )
+
+
+@dataclass(frozen=True)
+class PredictiveOptions:
+    """Options of the `predictive` encoding.
+
+    Attributes
+    ----------
+    base : str
+        The map from which a robot predicts its scans. ``team``: its own updates and all that it has received.
+        ``own``: its own updates; each log can then be decoded alone, and takes up to three times the bytes.
+    """
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
+
+    base: Literal["team", "own"] = "team"
