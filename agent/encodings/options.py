@@ -12,54 +12,39 @@ MAX_USE = 100
 
 @dataclass(frozen=True)
 class PolygonOptions:
-    """Options of the `polygons` encoding; `THESIS_OPTIONS` are the rules of the thesis.
-
-    Attributes
-    ----------
-    medium_use : float
-        Share u of the medium that the splitting frequency plans with (Eq. 5.5). It also replaces the factor p of
-        Eq. 5.6, since only the product of the two counts.
-    bytes_per_split : float
-        Mean bytes d that a split causes; 0: measured during the run.
-    splits_per_step : float
-        Splits s per step, also for a single robot and for an unlimited budget; 0: from Eq. 5.5.
-    lazy : bool
-        Log an edit script only when the teammates in range hold the script before, so that a vertex that changes
-        twice is sent once. Splits of the steps between lapse: s of Eq. 5.5 then counts per logged script. While no
-        teammate is in range, the logged approximation, and with it Eq. 6.1, does not change.
-    mixed_first : bool
-        Refine edges of mixed occupancy before all others: such edges draw teammates to walls that are known.
-    free_inside_edges : bool
-        Draw inside edges that are labeled free. They mark cells free that no robot has seen.
-    unknown_pairs : bool
-        Send and draw outside objects that are approximated by two vertices and no occupied edge: unseen specks
-        between beams, and small obstacles whose walls are not sent.
-    wide_walls : bool
-        Treat unknown cells beside the wall of a teammate in range as wall: coarse walls run beside the true ones.
-    wide_seen_walls : bool
-        Do so also beside walls that the robot has seen itself. Without it no small opening is taken for a wall, so
-        maps are complete, but robots visit unknown specks in walls, which takes some steps more. Scenarios with
-        `repairmen` turn it off by default.
-    close_slivers : bool
-        Treat unknown slivers between free cells of teammates as free: coarse areas meet there.
-    exact_error : bool
-        Measure in each step also the error of an exact approximation. Eq. 6.1 minus this value is the error due to
-        coarseness. It changes no result, and takes a third of a robot's time.
-    """
+    """Options of the `polygons` encoding; `THESIS_OPTIONS` are the rules of the thesis."""
 
     __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
 
     medium_use: float = 1.0
+    """Share u of the medium that the splitting frequency plans with (Eq. 5.5). It also replaces the factor p of Eq.
+    5.6, since only the product of the two counts."""
     bytes_per_split: float = 0.0
+    """Mean bytes d that a split causes; 0: measured during the run."""
     splits_per_step: float = 0.0
+    """Splits s per step, also for a single robot and for an unlimited budget; 0: from Eq. 5.5."""
     lazy: bool = True
+    """Log an edit script only when the teammates in range hold the script before, so that a vertex that changes twice
+    is sent once. Splits of the steps between lapse: s of Eq. 5.5 then counts per logged script. While no teammate is in
+    range, the logged approximation, and with it Eq. 6.1, does not change."""
     mixed_first: bool = True
+    """Refine edges of mixed occupancy before all others: such edges draw teammates to walls that are known."""
     free_inside_edges: bool = False
+    """Draw inside edges that are labeled free. They mark cells free that no robot has seen."""
     unknown_pairs: bool = False
+    """Send and draw outside objects that are approximated by two vertices and no occupied edge: unseen specks between
+    beams, and small obstacles whose walls are not sent."""
     wide_walls: bool = True
+    """Treat unknown cells beside the wall of a teammate in range as wall: coarse walls run beside the true ones."""
     wide_seen_walls: bool = True
+    """Do so also beside walls that the robot has seen itself. Without it no small opening is taken for a wall, so maps
+    are complete, but robots visit unknown specks in walls, which takes some steps more. Scenarios with `repairmen` turn
+    it off by default."""
     close_slivers: bool = True
+    """Treat unknown slivers between free cells of teammates as free: coarse areas meet there."""
     exact_error: bool = False
+    """Measure in each step also the error of an exact approximation. Eq. 6.1 minus this value is the error due to
+    coarseness. It changes no result, and takes a third of a robot's time."""
 
     def __post_init__(self) -> None:
         if not 0 < self.medium_use <= MAX_USE:
@@ -87,15 +72,10 @@ THESIS_OPTIONS = PolygonOptions(
 
 @dataclass(frozen=True)
 class PredictiveOptions:
-    """Options of the `predictive` encoding.
-
-    Attributes
-    ----------
-    base : str
-        The map from which a robot predicts its scans. ``team``: its own updates and all that it has received.
-        ``own``: its own updates; each log can then be decoded alone, and takes up to three times the bytes.
-    """
+    """Options of the `predictive` encoding."""
 
     __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
 
     base: Literal["team", "own"] = "team"
+    """The map from which a robot predicts its scans. ``team``: its own updates and all that it has received. ``own``:
+    its own updates; each log can then be decoded alone, and takes up to three times the bytes."""

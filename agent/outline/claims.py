@@ -91,28 +91,19 @@ THIN, WIDE_UNSEEN, WIDE = range(3)
 
 @dataclass(frozen=True)
 class Drawing:
-    """Parts of an approximation that are drawn, and inferred cells. By default as in the thesis.
-
-    Attributes
-    ----------
-    free_inside_edges : bool
-        Draw the free edges of inside objects. They mark cells as free that their robot has not seen.
-    unknown_pairs : bool
-        Draw outside objects of two vertices without an occupied edge: unseen cells between beams.
-    wide_walls : bool
-        Mark the eight neighbors of a wall's cells as wall, unless another claim exists.
-    close_slivers : bool
-        Mark an unknown cell as free if its neighbors on the left and right, or above and below, are free, and this
-        robot has not seen both itself.
-    wide_seen_walls : bool
-        Widen also walls that this robot has seen itself.
-    """
+    """Parts of an approximation that are drawn, and inferred cells. By default as in the thesis."""
 
     free_inside_edges: bool = True
+    """Draw the free edges of inside objects. They mark cells as free that their robot has not seen."""
     unknown_pairs: bool = True
+    """Draw outside objects of two vertices without an occupied edge: unseen cells between beams."""
     wide_walls: bool = False
+    """Mark the eight neighbors of a wall's cells as wall, unless another claim exists."""
     close_slivers: bool = False
+    """Mark an unknown cell as free if its neighbors on the left and right, or above and below, are free, and this robot
+    has not seen both itself."""
     wide_seen_walls: bool = True
+    """Widen also walls that this robot has seen itself."""
 
     @property
     def wide(self) -> int:

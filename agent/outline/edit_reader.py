@@ -62,24 +62,16 @@ _REASONS = (
 
 
 class ReaderState(NamedTuple):
-    """State of a stream after any packet, also in the middle of an object.
-
-    Attributes
-    ----------
-    objects : Objects
-        All complete objects.
-    vertices : int32 array
-        Current vertices of the object being edited, as symbols.
-    boxes : int32 array, shape (n, 4)
-        Boxes of changes since the last save point.
-    numbers : int64 array, shape (14,)
-        See the constants above.
-    """
+    """State of a stream after any packet, also in the middle of an object."""
 
     objects: Objects
+    """All complete objects."""
     vertices: Symbols
+    """Current vertices of the object being edited, as symbols."""
     boxes: Boxes
+    """Boxes of changes since the last save point, shape (n, 4)."""
     numbers: Int64s
+    """Numbers by the constants above, shape (14,)."""
 
     @staticmethod
     def empty(shape: tuple[int, int]) -> ReaderState:

@@ -31,18 +31,12 @@ _MAX_SAVING = 1 << 30
 
 @dataclass(frozen=True, eq=False)
 class NumberedPolygons:
-    """An approximation with numbered objects and indexed vertices, as packets refer to them.
-
-    Attributes
-    ----------
-    number : int32 array of shape (objects,), ascending
-        The number of each object.
-    polygons : Polygons
-        The objects in this order; packets index an object's vertices from its start.
-    """
+    """An approximation with numbered objects and indexed vertices, as packets refer to them."""
 
     number: NDArray[np.int32]
+    """The number of each object, ascending, shape (objects,)."""
     polygons: Polygons
+    """The objects in this order; packets index an object's vertices from its start."""
 
     @staticmethod
     def empty(shape: tuple[int, int]) -> NumberedPolygons:

@@ -29,21 +29,14 @@ Symbol = Annotated[int, "int32"]
 
 @dataclass(frozen=True, eq=False)
 class Objects:
-    """One version of the numbered objects; versions are compared by identity.
-
-    Attributes
-    ----------
-    shape : (int, int)
-        Height and width of the grid, in cells.
-    table : int32 array, shape (n, 7)
-        One row for each number.
-    pool : int32 array
-        Vertices as symbols: from the highest bits y + 1, x + 1 (12 bits), side (2), occupancy of the edge (1).
-    """
+    """One version of the numbered objects; versions are compared by identity."""
 
     shape: tuple[int, int]
+    """Height and width of the grid, in cells."""
     table: Table
+    """One row for each number, shape (n, 7)."""
     pool: Symbols
+    """Vertices as symbols: from the highest bits y + 1, x + 1 (12 bits), side (2), occupancy of the edge (1)."""
 
     @staticmethod
     def empty(shape: tuple[int, int]) -> Objects:

@@ -27,32 +27,22 @@ SIDE_Y = np.array([1, 0, -1, 0], np.int64)
 
 @dataclass(frozen=True, eq=False)
 class Polygons:
-    """A set of closed polygons, whose vertices are concatenated in flat arrays.
-
-    Attributes
-    ----------
-    shape : (int, int)
-        Height and width of the grid, in cells.
-    x, y : int16 arrays of shape (n,)
-        Cell of each vertex.
-    side : uint8 array of shape (n,)
-        Side of the cell: `BELOW`, `RIGHT`, `ABOVE` or `LEFT`.
-    occupied : uint8 array of shape (n,)
-        In exact contours: 1 if the vertex' cell is occupied, 0 if it is unknown. In approximations: 1 if the edge
-        from this vertex to the next is occupied, 0 if it is free (inside object) or unknown (outside object).
-    start : int32 array of shape (objects + 1,)
-        Object ``k`` has the vertices ``start[k]:start[k + 1]``.
-    inside : bool array of shape (objects,)
-        Whether the object encloses the free space.
-    """
+    """A set of closed polygons, whose vertices are concatenated in flat arrays."""
 
     shape: tuple[int, int]
+    """Height and width of the grid, in cells."""
     x: NDArray[np.int16]
     y: NDArray[np.int16]
+    """`x`, `y`, shape (n,): cell of each vertex."""
     side: NDArray[np.uint8]
+    """Side of the cell, shape (n,): `BELOW`, `RIGHT`, `ABOVE` or `LEFT`."""
     occupied: NDArray[np.uint8]
+    """In exact contours, shape (n,): 1 if the vertex' cell is occupied, 0 if it is unknown. In approximations: 1 if the
+    edge from this vertex to the next is occupied, 0 if it is free (inside object) or unknown (outside object)."""
     start: NDArray[np.int32]
+    """Object ``k`` has the vertices ``start[k]:start[k + 1]``; shape (objects + 1,)."""
     inside: NDArray[np.bool_]
+    """Whether the object encloses the free space, shape (objects,)."""
 
     @staticmethod
     def empty(shape: tuple[int, int]) -> Polygons:

@@ -19,12 +19,8 @@ from protocol.boxes import NO_BOXES, Boxes, union
 class Receiver:
     """One teammate's approximation, as its packets describe it.
 
-    Parameters
-    ----------
-    shape : (int, int)
-        Height and width of the grid, in cells; vertices may lie at most one cell outside.
-    cache : MemoCache
-        Cache of intermediate results, shared by the robots of this process.
+    Vertices may lie at most one cell outside of the grid of `shape`, (height, width). Robots of this process share
+    intermediate results by the `cache`.
     """
 
     def __init__(self, shape: tuple[int, int], cache: MemoCache = NO_CACHE) -> None:

@@ -25,31 +25,16 @@ _WORTH_OF_MIXED = 1e6
 def refine(
     contours: Polygons, marks: Marks, splits: int | None = None, *, mixed_first: bool = False
 ) -> Marks:
-    """Split the most valuable edges of an approximation.
+    """Split the most valuable edges of an approximation, whose `marks` are vertices, at least two per object.
 
-    Parameters
-    ----------
-    contours : Polygons
-        The exact contours P(t).
-    marks : int32 array, ascending
-        Vertices of the approximation, as indices into `contours`; at least two per object.
-    splits : int, optional
-        Number of edges to split; by default until the approximation is exact.
-    mixed_first : bool
-        Split edges with occupied and unknown contour points before all others: teammates take such an edge for
-        unexplored and drive to a wall that is already known. Otherwise, as in the thesis, the edge whose farthest
-        contour point is farthest is split first; of equal edges the one that is earlier in the contours.
+    By default the edge is split first whose farthest contour point is farthest, as in the thesis; of equal edges the
+    one that is earlier in the contours. With `mixed_first`, edges with occupied and unknown contour points come before
+    all others: teammates take such an edge for unexplored and drive to a wall that is already known.
 
-    Returns
-    -------
-    int32 array, ascending
-        `marks`, and one more for each split; fewer than `splits` if the approximation becomes exact.
-
-    Notes
-    -----
-    It is exact when the contour points of each edge lie on it and are all occupied or all unknown. A straight edge of
-    mixed occupancy is split where the occupancy first changes. An object of 4096 vertices, the most that packets can
-    address, is not refined further.
+    Returns the marks, and one more for each of at most `splits` splits (None: no limit) until the approximation is
+    exact: the contour points of each edge lie on it and are all occupied or all unknown. A straight edge of mixed
+    occupancy is split where the occupancy first changes. An object of 4096 vertices, the most that packets can address,
+    is not refined further.
     """
     if splits == 0:
         return marks

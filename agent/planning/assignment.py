@@ -72,8 +72,6 @@ def in_turn(grid: Grid, goals: Cells, utility: Floats, costs: Costs, ranges: Flo
     ----------
     grid : uint8 array, shape (h, w)
         The planning grid; obstacles hide goals from each other.
-    goals : int32 array, shape (n, 2)
-        Cells (x, y).
     utility : float64 array, shape (n,)
         Utility of each goal before the assignment.
     costs : float64 array, shape (m, n)

@@ -33,27 +33,18 @@ from protocol.kernels import kernel
 
 @dataclass(frozen=True)
 class TradeOff:
-    """Parameters of the trade-off.
-
-    Attributes
-    ----------
-    targets : int32 array, shape (n, 2)
-        Cells (x, y) to which teammates drive.
-    weights : float64 array, shape (n,)
-        Weight of each target, 0 or more.
-    ranges : float64 array, shape (n,)
-        Sensor range of each of these teammates in cells; utilities around its target are lowered within it.
-    scale : float
-        Sensor range that is the unit of V, in cells.
-    beta : float
-        Weight of cost against utility, 0 or more.
-    """
+    """Parameters of the trade-off."""
 
     targets: Cells
+    """Cells to which teammates drive."""
     weights: Floats
+    """Weight of each target, 0 or more, shape (n,)."""
     ranges: Floats
+    """Sensor range of each of them in cells, shape (n,); utilities around its target are lowered within it."""
     scale: float
+    """Sensor range that is the unit of V, in cells."""
     beta: float
+    """Weight of cost against utility, 0 or more."""
 
 
 def best_frontier(

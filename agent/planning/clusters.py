@@ -37,12 +37,7 @@ def medoids(points: Cells, sizes: Int64s, counts: Int64s) -> tuple[Cells, Int64s
     sizes, counts : int64 arrays, shape (k,)
         Number of points of each group, at least one; number of its clusters, at most as many.
 
-    Returns
-    -------
-    found : int32 array, shape (m, 2)
-        The medoids; m is the sum of `counts` without empty clusters.
-    groups : int64 array, shape (m,)
-        The group of each medoid.
+    Returns the medoids, for `counts` without empty clusters, and the group of each.
     """
     found = np.empty((counts.sum(), 2), np.int32)
     groups = np.empty(len(found), np.int64)

@@ -6,7 +6,7 @@ the motion.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,26 +24,19 @@ _TOUCH = 0.01
 """Least distance in meters that counts, so that forces stay finite."""
 
 
-@dataclass(frozen=True)
-class Field:
-    """Gains and ranges of the field.
-
-    Attributes
-    ----------
-    rho_robots, rho_obstacles : float
-        Ranges of repulsion, meters (Eq. 4: that of robots is the larger).
-    gain_robots, gain_obstacles, gain_frontier : float
-        k of Eq. (2) and k_att of Eq. (6).
-    damping : float
-        Newtons for each metre a second.
-    """
+class Field(NamedTuple):
+    """Gains and ranges of the field."""
 
     rho_robots: float
     rho_obstacles: float
+    """Range of repulsion of obstacles, meters, and before it that of robots, which is larger (Eq. 4)."""
     gain_robots: float
     gain_obstacles: float
+    """k of Eq. (2)."""
     gain_frontier: float
+    """k_att of Eq. (6)."""
     damping: float
+    """Newtons for each meter per second."""
 
 
 @kernel
@@ -67,34 +60,15 @@ def glide(
 ) -> tuple[FloatRows, Floats]:
     """Integrate a robot's motion over one step of the world.
 
-    A robot that would leave the free cells of its map slides along their border.
+    A robot that would leave the free cells of its map slides along their border. The closest of the `frontier` cells
+    attracts it (Eq. 6); the `robots`, positions of shape (m, 2), within range repel it (Eq. 3). Positions are in cells,
+    `resolution` is in meters per cell, velocities are in meters per second.
 
-    Parameters
-    ----------
-    floor : uint8 array, shape (h, w)
-        The cells that the robot may enter, of `resolution` meters.
-    at : (x, y)
-        The position in cells.
-    velocity : float64 array, shape (2,)
-        Meters per second, at most `top_speed`.
-    frontier : int32 array, shape (n, 2)
-        Frontier cells (x, y); the closest one attracts the robot (Eq. 6).
-    robots : float64 array, shape (m, 2)
-        Positions of teammates in cells; those within range repel the robot (Eq. 3).
-
-    Returns
-    -------
-    path : float64 array, shape (SUBSTEPS, 2)
-        Position after each Euler step, in cells.
-    velocity : float64 array, shape (2,)
-        Velocity at the end.
+    Returns the position after each Euler step, shape (SUBSTEPS, 2), and the velocity at the end, shape (2,).
     """
     path = np.empty((SUBSTEPS, 2))
     moving = velocity.copy()
-    numbers = np.array([
-        field.rho_robots, field.rho_obstacles, field.gain_robots, field.gain_obstacles, field.gain_frontier,
-        field.damping, top_speed, resolution,
-    ])  # fmt: skip
+    numbers = np.array([*field, top_speed, resolution])
     _integrate(floor, frontier, np.ascontiguousarray(robots), np.array(at, np.float64), moving, numbers, path)
     return path, moving
 

@@ -29,33 +29,22 @@ _LEAST = 1e-7
 
 
 class Task(NamedTuple):
-    """Input of the planner.
-
-    Attributes
-    ----------
-    starts : float64 array, shape (m, n)
-        Distance from each robot to each goal; infinite without a way.
-    between : float64 array, shape (n, n)
-        Distance between goals, symmetric.
-    weights : float64 array, shape (n,)
-        Cost of each goal per cell of its arrival distance.
-    latency_weight : float64 array, shape (n,)
-        Cost of each goal per square of its arrival distance.
-    last : float
-        Cost per cell of the longest tour.
-    way : float
-        Cost per cell of every tour.
-    loads : float64 array, shape (n,)
-        Length that each goal adds to the end of its tour, for the expected work behind it.
-    """
+    """Input of the planner."""
 
     starts: FloatRows
+    """Distance from each robot to each goal, shape (m, n); infinite without a way."""
     between: FloatRows
+    """Distance between goals, symmetric, shape (n, n)."""
     weights: Floats
+    """Cost of each goal per cell of its arrival distance, shape (n,)."""
     latency_weight: Floats
+    """Cost of each goal per square of its arrival distance, shape (n,)."""
     last: float
+    """Cost per cell of the longest tour."""
     way: float
+    """Cost per cell of every tour."""
     loads: Floats
+    """Length that each goal adds to the end of its tour, for the expected work behind it, shape (n,)."""
 
 
 def team_tours(task: Task) -> list[list[int]]:

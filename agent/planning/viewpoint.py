@@ -43,24 +43,11 @@ def best_viewpoint(
 ) -> tuple[int, int] | None:
     """Choose the viewpoint of the first goal of a tour with the shortest way through it and on through the tour.
 
-    Goals that are visible from this viewpoint as well need no further way. The robot scans at the end of each step, so
-    the way to the viewpoint counts in whole steps.
+    Goals that are visible from this viewpoint as well need no further way. The robot, in cell `here`, scans at the end
+    of each step of `step` cells, so the way to the viewpoint counts in whole steps. `views` has the viewpoints of each
+    goal, None for a goal that the robot must drive to; the first goal has viewpoints.
 
-    Parameters
-    ----------
-    here : (x, y)
-        The robot's cell.
-    views : iterable of int32 arrays, shape (n, 2)
-        The viewpoints of each goal; None for a goal that the robot must drive to. The first goal has viewpoints.
-    goals : int32 array, shape (m, 2)
-        The first goals of the tour.
-    step : float
-        Distance that the robot drives in a step, in cells.
-
-    Returns
-    -------
-    (x, y)
-        The viewpoint; None if the robot is already at one, so that a scan had no effect, or no viewpoint is reachable.
+    Returns None if the robot is already at a viewpoint, so that a scan had no effect, or no viewpoint is reachable.
     """
     more = iter(views)
     cells = next(more)

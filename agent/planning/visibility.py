@@ -25,22 +25,13 @@ _HALF = FINE // 2
 
 
 def shortest_way(floor: Grid, start: tuple[int, int], goals: Cells, most: float) -> Cells | None:
-    """Find the shortest way to the nearest goal over the cells that the robot may enter.
+    """Find the shortest way to the center of the nearest of `goals`, free cells, over the cells that the robot may enter.
 
-    Parameters
-    ----------
-    start : (x, y)
-        The robot's position in thousandths of a cell. If it is too close to an obstacle, the way begins at the center
-        of its cell.
-    goals : int32 array, shape (n, 2)
-        Free cells (x, y); the way ends at a center.
-    most : float
-        Upper bound of the length in cells: the length of a way over cells to a goal.
+    `start` is the robot's position in thousandths of a cell; if it is too close to an obstacle, the way begins at the
+    center of its cell. `most` is an upper bound of the length in cells: the length of a way over cells to a goal.
 
-    Returns
-    -------
-    int32 array, shape (m, 2), optional
-        Waypoints in thousandths of a cell, the last one a goal's center; None if no goal is reachable.
+    Returns waypoints in thousandths of a cell, shape (m, 2), the last one a goal's center; None if no goal is
+    reachable.
     """
     at = np.array(start, np.int64)
     middle = (at + _HALF) // FINE * FINE

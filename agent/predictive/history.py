@@ -29,34 +29,24 @@ class Base:
 
 @dataclass(frozen=True)
 class DecodedUpdate:
-    """The content of an update.
-
-    Attributes
-    ----------
-    places : int32 array, shape (n,)
-        Reported cells, as indices of the flat grid, each once.
-    states, before : uint8 array, shape (n,)
-        The reported state of each cell, and the author's previous report of it: unknown if there was none.
-    box : Box
-        The bounding box of the cells.
-    message : bytes
-        The encoded update.
-    bases : tuple of Base
-        Dependencies beyond those of the update before, by ascending map ID.
-    pose : (x, y), optional
-        Cell of the author's last scan; None before the first.
-    key : bytes
-        Hash of the messages on which this content depends (`key_of`).
-    """
+    """The content of an update."""
 
     places: NDArray[np.int32]
+    """Reported cells, as indices of the flat grid, each once, shape (n,)."""
     states: NDArray[np.uint8]
     before: NDArray[np.uint8]
+    """`states`, `before`, shape (n,): the reported state of each cell, and the author's previous report of it: unknown
+    if there was none."""
     box: Box
+    """The bounding box of the cells."""
     message: bytes = b""
+    """The encoded update."""
     bases: tuple[Base, ...] = ()
+    """Dependencies beyond those of the update before, by ascending map ID."""
     pose: tuple[int, int] | None = None
+    """Cell of the author's last scan; None before the first."""
     key: bytes = b""
+    """Hash of the messages on which this content depends (`key_of`)."""
 
 
 def key_of(before: bytes, message: bytes, bases: Sequence[Base]) -> bytes:

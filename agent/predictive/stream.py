@@ -142,8 +142,6 @@ class Stream:
 
         Parameters
         ----------
-        own : uint8 array, shape (h, w)
-            The self-explored grid.
         poses : sequence of (x, y)
             Cells from which the robot has scanned since the last update.
         box : Box
@@ -270,7 +268,8 @@ class Stream:
         motion, grid, scratch = self._motion, self.grid, self._scratch
         height, width = grid.shape
         first = self.depends_on.copy()
-        self._code_bases(coder, np.zeros(len(self.depends_on), np.int64))
+        none = np.zeros(len(self.depends_on), np.int64)
+        _code_bases(coder, self._others, none, self._bases_grew, self.depends_on)
         more = np.flatnonzero(self.depends_on > first).tolist()
         if any(len(self.histories[other]) < self.depends_on[other] for other in more):
             return None
@@ -319,12 +318,8 @@ class Stream:
                 self._overlay(update)
                 if _contradicts(own.reshape(-1), update.places, update.states):
                     contradicted.append(update.box)
-        self._code_bases(coder, more)
-        return contradicted
-
-    def _code_bases(self, coder: Coder, more: NDArray[np.int64]) -> None:
-        """Encode or decode the number of further updates of each map on which the update depends."""
         _code_bases(coder, self._others, more, self._bases_grew, self.depends_on)
+        return contradicted
 
     def _overlay(self, update: DecodedUpdate) -> None:
         """Apply an update of another map to all cells that the author itself has not reported."""

@@ -77,11 +77,7 @@ class PotentialField(Strategy):
 
     def __init__(self, options: Mapping[str, Any], settings: Settings) -> None:
         super().__init__(options, settings)
-        chosen = self.options
-        self._field = forces.Field(
-            chosen.rho_robots, chosen.rho_obstacles, chosen.gain_robots, chosen.gain_obstacles,
-            chosen.gain_frontier, chosen.damping,
-        )  # fmt: skip
+        self._field = forces.Field(*(getattr(self.options, name) for name in forces.Field._fields))
         self._velocity = np.zeros(2)
         self._route = Route()
         self._yielding = YieldBehavior(settings.seed, settings.robot, settings.range_cells)

@@ -31,24 +31,16 @@ PLAN_ALONE_AFTER = 20
 
 @dataclass(frozen=True)
 class Table:
-    """Input of an assignment.
-
-    Attributes
-    ----------
-    robots : tuple of int
-        The members of the sub-team, ascending.
-    cells : int32 array, shape (m, 2)
-        The cell (x, y) of each member.
-    goals : int32 array, shape (n, 2)
-        The goals, cells (x, y).
-    costs : float64 array, shape (m, n)
-        Cost of each member's way to each goal, in cells; infinite without a way.
-    """
+    """Input of an assignment."""
 
     robots: tuple[int, ...]
+    """The members of the sub-team, ascending."""
     cells: Cells
+    """The cell of each member."""
     goals: Cells
+    """The goals."""
     costs: Costs
+    """Cost of each member's way to each goal, in cells, shape (m, n); infinite without a way."""
 
 
 class TeamStrategy(TargetStrategy):
