@@ -21,24 +21,16 @@ WALL, ROBOT, INTERFERENCE, NOT_BLOCKED = "wall", "robot", "interference", ""
 
 @dataclass(frozen=True)
 class Drive:
-    """The result of one robot's move.
-
-    Attributes
-    ----------
-    cells : list of (x, y)
-        Cells entered, in order.
-    length : float
-        Distance driven, in cells.
-    carry : float
-        Unused distance, too short for the next cell; the next step adds it to its own.
-    blocked : str
-        Why the robot stopped before the end of its path; empty if the distance was used up.
-    """
+    """The result of one robot's move."""
 
     cells: list[tuple[int, int]]
+    """Cells entered, in order (list of (x, y))."""
     length: float
+    """Distance driven, in cells."""
     carry: float
+    """Unused distance, too short for the next cell; the next step adds it to its own."""
     blocked: str
+    """Why the robot stopped before the end of its path; empty if the distance was used up."""
 
 
 def drive(

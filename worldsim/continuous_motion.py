@@ -26,24 +26,16 @@ Point = tuple[int, int]
 
 @dataclass(frozen=True)
 class Glide:
-    """The result of one robot's continuous move.
-
-    Attributes
-    ----------
-    point : (x, y)
-        Final position, in thousandths of a cell.
-    cells : list of (x, y)
-        Cells entered, in order.
-    length : float
-        Distance driven, in cells.
-    blocked : str
-        Why the robot stopped before its last waypoint; empty if the distance was used up.
-    """
+    """The result of one robot's continuous move."""
 
     point: Point
+    """Final position, in thousandths of a cell: (x, y)."""
     cells: list[tuple[int, int]]
+    """Cells entered, in order (list of (x, y))."""
     length: float
+    """Distance driven, in cells."""
     blocked: str
+    """Why the robot stopped before its last waypoint; empty if the distance was used up."""
 
 
 def cell_of(point: Point) -> tuple[int, int]:

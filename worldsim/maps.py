@@ -42,18 +42,6 @@ MOST_ORIGIN = 1e8
 class Map:
     """A map of the world as a grid of cells.
 
-    Attributes
-    ----------
-    name : str
-        The map's name in results.
-    cells : uint8 array of shape (height, width)
-        `protocol.grid` states, row 0 on top; unknown cells can be neither seen nor entered.
-    resolution : float
-        Side of a cell in meters.
-    origin : tuple of three floats
-        Pose of the lower left corner of the lower left cell in the world's frame: x and y in meters, yaw in
-        radians (always 0).
-
     Raises
     ------
     MapError
@@ -61,9 +49,17 @@ class Map:
     """
 
     name: str
+    """The map's name in results."""
     cells: Grid
+    """`protocol.grid` states, row 0 on top; unknown cells can be neither seen nor entered (uint8 array of shape
+    (height, width)).
+    """
     resolution: float
+    """Side of a cell in meters."""
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Pose of the lower left corner of the lower left cell in the world's frame: x and y in meters, yaw in radians
+    (always 0).
+    """
 
     def __post_init__(self) -> None:
         if self.cells.ndim != 2 or self.cells.dtype != np.uint8:

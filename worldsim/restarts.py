@@ -19,21 +19,15 @@ class Restarts:
         How often each of them may be restarted.
     automatic : bool
         Whether robots whose processes end unexpectedly are restarted.
-
-    Attributes
-    ----------
-    awaited : set of int
-        Robots that a fault restarts; the next step does not begin without them.
-    rejoined : set of int
-        Robots that are back on the bus and enter the world with the next step.
-    recovering : set of int
-        Robots that ended unexpectedly and are being restarted.
     """
 
     def __init__(self, robots: Iterable[int], allowed: int, *, automatic: bool) -> None:
         self.awaited: set[int] = set()
+        """Robots that a fault restarts; the next step does not begin without them."""
         self.rejoined: set[int] = set()
+        """Robots that are back on the bus and enter the world with the next step."""
         self.recovering: set[int] = set()
+        """Robots that ended unexpectedly and are being restarted."""
         self._ended: set[int] = set()
         self._automatic = automatic
         self._left = dict.fromkeys(robots, allowed)

@@ -24,20 +24,13 @@ Table = dict[str, NDArray[Any]]
 
 @dataclass(frozen=True)
 class Archive:
-    """One run, as recorded in its directory.
-
-    Attributes
-    ----------
-    directory : Path
-    plan : Plan
-        The plan derived from its scenario.
-    summary : dict
-        The figures of ``summary.json``.
-    """
+    """One run, as recorded in its directory."""
 
     directory: Path
     plan: Plan
+    """The plan derived from its scenario."""
     summary: dict[str, Any]
+    """The figures of ``summary.json``."""
 
     @cached_property
     def steps(self) -> Table:

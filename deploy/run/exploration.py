@@ -48,34 +48,24 @@ INCARNATIONS = 4
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Result:
-    """The results of a run. A notebook displays its maps and figures.
-
-    Attributes
-    ----------
-    summary : dict
-        The figures of ``summary.json``.
-    exit_code : int
-        `EXPLORED`, `NOT_FINISHED` or `BROKEN_OFF`.
-    directory : Path or None
-        The run directory; None if nothing was written.
-    records : Records
-        Everything that was recorded, in memory.
-    deaths : dict
-        Participants that ended unexpectedly, with their crash report: the traceback of an exception, else the last
-        line of output. On the memory bus, a robot whose code raises is lost in the same way.
-    plan : Plan
-        The plan of the run, with its scenario and map.
-    view_fault : str
-        Error of the viewer, without which the run continued; empty if there was none.
-    """
+    """The results of a run. A notebook displays its maps and figures."""
 
     summary: dict[str, Any]
+    """The figures of ``summary.json``."""
     exit_code: int
+    """`EXPLORED`, `NOT_FINISHED` or `BROKEN_OFF`."""
     directory: Path | None
+    """The run directory; None if nothing was written."""
     records: Records
+    """Everything that was recorded, in memory."""
     deaths: dict[str, str]
+    """Participants that ended unexpectedly, with their crash report: the traceback of an exception, else the last line
+    of output. On the memory bus, a robot whose code raises is lost in the same way.
+    """
     plan: Plan
+    """The plan of the run, with its scenario and map."""
     view_fault: str = ""
+    """Error of the viewer, without which the run continued; empty if there was none."""
 
     @cached_property
     def steps(self) -> pl.DataFrame:

@@ -50,11 +50,6 @@ class MemoryRun:
         Called when a robot's code raises; the robot is lost then. Without it, the exception propagates.
     journals : Path, optional
         Directory for the journals of robots that may be restarted; they are kept in memory by default.
-
-    Attributes
-    ----------
-    agents : list of AgentNode
-        The robots' nodes, by number; a restarted robot has a new one.
     """
 
     def __init__(
@@ -109,6 +104,7 @@ class MemoryRun:
             names.RECORDER: self._recorder,
         }
         self.agents = [self._agent(number) for number in range(robots)]
+        """The robots' nodes, by number; a restarted robot has a new one."""
         self._nodes |= zip(self._robots, self.agents, strict=True)
         if view is not None:
             self._nodes[names.VIEW] = view

@@ -187,16 +187,11 @@ def _robots(
 
 
 class _Supervisor:
-    """Starts, restarts and ends the processes of a run, and collects the unexpected ends.
-
-    Attributes
-    ----------
-    deaths : dict of str to str
-        Processes and hosts that ended unexpectedly, each with its crash report.
-    """
+    """Starts, restarts and ends the processes of a run, and collects the unexpected ends."""
 
     def __init__(self, processes: ProcessTable, table: dict[str, ProcessEntry], fleet: Fleet | None) -> None:
         self.deaths = processes.deaths
+        """Processes and hosts that ended unexpectedly, each with its crash report."""
         self._processes = processes
         self._table = table
         self._fleet = fleet

@@ -18,18 +18,13 @@ LOOPBACK = "127.0.0.1"
 
 @dataclass(frozen=True)
 class Rendezvous:
-    """A run's name, the address of its hub, and all credentials.
-
-    Attributes
-    ----------
-    certificate : Certificate or None
-        The hub's certificate; None with passwords, on the loopback interface.
-    """
+    """A run's name, the address of its hub, and all credentials."""
 
     run: str
     endpoint: str
     credentials: Mapping[str, Credential]
     certificate: Certificate | None = None
+    """The hub's certificate; None with passwords, on the loopback interface."""
 
 
 def on_loopback(robots: int) -> Rendezvous:

@@ -64,17 +64,13 @@ class Fleet:
     ------
     ScenarioError
         The hosts have more robots than the run, or the hub cannot listen at its address.
-
-    Attributes
-    ----------
-    rendezvous : Rendezvous
-        The hub's address and the credentials, made for this run alone.
     """
 
     def __init__(self, hosts: Hosts, robots: int, notify: Callable[[str], object] = lambda _: None) -> None:
         placing = {name: list(map(names.robot, numbers)) for name, numbers in hosts.placing(robots).items()}
         routers = {names.router(host.name): placing[host.name] for host in hosts.host if host.router}
         self.rendezvous = by_certificates(hosts.address, hosts.port, robots, routers)
+        """The hub's address and the credentials, made for this run alone."""
         self._links = [_Link(host, placing[host.name]) for host in hosts.host]
         self._notify = notify
 
@@ -161,20 +157,14 @@ class Fleet:
 
 
 class _Link:
-    """One ssh and the robots that it runs, possibly with a router between them and the hub.
-
-    Attributes
-    ----------
-    clients : list of str
-        The participants that join at the hub: the router, or the robots themselves.
-    broken_off : set of str
-        The participants that ended because they had lost the hub.
-    """
+    """One ssh and the robots that it runs, possibly with a router between them and the hub."""
 
     def __init__(self, host: Host, robots: list[str]) -> None:
         self.robots = robots
         self.clients = [names.router(host.name)] if host.router else robots
+        """The participants that join at the hub: the router, or the robots themselves."""
         self.broken_off: set[str] = set()
+        """The participants that ended because they had lost the hub."""
         self._host = host
         self._ssh: subprocess.Popen[bytes] | None = None
         self._stderr = tempfile.TemporaryFile()  # noqa: SIM115  closed by `close`

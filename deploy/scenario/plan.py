@@ -25,25 +25,18 @@ from worldsim.world import Body, World, WorldSettings
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """All inputs of a run, derived from a scenario.
-
-    Attributes
-    ----------
-    robot_settings : dict of int to Settings
-        The settings of each robot, by its number.
-    range_m : float
-        Communication range in meters.
-    incarnations : int
-        How often each robot may start: once, and once more for each restart.
-    """
+    """All inputs of a run, derived from a scenario."""
 
     scenario: Scenario
     map: Map
     world: WorldSettings
     radio: RadioSettings
     robot_settings: dict[int, Settings]
+    """The settings of each robot, by its number."""
     range_m: float
+    """Communication range in meters."""
     incarnations: int = 1
+    """How often each robot may start: once, and once more for each restart."""
 
     def make_world(self) -> World:
         """Return the world in its initial state."""

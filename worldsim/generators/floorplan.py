@@ -46,27 +46,18 @@ def inside(cells: Grid, wall: int) -> Box:
 
 @dataclass(frozen=True)
 class Style:
-    """Dimensions of an office, in meters.
-
-    Attributes
-    ----------
-    corridor_m : float
-        Width of corridors.
-    room_m : (float, float)
-        Width of rooms along the corridor; not a limit, but the target for dividing a row.
-    door_m : (float, float)
-        Narrowest and widest door.
-    joined : float
-        Share of neighboring rooms with a door between them.
-    merged : float
-        Share of neighboring rooms without a wall between them.
-    """
+    """Dimensions of an office, in meters."""
 
     corridor_m: float = 2.0
+    """Width of corridors."""
     room_m: tuple[float, float] = (2.8, 5.5)
+    """Width of rooms along the corridor; not a limit, but the target for dividing a row: (float, float)."""
     door_m: tuple[float, float] = (0.9, 1.2)
+    """Narrowest and widest door: (float, float)."""
     joined: float = 0.12
+    """Share of neighboring rooms with a door between them."""
     merged: float = 0.08
+    """Share of neighboring rooms without a wall between them."""
 
 
 class Builder:
