@@ -6,19 +6,10 @@ from collections.abc import Iterable
 
 
 class Restarts:
-    """Restarts of one run's robots.
+    """Restarts of one run's robots, each at most `allowed` times.
 
-    A restart that a fault requests holds the next step until the robot has rejoined. A restart after an unexpected
-    end does not hold it: the robot takes part again from the step after it has rejoined.
-
-    Parameters
-    ----------
-    robots : iterable of int
-        All robots of the run.
-    allowed : int
-        How often each of them may be restarted.
-    automatic : bool
-        Whether robots whose processes end unexpectedly are restarted.
+    A restart that a fault requests holds the next step until the robot has rejoined. If `automatic`, robots are also
+    restarted after an unexpected end, which does not hold the step: they take part again once they have rejoined.
     """
 
     def __init__(self, robots: Iterable[int], allowed: int, *, automatic: bool) -> None:

@@ -48,7 +48,7 @@ class WorldSettings:
     bodies: tuple[Body, ...]
     """One per robot."""
     starts: tuple[tuple[int, int], ...]
-    """Cell where each robot starts (tuple of (x, y))."""
+    """Cell (x, y) where each robot starts."""
     beams: int = 360
     """Laser beams per full turn."""
     seed: int = 0
@@ -66,13 +66,7 @@ class WorldSettings:
 
 
 class World:
-    """The world of one run.
-
-    Parameters
-    ----------
-    truth : uint8 array, shape (h, w)
-        The true map. Cells that are not free are solid.
-    """
+    """The world of one run; cells of `truth` (uint8, shape (h, w)) that are not free are solid."""
 
     def __init__(self, truth: Grid, settings: WorldSettings) -> None:
         self.truth = truth

@@ -76,10 +76,7 @@ class Archive:
 def read(directory: Path) -> Archive:
     """Read a run directory.
 
-    Raises
-    ------
-    ScenarioError
-        It is not a run directory, or a table is missing or damaged.
+    Raises ScenarioError if it is not a run directory, or a table is missing or damaged.
     """
     plan = plans.make(run_directory.read_scenario(directory))
     summary = run_directory.read_summary(directory)

@@ -34,7 +34,7 @@ class Filter:
     kind: str | None = None
     """One of `ALL_KINDS`: the frame contains such a packet; other packets are not counted."""
     steps: tuple[int, int] | None = None
-    """First and last step: (int, int), optional."""
+    """First and last step."""
     refused: bool = False
     """Only frames that were refused or lost."""
 

@@ -92,10 +92,7 @@ class Result:
     def plot(self) -> Figure:
         """The world with all paths, the team's map, and each robot's planning grid, as in ``maps.png``.
 
-        Raises
-        ------
-        ValueError
-            No robot has reported its maps.
+        Raises ValueError if no robot has reported its maps.
         """
         from deploy.record.map_pictures import maps_figure  # noqa: PLC0415  half a second to import
 
@@ -359,10 +356,7 @@ def _incarnations(scenario: Scenario, hosts: Hosts | None) -> int:
 def scenario_of(scenario: Scenario | None, settings: Mapping[str, Any]) -> Scenario:
     """Return a scenario, or the defaults, with some settings replaced; ScenarioError lists all errors.
 
-    Raises
-    ------
-    TypeError
-        `scenario` is not a Scenario.
+    Raises TypeError if `scenario` is not a Scenario.
     """
     if not isinstance(scenario, Scenario | None):
         raise TypeError(

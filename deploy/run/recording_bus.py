@@ -22,7 +22,7 @@ class RecordingBus:
     received: list[Message] = field(default_factory=list)
     """Received messages in their order."""
     sent: list[tuple[int, Message]] = field(default_factory=list)
-    """Each sent message, and the number of messages received before it (list of (int, Message))."""
+    """Each sent message, and the number of messages received before it."""
 
     def put(self, key: str, payload: bytes) -> None:
         """Record a message and send it."""

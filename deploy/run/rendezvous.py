@@ -46,10 +46,7 @@ def by_certificates(
 
     `routers` maps the name of each router to the names of the robots that join through it.
 
-    Raises
-    ------
-    ScenarioError
-        The address is not one of this host, or the port is taken.
+    Raises ScenarioError if the address is not one of this host, or the port is taken.
     """
     from netshaper import certificates  # noqa: PLC0415  not needed on the loopback
 

@@ -51,19 +51,9 @@ class HostError(ScenarioError):
 class Fleet:
     """The robots of a run on other hosts; a context manager that ends all of them.
 
-    Parameters
-    ----------
-    hosts : Hosts
-        The other hosts.
-    robots : int
-        Number of robots of the run.
-    notify : callable, optional
-        Called with each warning: a host has other versions of some packages.
+    `notify` is called with each warning: a host has other versions of some packages.
 
-    Raises
-    ------
-    ScenarioError
-        The hosts have more robots than the run, or the hub cannot listen at its address.
+    Raises ScenarioError if the hosts have more robots than the run, or the hub cannot listen at its address.
     """
 
     def __init__(self, hosts: Hosts, robots: int, notify: Callable[[str], object] = lambda _: None) -> None:
@@ -82,10 +72,8 @@ class Fleet:
     def __enter__(self) -> Self:
         """Connect to all hosts.
 
-        Raises
-        ------
-        HostError
-            Some hosts cannot be reached, or have no Murmur or a different one; the message names all of them.
+        Raises HostError if some hosts cannot be reached, or have no Murmur or a different one; the message names all of
+        them.
         """
         try:
             for link in self._links:
@@ -194,10 +182,7 @@ class _Link:
     def differences(self, deadline: float) -> Iterable[str]:
         """Wait for the host's first message; yield a warning for each package whose version differs.
 
-        Raises
-        ------
-        HostError
-            No message arrives, or the host's code differs from the launcher's.
+        Raises HostError if no message arrives, or the host's code differs from the launcher's.
         """
         where = f"host {self._host.name}"
         try:

@@ -38,19 +38,17 @@ class RobotState:
     heading: float
     """Degrees, a full turn is 360; 0 points along x, 90 along -y."""
     cell: tuple[int, int]
-    """Its cell, row 0 on top: ``grid[y, x]``: (x, y)."""
+    """Its cell (x, y), row 0 on top: ``grid[y, x]``."""
     driven: float
     """Distance driven since the start, in meters."""
     own: Grid
-    """Cells that it has seen itself: 0 unknown, 1 free, 2 occupied (`protocol.grid`). A view of the robot's array,
-    which changes with the next step: copy it to keep it (uint8 array, shape (h, w)).
+    """Cells that it has seen itself, uint8 of shape (h, w): 0 unknown, 1 free, 2 occupied. A view of the robot's array,
+    which changes with the next step: copy it to keep it.
     """
     planning: Grid
-    """`own` merged with the maps received from teammates; the robot plans on it. Copy it to keep it (uint8 array, shape
-    (h, w)).
-    """
+    """`own` merged with the maps received from teammates; the robot plans on it. Copy it to keep it."""
     target: tuple[int, int] | None
-    """Its target cell: (x, y) or None."""
+    """Its target cell (x, y)."""
     status: str
     """Its current activity."""
     polygons: Mapping[int, Polygons]
@@ -75,7 +73,7 @@ class Step:
     robots: dict[int, RobotState]
     """The robots in the world, by number."""
     truth: Grid
-    """The world (uint8 array, shape (h, w))."""
+    """The world, uint8 of shape (h, w)."""
     _rows: bytes
 
     @cached_property
@@ -152,10 +150,7 @@ class Steps:
     def result(self) -> Result:
         """The result as `explore` returns it, after the last step.
 
-        Raises
-        ------
-        RuntimeError
-            The run is not over.
+        Raises RuntimeError if the run is not over.
         """
         if self._result is None:
             raise RuntimeError("the run has not ended: iterate over all steps first")

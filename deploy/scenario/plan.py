@@ -46,22 +46,13 @@ class Plan:
 def make(
     scenario: Scenario, world_map: Map | None = None, *, incarnations: int = 1, record_maps: bool = False
 ) -> Plan:
-    """Derive the plan of a scenario.
+    """Derive the plan of a scenario; `world_map` replaces the map that the scenario names.
 
-    Parameters
-    ----------
-    world_map : Map, optional
-        Replaces the map that the scenario names.
-    incarnations : int
-        How often each robot may start at least; the scenario's faults may require more.
-    record_maps : bool
-        Whether robots report the changes of their maps to the recorder.
+    Each robot may start `incarnations` times, or more often if the scenario's faults require it. With `record_maps`,
+    robots report the changes of their maps to the recorder.
 
-    Raises
-    ------
-    ScenarioError
-        The map cannot be loaded or generated, the robots do not fit on it, or a range is too small for its cells
-        or for the strategy.
+    Raises ScenarioError if the map cannot be loaded or generated, the robots do not fit on it, or a range is too small
+    for its cells or for the strategy.
     """
     world_map = world_map or load_map(scenario)
     incarnations = max(incarnations, faults.incarnations(scenario.faults))
