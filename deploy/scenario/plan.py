@@ -137,7 +137,7 @@ def _robot_settings(
             map_encoding=scenario.map_encoding,
             strategy=scenario.strategy,
             dissemination=scenario.dissemination,
-            bandwidth=None if radio.budget.limit is None else float(radio.budget.limit),
+            bandwidth=radio.budget,
             reach_cells=radio.range_cells,
             polygons=asdict(scenario.polygons),
             predictive=asdict(scenario.predictive),
