@@ -35,6 +35,7 @@ from netshaper import access
 from netshaper.ledger import CAUSES
 from netshaper.presets import PRESETS
 from protocol import messages, packet_index, packets
+from protocol.budget import UNLIMITED
 from protocol.grid import MAX_ROBOTS, MAX_SIDE, UNKNOWN, Grid, ray_table
 from protocol.keys import Keys
 from protocol.messages import Delivery, RoundReport, SendReport
@@ -158,7 +159,7 @@ def updates_example() -> str:
     height, width = truth.shape
     settings = Settings(
         robot=0, robots=3, width=width, height=height, ranges_cells=[5.0] * 3, beams=72, speed_cells=3.0, seed=0,
-        map_encoding="predictive", strategy="meier", dissemination="gossip", bandwidth=None, reach_cells=100.0,
+        map_encoding="predictive", strategy="meier", dissemination="gossip", bandwidth=UNLIMITED, reach_cells=100.0,
     )  # fmt: skip
     maker, gossip, receiver = (
         PredictiveEncoding(settings),
