@@ -43,7 +43,7 @@ class PolygonEncoding(MapEncoding):
         self._drawing = Drawing(**{part.name: getattr(options, part.name) for part in fields(Drawing)})
         self._allowance = SplitAllowance(
             settings.robots,
-            settings.bandwidth,
+            settings.bandwidth.limit,
             settings.reach_cells,
             settings.width,
             settings.height,

@@ -25,7 +25,7 @@ _HALF = FINE // 2
 
 
 def shortest_way(floor: Grid, start: tuple[int, int], goals: Cells, most: float) -> Cells | None:
-    """Find the shortest way to the center of the nearest of `goals`, free cells, over the cells that the robot may enter.
+    """Find the shortest way to the center of the nearest of `goals`, free cells, over cells that the robot may enter.
 
     `start` is the robot's position in thousandths of a cell; if it is too close to an obstacle, the way begins at the
     center of its cell. `most` is an upper bound of the length in cells: the length of a way over cells to a goal.
