@@ -14,7 +14,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cached_property, update_wrapper
-from typing import Annotated, Any, TypeVar, cast, get_args, get_origin, get_type_hints, overload
+from typing import Annotated, Any, TypeVar, cast, get_args, get_origin, get_type_hints
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -22,10 +22,9 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 class Kernel:
     """A function that the first call compiles for one signature."""
 
-    def __init__(self, function: Callable[..., Any], signature: str | None = None) -> None:
+    def __init__(self, function: Callable[..., Any]) -> None:
         update_wrapper(self, function)
         self.function = function
-        self._signature = signature
         self.was_cached = False
         """Whether it was read from numba's cache; False until it is loaded."""
 
@@ -40,7 +39,7 @@ class Kernel:
 
         dispatcher = numba.njit(cache=True, error_model="numpy")(self.function)
         with _before_compiling(dispatcher, self._prepare):
-            dispatcher.compile(self._signature or self._annotated)
+            dispatcher.compile(self._signature)
         dispatcher.disable_compile()
         self.was_cached = bool(dispatcher.stats.cache_hits)
         self._replace(self.function.__name__, dispatcher)
@@ -61,8 +60,8 @@ class Kernel:
         return module.rpartition(".")[0] or module
 
     @property
-    def _annotated(self) -> str:
-        """The signature by the annotations of the function."""
+    def _signature(self) -> str:
+        """The signature in numba's notation."""
         *parameters, result = map(_numba_type, get_type_hints(self.function, include_extras=True).values())
         return f"{result}({', '.join(parameters)})"
 
@@ -83,21 +82,10 @@ class Kernel:
 _kernels: list[Kernel] = []
 
 
-@overload
-def kernel(signature: str) -> Callable[[Function], Function]: ...
-@overload
-def kernel(signature: Function) -> Function: ...
-def kernel(signature: Any) -> Any:
-    """Compile the decorated function at its first call.
-
-    Used plainly, it takes the signature from the function's annotations; else it is given, in numba's notation.
-    """
-
-    def keep(function: Function) -> Function:
-        _kernels.append(Kernel(function, signature if isinstance(signature, str) else None))
-        return cast("Function", _kernels[-1])
-
-    return keep if isinstance(signature, str) else keep(signature)
+def kernel(function: Function) -> Function:
+    """Compile the decorated function at its first call; its annotations give the signature (`protocol.arrays`)."""
+    _kernels.append(Kernel(function))
+    return cast("Function", _kernels[-1])
 
 
 _SCALARS = {int: "int64", float: "float64", bool: "boolean", type(None): "void"}

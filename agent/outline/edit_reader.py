@@ -6,10 +6,9 @@ from the same state. A vertex packet changes the drawing only within the box of 
 
 from __future__ import annotations
 
-from typing import Annotated, NamedTuple, get_args
+from typing import NamedTuple, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.outline.objects import (
     BOTTOM,
@@ -24,7 +23,7 @@ from agent.outline.objects import (
     Table,
     enter,
 )
-from protocol.arrays import Int32s, Int64s, Uint8s
+from protocol.arrays import Int32s, Int64s, ReadOnlyUint8s, Uint8s
 from protocol.boxes import MAX_BOXES, NO_BOXES, Boxes, add_box, bounding_box
 from protocol.errors import ProtocolError
 from protocol.kernels import kernel
@@ -354,7 +353,7 @@ def _new_pool(table: Table, pool: Symbols, more: int) -> tuple[Symbols, int]:
 
 @kernel
 def _read(
-    chunk: Annotated[NDArray[np.uint8], "Array(uint8, 1, 'C', readonly=True)"],
+    chunk: ReadOnlyUint8s,
     height: int,
     width: int,
     numbers: Int64s,

@@ -20,7 +20,8 @@ import numpy as np
 from agent.encodings.base import Dependency
 from agent.replication.log import Log
 from agent.replication.neighbors import Neighbors
-from agent.replication.peers import Mask, PeerTable, Table
+from agent.replication.peers import PeerTable, Table
+from protocol.arrays import Bools, Int64Rows, Int64s
 from protocol.kernels import kernel
 
 Dependencies = Callable[[int], Sequence[Dependency]]
@@ -185,9 +186,15 @@ def _aged(priority: int, waited: int) -> int:
     return min(MAX_PRIORITY - 1, priority + AGING * waited)
 
 
-@kernel("void(int64[:,::1], int64[::1], boolean[::1], int64[::1], int64, int64[:,::1], int64[:,::1])")
+@kernel
 def note_lacks(
-    expected: Table, lengths: Table, compared: Mask, current: Table, step: int, lacks: Table, since: Table
+    expected: Int64Rows,
+    lengths: Int64s,
+    compared: Bools,
+    current: Int64s,
+    step: int,
+    lacks: Int64Rows,
+    since: Int64Rows,
 ) -> None:
     """Write how many entries of each map, but its own, each compared peer lacks, and since which step."""
     robots, maps = expected.shape

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.replication.map_ids import MapId
+from protocol.arrays import Int64Rows, Int64s
 from protocol.kernels import kernel
 
 Table = NDArray[np.int64]
@@ -95,8 +96,8 @@ class PeerTable:
         return lengths
 
 
-@kernel("void(int64[:,::1], int64, int64[::1])")
-def held_by_all(acked: Table, robot: int, held: Table) -> None:
+@kernel
+def held_by_all(acked: Int64Rows, robot: int, held: Int64s) -> None:
     """Write for each map the least that any robot but `robot` and the map's author holds."""
     robots = len(acked)
     held[:] = np.iinfo(np.int64).max

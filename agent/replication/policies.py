@@ -18,6 +18,7 @@ import numpy as np
 
 from agent.replication.handshake_packets import LEAST_HANDSHAKE
 from agent.replication.peers import PeerTable, Table
+from protocol.arrays import Int64Rows, Int64s
 from protocol.kernels import kernel
 
 CROWD = 16
@@ -115,20 +116,18 @@ DISSEMINATIONS = (*POLICIES, GOSSIP)
 """The values of the scenario's setting `dissemination`."""
 
 
-@kernel(
-    "void(int64[:,::1], int64[:,::1], int64[::1], int64[::1], int64[::1], int64, int64, int64, boolean, int64[::1])"
-)
+@kernel
 def choose_offers(
-    expected: Table,
-    due: Table,
-    lengths: Table,
-    in_range: Table,
-    current: Table,
+    expected: Int64Rows,
+    due: Int64Rows,
+    lengths: Int64s,
+    in_range: Int64s,
+    current: Int64s,
     own: int,
     now: int,
     round_number: int,
     single: bool,
-    chosen: Table,
+    chosen: Int64s,
 ) -> None:
     """Choose for each peer the map to offer by the rule ``backoff``; -1: none."""
     turn_of_others = round_number != 0 or (single and now % 2 == 0)
