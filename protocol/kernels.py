@@ -3,9 +3,8 @@
 A kernel has one signature, given by the types of its parameters (`protocol.arrays`). The first call compiles it, or
 reads it from numba's cache, so that commands which compute nothing do not import numba. If a kernel is not in the
 cache, all imported kernels are compiled at once: this takes a minute, once per installation, and the error stream
-shows the progress. The fork server loads all kernels in
-one process (`deploy.run.preload`), so robots never compile. Fastmath is off: equal versions of the libraries give
-equal bits on every machine.
+shows the progress. The fork server loads all kernels in one process (`deploy.run.preload`), so robots never compile.
+Fastmath is off: equal versions of the libraries give equal bits on every machine.
 """
 
 from __future__ import annotations

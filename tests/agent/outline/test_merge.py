@@ -200,11 +200,6 @@ def test_the_incremental_error_equals_the_error_counted_anew(splits: int | None)
         before = grid
 
 
-def test_inferences_are_rejected_in_the_error() -> None:
-    with pytest.raises(ValueError, match="inferences of receivers"):
-        ErrorCount(Drawing(wide_walls=True))
-
-
 def reachable(grid: Grid, robot: Cell) -> NDArray[np.bool_]:
     areas, _ = ndimage.label(grid == FREE)
     free: NDArray[np.bool_] = areas == areas[robot[1], robot[0]]
