@@ -17,7 +17,6 @@ SIZES = [
     (8, 2048, {}),
     (64, 2048, {"map_encoding": "none"}),
     (256, 600, {"map_encoding": "predictive", "dissemination": "gossip"}),
-    (256, 2048, {"map_encoding": "none"}),
 ]
 """Robots, cells per side of the map, further settings."""
 
