@@ -21,7 +21,8 @@ from agent.encodings.catalog import ENCODINGS, make_encoding
 from agent.identity import Identity
 from agent.journal import Journal, JournalError
 from agent.outline.receiver import Receiver
-from agent.replication.engine import Replication
+from agent.replication.base import Replication
+from agent.replication.engine import make_replication
 from agent.settings import Settings
 from deploy.scenario.scenario import ScenarioError, parse
 from protocol import packet_index, packets
@@ -93,7 +94,9 @@ def apply_entries(data: bytes) -> None:
 
 
 def engine(dissemination: str) -> Replication:
-    return Replication(1, 3, lambda *received: packet_index.ends(received[-1]), dissemination, incarnations=2)
+    return make_replication(
+        1, 3, lambda *received: packet_index.ends(received[-1]), dissemination, incarnations=2
+    )
 
 
 def receive_offer(data: bytes) -> None:
