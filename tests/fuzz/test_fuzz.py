@@ -26,6 +26,7 @@ from agent.replication.engine import make_replication
 from agent.settings import Settings
 from deploy.scenario.scenario import ScenarioError, parse
 from protocol import packet_index, packets
+from protocol.budget import Budget
 from protocol.errors import ProtocolError
 from protocol.keys import Keys
 from protocol.messages import ConnectionReport, Delivery, Record, RoundReport, unpack
@@ -50,7 +51,7 @@ SETTINGS = Settings(
     "polygons",
     "meier",
     "backoff",
-    1000.0,
+    Budget(1000),
     50.0,
     radii_cells=[0.0] * 3,
     incarnations=2,
