@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -126,15 +126,16 @@ def compare(
     )
     made = of_settings("compare", {}, {**settings, "seed": range(seeds)}, variants, metrics)
     panels = "map" if "map" in made.grid else ""
-    made = made.with_plots(
-        (
+    made = replace(
+        made,
+        plots=(
             Plot(metric, kind=BOXES, panels=panels, finished_only=True),
             Plot("explored", kind=CURVES, panels=panels, xlabel="step", ylabel="explored"),
-        )
+        ),
     )
     done = run(made, jobs=jobs, scheduler=scheduler, out=out, progress=progress)
     rules = [
-        Rule(metric=metric, expect="ratio < 1", compare={VARIANT: one}, to={VARIANT: other})
+        Rule("", metric, "ratio < 1", compare={VARIANT: one}, to={VARIANT: other})
         for one, other in combinations(variants, 2)
     ]
     return Comparison(done, metric, judge([(rules, done.rows)]).findings)

@@ -17,24 +17,26 @@ from __future__ import annotations
 import base64
 import io
 import math
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal
 
 import numpy as np
 
 from deploy.study.measures import SERIES
 from deploy.study.results import Results, Row
 from deploy.study.statistics import interval
-from deploy.study.tables import VARIANT, check, has_finished, metric_value
+from deploy.study.tables import VARIANT, check, has_finished, metric_value, short
 from worldsim.atomic_files import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-LINES, BOXES, CURVES = "lines", "boxes", "curves"
+LINES: Final = "lines"
+BOXES: Final = "boxes"
+CURVES: Final = "curves"
 
 COLUMNS = 3
 PANEL = 4.2, 3.2
@@ -54,9 +56,11 @@ CURVE_POINTS = 200
 class Plot:
     """The description of a plot; see the module's description."""
 
+    __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
+
     y: str
     x: str = ""
-    kind: str = LINES
+    kind: Literal["lines", "boxes", "curves"] = LINES
     lines: str = VARIANT
     panels: str = ""
     xlabel: str = ""
@@ -65,11 +69,18 @@ class Plot:
     finished_only: bool = True
 
 
-def read_plots(entries: Any, keys: set[str], names: Sequence[str]) -> tuple[Plot, ...]:
-    """Check plots as read from a file; ValueError if they are invalid."""
-    if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
-        raise ValueError(f"plot = {entries!r}: must be tables, [[plot]]")
-    return tuple(_plot(entry, keys, names) for entry in entries)
+def check_plot(plot: Plot, grid: Iterable[str], metrics: Iterable[str]) -> None:
+    """Raise ValueError if a plot names a key, a metric or a series that its experiment does not have."""
+    keys = sorted({*grid, VARIANT})
+    for name, key in (("x", plot.x), ("lines", plot.lines), ("panels", plot.panels)):
+        if key and key not in keys:
+            raise ValueError(f"plot.{name} = {key!r}: is not in the grid; there are: {', '.join(keys)}")
+    if plot.kind == CURVES and plot.y not in SERIES:
+        raise ValueError(f"plot.y = {plot.y!r}: is not a series; there are: {', '.join(SERIES)}")
+    if plot.kind != CURVES:
+        check(plot.y, (), metrics)
+    if plot.kind == LINES and not plot.x:
+        raise ValueError("plot.x is missing: lines are drawn over a key of the grid")
 
 
 def draw(plot: Plot, rows: Sequence[Row], results: Results) -> Figure:
@@ -119,11 +130,6 @@ def as_html(canvas: Figure) -> str:
     file = io.BytesIO()
     canvas.savefig(file, format="png", dpi=80)
     return f'<img src="data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}">'
-
-
-def short(value: object) -> str:
-    """A value of the grid as a label; for files the name."""
-    return Path(value).stem if isinstance(value, str) and value.endswith((".yaml", ".png")) else str(value)
 
 
 def _lines(panel: Axes, plot: Plot, rows: Sequence[Row], lines: Sequence[Any], _: Results) -> None:
@@ -216,28 +222,3 @@ def _number(value: object) -> float | None:
         return None if isinstance(value, bool) else float(str(value).removesuffix("%"))
     except ValueError:
         return None
-
-
-def _plot(entry: dict[str, Any], keys: set[str], names: Sequence[str]) -> Plot:
-    kinds = asdict(Plot(""))
-    for key, value in entry.items():
-        if key not in kinds:
-            raise ValueError(f"plot.{key} is not a key of a plot; there are: {', '.join(kinds)}")
-        if type(value) is not type(kinds[key]):
-            raise ValueError(f"plot.{key} = {value!r}: must be a {type(kinds[key]).__name__}")
-    plot = Plot(**({"y": ""} | entry))
-    if plot.kind not in (LINES, BOXES, CURVES):
-        raise ValueError(f"plot.kind = {plot.kind!r}: there are: {LINES}, {BOXES}, {CURVES}")
-    for key in ("x", "lines", "panels"):
-        name = getattr(plot, key)
-        if name and name not in keys:
-            raise ValueError(
-                f"plot.{key} = {name!r}: is not in the grid; there are: {', '.join(sorted(keys))}"
-            )
-    if plot.kind == CURVES and plot.y not in SERIES:
-        raise ValueError(f"plot.y = {plot.y!r}: is not a series; there are: {', '.join(SERIES)}")
-    if plot.kind != CURVES:
-        check(plot.y, (), names)
-    if plot.kind == LINES and not plot.x:
-        raise ValueError("plot.x is missing: lines are drawn over a key of the grid")
-    return plot

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +17,7 @@ from deploy.study.results import Row, write_table
 from deploy.study.runs import Case
 from deploy.study.statistics import Interval, interval, share
 from deploy.study.sweep import Sweep, of_settings, run
-from deploy.study.tables import has_finished
+from deploy.study.tables import has_finished, short
 from protocol.budget import WORD_FOR_UNLIMITED
 
 if TYPE_CHECKING:
@@ -132,7 +132,7 @@ class Sizing:
 
     @property
     def _map(self) -> str:
-        return plots.short(self.sweep.experiment.base["map"])
+        return short(self.sweep.experiment.base["map"])
 
     def __repr__(self) -> str:
         return f"<Sizing of {len(self.sweep.rows)} runs: {self.sentence}>"
@@ -197,7 +197,7 @@ def size(
         xlabel="robots",
         ylabel="exploration time (steps)",
     )
-    done = run(made.with_plots((plot,)), jobs=jobs, scheduler=scheduler, out=out, progress=progress)
+    done = run(replace(made, plots=(plot,)), jobs=jobs, scheduler=scheduler, out=out, progress=progress)
     return Sizing(done, _options(done, deadline, min_map_accuracy), deadline, min_map_accuracy)
 
 
