@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from protocol.budget import Budget
 from protocol.errors import ProtocolError
 
 
@@ -36,8 +37,8 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         Name of the exploration strategy (`agent.strategies`).
     dissemination : str
         Dissemination policy of the maps: ``backoff``, ``thesis`` or ``gossip`` (`agent.replication.policies`).
-    bandwidth : float or None
-        Bytes per step that the team shares; None: unlimited.
+    bandwidth : Budget
+        Bytes per step that the team shares.
     reach_cells : float
         Communication range in cells.
     polygons : dict
@@ -83,7 +84,7 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     map_encoding: str
     strategy: str
     dissemination: str
-    bandwidth: float | None
+    bandwidth: Budget
     reach_cells: float
     polygons: dict[str, Any] = {}
     predictive: dict[str, Any] = {}

@@ -42,28 +42,19 @@ MOST_ORIGIN = 1e8
 class Map:
     """A map of the world as a grid of cells.
 
-    Attributes
-    ----------
-    name : str
-        The map's name in results.
-    cells : uint8 array of shape (height, width)
-        `protocol.grid` states, row 0 on top; unknown cells can be neither seen nor entered.
-    resolution : float
-        Side of a cell in meters.
-    origin : tuple of three floats
-        Pose of the lower left corner of the lower left cell in the world's frame: x and y in meters, yaw in
-        radians (always 0).
-
-    Raises
-    ------
-    MapError
-        Cells, resolution or origin are invalid, or no cell is free.
+    Raises MapError if cells, resolution or origin are invalid, or no cell is free.
     """
 
     name: str
+    """The map's name in results."""
     cells: Grid
+    """`protocol.grid` states, uint8 of shape (height, width), row 0 on top; robots never enter unknown ones."""
     resolution: float
+    """Side of a cell in meters."""
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Pose of the lower left corner of the lower left cell in the world's frame: x and y in meters, yaw in radians
+    (always 0).
+    """
 
     def __post_init__(self) -> None:
         if self.cells.ndim != 2 or self.cells.dtype != np.uint8:
@@ -128,10 +119,7 @@ def load(path: str | os.PathLike[str]) -> Map:
     p > occupied_thresh, free if p < free_thresh, else unknown. The channels of a color picture are averaged, including
     opacity, as in map_server's trinary mode. The map has the name of the YAML file.
 
-    Raises
-    ------
-    MapError
-        The YAML file or the picture is missing, malformed, or has impossible values.
+    Raises MapError if the YAML file or the picture is missing, malformed, or has impossible values.
     """
     path = Path(path)
     entries = _read_yaml(path)
@@ -155,20 +143,12 @@ def load(path: str | os.PathLike[str]) -> Map:
 
 
 def load_picture(path: str | os.PathLike[str], resolution: float) -> Map:
-    """Read a map from a PGM or PNG picture without YAML file: white is free, black occupied, gray unknown.
+    """Read a map from a PGM or PNG picture without YAML file, with `resolution` meters per pixel.
 
-    The thresholds are map_server's defaults; the origin is the picture's lower left corner.
+    White is free, black occupied, gray unknown, by map_server's default thresholds; the origin is the lower left
+    corner.
 
-    Parameters
-    ----------
-    path : path
-    resolution : float
-        Meters per cell, which is a pixel.
-
-    Raises
-    ------
-    MapError
-        The picture is missing or malformed, or contains no valid map.
+    Raises MapError if the picture is missing or malformed, or contains no valid map.
     """
     path = Path(path)
     return _from_picture(
@@ -198,25 +178,12 @@ def _from_picture(
 
 
 def save(map_: Map, yaml_path: str | os.PathLike[str], image: str | None = None) -> None:
-    """Write a map as map_server's YAML file and a picture in the same directory.
+    """Write a map as map_server's YAML file and a picture beside it, by default a PNG of the same name.
 
-    Each file is written atomically, the YAML file last, so that every YAML file has its picture.
+    Each file is written atomically, the YAML file last, so that every YAML file has its picture. The map's name is not
+    stored: a map has the name of its file.
 
-    Parameters
-    ----------
-    map_ : Map
-        The map to write. Its name is not stored: a map has the name of its file.
-    yaml_path : path
-        Path of the YAML file.
-    image : str, optional
-        File name of the picture, ending in .png or .pgm; by default the YAML file's name with .png.
-
-    Raises
-    ------
-    MapError
-        The picture's name has another suffix.
-    OSError
-        A file cannot be written; the error names it.
+    Raises MapError if the picture's name has another suffix; OSError if a file cannot be written; the error names it.
     """
     yaml_path = Path(yaml_path)
     image = yaml_path.with_suffix(".png").name if image is None else image

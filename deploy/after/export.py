@@ -94,12 +94,8 @@ class ExportError(ValueError):
 def export_mcap(directory: Path) -> Path:
     """Write a run directory's bag, ``rosbag/`` in it; return the MCAP file.
 
-    Raises
-    ------
-    ExportError
-        The package that writes it is not installed.
-    ScenarioError
-        It is not a run directory, or a table is missing.
+    Raises ExportError if the package that writes it is not installed; ScenarioError if it is not a run directory, or a
+    table is missing.
     """
     if importlib.util.find_spec("rosbags") is None:
         raise ExportError("an export needs the package rosbags: pip install 'murmur-robots[mcap]'")

@@ -40,15 +40,7 @@ Place = tuple[float, float]
 
 
 class Frames:
-    """The frames of a run.
-
-    Parameters
-    ----------
-    archive : Archive
-        The run.
-    width : int
-        Of a frame, in pixels.
-    """
+    """The frames of a run, each `width` pixels wide."""
 
     def __init__(self, archive: Archive, width: int = WIDTH) -> None:
         self._archive = archive

@@ -31,10 +31,7 @@ _COLORS = ListedColormap([*CELLS.colors, "#d9c6e8"])  # type: ignore[misc]
 def merging(archive: Archive, robot: int, step: int) -> Figure:
     """Draw how a robot merges maps at a step, or at the last step before it at which the robot reported its maps.
 
-    Raises
-    ------
-    ScenarioError
-        There is no such robot or step, or the run does not exchange polygons.
+    Raises ScenarioError if there is no such robot or step, or the run does not exchange polygons.
     """
     scenario, last = archive.plan.scenario, archive.last_step
     if scenario.map_encoding != "polygons":

@@ -54,27 +54,13 @@ def write_movie(
     rate: float = 10.0,
     progress: Callable[[int, int], object] = lambda _, __: None,
 ) -> Path:
-    """Film one run, or several side by side; return the file.
+    """Film runs side by side, from left to right, at `rate` steps per second; return the file.
 
-    Parameters
-    ----------
-    directories : sequence of Path
-        Run directories, from left to right.
-    suffix : str
-        `MP4` or `GIF`.
-    out : Path, optional
-        The file; ``movie.mp4`` in the first directory if left out, with the names of the other directories.
-    rate : float
-        Steps per second.
-    progress : callable
-        Called with the number of frames written, and of all frames.
+    `suffix` is `MP4` or `GIF`. By default, `out` is ``movie.mp4`` in the first directory, with the names of the other
+    directories. `progress` is called with the number of frames written, and that of all frames.
 
-    Raises
-    ------
-    MovieError
-        The package that writes films is not installed, or it fails.
-    ScenarioError
-        A directory is not a run directory.
+    Raises MovieError if the package that writes films is not installed, or it fails; ScenarioError if a directory is
+    not a run directory.
     """
     if importlib.util.find_spec("imageio_ffmpeg") is None:
         raise MovieError("films need the package imageio-ffmpeg: pip install 'murmur-robots[film]'")

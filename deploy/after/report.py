@@ -113,10 +113,7 @@ class Section:
 def write_report(directory: Path, other: Path | None = None) -> Path:
     """Draw the figures of a run and write its page, or a page that compares it with another run; return the page.
 
-    Raises
-    ------
-    ScenarioError
-        A directory is not a run directory, or a table is missing.
+    Raises ScenarioError if a directory is not a run directory, or a table is missing.
     """
     archive, another = read(directory), read(other) if other is not None else None
     if other is None or another is None:

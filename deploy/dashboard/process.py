@@ -40,21 +40,14 @@ class Watcher(Protocol):
 
 @dataclass(frozen=True)
 class ViewTask:
-    """The task of a viewer.
-
-    Attributes
-    ----------
-    plan : Plan
-        The plan derived from the run's scenario.
-    directory : Path
-        The run directory, for the recording.
-    port : int or None
-        Port on the loopback at which viewers get the recording while it is made.
-    """
+    """The task of a viewer."""
 
     plan: Plan
+    """The plan derived from the run's scenario."""
     directory: Path
+    """The run directory, for the recording."""
     port: int | None = None
+    """Port on the loopback at which viewers get the recording while it is made."""
 
 
 class ViewNode:

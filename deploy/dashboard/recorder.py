@@ -54,15 +54,7 @@ MAP_ORDER, RANGE_ORDER, WAY_ORDER, OUTLINE_ORDER, LINK_ORDER, TARGET_ORDER, ROBO
 
 
 class Recorder:
-    """Draws a run from its reports.
-
-    Parameters
-    ----------
-    stream : rerun.RecordingStream
-        The output; its sinks are set.
-    plan : Plan
-        The plan derived from the run's scenario.
-    """
+    """Draws a run from its reports to a stream whose sinks are set."""
 
     def __init__(self, stream: rr.RecordingStream, plan: Plan) -> None:
         self.events = RunEvents(plan)

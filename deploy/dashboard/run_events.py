@@ -35,21 +35,14 @@ class Event:
 
 @dataclass
 class StepTraffic:
-    """The traffic of one step.
-
-    Attributes
-    ----------
-    groups : dict
-        Bytes carried, by group of packet kinds (`deploy.record.colors.GROUPS`).
-    cut : int
-        Bytes that were sent but did not fit.
-    links : dict
-        Bytes carried between each pair of robots (lower number first).
-    """
+    """The traffic of one step."""
 
     groups: dict[str, int]
+    """Bytes carried, by group of packet kinds (`deploy.record.colors.GROUPS`)."""
     cut: int
+    """Bytes that were sent but did not fit."""
     links: dict[tuple[int, int], int]
+    """Bytes carried between each pair of robots (lower number first)."""
 
     @property
     def carried(self) -> int:

@@ -53,10 +53,7 @@ def announced(directory: Path | None, credential: Credential, port: int | None) 
 def read_live(directory: Path) -> Live | None:
     """Read ``live.json``; None if no run is in progress (the file may be left over from a killed run).
 
-    Raises
-    ------
-    ValueError
-        The file is damaged.
+    Raises ValueError if the file is damaged.
     """
     path = directory / LIVE
     if not path.is_file():
@@ -75,10 +72,7 @@ def watch(directory: Path, window: Window) -> None:
 
     Returns when the run is over, or when the page is closed.
 
-    Raises
-    ------
-    ScenarioError
-        There is neither a run in progress nor a recording.
+    Raises ScenarioError if there is neither a run in progress nor a recording.
     """
     live = read_live(directory)
     if live is None:

@@ -33,17 +33,9 @@ class WindowError(ValueError):
 class Window:
     """One run's window: created before the run, opened once there is something to show.
 
-    Parameters
-    ----------
-    mode : str
-        One of `MODES`.
-    tell : callable
-        Called with the address, once the page is available.
+    `mode` is one of `MODES`; `tell` is called with the address once the page is available.
 
-    Raises
-    ------
-    WindowError
-        Rerun is not installed, or a window is requested where there is no display.
+    Raises WindowError if Rerun is not installed, or a window is requested where there is no display.
     """
 
     def __init__(self, mode: str, tell: Callable[[str], object] = lambda _: None) -> None:

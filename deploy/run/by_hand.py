@@ -103,10 +103,7 @@ def _hand_out(credentials: Mapping[str, Credential], folder: Path) -> None:
 def _endpoint(listen: str) -> str:
     """Return the hub's address in zenoh's form, as every credential contains it.
 
-    Raises
-    ------
-    ScenarioError
-        The address is malformed, or the hub cannot listen there.
+    Raises ScenarioError if the address is malformed, or the hub cannot listen there.
     """
     parts = re.fullmatch(r"(\[[0-9A-Fa-f:.]+\]|[^\s\[\]:]+):([0-9]{1,5})", listen)
     if parts is None or not 1 <= int(parts[2]) <= MOST_PORT:

@@ -20,13 +20,7 @@ from worldsim.pace import SLOWEST
 
 
 class Control:
-    """Controls a run in progress, from any thread: ``explore(control=...)``.
-
-    Parameters
-    ----------
-    pace : float, optional
-        Initial maximum of steps per second.
-    """
+    """Controls a run from any thread: ``explore(control=...)``; `pace` is the initial speed in steps per second."""
 
     def __init__(self, pace: float | None = None) -> None:
         values = multiprocessing.get_context("forkserver")

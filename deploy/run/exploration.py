@@ -48,34 +48,24 @@ INCARNATIONS = 4
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Result:
-    """The results of a run. A notebook displays its maps and figures.
-
-    Attributes
-    ----------
-    summary : dict
-        The figures of ``summary.json``.
-    exit_code : int
-        `EXPLORED`, `NOT_FINISHED` or `BROKEN_OFF`.
-    directory : Path or None
-        The run directory; None if nothing was written.
-    records : Records
-        Everything that was recorded, in memory.
-    deaths : dict
-        Participants that ended unexpectedly, with their crash report: the traceback of an exception, else the last
-        line of output. On the memory bus, a robot whose code raises is lost in the same way.
-    plan : Plan
-        The plan of the run, with its scenario and map.
-    view_fault : str
-        Error of the viewer, without which the run continued; empty if there was none.
-    """
+    """The results of a run. A notebook displays its maps and figures."""
 
     summary: dict[str, Any]
+    """The figures of ``summary.json``."""
     exit_code: int
+    """`EXPLORED`, `NOT_FINISHED` or `BROKEN_OFF`."""
     directory: Path | None
+    """The run directory; None if nothing was written."""
     records: Records
+    """Everything that was recorded, in memory."""
     deaths: dict[str, str]
+    """Participants that ended unexpectedly, with their crash report: the traceback of an exception, else the last line
+    of output. On the memory bus, a robot whose code raises is lost in the same way.
+    """
     plan: Plan
+    """The plan of the run, with its scenario and map."""
     view_fault: str = ""
+    """Error of the viewer, without which the run continued; empty if there was none."""
 
     @cached_property
     def steps(self) -> pl.DataFrame:
@@ -102,10 +92,7 @@ class Result:
     def plot(self) -> Figure:
         """The world with all paths, the team's map, and each robot's planning grid, as in ``maps.png``.
 
-        Raises
-        ------
-        ValueError
-            No robot has reported its maps.
+        Raises ValueError if no robot has reported its maps.
         """
         from deploy.record.map_pictures import maps_figure  # noqa: PLC0415  half a second to import
 
@@ -369,10 +356,7 @@ def _incarnations(scenario: Scenario, hosts: Hosts | None) -> int:
 def scenario_of(scenario: Scenario | None, settings: Mapping[str, Any]) -> Scenario:
     """Return a scenario, or the defaults, with some settings replaced; ScenarioError lists all errors.
 
-    Raises
-    ------
-    TypeError
-        `scenario` is not a Scenario.
+    Raises TypeError if `scenario` is not a Scenario.
     """
     if not isinstance(scenario, Scenario | None):
         raise TypeError(

@@ -122,10 +122,7 @@ class Hosts(_Table):
     def placing(self, robots: int) -> dict[str, list[int]]:
         """Return the numbers of the robots on each other host: first the listed ones, then the lowest free ones.
 
-        Raises
-        ------
-        ScenarioError
-            The hosts have more robots than the run.
+        Raises ScenarioError if the hosts have more robots than the run.
         """
         listed = {host.name: list(host.robots) for host in self.host if isinstance(host.robots, tuple)}
         taken = {number for numbers in listed.values() for number in numbers}
@@ -147,10 +144,7 @@ class Hosts(_Table):
 def load(path: Path) -> Hosts:
     """Read a hosts file.
 
-    Raises
-    ------
-    ScenarioError
-        The file cannot be read, or keys or values are invalid; the message lists all of them.
+    Raises ScenarioError if the file cannot be read, or keys or values are invalid; the message lists all of them.
     """
     path, data = read_toml(path, "hosts")
     return parse(data, f"hosts {path}")

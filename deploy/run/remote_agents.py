@@ -87,10 +87,7 @@ class _Channel:
 def serve() -> None:
     """Run the robots of this host, from the first message to the end of the last robot.
 
-    Raises
-    ------
-    ValueError
-        The launcher sent a malformed message.
+    Raises ValueError if the launcher sent a malformed message.
     """
     setproctitle("murmur robots")
     channel = _Channel()

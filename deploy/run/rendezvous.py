@@ -18,18 +18,13 @@ LOOPBACK = "127.0.0.1"
 
 @dataclass(frozen=True)
 class Rendezvous:
-    """A run's name, the address of its hub, and all credentials.
-
-    Attributes
-    ----------
-    certificate : Certificate or None
-        The hub's certificate; None with passwords, on the loopback interface.
-    """
+    """A run's name, the address of its hub, and all credentials."""
 
     run: str
     endpoint: str
     credentials: Mapping[str, Credential]
     certificate: Certificate | None = None
+    """The hub's certificate; None with passwords, on the loopback interface."""
 
 
 def on_loopback(robots: int) -> Rendezvous:
@@ -51,10 +46,7 @@ def by_certificates(
 
     `routers` maps the name of each router to the names of the robots that join through it.
 
-    Raises
-    ------
-    ScenarioError
-        The address is not one of this host, or the port is taken.
+    Raises ScenarioError if the address is not one of this host, or the port is taken.
     """
     from netshaper import certificates  # noqa: PLC0415  not needed on the loopback
 

@@ -51,30 +51,16 @@ class HostError(ScenarioError):
 class Fleet:
     """The robots of a run on other hosts; a context manager that ends all of them.
 
-    Parameters
-    ----------
-    hosts : Hosts
-        The other hosts.
-    robots : int
-        Number of robots of the run.
-    notify : callable, optional
-        Called with each warning: a host has other versions of some packages.
+    `notify` is called with each warning: a host has other versions of some packages.
 
-    Raises
-    ------
-    ScenarioError
-        The hosts have more robots than the run, or the hub cannot listen at its address.
-
-    Attributes
-    ----------
-    rendezvous : Rendezvous
-        The hub's address and the credentials, made for this run alone.
+    Raises ScenarioError if the hosts have more robots than the run, or the hub cannot listen at its address.
     """
 
     def __init__(self, hosts: Hosts, robots: int, notify: Callable[[str], object] = lambda _: None) -> None:
         placing = {name: list(map(names.robot, numbers)) for name, numbers in hosts.placing(robots).items()}
         routers = {names.router(host.name): placing[host.name] for host in hosts.host if host.router}
         self.rendezvous = by_certificates(hosts.address, hosts.port, robots, routers)
+        """The hub's address and the credentials, made for this run alone."""
         self._links = [_Link(host, placing[host.name]) for host in hosts.host]
         self._notify = notify
 
@@ -86,10 +72,8 @@ class Fleet:
     def __enter__(self) -> Self:
         """Connect to all hosts.
 
-        Raises
-        ------
-        HostError
-            Some hosts cannot be reached, or have no Murmur or a different one; the message names all of them.
+        Raises HostError if some hosts cannot be reached, or have no Murmur or a different one; the message names all of
+        them.
         """
         try:
             for link in self._links:
@@ -161,20 +145,14 @@ class Fleet:
 
 
 class _Link:
-    """One ssh and the robots that it runs, possibly with a router between them and the hub.
-
-    Attributes
-    ----------
-    clients : list of str
-        The participants that join at the hub: the router, or the robots themselves.
-    broken_off : set of str
-        The participants that ended because they had lost the hub.
-    """
+    """One ssh and the robots that it runs, possibly with a router between them and the hub."""
 
     def __init__(self, host: Host, robots: list[str]) -> None:
         self.robots = robots
         self.clients = [names.router(host.name)] if host.router else robots
+        """The participants that join at the hub: the router, or the robots themselves."""
         self.broken_off: set[str] = set()
+        """The participants that ended because they had lost the hub."""
         self._host = host
         self._ssh: subprocess.Popen[bytes] | None = None
         self._stderr = tempfile.TemporaryFile()  # noqa: SIM115  closed by `close`
@@ -204,10 +182,7 @@ class _Link:
     def differences(self, deadline: float) -> Iterable[str]:
         """Wait for the host's first message; yield a warning for each package whose version differs.
 
-        Raises
-        ------
-        HostError
-            No message arrives, or the host's code differs from the launcher's.
+        Raises HostError if no message arrives, or the host's code differs from the launcher's.
         """
         where = f"host {self._host.name}"
         try:

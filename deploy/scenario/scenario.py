@@ -298,10 +298,7 @@ def load(path: Path | None, overrides: dict[str, Any]) -> Scenario:
     A file name alone that does not exist refers to a shipped scenario. The path of a map is relative to the file
     that names it. An override of ``table.key`` leaves the table's other keys as they are.
 
-    Raises
-    ------
-    ScenarioError
-        The file cannot be read, or a key or value is wrong.
+    Raises ScenarioError if the file cannot be read, or a key or value is wrong.
     """
     data: dict[str, Any] = {}
     if path is not None:
@@ -341,10 +338,7 @@ def read_toml(path: Path, kind: str, shipped: Path | None = None) -> tuple[Path,
 
     A file name alone that does not exist refers to a file in the directory `shipped`, if that is given.
 
-    Raises
-    ------
-    ScenarioError
-        The file cannot be read, or is not TOML.
+    Raises ScenarioError if the file cannot be read, or is not TOML.
     """
     if shipped and len(path.parts) == 1 and not path.exists() and (shipped / path.name).exists():
         path = shipped / path.name
@@ -380,10 +374,7 @@ def beside(path: Path, named: Any) -> Any:
 def parse(data: dict[str, Any], where: str = "scenario") -> Scenario:
     """Validate a scenario given as a dictionary; `where` begins each line of the error message.
 
-    Raises
-    ------
-    ScenarioError
-        Keys or values are wrong; the message lists all of them.
+    Raises ScenarioError if keys or values are wrong; the message lists all of them.
     """
     try:
         return Scenario(**data)

@@ -267,7 +267,7 @@ def _evidence(rule: Rule, rows: Sequence[Row]) -> tuple[Evidence, int]:
     columns = np.array(whole).reshape(-1, 1 if kind == "value" else 2).T
     left_out = len(runs) - len(whole)
     if rule.exact:
-        combine = {"ratio": np.divide, "difference": np.subtract, "value": np.asarray}[kind]
+        combine = {"ratio": np.divide, "difference": np.subtract}.get(kind, np.positive)
         return _exactly(combine(*columns), low, high), left_out
     if kind == "value":
         return statistics.mean_within(columns[0], low, high), left_out

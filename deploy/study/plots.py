@@ -102,10 +102,10 @@ def draw(plot: Plot, rows: Sequence[Row], results: Results) -> Figure:
         panel.grid(visible=True, color="#e5e5e5", linewidth=0.6)
         panel.set_axisbelow(True)
         panel.spines[["top", "right"]].set_visible(False)
-        if plot.log:
-            panel.set_yscale("log")
-        else:
-            panel.set_ylim(0, 1 if plot.y in SHARES else None)
+    if plot.log:
+        axes[0].set_yscale("log")
+    else:
+        axes[0].set_ylim(0, 1 if plot.y in SHARES else None)
     for panel in axes[::columns]:
         panel.set_ylabel(plot.ylabel or plot.y)
     for panel in axes[len(panels) :]:

@@ -32,9 +32,10 @@ from deploy.scenario.plan import make
 from deploy.scenario.scenario import SHIPPED, Scenario, ScenarioError, load
 from docs import code_tables, packet_tables
 from netshaper import access
-from netshaper.ledger import CAUSES, ROW
+from netshaper.ledger import CAUSES
 from netshaper.presets import PRESETS
 from protocol import messages, packet_index, packets
+from protocol.budget import UNLIMITED
 from protocol.grid import MAX_ROBOTS, MAX_SIDE, UNKNOWN, Grid, ray_table
 from protocol.keys import Keys
 from protocol.messages import Delivery, RoundReport, SendReport
@@ -158,7 +159,7 @@ def updates_example() -> str:
     height, width = truth.shape
     settings = Settings(
         robot=0, robots=3, width=width, height=height, ranges_cells=[5.0] * 3, beams=72, speed_cells=3.0, seed=0,
-        map_encoding="predictive", strategy="meier", dissemination="gossip", bandwidth=None, reach_cells=100.0,
+        map_encoding="predictive", strategy="meier", dissemination="gossip", bandwidth=UNLIMITED, reach_cells=100.0,
     )  # fmt: skip
     maker, gossip, receiver = (
         PredictiveEncoding(settings),
@@ -287,11 +288,8 @@ def test_the_document_lists_all_messages_and_fields_in_order() -> None:
     assert set(messages.Record.__subclasses__()) == set(kinds)
 
 
-def test_the_document_lists_all_columns_and_causes_of_the_ledger() -> None:
-    assert [row[0] for row in rows("protocol.md", "The ledger")] == list(ROW.names or ())
-    text = (DOCS / "protocol.md").read_text(encoding="utf-8")
-    for cause in CAUSES[1:]:
-        assert f"\n| `{cause}` | " in text
+def test_the_document_lists_all_causes_of_the_ledger() -> None:
+    assert [row[0] for row in rows("protocol.md", "The ledger")] == list(CAUSES[1:])
 
 
 def test_the_table_of_radios_is_that_of_the_code() -> None:

@@ -144,33 +144,17 @@ def names() -> list[str]:
 
 
 def describe(name: str) -> str:
-    """Return one line about an environment: a description, and the section or figure that it reproduces.
-
-    Raises
-    ------
-    MapError
-        No environment has this name.
-    """
+    """Return a description of an environment, with its section or figure; MapError if no environment has this name."""
     return _environment(name).line
 
 
 def make(name: str, seed: int = 0, **parameters: float) -> Map:
-    """Draw an environment.
+    """Draw an environment; the same `seed`, 0 or more, and parameters give the same cells.
 
-    Parameters
-    ----------
-    name : str
-        One of `names`.
-    seed : int
-        Not negative. The same seed and parameters give the same cells.
-    **parameters : float
-        Values to use instead of the paper's: `resolution` (meters per cell), and, if the size is variable,
-        `width_m` and `height_m`, or `side_m` (meters).
+    `parameters` replace the paper's values: `resolution` (meters per cell), and, if the size is variable, `width_m` and
+    `height_m`, or `side_m` (meters).
 
-    Raises
-    ------
-    MapError
-        The name or a parameter is unknown, or a value is out of range.
+    Raises MapError if the name or a parameter is unknown, or a value is out of range.
     """
     import inspect  # noqa: PLC0415
 
