@@ -33,6 +33,7 @@ from deploy.bench.measurement import Measurement, compare, timed
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import Scenario
+from protocol.budget import UNLIMITED
 from protocol.grid import Grid
 from protocol.scans import draw
 from worldsim import maps
@@ -157,7 +158,7 @@ def _cost_field(moments: Sequence[Moment], graph: Any) -> Measurement:
 def _predictive(plan: Plan, moments: Sequence[Moment]) -> Iterator[Measurement]:
     """Encode and decode scans with the predictive encoding; baseline: drawing the scans."""
     settings = replace(
-        plan.robot_settings[0], map_encoding="predictive", dissemination="gossip", bandwidth=None
+        plan.robot_settings[0], map_encoding="predictive", dissemination="gossip", bandwidth=UNLIMITED
     )
     encoder, decoder = PredictiveEncoding(settings), PredictiveEncoding(replace(settings, robot=1))
     drawn, rays = np.zeros_like(moments[0].grid), beams(plan)
