@@ -1,7 +1,8 @@
-"""Site pages generated when the site is built: columns of a run's files, and notebooks."""
+"""Site pages generated when the site is built: columns of a run's files, messages of the bus, and notebooks."""
 
 from __future__ import annotations
 
+import inspect
 import json
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 from mkdocs.structure.files import File, Files
 
 from deploy.record.columns import FILES
+from protocol import messages
 
 NOTEBOOKS = Path(__file__).parent / "notebooks"
 
@@ -16,6 +18,7 @@ NOTEBOOKS = Path(__file__).parent / "notebooks"
 def on_files(files: Files, config: Any) -> Files:
     """Add the generated pages; mkdocs calls this hook."""
     files.append(File.generated(config, "reference/files.md", content=files_page()))
+    files.append(File.generated(config, "reference/messages.md", content=messages_page()))
     for notebook in sorted(NOTEBOOKS.glob("*.ipynb")):
         name = f"notebooks/{notebook.stem}.md"
         files.append(File.generated(config, name, content=notebook_page(notebook)))
@@ -33,6 +36,22 @@ def files_page() -> str:
     for file, columns in FILES.items():
         lines += ["", f"## {file}", "", "| column | type | meaning |", "|---|---|---|"]
         lines += [f"| `{column.name}` | {column.type} | {column.meaning} |" for column in columns]
+    return "\n".join(lines) + "\n"
+
+
+def messages_page() -> str:
+    """Return a page with number, fields, and description of each message."""
+    lines = [
+        "# Messages",
+        "",
+        "The messages of the [bus](../bus.md), as defined in `protocol/messages.py`.",
+        "",
+        "| no. | message | fields | meaning |",
+        "|---|---|---|---|",
+    ]
+    for number, kind in enumerate(messages._TYPES):
+        meaning = " ".join((inspect.getdoc(kind) or "").split()).replace("|", r"\|")
+        lines.append(f"| {number} | `{kind.__name__}` | {', '.join(kind.__struct_fields__)} | {meaning} |")
     return "\n".join(lines) + "\n"
 
 
