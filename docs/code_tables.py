@@ -1,4 +1,4 @@
-"""Tables in docs that follow from code: settings, settings of hosts, and rights.
+"""Tables in docs that follow from code: settings and settings of hosts.
 
 Run ``python -m docs.code_tables`` after a change; `tests/deploy/test_docs.py` compares pages and code.
 """
@@ -17,7 +17,6 @@ from deploy.run.hosts import Host, Hosts
 from deploy.scenario.scenario import Scenario
 from deploy.scenario.tables import ChangeTable, FaultTable, RobotOverride
 from netshaper.radio_options import RadioOptions
-from protocol.rights import RIGHTS
 
 DOCS = Path(__file__).parent
 
@@ -103,12 +102,6 @@ def host_settings() -> Iterator[tuple[str, str, str]]:
     yield from _fields(Host, "host.")
 
 
-def rights() -> Iterator[tuple[str, ...]]:
-    """Yield sender, receiver and the messages that one may send to the other."""
-    for (sender, receiver), kinds in RIGHTS.items():
-        yield sender, receiver, ", ".join(f"`{kind.__name__}`" for kind in kinds)
-
-
 def updated(page: str, head: str, rows: Iterable[tuple[str, ...]]) -> str:
     """Return the page with the rows of the table below a head line replaced."""
     table = "".join(f"| {' | '.join(row)} |\n" for row in rows)
@@ -120,7 +113,6 @@ def main() -> None:
     for name, head, rows in (
         ("settings.md", "| setting | default | meaning |", _coded(settings())),
         ("hosts.md", "| setting | default | meaning |", _coded(host_settings())),
-        ("bus.md", "| sender | receiver | messages |", rights()),
     ):
         page = DOCS / name
         page.write_text(updated(page.read_text(encoding="utf-8"), head, rows), encoding="utf-8")
