@@ -66,8 +66,7 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "bytes": kinds,
         "raw_scan_bytes": steps * SCAN_VALUES * VALUE_BYTES * scenario.robots * (scenario.robots - 1),
         "packets": packets,
-        "approximation_error": _approximation_error(records, first, int(reachable.sum())),
-        "approximation_error_net": _net_error(records, first, int(reachable.sum())),
+        **_approximation_error(records, first, int(reachable.sum())),
         "over_budget_steps": _over_budget(ledger, allowed, each=scenario.radio.reuse),
         "wire_bytes": records.wire_bytes,
         "undelivered": _undelivered(ledger),
@@ -158,35 +157,32 @@ def _first_step(records: Records, share: float) -> int | None:
 
 def _per_kind(ledger: NDArray[np.void]) -> tuple[dict[str, int], dict[str, int]]:
     """Transmitted bytes and packets by packet type, and in total."""
-    carried = ledger["carried"] == 1
-    kinds, size, packets = (ledger[name][carried] for name in ("kind", "bytes", "packets"))
-    sizes: dict[str, int] = {}
-    counts: dict[str, int] = {}
-    for number, kind in enumerate(ALL_KINDS):
-        these = kinds == number
-        if these.any():
-            sizes[kind] = int(size[these].sum())
-            counts[kind] = int(packets[these].sum())
-    sizes["total"] = int(size.sum())
-    counts["total"] = int(packets.sum())
-    return sizes, counts
+    rows = ledger[ledger["carried"] == 1]
+    totals = [
+        np.bincount(rows["kind"], rows[name], len(ALL_KINDS)).astype(int).tolist()
+        for name in ("bytes", "packets")
+    ]
+    present = np.bincount(rows["kind"], minlength=len(ALL_KINDS)).astype(bool)
+    return tuple(
+        {kind: count for kind, count, there in zip(ALL_KINDS, counts, present, strict=False) if there}
+        | {"total": sum(counts)}
+        for counts in totals
+    )  # type: ignore[return-value]
 
 
-def _approximation_error(records: Records, robot: int, cells: int) -> float | None:
-    """Mean of a robot's approximation error d(t) over the steps, as a share of all cells (thesis, Eq. 6.1)."""
-    if not 0 <= robot < len(records.statuses) or not records.statuses[robot]:
-        return None
-    return float(np.mean([report.error for report in records.statuses[robot]]) / cells)
+def _approximation_error(records: Records, robot: int, cells: int) -> dict[str, float | None]:
+    """Mean of a robot's approximation error d(t) over the steps, as a share of all cells (thesis, Eq. 6.1).
 
-
-def _net_error(records: Records, robot: int, cells: int) -> float | None:
-    """The same minus the error of an exact approximation; None if that was not measured."""
-    if not 0 <= robot < len(records.statuses) or not records.statuses[robot]:
-        return None
-    reports = records.statuses[robot]
-    if any(report.exact_error < 0 for report in reports):
-        return None
-    return float(np.mean([report.error - report.exact_error for report in reports]) / cells)
+    The net error is the same minus the error of an exact approximation; None if that was not measured.
+    """
+    reports = records.statuses[robot] if 0 <= robot < len(records.statuses) else []
+    error, exact = (
+        np.array([(report.error, report.exact_error) for report in reports]).reshape(-1, 2).T / cells
+    )
+    return {
+        "approximation_error": float(error.mean()) if len(error) else None,
+        "approximation_error_net": float((error - exact).mean()) if len(error) and exact.min() >= 0 else None,
+    }
 
 
 def _explored_at(plan: Plan, steps: int) -> int:
