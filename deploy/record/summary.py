@@ -35,7 +35,6 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
     finished = done and records.explored >= scenario.min_coverage
     ledger = records.ledger()
     reachable = plan.make_world().reachable
-    kinds, packets = _per_kind(ledger)
     first = end.first if done and end is not None else min(records.planning, default=-1)
     steps = end.step if end is not None and end.step >= 0 else records.step
     allowed = budgets(plan.radio.budget, records.changes, int(ledger["step"].max(initial=0)) + 1)
@@ -63,9 +62,9 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "map_encoding": scenario.map_encoding,
         "bandwidth": scenario.bandwidth,
         "range_m": plan.range_m,
-        "bytes": kinds,
+        "bytes": _per_kind(ledger, "bytes"),
         "raw_scan_bytes": steps * SCAN_VALUES * VALUE_BYTES * scenario.robots * (scenario.robots - 1),
-        "packets": packets,
+        "packets": _per_kind(ledger, "packets"),
         **_approximation_error(records, first, int(reachable.sum())),
         "over_budget_steps": _over_budget(ledger, allowed, each=scenario.radio.reuse),
         "wire_bytes": records.wire_bytes,
@@ -155,19 +154,12 @@ def _first_step(records: Records, share: float) -> int | None:
     return next((w.step for w in records.world if w.seen >= share * w.reachable), None)
 
 
-def _per_kind(ledger: NDArray[np.void]) -> tuple[dict[str, int], dict[str, int]]:
-    """Transmitted bytes and packets by packet type, and in total."""
+def _per_kind(ledger: NDArray[np.void], name: str) -> dict[str, int]:
+    """The sum of a column over the transmitted rows by packet type, and in total."""
     rows = ledger[ledger["carried"] == 1]
-    totals = [
-        np.bincount(rows["kind"], rows[name], len(ALL_KINDS)).astype(int).tolist()
-        for name in ("bytes", "packets")
-    ]
-    present = np.bincount(rows["kind"], minlength=len(ALL_KINDS)).astype(bool)
-    return tuple(
-        {kind: count for kind, count, there in zip(ALL_KINDS, counts, present, strict=False) if there}
-        | {"total": sum(counts)}
-        for counts in totals
-    )  # type: ignore[return-value]
+    sums = np.bincount(rows["kind"], rows[name], len(ALL_KINDS)).astype(int).tolist()
+    present = set(rows["kind"].tolist())
+    return {kind: sums[n] for n, kind in enumerate(ALL_KINDS) if n in present} | {"total": sum(sums)}
 
 
 def _approximation_error(records: Records, robot: int, cells: int) -> dict[str, float | None]:
