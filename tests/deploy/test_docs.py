@@ -353,6 +353,25 @@ def test_files_that_documents_name_are_there(document: str) -> None:
         assert (DOCS.parent / path).exists(), f"{document} names {path}"
 
 
+def test_the_reading_order_names_every_package_and_modules_that_exist() -> None:
+    order = {
+        package: re.findall(r"\w+", modules) for package, _, modules in rows("architecture.md", "Packages")
+    }
+    missing = [
+        f"{package}{module}.py"
+        for package, modules in order.items()
+        for module in modules
+        if not (DOCS.parent / package / f"{module}.py").exists()
+    ]
+    assert not missing
+    packages = {
+        f"{path.parent.relative_to(DOCS.parent)}/"
+        for name in ("agent", "deploy", "murmur", "netshaper", "protocol", "worldsim")
+        for path in (DOCS.parent / name).rglob("__init__.py")
+    }
+    assert packages - {"deploy/", "deploy/after/wireshark/", "worldsim/generators/"} <= set(order)
+
+
 SCENARIOS = sorted(path.name for path in SHIPPED.glob("*.toml"))
 
 
