@@ -67,7 +67,7 @@ def bench(
     """Benchmark this machine: each value as a ratio to a baseline measured in the same run.
 
     ``murmur bench strategies`` prints the league table: all strategies on the same maps, from the same starts, as
-    multiples of the steps of a plan that knows the map (docs/strategies.md).
+    multiples of the steps of a plan that knows the map (docs/results/strategies.md).
     """
     with report_user_errors():
         if names == ["strategies"]:
