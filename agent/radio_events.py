@@ -47,12 +47,12 @@ def continue_round(
     replication: Replication, event: PhaseDelivery, report_error: ReportError
 ) -> RobotFrames | None:
     """Return the answers to offers, or the data after answers; None if the relay has answered already."""
-    reply, phase = replication.send_data, "data"
-    if event.phase == "offers":
-        reply, phase = replication.answer, "answers"
+    answers = event.phase == "offers"
     frames: list[OutgoingFrame] = []
     try:
-        frames = reply(event.deliveries)
+        frames = (replication.answer if answers else replication.send_data)(event.deliveries)
     except ProtocolError as error:
         report_error(str(error))
-    return None if event.answered_by_relay else RobotFrames(event.step, event.round, phase, frames=frames)
+    if event.answered_by_relay:
+        return None
+    return RobotFrames(event.step, event.round, "answers" if answers else "data", frames=frames)
