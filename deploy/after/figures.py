@@ -22,7 +22,6 @@ from deploy.after.archive import Archive
 from deploy.dashboard.shapes import outline_strips
 from deploy.record.colors import GROUPS
 from deploy.record.map_pictures import rgb, robot_color, save, show_grid
-from netshaper.ledger import CAUSES
 from protocol.budget import WORD_FOR_UNLIMITED
 from protocol.grid import FREE
 
@@ -203,14 +202,8 @@ def draw_load(panel: Axes, archive: Archive) -> None:
         title += f": {100 * used:.0f} % of the budget"
     if len(set(budgets.tolist())) == 1 and 0 < budgets[0] < math.inf:
         percent = budgets[0] / 100
-
-        def to_share(size: Any) -> Any:
-            return size / percent
-
-        def to_size(share: Any) -> Any:
-            return share * percent
-
-        share = panel.secondary_yaxis("right", functions=(to_share, to_size))
+        scales = (lambda size: size / percent), (lambda share: share * percent)
+        share = panel.secondary_yaxis("right", functions=scales)
         share.set_ylabel("% of the budget")
     panel.set_ylabel("bytes per step")
     panel.set_title(title)
@@ -219,7 +212,7 @@ def draw_load(panel: Axes, archive: Archive) -> None:
 def _draw_waiting(panel: Axes, archive: Archive) -> Axes:
     """Draw bytes over the budget, and each robot's undelivered packets on a second axis, which is returned."""
     last = archive.last_step
-    cut = _per_step(archive.ledger, archive.ledger["cause"] == CAUSES[CAUSES.index("budget")], last)
+    cut = _per_step(archive.ledger, archive.ledger["cause"] == "budget", last)
     panel.fill_between(
         np.arange(1, last + 1), cut, step="mid", color="#c9ccd1", label="bytes over the step's budget"
     )

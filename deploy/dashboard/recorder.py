@@ -11,10 +11,8 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from deploy.dashboard.explanation import explain, shows_range
-from deploy.dashboard.grid_image import map_picture
-from deploy.dashboard.run_events import Event, RunEvents
-from deploy.dashboard.shapes import axes, corner, flip, number_strips, outline_strips
+from deploy.dashboard.run_events import Event, RunEvents, explain, shows_range
+from deploy.dashboard.shapes import axes, corner, flip, map_picture, number_strips, outline_strips
 from deploy.record.colors import (
     ALARM,
     GREY,
