@@ -30,7 +30,18 @@ class MovieError(ValueError):
 MP4, GIF = ".mp4", ".gif"
 """The formats of films, by their suffix."""
 
-AS_MP4 = ["-c:v", "libx264", "-preset", "veryfast", "-crf", "20", "-pix_fmt", "yuv420p", "-movflags", "+faststart"]
+AS_MP4 = [
+    "-c:v",
+    "libx264",
+    "-preset",
+    "veryfast",
+    "-crf",
+    "20",
+    "-pix_fmt",
+    "yuv420p",
+    "-movflags",
+    "+faststart",
+]
 AS_GIF = ["-lavfi", "paletteuse=dither=none:diff_mode=rectangle", "-loop", "0"]
 """Output options of ffmpeg; for a GIF they follow a picture of its palette."""
 

@@ -123,7 +123,7 @@ def replay(
     """Repeat a run from its directory, and check that its digest is the same."""
     from deploy.record import run_directory  # noqa: PLC0415
     from deploy.run import exploration  # noqa: PLC0415
-    from deploy.run.repeat import why_unrepeatable  # noqa: PLC0415
+    from deploy.run.control import why_unrepeatable  # noqa: PLC0415
 
     with report_user_errors():
         scenario = run_directory.read_scenario(directory)

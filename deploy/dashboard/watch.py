@@ -43,7 +43,9 @@ def announced(directory: Path | None, credential: Credential, port: int | None) 
 
 
 def read_live(directory: Path) -> tuple[Credential, int | None] | None:
-    """Read the credential and the port in ``live.json``; None if no run is in progress (the file may be left over from a killed run).
+    """Read the credential and the port in ``live.json``; None if no run is in progress.
+
+    The file may be left over from a killed run.
 
     Raises ValueError if the file is damaged.
     """

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import tomllib
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -63,7 +64,7 @@ class Scenario(Table):
             super().__init__(**settings)
         except ValidationError as error:
             errors = [item for item in error.errors() if item["type"] != "default_factory_not_called"]
-            raise ScenarioError("\n".join(dict.fromkeys(map(_explain, errors)))) from None
+            raise ScenarioError("\n".join(dict.fromkeys(explain(item, _KEYS) for item in errors))) from None
 
     map: str = Field("office", description="a map's YAML file, or the name of a generator (murmur map list)")
     map_seed: Whole = Field(0, ge=0, le=MAX_INTEGER, description="seed of the generator")
@@ -405,16 +406,23 @@ _WORDING = {
 """Phrases of pydantic's messages, and our replacements."""
 
 
-def _explain(item: Any) -> str:
-    """Return one of pydantic's errors as a line: the key, its value and the valid values."""
-    key = ".".join(str(part) for part in item["loc"] if part not in ("int", "literal['unlimited']"))
+def explain(item: Any, keys: Mapping[str, Sequence[str]]) -> str:
+    """Return one of pydantic's errors as a line: the key, its value and the valid values.
+
+    `keys` are the valid keys of each table, by its name.
+    """
+    key = ".".join(str(part) for part in item["loc"] if str(part) not in _KINDS)
     message = str(item["msg"]).removeprefix("Value error, ")
     for theirs, ours in _WORDING.items():
         message = message.replace(theirs, ours)
     message = re.sub(r"a dictionary or an instance of \w+", "a table", message)
     if item["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
         table = ".".join(str(part) for part in item["loc"][:-1] if isinstance(part, str))
-        return f"{key}: unknown setting; {there_are(_KEYS[table], str(item['loc'][-1]))}"
+        return f"{key}: unknown setting; {there_are(keys[table], str(item['loc'][-1]))}"
     if item["type"] == "missing":
         return f"{key} is missing"
     return f"{key} = {item['input']!r}: {message}" if key else message
+
+
+_KINDS = ("int", "tuple", "tuple[int, ...]", "literal['unlimited']")
+"""Parts of pydantic's locations that name an alternative of a value's type."""
