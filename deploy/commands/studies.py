@@ -235,10 +235,7 @@ def compare(
             done = comparison.compare(
                 compared, seeds=seeds, metric=metric, jobs=jobs, scheduler=scheduler, out=runs, **settings
             )
-        report_failures(done.sweep.failures)
-        if not done.sweep.rows:
-            fail("all runs failed", 3)
-        print_means(done.sweep)
+        report_sweep(done.sweep)
         for sentence in done.verdicts:
             screen.print(f"{sentence}.")
         files = done.write(out)
@@ -287,10 +284,7 @@ def size(
                 deadline=deadline, min_map_accuracy=min_map_accuracy,
                 seeds=seeds, jobs=jobs, scheduler=scheduler, out=runs, **settings,
             )  # fmt: skip
-        report_failures(done.sweep.failures)
-        if not done.sweep.rows:
-            fail("all runs failed", 3)
-        print_means(done.sweep)
+        report_sweep(done.sweep)
         screen.print(done.sentence)
         files = done.write(out)
         screen.print(f"Results: {out} (start with {files[0]})")
@@ -325,11 +319,14 @@ def whole_numbers(text: str, flag: str) -> list[int]:
     return numbers
 
 
-def print_means(sweep: Any) -> None:
-    """Print a sweep's table of means."""
+def report_sweep(sweep: Any) -> None:
+    """Print the causes of a sweep's failed runs, and its table of means; end the command if all runs failed."""
     from deploy.commands import terminal  # noqa: PLC0415
     from deploy.study.tables import tabulate  # noqa: PLC0415
 
+    report_failures(sweep.failures)
+    if not sweep.rows:
+        fail("all runs failed", 3)
     screen.print(
         f"{' '.join(sweep.experiment.table.values)}, means of {len(sweep.rows)} runs with 95 % intervals"
     )
