@@ -98,18 +98,14 @@ class Map:
 
 def to_world(map_: Map, x: float, y: float) -> tuple[float, float]:
     """Convert a point of the cell frame (y down, centers at whole numbers) to meters, y up."""
-    return (
-        map_.origin[0] + (x + 0.5) * map_.resolution,
-        map_.origin[1] + (map_.height - 0.5 - y) * map_.resolution,
-    )
+    left, bottom, _ = map_.origin
+    return left + (x + 0.5) * map_.resolution, bottom + (map_.height - 0.5 - y) * map_.resolution
 
 
 def to_cell(map_: Map, mx: float, my: float) -> tuple[float, float]:
     """Convert a point in meters to the cell frame; rounding the result gives the cell's index."""
-    return (
-        (mx - map_.origin[0]) / map_.resolution - 0.5,
-        map_.height - 0.5 - (my - map_.origin[1]) / map_.resolution,
-    )
+    left, bottom, _ = map_.origin
+    return (mx - left) / map_.resolution - 0.5, map_.height - 0.5 - (my - bottom) / map_.resolution
 
 
 def load(path: str | os.PathLike[str]) -> Map:
@@ -151,9 +147,8 @@ def load_picture(path: str | os.PathLike[str], resolution: float) -> Map:
     Raises MapError if the picture is missing or malformed, or contains no valid map.
     """
     path = Path(path)
-    return _from_picture(
-        path, path, resolution, (0.0, 0.0, 0.0), (_FREE_THRESH, _OCCUPIED_THRESH), negate=False
-    )
+    origin, thresholds = (0.0, 0.0, 0.0), (_FREE_THRESH, _OCCUPIED_THRESH)
+    return _from_picture(path, path, resolution, origin, thresholds, negate=False)
 
 
 def _from_picture(

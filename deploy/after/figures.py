@@ -58,9 +58,8 @@ def maps_over_time(archive: Archive) -> Figure:
     moments = _moments(archive.last_step)
     shape = archive.plan.map.height / archive.plan.map.width
     wide = max(1.45, 11 / len(robots)) if len(robots) > 3 else 3.2
-    figure = Figure(
-        figsize=(wide * len(robots) + 0.4, (wide * shape + 0.1) * len(moments) + 0.7), layout="constrained"
-    )
+    size = wide * len(robots) + 0.4, (wide * shape + 0.1) * len(moments) + 0.7
+    figure = Figure(figsize=size, layout="constrained")
     axes = np.atleast_2d(figure.subplots(len(moments), len(robots), squeeze=False))
     for row, step in enumerate(moments):
         for robot in robots:
@@ -213,9 +212,8 @@ def _draw_waiting(panel: Axes, archive: Archive) -> Axes:
     """Draw bytes over the budget, and each robot's undelivered packets on a second axis, which is returned."""
     last = archive.last_step
     cut = _per_step(archive.ledger, archive.ledger["cause"] == "budget", last)
-    panel.fill_between(
-        np.arange(1, last + 1), cut, step="mid", color="#c9ccd1", label="bytes over the step's budget"
-    )
+    steps = np.arange(1, last + 1)
+    panel.fill_between(steps, cut, step="mid", color="#c9ccd1", label="bytes over the step's budget")
     panel.set_ylabel("bytes per step")
     panel.set_title("Queued")
     packets = panel.twinx()

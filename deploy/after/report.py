@@ -210,9 +210,8 @@ def _frames(runs: list[Frames]) -> list[Picture]:
 def _png(picture: Image.Image) -> bytes:
     """A picture as a small PNG of at most 128 colors."""
     file = io.BytesIO()
-    picture.quantize(128, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE).save(
-        file, "PNG", optimize=True
-    )
+    small = picture.quantize(128, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+    small.save(file, "PNG", optimize=True)
     return file.getvalue()
 
 

@@ -87,9 +87,7 @@ def bench(
         from deploy.bench.registry import run_benchmarks  # noqa: PLC0415
 
         if picture is not None and names and "scale" not in names:
-            raise ValueError(
-                f"picture = {str(picture)!r}: only scale and strategies draw pictures; name one of them"
-            )
+            raise ValueError(f"picture = {str(picture)!r}: only scale and strategies draw pictures")
         figures = run_benchmarks(names or [], (lambda _: None) if as_json else screen.print, robots or [])
         if picture is not None:
             from deploy.bench.scale import draw  # noqa: PLC0415

@@ -35,9 +35,7 @@ SetOption = Annotated[
     ),
 ]
 RetryFlag = Annotated[bool, typer.Option("--retry", help="repeat failed runs of the table")]
-AnyCodeFlag = Annotated[
-    bool, typer.Option("--any-code", help="reuse runs made by other versions of the code")
-]
+AnyCodeFlag = Annotated[bool, typer.Option("--any-code", help="reuse runs of other versions of the code")]
 
 
 @app.command()
@@ -327,9 +325,8 @@ def report_sweep(sweep: Any) -> None:
     report_failures(sweep.failures)
     if not sweep.rows:
         fail("all runs failed", 3)
-    screen.print(
-        f"{' '.join(sweep.experiment.table.values)}, means of {len(sweep.rows)} runs with 95 % intervals"
-    )
+    columns = " ".join(sweep.experiment.table.values)
+    screen.print(f"{columns}, means of {len(sweep.rows)} runs with 95 % intervals")
     print_table(terminal.table(tabulate(sweep.experiment.table, sweep.rows)))
 
 

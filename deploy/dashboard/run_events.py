@@ -164,9 +164,8 @@ class RunEvents:
             logged = self._logged_targets.get(robot)
             if logged is None or math.dist(logged, target) > NEAR * self.plan.scenario.sensor_range:
                 self._logged_targets[robot] = target
-                events.append(
-                    Event(report.step, f"robot {robot} heads for ({target[0]:.1f}, {target[1]:.1f}) m")
-                )
+                text = f"robot {robot} heads for ({target[0]:.1f}, {target[1]:.1f}) m"
+                events.append(Event(report.step, text))
         idle = report.status.startswith("idle")
         if idle and robot not in self.idle:
             events.append(Event(report.step, f"robot {robot} is idle: its map is complete", 1))

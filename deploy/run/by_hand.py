@@ -82,9 +82,8 @@ def serve_routing(credential: Path, listen: str, folder: Path, notify: Callable[
     credentials = access.passwords(read.run, endpoint, read.robots)
     with closing(Router(read, endpoint, credentials)) as router:
         _hand_out(credentials, folder)
-        notify(
-            f"{read.name} of run {read.run} at {endpoint}; credentials in {folder}: {', '.join(credentials)}"
-        )
+        where = f"credentials in {folder}: {', '.join(credentials)}"
+        notify(f"{read.name} of run {read.run} at {endpoint}; {where}")
         router.serve()
 
 
@@ -137,12 +136,8 @@ def serve_worldsim(scenario: Scenario, credential: Path) -> None:
     """Serve as the world of the run that the credential belongs to."""
     _check_same(scenario, credential)
     plan = plans.make(scenario)
-    task = WorldTask(
-        plan.make_world(),
-        scenario.steps,
-        1000 * plan.map.resolution,
-        reply_timeout_s=scenario.reply_timeout_s,
-    )
+    limit = scenario.reply_timeout_s
+    task = WorldTask(plan.make_world(), scenario.steps, 1000 * plan.map.resolution, reply_timeout_s=limit)
     serve_world(_credential(credential, names.WORLD), task)
 
 

@@ -352,11 +352,9 @@ def _incarnations(scenario: Scenario, hosts: Hosts | None) -> int:
         raise ScenarioError("bus = 'memory': has no processes that could die; restart needs 'zenoh'")
     if hosts is not None:
         raise ScenarioError("restart: robots on other hosts cannot be restarted; omit --hosts or --restart")
-    incarnations = (
-        INCARNATIONS
-        if scenario.map_encoding == "none"
-        else min(INCARNATIONS, scenario.most_maps // scenario.robots)
-    )
+    incarnations = INCARNATIONS
+    if scenario.map_encoding != "none":
+        incarnations = min(INCARNATIONS, scenario.most_maps // scenario.robots)
     check_incarnations(scenario, max(incarnations, 2))
     return incarnations
 

@@ -174,9 +174,7 @@ class _Link:
                 start_new_session=True,
             )
         except FileNotFoundError:
-            raise HostError(
-                "ssh is not installed; the launcher starts robots on other hosts with it"
-            ) from None
+            raise HostError("ssh is not installed; robots on other hosts are started with it") from None
         self._reader.start()
 
     def differences(self, deadline: float) -> Iterable[str]:

@@ -24,11 +24,8 @@ def _parts(plan: Plan) -> Iterator[str]:
     if options.preset:
         yield f"{options.preset}, {PRESETS[options.preset].description}"
     sharing = "each neighborhood" if options.reuse else "the team"
-    rate = (
-        scenario.bandwidth
-        if scenario.bandwidth == WORD_FOR_UNLIMITED
-        else f"{scenario.bandwidth} bytes per step"
-    )
+    limit = scenario.bandwidth
+    rate = limit if limit == WORD_FOR_UNLIMITED else f"{limit} bytes per step"
     yield f"{rate} for {sharing}"
     yield f"range {plan.range_m:.4g} m, {options.model}"
     if options.model == "log-distance":

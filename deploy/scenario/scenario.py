@@ -177,11 +177,7 @@ class Scenario(Table):
     def _tables_are_tables(cls, value: object, info: ValidationInfo) -> object:
         if isinstance(value, list | tuple) and all(isinstance(each, dict | Table) for each in value):
             return value
-        kinds: dict[str, type[Table]] = {
-            "robot": RobotOverride,
-            "fault": FaultTable,
-            "change": ChangeTable,
-        }
+        kinds = {"robot": RobotOverride, "fault": FaultTable, "change": ChangeTable}
         kind = kinds[str(info.field_name)]
         hint = "; number of robots is `robots`" if info.field_name == "robot" else ""
         raise ValueError(f"must be tables, [[{info.field_name}]], of {', '.join(kind.model_fields)}{hint}")
@@ -213,9 +209,7 @@ class Scenario(Table):
                 "for more, set dissemination = 'gossip' or map_encoding = 'none'"
             )
         if not self.forward_maps and self.dissemination == "gossip":
-            raise ValueError(
-                "forward_maps = false: dissemination = 'gossip' forwards all maps; omit one of them"
-            )
+            raise ValueError("forward_maps = false: dissemination = 'gossip' forwards all maps; omit one")
         for partition in self.radio.partition:
             unknown = [robot for group in partition.groups for robot in group if robot >= self.robots]
             if unknown:
