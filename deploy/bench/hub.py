@@ -16,9 +16,10 @@ import numpy as np
 
 from deploy.bench.measurement import Measurement
 from deploy.bench.observer import Observer
+from deploy.dashboard.windows import LOOPBACK
 from deploy.record.records import Records
 from deploy.run import launch
-from deploy.run.rendezvous import LOOPBACK, Rendezvous, by_certificates, on_loopback
+from deploy.run.rendezvous import Rendezvous, by_certificates, on_loopback
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import Scenario

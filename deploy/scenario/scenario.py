@@ -177,7 +177,7 @@ class Scenario(Table):
     def _tables_are_tables(cls, value: object, info: ValidationInfo) -> object:
         if isinstance(value, list | tuple) and all(isinstance(each, dict | Table) for each in value):
             return value
-        kinds = {"robot": RobotOverride, "fault": FaultTable, "change": ChangeTable}
+        kinds: dict[str, type[Table]] = {"robot": RobotOverride, "fault": FaultTable, "change": ChangeTable}
         kind = kinds[str(info.field_name)]
         hint = "; number of robots is `robots`" if info.field_name == "robot" else ""
         raise ValueError(f"must be tables, [[{info.field_name}]], of {', '.join(kind.model_fields)}{hint}")
