@@ -32,7 +32,7 @@ from deploy.scenario.plan import make
 from deploy.scenario.scenario import SHIPPED, Scenario, ScenarioError, load
 from docs import code_tables, packet_tables
 from netshaper import access
-from netshaper.ledger import CAUSES, ROW
+from netshaper.ledger import CAUSES
 from netshaper.presets import PRESETS
 from protocol import messages, packet_index, packets
 from protocol.budget import UNLIMITED
@@ -288,11 +288,8 @@ def test_the_document_lists_all_messages_and_fields_in_order() -> None:
     assert set(messages.Record.__subclasses__()) == set(kinds)
 
 
-def test_the_document_lists_all_columns_and_causes_of_the_ledger() -> None:
-    assert [row[0] for row in rows("protocol.md", "The ledger")] == list(ROW.names or ())
-    text = (DOCS / "protocol.md").read_text(encoding="utf-8")
-    for cause in CAUSES[1:]:
-        assert f"\n| `{cause}` | " in text
+def test_the_document_lists_all_causes_of_the_ledger() -> None:
+    assert [row[0] for row in rows("protocol.md", "The ledger")] == list(CAUSES[1:])
 
 
 def test_the_table_of_radios_is_that_of_the_code() -> None:
