@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import typer
 from rich.text import Text
 
-from deploy.commands.console import errors, report_user_errors, screen
+from deploy.commands.console import errors, screen
 from deploy.commands.flags import JsonFlag, command_family, named_values, output_file
 
 app = command_family()
@@ -79,22 +79,21 @@ def bench(
     ``murmur bench strategies`` prints the league table: all strategies on the same maps, from the same starts, as
     multiples of the steps of a plan that knows the map (docs/strategies.md).
     """
-    with report_user_errors():
-        if names == ["strategies"]:
-            values = named_values(settings or [], "set", "bandwidth=1000")
-            _league(maps, robots, seeds, strategies, values, picture, jobs, as_json=as_json)
-            return
-        from deploy.bench.registry import run_benchmarks  # noqa: PLC0415
+    if names == ["strategies"]:
+        values = named_values(settings or [], "set", "bandwidth=1000")
+        _league(maps, robots, seeds, strategies, values, picture, jobs, as_json=as_json)
+        return
+    from deploy.bench.registry import run_benchmarks  # noqa: PLC0415
 
-        if picture is not None and names and "scale" not in names:
-            raise ValueError(f"picture = {str(picture)!r}: only scale and strategies draw pictures")
-        figures = run_benchmarks(names or [], (lambda _: None) if as_json else screen.print, robots or [])
-        if picture is not None:
-            from deploy.bench.scale import draw  # noqa: PLC0415
+    if picture is not None and names and "scale" not in names:
+        raise ValueError(f"picture = {str(picture)!r}: only scale and strategies draw pictures")
+    figures = run_benchmarks(names or [], (lambda _: None) if as_json else screen.print, robots or [])
+    if picture is not None:
+        from deploy.bench.scale import draw  # noqa: PLC0415
 
-            draw(figures, picture)
-        if as_json:
-            print(json.dumps(figures, indent=2))
+        draw(figures, picture)
+    if as_json:
+        print(json.dumps(figures, indent=2))
 
 
 def _league(

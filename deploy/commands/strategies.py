@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from agent.strategies.catalog import COMBINING, Entry, catalog, entry
-from deploy.commands.console import report_user_errors, screen
+from deploy.commands.console import screen
 from deploy.commands.flags import command_family, preformatted
 from deploy.scenario.scenario import Scenario
 
@@ -34,14 +34,13 @@ def strategies(
     as_json: Annotated[bool, typer.Option("--json", help="print all data as JSON")] = False,
 ) -> None:
     """List the exploration strategies, or show one with all its options."""
-    with report_user_errors():
-        entries = catalog() if name is None else [entry(name)]
-        if as_json:
-            print(json.dumps(_as_json(entries)))
-            return
-        width = min(WIDTH, screen.width) if screen.is_terminal else WIDTH
-        console = Console(file=screen.file, width=width, highlight=False, markup=False)
-        console.print(_listing(entries) if name is None else _page(entries[0], name))
+    entries = catalog() if name is None else [entry(name)]
+    if as_json:
+        print(json.dumps(_as_json(entries)))
+        return
+    width = min(WIDTH, screen.width) if screen.is_terminal else WIDTH
+    console = Console(file=screen.file, width=width, highlight=False, markup=False)
+    console.print(_listing(entries) if name is None else _page(entries[0], name))
 
 
 def _listing(entries: list[Entry]) -> RenderableType:
