@@ -8,13 +8,7 @@ from typing import Annotated
 
 import typer
 
-from deploy.commands.console import (
-    errors,
-    explain_difference,
-    progress,
-    report_deaths,
-    screen,
-)
+from deploy.commands.console import errors, explain_difference, progress, report_deaths, screen
 from deploy.commands.flags import JsonFlag, command_family
 from deploy.scenario.scenario import ScenarioError, load
 
@@ -82,8 +76,7 @@ def export(
 @app.command()
 def movie(
     directories: Annotated[
-        list[Path],
-        typer.Argument(metavar="DIR [OTHER]", help="a run directory, or two to show side by side"),
+        list[Path], typer.Argument(metavar="DIR [OTHER]", help="a run directory, or two to show side by side")
     ],
     mp4: Annotated[bool, typer.Option("--mp4", help="write an MP4 (default)")] = False,
     gif: Annotated[bool, typer.Option("--gif", help="write a GIF")] = False,

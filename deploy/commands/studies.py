@@ -12,13 +12,7 @@ import typer
 from rich.console import Console
 
 from deploy.commands.console import FILE_WIDTH, errors, fail, screen
-from deploy.commands.flags import (
-    GroupedCommand,
-    command_family,
-    named_values,
-    output_file,
-    setting_flags,
-)
+from deploy.commands.flags import GroupedCommand, command_family, named_values, output_file, setting_flags
 
 app = command_family()
 
@@ -161,13 +155,7 @@ def reproduce(
     with Results(runs) as results:
         with running("reproduce", runs) as tell:
             done = reproduction.reproduce(
-                found,
-                results,
-                workers(jobs, scheduler),
-                tell,
-                quick=quick,
-                any_code=any_code,
-                retry=retry,
+                found, results, workers(jobs, scheduler), tell, quick=quick, any_code=any_code, retry=retry
             )
         command = ["murmur reproduce", *(claim or []), *(["--quick"] if quick else [])]
         command += [f"--seeds {seeds}"] if seeds is not None else []

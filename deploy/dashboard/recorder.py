@@ -13,17 +13,7 @@ import rerun as rr
 
 from deploy.dashboard.run_events import Event, RunEvents, explain, shows_range
 from deploy.dashboard.shapes import axes, corner, flip, map_picture, number_strips, outline_strips
-from deploy.record.colors import (
-    ALARM,
-    GREY,
-    GROUPS,
-    IN_RANGE,
-    PAPER,
-    SIGNAL,
-    TEAM,
-    mix,
-    robot_color,
-)
+from deploy.record.colors import ALARM, GREY, GROUPS, IN_RANGE, PAPER, SIGNAL, TEAM, mix, robot_color
 from deploy.scenario.plan import Plan
 from protocol import keys as names
 from protocol.grid import FREE

@@ -101,8 +101,7 @@ class Scenario(Table):
     )
     start_jitter: NotNegative = Field(0.0, description="maximum random offset of the start positions, meters")
     motion: Literal["meters", "cells"] = Field(
-        "meters",
-        description="length of a diagonal step: meters: sqrt 2 cells; cells: 1 cell",
+        "meters", description="length of a diagonal step: meters: sqrt 2 cells; cells: 1 cell"
     )
     robots_collide: Annotated[bool, Field(strict=True)] = Field(
         True, description="whether robots block each other's paths and laser beams"
@@ -128,10 +127,7 @@ class Scenario(Table):
         60.0, description="time limit for a robot's reply or move, seconds of wall clock"
     )
     min_coverage: float = Field(
-        0.9,
-        ge=0,
-        le=1,
-        description="fraction of the reachable area that a finished run must have seen",
+        0.9, ge=0, le=1, description="fraction of the reachable area that a finished run must have seen"
     )
     robot: tuple[RobotOverride, ...] = Field((), description="robots with different hardware")
     fault: tuple[FaultTable, ...] = Field(
