@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from agent.replication.engine import Replication
+from agent.replication.base import Replication
 from agent.robot import Robot
 from protocol.errors import ProtocolError
 from protocol.messages import (

@@ -17,15 +17,15 @@ import numpy as np
 import polars as pl
 
 from agent.strategies.registry import strategies, strategy
-from deploy.bench.offline_bound import KnownBuilding, min_steps, offline_steps
+from deploy.bench.offline_bound import KnownBuilding, offline_steps
 from deploy.bench.replanning import DecisionTimer
 from deploy.run.exploration import explore
 from deploy.run.workers import workers
 from deploy.scenario import plan as plans
 from deploy.scenario.scenario import Scenario, parse
 
-LOWER_BOUND, OFFLINE = "(lower bound)", "(map known)"
-"""Rows of the table that are not strategies."""
+OFFLINE = "(map known)"
+"""The row of the table that is not a strategy."""
 
 DEFAULTS = {
     "bus": "memory",
@@ -43,7 +43,7 @@ each robot) and replan_ms, the mean processor time of a decision in which a robo
 
 @dataclass(frozen=True)
 class Task:
-    """One strategy in one scenario; or `OFFLINE`, the bounds of all scenarios of a map."""
+    """One strategy in one scenario; or `OFFLINE`, the plans of all scenarios of a map."""
 
     name: str
     scenarios: tuple[Scenario, ...]
@@ -84,13 +84,13 @@ class Contest:
         return [strategy(name).name for name in self.strategies] or sorted(strategies())
 
     def tasks(self) -> list[Task]:
-        """The units of work: the bounds of each map, and each strategy in each scenario."""
+        """The units of work: the offline plans of each map, and each strategy in each scenario."""
         scenarios = self.scenarios()
-        bounds = [
+        offline = [
             Task(OFFLINE, tuple(each for each in scenarios if each.map == name))
             for name in dict.fromkeys(self.maps)
         ]
-        return bounds + [Task(name, (scenario,)) for scenario in scenarios for name in self.names()]
+        return offline + [Task(name, (scenario,)) for scenario in scenarios for name in self.names()]
 
     def scenarios(self) -> list[Scenario]:
         """A scenario per map, team size and seed, grouped by map; ScenarioError if a setting is invalid."""
@@ -109,7 +109,7 @@ def compete(tasks: Sequence[Task], jobs: int | None = None) -> Iterator[list[Run
 
 
 def _run_task(task: Task) -> list[Run]:
-    return _bounds(task.scenarios) if task.name == OFFLINE else _run_strategy(task.name, *task.scenarios)
+    return _run_offline(task.scenarios) if task.name == OFFLINE else _run_strategy(task.name, *task.scenarios)
 
 
 def _run_strategy(name: str, scenario: Scenario) -> list[Run]:
@@ -121,8 +121,8 @@ def _run_strategy(name: str, scenario: Scenario) -> list[Run]:
     return [_run(name, scenario, **kept, driven=summary["path_length"], replan_ms=mean)]
 
 
-def _bounds(scenarios: Sequence[Scenario]) -> list[Run]:
-    """The offline plan and the lower bound of each team on one map."""
+def _run_offline(scenarios: Sequence[Scenario]) -> list[Run]:
+    """The offline plan of each team on one map."""
     building: KnownBuilding | None = None
     found = []
     for scenario in scenarios:
@@ -134,7 +134,6 @@ def _bounds(scenarios: Sequence[Scenario]) -> list[Run]:
                 plan.map.cells, starts[0], body.range_cells, body.speed, settings.beams, body.radius_cells
             )
         found.append(_run(OFFLINE, scenario, steps=offline_steps(building, starts)))
-        found.append(_run(LOWER_BOUND, scenario, steps=min_steps(building, starts)))
     return found
 
 
@@ -194,8 +193,7 @@ def draw(league: pl.DataFrame, file: Path) -> None:
     """Draw the table as bars: steps to 90 %, to 99 % and to the end, as multiples of the offline plan's."""
     from matplotlib.figure import Figure  # noqa: PLC0415  slow to import
 
-    bounds = pl.col("strategy").is_in([LOWER_BOUND, OFFLINE])
-    rows = league.filter(pl.col("finished") > 0, ~bounds).reverse()
+    rows = league.filter(pl.col("finished") > 0, pl.col("strategy") != OFFLINE).reverse()
     per_step = rows["multiple"] / rows["steps"]
     figure = Figure((8, 1 + 0.32 * len(rows)), layout="constrained")
     axes = figure.subplots()

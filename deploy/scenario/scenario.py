@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -64,7 +64,8 @@ class Scenario(Table):
             super().__init__(**settings)
         except ValidationError as error:
             errors = [item for item in error.errors() if item["type"] != "default_factory_not_called"]
-            raise ScenarioError("\n".join(dict.fromkeys(explain(item, _KEYS) for item in errors))) from None
+            lines = dict.fromkeys(explain(item, _KEYS) for item in errors)
+            raise ScenarioError("\n".join(lines)) from None
 
     map: str = Field("office", description="a map's YAML file, or the name of a generator (murmur map list)")
     map_seed: Whole = Field(0, ge=0, le=MAX_INTEGER, description="seed of the generator")
@@ -392,15 +393,15 @@ _WORDING = {
     ", unable to parse string as an integer": "",
     "a valid dictionary": "a table",
     "a valid tuple": "a list",
+    "a valid list": "a list",
+    "a valid boolean": "true or false",
+    "List should have at least 1 item after validation, not 0": "must have at least one entry",
 }
 """Phrases of pydantic's messages, and our replacements."""
 
 
-def explain(item: Any, keys: Mapping[str, Sequence[str]]) -> str:
-    """Return one of pydantic's errors as a line: the key, its value and the valid values.
-
-    `keys` are the valid keys of each table, by its name.
-    """
+def explain(item: Any, keys: Mapping[str, Iterable[str]]) -> str:
+    """Return one of pydantic's errors as a line: the key, its value and the valid values, of `keys` by table."""
     key = ".".join(str(part) for part in item["loc"] if str(part) not in _KINDS)
     message = str(item["msg"]).removeprefix("Value error, ")
     for theirs, ours in _WORDING.items():

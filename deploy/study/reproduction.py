@@ -27,7 +27,7 @@ from deploy.study.experiment import SHIPPED, Experiment
 from deploy.study.progress import Report
 from deploy.study.results import Results, Row, write_table
 from deploy.study.runs import Case, cases, failures, looked_up, make
-from deploy.study.tables import described
+from deploy.study.tables import described, short
 from protocol.errors import there_are
 from worldsim.atomic_files import write_whole
 
@@ -201,7 +201,7 @@ def write(reproduction: Reproduction, out: Path, command: str) -> list[Path]:
 def _rules(parts: Sequence[Part]) -> Iterator[tuple[Sequence[Rule], list[Row]]]:
     for part in parts:
         if part.experiment.claim is not None:
-            yield part.experiment.claim.rules, part.rows
+            yield part.experiment.claim.rule, part.rows
 
 
 def _effect(finding: Finding) -> str:
@@ -219,4 +219,4 @@ def _p(value: float) -> str:
 
 def _cell(cell: dict[str, Any]) -> str:
     """The cell of a test, as text."""
-    return ", ".join(f"{key} {plots.short(value)}" for key, value in cell.items()) or "all runs"
+    return ", ".join(f"{key} {short(value)}" for key, value in cell.items()) or "all runs"

@@ -22,15 +22,17 @@ from agent.outline.edits import NumberedPolygons
 from agent.outline.receiver import Receiver
 from agent.outline.simplify import refine
 from agent.predictive.scan_updates import MAX_SCANS
-from agent.replication import connection, meetings
-from agent.replication.engine import Replication
+from agent.replication import handshakes, neighbors
+from agent.replication.base import Replication
+from agent.replication.engine import make_replication
 from agent.replication.policies import DISSEMINATIONS
 from agent.settings import Settings
+from deploy.record.columns import SUMMARY
 from deploy.run.exploration import explore
 from deploy.run.in_memory import run as run_in_memory
 from deploy.scenario.plan import make
 from deploy.scenario.scenario import SHIPPED, Scenario, ScenarioError, load
-from docs import code_tables, packet_tables
+from docs import code_tables, made_pages, packet_tables
 from netshaper import access
 from netshaper.ledger import CAUSES
 from netshaper.presets import PRESETS
@@ -39,12 +41,12 @@ from protocol.budget import UNLIMITED
 from protocol.grid import MAX_ROBOTS, MAX_SIDE, UNKNOWN, Grid, ray_table
 from protocol.keys import Keys
 from protocol.messages import Delivery, RoundReport, SendReport
-from protocol.rights import RIGHTS
 from protocol.scans import Scan, draw, encode_scan, fragments
 from tests.agent.outline.edit_scripts import edit_script
 from worldsim.laser import cast
 
 DOCS = Path(__file__).parents[2] / "docs"
+GENERATED = ("reference/files.md", "reference/messages.md", "reference/packets.md")
 GOLDEN = Path(__file__).parents[1] / "protocol" / "golden"
 
 ROOM = """
@@ -100,7 +102,7 @@ def described(*buffers: bytes) -> list[str]:
 
 
 def replication(robot: int, robots: int, dissemination: str = "backoff") -> Replication:
-    return Replication(robot, robots, lambda *received: packet_index.ends(received[-1]), dissemination)
+    return make_replication(robot, robots, lambda *received: packet_index.ends(received[-1]), dissemination)
 
 
 def worked_example() -> str:
@@ -197,7 +199,7 @@ def test_packet_layouts_and_fields_are_those_of_the_code() -> None:
     for layout in packets.LAYOUTS:
         for name, bits in layout.fields:
             row = rf"^\| `{bits.letter}` \| {name} \| {bits.width} \| [^|]*`{layout.packet}`"
-            assert re.search(row, page, re.M)
+            assert re.search(row, packet_tables.fields(), re.M)
 
 
 def test_limits_are_those_of_the_code() -> None:
@@ -260,32 +262,27 @@ def test_the_rooms_of_the_worked_example_are_drawn() -> None:
 
 
 def test_the_transition_tables_are_those_that_the_code_runs_by() -> None:
-    handshakes = {(state, event, after) for _, state, event, after, _ in rows("replication.md", "Handshakes")}
-    assert handshakes == {
-        (str(state), event.name.lower().replace("_", " "), str(after))
-        for (state, event), after in connection.TRANSITIONS.items()
+    connections = {
+        (state, event, after) for _, state, event, after, _ in rows("replication.md", "Handshakes")
     }
-    assert {tuple(row) for row in rows("replication.md", "Meetings")} == {
-        (str(state), event.name.lower().replace("_", " "), str(after))
-        for (state, event), after in meetings.TRANSITIONS.items()
-        if event is not meetings.Event.LEFT
-    }
-    assert {after for (_, event), after in meetings.TRANSITIONS.items() if event is meetings.Event.LEFT} == {
-        "away"
-    }
+    assert connections == {(*before, after) for before, after in handshakes.TRANSITIONS.items()}
+    meetings = {tuple(row) for row in rows("replication.md", "Meetings")}
+    assert meetings == {(*before, after) for before, after in neighbors.TRANSITIONS.items()}
 
 
 def test_disseminations_are_all_described() -> None:
     assert {row[0] for row in rows("replication.md", "Disseminations")} == set(DISSEMINATIONS)
 
 
-def test_the_document_lists_all_messages_and_fields_in_order() -> None:
-    listed = [(name, made_of) for _, name, made_of, *_ in rows("bus.md", "Messages")]
+def test_messages_are_numbered_and_on_the_generated_page_in_order() -> None:
     kinds = messages._TYPES
-    assert listed == [(kind.__name__, ", ".join(kind.__struct_fields__)) for kind in kinds]
+    page = made_pages.messages_page()
     assert [kind.__struct_config__.tag for kind in kinds] == list(range(len(kinds)))
-    assert [int(row[0]) for row in rows("bus.md", "Messages")] == list(range(len(kinds)))
     assert set(messages.Record.__subclasses__()) == set(kinds)
+    listed = re.findall(r"^\| (\d+) \| `(\w+)` \| (.*?) \| \w", page, re.M)
+    assert listed == [
+        (str(n), kind.__name__, ", ".join(kind.__struct_fields__)) for n, kind in enumerate(kinds)
+    ]
 
 
 def test_the_document_lists_all_causes_of_the_ledger() -> None:
@@ -307,7 +304,7 @@ def test_the_table_of_radios_is_that_of_the_code() -> None:
     }
 
 
-def test_the_documented_keys_and_rights_are_those_of_the_code() -> None:
+def test_the_documented_keys_and_participants_are_those_of_the_code() -> None:
     keys = Keys("RUN")
     there_are = {row[0] for row in rows("bus.md", "Keys")}
     assert there_are == {
@@ -319,10 +316,6 @@ def test_the_documented_keys_and_rights_are_those_of_the_code() -> None:
         keys.alive("NAME"),
         keys.presence("NAME"),
     }
-    listed = {
-        (sender, receiver): tuple(kinds.split(", ")) for sender, receiver, kinds in rows("bus.md", "Rights")
-    }
-    assert listed == {ends: tuple(kind.__name__ for kind in kinds) for ends, kinds in RIGHTS.items()}
     names = {row[0] for row in rows("bus.md", "Participants")}
     assert names == {"relay", *access.participants(0), "r0, r1, ..."}
 
@@ -344,7 +337,7 @@ def test_settings_are_listed_with_default_and_meaning() -> None:
 def test_links_between_documents_lead_somewhere(document: Path) -> None:
     for target in re.findall(r"\]\((?!https?://)([^)#]+)\)", document.read_text(encoding="utf-8")):
         path = document.parent / target
-        is_generated = target.endswith("reference/files.md") or path.with_suffix(".ipynb").exists()
+        is_generated = target.endswith(GENERATED) or path.with_suffix(".ipynb").exists()
         assert is_generated or path.exists(), f"{document.name} links to {target}"
 
 
@@ -400,7 +393,7 @@ def test_the_documented_run_directory_is_that_of_a_run(tmp_path: Path) -> None:
     left = {re.sub(r"r\d+", "rN", path.name) for path in out.iterdir()}
     assert left <= listed
     assert {"summary.json", "scenario.toml", "ledger.parquet"} <= left
-    assert set(json.loads((out / "summary.json").read_text())) == names("The summary")
+    assert set(json.loads((out / "summary.json").read_text())) == set(", ".join(SUMMARY).split(", "))
 
 
 def names(heading: str) -> set[str]:

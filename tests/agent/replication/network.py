@@ -13,8 +13,8 @@ from functools import partial
 
 import numpy as np
 
-from agent.replication.engine import Replication
-from agent.replication.map_ids import MapId
+from agent.replication.engine import make_replication
+from agent.replication.peers import MapId
 from agent.replication.policies import DISSEMINATIONS
 from protocol import packet_index
 from protocol.errors import ProtocolError
@@ -86,7 +86,7 @@ class Network:
         duplication: float = 0.0,
     ) -> None:
         self.engines = [
-            Replication(robot, robots, partial(self._consume, robot), dissemination, requires_acks=acks)
+            make_replication(robot, robots, partial(self._consume, robot), dissemination, requires_acks=acks)
             for robot in range(robots)
         ]
         self.loss, self.delay, self.duplication = loss, delay, duplication
