@@ -211,7 +211,6 @@ class WorldNode:
         elif here and fault.kind != "restart":
             self._report(FaultEvent(step, robot, fault.kind, fault.steps))
         if here and fault.kind == "death":
-            self._send(robot, End(self._world.step, "broken down, as the scenario has it", -1))
             self._remove(robot)
 
     def _take_loss(self, robot: int) -> None:

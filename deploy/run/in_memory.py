@@ -137,7 +137,7 @@ class MemoryRun:
         for robot, node in overdue.items():
             node.give_up_on(robot, "timed out")
         if not overdue and self._recorder.records.end is not None and not self._recorder.done:
-            self._recorder.finish_without_missing()
+            self._recorder.give_up_requested()
         elif not overdue:
             raise RuntimeError("deadlock: all participants wait for each other")
 

@@ -51,7 +51,9 @@ FAREWELL_S = 1.0
 VIEWER_END_S = 5.0
 """Time limit for the viewer to finish its recording."""
 WRAP_UP_S = 3.0
-"""Time limit for robots to report their maps after the end of the run, without any progress."""
+"""Time limit for the end of the run after it was interrupted or has failed."""
+MAPS_S = 15.0
+"""Time limit for robots to send the requested parts of their maps, without any progress."""
 
 Heed = Callable[[RecorderNode], bool]
 """Called repeatedly: ends the run early on request, and returns whether that was requested (`Interrupt.heed`)."""
@@ -291,7 +293,7 @@ def attend(bus: Bus, recorder: RecorderNode, heed: Heed, poll: Callable[[], bool
     Raises BusClosed if the connection to the relay is lost, or no message has arrived for `quiet_s` seconds.
     """
     ending: float | None = None
-    missing = -1
+    progress: object = None
     received = polled = time.monotonic()
     while not recorder.done:
         message = bus.receive(POLL_S)
@@ -307,7 +309,8 @@ def attend(bus: Bus, recorder: RecorderNode, heed: Heed, poll: Callable[[], bool
         if now - received > quiet_s:
             raise BusClosed(f"no message from the relay for {quiet_s:g} s")
         is_over = recorder.records.end is not None
-        if (failed or interrupted or is_over) and (ending is None or missing != len(recorder.missing())):
-            ending, missing = now, len(recorder.missing())
-        if ending is not None and now - ending > WRAP_UP_S:
-            recorder.finish_without_missing()
+        now_at = is_over, recorder.parts_received, len(recorder.missing())
+        if (failed or interrupted or is_over) and now_at != progress:
+            ending, progress = now, now_at
+        if ending is not None and now - ending > (MAPS_S if is_over else WRAP_UP_S):
+            recorder.give_up_requested()
