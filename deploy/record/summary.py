@@ -1,4 +1,4 @@
-"""The summary of a run: its metrics (docs/architecture.md) and its digest, which is the same for two equal runs."""
+"""The summary of a run: its metrics (`deploy.record.columns.SUMMARY`) and its digest, equal for equal runs."""
 
 from __future__ import annotations
 
