@@ -33,17 +33,8 @@ def cast(
     """
     readings = np.empty(ray_table.beams, np.uint16)
     flat = ray_table.flat(truth.shape[1])
-    _cast(
-        truth,
-        teammates.view(np.uint8),
-        ray_table.cells,
-        flat,
-        ray_table.start,
-        ray_table.shared,
-        x,
-        y,
-        readings,
-    )
+    shared, others = ray_table.shared, teammates.view(np.uint8)
+    _cast(truth, others, ray_table.cells, flat, ray_table.start, shared, x, y, readings)
     if field_of_view < FULL_TURN:
         angles = np.arange(ray_table.beams) * (FULL_TURN / ray_table.beams)
         off = np.abs((angles - heading * FULL_TURN / HEADINGS + FULL_TURN / 2) % FULL_TURN - FULL_TURN / 2)

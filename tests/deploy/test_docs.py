@@ -24,7 +24,6 @@ from agent.outline.simplify import refine
 from agent.predictive.scan_updates import MAX_SCANS
 from agent.replication import handshakes, neighbors
 from agent.replication.base import Replication
-from agent.replication.engine import make_replication
 from agent.replication.policies import DISSEMINATIONS
 from agent.settings import Settings
 from deploy.record.columns import SUMMARY
@@ -43,6 +42,7 @@ from protocol.keys import Keys
 from protocol.messages import Delivery, RoundReport, SendReport
 from protocol.scans import Scan, draw, encode_scan, fragments
 from tests.agent.outline.edit_scripts import canonical, edit_script
+from tests.agent.replication.network import make_engine
 from worldsim.laser import cast
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -102,7 +102,7 @@ def described(*buffers: bytes) -> list[str]:
 
 
 def replication(robot: int, robots: int, dissemination: str = "backoff") -> Replication:
-    return make_replication(robot, robots, lambda *received: packet_index.ends(received[-1]), dissemination)
+    return make_engine(robot, robots, lambda *received: packet_index.ends(received[-1]), dissemination)
 
 
 def worked_example() -> str:
@@ -351,6 +351,25 @@ def test_files_that_documents_name_are_there(document: str) -> None:
     assert named
     for path in named:
         assert (DOCS.parent / path).exists(), f"{document} names {path}"
+
+
+def test_the_reading_order_names_every_package_and_modules_that_exist() -> None:
+    order = {
+        package: re.findall(r"\w+", modules) for package, _, modules in rows("architecture.md", "Packages")
+    }
+    missing = [
+        f"{package}{module}.py"
+        for package, modules in order.items()
+        for module in modules
+        if not (DOCS.parent / package / f"{module}.py").exists()
+    ]
+    assert not missing
+    packages = {
+        f"{path.parent.relative_to(DOCS.parent)}/"
+        for name in ("agent", "deploy", "murmur", "netshaper", "protocol", "worldsim")
+        for path in (DOCS.parent / name).rglob("__init__.py")
+    }
+    assert packages - {"deploy/", "deploy/after/wireshark/", "worldsim/generators/"} <= set(order)
 
 
 SCENARIOS = sorted(path.name for path in SHIPPED.glob("*.toml"))
