@@ -112,8 +112,7 @@ def _league(
     from deploy.commands.terminal import table  # noqa: PLC0415
     from deploy.study.progress import counting  # noqa: PLC0415
 
-    contest = league.Contest(maps or ["office"], robots or [6], seeds, strategies or [], settings)
-    tasks = contest.tasks()
+    tasks = league.tasks(maps or ["office"], robots or [6], seeds, strategies or [], settings)
     runs: list[league.Run] = []
     with counting(errors, "strategies") as tell:
         for done, found in enumerate(league.compete(tasks, jobs), 1):
