@@ -30,8 +30,8 @@ from protocol.messages import (
     pack,
 )
 from protocol.rights import MAX_PROTOCOL_ERRORS, TOO_MANY_ERRORS
-from worldsim.continuous_motion import FINE
 from worldsim.faults import KINDS
+from worldsim.motion import FINE
 from worldsim.restarts import Restarts
 from worldsim.world import World
 

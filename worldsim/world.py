@@ -17,10 +17,19 @@ from protocol.kernels import kernel
 from protocol.keyed_random import keyed_random
 from protocol.messages import FaultEvent, Move, Sense, cells_from_bytes, cells_to_bytes, points_from_bytes
 from protocol.scans import NONE, draw
-from worldsim.cell_motion import DIAGONAL, INTERFERENCE, NOT_BLOCKED, drive, heading_of, swept
-from worldsim.continuous_motion import FINE, cell_of, glide
 from worldsim.faults import FaultSchedule
 from worldsim.laser import FULL_TURN, HEADINGS, cast
+from worldsim.motion import (
+    DIAGONAL,
+    FINE,
+    INTERFERENCE,
+    NOT_BLOCKED,
+    cell_of,
+    drive,
+    glide,
+    heading_of,
+    swept,
+)
 
 MOVES_AS_PLANNED = 0.7
 """Probability that a robot close to another moves as planned (Burgard et al., section IV)."""
@@ -173,42 +182,25 @@ class World:
         self, robot: int, move: Move, before: Mapping[int, tuple[int, int]]
     ) -> tuple[list[tuple[int, int]], str]:
         """Move one robot; return the cells found free on its path, and what blocked it."""
-        start = self.cells[robot]
         path = [(x, y) for x, y in cells_from_bytes(move.path).tolist()]
         points = [(x, y) for x, y in points_from_bytes(move.points).tolist()] if move.points else []
         self.headings[robot] = move.heading % HEADINGS
         if (path or points) and self._hindered(robot, before):
             return [], INTERFERENCE
-        body = self.settings.bodies[robot]
-        way = body.speed + self._carry[robot]
-        if points:
-            with self._cells_taken_by_others(robot, way) as taken:
-                return self._glide(robot, points, taken)
+        body, start, offset = self.settings.bodies[robot], self.cells[robot], self.offsets[robot]
+        floor, way = self.floors[body.radius_cells], body.speed + self._carry[robot]
         with self._cells_taken_by_others(robot, way) as taken:
-            diagonal = 1.0 if self.settings.cell_steps else DIAGONAL
-            result = drive(self.floors[body.radius_cells], taken, start, path, way, diagonal)
-        self.offsets[robot] = (0, 0) if result.cells else self.offsets[robot]
+            if points:
+                point = start[0] * FINE + offset[0], start[1] * FINE + offset[1]
+                result = glide(floor, taken, point, points, way)
+            else:
+                result = drive(floor, taken, start, path, way, 1.0 if self.settings.cell_steps else DIAGONAL)
         self._carry[robot] = result.carry
         self.driven[robot] += result.length
-        if result.cells:
-            last = result.cells[-2] if len(result.cells) > 1 else start
-            self.cells[robot] = result.cells[-1]
-            self.headings[robot] = heading_of(result.cells[-1][0] - last[0], result.cells[-1][1] - last[1])
-        return swept(start, result.cells), result.blocked
-
-    def _glide(
-        self, robot: int, points: list[tuple[int, int]], taken: NDArray[np.bool_]
-    ) -> tuple[list[tuple[int, int]], str]:
-        body = self.settings.bodies[robot]
-        start, offset = self.cells[robot], self.offsets[robot]
-        point = start[0] * FINE + offset[0], start[1] * FINE + offset[1]
-        result = glide(self.floors[body.radius_cells], taken, point, points, body.speed)
-        x, y = self.cells[robot] = cell_of(result.point)
-        self.offsets[robot] = result.point[0] - x * FINE, result.point[1] - y * FINE
-        self.driven[robot] += result.length
-        dx, dy = result.point[0] - point[0], result.point[1] - point[1]
-        if dx or dy:
-            self.headings[robot] = heading_of(dx, dy)
+        if result.direction != (0, 0):
+            x, y = self.cells[robot] = cell_of(result.point)
+            self.offsets[robot] = result.point[0] - x * FINE, result.point[1] - y * FINE
+            self.headings[robot] = heading_of(*result.direction)
         return swept(start, result.cells), result.blocked
 
     @contextmanager

@@ -49,7 +49,7 @@ class Situation:
     heading: int = 0
     """The robot's heading in eighths of a turn."""
     blocked: str = ""
-    """Why the last move stopped short (`worldsim.cell_motion`); empty if it did not."""
+    """Why the last move stopped short (`worldsim.motion`); empty if it did not."""
     homes: Mapping[int, Cell] = field(default_factory=dict)
     """The depots: this robot's start cell, and the first received pose of each teammate."""
     home: Cell = (0, 0)

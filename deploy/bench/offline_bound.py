@@ -25,8 +25,8 @@ from agent.planning.jump_point_search import costs_between
 from agent.planning.team_tours import Task, team_tours
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, enlarge, ray_table
 from protocol.scans import draw
-from worldsim.cell_motion import drive
 from worldsim.laser import cast
+from worldsim.motion import drive
 from worldsim.world import reachable_from
 
 Cell = tuple[int, int]

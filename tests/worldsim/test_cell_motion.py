@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
-from worldsim.cell_motion import DIAGONAL, INTERFERENCE, NOT_BLOCKED, ROBOT, WALL, drive, heading_of, swept
+from worldsim.motion import DIAGONAL, INTERFERENCE, NOT_BLOCKED, ROBOT, WALL, drive, heading_of, swept
 
 NEIGHBORS = [(dx, dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1) if dx or dy]
 Cell = tuple[int, int]

@@ -15,7 +15,7 @@ from scipy import ndimage
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, disc, ray_table
 from protocol.messages import FaultEvent, Move, Sense, cells_from_bytes, cells_to_bytes, points_to_bytes
 from protocol.scans import HIT, NONE, Readings, check_readings, draw
-from worldsim.cell_motion import INTERFERENCE, NOT_BLOCKED, ROBOT, WALL
+from worldsim.motion import INTERFERENCE, NOT_BLOCKED, ROBOT, WALL
 from worldsim.starts import start_cells
 from worldsim.world import MOVES_AS_PLANNED, Body, World, WorldSettings, reachable_by
 

@@ -9,10 +9,10 @@ import numpy as np
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from worldsim.generators.drawing import (
     box,
-    canvas,
     carve,
     disc,
     enclose,
+    environment,
     field,
     length,
     rock,
@@ -22,36 +22,30 @@ from worldsim.generators.drawing import (
 from worldsim.generators.floorplan import Box, Builder, Style, inside
 
 
-def office_plain(
-    random: np.random.Generator, *, width_m: float = 22.0, height_m: float = 16.0, resolution: float = 0.1
-) -> Grid:
-    """Draw an office: wide rooms on both sides of a wide corridor, without furniture (Fig. 2, left)."""
-    cells = canvas(width_m, height_m, resolution, least_m=10.0)
-    wall = wall_thickness(resolution)
-    floor = inside(cells, wall)
-    style = Style(corridor_m=2.4, room_m=(3.6, 6.5), door_m=(1.0, 1.4))
-    Builder(cells, random, resolution, style).offices(floor, corridors=1)
-    enclose(cells, wall)
-    return cells
+@environment(22.0, 16.0, 0.1, least_m=10.0)
+def office_plain(cells: Grid, random: np.random.Generator, resolution: float) -> None:
+    """22 x 16 m: an office of wide rooms without obstacles (Al-khawaldah and Nüchter, section 4.1)."""
+    _office(cells, random, resolution)
 
 
-def office_obstacles(
-    random: np.random.Generator, *, width_m: float = 22.0, height_m: float = 16.0, resolution: float = 0.1
-) -> Grid:
-    """Draw the office of the same seed, with furniture (Fig. 2, right)."""
-    cells = office_plain(random, width_m=width_m, height_m=height_m, resolution=resolution)
-    count = round(0.12 * width_m * height_m)
+@environment(22.0, 16.0, 0.1, least_m=10.0)
+def office_obstacles(cells: Grid, random: np.random.Generator, resolution: float) -> None:
+    """22 x 16 m: the same office with obstacles (Al-khawaldah and Nüchter, section 4.1)."""
+    _office(cells, random, resolution)
+    count = round(0.12 * cells.size * resolution**2)
     radii = (0.3 / resolution, 0.8 / resolution)
     shapes = (box, box, disc, rock)
     scatter(cells, random, cells == FREE, count=count, radii=radii, gap=0.7 / resolution, shapes=shapes)
-    return cells
 
 
-def campus(
-    random: np.random.Generator, *, width_m: float = 120.0, height_m: float = 90.0, resolution: float = 0.25
-) -> Grid:
-    """Draw a campus: blocks of buildings between roads, with courtyards and trees (Fig. 5)."""
-    cells = canvas(width_m, height_m, resolution, least_m=40.0)
+def _office(cells: Grid, random: np.random.Generator, resolution: float) -> None:
+    style = Style(corridor_m=2.4, room_m=(3.6, 6.5), door_m=(1.0, 1.4))
+    Builder(cells, random, resolution, style).offices(inside(cells, wall_thickness(resolution)), corridors=1)
+
+
+@environment(120.0, 90.0, 0.25, least_m=40.0)
+def campus(cells: Grid, random: np.random.Generator, resolution: float) -> None:
+    """Outdoors, 120 x 90 m: buildings, courtyards, roads, trees (Al-khawaldah and Nüchter, section 4.2)."""
     wall = wall_thickness(resolution)
     field(cells, wall)
     road = round(7.0 / resolution)
@@ -62,8 +56,6 @@ def campus(
     count = round(0.01 * int((cells == FREE).sum()) * resolution**2)
     radii = (0.5 / resolution, 1.2 / resolution)
     scatter(cells, random, cells == FREE, count=count, radii=radii, gap=2.0 / resolution, shapes=(disc,))
-    enclose(cells, wall)
-    return cells
 
 
 def _blocks(random: np.random.Generator, area: Box, most: int, road: int) -> list[Box]:
@@ -107,11 +99,10 @@ def _building(cells: Grid, random: np.random.Generator, plot: Box, resolution: f
 def hilbert(
     order: int, _random: np.random.Generator, *, side_m: float = 25.6, resolution: float = 0.1
 ) -> Grid:
-    """Draw a corridor along the Hilbert curve, with one wall between its turns."""
+    """26 x 26 m: a corridor along the Hilbert curve of this order (Al-khawaldah and Nüchter, 4.3)."""
     cells, pitch = _square(order, side_m, resolution)
     wall = wall_thickness(resolution)
-    curve = hilbert_curve(order)
-    for (x0, y0), (x1, y1) in pairwise(curve):
+    for (x0, y0), (x1, y1) in pairwise(hilbert_curve(order)):
         left, top = wall + min(x0, x1) * pitch, wall + min(y0, y1) * pitch
         carve(cells, left, top, (max(x0, x1) + 1) * pitch, (max(y0, y1) + 1) * pitch)
     enclose(cells, wall)
@@ -121,12 +112,11 @@ def hilbert(
 def hilbert_walls(
     order: int, _random: np.random.Generator, *, side_m: float = 25.6, resolution: float = 0.1
 ) -> Grid:
-    """Draw a square hall with one wall in it, which follows the Hilbert curve (Fig. 8)."""
+    """26 x 26 m: one wall along the Hilbert curve of this order (Al-khawaldah and Nüchter, 4.3)."""
     cells, pitch = _square(order, side_m, resolution)
     wall = wall_thickness(resolution)
     field(cells, wall)
-    curve = hilbert_curve(order)
-    for (x0, y0), (x1, y1) in pairwise(curve):
+    for (x0, y0), (x1, y1) in pairwise(hilbert_curve(order)):
         left, top = (min(side) * pitch + pitch // 2 for side in ((x0, x1), (y0, y1)))
         right, bottom = (max(side) * pitch + pitch // 2 + wall for side in ((x0, x1), (y0, y1)))
         cells[top:bottom, left:right] = OCCUPIED

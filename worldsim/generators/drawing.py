@@ -24,6 +24,37 @@ _COARSEST = 0.4
 Points = NDArray[np.float64]
 """Corners of a shape: float64 array of shape (n, 2), x and y."""
 
+Environment = Callable[..., Grid]
+"""Draws an environment from a random generator, and parameters by name. Its docstring describes the environment."""
+
+
+def environment(
+    width_m: float, height_m: float, resolution: float, *, least_m: float
+) -> Callable[[Callable[[Grid, np.random.Generator, float], None]], Environment]:
+    """Make an environment of a function that draws on an unknown grid, and enclose it with walls.
+
+    The size and the resolution are the defaults of its parameters; no side may be shorter than `least_m`.
+    """
+    defaults = width_m, height_m, resolution
+
+    def decorate(draw: Callable[[Grid, np.random.Generator, float], None]) -> Environment:
+        def drawn(
+            random: np.random.Generator,
+            *,
+            width_m: float = defaults[0],
+            height_m: float = defaults[1],
+            resolution: float = defaults[2],
+        ) -> Grid:
+            cells = canvas(width_m, height_m, resolution, least_m)
+            draw(cells, random, resolution)
+            enclose(cells, wall_thickness(resolution))
+            return cells
+
+        drawn.__doc__ = draw.__doc__
+        return drawn
+
+    return decorate
+
 
 def canvas(width_m: float, height_m: float, resolution: float, least_m: float) -> Grid:
     """Return an unknown grid for a world of this size, walls included.

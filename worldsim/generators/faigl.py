@@ -8,26 +8,19 @@ from __future__ import annotations
 import numpy as np
 
 from protocol.grid import FREE, OCCUPIED, Grid
-from worldsim.generators.drawing import canvas, carve, enclose, field, rock, scatter, wall_thickness
+from worldsim.generators.drawing import carve, environment, field, rock, scatter, wall_thickness
 from worldsim.generators.floorplan import Builder, Style, inside
 
 
-def em(
-    _random: np.random.Generator, *, width_m: float = 21.0, height_m: float = 24.0, resolution: float = 0.05
-) -> Grid:
-    """Draw four walls and nothing between them."""
-    cells = canvas(width_m, height_m, resolution, least_m=2.0)
-    wall = wall_thickness(resolution)
-    field(cells, wall)
-    enclose(cells, wall)
-    return cells
+@environment(21.0, 24.0, 0.05, least_m=2.0)
+def em(cells: Grid, _random: np.random.Generator, resolution: float) -> None:
+    """21 x 24 m without any obstacle (Faigl and Vanek, section 5)."""
+    field(cells, wall_thickness(resolution))
 
 
-def autolab(
-    random: np.random.Generator, *, width_m: float = 30.0, height_m: float = 30.0, resolution: float = 0.05
-) -> Grid:
-    """Draw a research hall with screens in it, rooms on two of its sides, a wing and an annex."""
-    cells = canvas(width_m, height_m, resolution, least_m=20.0)
+@environment(30.0, 30.0, 0.05, least_m=20.0)
+def autolab(cells: Grid, random: np.random.Generator, resolution: float) -> None:
+    """30 x 30 m: a research hall with screens, rooms on two sides, a wing (Faigl and Vanek, section 5)."""
     wall = wall_thickness(resolution)
     drawn = cells[:: 1 - 2 * int(random.integers(2)), :: 1 - 2 * int(random.integers(2))]
     height, width = drawn.shape
@@ -59,33 +52,21 @@ def autolab(
     drawn[top:bottom, x1 - wall : x1] = OCCUPIED  # the screens, like an I
     for y in (top, bottom):
         drawn[y : y + wall, x1 - wall - bar : x1 + bar] = OCCUPIED
-    enclose(cells, wall)
-    return cells
 
 
-def jh(
-    random: np.random.Generator, *, width_m: float = 21.0, height_m: float = 24.0, resolution: float = 0.05
-) -> Grid:
-    """Draw an office building: a ring corridor with small rooms on both sides."""
-    cells = canvas(width_m, height_m, resolution, least_m=18.0)
-    wall = wall_thickness(resolution)
-    floor = inside(cells, wall)
+@environment(21.0, 24.0, 0.05, least_m=18.0)
+def jh(cells: Grid, random: np.random.Generator, resolution: float) -> None:
+    """21 x 24 m: an office building with small rooms along a corridor (Faigl and Vanek, section 5)."""
+    floor = inside(cells, wall_thickness(resolution))
     style = Style(corridor_m=1.8, room_m=(2.4, 4.2), door_m=(0.8, 1.0), joined=0.08, merged=0.05)
     depth = round(random.uniform(3.8, 4.6) / resolution)
     Builder(cells, random, resolution, style).ring(floor, depth)
-    enclose(cells, wall)
-    return cells
 
 
-def potholes(
-    random: np.random.Generator, *, width_m: float = 40.0, height_m: float = 40.0, resolution: float = 0.05
-) -> Grid:
-    """Draw a field with many small irregular obstacles."""
-    cells = canvas(width_m, height_m, resolution, least_m=10.0)
-    wall = wall_thickness(resolution)
-    field(cells, wall)
-    count = round(0.035 * width_m * height_m)
+@environment(40.0, 40.0, 0.05, least_m=10.0)
+def potholes(cells: Grid, random: np.random.Generator, resolution: float) -> None:
+    """40 x 40 m with many small obstacles (Faigl and Vanek, section 5)."""
+    field(cells, wall_thickness(resolution))
+    count = round(0.035 * cells.size * resolution**2)
     radii = (0.5 / resolution, 1.8 / resolution)
     scatter(cells, random, cells == FREE, count=count, radii=radii, gap=1.0 / resolution, shapes=(rock,))
-    enclose(cells, wall)
-    return cells

@@ -31,12 +31,12 @@ _ROOMS: _Walls = ((5.0, 1.6, 5.0, 3.6), (5.0, 6.4, 5.0, 8.4), (1.6, 5.0, 3.6, 5.
 
 
 def trap(_random: np.random.Generator, *, resolution: float = 0.1) -> Grid:
-    """Draw a hall and six rooms, each a U that traps robots attracted to the other side of its walls."""
+    """10 x 10 m: rooms that trap robots attracted straight to the closest frontier (leader paper, Fig. 3)."""
     return _draw(_TRAP, resolution)
 
 
 def rooms(_random: np.random.Generator, *, resolution: float = 0.1) -> Grid:
-    """Draw four rooms behind short screens that a robot can slide past."""
+    """10 x 10 m: rooms behind short screens, with and without leaders (leader paper, Figs. 4, 5)."""
     return _draw(_ROOMS, resolution)
 
 

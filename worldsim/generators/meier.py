@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
-from worldsim.generators.drawing import canvas, carve, enclose, field, scatter, wall_thickness
+from worldsim.generators.drawing import carve, environment, field, scatter, wall_thickness
 from worldsim.generators.floorplan import Box, Builder, Style, inside
 
 _OBJECTS_PER_M2 = 0.11
@@ -14,23 +14,16 @@ _PASSAGE_M = 0.7
 """Free distance between any two objects."""
 
 
-def unstructured(
-    random: np.random.Generator, *, width_m: float = 25.0, height_m: float = 25.0, resolution: float = 0.1
-) -> Grid:
-    """Draw an enclosed field with discs, boxes, rocks and angles scattered over it."""
-    cells = canvas(width_m, height_m, resolution, least_m=5.0)
-    wall = wall_thickness(resolution)
-    field(cells, wall)
+@environment(25.0, 25.0, 0.1, least_m=5.0)
+def unstructured(cells: Grid, random: np.random.Generator, resolution: float) -> None:
+    """Outdoors, 25 x 25 m: objects of many shapes scattered over an enclosed field (Meier, Fig. 6.1a)."""
+    field(cells, wall_thickness(resolution))
     _scatter_outdoors(cells, random, resolution, cells == FREE)
-    enclose(cells, wall)
-    return cells
 
 
-def mixed(
-    random: np.random.Generator, *, width_m: float = 25.0, height_m: float = 25.0, resolution: float = 0.1
-) -> Grid:
-    """Draw an enclosed field, a building in it with rooms on both sides of a corridor, objects around it."""
-    cells = canvas(width_m, height_m, resolution, least_m=18.0)
+@environment(25.0, 25.0, 0.1, least_m=18.0)
+def mixed(cells: Grid, random: np.random.Generator, resolution: float) -> None:
+    """Outdoors and indoors, 25 x 25 m: a building with rooms, objects around it (Meier, Fig. 6.1b)."""
     wall = wall_thickness(resolution)
     field(cells, wall)
     drawn = cells.T if random.random() < 0.5 else cells
@@ -43,37 +36,29 @@ def mixed(
         builder.transposed().door(corridor.top, corridor.bottom, left)
     _open_porch(drawn, house, (rooms[0], rooms[-1])[random.integers(2)])
     _scatter_outdoors(cells, random, resolution, outdoors)
-    enclose(cells, wall)
-    return cells
 
 
-def office(
-    random: np.random.Generator, *, width_m: float = 25.0, height_m: float = 25.0, resolution: float = 0.1
-) -> Grid:
-    """Draw an office floor: parallel corridors with rooms on both sides, joined by cross corridors."""
-    cells = canvas(width_m, height_m, resolution, least_m=10.0)
-    wall = wall_thickness(resolution)
+@environment(25.0, 25.0, 0.1, least_m=10.0)
+def office(cells: Grid, random: np.random.Generator, resolution: float) -> None:
+    """Indoors, 25 x 25 m: rooms along corridors, no obstacles (Meier, Fig. 6.1c)."""
     drawn = cells.T if random.random() < 0.5 else cells
-    floor = inside(drawn, wall)
+    floor = inside(drawn, wall_thickness(resolution))
     corridors = max(1, round(floor.height * resolution / 12.5))
     Builder(drawn, random, resolution, Style()).offices(floor, corridors)
-    enclose(cells, wall)
-    return cells
 
 
-def two_circles(
-    _random: np.random.Generator, *, width_m: float = 20.0, height_m: float = 20.0, resolution: float = 0.1
-) -> Grid:
-    """Draw an enclosed field with two big discs (Fig. A.1); the thesis does not give its dimensions."""
-    cells = canvas(width_m, height_m, resolution, least_m=5.0)
+@environment(20.0, 20.0, 0.1, least_m=5.0)
+def two_circles(cells: Grid, _random: np.random.Generator, resolution: float) -> None:
+    """20 x 20 m: an empty field with two big discs in it (Meier, Fig. A.1).
+
+    The thesis does not give its dimensions.
+    """
     field(cells, wall_thickness(resolution))
     height, width = cells.shape
     rows, columns = np.ogrid[:height, :width]
     radius = min(width, height) / 6
     for x, y in ((0.32 * width, 0.35 * height), (0.66 * width, 0.64 * height)):
         cells[(columns - x) ** 2 + (rows - y) ** 2 < radius**2] = OCCUPIED
-    enclose(cells, wall_thickness(resolution))
-    return cells
 
 
 def _site(random: np.random.Generator, cells: Grid, margin: int) -> Box:

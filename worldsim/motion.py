@@ -1,0 +1,152 @@
+"""Motion of robots, never into a wall, one robot per cell.
+
+`drive` moves along free cells, 8-connected, without cutting corners. `glide` moves along waypoints at any position.
+Positions are integers, thousandths of a cell, so that a motion has the same result on every machine. A cell extends
+half a cell from its center to every side.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.grid import FREE, Grid
+
+Point = tuple[int, int]
+"""A position (x, y) in thousandths of a cell."""
+
+FINE = 1000
+"""Resolution of positions: steps per cell."""
+
+_STRIDE = 100
+"""`glide` checks at least every tenth of a cell, and every tenth of its distance if that is less than a cell."""
+
+DIAGONAL = math.sqrt(2.0)
+
+ROUNDING = 1e-9
+"""Tolerance for rounding errors, in cells: 0.3 m per step must be 3 cells of 0.1 m."""
+
+WALL, ROBOT, INTERFERENCE, NOT_BLOCKED = "wall", "robot", "interference", ""
+"""Why a robot stopped early."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """The result of one robot's move."""
+
+    point: Point
+    """Final position."""
+    direction: tuple[int, int]
+    """Direction (dx, dy) in which the robot heads in the end; (0, 0) if it did not move."""
+    cells: list[tuple[int, int]]
+    """Cells (x, y) entered, in order."""
+    length: float
+    """Distance driven, in cells."""
+    blocked: str
+    """Why the robot stopped before the end of its path; empty if the distance was used up."""
+    carry: float = 0.0
+    """Unused distance, too short for the next cell; the next step adds it to its own."""
+
+
+def drive(
+    truth: Grid,
+    taken: NDArray[np.bool_],
+    start: tuple[int, int],
+    path: list[tuple[int, int]],
+    way: float,
+    diagonal: float = DIAGONAL,
+) -> Motion:
+    """Move one robot from cell `start` along `path` for at most `way` cells.
+
+    `truth` (uint8) and `taken` (bool, cells of other robots) have shape (h, w). A cell of the path that is no neighbor
+    of the previous one ends it like a wall. Steps to 4-neighbors have length 1, others `diagonal`.
+    """
+    (x, y), direction = start, (0, 0)
+    cells: list[tuple[int, int]] = []
+    length = used = carry = 0.0
+    blocked = NOT_BLOCKED
+    for there in path:
+        dx, dy = there[0] - x, there[1] - y
+        if max(abs(dx), abs(dy)) != 1 or not _is_passable(truth, (x, y), there):
+            blocked = WALL
+            break
+        if taken[there[1], there[0]]:
+            blocked = ROBOT
+            break
+        cost = diagonal if dx and dy else 1.0
+        if used + cost > way + ROUNDING:
+            carry = max(0.0, way - used)
+            break
+        used += cost
+        length += DIAGONAL if dx and dy else 1.0
+        (x, y), direction = there, (dx, dy)
+        cells.append(there)
+    return Motion((x * FINE, y * FINE), direction, cells, length, blocked, carry)
+
+
+def cell_of(point: Point) -> tuple[int, int]:
+    """Return the cell of a point; a border belongs to the cell on its right, or below."""
+    return (point[0] + FINE // 2) // FINE, (point[1] + FINE // 2) // FINE
+
+
+def glide(truth: Grid, taken: NDArray[np.bool_], start: Point, points: list[Point], way: float) -> Motion:
+    """Move one robot along straight lines between waypoints, for at most `way` cells.
+
+    `truth` (uint8) and `taken` (bool, cells of other robots) have shape (h, w). `start` and the waypoints are in
+    thousandths of a cell. The robot stops at the last checked position within `way`.
+    """
+    at, length, blocked = start, 0.0, NOT_BLOCKED
+    cells: list[tuple[int, int]] = []
+    for ahead in _positions(start, points, min(_STRIDE, max(1, int(way * _STRIDE)))):
+        step = math.hypot(ahead[0] - at[0], ahead[1] - at[1]) / FINE
+        if length + step > way:
+            break
+        here, there = cell_of(at), cell_of(ahead)
+        if here != there:
+            if not _is_passable(truth, here, there):
+                blocked = WALL
+                break
+            if taken[there[1], there[0]]:
+                blocked = ROBOT
+                break
+            cells.append(there)
+        at, length = ahead, length + step
+    return Motion(at, (at[0] - start[0], at[1] - start[1]), cells, length, blocked)
+
+
+def _positions(start: Point, points: list[Point], stride: int) -> Iterator[Point]:
+    """Yield positions at most `stride` apart on the straight lines from `start` through `points`."""
+    for point in points:
+        dx, dy = point[0] - start[0], point[1] - start[1]
+        pieces = max(1, -(-max(abs(dx), abs(dy)) // stride))
+        for piece in range(1, pieces + 1):
+            yield start[0] + dx * piece // pieces, start[1] + dy * piece // pieces
+        start = point
+
+
+def _is_passable(truth: Grid, here: tuple[int, int], there: tuple[int, int]) -> bool:
+    """Return whether a robot can enter a neighboring cell; past a corner only if all four cells there are free."""
+    height, width = truth.shape
+    around = [(x, y) for x in (here[0], there[0]) for y in (here[1], there[1])]
+    return all(0 <= x < width and 0 <= y < height and truth[y, x] == FREE for x, y in around)
+
+
+def swept(start: tuple[int, int], cells: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Return all cells that a motion proves free: the entered cells, and both cells beside each diagonal step."""
+    result: list[tuple[int, int]] = []
+    x, y = start
+    for next_x, next_y in cells:
+        if next_x != x and next_y != y:
+            result += [(next_x, y), (x, next_y)]
+        result.append((next_x, next_y))
+        x, y = next_x, next_y
+    return result
+
+
+def heading_of(dx: int, dy: int) -> int:
+    """Return the heading of a step to a neighbor, in eighths of a turn from +x toward +y."""
+    return round(math.atan2(dy, dx) / (math.pi / 4)) % 8
