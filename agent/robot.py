@@ -105,13 +105,7 @@ class Robot:
         return self._encoding.exact_error(self.own)
 
     def perceive(self, sense: Sense) -> None:
-        """Take the sensor readings at the beginning of a step.
-
-        Raises
-        ------
-        ProtocolError
-            The readings do not fit the robot's laser.
-        """
+        """Take the sensor readings at the beginning of a step; ProtocolError if they do not fit the robot's laser."""
         readings = np.frombuffer(sense.readings, np.uint16).copy()
         check_readings(readings, self._ray_table)
         driven = cells_from_bytes(sense.driven)

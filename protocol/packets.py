@@ -267,7 +267,7 @@ class Pose(Packet):
 class Passed(Packet):
     """Broadcast: relay the pose of another robot, which was in cell (x, y) `age` steps ago.
 
-    A `Target` that follows is that robot's (`agent.strategies.relayed_state`).
+    A `Target` that follows is that robot's (`agent.team_state`).
     """
 
     name, size, code = "pose", 6, "111111110000"

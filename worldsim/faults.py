@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from bisect import insort
+from collections import Counter
 from collections.abc import Container, Iterable
 
 from protocol.messages import FaultEvent
@@ -60,15 +61,11 @@ def check(faults: Iterable[FaultEvent], robots: int) -> None:
             raise ValueError(f"{where}: kind must be one of {', '.join(KINDS)}")
         if fault.steps and fault.kind not in TEMPORARY:
             raise ValueError(f"{where}: steps = {fault.steps}, but only {', '.join(TEMPORARY)} are temporary")
-        before = last.get(fault.robot)
-        if (
-            before is not None
-            and before.step == fault.step
-            and not {before.kind, fault.kind} & {"mute", "deaf"}
-        ):
-            raise ValueError(f"{where}: it has {before.kind} in the same step")
         if fault.kind in ("mute", "deaf"):
             continue
+        before = last.get(fault.robot)
+        if before is not None and before.step == fault.step:
+            raise ValueError(f"{where}: it has {before.kind} in the same step")
         last[fault.robot] = fault
         how = gone.get(fault.robot)
         if how == "death" or (how == "kill" and fault.kind != "restart"):
@@ -86,8 +83,5 @@ def deafen(faults: Iterable[FaultEvent]) -> bool:
 
 def incarnations(faults: Iterable[FaultEvent]) -> int:
     """Return how often a robot may start at most: once, and once more for each of its restarts."""
-    counts: dict[int, int] = {}
-    for fault in faults:
-        if fault.kind == "restart":
-            counts[fault.robot] = counts.get(fault.robot, 0) + 1
+    counts = Counter(fault.robot for fault in faults if fault.kind == "restart")
     return 1 + max(counts.values(), default=0)

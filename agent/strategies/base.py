@@ -121,17 +121,7 @@ class NoOptions:
 class Strategy(ABC):
     """An exploration strategy; `agent.strategies.registry` finds subclasses by their names.
 
-    Parameters
-    ----------
-    options : mapping
-        Option values by name, from a scenario.
-    settings : Settings
-        The robot's task.
-
-    Raises
-    ------
-    ValueError
-        An option is unknown or invalid (`check`).
+    `options` are values by name, from a scenario; ValueError if one is unknown or invalid (`check`).
     """
 
     name: ClassVar[str]
@@ -150,7 +140,7 @@ class Strategy(ABC):
     observes_from_distance: ClassVar[bool] = False
     """Whether robots observe small frontiers from viewpoints on their way, so that these frontiers cost little."""
     forwards_state: bool = False
-    """Whether robots forward the poses and targets of teammates (`agent.strategies.relayed_state`)."""
+    """Whether robots forward the poses and targets of teammates (`agent.team_state`)."""
     defers_publication: bool = False
     """Whether map changes wait until a decision publishes them."""
     leads: bool = False

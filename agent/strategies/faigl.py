@@ -13,37 +13,23 @@ are options.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
 
 from agent.planning.assignment import Assignment, Costs, greedy, hungarian, iterative
-from agent.planning.candidates import CANDIDATES
 from agent.planning.clusters import k_means
 from agent.planning.path_planner import PathPlanner
 from agent.planning.route import straighten
 from agent.planning.tour import LONGEST, open_tour
 from agent.strategies.base import Cell, Situation
-from agent.strategies.options import option
-from agent.strategies.targets import MISSIONS, Clash, Parts
+from agent.strategies.options import with_defaults
+from agent.strategies.targets import Clash, Parts
 from agent.strategies.team import Table, TeamStrategy, unclaimed
 from protocol.arrays import Cells, Floats, Int64s
 
-
-@dataclass(frozen=True)
-class Allocation(Parts):
-    """Options of all six strategies."""
-
-    candidates: str = option("anr", "the goals among the frontier cells", CANDIDATES)
-
-
-@dataclass(frozen=True)
-class DepotAllocation(Allocation):
-    """Options of the depot strategies."""
-
-    mission: str = option("return", "the end of the run", MISSIONS)
-
+_DEPOT_OPTIONS = with_defaults(Parts, candidates="anr", mission="return")
 
 _OPEN = Clash(
     ("mission",),
@@ -55,7 +41,7 @@ _OPEN = Clash(
 class _Allocating(TeamStrategy):
     """Common part of the six: goals of teammates out of range are left to them, and routes are straightened."""
 
-    options_type: ClassVar[type] = Allocation
+    options_type: ClassVar[type] = with_defaults(Parts, candidates="anr")
 
     def goals(self, situation: Situation, planner: PathPlanner) -> Cells:
         """Return the candidates that are not near the last target of a teammate out of range."""
@@ -113,7 +99,7 @@ class HungarianDepot(Hungarian):
     name = "hungarian-depot"
     summary = "as hungarian, with the distances to the depot and traveled so far added"
     source = "Faigl and Vanek 2014, HAd (section 4.1.1, Eq. 2)"
-    options_type = DepotAllocation
+    options_type = _DEPOT_OPTIONS
     clashes = (*_Allocating.clashes, _OPEN)
 
     def assign(self, table: Table, situation: Situation, planner: PathPlanner) -> Assignment:
@@ -174,7 +160,7 @@ class MtspDepot(Mtsp):
     name = "mtsp-depot"
     summary = "as mtsp, with tours that end at the depot"
     source = "Faigl and Vanek 2014, MAd (section 4.1.1)"
-    options_type = DepotAllocation
+    options_type = _DEPOT_OPTIONS
     clashes = (*Mtsp.clashes, _OPEN)
 
     def _to_end(self, cells: Cells, situation: Situation, planner: PathPlanner) -> Floats:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, make_dataclass
 from typing import Any, TypeVar
 
 Options = TypeVar("Options")
@@ -12,6 +12,16 @@ Options = TypeVar("Options")
 def option(default: Any, help_line: str, choices: Iterable[str] = (), *, least: float | None = None) -> Any:
     """Declare a field of an options dataclass: default, help line, allowed texts, smallest number."""
     return field(default=default, metadata={"help": help_line, "choices": tuple(choices), "least": least})
+
+
+def with_defaults(kind: type, **defaults: Any) -> type:
+    """Return an options dataclass like `kind`, but with other defaults of some options."""
+    changed = [
+        (item.name, item.type, field(default=defaults[item.name], metadata=item.metadata))
+        for item in fields(kind)
+        if item.name in defaults
+    ]
+    return make_dataclass(kind.__name__, changed, bases=(kind,), frozen=True)
 
 
 @dataclass(frozen=True)
@@ -36,11 +46,7 @@ def read_options(
     """Make an options dataclass, of fields made by `option`, from values by name.
 
     `owner` names the strategy in errors; `refused` has options of other strategies that do not apply, with the reasons.
-
-    Raises
-    ------
-    ValueError
-        An option is unknown, does not apply, has the wrong type, or has a value that is not allowed.
+    ValueError: an option is unknown, does not apply, has the wrong type, or has a value that is not allowed.
     """
     known = {line.name: line for line in option_lines(kind)}
     for name, value in options.items():

@@ -35,10 +35,7 @@ PLUGINS: Plugins[Strategy] = Plugins("strategy", "murmur.strategies", Strategy) 
 def strategy(name: str) -> type[Strategy]:
     """Return the strategy with this name, of this or an installed package, or given as ``package.module:Class``.
 
-    Raises
-    ------
-    ValueError
-        The name is unknown (the message lists similar names), or the class cannot be imported.
+    ValueError: the name is unknown (the message lists similar names), or the class cannot be imported.
     """
     return PLUGINS.find(name, strategies())
 

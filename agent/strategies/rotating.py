@@ -17,48 +17,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agent.planning.candidates import CANDIDATES
 from agent.planning.gain import information_gain
 from agent.planning.path_planner import PathPlanner
 from agent.strategies.base import Cell, Situation
-from agent.strategies.options import option
-from agent.strategies.targets import (
-    REPLANNING,
-    SCANNING,
-    SHARING,
-    SINGLE_CANDIDATE,
-    Clash,
-    Parts,
-    TargetStrategy,
-    is_searched,
-)
+from agent.strategies.options import option, with_defaults
+from agent.strategies.targets import SINGLE_CANDIDATE, Clash, Parts, TargetStrategy, is_searched
 from protocol.arrays import Cells, Floats
 
-HERDING = "choose again when a lower-numbered robot drives to the same place"
-
 
 @dataclass(frozen=True)
-class Turning(Parts):
-    """Options of `stop-scan-replan`."""
+class HerdingParts(Parts):
+    """Options of all five strategies."""
 
-    candidates: str = option("breadth-first", "the goals among the frontier cells", CANDIDATES)
-    replan: str = option("after-turn", "when to choose a new target", REPLANNING)
-    share: str = option("at-target", "when map changes are sent to teammates", SHARING)
-    herding: bool = option(False, HERDING)
+    herding: bool = option(False, "choose again when a lower-numbered robot drives to the same place")
 
 
-@dataclass(frozen=True)
-class Moving(Turning):
-    """Options of `scan-replan`."""
-
-    replan: str = option("at-goal", "when to choose a new target", REPLANNING)
-
-
-@dataclass(frozen=True)
-class Continuous(Turning):
-    """Options of `continuous-replan`."""
-
-    replan: str = option("at-once", "when to choose a new target", REPLANNING)
+TURNING = with_defaults(HerdingParts, candidates="breadth-first", replan="after-turn", share="at-target")
+"""Options of `stop-scan-replan`."""
 
 
 class StopScanReplan(TargetStrategy):
@@ -67,7 +42,7 @@ class StopScanReplan(TargetStrategy):
     name = "stop-scan-replan"
     summary = "a full scanner turn at each target, then to the nearest frontier without a teammate"
     source = "Al-khawaldah and Nuechter 2014, section 3.1, Algorithm 1"
-    options_type = Turning
+    options_type = TURNING
     clashes = (
         *TargetStrategy.clashes,
         Clash(
@@ -89,7 +64,7 @@ class ScanReplan(StopScanReplan):
     name = "scan-replan"
     summary = "scans on the way, and drives on from each target immediately"
     source = "Al-khawaldah and Nuechter 2014, section 3.2"
-    options_type = Moving
+    options_type = with_defaults(TURNING, replan="at-goal")
 
 
 class ContinuousReplan(StopScanReplan):
@@ -98,11 +73,11 @@ class ContinuousReplan(StopScanReplan):
     name = "continuous-replan"
     summary = "scans on the way, and takes a new target once the old one is no frontier"
     source = "Al-khawaldah and Nuechter 2014, section 3.3"
-    options_type = Continuous
+    options_type = with_defaults(TURNING, replan="at-once")
 
 
 @dataclass(frozen=True)
-class Bids(Parts):
+class Bids(HerdingParts):
     """Options of `sheng-bid`."""
 
     gain: float = option(1.0, "w1: weight of the unknown share of the sensor's disc", least=0)
@@ -110,16 +85,6 @@ class Bids(Parts):
     nearness: float = option(
         0.05, "w3: weight of nearness, minus the distance to the nearest teammate", least=0
     )
-    herding: bool = option(False, HERDING)
-
-
-@dataclass(frozen=True)
-class ClassicalBids(Bids):
-    """Options of `classical`."""
-
-    replan: str = option("after-turn", "when to choose a new target", REPLANNING)
-    scan: str = option("at-target", "when the scanner works", SCANNING)
-    share: str = option("at-target", "when map changes are sent to teammates", SHARING)
 
 
 class ShengBid(TargetStrategy):
@@ -166,4 +131,4 @@ class Classical(ShengBid):
     name = "classical"
     summary = "scans at its targets alone, a full turn each, and takes the best bid"
     source = "Al-khawaldah and Nuechter 2014, section 3.4"
-    options_type = ClassicalBids
+    options_type = with_defaults(Bids, replan="after-turn", scan="at-target", share="at-target")

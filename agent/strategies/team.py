@@ -1,7 +1,7 @@
 """Strategies whose robots assign targets together: each robot computes the central assignment itself.
 
 Each robot broadcasts its pose. The sub-team of a robot consists of itself and the robots in range. With relayed states
-(`agent.strategies.relayed_state`) it has all connected robots. If all members receive each other, they have the same
+(`agent.team_state`) it has all connected robots. If all members receive each other, they have the same
 table of robots and goals, so they compute the same assignment at the same time. Each takes its own goal and broadcasts
 it. In a chain A - B - C, and with late messages, tables may differ. Then a received target takes precedence over the
 computed one, and if two robots drive to one cell, the higher-numbered one chooses again.

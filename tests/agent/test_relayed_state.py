@@ -9,7 +9,7 @@ import pytest
 from agent.robot import Robot
 from agent.strategies.base import Cell, Pose, Situation
 from agent.strategies.burgard import Burgard
-from agent.strategies.relayed_state import RelayedState
+from agent.team_state import RelayedState
 from netshaper.admission import is_broadcast
 from protocol import packets
 from protocol.grid import ray_table
