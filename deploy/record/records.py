@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from agent.settings import Settings
 from deploy.record.map_collection import MapCollection
 from deploy.record.map_history import MapHistory
-from deploy.record.wire_bytes import Meter
 from netshaper.ledger import ROW
 from protocol import keys as names
 from protocol import rights
@@ -58,7 +57,7 @@ class Records:
     ledger per step. `lost` has the cause of each unexpected failure by robot, `killed` the robots that a fault event
     killed and none restarted, `returned` step and robot of each return after an unexpected failure. `protocol_errors`
     has sender and text of the first `MAX_PROTOCOL_ERROR_TEXTS` protocol errors. `carried` is the number of bytes
-    transmitted in the last step; `wire_bytes` that of the bus (`deploy.record.wire_bytes`), None if not available.
+    transmitted in the last step.
     """
 
     robots: int
@@ -77,7 +76,6 @@ class Records:
     protocol_error_count: int = 0
     end: End | None = None
     carried: int = 0
-    wire_bytes: int | None = None
 
     def __post_init__(self) -> None:
         self.statuses = [[] for _ in range(self.robots)]
@@ -143,7 +141,6 @@ class RecorderNode:
         robots: int,
         shape: tuple[int, int],
         capture: BinaryIO | None = None,
-        meter: Meter | None = None,
         on_fault: Callable[[FaultEvent], object] = lambda _: None,
     ) -> None:
         self.done = False
@@ -152,7 +149,6 @@ class RecorderNode:
         self._broken_down: set[int] = set()
         """Robots that report their maps before the end."""
         self._capture = capture
-        self._meter = meter
         self._bus = bus
         self._keys = keys
         self._protocol_errors: Counter[str] = Counter()
@@ -317,14 +313,8 @@ class RecorderNode:
         """Request that the world ends the run after this step."""
         self._send(Stop(reason))
 
-    def read_meter(self) -> None:
-        """Record the number of bytes that the bus has moved."""
-        if self._meter is not None:
-            self.records.wire_bytes = self._meter.read()
-
     def shut_down(self) -> None:
         """Notify all participants that all results are recorded and that they can shut down."""
-        self.read_meter()
         self.done = True
         self._send(Shutdown())
 
