@@ -25,29 +25,26 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from netshaper import pcapng
 from netshaper.frame_log import (
-    BEGIN,
+    BYTES,
     COMMENT,
     CONNECTION,
-    END,
     FRAME,
     MAP,
-    PACKETS_FROM,
+    PACKETS,
     RECEIVER,
-    RECEIVERS_FROM,
-    RECEIVERS_TO,
+    RECEIVERS,
     ROUND,
     SENDER,
     VERDICT,
     Columns,
-    LoggedFrame,
     Rows,
-    receivers_of,
 )
 from netshaper.ledger import CAUSES, FIRST_ON_AIR, FRAMES
 from netshaper.pcapng import CaptureError
@@ -77,6 +74,25 @@ PART = 200_000
 VERDICTS = ("carried", *CAUSES[1:])
 
 _SECOND = 1_000_000
+
+
+class LoggedFrame(NamedTuple):
+    """One frame, or the part of it with one verdict, as readers of captures use it.
+
+    `frame` is an index in `netshaper.ledger.FRAMES`, `verdict` in `CAUSES`; `receivers` is a mask, bit r for robot r;
+    `reason`: why it was refused, or a note on its delivery.
+    """
+
+    round: int
+    connection: int
+    frame: int
+    sender: int
+    receiver: int
+    map: int
+    verdict: int
+    receivers: int
+    payload: bytes
+    reason: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +158,7 @@ _HEADS = {VERSION: HEAD, WIDE: WIDE_HEAD}
 
 def received_by(seen: LoggedFrame) -> list[int]:
     """Return the robots that received a frame."""
-    return receivers_of(seen.receivers)
+    return [robot for robot in range(seen.receivers.bit_length()) if seen.receivers >> robot & 1]
 
 
 _PACKET_HEAD = 28
@@ -217,7 +233,7 @@ def _encode(
     """Write enhanced packet blocks (`netshaper.pcapng.packet`), each with a header, frame part and comment."""
     room = 0
     for each in range(len(rows)):
-        size = rows[each, END] - rows[each, BEGIN]
+        size = rows[each, BYTES]
         text = text_at[rows[each, COMMENT] + 1] - text_at[rows[each, COMMENT]]
         parts = 1 + size // (PART // 2)
         cut = 0 < rows[each, VERDICT] < on_air
@@ -225,13 +241,15 @@ def _encode(
     out = np.empty(room, np.uint8)
     at = 0
     blocks = 0
+    end = behind = next_packet = 0
     for each in range(len(rows)):
-        begin, end = rows[each, BEGIN], rows[each, END]
-        first, behind = rows[each, RECEIVERS_FROM], rows[each, RECEIVERS_TO]
+        begin, first, packet = end, behind, next_packet
+        end += rows[each, BYTES]
+        behind += rows[each, RECEIVERS]
+        next_packet += max(0, rows[each, PACKETS])
         wide = max(rows[each, SENDER], rows[each, RECEIVER], rows[each, MAP]) >= NARROW
         for receiver in receivers[first:behind]:
             wide = wide or receiver >= NARROW
-        packet = rows[each, PACKETS_FROM]
         part = 0
         cut = 0 < rows[each, VERDICT] < on_air
         while True:
@@ -239,7 +257,7 @@ def _encode(
             if cut:
                 kept = min(kept, KEPT)
             elif size > PART:
-                if packet >= 0:
+                if rows[each, PACKETS] > 0:
                     size = sizes[packet]
                     packet += 1
                     while size + sizes[packet] <= PART:
