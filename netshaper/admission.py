@@ -14,8 +14,8 @@ count packets. The relay trusts no robot, and accepts only these frames:
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from functools import lru_cache
+from collections.abc import Callable, Sequence
+from functools import lru_cache, partial
 from itertools import pairwise
 
 from netshaper.frame_log import Content
@@ -30,30 +30,35 @@ Begins = Offer | From | FromEarly
 """Packets that select the map of the packets after them."""
 
 
-class Admission:
-    """Reads frames by the rules of one run."""
+Reader = Callable[[bytes], Content]
 
-    def __init__(self, settings: RadioSettings) -> None:
-        self._gossip = settings.gossip
-        self._maps = settings.maps
-        self._tail = settings.checksum_bytes
-        self._frame_bytes = settings.options.frame_bytes
 
-    def read(self, kind: int, payload: bytes) -> Content:
-        """Read a frame of a phase; `kind` is `NEWS` if it may be any frame of a round without connections."""
-        if kind in (OFFER, ANSWER):
-            return read_handshake(kind, payload, self._maps)
-        if kind == DATA:
-            content = read_data(payload)
-        else:
-            content = read_news(payload) if self._gossip else read_any(payload, self._maps)
-        if self._frame_bytes and not content.problem:
-            size = max(content.packets.sizes) + self._tail
-            if size > self._frame_bytes:
-                tail = " with its checksum" if self._tail else ""
-                problem = f"a packet of {size} bytes{tail}, where a frame holds {self._frame_bytes}"
-                return content._replace(problem=problem)
-        return content
+def readers(settings: RadioSettings) -> dict[int, Reader]:
+    """Return for each kind of frame a function that reads it; `NEWS` is any frame of a round without connections."""
+    return {
+        OFFER: partial(read_handshake, OFFER, settings.maps),
+        ANSWER: partial(read_handshake, ANSWER, settings.maps),
+        DATA: _limited(read_data, settings),
+        NEWS: _limited(read_news if settings.gossip else partial(read_any, settings.maps), settings),
+    }
+
+
+def _limited(read: Reader, settings: RadioSettings) -> Reader:
+    """Return a reader that refuses frames with a packet that exceeds the frame limit."""
+    most = settings.packet_bytes
+    if most is None:
+        return read
+
+    def read_limited(payload: bytes) -> Content:
+        content = read(payload)
+        size, tail = max(content.packets.sizes, default=0), settings.checksum_bytes
+        if content.problem or size <= most:
+            return content
+        noted = " with its checksum" if tail else ""
+        problem = f"a packet of {size + tail} bytes{noted}, where a frame holds {most + tail}"
+        return content._replace(problem=problem)
+
+    return read_limited
 
 
 _LETTERS = {packets.Pose: "p", packets.Target: "t", packets.Passed: "P"}
@@ -87,16 +92,16 @@ def refused(kind: int, payload: bytes, problem: str) -> Content:
 
 
 @lru_cache(maxsize=1 << 13)
-def read_handshake(kind: int, payload: bytes, maps: int) -> Content:
+def read_handshake(kind: int, maps: int, payload: bytes) -> Content:
     """Read the frame of an offer or an answer."""
     try:
         content = packets.handshake(payload)
     except ProtocolError as error:
         return refused(kind, payload, str(error))
-    first, *others = content
     if kind == OFFER:
-        if isinstance(first, Offer) and not others and first.map < maps:
-            return Content(OFFER, payload, index_of(payload), first.map)
+        offer = content[0] if len(content) == 1 else None
+        if isinstance(offer, Offer) and offer.map < maps:
+            return Content(OFFER, payload, index_of(payload), offer.map)
         return refused(OFFER, payload, "an offer frame is one offer of a known map")
     kinds = [type(packet) for packet in content]
     is_answer = kinds[-1:] == [packets.Answer] and kinds[:-1] in ([], [packets.Block], 2 * [packets.Block])
@@ -134,7 +139,7 @@ def read_news(payload: bytes) -> Content:
     return Content(NEWS, payload, index, -1, f"{_NEWS}: {problem}" if problem else "")
 
 
-def read_any(payload: bytes, maps: int) -> Content:
+def read_any(maps: int, payload: bytes) -> Content:
     """Read a frame of a robot that requires acknowledgments: reports and offers, then log entries."""
     try:
         index = index_of(payload)

@@ -217,8 +217,8 @@ def _write_comment(out: Bytes, at: int, text: Bytes, block: int) -> int:
 
 
 @kernel(
-    f"uint8[::1](int64, int64[:,::1], int64[::1], {packet_index.FRAME}, int32[::1], {packet_index.FRAME}, "
-    "int64[::1], int64)"
+    f"uint8[::1](int64, int64[:,::1], int64[::1], {packet_index.FRAME}, Array(int32, 1, 'C', readonly=True), "
+    f"{packet_index.FRAME}, int64[::1], int64)"
 )
 def _encode(
     step: int,

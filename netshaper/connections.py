@@ -15,7 +15,7 @@ from netshaper.admission import DECLINE
 from netshaper.frame_log import Content
 from netshaper.ledger import ANSWER, OFFER
 from protocol.budget import Budget
-from protocol.messages import Delivery, Replies
+from protocol.messages import Replies
 from protocol.packet_index import fitting
 
 
@@ -49,9 +49,9 @@ class Connection:
         """Return sender and receiver of its frame of a kind."""
         return (self.receiver, self.sender) if kind == ANSWER else (self.sender, self.receiver)
 
-    def delivery(self, kind: int, payload: bytes) -> Delivery:
-        """Return the delivery of its frame of a kind, or of the part that was on the air."""
-        return Delivery(self.ends(kind)[0], payload, self.number, self.map_id)
+    def accepts(self, kind: int, sender: int, receiver: int) -> bool:
+        """Return whether a frame of a kind is its next one, and between the right robots."""
+        return self.ends(kind) == (sender, receiver) and len(self.frames) == kind and self.lost < 0
 
 
 def answers(replies: Replies, offered: Sequence[Connection]) -> list[bytes] | None:

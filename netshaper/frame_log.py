@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Sequence
 from functools import lru_cache
 from itertools import accumulate
@@ -10,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from netshaper.ledger import CAUSES, EVERYONE, FIRST_ON_AIR, ROW
+from netshaper.ledger import ANSWER, CAUSES, EVERYONE, FIRST_ON_AIR, ROW
 from protocol.packet_index import KINDS, PacketIndex
 
 ROUND, CONNECTION, FRAME, SENDER, RECEIVER, MAP, VERDICT, COMMENT, RECEIVERS, BYTES, PACKETS = range(11)
@@ -82,8 +83,8 @@ class FrameLog:
     """Frames in the order in which the relay decided on them."""
 
     def __init__(self) -> None:
-        self._rows: list[int] = []
-        self._receivers: list[int] = []
+        self._rows = array("q")
+        self._receivers = array("q")
         self._contents: list[Content] = []
         self._texts = {text: number for number, text in enumerate(TEXT_OF_CAUSE)}
 
@@ -99,10 +100,9 @@ class FrameLog:
         verdict: int,
         receivers: Sequence[int] = (),
         map_id: int = -1,
-        connection: int = -1,
         reason: str = "",
     ) -> None:
-        """Log a frame, or a part of one, with one verdict.
+        """Log a frame without a connection, or a part of one, with one verdict.
 
         `receivers`: robots that received it. `reason`: why it was refused, or a note on its delivery.
         """
@@ -113,11 +113,37 @@ class FrameLog:
                 comment(verdict, receiver, tuple(receivers), reason), len(self._texts)
             )
         count = len(packets.kinds) or (MALFORMED if payload else 0)
-        self._rows += (
-            round_number, connection, kind, sender, receiver, map_id, verdict, text, len(receivers), len(payload), count
-        )  # fmt: skip
-        self._receivers += receivers
+        row = (round_number, -1, kind, sender, receiver, map_id, verdict, text)
+        self._rows.extend((*row, len(receivers), len(payload), count))
+        self._receivers.extend(receivers)
         self._contents.append(content)
+
+    def add_connections(
+        self,
+        round_number: int,
+        connections: Sequence[tuple[int, int, int, int]],
+        owners: Sequence[int],
+        contents: Sequence[Content],
+        verdicts: Sequence[int],
+    ) -> None:
+        """Log frames of connections, or parts of them; `owners` has the index of the connection of each.
+
+        `connections`: number, sender, receiver and map of each. Frames without a cause arrive.
+        """
+        number, sender, receiver, map_id = np.array(connections, np.int64)[list(owners)].T
+        kind, verdict = np.array([content.kind for content in contents]), np.array(verdicts)
+        answers, received = kind == ANSWER, verdict == 0
+        sender, receiver = np.where(answers, receiver, sender), np.where(answers, sender, receiver)
+        sizes = [len(content.payload) for content in contents]
+        packets = [len(content.packets.kinds) for content in contents]
+        rows = np.empty((len(contents), COLUMNS), np.int64)
+        for column, values in enumerate(
+            (round_number, number, kind, sender, receiver, map_id, verdict, verdict, received, sizes, packets)
+        ):
+            rows[:, column] = values
+        self._rows.frombytes(rows.tobytes())
+        self._receivers.frombytes(receiver[received].tobytes())
+        self._contents += contents
 
     def columns(self) -> Columns:
         """Return the log as arrays."""

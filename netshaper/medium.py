@@ -7,7 +7,7 @@ the medium for the rest of the step; in other rounds a shorter frame may still u
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from netshaper import capture
@@ -120,42 +120,44 @@ class Medium:
         self._log.add(self._round, sender, receiver, rest, cause, map_id=content.map_id)
         return len(content.payload) - len(rest.payload)
 
-    def play(self, connections: Iterable[Connection]) -> list[list[int]]:
+    def play(self, connections: Sequence[Connection]) -> list[list[int]]:
         """Put connections on the air one by one, frame by frame, as far as the budget allows.
 
         A frame that is lost is the last of its connection. Return the bytes of each connection's offer, answer and data
         that went on the air.
         """
-        log, played = self._log.add, []
         left, most = (
             _NO_LIMIT if budget.limit is None else budget.limit
             for budget in (self.airtime.left, self._frame_limit)
         )
-        for connection in connections:
+        played: list[list[int]] = []
+        logged: list[tuple[int, Content, int]] = []
+        for at, connection in enumerate(connections):
             carried = [0, 0, 0]
-            number, map_id = connection.number, connection.map_id
             for kind, content in enumerate(connection.frames):
-                sender, receiver = connection.ends(kind)
-                if connection.lost == kind:
-                    log(self._round, sender, receiver, content, _LOST, (), map_id, number)
-                    break
                 size = len(content.payload)
-                parts: Sequence[Content] = (content,)
-                rest = None
-                if size > left or size > most:
+                if connection.lost == kind:
+                    logged.append((at, content, _LOST))
+                elif size <= left and size <= most:
+                    logged.append((at, content, _CARRIED))
+                    left -= size
+                    carried[kind] = size
+                else:
                     parts, rest = self._cut(content, Budget(left))
-                for part in parts:
-                    log(self._round, sender, receiver, part, _CARRIED, (receiver,), map_id, number)
-                left -= size
-                if rest is not None:
-                    log(self._round, sender, receiver, rest, _BUDGET, (), map_id, number)
-                    size -= len(rest.payload)
-                    left = 0  # the remaining budget is too small for the next packet: the medium closes
-                carried[kind] = size
+                    logged += [(at, part, _CARRIED) for part in parts]
+                    left -= size
+                    if rest is not None:
+                        logged.append((at, rest, _BUDGET))
+                        size -= len(rest.payload)
+                        left = 0  # the remaining budget is too small for the next packet: the medium closes
+                    carried[kind] = size
             played.append(carried)
         self.carried += sum(map(sum, played))
         if not self.airtime.left.unlimited:
             self.airtime.left = Budget(left)
+        if logged:
+            ends = [(each.number, each.sender, each.receiver, each.map_id) for each in connections]
+            self._log.add_connections(self._round, ends, *zip(*logged, strict=True))
         return played
 
     def arrivals(self) -> list[Arrival]:
@@ -166,6 +168,8 @@ class Medium:
 
     def _cut(self, content: Content, room: Budget) -> tuple[list[Content], Content | None]:
         """Cut a frame into frames for the air, without checksums; also return the rest that does not fit, if any."""
+        if room.spent:
+            return [], content
         size = len(content.payload) + self._tail
         if room.fits(size) and self._frame_limit.fits(size):
             return [content], None

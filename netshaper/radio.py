@@ -27,7 +27,7 @@ from typing import NamedTuple, TypeVar
 
 import msgspec
 
-from netshaper.admission import Admission, read_broadcast, refused
+from netshaper.admission import read_broadcast, readers, refused
 from netshaper.airtime import Shares
 from netshaper.connections import Connection, answers, data
 from netshaper.frame_log import Content, Frame
@@ -89,7 +89,8 @@ class Radio:
         self._changes = sorted(settings.changes, key=_STEP)
         """Changes of later steps."""
         self._topology = Topology()
-        self._admission = Admission(settings)
+        self._readers = readers(settings)
+        """For each kind of frame the function that reads it."""
         self._medium = Medium(settings)
         self._shares = Shares(settings.budget)
         self._step = 0
@@ -245,7 +246,7 @@ class Radio:
         """Return the admitted broadcasts of poses and targets, and the other admitted frames of the first phase."""
         broadcasts: list[Frame] = []
         frames: list[Frame] = []
-        read, receiving = self._admission.read, self._topology.receiving()
+        read, receiving = self._readers[kind], self._topology.receiving()
         for sender, submitted in sorted(self._submitted.items()):
             if submitted.broadcast:
                 content = read_broadcast(submitted.broadcast, self._round)
@@ -257,7 +258,7 @@ class Radio:
             mute = sender in self._topology.mute
             sent: set[tuple[int, int]] = set()
             for number, each in enumerate(submitted.frames, bool(submitted.broadcast)):
-                receiver, content = each.receiver, read(kind, each.payload)
+                receiver, content = each.receiver, read(each.payload)
                 pair = receiver, content.map_id if kind == OFFER else -1
                 problem = content.problem or (TWICE if pair in sent else "")
                 if kind == NEWS and (receiver == EVERYONE) != self.settings.gossip:
@@ -383,7 +384,7 @@ class Radio:
         arrived: defaultdict[int, list[Connection]] = defaultdict(list)
         for connection in self._connections:
             if len(connection.frames) > kind:
-                _, receiver = connection.ends(kind)
+                receiver = connection.sender if kind == ANSWER else connection.receiver
                 if receiver in receiving:
                     arrived[receiver].append(connection)
                 else:
@@ -391,7 +392,15 @@ class Radio:
         self._expect(phase, sorted(arrived))
         out: list[Outgoing] = []
         for robot, connections in sorted(arrived.items()):
-            deliveries = [each.delivery(kind, each.frames[kind].payload) for each in connections]
+            deliveries = [
+                Delivery(
+                    each.receiver if kind == ANSWER else each.sender,
+                    each.frames[kind].payload,
+                    each.number,
+                    each.map_id,
+                )
+                for each in connections
+            ]
             answered = self._reply(robot, kind, connections)
             if answered:
                 self._waiting.discard(robot)
@@ -408,16 +417,16 @@ class Radio:
             payloads = data(speculative, connections, self._budget_at_open)
         if payloads is None:
             return False
+        read = self._readers[kind + 1]
         for connection, payload in zip(connections, payloads, strict=True):
             if payload:
-                self._take(connection, kind + 1, payload)
+                self._take(connection, read(payload))
         return True
 
-    def _take(self, connection: Connection, kind: int, payload: bytes) -> None:
+    def _take(self, connection: Connection, content: Content) -> None:
         """Take the next frame of a connection."""
-        content = self._admission.read(kind, payload)
         if content.problem:
-            self._refuse(*connection.ends(kind), content, "protocol", content.problem)
+            self._refuse(*connection.ends(content.kind), content, "protocol", content.problem)
         else:
             connection.frames.append(content)
 
@@ -425,16 +434,15 @@ class Radio:
         """Match the submitted frames to their connections; refuse those that belong to none."""
         for sender, submitted in sorted(self._submitted.items()):
             for each in submitted.frames:
-                at = each.connection - self._first
-                if 0 <= at < len(self._connections):
-                    connection = self._connections[at]
-                    if connection.ends(kind) == (sender, each.receiver) and len(connection.frames) == kind:
-                        self._take(connection, kind, each.payload)
-                        continue
-                content = self._admission.read(kind, each.payload)
-                self._refuse(
-                    sender, each.receiver, content, "protocol", "a frame of no connection of its own"
+                content, at = self._readers[kind](each.payload), each.connection - self._first
+                belongs = 0 <= at < len(self._connections) and self._connections[at].accepts(
+                    kind, sender, each.receiver
                 )
+                if belongs:
+                    self._take(self._connections[at], content)
+                else:
+                    reason = "a frame of no connection of its own"
+                    self._refuse(sender, each.receiver, content, "protocol", reason)
 
     def _end_data(self) -> list[Outgoing]:
         """Play the connections, and report to both ends of each."""
@@ -450,7 +458,8 @@ class Radio:
             reports[connection.sender].append(report)
             reports[connection.receiver].append(report)
             if sent[DATA]:
-                delivery = connection.delivery(DATA, connection.frames[DATA].payload[: sent[DATA]])
+                payload = connection.frames[DATA].payload[: sent[DATA]]
+                delivery = Delivery(connection.sender, payload, connection.number, connection.map_id)
                 arrived[connection.receiver].append(delivery)
         out: list[Outgoing] = [
             self._report(robot, reports.get(robot, []), [], arrived.get(robot, []))
