@@ -28,7 +28,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from netshaper import pcapng
 from netshaper.frame_log import (
@@ -50,7 +49,7 @@ from netshaper.ledger import CAUSES, FIRST_ON_AIR, FRAMES
 from netshaper.pcapng import CaptureError
 from protocol import packet_index
 from protocol.kernels import kernel
-from protocol.packet_index import Bytes
+from protocol.packet_index import Bytes, Sizes
 
 LINK_TYPE = 147
 """LINKTYPE_USER0, which the dissector reads."""
@@ -217,15 +216,15 @@ def _write_comment(out: Bytes, at: int, text: Bytes, block: int) -> int:
 
 
 @kernel(
-    f"uint8[::1](int64, int64[:,::1], int64[::1], {packet_index.FRAME}, Array(int32, 1, 'C', readonly=True), "
-    f"{packet_index.FRAME}, int64[::1], int64)"
+    f"uint8[::1](int64, int64[:,::1], int64[::1], {packet_index.FRAME}, {packet_index.SIZES}, {packet_index.FRAME}, "
+    "int64[::1], int64)"
 )
 def _encode(
     step: int,
     rows: Rows,
     receivers: Rows,
     payload: Bytes,
-    sizes: NDArray[np.int32],
+    sizes: Sizes,
     texts: Bytes,
     text_at: Rows,
     on_air: int,

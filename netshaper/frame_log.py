@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from array import array
 from collections.abc import Sequence
 from functools import lru_cache
 from itertools import accumulate
@@ -11,8 +10,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from netshaper.ledger import ANSWER, CAUSES, EVERYONE, FIRST_ON_AIR, ROW
-from protocol.packet_index import KINDS, PacketIndex
+from netshaper.ledger import CAUSES, EVERYONE, FIRST_ON_AIR, ROW
+from protocol import packet_index
+from protocol.kernels import kernel
+from protocol.packet_index import KINDS, Bytes, PacketIndex, Sizes
 
 ROUND, CONNECTION, FRAME, SENDER, RECEIVER, MAP, VERDICT, COMMENT, RECEIVERS, BYTES, PACKETS = range(11)
 COLUMNS = 11
@@ -27,9 +28,6 @@ TEXT_OF_CAUSE = (
     "beyond the sender's own limit", "lost on the air", "damaged on the air", "beyond the hearer's own limit",
 )  # fmt: skip
 """Comment text of each verdict, for a frame to one robot."""
-
-_KINDS_OF_ROWS = KINDS + 1
-"""Malformed bytes (-1), then the kinds of packets."""
 
 Rows = NDArray[np.int64]
 
@@ -72,10 +70,10 @@ class Columns(NamedTuple):
 
     rows: Rows
     receivers: Rows
-    payload: NDArray[np.uint8]
-    kinds: NDArray[np.uint8]
-    sizes: NDArray[np.int32]
-    texts: NDArray[np.uint8]
+    payload: Bytes
+    kinds: Bytes
+    sizes: Sizes
+    texts: Bytes
     text_at: Rows
 
 
@@ -83,8 +81,8 @@ class FrameLog:
     """Frames in the order in which the relay decided on them."""
 
     def __init__(self) -> None:
-        self._rows = array("q")
-        self._receivers = array("q")
+        self._rows: list[int] = []
+        self._receivers: list[int] = []
         self._contents: list[Content] = []
         self._texts = {text: number for number, text in enumerate(TEXT_OF_CAUSE)}
 
@@ -100,9 +98,10 @@ class FrameLog:
         verdict: int,
         receivers: Sequence[int] = (),
         map_id: int = -1,
+        connection: int = -1,
         reason: str = "",
     ) -> None:
-        """Log a frame without a connection, or a part of one, with one verdict.
+        """Log a frame, or a part of one, with one verdict.
 
         `receivers`: robots that received it. `reason`: why it was refused, or a note on its delivery.
         """
@@ -113,37 +112,12 @@ class FrameLog:
                 comment(verdict, receiver, tuple(receivers), reason), len(self._texts)
             )
         count = len(packets.kinds) or (MALFORMED if payload else 0)
-        row = (round_number, -1, kind, sender, receiver, map_id, verdict, text)
-        self._rows.extend((*row, len(receivers), len(payload), count))
-        self._receivers.extend(receivers)
+        self._rows += (
+            round_number, connection, kind, sender, receiver, map_id, verdict, text, len(receivers), len(payload),
+            count,
+        )  # fmt: skip
+        self._receivers += receivers
         self._contents.append(content)
-
-    def add_connections(
-        self,
-        round_number: int,
-        connections: Sequence[tuple[int, int, int, int]],
-        owners: Sequence[int],
-        contents: Sequence[Content],
-        verdicts: Sequence[int],
-    ) -> None:
-        """Log frames of connections, or parts of them; `owners` has the index of the connection of each.
-
-        `connections`: number, sender, receiver and map of each. Frames without a cause arrive.
-        """
-        number, sender, receiver, map_id = np.array(connections, np.int64)[list(owners)].T
-        kind, verdict = np.array([content.kind for content in contents]), np.array(verdicts)
-        answers, received = kind == ANSWER, verdict == 0
-        sender, receiver = np.where(answers, receiver, sender), np.where(answers, sender, receiver)
-        sizes = [len(content.payload) for content in contents]
-        packets = [len(content.packets.kinds) for content in contents]
-        rows = np.empty((len(contents), COLUMNS), np.int64)
-        for column, values in enumerate(
-            (round_number, number, kind, sender, receiver, map_id, verdict, verdict, received, sizes, packets)
-        ):
-            rows[:, column] = values
-        self._rows.frombytes(rows.tobytes())
-        self._receivers.frombytes(receiver[received].tobytes())
-        self._contents += contents
 
     def columns(self) -> Columns:
         """Return the log as arrays."""
@@ -161,26 +135,39 @@ class FrameLog:
 
 def ledger_rows(step: int, columns: Columns) -> bytes:
     """Write the ledger's rows of a step (`netshaper.ledger.ROW`), one for each frame and kind of packet in it."""
-    frames = columns.rows
-    malformed = np.flatnonzero(frames[:, PACKETS] == MALFORMED)
-    frame = np.repeat(np.arange(len(frames)), np.maximum(frames[:, PACKETS], 0))
-    slot = _KINDS_OF_ROWS * frame + columns.kinds + 1
-    packets = np.bincount(slot, minlength=_KINDS_OF_ROWS * len(frames))
-    sizes = np.bincount(slot, columns.sizes, _KINDS_OF_ROWS * len(frames))
-    packets[_KINDS_OF_ROWS * malformed] = 1
-    sizes[_KINDS_OF_ROWS * malformed] = frames[malformed, BYTES]
-    slots = np.flatnonzero(packets)
-    frames = frames[slots // _KINDS_OF_ROWS]
-    rows = np.empty(len(slots), ROW)
+    counted = _count(columns.rows, columns.kinds, columns.sizes, KINDS)
+    frames = columns.rows[counted[:, 0]]
+    rows = np.empty(len(counted), ROW)
     for name, column in zip(
         ("round", "connection", "frame", "sender", "receiver", "map", "cause"), frames.T, strict=False
     ):
         rows[name] = column
-    rows["step"], rows["kind"] = step, slots % _KINDS_OF_ROWS - 1
-    rows["packets"], rows["bytes"] = packets[slots], sizes[slots]
+    rows["step"], rows["received_by"] = step, frames[:, RECEIVERS]
+    rows["kind"], rows["packets"], rows["bytes"] = counted[:, 1:].T
     rows["carried"] = (rows["cause"] == 0) | (rows["cause"] >= FIRST_ON_AIR)
-    rows["received_by"] = frames[:, RECEIVERS]
     return rows.tobytes()
+
+
+@kernel(f"int64[:,::1](int64[:,::1], {packet_index.FRAME}, {packet_index.SIZES}, int64)")
+def _count(frames: Rows, kinds: Bytes, sizes: Sizes, most: int) -> Rows:
+    """Count the packets of each frame: rows of frame, kind, packets and bytes."""
+    rows = np.empty((len(frames) + len(kinds), 4), np.int64)
+    counts = np.zeros((most, 2), np.int64)
+    written = packet = 0
+    for frame in range(len(frames)):
+        if frames[frame, PACKETS] == MALFORMED:
+            rows[written] = frame, MALFORMED, 1, frames[frame, BYTES]
+            written += 1
+        for at in range(packet, packet + frames[frame, PACKETS]):
+            counts[kinds[at], 0] += 1
+            counts[kinds[at], 1] += sizes[at]
+        packet += max(0, frames[frame, PACKETS])
+        for kind in range(most):
+            if counts[kind, 0]:
+                rows[written] = frame, kind, counts[kind, 0], counts[kind, 1]
+                written += 1
+        counts[:] = 0
+    return rows[:written]
 
 
 @lru_cache(maxsize=1 << 12)

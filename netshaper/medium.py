@@ -131,23 +131,26 @@ class Medium:
             for budget in (self.airtime.left, self._frame_limit)
         )
         played: list[list[int]] = []
-        logged: list[tuple[int, Content, int]] = []
-        for at, connection in enumerate(connections):
+        log, round_number = self._log.add, self._round
+        for connection in connections:
             carried = [0, 0, 0]
+            number, map_id = connection.number, connection.map_id
             for kind, content in enumerate(connection.frames):
                 size = len(content.payload)
+                sender, receiver = connection.ends(kind)
                 if connection.lost == kind:
-                    logged.append((at, content, _LOST))
+                    log(round_number, sender, receiver, content, _LOST, (), map_id, number)
                 elif size <= left and size <= most:
-                    logged.append((at, content, _CARRIED))
+                    log(round_number, sender, receiver, content, _CARRIED, (receiver,), map_id, number)
                     left -= size
                     carried[kind] = size
                 else:
                     parts, rest = self._cut(content, Budget(left))
-                    logged += [(at, part, _CARRIED) for part in parts]
+                    for part in parts:
+                        log(round_number, sender, receiver, part, _CARRIED, (receiver,), map_id, number)
                     left -= size
                     if rest is not None:
-                        logged.append((at, rest, _BUDGET))
+                        log(round_number, sender, receiver, rest, _BUDGET, (), map_id, number)
                         size -= len(rest.payload)
                         left = 0  # the remaining budget is too small for the next packet: the medium closes
                     carried[kind] = size
@@ -155,9 +158,6 @@ class Medium:
         self.carried += sum(map(sum, played))
         if not self.airtime.left.unlimited:
             self.airtime.left = Budget(left)
-        if logged:
-            ends = [(each.number, each.sender, each.receiver, each.map_id) for each in connections]
-            self._log.add_connections(self._round, ends, *zip(*logged, strict=True))
         return played
 
     def arrivals(self) -> list[Arrival]:

@@ -20,6 +20,7 @@ from protocol.kernels import kernel
 from protocol.packets import ALL_KINDS, LAYOUT_BY_BYTE, SHORT_HEAD, Fragment, content, decode
 
 Bytes = NDArray[np.uint8]
+Sizes = NDArray[np.int32]
 Table = NDArray[np.int64]
 
 TABLE: Table = np.array(LAYOUT_BY_BYTE, np.int64)
@@ -29,8 +30,8 @@ KINDS = len(ALL_KINDS)
 
 _FRAGMENT = ALL_KINDS.index(Fragment.name)
 
-FRAME = "Array(uint8, 1, 'C', readonly=True)"
-"""Type of a frame in the signature of a kernel; arrays over `bytes` are read-only."""
+FRAME, SIZES = ("Array(uint8, 1, 'C', readonly=True)", "Array(int32, 1, 'C', readonly=True)")
+"""Types of a frame and of sizes in the signature of a kernel; arrays over `bytes` are read-only."""
 
 
 class PacketIndex(NamedTuple):
