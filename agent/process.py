@@ -5,6 +5,8 @@ from __future__ import annotations
 import time
 from typing import Any
 
+import numpy as np
+
 from agent.identity import Identity
 from agent.journal import Journal
 from agent.radio_events import respond
@@ -12,7 +14,7 @@ from agent.robot import Robot
 from agent.settings import Settings
 from agent.viewer_feed import SHOWN_EVERY, RecorderFeed, ViewerFeed
 from protocol import keys as names
-from protocol import rights
+from protocol import map_parts, rights
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
 from protocol.fields import clip
@@ -20,13 +22,13 @@ from protocol.keys import Keys
 from protocol.messages import (
     Close,
     Configure,
-    End,
     ErrorReport,
     FaultEvent,
-    Maps,
+    MapPart,
     MediumEvent,
     Record,
     RelayUpdate,
+    RequestMaps,
     RobotStatus,
     Sense,
     Shutdown,
@@ -69,6 +71,8 @@ class AgentNode:
         """Events of a step for which the world's message has not arrived yet."""
         self._viewer_feed: ViewerFeed | None = None
         self._recorder_feed: RecorderFeed | None = None
+        self._final_maps = np.zeros(0, np.uint8)
+        """Both maps at the end, once the recorder has requested them (`protocol.map_parts`)."""
         self._step = 0
         self._work = 0.0
 
@@ -100,9 +104,8 @@ class AgentNode:
             self._take_events(self.robot, message.events)
         elif isinstance(message, Sense):
             self._sense(self.robot, message)
-        elif isinstance(message, End):
-            self._show(message.step)
-            self._report_maps()
+        elif isinstance(message, RequestMaps):
+            self._send_maps(self.robot, message)
 
     def _begin(self, settings: Settings) -> None:
         """Begin an incarnation; of an earlier one, only the journal remains."""
@@ -157,12 +160,13 @@ class AgentNode:
         if self._step % SHOWN_EVERY == 0:
             self._show(self._step)
 
-    def _report_maps(self) -> None:
-        if self.robot is not None:
-            height, width = self.robot.own.shape
-            own, planning = self.robot.own.tobytes(), self.robot.planning.tobytes()
-            maps = Maps(self._number, width, height, own, planning)
-            self._bus.put(self._to_recorder, pack(maps))
+    def _send_maps(self, robot: Robot, request: RequestMaps) -> None:
+        """Send a part of the maps at the end of the run; before the first part, their last changes."""
+        if not request.part:
+            self._show(request.step)
+            self._final_maps = map_parts.join(robot.own, robot.planning)
+        part = MapPart(request.part, map_parts.encode(self._final_maps, request.part))
+        self._bus.put(self._to_recorder, pack(part))
 
     def _report_error(self, reason: str) -> None:
         self._report(ErrorReport(self._name, clip(reason)))

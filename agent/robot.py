@@ -18,8 +18,8 @@ from agent.announcements import Announcements
 from agent.encodings.base import MapEncoding
 from agent.encodings.catalog import ENCODINGS, make_encoding
 from agent.outline.polygons import Polygons
-from agent.replication.engine import Replication
-from agent.replication.map_ids import MapId
+from agent.replication.engine import make_replication
+from agent.replication.peers import MapId
 from agent.settings import Settings
 from agent.strategies.base import Cell, Decision
 from agent.strategies.registry import strategy
@@ -65,7 +65,7 @@ class Robot:
         self._encoding = make_encoding(settings)
         self._team = TeamState(settings)
         consume = partial(_consume, self._encoding, self._team)
-        self.replication = Replication.from_settings(settings, consume, self._encoding.dependencies)
+        self.replication = make_replication(settings, consume, self._encoding.dependencies)
         self.target: Cell | None = None
         self.status = ""
         """Its current activity, as text."""
@@ -94,7 +94,7 @@ class Robot:
     @property
     def distrusted(self) -> set[int]:
         """Teammates whose map updates are no longer accepted, since some were malformed or inconsistent."""
-        return self.replication.distrusted
+        return self.replication.replica.distrusted
 
     def error(self) -> int:
         """Count the cells in which its map and the approximation in its log differ (thesis, Eq. 6.1)."""
@@ -124,9 +124,7 @@ class Robot:
             encoding.retract_last()
         delivered = replication.delivered() and not self._withheld
         if delivered:
-            self._announcements.scans_received(
-                encoding.scan_cell(replication.own.number), self._team.in_range
-            )
+            self._announcements.scans_received(encoding.scan_cell(replication.peers.own), self._team.in_range)
         scan = Scan(sense.x, sense.y, readings)
         self._withheld += encoding.encode_changes(self.own, scan, change, delivered=delivered)
         if not self._strategy.defers_publication:

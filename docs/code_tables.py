@@ -1,4 +1,4 @@
-"""Tables in docs that follow from code: settings, settings of hosts, rights, and messages.
+"""Tables in docs that follow from code: settings and settings of hosts.
 
 Run ``python -m docs.code_tables`` after a change; `tests/deploy/test_docs.py` compares pages and code.
 """
@@ -17,8 +17,6 @@ from deploy.run.hosts import Host, Hosts
 from deploy.scenario.scenario import Scenario
 from deploy.scenario.tables import ChangeTable, FaultTable, RobotOverride
 from netshaper.radio_options import RadioOptions
-from protocol import messages
-from protocol.rights import RIGHTS
 
 DOCS = Path(__file__).parent
 
@@ -104,19 +102,6 @@ def host_settings() -> Iterator[tuple[str, str, str]]:
     yield from _fields(Host, "host.")
 
 
-def rights() -> Iterator[tuple[str, ...]]:
-    """Yield sender, receiver and the messages that one may send to the other."""
-    for (sender, receiver), kinds in RIGHTS.items():
-        yield sender, receiver, ", ".join(f"`{kind.__name__}`" for kind in kinds)
-
-
-def message_rows() -> Iterator[tuple[str, ...]]:
-    """Yield number, name, fields and purpose of each message."""
-    for number, kind in enumerate(messages._TYPES):
-        purpose = (kind.__doc__ or "").split("\n")[0].rstrip(".")
-        yield str(number), f"`{kind.__name__}`", ", ".join(kind.__struct_fields__), purpose
-
-
 def updated(page: str, head: str, rows: Iterable[tuple[str, ...]]) -> str:
     """Return the page with the rows of the table below a head line replaced."""
     table = "".join(f"| {' | '.join(row)} |\n" for row in rows)
@@ -128,8 +113,6 @@ def main() -> None:
     for name, head, rows in (
         ("settings.md", "| setting | default | meaning |", _coded(settings())),
         ("hosts.md", "| setting | default | meaning |", _coded(host_settings())),
-        ("bus.md", "| sender | receiver | messages |", rights()),
-        ("bus.md", "| no. | message | fields | purpose |", message_rows()),
     ):
         page = DOCS / name
         page.write_text(updated(page.read_text(encoding="utf-8"), head, rows), encoding="utf-8")

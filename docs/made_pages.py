@@ -1,14 +1,18 @@
-"""Site pages generated when the site is built: columns of a run's files, and notebooks."""
+"""Site pages generated when the site is built: columns of a run's files, messages of the bus, and notebooks."""
 
 from __future__ import annotations
 
+import inspect
 import json
 from pathlib import Path
 from typing import Any
 
 from mkdocs.structure.files import File, Files
 
-from deploy.record.columns import FILES
+from deploy.record.columns import FILES, SUMMARY
+from docs import packet_tables
+from protocol import messages
+from protocol.rights import RIGHTS
 
 NOTEBOOKS = Path(__file__).parent / "notebooks"
 
@@ -16,6 +20,8 @@ NOTEBOOKS = Path(__file__).parent / "notebooks"
 def on_files(files: Files, config: Any) -> Files:
     """Add the generated pages; mkdocs calls this hook."""
     files.append(File.generated(config, "reference/files.md", content=files_page()))
+    files.append(File.generated(config, "reference/messages.md", content=messages_page()))
+    files.append(File.generated(config, "reference/packets.md", content=packets_page()))
     for notebook in sorted(NOTEBOOKS.glob("*.ipynb")):
         name = f"notebooks/{notebook.stem}.md"
         files.append(File.generated(config, name, content=notebook_page(notebook)))
@@ -27,13 +33,39 @@ def files_page() -> str:
     lines = [
         "# Files of a run",
         "",
-        "A [run directory](../architecture.md#the-run-directory) contains these tables, besides maps, summary, and "
-        "capture. `deploy/record/columns.py` defines them.",
+        "A [run directory](../architecture.md#the-run-directory) contains these tables and a summary, besides "
+        "maps and capture. `deploy/record/columns.py` defines them.",
     ]
     for file, columns in FILES.items():
         lines += ["", f"## {file}", "", "| column | type | meaning |", "|---|---|---|"]
         lines += [f"| `{column.name}` | {column.type} | {column.meaning} |" for column in columns]
+    lines += ["", "## summary.json", "", "| key | meaning |", "|---|---|"]
+    lines += [f"| {keys} | {meaning} |" for keys, meaning in SUMMARY.items()]
     return "\n".join(lines) + "\n"
+
+
+def messages_page() -> str:
+    """Return a page with number, fields, and description of each message, and the rights to send them."""
+    lines = [
+        "# Messages",
+        "",
+        "The messages of the [bus](../bus.md), as defined in `protocol/messages.py`.",
+        "",
+        "| no. | message | fields | meaning |",
+        "|---|---|---|---|",
+    ]
+    for number, kind in enumerate(messages._TYPES):
+        meaning = " ".join((inspect.getdoc(kind) or "").split()).replace("|", r"\|")
+        lines.append(f"| {number} | `{kind.__name__}` | {', '.join(kind.__struct_fields__)} | {meaning} |")
+    lines += ["", "## Rights", "", "| sender | receiver | messages |", "|---|---|---|"]
+    for (sender, receiver), kinds in RIGHTS.items():
+        lines.append(f"| {sender} | {receiver} | {', '.join(f'`{kind.__name__}`' for kind in kinds)} |")
+    return "\n".join(lines) + "\n"
+
+
+def packets_page() -> str:
+    """Return a page with the fields of all packets."""
+    return f"# Packet fields\n\nThe letters of the [layouts](../protocol.md#packets):\n\n{packet_tables.fields()}"
 
 
 def notebook_page(path: Path) -> str:

@@ -1,4 +1,4 @@
-"""The packet layouts and the table of their fields in docs/protocol.md, generated from `protocol.packets`.
+"""The packet layouts in docs/protocol.md, and the table of their fields on a page of the site.
 
 Run ``python -m docs.packet_tables`` after a change of a packet; `tests/deploy/test_docs.py` compares page and code.
 """
@@ -20,21 +20,20 @@ def layouts() -> str:
 
 
 def fields() -> str:
-    """The rows of the table of fields; packets that encode a field alike share a row."""
+    """The table of fields; packets that encode a field alike share a row."""
     packets: dict[tuple[str, str, int, str], list[str]] = {}
     for layout in LAYOUTS:
         for name, bits in layout.fields:
             packets.setdefault((bits.letter, name, bits.width, bits.meaning), []).append(f"`{layout.packet}`")
-    return "".join(
+    return HEAD + "".join(
         f"| `{letter}` | {name} | {width} | {', '.join(classes)} | {meaning} |\n"
         for (letter, name, width, meaning), classes in packets.items()
     )
 
 
 def updated(page: str) -> str:
-    """Return the page with both generated parts replaced."""
-    page = re.sub(r"(?<=\n```packets\n).*?(?=```\n)", lambda _: layouts(), page, flags=re.S)
-    return re.sub(re.escape(HEAD) + r"(\|[^\n]*\n)*", lambda _: HEAD + fields(), page)
+    """Return the page with the layouts replaced."""
+    return re.sub(r"(?<=\n```packets\n).*?(?=```\n)", lambda _: layouts(), page, flags=re.S)
 
 
 if __name__ == "__main__":

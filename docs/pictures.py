@@ -1,4 +1,7 @@
-"""Draw the pictures of docs/concepts.md: python docs/pictures.py [FOLDER]."""
+"""Draw the pictures of docs/concepts.md: python docs/pictures.py [FOLDER].
+
+``python docs/pictures.py gallery FILE.png`` draws the paths of a team with each strategy instead (docs/strategies.md).
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,12 @@ from numpy.typing import NDArray
 
 from agent.outline.contour import contours
 from agent.outline.polygons import SIDE_X, SIDE_Y, Polygons
+from agent.strategies.registry import strategies
 from deploy.record.colors import ALARM, CELLS, GROUPS, Color, robot_color
+from deploy.record.map_pictures import draw_paths, show_grid
+from deploy.run import in_memory
+from deploy.scenario import plan
+from deploy.scenario.scenario import parse
 from murmur import Step, steps
 
 AFTER = 80
@@ -95,6 +103,30 @@ def sent(runs: dict[str, list[Step]]) -> plt.Figure:
     return figure
 
 
+def gallery(path: Path) -> None:
+    """Run the same scenario with each strategy, and draw one panel per strategy."""
+    scenario = {
+        "map": "office-obstacles", "robots": 3, "seed": 2, "map_encoding": "scans", "bandwidth": "unlimited",
+        "bus": "memory", "sensor_range": 3.0, "speed": 0.5, "scanner_turn": 72,
+    }  # fmt: skip
+    plans = {name: plan.make(parse(scenario | {"strategy": name})) for name in strategies()}
+    rows = -(-len(plans) // 4)
+    figure, panels = plt.subplots(
+        rows, 4, figsize=(14.4, 4 * rows), sharex=True, sharey=True, layout="constrained"
+    )
+    for axes, (name, made) in zip(panels.flat, plans.items(), strict=False):
+        records = in_memory.run(made)
+        show_grid(axes, made.map, made.map.cells)
+        draw_paths(axes, made, records)
+        end = records.end
+        done = end is not None and end.first >= 0
+        axes.set_title(f"{name}: {records.step} steps" + ("" if done else ", stalled"), fontsize=10)
+        axes.set_xlabel("")
+    for axes in panels.flat[len(plans) :]:
+        axes.set_axis_off()
+    figure.savefig(path, dpi=80)
+
+
 def _bytes(step: Step, kinds: tuple[str, ...]) -> int:
     rows = step.traffic
     return int(rows.filter(rows["carried"] & rows["kind"].is_in(kinds))["bytes"].sum())
@@ -123,5 +155,7 @@ def _save(figure: plt.Figure, path: Path) -> None:
     plt.close(figure)
 
 
-if __name__ == "__main__":
+if __name__ == "__main__" and sys.argv[1:2] == ["gallery"]:
+    gallery(Path(sys.argv[2]))
+elif __name__ == "__main__":
     main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent / "concepts")

@@ -35,6 +35,7 @@ from protocol.messages import (
     RadioReport,
     Record,
     RelayUpdate,
+    RequestMaps,
     RobotFrames,
     Shutdown,
     Stop,
@@ -190,6 +191,8 @@ class RelayNode:
             self.give_up_on(message.robot, message.cause)
         elif isinstance(message, Stop | FaultEvent):
             self._bus.put(self._keys.control(names.WORLD, names.RELAY), payload)
+        elif isinstance(message, RequestMaps):
+            self._pass_on(message, payload)
         elif isinstance(message, Change):
             self._radio.change(message)
         elif isinstance(message, Shutdown):
@@ -201,11 +204,15 @@ class RelayNode:
             self._end(End(-1, reason, -1))
 
     def _end(self, end: End) -> None:
-        """Send the end of the run to robots and recorder; robots reply with their maps."""
+        """Send the end of the run to the recorder, which then requests the robots' maps."""
         self._ended = True
-        for name in sorted(self._present - {names.WORLD, names.RECORDER}):
-            self._bus.put(self._keys.control(name, names.RELAY), pack(end))
         self._report(end)
+
+    def _pass_on(self, request: RequestMaps, payload: bytes) -> None:
+        """Send a request of the recorder to its robot."""
+        name = names.robot(request.robot)
+        if name in self._present:
+            self._bus.put(self._keys.control(name, names.RELAY), payload)
 
     def _shut_down(self) -> None:
         """Send `Shutdown` to all participants."""

@@ -17,6 +17,8 @@ MAX_CONNECTIONS = 1 << 13
 """Connections of one robot in a round: each of 63 teammates offers it 64 maps, and it offers each of them 64."""
 MAX_FRAME, MAX_FRAMES = 1 << 24, 1 << 28
 """Maximum bytes of a frame, and of all frames of a list in a message."""
+PART_CELLS = 1 << 19
+"""Maximum number of cells of a part of a robot's maps (`protocol.map_parts`)."""
 MAX_NAME, MAX_TEXT = 16, 1000
 """Maximum length in characters."""
 
@@ -52,6 +54,8 @@ Readings = Annotated[bytes, Meta(max_length=2 * MAX_BEAMS)]
 EncodedSettings = Annotated[bytes, Meta(max_length=1 << 20)]
 Poses = Annotated[bytes, Meta(max_length=16 * MAX_ROBOTS)]
 Cells = Annotated[bytes, Meta(max_length=MAX_CELLS)]
+PartNumber = Annotated[int, Meta(ge=0, lt=-(-MAX_CELLS // PART_CELLS))]
+PartBytes = Annotated[bytes, Meta(max_length=PART_CELLS + (PART_CELLS >> 8))]
 CellIndices = Annotated[bytes, Meta(max_length=4 * MAX_CELLS)]
 Vertices = Annotated[bytes, Meta(max_length=1 << 24)]
 Blocks = Annotated[bytes, Meta(max_length=1 << 30)]

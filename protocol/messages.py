@@ -42,6 +42,8 @@ from protocol.fields import (
     FrameNumber,
     Frames,
     Name,
+    PartBytes,
+    PartNumber,
     Poses,
     Priority,
     Readings,
@@ -427,18 +429,22 @@ class RadioReport(Record, tag=16, frozen=True):
     frames: Blocks
 
 
-class Maps(Record, tag=17, frozen=True):
-    """Robot to recorder, at the end: its two grids, row after row."""
+class RequestMaps(Record, tag=28, frozen=True):
+    """Recorder to relay, and relay to that robot, at the end: send this part of your maps.
+
+    `step`: the last step of the robot.
+    """
 
     robot: RobotNumber
-    width: SideLength
-    height: SideLength
-    own: Cells
-    planning: Cells
+    step: Step
+    part: PartNumber
 
-    def __post_init__(self) -> None:
-        if not len(self.own) == len(self.planning) == self.width * self.height:
-            raise ValueError(f"its grids are not {self.width} x {self.height} cells")
+
+class MapPart(Record, tag=17, frozen=True):
+    """Robot to recorder, on request: a part of its two maps (`protocol.map_parts`)."""
+
+    part: PartNumber
+    cells: PartBytes
 
 
 class Snapshot(Record, tag=20, frozen=True):
@@ -490,8 +496,8 @@ class ErrorReport(Record, tag=18, frozen=True):
 
 _TYPES: tuple[type[Record], ...] = (
     Begin, Configure, Sense, Move, Positions, Open, PhaseDelivery, RobotFrames, RoundReport, Close, Lost, End, Stop,
-    Shutdown, WorldReport, RobotStatus, RadioReport, Maps, ErrorReport, Watched, Snapshot, Outlines, FaultEvent, Back,
-    Change, RelayUpdate, MapChanges, Broadcasts,
+    Shutdown, WorldReport, RobotStatus, RadioReport, MapPart, ErrorReport, Watched, Snapshot, Outlines, FaultEvent,
+    Back, Change, RelayUpdate, MapChanges, Broadcasts, RequestMaps,
 )  # fmt: skip
 _HEAD = {kind: 0x90 | len(kind.__struct_fields__) + 1 for kind in _TYPES}
 """First byte of each message: the msgpack head of a list with this number of items."""

@@ -11,10 +11,7 @@ from typing import BinaryIO
 def write_whole(path: Path, write: Callable[[BinaryIO], object]) -> None:
     """Write a file under a temporary name in the same directory, then rename it atomically.
 
-    Raises
-    ------
-    OSError
-        The file cannot be written; the error names `path`, which stays unchanged.
+    Raises OSError if the file cannot be written; the error names `path`, which stays unchanged.
     """
     beside = path.with_name(f".{path.name}.{os.getpid()}")
     try:

@@ -21,24 +21,16 @@ WALL, ROBOT, INTERFERENCE, NOT_BLOCKED = "wall", "robot", "interference", ""
 
 @dataclass(frozen=True)
 class Drive:
-    """The result of one robot's move.
-
-    Attributes
-    ----------
-    cells : list of (x, y)
-        Cells entered, in order.
-    length : float
-        Distance driven, in cells.
-    carry : float
-        Unused distance, too short for the next cell; the next step adds it to its own.
-    blocked : str
-        Why the robot stopped before the end of its path; empty if the distance was used up.
-    """
+    """The result of one robot's move."""
 
     cells: list[tuple[int, int]]
+    """Cells (x, y) entered, in order."""
     length: float
+    """Distance driven, in cells."""
     carry: float
+    """Unused distance, too short for the next cell; the next step adds it to its own."""
     blocked: str
+    """Why the robot stopped before the end of its path; empty if the distance was used up."""
 
 
 def drive(
@@ -49,20 +41,10 @@ def drive(
     way: float,
     diagonal: float = DIAGONAL,
 ) -> Drive:
-    """Move one robot along `path` for at most `way` cells.
+    """Move one robot from cell `start` along `path` for at most `way` cells.
 
-    Parameters
-    ----------
-    truth : uint8 array, shape (h, w)
-        The true map.
-    taken : bool array, shape (h, w)
-        Cells of other robots.
-    start : (x, y)
-        Cell of the robot.
-    path : list of (x, y)
-        Cells to enter, each a neighbor of the previous one. Any other cell ends the path like a wall.
-    way : float
-        Maximum distance in cells: 1 to a 4-neighbor, `diagonal` to a diagonal neighbor.
+    `truth` (uint8) and `taken` (bool, cells of other robots) have shape (h, w). A cell of the path that is no neighbor
+    of the previous one ends it like a wall. Steps to 4-neighbors have length 1, others `diagonal`.
     """
     height, width = truth.shape
     x, y = start

@@ -26,24 +26,16 @@ Point = tuple[int, int]
 
 @dataclass(frozen=True)
 class Glide:
-    """The result of one robot's continuous move.
-
-    Attributes
-    ----------
-    point : (x, y)
-        Final position, in thousandths of a cell.
-    cells : list of (x, y)
-        Cells entered, in order.
-    length : float
-        Distance driven, in cells.
-    blocked : str
-        Why the robot stopped before its last waypoint; empty if the distance was used up.
-    """
+    """The result of one robot's continuous move."""
 
     point: Point
+    """Final position (x, y), in thousandths of a cell."""
     cells: list[tuple[int, int]]
+    """Cells (x, y) entered, in order."""
     length: float
+    """Distance driven, in cells."""
     blocked: str
+    """Why the robot stopped before its last waypoint; empty if the distance was used up."""
 
 
 def cell_of(point: Point) -> tuple[int, int]:
@@ -54,18 +46,8 @@ def cell_of(point: Point) -> tuple[int, int]:
 def glide(truth: Grid, taken: NDArray[np.bool_], start: Point, points: list[Point], way: float) -> Glide:
     """Move one robot along straight lines between waypoints, for at most `way` cells.
 
-    Parameters
-    ----------
-    truth : uint8 array, shape (h, w)
-        The true map.
-    taken : bool array, shape (h, w)
-        Cells of other robots.
-    start : (x, y)
-        Position of the robot, in thousandths of a cell.
-    points : list of (x, y)
-        Waypoints, in thousandths of a cell.
-    way : float
-        Maximum distance in cells. The robot stops at the last checked position within it.
+    `truth` (uint8) and `taken` (bool, cells of other robots) have shape (h, w). `start` and the waypoints are in
+    thousandths of a cell. The robot stops at the last checked position within `way`.
     """
     stride = min(_STRIDE, max(1, int(way * _STRIDE)))
     at, length = start, 0.0
@@ -93,8 +75,5 @@ def glide(truth: Grid, taken: NDArray[np.bool_], start: Point, points: list[Poin
 def _is_passable(truth: Grid, here: tuple[int, int], there: tuple[int, int]) -> bool:
     """Return whether a robot can enter a neighboring cell; past a corner only if all four cells there are free."""
     height, width = truth.shape
-    return all(
-        0 <= x < width and 0 <= y < height and truth[y, x] == FREE
-        for x in (here[0], there[0])
-        for y in (here[1], there[1])
-    )
+    around = [(x, y) for x in (here[0], there[0]) for y in (here[1], there[1])]
+    return all(0 <= x < width and 0 <= y < height and truth[y, x] == FREE for x, y in around)

@@ -23,19 +23,13 @@ TEMPORARY = ("stop", "mute", "deaf")
 
 
 class FaultSchedule:
-    """The faults of a run that have not occurred yet, and the temporary faults that are active.
-
-    Attributes
-    ----------
-    pending : list of FaultEvent
-        Faults that have not occurred yet, by step.
-    active : dict of str to dict of int to float
-        For each kind in `TEMPORARY`: the affected robots, each with the step in which it recovers (inf: never).
-    """
+    """The faults of a run that have not occurred yet, and the temporary faults that are active."""
 
     def __init__(self, faults: Iterable[FaultEvent]) -> None:
         self.pending = sorted(faults)
+        """Faults that have not occurred yet, by step."""
         self.active: dict[str, dict[int, float]] = {kind: {} for kind in TEMPORARY}
+        """For each kind in `TEMPORARY`: the affected robots, each with the step in which it recovers (inf: never)."""
 
     def add(self, fault: FaultEvent) -> None:
         """Schedule one more fault."""

@@ -24,37 +24,16 @@ def cast(
     heading: int = 0,
     field_of_view: float = FULL_TURN,
 ) -> Readings:
-    """Cast one scan from the center of cell (x, y).
+    """Cast one scan from the center of cell (x, y); return uint16 readings of shape (beams,) (`protocol.scans`).
 
-    Parameters
-    ----------
-    truth : uint8 array, shape (h, w)
-        The true map; cells that are not free are solid, and so is everything beyond the border.
-    teammates : bool array, shape (h, w)
-        Cells of other robots. They end a beam but do not count as walls.
-    heading : int
-        Eighths of a turn, the middle of the field of view.
-    field_of_view : float
-        Degrees; beams outside read `NONE`.
-
-    Returns
-    -------
-    uint16 array, shape (beams,)
-        Readings as `protocol.scans` defines them.
+    `truth` (uint8) and `teammates` (bool) have shape (h, w). Cells that are not free are solid, and so is everything
+    beyond the border; cells of other robots end a beam but do not count as walls. `heading`, in eighths of a turn, is
+    the middle of the field of view, in degrees; beams outside it read `NONE`.
     """
     readings = np.empty(ray_table.beams, np.uint16)
     flat = ray_table.flat(truth.shape[1])
-    _cast(
-        truth,
-        teammates.view(np.uint8),
-        ray_table.cells,
-        flat,
-        ray_table.start,
-        ray_table.shared,
-        x,
-        y,
-        readings,
-    )
+    shared, others = ray_table.shared, teammates.view(np.uint8)
+    _cast(truth, others, ray_table.cells, flat, ray_table.start, shared, x, y, readings)
     if field_of_view < FULL_TURN:
         angles = np.arange(ray_table.beams) * (FULL_TURN / ray_table.beams)
         off = np.abs((angles - heading * FULL_TURN / HEADINGS + FULL_TURN / 2) % FULL_TURN - FULL_TURN / 2)

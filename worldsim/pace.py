@@ -11,10 +11,7 @@ SLOWEST = 0.5
 class Pace:
     """A maximum of steps per second; steps do not catch up after a slow one. The first `free` steps are not limited.
 
-    Raises
-    ------
-    ValueError
-        Fewer steps per second than `SLOWEST`.
+    Raises ValueError if fewer steps per second than `SLOWEST`.
     """
 
     def __init__(self, steps_per_s: float, free: int = 0) -> None:

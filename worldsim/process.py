@@ -42,18 +42,9 @@ STALLED = "stalled: there is a frontier left, and no robot gets nearer to it"
 class WorldNode:
     """The world's end of the bus; `done` once the run is recorded and it may end.
 
-    Parameters
-    ----------
-    steps : int
-        The last step.
-    cell_mm : float
-        Side of a cell in millimeters, for reports.
-    wait : callable, optional
-        Called before each step is opened; it may delay the step (`worldsim.pace`).
-    revive : bool
-        Whether to restart robots whose processes end unexpectedly.
-    incarnations : int
-        How often each robot may start: once, and once more for each restart.
+    `steps` is the last step; cells are `cell_mm` wide in reports. `wait` is called before each step is opened, which it
+    may delay. With `revive`, robots whose processes end unexpectedly are restarted; each robot may start `incarnations`
+    times.
     """
 
     def __init__(
@@ -220,7 +211,6 @@ class WorldNode:
         elif here and fault.kind != "restart":
             self._report(FaultEvent(step, robot, fault.kind, fault.steps))
         if here and fault.kind == "death":
-            self._send(robot, End(self._world.step, "broken down, as the scenario has it", -1))
             self._remove(robot)
 
     def _take_loss(self, robot: int) -> None:

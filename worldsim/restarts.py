@@ -6,34 +6,19 @@ from collections.abc import Iterable
 
 
 class Restarts:
-    """Restarts of one run's robots.
+    """Restarts of one run's robots, each at most `allowed` times.
 
-    A restart that a fault requests holds the next step until the robot has rejoined. A restart after an unexpected
-    end does not hold it: the robot takes part again from the step after it has rejoined.
-
-    Parameters
-    ----------
-    robots : iterable of int
-        All robots of the run.
-    allowed : int
-        How often each of them may be restarted.
-    automatic : bool
-        Whether robots whose processes end unexpectedly are restarted.
-
-    Attributes
-    ----------
-    awaited : set of int
-        Robots that a fault restarts; the next step does not begin without them.
-    rejoined : set of int
-        Robots that are back on the bus and enter the world with the next step.
-    recovering : set of int
-        Robots that ended unexpectedly and are being restarted.
+    A restart that a fault requests holds the next step until the robot has rejoined. If `automatic`, robots are also
+    restarted after an unexpected end, which does not hold the step: they take part again once they have rejoined.
     """
 
     def __init__(self, robots: Iterable[int], allowed: int, *, automatic: bool) -> None:
         self.awaited: set[int] = set()
+        """Robots that a fault restarts; the next step does not begin without them."""
         self.rejoined: set[int] = set()
+        """Robots that are back on the bus and enter the world with the next step."""
         self.recovering: set[int] = set()
+        """Robots that ended unexpectedly and are being restarted."""
         self._ended: set[int] = set()
         self._automatic = automatic
         self._left = dict.fromkeys(robots, allowed)

@@ -17,19 +17,11 @@ Cell = tuple[int, int]
 def start_cells(
     truth: Grid, robots: int, seed: int, spacing: int, first: Cell | None = None, given: Sequence[Cell] = ()
 ) -> list[Cell]:
-    """Choose the start cells: the free cells nearest to one seeded cell, `spacing` cells apart.
+    """Choose the start cells: the free cells nearest to one seeded cell, or to `first`, `spacing` cells apart.
 
-    Parameters
-    ----------
-    first : (x, y), optional
-        The cell to start around, instead of a seeded one.
-    given : sequence of (x, y)
-        Start cells of the first robots; the others keep their distance from them.
+    `given` are the start cells of the first robots; the others keep their distance from them.
 
-    Raises
-    ------
-    ValueError
-        No cell is free, `first` is not free, or too few free cells are that far apart.
+    Raises ValueError if no cell is free, `first` is not free, or too few free cells are that far apart.
     """
     chosen = list(given[:robots])
     if len(chosen) == robots:
@@ -75,17 +67,7 @@ def jittered(
 ) -> Cell:
     """Draw a free cell connected to `cell`, at most `most` cells away, at least `spacing` cells from `others`.
 
-    Parameters
-    ----------
-    truth : uint8 array, shape (h, w)
-        Cells where the robot's center may be.
-    cell : (x, y)
-        Start cell without the offset.
-
-    Raises
-    ------
-    ValueError
-        `cell` is not free, or no cell near it is far enough from the others.
+    Raises ValueError if `cell` is not free, or no cell near it is far enough from the others.
     """
     check_free(truth, cell)
     labels, _ = _parts(truth)

@@ -27,74 +27,46 @@ MOVES_AS_PLANNED = 0.7
 
 @dataclass(frozen=True)
 class Body:
-    """One robot's hardware.
-
-    Attributes
-    ----------
-    range_cells : float
-        Sensor range in cells.
-    field_of_view : float
-        Degrees, centered on the heading.
-    speed : float
-        Cells per step.
-    scanner_turn : float
-        Degrees that the scanner turns and covers per step; 0 if it covers the whole field of view at once.
-    radius_cells : float
-        Radius of the robot, a disc, in cells; 0 for a point.
-    """
+    """One robot's hardware."""
 
     range_cells: float
+    """Sensor range in cells."""
     field_of_view: float
+    """Degrees, centered on the heading."""
     speed: float
+    """Cells per step."""
     scanner_turn: float = 0.0
+    """Degrees that the scanner turns and covers per step; 0 if it covers the whole field of view at once."""
     radius_cells: float = 0.0
+    """Radius of the robot, a disc, in cells; 0 for a point."""
 
 
 @dataclass(frozen=True)
 class WorldSettings:
-    """Settings of the world.
-
-    Attributes
-    ----------
-    bodies : tuple of Body
-        One per robot.
-    starts : tuple of (x, y)
-        Cell where each robot starts.
-    beams : int
-        Laser beams per full turn.
-    seed : int
-        Seed of all random draws of the world.
-    interference_cells : float
-        Robots closer to each other than this hinder each other; 0: never.
-    faults : tuple of FaultEvent
-        Scheduled faults, from the scenario.
-    ends_with_all : bool
-        Whether the run ends when all robots report that they are done, instead of the first.
-    cell_steps : bool
-        Whether a step to any of eight neighbors has length 1; else a diagonal step has length sqrt 2.
-    robots_collide : bool
-        Whether robots block each other's paths and laser beams.
-    """
+    """Settings of the world."""
 
     bodies: tuple[Body, ...]
+    """One per robot."""
     starts: tuple[tuple[int, int], ...]
+    """Cell (x, y) where each robot starts."""
     beams: int = 360
+    """Laser beams per full turn."""
     seed: int = 0
+    """Seed of all random draws of the world."""
     interference_cells: float = 0.0
+    """Robots closer to each other than this hinder each other; 0: never."""
     faults: tuple[FaultEvent, ...] = ()
+    """Scheduled faults, from the scenario."""
     ends_with_all: bool = False
+    """Whether the run ends when all robots report that they are done, instead of the first."""
     cell_steps: bool = False
+    """Whether a step to any of eight neighbors has length 1; else a diagonal step has length sqrt 2."""
     robots_collide: bool = True
+    """Whether robots block each other's paths and laser beams."""
 
 
 class World:
-    """The world of one run.
-
-    Parameters
-    ----------
-    truth : uint8 array, shape (h, w)
-        The true map. Cells that are not free are solid.
-    """
+    """The world of one run; cells of `truth` (uint8, shape (h, w)) that are not free are solid."""
 
     def __init__(self, truth: Grid, settings: WorldSettings) -> None:
         self.truth = truth

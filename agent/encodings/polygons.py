@@ -52,7 +52,7 @@ class PolygonEncoding(MapEncoding):
         self._allowance = SplitAllowance(
             Splitting(
                 settings.robots,
-                settings.bandwidth,
+                settings.bandwidth.limit,
                 settings.reach_cells,
                 settings.width,
                 settings.height,

@@ -94,10 +94,10 @@ class _Limits:
     def of(cls, settings: Settings) -> _Limits:
         """Derive the limits from the team's budget and the frame size."""
         size, step_bytes, wait_steps = LAST_UPDATE_DATA, math.inf, 1
-        if settings.bandwidth is not None:
-            size = int(settings.bandwidth) // PACKETS_A_STEP - SHORT_HEAD
-            step_bytes = max(int(settings.bandwidth), 1)
-            scarcity = FAIR_SHARE * settings.robots / max(settings.bandwidth, 1)
+        if (bandwidth := settings.bandwidth.limit) is not None:
+            size = bandwidth // PACKETS_A_STEP - SHORT_HEAD
+            step_bytes = max(bandwidth, 1)
+            scarcity = FAIR_SHARE * settings.robots / max(bandwidth, 1)
             wait_steps = min(max(math.ceil(scarcity), 1), ENOUGH_STEPS)
         if settings.frame_bytes is not None:
             size = min(size, settings.frame_bytes - SHORT_HEAD)

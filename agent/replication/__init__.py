@@ -1,6 +1,6 @@
 """Replication of map logs among robots: every robot ends up with every entry, over a narrow or lossy radio.
 
-Read in this order: `engine` (what the rest of the robot uses), `replica` and `peers` (logs, version vectors, trust),
+Read in this order: `engine` (the interface and its implementations), `replica`, `peers` and `log` (what robots hold),
 `policies` and `gossip_policy` (which log ranges to send), `handshakes`, `acked_frames` and `gossip` (how they travel),
-`delivery` (acknowledgments), `frame_builder`, `log`. docs/replication.md tells the same story with its tables.
+`delivery` (acknowledgments), `neighbors`, `frame_builder`, `control_packets`. docs/replication.md has the same story.
 """

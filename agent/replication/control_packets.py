@@ -1,7 +1,11 @@
-"""Control packets that name log offsets, and the split of a frame into control packets and log ranges.
+"""Control packets of replication: offers and answers of handshakes, and packets that name log offsets.
 
-An offset travels whole while it is small (`EARLY`), later modulo `GOSSIP_WINDOW`; the receiver takes the value nearest
-to its own log length, as TCP does with truncated sequence numbers.
+An answer leaves out the fields that it shares with the offer. It names the offset within a block of 4096 entries;
+before that the block, if it differs from the offered one; and before that the round of 64 blocks, if it is not the
+first. So no length is ambiguous.
+
+Other packets (`From`, `Held`) name an offset whole while it is small (`EARLY`), later modulo `GOSSIP_WINDOW`; the
+receiver takes the value nearest to its own log length, as TCP does with truncated sequence numbers.
 """
 
 from __future__ import annotations
@@ -10,87 +14,118 @@ from functools import lru_cache
 from typing import NamedTuple
 
 from protocol import packet_index, packets
-from protocol.packets import EARLY, GOSSIP_WINDOW, From, FromEarly, Held, HeldEarly
+from protocol.errors import ProtocolError
+from protocol.packets import BLOCKS, EARLY, GOSSIP_WINDOW, INDEX_WINDOW, From, FromEarly, Held, HeldEarly
 
-CONTROL = From.name
-"""Packet type of everything that is not a log entry."""
+ROUND = BLOCKS * INDEX_WINDOW
+"""Entries of a log whose blocks have different numbers."""
 
+LEAST_HANDSHAKE = packets.Offer.size + packets.Answer.size
+"""Bytes of an offer and the shortest answer."""
 
-class Entries(NamedTuple):
-    """Consecutive entries of a log in a frame."""
+DECLINE = packets.encode([packets.Decline()])
 
-    frame: bytes
-    begin: int
-    ends: list[int]
-    """Where the first entry begins, and where each one ends, in bytes of the frame."""
+Header = From | FromEarly
+"""Packet in front of entries: it names their log and their first offset."""
 
-    def split(self) -> list[bytes]:
-        """Return each entry."""
-        return [
-            self.frame[begin:end] for begin, end in zip([self.begin, *self.ends], self.ends, strict=False)
-        ]
-
-    def first(self, count: int) -> Entries:
-        """Return the first `count` entries."""
-        return self._replace(ends=self.ends[:count])
-
-    def after(self, count: int) -> bytes:
-        """Return all but the first `count` entries, one after the other."""
-        return self.frame[self.ends[count - 1] if count else self.begin : self.ends[-1]]
+# --- handshakes
 
 
-class ParsedFrame(NamedTuple):
-    """A frame's control packets, and its entries behind the header that names their log and first offset.
-
-    Entries without a header continue the sender's own log where its last frame ended.
-    """
-
-    controls: list[packets.AnyPacket]
-    sections: list[tuple[From | FromEarly | None, Entries]]
+def block_of(length: int) -> int:
+    """Return the block in which a log of that length continues."""
+    return length // INDEX_WINDOW % BLOCKS
 
 
-@lru_cache(maxsize=64)
-def parse(frame: bytes) -> ParsedFrame:
-    """Split a frame; several robots of a process may receive the same one, so callers must not change the result.
-
-    Raises
-    ------
-    ProtocolError
-        The frame does not consist of whole packets.
-    """
-    begin = 0
-    controls: list[packets.AnyPacket] = []
-    header: From | FromEarly | None = None
-    sections: list[tuple[From | FromEarly | None, Entries]] = []
-    entries = Entries(frame, 0, [])
-    for end in packet_index.ends(frame):
-        if packets.name(frame, begin) != CONTROL:
-            entries.ends.append(end)
-        else:
-            if entries.ends:
-                sections.append((header, entries))
-            (control,) = packets.decode(frame[begin:end])
-            controls.append(control)
-            header = control if isinstance(control, From | FromEarly) else header
-            entries = Entries(frame, end, [])
-        begin = end
-    return ParsedFrame(controls, [*sections, (header, entries)] if entries.ends else sections)
+@lru_cache(maxsize=1024)
+def offer(number: int, expected: int) -> bytes:
+    """Encode an offer of map `number` to a peer that is expected to hold so many entries."""
+    return packets.encode([packets.Offer(number, block_of(expected))])
 
 
-def offset(packet: From | FromEarly | Held | HeldEarly, length: int) -> int:
+@lru_cache(maxsize=1 << 12)
+def read_offer(payload: bytes) -> packets.Offer:
+    """Decode a frame that must be one offer; ProtocolError otherwise."""
+    read = packets.handshake(payload)
+    if len(read) != 1 or not isinstance(read[0], packets.Offer):
+        raise ProtocolError("conn", 0, "expected one offer")
+    return read[0]
+
+
+@lru_cache(maxsize=1024)
+def answer(length: int, offered_block: int) -> bytes:
+    """Encode this robot's log length in as few packets as possible."""
+    block = packets.Block(block_of(length))
+    index = packets.Answer(length % INDEX_WINDOW)
+    if length >= ROUND:
+        return packets.encode([packets.Block(length // ROUND % BLOCKS), block, index])
+    return packets.encode([index] if block.block == offered_block else [block, index])
+
+
+@lru_cache(maxsize=1 << 14)
+def read_answer(payload: bytes, offered_block: int) -> int | None:
+    """Decode the peer's log length; None if it declines; ProtocolError if the frame is no answer."""
+    match packets.handshake(payload):
+        case (packets.Decline(),):
+            return None
+        case (packets.Answer(index),):
+            return offered_block * INDEX_WINDOW + index
+        case (packets.Block(block), packets.Answer(index)):
+            return block * INDEX_WINDOW + index
+        case (packets.Block(rounds), packets.Block(block), packets.Answer(index)):
+            return rounds * ROUND + block * INDEX_WINDOW + index
+        case _:
+            raise ProtocolError("conn", 0, "expected an answer behind at most two blocks, or a decline")
+
+
+# --- frames without handshakes
+
+
+def header(number: int, first: int) -> bytes:
+    """Encode the shortest packet that says: entries of map `number` follow, from offset `first` on."""
+    return packets.encode(
+        [FromEarly(number, first) if first < EARLY else From(number, first % GOSSIP_WINDOW)]
+    )
+
+
+def report(number: int, length: int) -> bytes:
+    """Encode the shortest packet that says: this robot holds `length` entries of map `number`."""
+    return packets.encode(
+        [HeldEarly(number, length) if length < EARLY else Held(number, length % GOSSIP_WINDOW)]
+    )
+
+
+def offset(packet: Header | Held | HeldEarly, length: int) -> int:
     """Return the offset that a packet means, for a robot whose log has `length` entries."""
     if isinstance(packet, FromEarly | HeldEarly):
         return packet.index
     return max(0, length + (packet.index - length + GOSSIP_WINDOW // 2) % GOSSIP_WINDOW - GOSSIP_WINDOW // 2)
 
 
-def from_packet(number: int, first: int) -> bytes:
-    """Encode the shortest packet that says: entries of map `number` follow, from offset `first` on."""
-    packet = FromEarly(number, first) if first < EARLY else From(number, first % GOSSIP_WINDOW)
-    return packets.encode([packet])
+class ParsedFrame(NamedTuple):
+    """A frame's control packets, and its entries behind their headers.
+
+    Entries without a header continue the sender's own log where its last frame ended.
+    """
+
+    controls: list[packets.AnyPacket]
+    sections: list[tuple[Header | None, list[bytes]]]
 
 
-def held_packet(number: int, length: int) -> bytes:
-    """Encode the shortest packet that says: this robot holds `length` entries of map `number`."""
-    packet = HeldEarly(number, length) if length < EARLY else Held(number, length % GOSSIP_WINDOW)
-    return packets.encode([packet])
+@lru_cache(maxsize=64)
+def parse(frame: bytes) -> ParsedFrame:
+    """Split a frame; ProtocolError if it does not consist of whole packets.
+
+    Several robots of a process may receive the same frame, so callers must not change the result.
+    """
+    controls: list[packets.AnyPacket] = []
+    entries: list[bytes] = []
+    sections: list[tuple[Header | None, list[bytes]]] = [(None, entries)]
+    for packet in packet_index.split(frame):
+        if packets.name(packet) != From.name:
+            entries.append(packet)
+            continue
+        controls += packets.decode(packet)
+        if isinstance(controls[-1], Header):
+            entries = []
+            sections.append((controls[-1], entries))
+    return ParsedFrame(controls, [section for section in sections if section[1]])

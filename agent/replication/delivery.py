@@ -1,7 +1,6 @@
 """Two ways for gossip to learn that entries arrived: the medium acknowledges them, or the peers do.
 
-`MediumAcks`: on a medium that loses nothing, all peers in range have received a broadcast that was on the air. The send
-report is the acknowledgment.
+`MediumAcks`: on a medium that loses nothing, the send report is the acknowledgment.
 
 `PeerAcks`: if the medium may lose, delay, repeat or reorder frames, a broadcast only raises what a peer is *expected*
 to hold. Peers acknowledge by `Held` reports, or by sending entries themselves. An expectation that is not acknowledged
@@ -26,7 +25,6 @@ from collections import defaultdict
 
 import numpy as np
 
-from agent.replication.control_packets import Entries
 from agent.replication.peers import Mask, PeerTable, Table
 from protocol.packets import Held
 
@@ -49,7 +47,7 @@ NEVER = -1
 
 
 class MediumAcks:
-    """The medium acknowledges: what was on the air has arrived at all peers in range."""
+    """The medium acknowledges: what was on the air has arrived at all peers in range. So most events mean nothing."""
 
     reliable = True
     """Whether all peers in range receive what is on the air."""
@@ -61,11 +59,8 @@ class MediumAcks:
     def __init__(self, peers: PeerTable) -> None:
         self._peers = peers
 
-    def begin_step(self, budget: int | None) -> None:
-        """Adapt intervals to the step's budget in bytes."""
-
-    def expire(self, step: int) -> None:
-        """Drop expectations whose retransmission timeout is over."""
+    def open_round(self, step: int, budget: int | None) -> None:
+        """Drop expectations whose retransmission timeout is over; `budget`: bytes of a step that begins, else None."""
 
     def add_due(self, due: Mask, lengths: Table, step: int, last: Table) -> None:
         """Mark the maps to report in `due`, given log lengths and the step of each map's last report."""
@@ -73,44 +68,39 @@ class MediumAcks:
     def report_sent(self, number: int, length: int) -> None:
         """Note that this robot's report of a map was on the air."""
 
-    def report_received(self, peer: int, number: int, length: int, step: int) -> None:
+    def report_received(self, peer: int, number: int, length: int, _step: int) -> None:
         """Note how many entries of a map a peer reports."""
-        del step
         self._peers.expected[peer, number] = length
 
-    def entries_received(
-        self, peer: int, number: int, first: int, entries: Entries, length: int, *, refused: bool
-    ) -> None:
-        """Note that a peer sent entries from offset `first` on; this robot holds `length` entries of the map.
+    def entries_received(self, peer: int, number: int, end: int, length: int) -> None:
+        """Note that a peer sent entries of a map, before offset `end`; this robot holds `length` entries of it."""
 
-        `refused`: this robot accepts no entries of the map from that peer.
-        """
+    def store(self, peer: int, number: int, first: int, entries: list[bytes]) -> None:
+        """Store entries that came behind a gap."""
 
-    def stored(self, number: int, length: int) -> tuple[int, bytes] | None:
+    def stored(self, _number: int, _length: int) -> tuple[int, bytes] | None:
         """Take the entry at offset `length`, with its sender, if it came behind a gap."""
-        del number, length
         return None
 
     def restarted(self, peer: int) -> None:
-        """Note that a peer lost its state."""
+        """Expect nothing of a peer that lost its state."""
 
 
-class PeerAcks:
-    """Peers acknowledge; methods are those of `MediumAcks`."""
+class PeerAcks(MediumAcks):
+    """Peers acknowledge."""
 
     reliable = False
     gap_interval = GAP_REPORTS
 
     def __init__(self, peers: PeerTable) -> None:
-        self._peers = peers
+        super().__init__(peers)
         peers.acked = peers.new_table()
-        self.turn = PATIENCE
-        self._expected_since = peers.new_table(NEVER)
+        self._expected_since: Table = np.full(peers.acked.shape, NEVER, np.int64)
         """The step since which a peer is expected to hold more than it acknowledged."""
         self._round_trip = np.full(peers.robots, MIN_ROUND_TRIP, np.int64)
         """Steps after which a report of each peer came back recently."""
         self._interval = PATIENCE
-        """Steps within which this robot reports."""
+        """Steps within which this robot reports; longer on a narrow medium."""
         self._reported: Table = np.zeros(len(peers.maps), np.int64)
         """Length of each log in this robot's last report of it."""
         self._repeated: set[int] = set()
@@ -118,15 +108,12 @@ class PeerAcks:
         self._stored: defaultdict[int, dict[int, tuple[int, bytes]]] = defaultdict(dict)
         """Entries of each map that came behind a gap, by offset, with their senders."""
 
-    def begin_step(self, budget: int | None) -> None:
-        """Lengthen the report interval on a narrow medium, and the forwarding turn with the round trip."""
+    def open_round(self, step: int, budget: int | None) -> None:
+        """Drop expectations whose retransmission timeout is over."""
         if budget:
             robots = self._peers.robots
             self._interval = max(PATIENCE, math.ceil(SHARE * Held.size * robots * (robots - 1) / budget))
             self.turn = 2 * int(self._round_trip.max()) + self._interval
-
-    def expire(self, step: int) -> None:
-        """Drop expectations whose retransmission timeout is over."""
         expected, acked, since = self._peers.expected, self._peers.acked, self._expected_since
         open_ones = expected > acked
         since[~open_ones] = NEVER
@@ -138,7 +125,7 @@ class PeerAcks:
     def add_due(self, due: Mask, lengths: Table, step: int, last: Table) -> None:
         """Mark maps with news, or repeated entries, that were not reported within the interval."""
         news = lengths > self._reported
-        news[sorted(self._repeated)] = True
+        news[list(self._repeated)] = True
         due |= news & (step >= last + self._interval)
 
     def report_sent(self, number: int, length: int) -> None:
@@ -160,25 +147,21 @@ class PeerAcks:
             expected[peer, number] = length
         expected[peer, number] = max(int(expected[peer, number]), length)
 
-    def entries_received(
-        self, peer: int, number: int, first: int, entries: Entries, length: int, *, refused: bool
-    ) -> None:
-        """A peer holds what it sends; store entries that came behind a gap."""
-        end = first + len(entries.ends)
-        acked = self._peers.acked
-        acked[peer, number] = max(int(acked[peer, number]), end)
+    def entries_received(self, peer: int, number: int, end: int, length: int) -> None:
+        """A peer holds what it sends."""
+        self._peers.acked[peer, number] = max(int(self._peers.acked[peer, number]), end)
         if end <= length:
             self._repeated.add(number)
-        elif first > length and not refused:
-            self._stored[number] |= {at: (peer, each) for at, each in enumerate(entries.split(), first)}
+
+    def store(self, peer: int, number: int, first: int, entries: list[bytes]) -> None:
+        """Store entries that came behind a gap."""
+        self._stored[number] |= {offset: (peer, entry) for offset, entry in enumerate(entries, first)}
 
     def stored(self, number: int, length: int) -> tuple[int, bytes] | None:
         """Take the stored entry at offset `length`; if there is none, drop those before it."""
-        stored = self._stored[number]
-        entry = stored.pop(length, None)
+        entry = self._stored[number].pop(length, None)
         if entry is None:
-            for at in [at for at in stored if at < length]:
-                del stored[at]
+            self._stored[number] = {at: each for at, each in self._stored[number].items() if at > length}
         return entry
 
     def restarted(self, peer: int) -> None:

@@ -11,27 +11,15 @@ from collections.abc import Callable
 
 from agent.replication.log import Log
 
-OnSent = Callable[[], None]
-OnEntriesSent = Callable[[int, int], None]
-"""Called with the first offset of a log range and the offset after the last entry that was on the air."""
-
 
 class FrameBuilder:
-    """One frame to one receiver, or to all robots in range.
-
-    Parameters
-    ----------
-    budget : int or None
-        Bytes that the frame may have; None: no limit.
-    """
-
-    __slots__ = ("_markers", "_ranges", "budget", "payload")
+    """One frame to one receiver, or to all robots in range, of `budget` bytes at most (None: no limit)."""
 
     def __init__(self, budget: int | None = None) -> None:
         self.budget = budget
         self.payload = b""
-        self._markers: list[tuple[int, OnSent]] = []
-        self._ranges: list[tuple[int, int, Log, int, OnEntriesSent]] = []
+        self._markers: list[tuple[int, Callable[[], None]]] = []
+        self._ranges: list[tuple[int, int, Log, int, Callable[[int, int], None]]] = []
 
     @property
     def has_entries(self) -> bool:
@@ -42,26 +30,30 @@ class FrameBuilder:
         """Return whether the budget has room for a packet."""
         return self.budget is None or len(self.payload) + len(packet) <= self.budget
 
-    def add(self, packet: bytes, on_sent: OnSent) -> int:
+    def add(self, packet: bytes, on_sent: Callable[[], None]) -> int:
         """Add a packet; return where it ends."""
         self.payload += packet
-        self._markers.append((len(self.payload), on_sent))
+        self.add_marker(len(self.payload), on_sent)
         return len(self.payload)
 
-    def add_marker(self, end: int, on_sent: OnSent) -> None:
+    def add_marker(self, end: int, on_sent: Callable[[], None]) -> None:
         """Call a handler if the first `end` bytes of the frame were sent."""
         self._markers.append((end, on_sent))
 
-    def add_entries(self, log: Log, first: int, end: int, header: bytes, on_sent: OnEntriesSent) -> int:
+    def add_entries(
+        self, log: Log, first: int, end: int, header: bytes, on_sent: Callable[[int, int], None]
+    ) -> int:
         """Add entries `first` to `end` - 1 behind a header, as many as fit; return the offset after the last.
 
-        A header that no entry fits behind is left out.
+        A header that no entry fits behind is left out. The handler receives the first offset, and the offset after the
+        last entry that was on the air.
         """
-        left = None if self.budget is None else self.budget - len(self.payload) - len(header)
-        entries = log.read(first, left, end) if first < end else b""
+        begin = len(self.payload) + len(header)
+        entries = (
+            log.read(first, None if self.budget is None else self.budget - begin, end) if first < end else b""
+        )
         if not entries:
             return first
-        begin = len(self.payload) + len(header)
         self.payload += header + entries
         self._ranges.append((begin, len(self.payload), log, first, on_sent))
         return log.offset_after(first, len(entries))
@@ -72,7 +64,5 @@ class FrameBuilder:
             if end <= size:
                 on_sent()
         for begin, end, log, first, on_entries_sent in self._ranges:
-            if begin < size:
-                reached = log.offset_after(first, min(size, end) - begin)
-                if reached > first:
-                    on_entries_sent(first, reached)
+            if begin < size and (reached := log.offset_after(first, min(size, end) - begin)) > first:
+                on_entries_sent(first, reached)

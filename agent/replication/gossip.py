@@ -7,7 +7,7 @@ the same forwarder (`gossip_policy`). A frame holds, in this order:
 
     event                                                     part of the frame
     this robot's range has changed                            near, gone: the robots that came and left
-    a meeting owes reports (`meetings`)                       held: each map of which the peer may know less
+    a meeting owes reports (`neighbors`)                      held: each map of which the peer may know less
     entries arrived behind a gap                              held: this robot's log length, until the gap is filled
     some robot has been out of range before                   held: one map, in turn, every `REFRESH` steps
     peer acknowledgments are due (`delivery.PeerAcks`)        held: the maps with news
@@ -24,14 +24,14 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.replication.control_packets import Entries, ParsedFrame, from_packet, held_packet, offset, parse
-from agent.replication.delivery import PATIENCE, MediumAcks, PeerAcks
+from agent.replication.base import Replication
+from agent.replication.control_packets import Header, ParsedFrame, header, offset, parse, report
+from agent.replication.delivery import PATIENCE, MediumAcks
 from agent.replication.frame_builder import FrameBuilder
 from agent.replication.gossip_policy import Dependencies, GossipPolicy
-from agent.replication.meetings import Event, Meetings
-from agent.replication.neighbors import BroadcastCursors, Neighbors
+from agent.replication.neighbors import BroadcastCursors, Meetings, Neighbors
 from agent.replication.peers import Mask, Table
-from agent.replication.replica import Replica
+from agent.replication.replica import Rejected, Replica
 from protocol import packets
 from protocol.errors import ProtocolError
 from protocol.messages import EVERYONE, OutgoingFrame, RoundReport
@@ -43,23 +43,20 @@ REFRESH = 16
 Robots = list[int] | NDArray[np.intp]
 
 
-class Gossip:
+class Gossip(Replication):
     """One robot's broadcasts and what it learns from those of others."""
 
-    def __init__(self, replica: Replica, delivery: MediumAcks | PeerAcks, dependencies: Dependencies) -> None:
-        peers = replica.peers
+    def __init__(self, replica: Replica, delivery: MediumAcks, dependencies: Dependencies) -> None:
+        super().__init__(replica)
+        peers = self.peers
         robot, robots, first_incarnation = peers.robot, peers.robots, peers.own < peers.robots
-        self.priority = 0
-        """Priority of the last frame: the higher, the shorter it waits for a free medium."""
-        self.shared = 0
-        """Offset in this robot's log before which entries were on the air."""
-        self._replica = replica
-        self._peers = peers
         self._delivery = delivery
         self._neighbors = Neighbors(robot, robots)
         self._meetings = Meetings(robots, settled=first_incarnation)
         self._cursors = BroadcastCursors(robot, robots, known=first_incarnation, reliable=delivery.reliable)
         self._policy = GossipPolicy(peers, replica.logs, self._neighbors, dependencies)
+        self._informed = peers.new_table()
+        """``_informed[peer, map]``: entries that the peer knows this robot to hold."""
         self._step = 0
         self._in_range: list[int] = []
         self._parted = False
@@ -72,34 +69,40 @@ class Gossip:
         """The last step in which this robot had nothing to send, or sent something."""
         self._builder = FrameBuilder()
 
-    def open_round(self, round_number: int, in_range: list[int], budget: int | None) -> list[OutgoingFrame]:
+    def open_round(self, number: int, in_range: list[int], budget: int | None) -> list[OutgoingFrame]:
         """Return the broadcast of this round, if there is anything to send."""
-        if round_number == 0:
-            self._delivery.begin_step(budget)
-            self._begin_step(in_range)
-        self._delivery.expire(self._step)
-        lengths = self._replica.lengths()
+        if number == 0:
+            self._step += 1
+            self._meetings.begin_step(self._step, in_range)
+            self._cursors.begin_step(in_range)
+            self._in_range = in_range
+            self._parted = self._parted or len(in_range) < self.peers.robots - 1
+        self._delivery.open_round(self._step, budget if number == 0 else None)
+        lengths = self.replica.lengths()
         self._policy.compare(self._step, self._meetings.known(self._in_range), lengths)
         self._builder = FrameBuilder(budget)
         if not in_range:
             return []
         self._add_reports(lengths)
         served = self._policy.serve(self._in_range, self._step, self._delivery.turn, self._add_range)
-        self._set_priority(served)
         payload = self._builder.payload
         if not payload:
-            self._builder = FrameBuilder()
-            return []
-        return [OutgoingFrame(EVERYONE, payload)]
+            self._builder = FrameBuilder()  # without handlers, which refer to this object
+            self._idle_since = self._step
+        unfinished = self.replica.last_append < self.shared < len(self.replica.own_log)
+        self.priority = self._policy.priority(
+            served, len(payload), self._step - self._idle_since, parted=self._parted, unfinished=unfinished
+        )
+        return [OutgoingFrame(EVERYONE, payload)] if payload else []
 
-    def close_round(self, report: RoundReport) -> None:
+    def close_round(self, report: RoundReport) -> list[Rejected]:
         """Update the tables by what was on the air, and accept the entries that arrived."""
         frames: list[tuple[int, ParsedFrame]] = []
         for delivery in report.deliveries:
             try:
                 frames.append((delivery.sender, parse(delivery.payload)))
             except ProtocolError as error:
-                self._replica.reject(delivery.sender, delivery.sender, error)
+                self.replica.reject(delivery.sender, delivery.sender, error)
         for peer, frame in frames:
             self._note_restart(peer, frame)
         for peer, frame in frames:  # reports describe the state before this round
@@ -109,24 +112,17 @@ class Gossip:
             self._builder.sent(sent)
             if sent:
                 self._idle_since = self._step
-            self._builder = FrameBuilder()  # its handlers refer to this object
+            self._builder = FrameBuilder()
         for peer, frame in frames:
-            for header, entries in frame.sections:
-                self._read_entries(peer, header, entries)
+            for head, entries in frame.sections:
+                self._read_entries(peer, head, entries)
+        return self.replica.take_rejected()
 
     def delivered(self) -> bool:
         """Return whether peers are in range and all of this robot's log has been on the air."""
-        return bool(self._in_range) and self.shared == len(self._replica.own_log)
+        return bool(self._in_range) and self.shared == len(self.replica.own_log)
 
     # --- sending
-
-    def _begin_step(self, in_range: list[int]) -> None:
-        """Note which peers are in range in this step."""
-        self._step += 1
-        self._meetings.begin_step(self._step, in_range)
-        self._cursors.begin_step(in_range)
-        self._in_range = in_range
-        self._parted = self._parted or len(in_range) < self._peers.robots - 1
 
     def _add_reports(self, lengths: Table) -> None:
         """Add reports of this robot's range and of its log lengths to the frame."""
@@ -135,71 +131,58 @@ class Gossip:
             near = packets.encode([Near(robot) if here else Gone(robot)])
             if builder.fits(near):
                 builder.add(near, partial(self._neighbors.inform, self._in_range, robot, here))
-        due = self._reports_due(lengths, owed)
-        due[self._peers.own] = False
         end = 0
-        for number in np.flatnonzero(due).tolist():
-            held = held_packet(number, len(self._replica.logs[number]))
+        for number in np.flatnonzero(self._reports_due(lengths, owed)).tolist():
+            held = report(number, len(self.logs[number]))
             if builder.fits(held):
                 end = builder.add(held, partial(self._report_sent, number))
-        builder.add_marker(end, partial(self._informed, owed))
+        builder.add_marker(end, partial(self._reports_sent, owed))
 
     def _reports_due(self, lengths: Table, owed: list[int]) -> Mask:
         """Return the mask of maps of which some peer should know how much this robot holds."""
-        peers, step = self._peers, self._step
-        due: Mask = np.logical_or.reduce(peers.informed[owed] < lengths)
+        robots, step = self.peers.robots, self._step
+        due: Mask = np.logical_or.reduce(self._informed[owed] < lengths)
         for number in self._gaps:
             due[number] |= step >= self._reported[number] + self._delivery.gap_interval
-        if self._parted and step % REFRESH == peers.robot % REFRESH:
-            in_turn = np.arange(len(lengths)) % peers.robots == step // REFRESH % peers.robots
-            in_turn[peers.robots :] &= lengths[peers.robots :] > 0
-            due |= in_turn
+        if self._parted and step % REFRESH == self.peers.robot % REFRESH:
+            numbers = np.arange(len(lengths))
+            due |= (numbers % robots == step // REFRESH % robots) & ((numbers < robots) | (lengths > 0))
         self._delivery.add_due(due, lengths, step, self._reported)
+        due[self.peers.own] = False
         return due
 
     def _add_range(self, number: int, first: int, end: int) -> int:
         """Add entries of a map to the frame, behind a header where one is needed; return the offset after the last."""
-        own = number == self._peers.own
+        own = number == self.peers.own
         continues = own and not self._builder.has_entries and self._cursors.known(first, self._in_range)
-        header = b"" if continues else from_packet(number, first)
-        log, on_sent = self._replica.logs[number], partial(self._entries_sent, number)
-        return self._builder.add_entries(log, first, end, header, on_sent)
-
-    def _set_priority(self, served: int | None) -> None:
-        """Set the priority of the frame, given the peer that is served first."""
-        size = len(self._builder.payload)
-        if not size:
-            self._idle_since = self._step
-        waited = self._step - self._idle_since
-        if self._parted:
-            self.priority = self._policy.priority_apart(served, waited)
-        else:
-            unfinished = self._replica.last_append < self.shared < len(self._replica.own_log)
-            self.priority = self._policy.priority(served, size, waited, unfinished=unfinished)
+        head = b"" if continues else header(number, first)
+        return self._builder.add_entries(
+            self.logs[number], first, end, head, partial(self._entries_sent, number)
+        )
 
     # --- what was on the air
 
     def _report_sent(self, number: int) -> None:
         """This robot's report of a map was on the air."""
-        length = len(self._replica.logs[number])
+        length = len(self.logs[number])
         self._reported[number] = self._step
         self._gaps.discard(number)
         self._inform(self._in_range, number, length)
         self._delivery.report_sent(number, length)
 
-    def _informed(self, owed: list[int]) -> None:
+    def _reports_sent(self, owed: list[int]) -> None:
         """All reports that this robot owed to peers were on the air."""
         for peer in owed:
-            self._meetings.on(peer, Event.INFORMED)
+            self._meetings.on(peer, "informed")
 
     def _entries_sent(self, number: int, first: int, end: int) -> None:
         """Entries `first` to `end` - 1 of a map were on the air."""
         self._inform(self._in_range, number, end)
         self._expect(self._in_range, number, first, end)
-        if number == self._peers.own:
+        if number == self.peers.own:
             self._cursors.sent(end, self._in_range)
             self.shared = max(self.shared, end)
-        elif self._peers.maps[number].robot == self._peers.robot:
+        elif self.peers.maps[number].robot == self.peers.robot:
             self._cursors.sent_earlier_incarnation()
 
     # --- receiving
@@ -207,64 +190,62 @@ class Gossip:
     def _note_restart(self, peer: int, frame: ParsedFrame) -> None:
         """A peer that broadcasts a map of a new incarnation of its own lost its state."""
         for control in frame.controls:
-            if isinstance(control, From | FromEarly) and self._peers.restarted(peer, control.map):
-                self._peers.informed[peer] = 0
-                self._delivery.restarted(peer)
-                self._cursors.restarted(peer)
-                self._neighbors.restarted(peer)
-                self._meetings.on(peer, Event.RESTARTED)
+            if isinstance(control, Header) and self.peers.restarted(peer, control.map):
+                self._informed[peer] = 0
+                for part in (self._delivery, self._cursors, self._neighbors):
+                    part.restarted(peer)
+                self._meetings.on(peer, "restarted")
 
     def _read_reports(self, peer: int, frame: ParsedFrame) -> None:
         """Note a peer's range and its log lengths; reject the peer's entries if it sends other control packets."""
-        logs, robots = self._replica.logs, self._peers.robots
+        logs, robots = self.logs, self.peers.robots
         for control in frame.controls:
             match control:
-                case Near(robot) if robot < robots:
-                    self._neighbors.reported(peer, robot, True)
-                case Gone(robot) if robot < robots:
-                    self._neighbors.reported(peer, robot, False)
+                case Near(robot) | Gone(robot) if robot < robots:
+                    self._neighbors.near[peer, robot] = isinstance(control, Near)
                 case (Held(number, _) | HeldEarly(number, _)) as held if number < len(logs) and (
                     number != peer or len(logs) > robots
                 ):
                     length = self._possible(number, offset(held, len(logs[number])))
                     self._delivery.report_received(peer, number, length, self._step)
-                    self._meetings.on(peer, Event.REPORTED)
-                    self._neighbors.reported(peer, self._peers.robot, True)
+                    self._meetings.on(peer, "reported")
+                    self._neighbors.near[peer, self.peers.robot] = True
                 case From(number, _) | FromEarly(number, _) if number < len(logs):
                     pass
                 case other:
                     reason = f"{other} is not valid in gossip of {robots} robots"
-                    self._replica.reject(peer, peer, ProtocolError(other.name, 0, reason))
+                    self.replica.reject(peer, peer, ProtocolError(other.name, 0, reason))
 
-    def _read_entries(self, peer: int, header: From | FromEarly | None, entries: Entries) -> None:
+    def _read_entries(self, peer: int, head: Header | None, entries: list[bytes]) -> None:
         """Accept new entries of a map, and note which peers received them and know that this robot did."""
-        number = self._peers.current[peer] if header is None else header.map
-        if number >= len(self._replica.logs):
+        number = self.peers.current[peer] if head is None else head.map
+        if number >= len(self.logs):
             return
-        log, replica = self._replica.logs[number], self._replica
-        first = self._cursors.of(peer) if header is None else offset(header, len(log))
+        log, replica = self.logs[number], self.replica
+        first = self._cursors.of(peer) if head is None else offset(head, len(log))
         if first is None:
             self._gaps.add(number)
             return
-        end = max(first, self._possible(number, first + len(entries.ends)))
-        entries = entries if end - first == len(entries.ends) else entries.first(end - first)
+        end = max(first, self._possible(number, first + len(entries)))
         if end == first:
             return
-        refused = (peer, number) in replica.refused
-        self._delivery.entries_received(peer, number, first, entries, len(log), refused=refused)
-        if number == self._peers.current[peer]:
+        entries = entries[: end - first]
+        self._delivery.entries_received(peer, number, end, len(log))
+        if number == self.peers.current[peer]:
             self._cursors.received(peer, end)
-        self._peers.expected[peer, number] = max(int(self._peers.expected[peer, number]), end)
+        self.peers.expected[peer, number] = max(self.peers.expected.item(peer, number), end)
         if first > len(log):
             self._gaps.add(number)
+            if (peer, number) not in replica.refused:
+                self._delivery.store(peer, number, first, entries)
         else:
             self._gaps.discard(number)
-        if first <= len(log) < end and not self._peers.is_own(number):
-            replica.accept(peer, number, entries.after(len(log) - first))
+        if first <= len(log) < end and not self.peers.is_own(number):
+            replica.accept(peer, number, b"".join(entries[len(log) - first :]))
         receivers = self._neighbors.receivers(peer)
         self._expect(np.flatnonzero(receivers), number, first, end)
         if len(log) >= end:
-            receivers[[peer, self._peers.robot]] = True
+            receivers[[peer, self.peers.robot]] = True
             self._inform(np.flatnonzero(receivers), number, end)
         while (stored := self._delivery.stored(number, len(log))) is not None:
             self._gaps.add(number)
@@ -272,14 +253,13 @@ class Gossip:
 
     def _expect(self, peers: Robots, number: int, first: int, end: int) -> None:
         """Peers received entries `first` to `end` - 1 of a map; they take them unless they lack earlier ones."""
-        expected = self._peers.expected[peers, number]
-        self._peers.expected[peers, number] = np.where(expected >= first, np.maximum(expected, end), expected)
+        expected = self.peers.expected[peers, number]
+        self.peers.expected[peers, number] = np.where(expected >= first, np.maximum(expected, end), expected)
 
     def _inform(self, peers: Robots, number: int, length: int) -> None:
         """Peers know that this robot holds so many entries of a map."""
-        informed = self._peers.informed
-        informed[peers, number] = np.maximum(informed[peers, number], length)
+        self._informed[peers, number] = np.maximum(self._informed[peers, number], length)
 
     def _possible(self, number: int, length: int) -> int:
         """Bound a log length that a peer claims: of this robot's map none holds what was not on the air."""
-        return min(length, self.shared) if number == self._peers.own else length
+        return min(length, self.shared) if number == self.peers.own else length

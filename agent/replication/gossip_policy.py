@@ -20,8 +20,7 @@ import numpy as np
 from agent.encodings.base import Dependency
 from agent.replication.log import Log
 from agent.replication.neighbors import Neighbors
-from agent.replication.peers import Mask, PeerTable, Table
-from protocol.kernels import kernel
+from agent.replication.peers import PeerTable, Table
 
 Dependencies = Callable[[int], Sequence[Dependency]]
 """Returns, for a map number, its log ranges that depend on other logs, in order (`MapEncoding.dependencies`)."""
@@ -53,30 +52,17 @@ def no_dependencies(number: int) -> Sequence[Dependency]:
 
 
 class GossipPolicy:
-    """What peers in range lack, since when, and which of that this robot broadcasts.
-
-    Parameters
-    ----------
-    peers : PeerTable
-    logs : sequence of Log
-        By map number.
-    neighbors : Neighbors
-    dependencies : callable
-    """
+    """What peers in range lack, since when, and which of that this robot broadcasts."""
 
     def __init__(
-        self,
-        peers: PeerTable,
-        logs: Sequence[Log],
-        neighbors: Neighbors,
-        dependencies: Dependencies,
+        self, peers: PeerTable, logs: Sequence[Log], neighbors: Neighbors, dependencies: Dependencies
     ) -> None:
         self._peers = peers
         self._logs = logs
         self._neighbors = neighbors
         self._dependencies = dependencies
-        self.lacks = peers.new_table()
-        """``lacks[peer, map]``: entries that this robot holds and the peer should not hold yet."""
+        self._lacks = peers.new_table()
+        """``_lacks[peer, map]``: entries that this robot holds and the peer should not hold yet."""
         self._since = peers.new_table()
         """The step since which it lacks some."""
         self._in_range: list[int] = []
@@ -87,10 +73,11 @@ class GossipPolicy:
 
     def compare(self, step: int, known: list[int], lengths: Table) -> None:
         """Compare log lengths with the version vectors of the peers in range whose report is not awaited."""
-        compared = np.zeros(self._peers.robots, np.bool_)
-        compared[known] = True
-        current = np.array(self._peers.current, np.int64)
-        note_lacks(self._peers.expected, lengths, compared, current, step, self.lacks, self._since)
+        lacks = self._peers.new_table()
+        lacks[known] = np.maximum(lengths - self._peers.expected[known], 0)
+        lacks[np.arange(self._peers.robots), self._peers.current] = 0
+        self._since[(lacks > 0) & (self._lacks == 0)] = step
+        self._lacks = lacks
 
     def serve(self, in_range: list[int], step: int, turn: int, broadcast: Broadcast) -> int | None:
         """Broadcast what peers lack; return the peer that is served first, if any.
@@ -100,11 +87,11 @@ class GossipPolicy:
         self._in_range, self._step, self._turn = in_range, step, turn
         self._sent = {}
         expected, own = self._peers.expected, self._peers.own
-        lacking = np.flatnonzero(self.lacks.any(axis=1)).tolist()
+        lacking = np.flatnonzero(self._lacks.any(axis=1)).tolist()
         held = dict(zip(lacking, expected[lacking].sum(axis=1).tolist(), strict=True))
         served = None
         for peer in sorted(lacking, key=lambda each: (-held[each], each)):
-            lacks: list[int] = self.lacks[peer].tolist()
+            lacks: list[int] = self._lacks[peer].tolist()
             will_hold: list[int] = expected[peer].tolist()
             will_hold[self._peers.current[peer]] = np.iinfo(np.int64).max
             numbers = [number for number, lack in enumerate(lacks) if lack]
@@ -156,7 +143,7 @@ class GossipPolicy:
         candidates = [
             each
             for each in self._in_range
-            if self._neighbors.are_near(each, peer)
+            if self._neighbors.near[each, peer]
             and (current[each] == number or expected[each, number] > expected[peer, number])
         ]
         candidates.append(self._peers.robot)
@@ -164,38 +151,19 @@ class GossipPolicy:
         waited = self._step - self._since.item(peer, number)
         return candidates.index(self._peers.robot) <= waited // self._turn
 
-    def priority(self, served: int | None, size: int, waited: int, *, unfinished: bool) -> int:
-        """Return the priority of a frame of `size` bytes if no robot has ever been out of range.
+    def priority(self, served: int | None, size: int, waited: int, *, parted: bool, unfinished: bool) -> int:
+        """Return the priority of a frame of `size` bytes that waited for some steps, given the first served peer.
 
-        `unfinished`: a part of the entries appended last has been on the air, and the rest has not; these come first.
-        Else the frame ranks by how few entries the first served peer lacks, by its size, and by the steps it waited.
+        If robots have been out of range (`parted`): the more that peer holds, the higher. Else frames come first that
+        are `unfinished`: a part of the entries appended last has been on the air, and the rest has not. Other frames
+        rank by how few entries the peer lacks, and by their size.
         """
-        if unfinished:
+        if parted:
+            held = 0 if served is None else int(self._peers.expected[served].sum())
+            priority = min(MAX_HELD_PRIORITY, held // HELD_PER_PRIORITY)
+        elif unfinished:
             return MAX_PRIORITY
-        lacks = 0 if served is None else int(self.lacks[served].sum())
-        return _aged(max(0, KEEPING_UP - lacks) + min(LONG, size), waited)
-
-    def priority_apart(self, served: int | None, waited: int) -> int:
-        """Return the priority if robots have been out of range: the more the first served peer holds, the higher."""
-        held = 0 if served is None else int(self._peers.expected[served].sum())
-        return _aged(min(MAX_HELD_PRIORITY, held // HELD_PER_PRIORITY), waited)
-
-
-def _aged(priority: int, waited: int) -> int:
-    return min(MAX_PRIORITY - 1, priority + AGING * waited)
-
-
-@kernel("void(int64[:,::1], int64[::1], boolean[::1], int64[::1], int64, int64[:,::1], int64[:,::1])")
-def note_lacks(
-    expected: Table, lengths: Table, compared: Mask, current: Table, step: int, lacks: Table, since: Table
-) -> None:
-    """Write how many entries of each map, but its own, each compared peer lacks, and since which step."""
-    robots, maps = expected.shape
-    for peer in range(robots):
-        for number in range(maps):
-            lack = 0
-            if compared[peer] and number != current[peer]:
-                lack = max(lengths[number] - expected[peer, number], 0)
-            if lack and not lacks[peer, number]:
-                since[peer, number] = step
-            lacks[peer, number] = lack
+        else:
+            lacks = 0 if served is None else int(self._lacks[served].sum())
+            priority = max(0, KEEPING_UP - lacks) + min(LONG, size)
+        return min(MAX_PRIORITY - 1, priority + AGING * waited)

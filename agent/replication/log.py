@@ -68,8 +68,8 @@ class Log:
 
     def truncate(self, before: int) -> None:
         """Drop the entries before offset `before`."""
-        before = min(before, len(self))
         if before > self.start:
+            before = min(before, len(self))
             begin = self._begin(before)
             del self._bytes[: begin - self._truncated]
             del self._ends[: before - self.start]

@@ -1,38 +1,102 @@
-"""The radio range of each robot, as the robots report it (`Near`, `Gone`).
+"""Robots in range, as gossip sees them: who receives whom, who is meeting, and who knows where broadcasts go on.
 
-A robot must know which others received a broadcast. So each one reports arrivals and departures in its own range until
-all peers in range have received that. Until a robot reports otherwise, it counts as in range of all.
+Robots that meet report the log lengths that the other may not know. Until a newcomer has reported, or `GREETING` steps
+have passed, this robot does not send it old entries: it may hold them already.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from typing import Literal
 
 import numpy as np
 
 from agent.replication.peers import Mask
 
+GREETING = 1
+"""Steps after a peer's arrival for which this robot waits for its report."""
+
+State = Literal["away", "meeting", "owing", "awaiting", "settled"]
+Event = Literal["arrived", "reported", "timed out", "informed", "restarted", "left"]
+
+TRANSITIONS: dict[tuple[State, Event], State] = {
+    ("away", "arrived"): "meeting",
+    ("away", "restarted"): "owing",
+    ("meeting", "reported"): "owing",
+    ("meeting", "timed out"): "owing",
+    ("meeting", "informed"): "awaiting",
+    ("owing", "informed"): "settled",
+    ("owing", "arrived"): "meeting",
+    ("awaiting", "reported"): "settled",
+    ("awaiting", "timed out"): "settled",
+    ("awaiting", "restarted"): "meeting",
+    ("settled", "restarted"): "owing",
+}
+"""The states of a meeting with one peer. From every state "left" leads to "away"; other events change nothing.
+
+Events: the peer comes into range (arrived), reports, restarts or leaves the range; this robot's reports were sent
+(informed); the greeting times out.
+"""
+
+
+class Meetings:
+    """This robot's meetings with all peers.
+
+    `settled`: all start at the same time with empty logs; else everyone in range must report first.
+    """
+
+    def __init__(self, robots: int, *, settled: bool) -> None:
+        self._states: list[State] = ["settled" if settled else "away"] * robots
+        self._in_range = set(range(robots)) if settled else set[int]()
+        self._arrived: dict[int, int] = {}
+        """The step in which each peer came into range last."""
+
+    def on(self, peer: int, event: Event) -> None:
+        """Follow the transition table."""
+        state = self._states[peer]
+        self._states[peer] = "away" if event == "left" else TRANSITIONS.get((state, event), state)
+
+    def begin_step(self, step: int, in_range: Sequence[int]) -> None:
+        """Note which peers have left the range and which have come, and time out greetings."""
+        before, self._in_range = self._in_range, set(in_range)
+        for peer in set(range(len(self._states))) - self._in_range:
+            self.on(peer, "left")
+        for peer in in_range:
+            if peer not in before:
+                self.on(peer, "arrived")
+                self._arrived[peer] = step
+            elif self._awaits_report(peer) and step > self._arrived[peer] + GREETING:
+                self.on(peer, "timed out")
+
+    def owed(self) -> list[int]:
+        """Return the peers to which this robot owes reports, ascending."""
+        return [peer for peer, state in enumerate(self._states) if state in ("meeting", "owing")]
+
+    def known(self, in_range: Iterable[int]) -> list[int]:
+        """Return the peers in range whose report is not awaited."""
+        return [peer for peer in in_range if not self._awaits_report(peer)]
+
+    def _awaits_report(self, peer: int) -> bool:
+        return self._states[peer] in ("meeting", "awaiting")
+
 
 class Neighbors:
-    """Which robots are in range of each other, as far as one robot knows.
+    """Which robots are in range of each other, as they report it (`Near`, `Gone`).
 
-    Parameters
-    ----------
-    robot : int
-        This robot's number.
-    robots : int
+    A robot must know which others received a broadcast. So each one reports arrivals and departures in its own range
+    until all peers in range have received that. Until a robot reports otherwise, it counts as in range of all.
     """
 
     def __init__(self, robot: int, robots: int) -> None:
         self._robot = robot
-        self._near: Mask = ~np.eye(robots, dtype=np.bool_)
-        """``_near[peer, other]``: whether `other` is in range of a peer, by the peer's reports."""
+        self.near: Mask = ~np.eye(robots, dtype=np.bool_)
+        """``near[peer, other]``: whether `other` is in range of a peer, by the peer's reports."""
         self._informed: Mask = np.arange(robots) != np.full((robots, 1), robot)
         """``_informed[peer, other]``: whether `other` is in this robot's range, by the reports that a peer received."""
 
     def news(self, in_range: list[int]) -> list[tuple[int, bool]]:
         """Return the robots of which a peer in range has an outdated report, and whether each is in range now."""
-        here = np.zeros(len(self._near), np.bool_)
+        here = np.zeros(len(self.near), np.bool_)
         here[in_range] = True
         outdated = self._informed[in_range] ^ here
         outdated[range(len(in_range)), in_range] = False
@@ -42,41 +106,24 @@ class Neighbors:
         """Note that peers received this robot's report about another robot."""
         self._informed[peers, other] = here
 
-    def reported(self, peer: int, other: int, here: bool) -> None:
-        """Note a peer's report about another robot."""
-        self._near[peer, other] = here
-
-    def are_near(self, peer: int, other: int) -> bool:
-        """Return whether another robot is in range of a peer, by the peer's reports."""
-        return bool(self._near[peer, other])
-
     def receivers(self, peer: int) -> Mask:
         """Return the mask of all robots but this one that receive a peer's broadcasts."""
-        receivers: Mask = self._near[peer].copy()
+        receivers: Mask = self.near[peer].copy()
         receivers[self._robot] = False
         return receivers
 
     def restarted(self, peer: int) -> None:
         """Note that a peer lost its state: it has received and sent no reports."""
-        self._near[peer] = np.arange(len(self._near)) != peer
-        self._informed[peer] = np.arange(len(self._near)) != self._robot
+        self.near[peer] = np.arange(len(self.near)) != peer
+        self._informed[peer] = np.arange(len(self.near)) != self._robot
 
 
 class BroadcastCursors:
     """Offsets at which each robot's next broadcast of its own log begins, as far as that is known without a header.
 
     A robot that received the last broadcast, or was in range then, knows where the next one begins, so the header
-    (`From`) is left out. On a medium that loses frames no peer can know.
-
-    Parameters
-    ----------
-    robot : int
-        This robot's number.
-    robots : int
-    known : bool
-        Whether all logs begin now; else no offset is known yet.
-    reliable : bool
-        Whether all robots in range receive a broadcast.
+    (`From`) is left out. `known`: all logs begin now; else no offset is known yet. On a medium that loses frames, that
+    is not `reliable`, no peer can know.
     """
 
     def __init__(self, robot: int, robots: int, *, known: bool, reliable: bool) -> None:
@@ -86,20 +133,19 @@ class BroadcastCursors:
         """Offset after this robot's last broadcast of its own log."""
         self._aware = set(range(robots)) - {robot} if known else set()
         """Robots that have been in range since then."""
-        self._others: list[int | None] = [0 if known else None] * robots
+        self._others: dict[int, int] = dict.fromkeys(range(robots), 0) if known else {}
         """Offset after each peer's last broadcast of its own log, if this robot received it."""
 
-    def begin_step(self, in_range: Iterable[int]) -> None:
+    def begin_step(self, in_range: list[int]) -> None:
         """Forget what robots out of range may have missed."""
-        peers = set(in_range)
-        self._aware &= peers
-        self._others = [cursor if peer in peers else None for peer, cursor in enumerate(self._others)]
+        self._aware.intersection_update(in_range)
+        self._others = {peer: self._others[peer] for peer in in_range if peer in self._others}
 
-    def known(self, first: int, peers: Iterable[int]) -> bool:
+    def known(self, first: int, peers: list[int]) -> bool:
         """Return whether all of `peers` know that this robot's next broadcast begins at offset `first`."""
         return first == self._own and self._aware.issuperset(peers)
 
-    def sent(self, end: int, peers: Iterable[int]) -> None:
+    def sent(self, end: int, peers: list[int]) -> None:
         """Note that `peers` received this robot's own log up to offset `end`."""
         if self._reliable:
             self._own, self._aware = end, set(peers)
@@ -110,7 +156,7 @@ class BroadcastCursors:
 
     def of(self, peer: int) -> int | None:
         """Return the offset of a peer's next broadcast of its own log; None if unknown."""
-        return self._others[peer]
+        return self._others.get(peer)
 
     def received(self, peer: int, end: int) -> None:
         """Note that a peer's broadcast of its own log ended at offset `end`."""
@@ -119,5 +165,5 @@ class BroadcastCursors:
 
     def restarted(self, peer: int) -> None:
         """Note that a peer began a new log and knows no cursors."""
-        self._others[peer] = None
+        self._others.pop(peer, None)
         self._aware.discard(peer)

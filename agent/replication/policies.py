@@ -11,99 +11,110 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
-from agent.replication.handshake_packets import LEAST_HANDSHAKE
-from agent.replication.peers import PeerTable, Table
-from protocol.kernels import kernel
+from agent.replication.control_packets import LEAST_HANDSHAKE
+from agent.replication.peers import Table
+from agent.replication.replica import Replica
 
 CROWD = 16
 """Robots in range of each other above which ``backoff`` bounds handshakes by the medium's capacity: at this size 240
 offers a round take 960 bytes with their answers."""
 
 
-class LogRange(NamedTuple):
-    """Entries `first` to `end` - 1 of a map's log, for one peer."""
+class Offer(NamedTuple):
+    """A map of which a peer is expected to lack the entries from offset `first` on."""
 
-    receiver: int
+    peer: int
     number: int
     first: int
-    end: int
 
 
-@dataclass
-class Round:
-    """The round that the medium is in, as one robot sees it."""
+class Rounds:
+    """The rounds of the medium as one robot sees them, and what it offers in each."""
 
-    next_peer: int
-    """The peer that a crowd's bounded offers go on with."""
-    now: int = 0
-    """Rounds so far, over all steps."""
-    number: int = 0
-    """The round within its step, from 0."""
-    single: bool = True
-    """Whether every step so far had one round only."""
-    in_range: list[int] = field(default_factory=list)
-    budget: int | None = None
-    """Bytes left of the step's budget; None: no limit."""
+    def __init__(self, replica: Replica, policy: Policy, *, forwards: bool) -> None:
+        self.peers = replica.peers
+        self.now = 0
+        """Rounds so far, over all steps."""
+        self.number = 0
+        """The round within its step, from 0."""
+        self.single = True
+        """Whether every step so far had one round only."""
+        self.in_range: list[int] = []
+        self.budget: int | None = None
+        """Bytes left of the step's budget; None: no limit."""
+        self.due = self.peers.new_table()
+        """``due[peer, map]``: the round before which a map is not offered to the peer again."""
+        self.next_peer = self.peers.robot + 1
+        """The peer that a crowd's bounded offers go on with."""
+        self._replica = replica
+        self._policy = policy
+        self._forwards = forwards
+        """Whether maps of other robots are offered as well as this robot's own."""
 
-    def open(self, number: int, in_range: list[int], budget: int | None) -> None:
-        """Begin the next round."""
+    def open(self, number: int, in_range: list[int], budget: int | None) -> list[Offer]:
+        """Begin the next round; return its offers."""
         self.now += 1
         self.number = number
         self.single = self.single and number == 0
         self.in_range = in_range
         self.budget = budget
+        lengths = self._replica.lengths()
+        if not self._forwards:
+            lengths[np.arange(len(lengths)) != self.peers.own] = 0
+        return self._policy(self, lengths) if in_range and lengths.any() else []
 
 
-Policy = Callable[[PeerTable, Round, Table], list[LogRange]]
-"""Chooses ranges, in order, given the peer table, the round, and the number of entries of each map to offer."""
+Policy = Callable[[Rounds, Table], list[Offer]]
+"""Chooses offers, given the rounds so far and the number of entries of each map that may be offered."""
 
 
-def offerable(peers: PeerTable, lengths: Table, *, forwards: bool) -> Table:
-    """Return the log lengths, zero for maps that are not offered: if not `forwards`, all but this robot's."""
-    return lengths if forwards else np.where(np.arange(len(lengths)) == peers.own, lengths, 0)
-
-
-def thesis(peers: PeerTable, now: Round, lengths: Table) -> list[LogRange]:
+def thesis(rounds: Rounds, lengths: Table) -> list[Offer]:
     """Offer every peer in range all that it lacks, this robot's map first."""
-    expected, held = peers.expected, lengths.tolist()
+    peers, held = rounds.peers, lengths.tolist()
     numbers = [peers.own, *(number for number in range(len(held)) if number != peers.own)]
     return [
-        LogRange(peer, number, first, held[number])
-        for peer in now.in_range
+        Offer(peer, number, first)
+        for peer in rounds.in_range
         for number in numbers
-        if number != peers.current[peer] and (first := expected.item(peer, number)) < held[number]
+        if number != peers.current[peer] and (first := peers.expected.item(peer, number)) < held[number]
     ]
 
 
-def backoff(peers: PeerTable, now: Round, lengths: Table) -> list[LogRange]:
+def backoff(rounds: Rounds, lengths: Table) -> list[Offer]:
     """Offer every peer in range one map at most, with binary exponential back-off after refusals."""
-    chosen = np.empty(len(now.in_range), np.int64)
-    in_range, current = np.array(now.in_range, np.int64), np.array(peers.current, np.int64)
-    rule = now.now, now.number, now.single
-    choose_offers(peers.expected, peers.due, lengths, in_range, current, peers.own, *rule, chosen)
-    offers = [
-        LogRange(peer, number, peers.expected.item(peer, number), lengths.item(number))
-        for peer, number in zip(now.in_range, chosen.tolist(), strict=True)
-        if number >= 0
-    ]
-    crowd = len(now.in_range) + 1
-    if now.budget is None or crowd <= CROWD:
-        return offers
-    return _in_turn(offers, now, max(1, now.budget // (LEAST_HANDSHAKE * crowd)))
+    in_range, now, own, expected = rounds.in_range, rounds.now, rounds.peers.own, rounds.peers.expected
+    length = lengths.item(own)
+    offers = {
+        peer: Offer(peer, own, first)
+        for peer in in_range
+        if (first := expected.item(peer, own)) < length and now >= rounds.due.item(peer, own)
+    }
+    if rounds.number or (rounds.single and now % 2 == 0):
+        missing = np.where(now >= rounds.due[in_range], lengths - expected[in_range], 0)
+        missing[:, own] = 0
+        missing[np.arange(len(in_range)), [rounds.peers.current[peer] for peer in in_range]] = 0
+        for each, number in enumerate(missing.argmax(axis=1).tolist()):
+            peer = in_range[each]
+            if missing.item(each, number) > 0 and (rounds.single or peer not in offers):
+                offers[peer] = Offer(peer, number, expected.item(peer, number))
+    chosen = [offers[peer] for peer in in_range if peer in offers]
+    crowd = len(in_range) + 1
+    if rounds.budget is None or crowd <= CROWD:
+        return chosen
+    return _in_turn(chosen, rounds, max(1, rounds.budget // (LEAST_HANDSHAKE * crowd)))
 
 
-def _in_turn(offers: list[LogRange], now: Round, most: int) -> list[LogRange]:
-    """Return `most` offers, of those sorted by receiver, from the next receiver on."""
+def _in_turn(offers: list[Offer], rounds: Rounds, most: int) -> list[Offer]:
+    """Return `most` offers, of those sorted by peer, from the next peer on."""
     if len(offers) > most:
-        first = bisect_left(offers, (now.next_peer,))
+        first = bisect_left(offers, (rounds.next_peer,))
         offers = [*offers[first:], *offers[:first]][:most]
     if offers:
-        now.next_peer = offers[-1].receiver + 1
+        rounds.next_peer = offers[-1].peer + 1
     return offers
 
 
@@ -113,34 +124,3 @@ GOSSIP = "gossip"
 
 DISSEMINATIONS = (*POLICIES, GOSSIP)
 """The values of the scenario's setting `dissemination`."""
-
-
-@kernel(
-    "void(int64[:,::1], int64[:,::1], int64[::1], int64[::1], int64[::1], int64, int64, int64, boolean, int64[::1])"
-)
-def choose_offers(
-    expected: Table,
-    due: Table,
-    lengths: Table,
-    in_range: Table,
-    current: Table,
-    own: int,
-    now: int,
-    round_number: int,
-    single: bool,
-    chosen: Table,
-) -> None:
-    """Choose for each peer the map to offer by the rule ``backoff``; -1: none."""
-    turn_of_others = round_number != 0 or (single and now % 2 == 0)
-    for each in range(len(in_range)):
-        peer = in_range[each]
-        own_due = lengths[own] > expected[peer, own] and now >= due[peer, own]
-        chosen[each] = own if own_due else -1
-        if (own_due and not single) or not turn_of_others:
-            continue
-        most = 0
-        for number in range(len(lengths)):
-            missing = lengths[number] - expected[peer, number]
-            if missing > most and number not in (own, current[peer]) and now >= due[peer, number]:
-                most = missing
-                chosen[each] = number

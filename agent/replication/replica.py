@@ -13,8 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from agent.replication.log import Log
-from agent.replication.map_ids import MapId
-from agent.replication.peers import PeerTable, Table
+from agent.replication.peers import MapId, PeerTable, Table
 from protocol.errors import ProtocolError
 
 Consume = Callable[[int, MapId, bytes], Sequence[int]]
@@ -87,11 +86,3 @@ class Replica:
         """Return the rejections since the last call."""
         rejected, self._rejected = self._rejected, []
         return rejected
-
-    def truncate(self) -> None:
-        """Drop the entries that all robots acknowledged; a robot that may restart needs them again, so none then."""
-        if len(self.logs) > self.peers.robots or not any(self.logs):
-            return
-        for log, before in zip(self.logs, self.peers.held_by_all(), strict=True):
-            if before > log.start:
-                log.truncate(before)

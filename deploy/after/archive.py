@@ -24,20 +24,13 @@ Table = dict[str, NDArray[Any]]
 
 @dataclass(frozen=True)
 class Archive:
-    """One run, as recorded in its directory.
-
-    Attributes
-    ----------
-    directory : Path
-    plan : Plan
-        The plan derived from its scenario.
-    summary : dict
-        The figures of ``summary.json``.
-    """
+    """One run, as recorded in its directory."""
 
     directory: Path
     plan: Plan
+    """The plan derived from its scenario."""
     summary: dict[str, Any]
+    """The figures of ``summary.json``."""
 
     @cached_property
     def steps(self) -> Table:
@@ -83,10 +76,7 @@ class Archive:
 def read(directory: Path) -> Archive:
     """Read a run directory.
 
-    Raises
-    ------
-    ScenarioError
-        It is not a run directory, or a table is missing or damaged.
+    Raises ScenarioError if it is not a run directory, or a table is missing or damaged.
     """
     plan = plans.make(run_directory.read_scenario(directory))
     summary = run_directory.read_summary(directory)

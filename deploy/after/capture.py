@@ -27,24 +27,16 @@ _TITLES = ("step", "ex", "conn", "from", "to", "map", "frame", "bytes", "packets
 
 @dataclass(frozen=True)
 class Filter:
-    """Conditions on frames; a frame matches if it meets every condition that is not None.
-
-    Attributes
-    ----------
-    robot : int, optional
-        Sender, addressee or receiver of the frame.
-    kind : str, optional
-        One of `ALL_KINDS`: the frame contains such a packet; other packets are not counted.
-    steps : (int, int), optional
-        First and last step.
-    refused : bool
-        Only frames that were refused or lost.
-    """
+    """Conditions on frames; a frame matches if it meets every condition that is not None."""
 
     robot: int | None = None
+    """Sender, addressee or receiver of the frame."""
     kind: str | None = None
+    """One of `ALL_KINDS`: the frame contains such a packet; other packets are not counted."""
     steps: tuple[int, int] | None = None
+    """First and last step."""
     refused: bool = False
+    """Only frames that were refused or lost."""
 
     def takes(self, frame: Captured, kinds: Iterable[str]) -> bool:
         """Whether a frame with packets of these kinds matches."""

@@ -31,10 +31,7 @@ _COLORS = ListedColormap([*CELLS.colors, "#d9c6e8"])  # type: ignore[misc]
 def merging(archive: Archive, robot: int, step: int) -> Figure:
     """Draw how a robot merges maps at a step, or at the last step before it at which the robot reported its maps.
 
-    Raises
-    ------
-    ScenarioError
-        There is no such robot or step, or the run does not exchange polygons.
+    Raises ScenarioError if there is no such robot or step, or the run does not exchange polygons.
     """
     scenario, last = archive.plan.scenario, archive.last_step
     if scenario.map_encoding != "polygons":
@@ -89,5 +86,4 @@ def _known(grid: Grid) -> tuple[slice, slice]:
 
 def _show(panel: Axes, grid: Grid) -> None:
     panel.imshow(grid, cmap=_COLORS, vmin=0, vmax=UNDEFINED, interpolation="nearest")
-    panel.set_xticks([])
-    panel.set_yticks([])
+    panel.set(xticks=[], yticks=[])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib.util
+import shlex
 import subprocess
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
@@ -30,19 +31,8 @@ class MovieError(ValueError):
 MP4, GIF = ".mp4", ".gif"
 """The formats of films, by their suffix."""
 
-AS_MP4 = [
-    "-c:v",
-    "libx264",
-    "-preset",
-    "veryfast",
-    "-crf",
-    "20",
-    "-pix_fmt",
-    "yuv420p",
-    "-movflags",
-    "+faststart",
-]
-AS_GIF = ["-lavfi", "paletteuse=dither=none:diff_mode=rectangle", "-loop", "0"]
+AS_MP4 = shlex.split("-c:v libx264 -preset veryfast -crf 20 -pix_fmt yuv420p -movflags +faststart")
+AS_GIF = shlex.split("-lavfi paletteuse=dither=none:diff_mode=rectangle -loop 0")
 """Output options of ffmpeg; for a GIF they follow a picture of its palette."""
 
 
@@ -54,27 +44,13 @@ def write_movie(
     rate: float = 10.0,
     progress: Callable[[int, int], object] = lambda _, __: None,
 ) -> Path:
-    """Film one run, or several side by side; return the file.
+    """Film runs side by side, from left to right, at `rate` steps per second; return the file.
 
-    Parameters
-    ----------
-    directories : sequence of Path
-        Run directories, from left to right.
-    suffix : str
-        `MP4` or `GIF`.
-    out : Path, optional
-        The file; ``movie.mp4`` in the first directory if left out, with the names of the other directories.
-    rate : float
-        Steps per second.
-    progress : callable
-        Called with the number of frames written, and of all frames.
+    `suffix` is `MP4` or `GIF`. By default, `out` is ``movie.mp4`` in the first directory, with the names of the other
+    directories. `progress` is called with the number of frames written, and that of all frames.
 
-    Raises
-    ------
-    MovieError
-        The package that writes films is not installed, or it fails.
-    ScenarioError
-        A directory is not a run directory.
+    Raises MovieError if the package that writes films is not installed, or it fails; ScenarioError if a directory is
+    not a run directory.
     """
     if importlib.util.find_spec("imageio_ffmpeg") is None:
         raise MovieError("films need the package imageio-ffmpeg: pip install 'murmur-robots[film]'")
@@ -120,20 +96,8 @@ def _encode(
     from imageio_ffmpeg import get_ffmpeg_exe  # noqa: PLC0415  the package may be missing
 
     beside = path.with_name(f".{path.stem}.part{path.suffix}")
-    with beside.open("wb"):
-        pass  # raises OSError with the file's name if the folder is not writable
-    source = [
-        "-f",
-        "rawvideo",
-        "-pix_fmt",
-        "rgb24",
-        "-s",
-        f"{size[0]}x{size[1]}",
-        "-r",
-        f"{rate:g}",
-        "-i",
-        "-",
-    ]
+    beside.touch()  # raises OSError with the file's name if the folder is not writable
+    source = shlex.split(f"-f rawvideo -pix_fmt rgb24 -s {size[0]}x{size[1]} -r {rate:g} -i -")
     command = [get_ffmpeg_exe(), "-y", "-v", "error", *source, *options, str(beside)]
     try:
         with tempfile.TemporaryFile() as output:

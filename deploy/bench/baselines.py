@@ -1,4 +1,4 @@
-"""Baselines of the kernels: the same results from numpy, OpenCV and skimage."""
+"""Baselines of the kernels: numpy, OpenCV and skimage."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.outline.polygons import Polygons
+from deploy.bench.measurement import timed
 from protocol.grid import FREE, OCCUPIED, Grid, RayTable
 
 Cell = tuple[int, int]
@@ -49,42 +49,7 @@ def trace_by_opencv(cv2: Any, grid: Grid, solid: Grid) -> Sequence[NDArray[np.in
     return found
 
 
-def cells_along(polygons: Polygons) -> list[list[Cell]]:
-    """The cells along each contour, in OpenCV's form."""
-    cycles = []
-    for first, end in zip(polygons.start[:-1].tolist(), polygons.start[1:].tolist(), strict=True):
-        along = list(zip(polygons.x[first:end].tolist(), polygons.y[first:end].tolist(), strict=True))
-        cycle = [cell for before, cell in zip([along[-1], *along], along, strict=False) if cell != before]
-        cycles.append(_rotated(cycle or along[:1]))
-    return sorted(cycles)
-
-
-def without_frame(found: Sequence[NDArray[np.int32]]) -> list[list[Cell]]:
-    """OpenCV's contours without the border of the picture."""
-    cycles = [[(x - 1, y - 1) for x, y in contour[:, 0].tolist()] for contour in found]
-    return sorted(_rotated(cycle) for cycle in cycles if (-1, -1) not in cycle)
-
-
-def _rotated(cycle: list[Cell]) -> list[Cell]:
-    """The same cycle, rotated to its lexicographically smallest form."""
-    first = min(cycle)
-    return min(cycle[i:] + cycle[:i] for i, cell in enumerate(cycle) if cell == first)
-
-
-def costs_by_skimage(graph: Any, grid: Grid, cell: Cell) -> NDArray[np.float64]:
-    """Lengths of shortest paths whose diagonal steps need both adjacent cells free, by skimage.
-
-    Layer 0 has the cells at even positions and the midpoints between straight neighbors. Layer 1, at distance 0 above,
-    has the corners whose four cells are all free. Diagonal steps change layers, straight steps do not.
-    """
-    free = grid == FREE
-    open_ = np.zeros((2, 2 * grid.shape[0] - 1, 2 * grid.shape[1] - 1), np.bool_)
-    open_[0, ::2, ::2] = free
-    open_[0, 1::2, ::2] = free[1:] & free[:-1]
-    open_[0, ::2, 1::2] = free[:, 1:] & free[:, :-1]
-    open_[1, 1::2, 1::2] = free[1:, 1:] & free[:-1, 1:] & free[1:, :-1] & free[:-1, :-1]
-    steps = [(0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)]
-    steps += [(up, dy, dx) for up in (-1, 1) for dy in (-1, 1) for dx in (-1, 1)]
-    paths = graph.MCP_Geometric(np.where(open_, 1.0, -1.0), offsets=steps, sampling=(1e-12, 0.5, 0.5))
-    found: NDArray[np.float64] = paths.find_costs([(0, 2 * cell[1], 2 * cell[0])])[0][0, ::2, ::2]
-    return found
+def skimage_costs_ms(graph: Any, grid: Grid, cell: Cell) -> float:
+    """Processor time of skimage's paths from a cell to all free cells, in milliseconds."""
+    prices = np.where(grid == FREE, 1.0, -1.0)
+    return timed(lambda: graph.MCP_Geometric(prices).find_costs([cell[::-1]]))[1]

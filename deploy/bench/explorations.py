@@ -1,18 +1,26 @@
-"""Input data of the kernel benchmarks: the map of each robot of a team, step by step through an exploration."""
+"""Input data of the benchmarks: a plan for a generated office, and the maps of its robots step by step."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from deploy.run.recording_bus import record_run
+from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
+from deploy.scenario.scenario import Scenario
 from protocol import keys as names
 from protocol.grid import FREE, UNKNOWN, Grid, RayTable, ray_table
 from protocol.messages import Sense, cells_from_bytes
 from protocol.scans import Change, Scan, draw
+from worldsim import generators
+from worldsim.maps import Map
+
+SIDE_M = 30.0
+"""Side length of the office in meters: 300 cells."""
 
 SAMPLES = 40
 """Number of moments of an exploration, evenly spaced, at which a kernel is measured."""
@@ -32,6 +40,17 @@ class Moment:
     def cell(self) -> Cell:
         """The robot's cell."""
         return self.scan.x, self.scan.y
+
+
+def office(side_m: float | None = None) -> Map:
+    """Generate a square office, by default with sides of `SIDE_M`."""
+    side_m = side_m or SIDE_M
+    return generators.make("office", width_m=side_m, height_m=side_m)
+
+
+def office_plan(**settings: Any) -> Plan:
+    """Plan a run of strategy ``meier`` in the office."""
+    return plans.make(Scenario(strategy="meier", **settings), office())
 
 
 def explore(plan: Plan) -> list[list[Moment]]:

@@ -1,8 +1,7 @@
 """Benchmark of a robot's computations per step: processor time on one core, each compared with a baseline.
 
 The input is one exploration by 8 robots at 1 kB a step, on a generated office of 300 x 300 cells. If the environment
-variable MURMUR_MAPS names a folder with the map ``intel``, the benchmark uses that map. Where a baseline computes the
-same result, the benchmark compares both and stops at a difference.
+variable MURMUR_MAPS names a folder with the map ``intel``, the benchmark uses that map.
 """
 
 from __future__ import annotations
@@ -29,20 +28,19 @@ from agent.outline.polygons import Polygons
 from agent.outline.simplify import mixed_first, refine
 from agent.planning.cost_field import costs
 from deploy.bench import baselines
-from deploy.bench.explorations import SAMPLES, Moment, beams, explore, samples
+from deploy.bench.explorations import SAMPLES, Moment, beams, explore, office, samples
 from deploy.bench.measurement import Measurement, compare, timed
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import Scenario
-from protocol.grid import FREE, Grid
+from protocol.budget import UNLIMITED
+from protocol.grid import Grid
 from protocol.scans import draw
-from worldsim import generators, maps
+from worldsim import maps
 from worldsim.laser import cast
-from worldsim.maps import Map
 
 ROBOTS = 8
 BUDGET = 1000
-SIDE_M = 30.0
 
 
 def kernels() -> Iterator[Measurement]:
@@ -50,41 +48,26 @@ def kernels() -> Iterator[Measurement]:
     cv2 = baselines.optional_module("cv2", "opencv-python-headless")
     graph = baselines.optional_module("skimage.graph", "scikit-image")
     cv2.setNumThreads(1)
-    plan = plans.make(
-        Scenario(robots=ROBOTS, map_encoding="polygons", strategy="meier", bandwidth=BUDGET, bus="memory"),
-        _map(),
+    scenario = Scenario(
+        robots=ROBOTS, map_encoding="polygons", strategy="meier", bandwidth=BUDGET, bus="memory"
     )
+    intel = Path(os.environ.get("MURMUR_MAPS", "")) / "intel.yaml"
+    plan = plans.make(scenario, maps.load(intel) if intel.is_file() else office())
     explorations = explore(plan)
     yield _scanning(plan, explorations[0])
     yield _contours(explorations, cv2)
-    updates = _PolygonUpdates(plan)
-    for robot, moments in enumerate(explorations):
-        updates.encode(robot, moments)
-    yield updates.measurement()
-    yield from _merging(explorations[0], updates.polygons)
+    polygons: list[list[Polygons]] = []
+    yield _polygon_updates(plan, explorations, polygons)
+    yield from _merging(explorations[0], polygons)
     yield _cost_field(explorations[0], graph)
     yield from _predictive(plan, explorations[0])
-
-
-def _map() -> Map:
-    folder = os.environ.get("MURMUR_MAPS")
-    file = Path(folder or ".") / "intel.yaml"
-    if folder and file.is_file():
-        return maps.load(file)
-    return generators.make("office", width_m=SIDE_M, height_m=SIDE_M)
-
-
-def _check_same(result: Grid, baseline: Grid, what: str) -> None:
-    if not np.array_equal(result, baseline):
-        raise AssertionError(f"{what}: the baseline has a different result")
 
 
 def _scanning(plan: Plan, moments: Sequence[Moment]) -> Measurement:
     """Cast a scan on the true map and draw it; baseline: the same beams in numpy."""
     truth, rays = plan.map.cells, beams(plan)
     no_teammates = np.zeros(truth.shape, np.bool_)
-    kernel: list[float] = []
-    baseline: list[float] = []
+    kernel, baseline = [], []
 
     def scan(known: Grid, x: int, y: int) -> None:
         draw(known, rays, x, y, cast(truth, no_teammates, rays, x, y))
@@ -93,67 +76,42 @@ def _scanning(plan: Plan, moments: Sequence[Moment]) -> Measurement:
         known, other = np.zeros_like(truth), np.zeros_like(truth)
         kernel.append(timed(partial(scan, known, *moment.cell))[1])
         baseline.append(timed(partial(baselines.scan_in_numpy, truth, rays, moment.cell, other))[1])
-        _check_same(known, other, "scan")
     return compare("scan, cast and drawn", "ms", kernel, "the same beams in numpy", baseline)
 
 
 def _contours(explorations: Sequence[Sequence[Moment]], cv2: Any) -> Measurement:
-    """Trace exact contours; baseline: OpenCV on the same cells.
-
-    OpenCV returns the cells along each contour. Our contour points also have the side of the cell, and whether the cell
-    is occupied. OpenCV finds one more contour: the border of the picture.
-    """
+    """Trace exact contours; baseline: OpenCV, which returns only the cells along each contour."""
     kernel, baseline = [], []
     height, width = explorations[0][0].grid.shape
     solid = np.ones((height + 2, width + 2), np.uint8)
     for moment in (moment for moments in explorations for moment in samples(moments)):
-        found, spent = timed(partial(contours, moment.grid, moment.cell))
-        kernel.append(spent)
-        traced, spent = timed(partial(baselines.trace_by_opencv, cv2, moment.grid, solid))
-        baseline.append(spent)
-        if len(kernel) % SAMPLES == 0 and baselines.cells_along(found) != baselines.without_frame(traced):
-            raise AssertionError("contours: OpenCV finds different contours")
-    return compare("contours of a robot's map", "ms", kernel, "OpenCV's findContours", baseline, "no slower")
+        kernel.append(timed(partial(contours, moment.grid, moment.cell))[1])
+        baseline.append(timed(partial(baselines.trace_by_opencv, cv2, moment.grid, solid))[1])
+    return compare("contours of a robot's map", "ms", kernel, "OpenCV's findContours", baseline)
 
 
-class _PolygonUpdates:
-    """The polygon updates of robots step by step, with their computing time; baseline: encoding from scratch.
+def _polygon_updates(
+    plan: Plan, explorations: Sequence[Sequence[Moment]], polygons: list[list[Polygons]]
+) -> Measurement:
+    """Encode all computations before the radio; baseline: encoding the whole map from scratch.
 
-    Attributes
-    ----------
-    polygons : list of list of Polygons
-        Per robot and step, the polygons that its teammates hold after the update.
+    `polygons` receives, per robot and step, the polygons that its teammates hold after the update.
     """
-
-    def __init__(self, plan: Plan) -> None:
-        self.polygons: list[list[Polygons]] = []
-        self._plan = plan
-        self._incremental: list[float] = []
-        self._from_scratch: list[float] = []
-
-    def encode(self, robot: int, moments: Sequence[Moment]) -> None:
-        """Encode the updates of one robot."""
-        encoding = PolygonEncoding(self._plan.robot_settings[robot])
-        self.polygons.append([])
+    incremental, from_scratch = [], []
+    for robot, moments in enumerate(explorations):
+        encoding = PolygonEncoding(plan.robot_settings[robot])
+        polygons.append([])
         for moment in moments:
             record = partial(encoding.encode_changes, moment.grid, moment.scan, moment.change, delivered=True)
             packets, spent = timed(record)
-            polygons = encoding.polygons[robot]
-            self.polygons[-1].append(polygons)
+            polygons[-1].append(encoding.polygons[robot])
             if packets:
-                self._incremental.append(spent)
-                self._from_scratch.append(timed(partial(_encode_whole_map, moment, len(polygons.x)))[1])
-
-    def measurement(self) -> Measurement:
-        """Compare all computations before the radio."""
-        return compare(
-            "contours, repair, refinement and edits",
-            "ms",
-            self._incremental,
-            "encoding the whole map from scratch",
-            self._from_scratch,
-            "at most 1 ms",
-        )
+                incremental.append(spent)
+                vertices = len(encoding.polygons[robot].x)
+                from_scratch.append(timed(partial(_encode_whole_map, moment, vertices))[1])
+    return compare(
+        "contours, repair, refinement and edits", "ms", incremental, "encoding the whole map", from_scratch
+    )
 
 
 def _encode_whole_map(moment: Moment, vertices: int) -> None:
@@ -179,64 +137,38 @@ def _merging(moments: Sequence[Moment], polygons: Sequence[Sequence[Polygons]]) 
     all_changed, one_changed, none_changed, by_lines = [], [], [], []
     for step in np.linspace(steps // 4, steps - 1, SAMPLES).astype(int).tolist():
         own, outlines = moments[step].grid, [of_robot[step] for of_robot in polygons[1:]]
-        merged, spent = timed(partial(merge, own, outlines))
-        all_changed.append(spent)
+        all_changed.append(timed(partial(merge, own, outlines))[1])
         one_changed.append(timed(partial(merge, own, outlines[:1]))[1])
         none_changed.append(timed(partial(merge, own, []))[1])
-        stages, spent = timed(partial(five_stages, own, outlines, drawing))
-        by_lines.append(spent)
-        _check_same(merged, stages.complete, "merging")
+        by_lines.append(timed(partial(five_stages, own, outlines, drawing))[1])
     name = f"merging {ROBOTS - 1} teammates"
-    yield compare(
-        f"{name}, all changed", "ms", all_changed, "Algorithm 9 line by line", by_lines, "at most 2 ms"
-    )
+    yield compare(f"{name}, all changed", "ms", all_changed, "Algorithm 9 line by line", by_lines)
     yield compare(f"{name}, one changed", "ms", one_changed, "all changed", all_changed)
     yield compare(f"{name}, none changed", "ms", none_changed, "all changed", all_changed)
 
 
 def _cost_field(moments: Sequence[Moment], graph: Any) -> Measurement:
-    """Compute path costs to all cells; baseline: skimage's shortest paths on the same cells.
-
-    The paths of skimage may cut corners, which is the easier problem. If that is forbidden, by a graph in three
-    dimensions, skimage has our result.
-    """
-    kernel, baseline = [], []
+    """Compute path costs to all cells; baseline: skimage's paths, which may cut corners, the easier problem."""
     known = [(moment.grid, moment.cell) for moment in samples(moments)[SAMPLES // 4 :]]
-    for grid, (x, y) in known:
-        length, spent = timed(partial(costs, grid, x, y))
-        kernel.append(spent)
-        prices = np.where(grid == FREE, 1.0, -1.0)
-        baseline.append(timed(lambda: graph.MCP_Geometric(prices).find_costs([(y, x)]))[1])  # noqa: B023
-    if not np.allclose(length, baselines.costs_by_skimage(graph, grid, (x, y)), rtol=0, atol=1e-9):
-        raise AssertionError("costs: skimage finds different paths")
-    return compare("costs to all cells", "ms", kernel, "skimage's MCP_Geometric", baseline, "at most 0.20")
+    kernel = [timed(partial(costs, grid, *cell))[1] for grid, cell in known]
+    baseline = [baselines.skimage_costs_ms(graph, grid, cell) for grid, cell in known]
+    return compare("costs to all cells", "ms", kernel, "skimage's MCP_Geometric", baseline)
 
 
 def _predictive(plan: Plan, moments: Sequence[Moment]) -> Iterator[Measurement]:
     """Encode and decode scans with the predictive encoding; baseline: drawing the scans."""
     settings = replace(
-        plan.robot_settings[0],
-        map_encoding="predictive",
-        dissemination="gossip",
-        bandwidth=None,
+        plan.robot_settings[0], map_encoding="predictive", dissemination="gossip", bandwidth=UNLIMITED
     )
     encoder, decoder = PredictiveEncoding(settings), PredictiveEncoding(replace(settings, robot=1))
     drawn, rays = np.zeros_like(moments[0].grid), beams(plan)
-    cells = size = 0
-    encoded, decoded, scans = [], [], []
+    encoded, decoded, drawing = [], [], []
     for moment in moments:
-        record = partial(encoder.encode_changes, moment.grid, moment.scan, moment.change, delivered=True)
-        packets, spent = timed(record)
         scan = moment.scan
-        scans.append(timed(partial(draw, drawn, rays, scan.x, scan.y, scan.readings))[1])
+        record = partial(encoder.encode_changes, moment.grid, scan, moment.change, delivered=True)
+        packets, spent = timed(record)
         encoded.append(spent)
         decoded.append(timed(partial(decoder.apply, 0, b"".join(packets), step=1000, sender=0))[1])
-        cells += moment.change.cells
-        size += sum(map(len, packets))
-    _check_same(decoder.merge(np.zeros_like(drawn)), moments[-1].grid, "predictive encoding")
-    for action, times, target in (("encode", encoded, "at most 1 ms"), ("decode", decoded, "at most 0.2 ms")):
-        name = f"predictive, {action} a step"
-        yield compare(name, "ms", times, "drawing its scan", scans, target)
-        seconds = sum(times) / 1000
-        yield Measurement(f"predictive, {action}", "cells/s", cells / seconds)
-        yield Measurement(f"predictive, {action}", "bytes/s", size / seconds)
+        drawing.append(timed(partial(draw, drawn, rays, scan.x, scan.y, scan.readings))[1])
+    yield compare("predictive, encode a step", "ms", encoded, "drawing its scan", drawing)
+    yield compare("predictive, decode a step", "ms", decoded, "drawing its scan", drawing)

@@ -8,7 +8,7 @@ destinations differ.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -17,15 +17,15 @@ import numpy as np
 import polars as pl
 
 from agent.strategies.registry import strategies, strategy
-from deploy.bench.offline_bound import KnownBuilding, min_steps, offline_steps
+from deploy.bench.offline_bound import KnownBuilding, offline_steps
 from deploy.bench.replanning import DecisionTimer
 from deploy.run.exploration import explore
 from deploy.run.workers import workers
 from deploy.scenario import plan as plans
 from deploy.scenario.scenario import Scenario, parse
 
-LOWER_BOUND, OFFLINE = "(lower bound)", "(map known)"
-"""Rows of the table that are not strategies."""
+OFFLINE = "(map known)"
+"""The row of the table that is not a strategy."""
 
 DEFAULTS = {
     "bus": "memory",
@@ -34,7 +34,7 @@ DEFAULTS = {
     "sensor_range": 5.0,
     "speed": 0.5,
 }
-"""Settings of all scenarios, unless the contest overrides them."""
+"""Settings of all scenarios, unless the user overrides them."""
 
 Run = dict[str, Any]
 """One run: strategy, map, robots, seed, steps. Strategies also have finished, t90, t99, coverage, driven (meters of
@@ -43,7 +43,7 @@ each robot) and replan_ms, the mean processor time of a decision in which a robo
 
 @dataclass(frozen=True)
 class Task:
-    """One strategy in one scenario; or `OFFLINE`, the bounds of all scenarios of a map."""
+    """One strategy in one scenario; or `OFFLINE`, the plans of all scenarios of a map."""
 
     name: str
     scenarios: tuple[Scenario, ...]
@@ -55,11 +55,12 @@ class Task:
         return f"{self.name} on {first.map}, {first.robots} robots, seed {first.seed}"
 
 
-@dataclass(frozen=True)
-class Contest:
-    """The runs of a league table.
+def tasks(
+    maps: Sequence[str], robots: Sequence[int], seeds: int, names: Sequence[str], settings: dict[str, Any]
+) -> list[Task]:
+    """The units of work: the offline plans of each map, and each strategy in each scenario.
 
-    Attributes
+    Parameters
     ----------
     maps : sequence of str
         Names of shipped maps, or files.
@@ -67,49 +68,37 @@ class Contest:
         Team sizes.
     seeds : int
         Number of seeds, from 0.
-    strategies : sequence of str
+    names : sequence of str
         Names of strategies; all if empty.
     settings : dict
         Scenario settings of all runs, on top of `DEFAULTS`.
+
+    Raises
+    ------
+    ValueError
+        A name or a setting is invalid.
     """
-
-    maps: Sequence[str] = ("office",)
-    robots: Sequence[int] = (6,)
-    seeds: int = 3
-    strategies: Sequence[str] = ()
-    settings: dict[str, Any] = field(default_factory=dict)
-
-    def names(self) -> list[str]:
-        """The competing strategies; ValueError for an unknown name."""
-        return [strategy(name).name for name in self.strategies] or sorted(strategies())
-
-    def tasks(self) -> list[Task]:
-        """The units of work: the bounds of each map, and each strategy in each scenario."""
-        scenarios = self.scenarios()
-        bounds = [
-            Task(OFFLINE, tuple(each for each in scenarios if each.map == name))
-            for name in dict.fromkeys(self.maps)
-        ]
-        return bounds + [Task(name, (scenario,)) for scenario in scenarios for name in self.names()]
-
-    def scenarios(self) -> list[Scenario]:
-        """A scenario per map, team size and seed, grouped by map; ScenarioError if a setting is invalid."""
-        return [
-            parse({**DEFAULTS, **self.settings, "map": name, "robots": robots, "seed": seed})
-            for name, robots, seed in product(self.maps, self.robots, range(self.seeds))
-        ]
+    competing = [strategy(name).name for name in names] or sorted(strategies())
+    scenarios = [
+        parse({**DEFAULTS, **settings, "map": name, "robots": size, "seed": seed})
+        for name, size, seed in product(maps, robots, range(seeds))
+    ]
+    offline = [
+        Task(OFFLINE, tuple(each for each in scenarios if each.map == name)) for name in dict.fromkeys(maps)
+    ]
+    return offline + [Task(name, (scenario,)) for scenario in scenarios for name in competing]
 
 
-def compete(tasks: Sequence[Task], jobs: int | None = None) -> Iterator[list[Run]]:
+def compete(todo: Sequence[Task], jobs: int | None = None) -> Iterator[list[Run]]:
     """Yield the runs of each task as it ends, by `jobs` processes; ConnectionError if a process dies."""
-    for task, found in workers(jobs, None).each(tasks, _run_task):
+    for task, found in workers(jobs, None).each(todo, _run_task):
         if isinstance(found, str):
             raise ConnectionError(f"{task.key}: {found}")
         yield found
 
 
 def _run_task(task: Task) -> list[Run]:
-    return _bounds(task.scenarios) if task.name == OFFLINE else _run_strategy(task.name, *task.scenarios)
+    return _run_offline(task.scenarios) if task.name == OFFLINE else _run_strategy(task.name, *task.scenarios)
 
 
 def _run_strategy(name: str, scenario: Scenario) -> list[Run]:
@@ -121,8 +110,8 @@ def _run_strategy(name: str, scenario: Scenario) -> list[Run]:
     return [_run(name, scenario, **kept, driven=summary["path_length"], replan_ms=mean)]
 
 
-def _bounds(scenarios: Sequence[Scenario]) -> list[Run]:
-    """The offline plan and the lower bound of each team on one map."""
+def _run_offline(scenarios: Sequence[Scenario]) -> list[Run]:
+    """The offline plan of each team on one map."""
     building: KnownBuilding | None = None
     found = []
     for scenario in scenarios:
@@ -134,7 +123,6 @@ def _bounds(scenarios: Sequence[Scenario]) -> list[Run]:
                 plan.map.cells, starts[0], body.range_cells, body.speed, settings.beams, body.radius_cells
             )
         found.append(_run(OFFLINE, scenario, steps=offline_steps(building, starts)))
-        found.append(_run(LOWER_BOUND, scenario, steps=min_steps(building, starts)))
     return found
 
 
@@ -194,8 +182,7 @@ def draw(league: pl.DataFrame, file: Path) -> None:
     """Draw the table as bars: steps to 90 %, to 99 % and to the end, as multiples of the offline plan's."""
     from matplotlib.figure import Figure  # noqa: PLC0415  slow to import
 
-    bounds = pl.col("strategy").is_in([LOWER_BOUND, OFFLINE])
-    rows = league.filter(pl.col("finished") > 0, ~bounds).reverse()
+    rows = league.filter(pl.col("finished") > 0, pl.col("strategy") != OFFLINE).reverse()
     per_step = rows["multiple"] / rows["steps"]
     figure = Figure((8, 1 + 0.32 * len(rows)), layout="constrained")
     axes = figure.subplots()

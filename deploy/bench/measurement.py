@@ -32,8 +32,6 @@ class Measurement:
         Median of value / baseline.
     interval : (float, float) or None
         95 % bootstrap interval of the median ratio.
-    target : str
-        The goal, as text.
     """
 
     name: str
@@ -42,7 +40,6 @@ class Measurement:
     baseline: str = ""
     ratio: float | None = None
     interval: tuple[float, float] | None = None
-    target: str = ""
 
     def line(self) -> str:
         """Format the measurement as one line of text."""
@@ -51,19 +48,17 @@ class Measurement:
             text += f" {self.ratio:6.2f} x {self.baseline}"
             if self.interval is not None:
                 text += f" [{self.interval[0]:.2f}, {self.interval[1]:.2f}]"
-        return text.rstrip() + (f"   (target: {self.target})" if self.target else "")
+        return text.rstrip()
 
 
 def compare(
-    name: str, unit: str, values: Sequence[float], baseline: str, against: Sequence[float], target: str = ""
+    name: str, unit: str, values: Sequence[float], baseline: str, against: Sequence[float]
 ) -> Measurement:
     """Compare paired repetitions with those of a baseline."""
     ratios = np.array(values, float) / np.array(against, float)
     draws = keyed_random(0, "bootstrap").integers(len(ratios), size=(RESAMPLES, len(ratios)))
     low, high = np.percentile(np.median(ratios[draws], axis=1), [2.5, 97.5]).tolist()
-    return Measurement(
-        name, unit, float(np.median(values)), baseline, float(np.median(ratios)), (low, high), target
-    )
+    return Measurement(name, unit, float(np.median(values)), baseline, float(np.median(ratios)), (low, high))
 
 
 def timed(work: Callable[[], Result]) -> tuple[Result, float]:

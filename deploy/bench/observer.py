@@ -1,58 +1,47 @@
-"""Observe a run from outside: its speed, counters that grow with its steps, and the memory of its processes."""
+"""Observe a run from outside: speed, processor time of this process, memory of the robots' processes."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from deploy.record.records import Records
 
 
-@dataclass(frozen=True)
-class Sample:
-    """Step, wall-clock time in seconds, and counters at one moment of a run."""
+class Sample(NamedTuple):
+    """Step, wall-clock time, and processor time of this process in seconds, at one moment of a run."""
 
     step: int
     wall_s: float
-    counters: dict[str, float]
+    processor_s: float
 
 
 class Observer:
     """Samples a run; pass `observe` to the functions that run a plan.
-
-    Parameters
-    ----------
-    counters : callable
-        Returns counters by name.
-    processes : bool
-        Whether to measure the memory of the robots' processes, once.
 
     Attributes
     ----------
     samples : list of Sample
         The samples since the first step.
     memory_mb : float
-        Median memory of the robots' processes; 0 if it was not measured.
+        Median memory of the robots' processes at the first step; 0 without processes.
     """
 
-    def __init__(self, counters: Callable[[], dict[str, float]] = dict, *, processes: bool = False) -> None:
+    def __init__(self) -> None:
         self.samples: list[Sample] = []
         self.memory_mb = 0.0
         self._began = time.perf_counter()
-        self._counters = counters
-        self._processes = processes
 
     def observe(self, records: Records) -> None:
         """Take a sample, once the run has reached its first step."""
         if not records.step:
             return
-        self.samples.append(Sample(records.step, time.perf_counter(), self._counters()))
-        if self._processes and not self.memory_mb:
+        if not self.samples:
             self.memory_mb = robot_memory_mb()
+        self.samples.append(Sample(records.step, time.perf_counter(), time.process_time()))
 
     @property
     def first_step_s(self) -> float:
@@ -62,24 +51,23 @@ class Observer:
     @property
     def steps_per_s(self) -> float:
         """Steps per second between the first and the last sample."""
-        first, last = self._ends()
-        return (last.step - first.step) / (last.wall_s - first.wall_s)
+        steps, wall_s, _ = self._span()
+        return steps / wall_s
 
     @property
-    def per_step(self) -> dict[str, float]:
-        """Growth of each counter per step."""
-        first, last = self._ends()
-        steps = last.step - first.step
-        return {
-            name: (last.counters[name] - count) / steps
-            for name, count in first.counters.items()
-            if name in last.counters
-        }
+    def processor_ms_per_step(self) -> float:
+        """Processor time of this process per step, in milliseconds."""
+        steps, _, processor_s = self._span()
+        return 1000 * processor_s / steps
 
-    def _ends(self) -> tuple[Sample, Sample]:
+    def _span(self) -> Sample:
+        """The difference of the last sample and the first."""
         if not self.samples or self.samples[0].step == self.samples[-1].step:
             raise ConnectionError("the benchmark's run ended before it could be measured")
-        return self.samples[0], self.samples[-1]
+        first, last = self.samples[0], self.samples[-1]
+        return Sample(
+            last.step - first.step, last.wall_s - first.wall_s, last.processor_s - first.processor_s
+        )
 
 
 def robot_memory_mb() -> float:

@@ -1,11 +1,8 @@
 """Offline exploration: how soon a team that knows the building could have seen all of it.
 
-The league table gives each strategy's time as a multiple of the offline plan's. Two numbers enclose the optimum:
-
-- `offline_steps` is an upper bound: a plan that such a team can drive. It chooses viewpoints that together see all,
-  tours of all robots through them, and then drops or moves viewpoints as long as the tours become shorter.
-- `min_steps` is a lower bound. Some cells, the witnesses, are far from each other. A robot must see each of them, and
-  no path from a place that sees one to a place that sees another is shorter than the shortest.
+The league table gives each strategy's time as a multiple of the offline plan's: a plan that such a team can drive, and
+so an upper bound of the optimum. The plan chooses viewpoints that together see all, tours of all robots through them,
+and then drops or moves viewpoints as long as the tours become shorter.
 
 Robots are points or discs that drive from cell to cell, scan a full turn in every step, and never block each other.
 """
@@ -13,7 +10,6 @@ Robots are points or discs that drive from cell to cell, scan a full turn in eve
 from __future__ import annotations
 
 import heapq
-import math
 from collections.abc import Sequence
 from functools import lru_cache
 from itertools import pairwise
@@ -21,10 +17,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import dijkstra, minimum_spanning_tree
 
-from agent.planning.cost_field import DIAGONAL, Field, Floor, costs_on
+from agent.planning.cost_field import Field, Floor, costs_on
 from agent.planning.cost_field import way as path_down
 from agent.planning.jump_point_search import costs_between
 from agent.planning.team_tours import Task, team_tours
@@ -45,12 +39,6 @@ ROUNDS = 12
 
 TRIES = 8
 """Maximum number of places tried for a viewpoint that is moved."""
-
-WITNESS_SPACING = 1 / 3
-"""Distance between the places that see two witnesses, in sensor ranges."""
-
-ASCENTS = 100
-"""Number of ascent steps of the lower bound."""
 
 
 class KnownBuilding:
@@ -91,7 +79,7 @@ class KnownBuilding:
         radius_cells: float = 0.0,
     ) -> None:
         standable = reachable_from(enlarge(truth, radius_cells), start)
-        self._required = _with_neighbors(standable)
+        self._required: NDArray[np.bool_] = binary_dilation(standable)
         self.floor: Grid = np.where(standable, FREE, OCCUPIED).astype(np.uint8)
         self.range_cells = range_cells
         self.speed = speed
@@ -100,7 +88,6 @@ class KnownBuilding:
         self._ray_table = ray_table(range_cells, beams)
         self._scratch: Grid = np.full_like(truth, UNKNOWN)
         self._padded_floor = Floor(self.floor)
-        self._graph = _neighbor_graph(self.floor)
         self._seen: dict[Cell, Indices] = {}
         self.field = lru_cache(maxsize=512)(self._field)
         self.scan_positions = lru_cache(maxsize=1 << 14)(self._scan_positions)
@@ -114,12 +101,8 @@ class KnownBuilding:
 
         A team has finished when no cell where a robot may stand has an unknown neighbor, so walls are required as well.
         """
-        known = self._seen.get(cell)
-        if known is None:
-            known = self._seen[cell] = self._scan(cell)
-        return known
-
-    def _scan(self, cell: Cell) -> Indices:
+        if cell in self._seen:
+            return self._seen[cell]
         x, y = cell
         readings = cast(self._truth, self._no_robots, self._ray_table, x, y)
         change = draw(self._scratch, self._ray_table, x, y, readings)
@@ -129,6 +112,7 @@ class KnownBuilding:
         ys, xs = np.nonzero((box != UNKNOWN) & self._required[inside])
         box[:] = UNKNOWN
         seen: Indices = (ys + y0) * self._scratch.shape[1] + xs + x0
+        self._seen[cell] = seen
         return seen
 
     def reaches(self, cell: Cell) -> bool:
@@ -146,23 +130,6 @@ class KnownBuilding:
     def steps_of(self, tour: Sequence[Cell]) -> int:
         """Steps from stop to stop; a step ends at each stop."""
         return sum(len(self.scan_positions(one, other)) for one, other in pairwise(tour))
-
-    def places_seeing(self, cell: Cell) -> NDArray[np.int32]:
-        """The cells (x, y), shape (n, 2), from which a cell is seen."""
-        x, y = cell
-        reach = int(self.range_cells)
-        x0, y0 = max(0, x - reach), max(0, y - reach)
-        ys, xs = np.nonzero(self.floor[y0 : y + reach + 1, x0 : x + reach + 1] == FREE)
-        index = y * self.floor.shape[1] + x
-        near = zip((xs + x0).tolist(), (ys + y0).tolist(), strict=True)
-        return np.array([each for each in near if index in self._scan(each)], np.int32).reshape(-1, 2)
-
-    def field_around(self, places: NDArray[np.int32]) -> Field:
-        """Shortest path length from any of the places, shape (n, 2), to every cell, in cells."""
-        width = self.floor.shape[1]
-        starts = places[:, 1].astype(np.int64) * width + places[:, 0]
-        field = dijkstra(self._graph, directed=False, indices=starts, min_only=True)
-        return np.reshape(field, self.floor.shape)
 
     def _field(self, cell: Cell) -> Field:
         """Shortest path length from a cell to every other cell, in cells."""
@@ -205,30 +172,6 @@ class KnownBuilding:
         near = ((x, y), (x + 1, y), (x, y + 1), (x - 1, y), (x, y - 1))
         inside = (each for each in near if 0 <= each[0] < width and 0 <= each[1] < height)
         return next(each for each in inside if self.floor[each[1], each[0]] == FREE)
-
-
-def _with_neighbors(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Cells and their 4-neighbors, as masks of shape (h, w)."""
-    found: NDArray[np.bool_] = binary_dilation(cells)
-    return found
-
-
-def _neighbor_graph(floor: Grid) -> csr_matrix:
-    """Edges from each free cell to its neighbors, each in one direction; no path cuts corners."""
-    free = floor == FREE
-    number = np.arange(floor.size).reshape(floor.shape)
-    height, width = floor.shape
-    ends, lengths = [], []
-    for dx, dy in ((1, 0), (0, 1), (1, 1), (-1, 1)):
-        here = np.s_[0 : height - dy, max(0, -dx) : width - max(0, dx)]
-        there = np.s_[dy:height, max(0, dx) : width + min(0, dx)]
-        beside = np.s_[0 : height - dy, max(0, dx) : width + min(0, dx)]
-        below = np.s_[dy:height, max(0, -dx) : width - max(0, dx)]
-        open_ = free[here] & free[there] & free[beside] & free[below]
-        ends.append((number[here][open_], number[there][open_]))
-        lengths.append(np.full(len(ends[-1][0]), DIAGONAL if dx and dy else 1.0))
-    one, other = (np.concatenate([pair[side] for pair in ends]) for side in (0, 1))
-    return csr_matrix((np.concatenate(lengths), (one, other)), shape=(floor.size, floor.size))
 
 
 def offline_steps(building: KnownBuilding, starts: Sequence[Cell]) -> int:
@@ -390,54 +333,3 @@ class _Plan:
         """Change the count of each cell by the number of scans between the stops that see it."""
         for cell in self._scan_positions(stops):
             counts[self._building.seen(cell)] += change
-
-
-def min_steps(building: KnownBuilding, starts: Sequence[Cell]) -> int:
-    """Lower bound of the steps until a team has seen everything.
-
-    Parameters
-    ----------
-    building : KnownBuilding
-    starts : sequence of (x, y)
-        Start of each robot.
-
-    Notes
-    -----
-    All tours together connect the starts with a place that sees each witness, and the longest tour is not shorter than
-    their mean. The cheapest connection is a spanning tree over the witnesses and one node for all starts. No tour
-    leaves a witness more than once. So a price on each edge at a witness, paid back twice, raises the tree but not
-    the tours (Held and Karp, 1970).
-    """
-    fields = [np.min([building.field(start) for start in starts], axis=0)]
-    lengths = np.zeros((1, 1))
-    seen_at_start = np.zeros(building.floor.shape, np.bool_)
-    seen_at_start.ravel()[np.concatenate([building.seen(start) for start in starts])] = True
-    spacing = WITNESS_SPACING * building.range_cells
-    for x, y in sorted(building.viewpoints, key=lambda cell: len(building.seen(cell))):
-        if seen_at_start[y, x] or min(field[y, x] for field in fields) < spacing:
-            continue
-        nearby = building.seen((x, y))
-        if min(float(field.ravel()[nearby].min()) for field in fields) < spacing:
-            continue
-        places = building.places_seeing((x, y))
-        to_others = [float(field[places[:, 1], places[:, 0]].min()) for field in fields]
-        if min(to_others) < spacing:
-            continue
-        lengths = np.pad(lengths, (0, 1))
-        lengths[-1, :-1] = lengths[:-1, -1] = to_others
-        fields.append(building.field_around(places))
-    bound = max(float(lengths[0].max()), _min_tour_length(lengths) / len(starts))
-    return 1 + math.ceil(bound / building.speed - 1e-9)
-
-
-def _min_tour_length(lengths: NDArray[np.float64]) -> float:
-    """Lower bound of the total length of tours from node 0 through all other nodes."""
-    prices = np.zeros(len(lengths))
-    best, pace = 0.0, float(lengths.max()) / 4
-    for ascent in range(ASCENTS):
-        tree = minimum_spanning_tree(lengths + prices[:, None] + prices).tocoo()
-        degrees = np.bincount(np.concatenate([tree.row, tree.col]), minlength=len(lengths))
-        best = max(best, float(tree.sum()) - 2 * float(prices.sum()))
-        prices = np.maximum(prices + pace / (1 + ascent) * (degrees - 2), 0.0)
-        prices[0] = 0.0
-    return best

@@ -7,7 +7,6 @@ from dataclasses import asdict
 from functools import partial
 from typing import Any
 
-from deploy.bench.hub import hub
 from deploy.bench.kernels import kernels
 from deploy.bench.measurement import Measurement
 from deploy.bench.relay import relay
@@ -21,7 +20,6 @@ BENCHMARKS: dict[str, Callable[[], Iterator[Measurement]]] = {
     "replanning": replanning,
     "relay": relay,
     "scale": scale,
-    "hub": hub,
 }
 
 

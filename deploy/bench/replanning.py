@@ -2,49 +2,43 @@
 
 Each strategy explores a map of 400 x 400 cells once, with 8 robots and raw scans over an unlimited radio, so that all
 robots know nearly the whole map. The measurement leaves out decisions in which a robot keeps its target. The baseline
-is one cost field over a whole planning grid of the same run.
+is one cost field over the whole planning grid of the last decision.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 
 from agent.strategies.base import Decision, Situation, Strategy
 from agent.strategies.registry import strategies
 from agent.strategies.targets import TargetStrategy
-from deploy.bench.baselines import optional_module
-from deploy.bench.explorations import Cell
+from deploy.bench.baselines import optional_module, skimage_costs_ms
+from deploy.bench.explorations import office
 from deploy.bench.measurement import Measurement, timed
 from deploy.run import in_memory
 from deploy.scenario import plan as plans
 from deploy.scenario.scenario import Scenario
-from protocol.grid import FREE, Grid
-from worldsim import generators
+from protocol.grid import Grid
 
 ROBOTS = 8
 SIDE_M = 40.0
 SPEED = 1.0
 STEPS = 120
-BASELINE_GRIDS = 5
-"""Number of planning grids per run on which the baseline is measured."""
-GRID_EVERY = 50
-"""Every this many decisions, the planning grid is kept for the baseline."""
-
-MEAN_TARGET, P95_TARGET = "at most 5 ms", "at most 15 ms"
-
-WITHOUT_TARGET = ("burgard-optimal", "mtsp", "mtsp-depot")
-"""Strategies without a target value, because they search for better assignments or tours in addition."""
+REPEATS = 5
+"""Number of times that the baseline is measured."""
 
 
 def replanning() -> Iterator[Measurement]:
     """Measure the mean and 95th percentile of each strategy."""
     graph = optional_module("skimage.graph", "scikit-image")
-    world = generators.make("office", width_m=SIDE_M, height_m=SIDE_M)
+    world = office(SIDE_M)
+    baseline = "one cost field by skimage's MCP_Geometric"
     for name, strategy in strategies().items():
         scenario = Scenario(
             robots=ROBOTS, strategy=name, map_encoding="scans", bandwidth="unlimited", speed=SPEED, steps=STEPS,
@@ -53,24 +47,10 @@ def replanning() -> Iterator[Measurement]:
         timer = DecisionTimer()
         with timer.attached_to(strategy):
             in_memory.run(plans.make(scenario, world))
-        yield from _measurements(name, timer, graph)
-
-
-def _measurements(name: str, timer: DecisionTimer, graph: Any) -> Iterator[Measurement]:
-    chosen = np.linspace(0, len(timer.grids) - 1, BASELINE_GRIDS).astype(int).tolist()
-    field = float(np.median([_cost_field_ms(graph, *timer.grids[number]) for number in chosen]))
-    baseline = "one cost field by skimage's MCP_Geometric"
-    for what, value, target in (
-        ("mean", float(np.mean(timer.spent_ms)), MEAN_TARGET),
-        ("95th percentile", float(np.percentile(timer.spent_ms, 95)), P95_TARGET),
-    ):
-        shown = "" if name in WITHOUT_TARGET else target
-        yield Measurement(f"{name}, {what}", "ms", value, baseline, value / field, target=shown)
-
-
-def _cost_field_ms(graph: Any, grid: Grid, cell: Cell) -> float:
-    prices = np.where(grid == FREE, 1.0, -1.0)
-    return timed(lambda: graph.MCP_Geometric(prices).find_costs([cell[::-1]]))[1]
+        field_ms = float(np.median([skimage_costs_ms(graph, *timer.last) for _ in range(REPEATS)]))
+        mean, late = float(np.mean(timer.spent_ms)), float(np.percentile(timer.spent_ms, 95))
+        yield Measurement(f"{name}, mean", "ms", mean, baseline, mean / field_ms)
+        yield Measurement(f"{name}, 95th percentile", "ms", late, baseline, late / field_ms)
 
 
 class DecisionTimer:
@@ -80,13 +60,14 @@ class DecisionTimer:
     ----------
     spent_ms : list of float
         Milliseconds of each such decision.
-    grids : list of (grid, cell)
-        Planning grid and robot cell at every `GRID_EVERY`-th of them.
+    last : (grid, cell)
+        Planning grid and robot cell of the last one.
     """
+
+    last: tuple[Grid, tuple[int, int]]
 
     def __init__(self) -> None:
         self.spent_ms: list[float] = []
-        self.grids: list[tuple[Grid, Cell]] = []
         self._replans = False
 
     @contextmanager
@@ -99,8 +80,7 @@ class DecisionTimer:
             self._replans = replans_always
             decision, spent = timed(partial(decide, robot, situation))
             if self._replans:
-                if len(self.spent_ms) % GRID_EVERY == 0:
-                    self.grids.append((situation.grid.copy(), situation.here))
+                self.last = situation.grid, situation.here
                 self.spent_ms.append(spent)
             return decision
 
@@ -109,23 +89,8 @@ class DecisionTimer:
             assert select is not None
             return select(*arguments)
 
-        with _replaced(strategy, "decide", timed_decide):
-            if replans_always:
-                yield
-            else:
-                with _replaced(strategy, "select", noted_select):
-                    yield
-
-
-@contextmanager
-def _replaced(kind: type, name: str, method: Callable[..., Any]) -> Iterator[None]:
-    """Temporarily replace a method of a class, defined there or inherited."""
-    own = vars(kind).get(name)
-    setattr(kind, name, method)
-    try:
-        yield
-    finally:
-        if own is None:
-            delattr(kind, name)
-        else:
-            setattr(kind, name, own)
+        with ExitStack() as patches:
+            patches.enter_context(patch.object(strategy, "decide", timed_decide))
+            if not replans_always:
+                patches.enter_context(patch.object(strategy, "select", noted_select))
+            yield

@@ -20,16 +20,11 @@ SPEEDS = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
 
 
 class Keys:
-    """Translates key presses into control of a run.
-
-    Attributes
-    ----------
-    message : str
-        The line to show: the input so far, a confirmation, an error, or the list of keys.
-    """
+    """Translates key presses into control of a run."""
 
     def __init__(self, control: Control) -> None:
         self.message = HELP
+        """The line to show: the input so far, a confirmation, an error, or the list of keys."""
         self._control = control
         self._asked = ""
         self._typed = ""

@@ -1,4 +1,4 @@
-"""The columns of a run's tables: names, types, units and meanings. Tables and their documentation derive from it."""
+"""The columns of a run's tables, and the keys of its summary: names, types, units and meanings."""
 
 from __future__ import annotations
 
@@ -64,6 +64,34 @@ OUTLINES = (
     Column("vertices", "binary", "int16 rows of four (`protocol.messages.Outlines`)"),
 )
 """One row per changed set of outlines (``outlines.parquet``); only for the polygon encoding."""
+
+SUMMARY = {
+    "finished": "whether a robot finished, and the team has seen at least `min_coverage`",
+    "reason": "why the run ended; `robot R stopped too early` if the team has seen less",
+    "steps": "exploration time",
+    "explored_at": "the same without the ten confirmation steps of maps with assumptions; null if not finished",
+    "first_robot": "the robot that finished first; on a tie, the lowest number",
+    "coverage": "share of the truly reachable free cells that the team has seen",
+    "map_accuracy": "share of those that the first robot's planning grid has right",
+    "wall_precision, wall_recall": "share of its occupied cells that are occupied; share of true walls that it has",
+    "worst_wall_precision, worst_wall_recall": "minimum over all robots, each on its own",
+    "t50, t90, t99": "steps at which the team had seen 50, 90, and 99 %",
+    "overlap": "cells seen by more than one robot over cells seen; null if a robot was lost with its grid",
+    "path_length": "meters, one value per robot",
+    "robots, seed, map, bus, strategy, map_encoding, bandwidth, range_m": "settings",
+    "bytes, packets": "transmitted, by kind of packet",
+    "raw_scan_bytes": "raw scans by the thesis' formula (section 6.3): steps x 362 values of 2 bytes x r(r - 1)",
+    "approximation_error": "Eq. 6.1, of the first robot: mean over its steps, as a share of the cells to explore",
+    "approximation_error_net": "the same minus that of an exact approximation; null without `polygons.exact_error`",
+    "over_budget_steps": "steps that exceeded the budget: 0",
+    "wire_bytes": "bytes on the bus, on Zenoh",
+    "undelivered": "frames not delivered, by cause",
+    "lost, protocol_errors": "robots that died unexpectedly; number of protocol errors",
+    "returned": "step and robot of each restart after an unexpected death",
+    "digest, versions": "hash of all results; versions of the code and its libraries, which equal digests require",
+    "wall_s, steps_per_s, work_us_median": "performance; not part of the result",
+}
+"""Keys of ``summary.json`` and their meaning."""
 
 FILES = {
     "steps.parquet": STEPS,

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.settings import Settings
+from deploy.record.map_collection import MapCollection
 from deploy.record.map_history import MapHistory
 from deploy.record.wire_bytes import Meter
 from netshaper.ledger import ROW
@@ -18,7 +19,7 @@ from protocol import keys as names
 from protocol import rights
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
-from protocol.grid import OCCUPIED, Grid
+from protocol.grid import Grid
 from protocol.keys import Keys
 from protocol.messages import (
     Back,
@@ -29,10 +30,11 @@ from protocol.messages import (
     FaultEvent,
     Lost,
     MapChanges,
-    Maps,
+    MapPart,
     Outlines,
     RadioReport,
     Record,
+    RequestMaps,
     RobotStatus,
     Shutdown,
     Stop,
@@ -41,6 +43,8 @@ from protocol.messages import (
 )
 from protocol.rights import MAX_PROTOCOL_ERRORS, TOO_MANY_ERRORS
 
+NO_MAPS = "it did not send its maps"
+"""Cause of the loss of a robot that does not answer a request for its maps."""
 MAX_PROTOCOL_ERROR_TEXTS = 1000
 """Number of protocol errors of which the text is kept; further ones are counted."""
 
@@ -49,40 +53,12 @@ MAX_PROTOCOL_ERROR_TEXTS = 1000
 class Records:
     """All data reported during a run so far.
 
-    Attributes
-    ----------
-    robots : int
-        Number of robots.
-    maps : MapHistory
-        The robots' maps over time, if the run records them.
-    world : list of WorldReport
-        The world's report of each step.
-    statuses : list of list of RobotStatus
-        Status of each robot and step.
-    rows : list of bytes
-        Rows of the ledger, per step; see `ledger`.
-    own, planning : dict of int to uint8 array
-        Final self-explored grid, and final planning grid, by robot.
-    lost : dict of int to str
-        Cause of each unexpected robot failure, by robot.
-    fault_events : list of FaultEvent
-        Scheduled and requested faults that have occurred, in order.
-    changes : list of Change
-        Changes of the radio's budget and range.
-    killed : set of int
-        Robots killed by a fault event and not restarted.
-    returned : list of (int, int)
-        Step and robot of each return after an unexpected failure.
-    protocol_errors : list of str
-        Sender and text of the first `MAX_PROTOCOL_ERROR_TEXTS` protocol errors.
-    protocol_error_count : int
-        Number of protocol errors.
-    end : End or None
-        The end of the run.
-    carried : int
-        Bytes transmitted in the last step.
-    wire_bytes : int or None
-        Bytes that the bus has moved (`deploy.record.wire_bytes`); None if that is not available.
+    `maps` has the robots' maps over time, if the run records them; `own` and `planning` have the final self-explored
+    and planning grids by robot. `world` has one report per step, `statuses` one list per robot, `rows` the rows of the
+    ledger per step. `lost` has the cause of each unexpected failure by robot, `killed` the robots that a fault event
+    killed and none restarted, `returned` step and robot of each return after an unexpected failure. `protocol_errors`
+    has sender and text of the first `MAX_PROTOCOL_ERROR_TEXTS` protocol errors. `carried` is the number of bytes
+    transmitted in the last step; `wire_bytes` that of the bus (`deploy.record.wire_bytes`), None if not available.
     """
 
     robots: int
@@ -143,16 +119,12 @@ class RecorderNode:
 
     Parameters
     ----------
-    bus : Bus
-    keys : Keys
     robots : int
         Number of robots.
     shape : (int, int)
         Height and width of the run's map.
     capture : binary file, optional
         Receives the frames of each step, which are not kept in memory.
-    meter : Meter, optional
-        Counts the bytes that the bus moves.
     on_fault : callable
         Called with each fault event, so that the launcher can kill and restart processes.
 
@@ -176,7 +148,9 @@ class RecorderNode:
     ) -> None:
         self.done = False
         self.records = Records(robots, MapHistory(shape))
-        self._shape = shape
+        self._collection = MapCollection(shape)
+        self._broken_down: set[int] = set()
+        """Robots that report their maps before the end."""
         self._capture = capture
         self._meter = meter
         self._bus = bus
@@ -197,8 +171,30 @@ class RecorderNode:
             self._record(sender, rights.read(*message))
         except ProtocolError as error:
             self._record_protocol_error(sender, str(error))
-        if self.records.end is not None and not self.done and not self.missing():
+        self._collect()
+
+    @property
+    def parts_received(self) -> int:
+        """Number of parts of maps that have arrived."""
+        return self._collection.parts_received
+
+    def _collect(self) -> None:
+        """Request maps that are due, and shut the run down once all have arrived."""
+        ended = self.records.end is not None
+        if self.done or not (ended or self._broken_down):
+            return
+        missing = self.missing()
+        due = missing if ended else [robot for robot in missing if robot in self._broken_down]
+        for robot, part in self._collection.begin(due):
+            self._request(robot, part)
+        if ended and not missing:
             self.shut_down()
+
+    def _request(self, robot: int, part: int) -> None:
+        """Request a part of a robot's maps."""
+        end = self.records.end
+        step = self.records.step if end is None or end.step < 0 else end.step
+        self._send(RequestMaps(robot, step, part))
 
     def _record_protocol_error(self, sender: str, text: str) -> None:
         """Record a protocol error; a robot that exceeds `MAX_PROTOCOL_ERRORS` in a step counts as lost."""
@@ -235,8 +231,8 @@ class RecorderNode:
                 )
             case End():
                 records.end = message
-            case Maps():
-                self._record_maps(self._number(sender), message)
+            case MapPart():
+                self._record_part(self._number(sender), message)
             case MapChanges() | Outlines():
                 self._record_map_changes(self._number(sender), message)
 
@@ -256,17 +252,13 @@ class RecorderNode:
             raise ProtocolError("RobotStatus", 0, f"step {status.step} is not within {first} to {last}")
         statuses.append(status)
 
-    def _record_maps(self, robot: int, maps: Maps) -> None:
-        """Record a robot's own grids, which must have the size of the run's map."""
-        if maps.robot != robot:
-            raise ProtocolError("Maps", 0, f"of robot {maps.robot}")
-        if (maps.height, maps.width) != self._shape:
-            height, width = self._shape
-            raise ProtocolError("Maps", 0, f"{maps.width} x {maps.height} cells, not {width} x {height}")
-        grids = [np.frombuffer(cells, np.uint8).reshape(self._shape) for cells in (maps.own, maps.planning)]
-        if max(int(grid.max()) for grid in grids) > OCCUPIED:
-            raise ProtocolError("Maps", 0, "a cell that is not free, occupied or unknown")
-        self.records.own[robot], self.records.planning[robot] = grids
+    def _record_part(self, robot: int, part: MapPart) -> None:
+        """Record a part of a robot's maps, and request the next one."""
+        grids = self._collection.take(robot, part)
+        if grids is None:
+            self._request(robot, part.part + 1)
+        else:
+            self.records.own[robot], self.records.planning[robot] = grids
 
     def _record_map_changes(self, robot: int, changes: MapChanges | Outlines) -> None:
         """Record changes of a robot's maps, of a step that has begun."""
@@ -285,11 +277,16 @@ class RecorderNode:
     def _record_fault_event(self, event: FaultEvent) -> None:
         """Record a fault event; the restart of a lost robot is a recovery, not a fault."""
         records, robot = self.records, event.robot
-        if event.kind == "kill":
+        if event.kind == "death":
+            self._broken_down.add(robot)
+        elif event.kind == "kill":
             records.killed.add(robot)
             records.lost.pop(robot, None)
         elif event.kind == "restart":
             records.killed.discard(robot)
+            self._broken_down.discard(robot)
+            for grids in (records.own, records.planning):
+                grids.pop(robot, None)
         if event.kind != "restart" or robot not in records.lost:
             records.fault_events.append(event)
         self._on_fault(event)
@@ -300,12 +297,17 @@ class RecorderNode:
         gone = records.own.keys() | records.lost.keys() | records.killed
         return [robot for robot in range(records.robots) if robot not in gone]
 
-    def finish_without_missing(self) -> None:
-        """Shut the run down without the maps that have not arrived; their robots count as lost."""
-        if self.records.end is not None:
-            for robot in self.missing():
-                self.records.lost[robot] = "it did not send its maps"
-        self.shut_down()
+    def give_up_requested(self) -> None:
+        """Continue without the maps that have been requested and have not arrived; their robots count as lost.
+
+        Before the end of the run, shut it down.
+        """
+        if self.records.end is None:
+            self.shut_down()
+            return
+        for robot in self._collection.under_way:
+            self.records.lost[robot] = NO_MAPS
+        self._collect()
 
     def request(self, event: FaultEvent | Change) -> None:
         """Request a fault or a change of the radio that is not in the scenario, for the next step."""

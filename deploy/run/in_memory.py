@@ -36,25 +36,10 @@ OnCrash = Callable[[str, Exception], object]
 class MemoryRun:
     """A run in this process, from its first step to its last.
 
-    Parameters
-    ----------
-    capture : binary file, optional
-        Receives the radio frames (`deploy.record.records`).
-    wrap : callable, optional
-        Wraps each participant's end of the bus; called with its name.
-    view : Node, optional
-        A viewer.
-    wait : callable, optional
-        Called before each step; it may delay the step.
-    on_crash : callable, optional
-        Called when a robot's code raises; the robot is lost then. Without it, the exception propagates.
-    journals : Path, optional
-        Directory for the journals of robots that may be restarted; they are kept in memory by default.
-
-    Attributes
-    ----------
-    agents : list of AgentNode
-        The robots' nodes, by number; a restarted robot has a new one.
+    `capture` receives the radio frames; `wrap` is called with each participant's name and end of the bus, and returns
+    the end to use; `view` is a viewer; `wait` is called before each step, which it may delay. `on_crash` is called when
+    a robot's code raises, which loses the robot; without it, the exception propagates. `journals` is the directory for
+    journals of robots that may be restarted; by default, they are kept in memory.
     """
 
     def __init__(
@@ -109,6 +94,7 @@ class MemoryRun:
             names.RECORDER: self._recorder,
         }
         self.agents = [self._agent(number) for number in range(robots)]
+        """The robots' nodes, by number; a restarted robot has a new one."""
         self._nodes |= zip(self._robots, self.agents, strict=True)
         if view is not None:
             self._nodes[names.VIEW] = view
@@ -151,7 +137,7 @@ class MemoryRun:
         for robot, node in overdue.items():
             node.give_up_on(robot, "timed out")
         if not overdue and self._recorder.records.end is not None and not self._recorder.done:
-            self._recorder.finish_without_missing()
+            self._recorder.give_up_requested()
         elif not overdue:
             raise RuntimeError("deadlock: all participants wait for each other")
 

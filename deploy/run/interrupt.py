@@ -24,12 +24,8 @@ def sigterm_as_ctrl_c() -> Iterator[None]:
 class Interrupt:
     """A request to end a run early.
 
-    Parameters
-    ----------
-    notify : callable, optional
-        Called once with a message when the request takes effect, since the end takes a while.
-    then : callable, optional
-        Called at each request; a paused run must continue to its end.
+    `notify` is called once with a message when the request takes effect, since the end takes a while. `then` is called
+    at each request; a paused run must continue to its end.
     """
 
     def __init__(

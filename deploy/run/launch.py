@@ -51,7 +51,9 @@ FAREWELL_S = 1.0
 VIEWER_END_S = 5.0
 """Time limit for the viewer to finish its recording."""
 WRAP_UP_S = 3.0
-"""Time limit for robots to report their maps after the end of the run, without any progress."""
+"""Time limit for the end of the run after it was interrupted or has failed."""
+MAPS_S = 15.0
+"""Time limit for robots to send the requested parts of their maps, without any progress."""
 
 Heed = Callable[[RecorderNode], bool]
 """Called repeatedly: ends the run early on request, and returns whether that was requested (`Interrupt.heed`)."""
@@ -95,26 +97,13 @@ def run(
 ) -> Outcome:
     """Run a plan as processes.
 
-    Parameters
-    ----------
-    logs : Path or None
-        Directory for the output of the processes; a temporary one if None.
-    watch, heed : callable, optional
-        Called with the records a few times per second; may end the run early.
-    capture : binary file, optional
-        Receives the radio frames.
-    pace, free
-        Maximum steps per second, except for the first `free` steps.
-    live : Path, optional
-        Directory for the file from which a viewer can join (`deploy.dashboard.watch`).
-    fleet, rendezvous
-        The robots on other hosts; or else where the processes meet, by default on the loopback interface.
-    journals, revive
-        Directory of the robots' journals; whether to restart robots that end unexpectedly.
-    gate : Gate, optional
-        Delays the world before each step, instead of `pace`.
-    wrap : callable, optional
-        Wraps the bus of world, recorder and robots on this host; picklable.
+    `logs` is the directory for their output, by default a temporary one. `watch` is called with the records a few times
+    per second; `heed` may end the run early. `capture` receives the radio frames. The run takes at most `pace` steps
+    per second, except for the first `free` steps; a `gate` delays steps instead. `live` is the directory for the file
+    from which viewers can join (`deploy.dashboard.watch`). Robots of a `fleet` run on other hosts; else the processes
+    meet at `rendezvous`, by default on the loopback interface. `journals` is the directory of the robots' journals;
+    `revive` restarts robots that end unexpectedly. `wrap`, which must be picklable, wraps the bus of each participant
+    here.
     """
     world = WorldTask(
         plan.make_world(), plan.scenario.steps, 1000 * plan.map.resolution, pace, free,
@@ -187,16 +176,11 @@ def _robots(
 
 
 class _Supervisor:
-    """Starts, restarts and ends the processes of a run, and collects the unexpected ends.
-
-    Attributes
-    ----------
-    deaths : dict of str to str
-        Processes and hosts that ended unexpectedly, each with its crash report.
-    """
+    """Starts, restarts and ends the processes of a run, and collects the unexpected ends."""
 
     def __init__(self, processes: ProcessTable, table: dict[str, ProcessEntry], fleet: Fleet | None) -> None:
         self.deaths = processes.deaths
+        """Processes and hosts that ended unexpectedly, each with its crash report."""
         self._processes = processes
         self._table = table
         self._fleet = fleet
@@ -306,13 +290,10 @@ def attend(bus: Bus, recorder: RecorderNode, heed: Heed, poll: Callable[[], bool
 
     `poll` is called a few times per second and returns whether the run has failed, which ends it.
 
-    Raises
-    ------
-    BusClosed
-        The connection to the relay is lost, or no message has arrived for `quiet_s` seconds.
+    Raises BusClosed if the connection to the relay is lost, or no message has arrived for `quiet_s` seconds.
     """
     ending: float | None = None
-    missing = -1
+    progress: object = None
     received = polled = time.monotonic()
     while not recorder.done:
         message = bus.receive(POLL_S)
@@ -328,7 +309,8 @@ def attend(bus: Bus, recorder: RecorderNode, heed: Heed, poll: Callable[[], bool
         if now - received > quiet_s:
             raise BusClosed(f"no message from the relay for {quiet_s:g} s")
         is_over = recorder.records.end is not None
-        if (failed or interrupted or is_over) and (ending is None or missing != len(recorder.missing())):
-            ending, missing = now, len(recorder.missing())
-        if ending is not None and now - ending > WRAP_UP_S:
-            recorder.finish_without_missing()
+        now_at = is_over, recorder.parts_received, len(recorder.missing())
+        if (failed or interrupted or is_over) and now_at != progress:
+            ending, progress = now, now_at
+        if ending is not None and now - ending > (MAPS_S if is_over else WRAP_UP_S):
+            recorder.give_up_requested()

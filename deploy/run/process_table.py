@@ -56,16 +56,11 @@ class Child:
 
 
 class ProcessTable:
-    """A run's children; a context manager that leaves none behind.
-
-    Attributes
-    ----------
-    deaths : dict of str to str
-        Children that ended prematurely, each with its crash report; `check` updates it.
-    """
+    """A run's children; a context manager that leaves none behind."""
 
     def __init__(self, logs: Path) -> None:
         self.deaths: dict[str, str] = {}
+        """Children that ended prematurely, each with its crash report; `check` updates it."""
         self._logs = logs
         self._children: list[Child] = []
         self._context = multiprocessing.get_context("forkserver")

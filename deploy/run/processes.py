@@ -110,15 +110,8 @@ def relay(
 ) -> None:
     """Serve as the relay at an open hub until all participants have left.
 
-    Parameters
-    ----------
-    pause_s : float
-        The world's maximum pause between two steps in seconds.
-    notify : callable, optional
-        Called with the missing participants whenever they change.
-    waits : bool
-        Whether to wait without limit for participants to join; else the run ends if none joins within
-        `reply_timeout_s`.
+    `pause_s` is the world's maximum pause between two steps. `notify` is called with the missing participants whenever
+    they change. Unless the relay `waits`, the run ends if no participant joins within `reply_timeout_s`.
     """
     node = RelayNode(bus, Keys(run), settings, captures=captures)
     reply_timeout = ReplyTimeout(node, reply_timeout_s)

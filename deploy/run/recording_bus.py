@@ -15,21 +15,14 @@ from protocol.messages import Sense, unpack
 
 @dataclass
 class RecordingBus:
-    """One end of a bus that records its traffic.
-
-    Attributes
-    ----------
-    inner : Bus, optional
-        The bus; without one, sent messages are only recorded.
-    received : list of Message
-        Received messages in their order.
-    sent : list of (int, Message)
-        Each sent message, and the number of messages received before it.
-    """
+    """One end of a bus that records its traffic."""
 
     inner: Bus | None = None
+    """The bus; without one, sent messages are only recorded."""
     received: list[Message] = field(default_factory=list)
+    """Received messages in their order."""
     sent: list[tuple[int, Message]] = field(default_factory=list)
+    """Each sent message, and the number of messages received before it."""
 
     def put(self, key: str, payload: bytes) -> None:
         """Record a message and send it."""

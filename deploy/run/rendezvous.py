@@ -3,44 +3,37 @@
 from __future__ import annotations
 
 import secrets
-import socket
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from ipaddress import ip_address
 
+from deploy.dashboard.windows import LOOPBACK, free_port
 from deploy.scenario.scenario import ScenarioError
 from netshaper import access
 from protocol import keys as names
 from protocol.zenoh_bus import Certificate, Credential
 
-LOOPBACK = "127.0.0.1"
-
 
 @dataclass(frozen=True)
 class Rendezvous:
-    """A run's name, the address of its hub, and all credentials.
-
-    Attributes
-    ----------
-    certificate : Certificate or None
-        The hub's certificate; None with passwords, on the loopback interface.
-    """
+    """A run's name, the address of its hub, and all credentials."""
 
     run: str
     endpoint: str
     credentials: Mapping[str, Credential]
     certificate: Certificate | None = None
+    """The hub's certificate; None with passwords, on the loopback interface."""
 
 
 def on_loopback(robots: int) -> Rendezvous:
     """Return a rendezvous at a free port of the loopback interface, with passwords."""
-    run, endpoint = secrets.token_hex(4), f"tcp/{LOOPBACK}:{free_port(LOOPBACK)}"
+    run, endpoint = secrets.token_hex(4), f"tcp/{LOOPBACK}:{free_port()}"
     return Rendezvous(run, endpoint, access.issue(run, endpoint, robots))
 
 
 def behind(router: Credential) -> Rendezvous:
     """Return the rendezvous of a router's robots: a free port of the loopback interface, with new passwords."""
-    endpoint = f"tcp/{LOOPBACK}:{free_port(LOOPBACK)}"
+    endpoint = f"tcp/{LOOPBACK}:{free_port()}"
     return Rendezvous(router.run, endpoint, access.passwords(router.run, endpoint, router.robots))
 
 
@@ -51,10 +44,7 @@ def by_certificates(
 
     `routers` maps the name of each router to the names of the robots that join through it.
 
-    Raises
-    ------
-    ScenarioError
-        The address is not one of this host, or the port is taken.
+    Raises ScenarioError if the address is not one of this host, or the port is taken.
     """
     from netshaper import certificates  # noqa: PLC0415  not needed on the loopback
 
@@ -69,16 +59,6 @@ def by_certificates(
     run, endpoint = secrets.token_hex(4), f"tls/{_bracketed(address)}:{port}"
     made = certificates.make(robots, [address], routers=routers)
     return Rendezvous(run, endpoint, certificates.credentials(run, endpoint, made), made[names.RELAY])
-
-
-def free_port(address: str, port: int = 0) -> int:
-    """Return a free port: `port` unless that is 0; OSError if it is taken."""
-    family, kind, number, _, place = socket.getaddrinfo(address, port, type=socket.SOCK_STREAM)[0]
-    with socket.socket(family, kind, number) as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        probe.bind(place)
-        found: int = probe.getsockname()[1]
-        return found
 
 
 def _bracketed(address: str) -> str:

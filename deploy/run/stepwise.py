@@ -28,45 +28,33 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RobotState:
-    """A robot at the end of a step.
-
-    Attributes
-    ----------
-    number : int
-        From 0.
-    x, y : float
-        True position in meters, in the map's frame, y up.
-    heading : float
-        Degrees, a full turn is 360; 0 points along x, 90 along -y.
-    cell : (x, y)
-        Its cell, row 0 on top: ``grid[y, x]``.
-    driven : float
-        Distance driven since the start, in meters.
-    own : uint8 array, shape (h, w)
-        Cells that it has seen itself: 0 unknown, 1 free, 2 occupied (`protocol.grid`). A view of the robot's array,
-        which changes with the next step: copy it to keep it.
-    planning : uint8 array, shape (h, w)
-        `own` merged with the maps received from teammates; the robot plans on it. Copy it to keep it.
-    target : (x, y) or None
-        Its target cell.
-    status : str
-        Its current activity.
-    polygons : mapping of int to Polygons
-        The outlines of each robot's map as this robot holds them, its own included (`agent.outline.polygons`); empty
-        with other map encodings.
-    """
+    """A robot at the end of a step."""
 
     number: int
+    """From 0."""
     x: float
     y: float
+    """True position in meters, in the map's frame, y up."""
     heading: float
+    """Degrees, a full turn is 360; 0 points along x, 90 along -y."""
     cell: tuple[int, int]
+    """Its cell (x, y), row 0 on top: ``grid[y, x]``."""
     driven: float
+    """Distance driven since the start, in meters."""
     own: Grid
+    """Cells that it has seen itself, uint8 of shape (h, w): 0 unknown, 1 free, 2 occupied. A view of the robot's array,
+    which changes with the next step: copy it to keep it.
+    """
     planning: Grid
+    """`own` merged with the maps received from teammates; the robot plans on it. Copy it to keep it."""
     target: tuple[int, int] | None
+    """Its target cell (x, y)."""
     status: str
+    """Its current activity."""
     polygons: Mapping[int, Polygons]
+    """The outlines of each robot's map as this robot holds them, its own included (`agent.outline.polygons`); empty
+    with other map encodings.
+    """
 
     def __repr__(self) -> str:
         return f"<robot {self.number} at ({self.x:.2f}, {self.y:.2f}) m, {self.status or 'under way'}>"
@@ -74,27 +62,18 @@ class RobotState:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Step:
-    """The state of a run at the end of a step, valid until the next step is requested.
-
-    Attributes
-    ----------
-    number : int
-        From 1; one step is one second.
-    explored : float
-        Fraction of the reachable cells that the team has seen, 0 to 1.
-    carried : int
-        Bytes sent in this step.
-    robots : dict of int to RobotState
-        The robots in the world, by number.
-    truth : uint8 array, shape (h, w)
-        The world.
-    """
+    """The state of a run at the end of a step, valid until the next step is requested."""
 
     number: int
+    """From 1; one step is one second."""
     explored: float
+    """Fraction of the reachable cells that the team has seen, 0 to 1."""
     carried: int
+    """Bytes sent in this step."""
     robots: dict[int, RobotState]
+    """The robots in the world, by number."""
     truth: Grid
+    """The world, uint8 of shape (h, w)."""
     _rows: bytes
 
     @cached_property
@@ -171,10 +150,7 @@ class Steps:
     def result(self) -> Result:
         """The result as `explore` returns it, after the last step.
 
-        Raises
-        ------
-        RuntimeError
-            The run is not over.
+        Raises RuntimeError if the run is not over.
         """
         if self._result is None:
             raise RuntimeError("the run has not ended: iterate over all steps first")

@@ -94,17 +94,9 @@ class LocalPool:
 
 
 class Cluster:
-    """The workers of a Dask cluster; their number may change.
+    """The workers of a Dask cluster, whose scheduler is at `address`; their number may change.
 
-    Parameters
-    ----------
-    address : str
-        Address of its scheduler, for example ``tcp://10.0.0.1:8786``.
-
-    Raises
-    ------
-    ValueError
-        No scheduler answers there, or dask.distributed is not installed.
+    Raises ValueError if no scheduler answers there, or dask.distributed is not installed.
     """
 
     REPLY_TIMEOUT_S = 20

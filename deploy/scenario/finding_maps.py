@@ -16,21 +16,9 @@ FILES = (".yaml", ".yml", *IMAGES)
 
 
 def find_map(name: str, seed: int, options: Mapping[str, float]) -> Map:
-    """Load a map file, or generate a map.
+    """Load a map file, or generate a map with `seed` and `options`; an image has one option, ``resolution``.
 
-    Parameters
-    ----------
-    name : str
-        Path of a file, or a generator's name as `murmur map list` prints it.
-    seed : int
-        Seed of the generator.
-    options : mapping of str to float
-        Parameters of the generator; for an image ``resolution``, meters per cell.
-
-    Raises
-    ------
-    MapError
-        The map does not exist or cannot be read, or an option is unknown or missing.
+    Raises MapError if the map does not exist or cannot be read, or an option is unknown or missing.
     """
     if name.endswith(IMAGES):
         return maps.load_picture(name, **_image_options(name, options))

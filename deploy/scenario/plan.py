@@ -25,25 +25,18 @@ from worldsim.world import Body, World, WorldSettings
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """All inputs of a run, derived from a scenario.
-
-    Attributes
-    ----------
-    robot_settings : dict of int to Settings
-        The settings of each robot, by its number.
-    range_m : float
-        Communication range in meters.
-    incarnations : int
-        How often each robot may start: once, and once more for each restart.
-    """
+    """All inputs of a run, derived from a scenario."""
 
     scenario: Scenario
     map: Map
     world: WorldSettings
     radio: RadioSettings
     robot_settings: dict[int, Settings]
+    """The settings of each robot, by its number."""
     range_m: float
+    """Communication range in meters."""
     incarnations: int = 1
+    """How often each robot may start: once, and once more for each restart."""
 
     def make_world(self) -> World:
         """Return the world in its initial state."""
@@ -53,22 +46,13 @@ class Plan:
 def make(
     scenario: Scenario, world_map: Map | None = None, *, incarnations: int = 1, record_maps: bool = False
 ) -> Plan:
-    """Derive the plan of a scenario.
+    """Derive the plan of a scenario; `world_map` replaces the map that the scenario names.
 
-    Parameters
-    ----------
-    world_map : Map, optional
-        Replaces the map that the scenario names.
-    incarnations : int
-        How often each robot may start at least; the scenario's faults may require more.
-    record_maps : bool
-        Whether robots report the changes of their maps to the recorder.
+    Each robot may start `incarnations` times, or more often if the scenario's faults require it. With `record_maps`,
+    robots report the changes of their maps to the recorder.
 
-    Raises
-    ------
-    ScenarioError
-        The map cannot be loaded or generated, the robots do not fit on it, or a range is too small for its cells
-        or for the strategy.
+    Raises ScenarioError if the map cannot be loaded or generated, the robots do not fit on it, or a range is too small
+    for its cells or for the strategy.
     """
     world_map = world_map or load_map(scenario)
     incarnations = max(incarnations, faults.incarnations(scenario.faults))
@@ -153,7 +137,7 @@ def _robot_settings(
             map_encoding=scenario.map_encoding,
             strategy=scenario.strategy,
             dissemination=scenario.dissemination,
-            bandwidth=None if radio.budget.limit is None else float(radio.budget.limit),
+            bandwidth=radio.budget,
             reach_cells=radio.range_cells,
             polygons=asdict(scenario.polygons),
             predictive=asdict(scenario.predictive),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import tomllib
+from collections.abc import Iterable, Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -63,7 +64,8 @@ class Scenario(Table):
             super().__init__(**settings)
         except ValidationError as error:
             errors = [item for item in error.errors() if item["type"] != "default_factory_not_called"]
-            raise ScenarioError("\n".join(dict.fromkeys(map(_explain, errors)))) from None
+            lines = dict.fromkeys(explain(item, _KEYS) for item in errors)
+            raise ScenarioError("\n".join(lines)) from None
 
     map: str = Field("office", description="a map's YAML file, or the name of a generator (murmur map list)")
     map_seed: Whole = Field(0, ge=0, le=MAX_INTEGER, description="seed of the generator")
@@ -100,8 +102,7 @@ class Scenario(Table):
     )
     start_jitter: NotNegative = Field(0.0, description="maximum random offset of the start positions, meters")
     motion: Literal["meters", "cells"] = Field(
-        "meters",
-        description="length of a diagonal step: meters: sqrt 2 cells; cells: 1 cell",
+        "meters", description="length of a diagonal step: meters: sqrt 2 cells; cells: 1 cell"
     )
     robots_collide: Annotated[bool, Field(strict=True)] = Field(
         True, description="whether robots block each other's paths and laser beams"
@@ -127,10 +128,7 @@ class Scenario(Table):
         60.0, description="time limit for a robot's reply or move, seconds of wall clock"
     )
     min_coverage: float = Field(
-        0.9,
-        ge=0,
-        le=1,
-        description="fraction of the reachable area that a finished run must have seen",
+        0.9, ge=0, le=1, description="fraction of the reachable area that a finished run must have seen"
     )
     robot: tuple[RobotOverride, ...] = Field((), description="robots with different hardware")
     fault: tuple[FaultTable, ...] = Field(
@@ -176,11 +174,7 @@ class Scenario(Table):
     def _tables_are_tables(cls, value: object, info: ValidationInfo) -> object:
         if isinstance(value, list | tuple) and all(isinstance(each, dict | Table) for each in value):
             return value
-        kinds: dict[str, type[Table]] = {
-            "robot": RobotOverride,
-            "fault": FaultTable,
-            "change": ChangeTable,
-        }
+        kinds: dict[str, type[Table]] = {"robot": RobotOverride, "fault": FaultTable, "change": ChangeTable}
         kind = kinds[str(info.field_name)]
         hint = "; number of robots is `robots`" if info.field_name == "robot" else ""
         raise ValueError(f"must be tables, [[{info.field_name}]], of {', '.join(kind.model_fields)}{hint}")
@@ -212,9 +206,7 @@ class Scenario(Table):
                 "for more, set dissemination = 'gossip' or map_encoding = 'none'"
             )
         if not self.forward_maps and self.dissemination == "gossip":
-            raise ValueError(
-                "forward_maps = false: dissemination = 'gossip' forwards all maps; omit one of them"
-            )
+            raise ValueError("forward_maps = false: dissemination = 'gossip' forwards all maps; omit one")
         for partition in self.radio.partition:
             unknown = [robot for group in partition.groups for robot in group if robot >= self.robots]
             if unknown:
@@ -296,10 +288,7 @@ def load(path: Path | None, overrides: dict[str, Any]) -> Scenario:
     A file name alone that does not exist refers to a shipped scenario. The path of a map is relative to the file
     that names it. An override of ``table.key`` leaves the table's other keys as they are.
 
-    Raises
-    ------
-    ScenarioError
-        The file cannot be read, or a key or value is wrong.
+    Raises ScenarioError if the file cannot be read, or a key or value is wrong.
     """
     data: dict[str, Any] = {}
     if path is not None:
@@ -339,10 +328,7 @@ def read_toml(path: Path, kind: str, shipped: Path | None = None) -> tuple[Path,
 
     A file name alone that does not exist refers to a file in the directory `shipped`, if that is given.
 
-    Raises
-    ------
-    ScenarioError
-        The file cannot be read, or is not TOML.
+    Raises ScenarioError if the file cannot be read, or is not TOML.
     """
     if shipped and len(path.parts) == 1 and not path.exists() and (shipped / path.name).exists():
         path = shipped / path.name
@@ -378,10 +364,7 @@ def beside(path: Path, named: Any) -> Any:
 def parse(data: dict[str, Any], where: str = "scenario") -> Scenario:
     """Validate a scenario given as a dictionary; `where` begins each line of the error message.
 
-    Raises
-    ------
-    ScenarioError
-        Keys or values are wrong; the message lists all of them.
+    Raises ScenarioError if keys or values are wrong; the message lists all of them.
     """
     try:
         return Scenario(**data)
@@ -410,20 +393,27 @@ _WORDING = {
     ", unable to parse string as an integer": "",
     "a valid dictionary": "a table",
     "a valid tuple": "a list",
+    "a valid list": "a list",
+    "a valid boolean": "true or false",
+    "List should have at least 1 item after validation, not 0": "must have at least one entry",
 }
 """Phrases of pydantic's messages, and our replacements."""
 
 
-def _explain(item: Any) -> str:
-    """Return one of pydantic's errors as a line: the key, its value and the valid values."""
-    key = ".".join(str(part) for part in item["loc"] if part not in ("int", "literal['unlimited']"))
+def explain(item: Any, keys: Mapping[str, Iterable[str]]) -> str:
+    """Return one of pydantic's errors as a line: the key, its value and the valid values, of `keys` by table."""
+    key = ".".join(str(part) for part in item["loc"] if str(part) not in _KINDS)
     message = str(item["msg"]).removeprefix("Value error, ")
     for theirs, ours in _WORDING.items():
         message = message.replace(theirs, ours)
     message = re.sub(r"a dictionary or an instance of \w+", "a table", message)
     if item["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
         table = ".".join(str(part) for part in item["loc"][:-1] if isinstance(part, str))
-        return f"{key}: unknown setting; {there_are(_KEYS[table], str(item['loc'][-1]))}"
+        return f"{key}: unknown setting; {there_are(keys[table], str(item['loc'][-1]))}"
     if item["type"] == "missing":
         return f"{key} is missing"
     return f"{key} = {item['input']!r}: {message}" if key else message
+
+
+_KINDS = ("int", "tuple", "tuple[int, ...]", "literal['unlimited']")
+"""Parts of pydantic's locations that name an alternative of a value's type."""

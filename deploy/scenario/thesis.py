@@ -44,10 +44,7 @@ def load_by_thesis(path: Path | None, overrides: dict[str, Any]) -> Scenario:
 def with_thesis(data: dict[str, Any], where: str) -> dict[str, Any]:
     """Replace ``thesis = true`` by the thesis' plain rules; settings that `data` gives itself take precedence.
 
-    Raises
-    ------
-    ScenarioError
-        `thesis` is neither true nor false; the message begins with `where`.
+    Raises ScenarioError if `thesis` is neither true nor false; the message begins with `where`.
     """
     asked, data = data.get("thesis", False), {key: value for key, value in data.items() if key != "thesis"}
     if not isinstance(asked, bool):

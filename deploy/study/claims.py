@@ -35,16 +35,18 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+from pydantic import AfterValidator, Field
 
 from deploy.study import statistics
 from deploy.study.results import Row
-from deploy.study.statistics import SIGNIFICANT, Evidence, Interval
+from deploy.study.statistics import NO_EVIDENCE, SIGNIFICANT, Evidence, Interval
 from deploy.study.tables import VARIANT, check, has_finished, key_of, metric_value
 
 HOLDS, IN_PART, NOT, UNDECIDED = "holds", "holds in part", "does not hold", "undecided"
@@ -53,19 +55,29 @@ SPREAD = "spread of "
 
 NUMBER = r"[-+]?\d+(?:\.\d+)?"
 BOUND = re.compile(rf"(ratio|difference|value) (?:(<|>) ({NUMBER})|in ({NUMBER})\.\.({NUMBER}))")
-TREND = re.compile(r"(falls|grows) over (\S+)")
-ORDER = re.compile(r"order of (\S+)")
+OVER = re.compile(r"(falls over|grows over|order of) (\S+)")
 
 FORMS = "'ratio < 1', 'difference > 0', 'value in 0..0.1', 'falls over robots', 'grows over robots', 'order of map'"
+
+
+class Expectation(NamedTuple):
+    """An expectation: its first words, the bounds of a ratio, difference or value, and the key of all others."""
+
+    kind: str
+    low: float = -math.inf
+    high: float = math.inf
+    key: str = ""
 
 
 @dataclass(frozen=True)
 class Rule:
     """The expectation of a claim for a metric; see the module's description."""
 
-    statement: str = ""
-    metric: str = ""
-    expect: str = ""
+    __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
+
+    statement: str
+    metric: str
+    expect: str
     compare: dict[str, Any] = field(default_factory=dict)
     to: dict[str, Any] = field(default_factory=dict)
     by: list[str] = field(default_factory=list)
@@ -73,6 +85,30 @@ class Rule:
     ranks: dict[str, float] = field(default_factory=dict)
     all_runs: bool = False
     exact: bool = False
+
+    def __post_init__(self) -> None:
+        paired = self.expectation.kind in ("ratio", "difference")
+        if paired != bool(self.compare) or paired != bool(self.to):
+            raise ValueError("compare and to are needed for a ratio or a difference, and for nothing else")
+        if self.compare.keys() != self.to.keys():
+            raise ValueError("compare and to must name the same keys")
+        if (self.expectation.kind == "order of") != bool(self.ranks):
+            raise ValueError("ranks gives the expected order, as { a = 1, b = 2 }")
+
+    @property
+    def expectation(self) -> Expectation:
+        """The parsed ``expect``."""
+        if over := OVER.fullmatch(self.expect):
+            return Expectation(over[1], key=over[2])
+        if bound := BOUND.fullmatch(self.expect):
+            kind, sign, single, low, high = bound.groups()
+            low, high = low or (single if sign == ">" else "-inf"), high or (single if sign == "<" else "inf")
+            return Expectation(kind, float(low), float(high))
+        raise ValueError(f"expect = {self.expect!r}: must be one of {FORMS}")
+
+
+Text = Annotated[str, AfterValidator(lambda text: " ".join(text.split()))]
+"""Text whose line breaks do not count."""
 
 
 @dataclass(frozen=True)
@@ -91,16 +127,18 @@ class Claim:
         The results of the paper.
     explanation : str
         Why the results differ from the paper, found by experiment; the verdict itself is computed.
-    rules : tuple of Rule
+    rule : list of Rule
     """
 
-    id: str
-    paper: str
-    figure: str
-    statement: str
-    reported: str
-    explanation: str
-    rules: tuple[Rule, ...]
+    __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
+
+    id: Text
+    paper: Text
+    statement: Text
+    rule: Annotated[list[Rule], Field(min_length=1)]
+    figure: Text = ""
+    reported: Text = ""
+    explanation: Text = ""
 
 
 @dataclass(frozen=True)
@@ -148,32 +186,37 @@ class Verdict(NamedTuple):
         return ", ".join(counts) or "no tests"
 
 
-def read_claim(data: Any, grid: dict[str, Any], variants: Iterable[str], names: Iterable[str]) -> Claim:
-    """Check a claim as read from a file; ValueError if it is invalid. `names` are the metrics of the measure."""
-    texts = ("id", "paper", "figure", "statement", "reported", "explanation")
-    if not isinstance(data, dict):
-        raise ValueError(f"claim = {data!r}: must be a table, [claim]")
-    for key, value in data.items():
-        if key not in (*texts, "rule"):
-            raise ValueError(f"claim.{key} is not a key of a claim; there are: {', '.join((*texts, 'rule'))}")
-        if key in texts and not isinstance(value, str):
-            raise ValueError(f"claim.{key} = {value!r}: must be text")
-    for key in ("id", "paper", "statement"):
-        if not data.get(key):
-            raise ValueError(f"claim.{key} is missing")
-    entries = data.get("rule", [])
-    if not isinstance(entries, list) or not entries:
-        raise ValueError("claim.rule: a claim needs rules, [[claim.rule]]")
-    keys, variants, names = {*grid, VARIANT}, list(variants), list(names)
-    rules = tuple(_rule(entry, keys, variants, names) for entry in entries)
-    cleaned = {key: " ".join(data.get(key, "").split()) for key in texts}
-    return Claim(**cleaned, rules=rules)
+def check_claim(claim: Claim, grid: Iterable[str], variants: Collection[str], metrics: Iterable[str]) -> None:
+    """Raise ValueError if a rule names a key, a variant or a metric that its experiment does not have."""
+    keys = sorted({*grid, VARIANT})
+    for rule in claim.rule:
+        key = rule.expectation.key
+        for name in (*rule.compare, *rule.to, *rule.by, *rule.where, *([key] if key else [])):
+            if name not in keys:
+                raise ValueError(
+                    f"claim.rule {rule.statement!r} names {name!r}, which is not in the grid; "
+                    f"there are: {', '.join(keys)}"
+                )
+        for choice in (rule.compare, rule.to):
+            if choice.get(VARIANT, next(iter(variants))) not in variants:
+                raise ValueError(
+                    f"claim.rule {rule.statement!r}: no variant is called {choice[VARIANT]!r}; "
+                    f"there are: {', '.join(variants)}"
+                )
+        check(rule.metric.removeprefix(SPREAD), (), metrics)
 
 
 def judge(parts: Iterable[tuple[Sequence[Rule], Sequence[Row]]]) -> Verdict:
     """Test rules on the runs of their experiments; return the verdict."""
     tests = [test for rules, rows in parts for rule in rules for test in _tests(rule, rows)]
-    return Verdict(*_decided(tests))
+    two_sided = [min(1.0, 2 * min(test.evidence.p_for, test.evidence.p_against)) for test in tests]
+    findings = []
+    for (rule, cell, evidence, left_out), p in zip(tests, statistics.holm(two_sided), strict=True):
+        verdict = UNDECIDED
+        if p < SIGNIFICANT:
+            verdict = HOLDS if evidence.p_for < evidence.p_against else NOT
+        findings.append(Finding(rule, cell, evidence.effect, evidence.d, p, left_out, verdict))
+    return Verdict(combined(findings), findings)
 
 
 def combined(findings: Iterable[Finding]) -> str:
@@ -193,78 +236,51 @@ class _Test(NamedTuple):
     left_out: int
 
 
-def _decided(tests: Sequence[_Test]) -> tuple[str, list[Finding]]:
-    two_sided = [min(1.0, 2 * min(test.evidence.p_for, test.evidence.p_against)) for test in tests]
-    findings = []
-    for test, p in zip(tests, statistics.holm(two_sided), strict=True):
-        verdict = UNDECIDED
-        if p < SIGNIFICANT:
-            verdict = HOLDS if test.evidence.p_for < test.evidence.p_against else NOT
-        findings.append(
-            Finding(test.rule, test.cell, test.evidence.effect, test.evidence.d, p, test.left_out, verdict)
-        )
-    return combined(findings), findings
-
-
 def _tests(rule: Rule, rows: Sequence[Row]) -> list[_Test]:
     """The tests of a rule, one per cell."""
-    chosen = [
-        row for row in rows if all(row["place"].get(key) in values for key, values in rule.where.items())
-    ]
     cells: dict[str, tuple[dict[str, Any], list[Row]]] = {}
-    for row in chosen:
-        cell = {key: row["place"][key] for key in rule.by}
-        cells.setdefault(repr(cell), (cell, []))[1].append(row)
+    for row in rows:
+        if all(row["place"].get(key) in values for key, values in rule.where.items()):
+            cell = {key: row["place"][key] for key in rule.by}
+            cells.setdefault(repr(cell), (cell, []))[1].append(row)
     if not cells:
-        return [_Test(rule, {}, Evidence(statistics.interval([]), math.nan, 1.0, 1.0), 0)]
+        return [_Test(rule, {}, NO_EVIDENCE, 0)]
     return [_Test(rule, cell, *_evidence(rule, members)) for cell, members in cells.values()]
 
 
 def _evidence(rule: Rule, rows: Sequence[Row]) -> tuple[Evidence, int]:
-    """The evidence of a cell's runs, and the number of excluded runs."""
-    if trend := TREND.fullmatch(rule.expect):
-        return _trend(rule, rows, trend[2], 1 if trend[1] == "grows" else -1)
-    if order := ORDER.fullmatch(rule.expect):
-        return _order(rule, rows, order[1])
-    bound = BOUND.fullmatch(rule.expect)
-    assert bound is not None
-    kind, sign, single, low, high = bound.groups()
-    least = float(low) if low else float(single) if sign == ">" else -math.inf
-    most = float(high) if high else float(single) if sign == "<" else math.inf
+    """The evidence of a cell's runs, and the number of excluded runs or pairs."""
+    kind, low, high, key = rule.expectation
+    if kind == "order of":
+        return _order(rule, rows, key)
+    if key:
+        return _trend(rule, rows, key, 1 if kind == "grows over" else -1)
     if kind == "value":
-        values = _values(rule, rows)
-        found = [value for value in values.values() if value is not None]
-        left_out = len(rows) - len(found)
-        return _exactly(found, least, most) if rule.exact else statistics.mean_within(
-            found, least, most
-        ), left_out
-    first = _values(rule, _side(rows, rule.compare), set(rule.compare))
-    second = _values(rule, _side(rows, rule.to), set(rule.compare))
-    pairs = [(first[key], second.get(key)) for key in first]
-    whole = [(one, other) for one, other in pairs if one is not None and other is not None]
-    if kind == "ratio":
-        whole = [(one, other) for one, other in whole if one > 0 and other > 0]
-    ones, others = [one for one, _ in whole], [other for _, other in whole]
-    test: Callable[..., Evidence] = (
-        statistics.ratio_within if kind == "ratio" else statistics.difference_within
-    )
+        runs = [[value] for value in _values(rule, rows).values()]
+    else:
+        first, second = (
+            _values(rule, _side(rows, side), set(rule.compare)) for side in (rule.compare, rule.to)
+        )
+        runs = [[value, second.get(place)] for place, value in first.items()]
+    whole = [[value for value in run if value is not None] for run in runs if None not in run]
+    whole = [run for run in whole if kind != "ratio" or min(run) > 0]
+    columns = np.array(whole).reshape(-1, 1 if kind == "value" else 2).T
+    left_out = len(runs) - len(whole)
     if rule.exact:
-        found = [one / other if kind == "ratio" else one - other for one, other in whole]
-        return _exactly(found, least, most), len(pairs) - len(whole)
-    return test(ones, others, least, most), len(pairs) - len(whole)
+        combine = {"ratio": np.divide, "difference": np.subtract}.get(kind, np.positive)
+        return _exactly(combine(*columns), low, high), left_out
+    if kind == "value":
+        return statistics.mean_within(columns[0], low, high), left_out
+    test = statistics.ratio_within if kind == "ratio" else statistics.difference_within
+    return test(columns[0], columns[1], low, high), left_out
 
 
 def _trend(rule: Rule, rows: Sequence[Row], key: str, sign: int) -> tuple[Evidence, int]:
     levels = list({repr(row["place"][key]): row["place"][key] for row in rows}.values())
-    blocks: dict[Any, dict[str, float | None]] = {}
-    for level in levels:
-        for block, value in _values(rule, _side(rows, {key: level}), {key}).items():
-            blocks.setdefault(block, {})[repr(level)] = value
-    whole = [
-        [float(value) for value in block.values() if value is not None]
-        for block in blocks.values()
-        if len(block) == len(levels) and None not in block.values()
-    ]
+    found = [_values(rule, _side(rows, {key: level}), {key}) for level in levels]
+    places = dict.fromkeys(place for of_level in found for place in of_level)
+    blocks = [[of_level.get(place) for of_level in found] for place in places]
+    whole = [[value for value in block if value is not None] for block in blocks if None not in block]
     if len(levels) < 3:
         whole = []
     return statistics.trend(whole, sign), len(blocks) - len(whole)
@@ -280,18 +296,17 @@ def _order(rule: Rule, rows: Sequence[Row], key: str) -> tuple[Evidence, int]:
         if values:
             found.append(float(np.mean(values)))
             wanted.append(rank)
-    if len(found) < 2:
-        return Evidence(statistics.interval([]), math.nan, 1.0, 1.0), len(rule.ranks) - len(found)
-    return statistics.same_order(found, wanted), len(rule.ranks) - len(found)
+    evidence = statistics.same_order(found, wanted) if len(found) > 1 else NO_EVIDENCE
+    return evidence, len(rule.ranks) - len(found)
 
 
-def _exactly(values: Sequence[float], least: float, most: float) -> Evidence:
+def _exactly(values: NDArray[np.float64], low: float, high: float) -> Evidence:
     """Compare values without random variation: all must lie within the bounds."""
-    if not values:
-        return Evidence(statistics.interval([]), math.nan, 1.0, 1.0)
-    within = all(least < value < most for value in values)
-    effect = Interval(len(values), float(np.mean(values)), min(values), max(values))
-    return Evidence(effect, math.nan, 0.0 if within else 1.0, 1.0 if within else 0.0)
+    if not len(values):
+        return NO_EVIDENCE
+    within = bool(((low < values) & (values < high)).all())
+    effect = Interval(len(values), float(values.mean()), float(values.min()), float(values.max()))
+    return Evidence(effect, math.nan, float(not within), float(within))
 
 
 def _side(rows: Sequence[Row], choice: dict[str, Any]) -> list[Row]:
@@ -299,9 +314,7 @@ def _side(rows: Sequence[Row], choice: dict[str, Any]) -> list[Row]:
 
 
 def _values(
-    rule: Rule,
-    rows: Sequence[Row],
-    ignored: set[str] = frozenset(),  # type: ignore[assignment]
+    rule: Rule, rows: Sequence[Row], ignored: Collection[str] = frozenset()
 ) -> dict[Any, float | None]:
     """The metric of each run, by its place without the `ignored` keys; None if the run is excluded."""
     name = rule.metric.removeprefix(SPREAD)
@@ -315,62 +328,3 @@ def _values(
         middle = float(np.median(there)) if there else math.nan
         return {key: None if value is None else abs(value - middle) for key, value in values.items()}
     return values
-
-
-def _rule(entry: Any, keys: set[str], variants: list[str], names: list[str]) -> Rule:
-    """Check a rule; ValueError if it is invalid."""
-    rule = Rule(**_checked(entry, keys, variants))
-    where = f"claim.rule {rule.statement!r}"
-    for key in ("statement", "metric", "expect"):
-        if not getattr(rule, key):
-            raise ValueError(f"{where}: {key} is missing")
-    check(rule.metric.removeprefix(SPREAD), (), names)
-    bound, trend, order = (form.fullmatch(rule.expect) for form in (BOUND, TREND, ORDER))
-    if not (bound or trend or order):
-        raise ValueError(f"{where}: expect = {rule.expect!r}: must be one of {FORMS}")
-    paired = bound is not None and bound[1] != "value"
-    if paired != bool(rule.compare) or paired != bool(rule.to):
-        raise ValueError(
-            f"{where}: compare and to are needed for a ratio or a difference, and for nothing else"
-        )
-    if paired and set(rule.compare) != set(rule.to):
-        raise ValueError(f"{where}: compare and to must name the same keys")
-    over = trend[2] if trend else order[1] if order else None
-    if over is not None and over not in keys:
-        raise ValueError(f"{where}: {over!r} is not in the grid; there are: {', '.join(sorted(keys))}")
-    if bool(order) != bool(rule.ranks):
-        raise ValueError(f"{where}: ranks gives the expected order, as {{ a = 1, b = 2 }}")
-    return rule
-
-
-def _checked(entry: Any, keys: set[str], variants: list[str]) -> dict[str, Any]:
-    """A rule's keys, each of the right kind; ValueError if it is invalid."""
-    kinds = Rule.__annotations__
-    if not isinstance(entry, dict):
-        raise ValueError(f"claim.rule = {entry!r}: must be tables, [[claim.rule]]")
-    given: dict[str, Any] = entry
-    for key, value in given.items():
-        if key not in kinds:
-            raise ValueError(f"claim.rule.{key} is not a key of a rule; there are: {', '.join(kinds)}")
-        kind: type = {"str": str, "bool": bool, "list[str]": list}.get(kinds[key], dict)
-        if not issubclass(type(value), kind):
-            raise ValueError(f"claim.rule.{key} = {value!r}: must be a {kind.__name__}")
-        if key in ("compare", "to", "where", "by"):
-            for name in value:
-                if name not in keys:
-                    raise ValueError(
-                        f"claim.rule.{key} names {name!r}, which is not in the grid; there are: "
-                        f"{', '.join(sorted(keys))}"
-                    )
-    for key in ("compare", "to"):
-        choice: dict[str, Any] = given.get(key, {})
-        name = choice.get(VARIANT, variants[0])
-        if name not in variants:
-            raise ValueError(
-                f"claim.rule.{key}: no variant is called {name!r}; there are: {', '.join(variants)}"
-            )
-    where: dict[str, Any] = given.get("where", {})
-    for key, value in where.items():
-        if not isinstance(value, list):
-            raise ValueError(f"claim.rule.where.{key} = {value!r}: must be a list of values, as [3, 5]")
-    return given

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -121,20 +121,17 @@ def compare(
     variants = {name: {k: v for k, v in keys.items() if k not in taken} for name, keys in variants.items()}
     if len({repr(keys) for keys in variants.values()}) < len(variants):
         raise ScenarioError("two of the scenarios are the same")
-    metrics = list(
-        dict.fromkeys([metric, "steps", "t90", "map_accuracy", "worst_wall_precision", "bytes.total"])
+    metrics = [metric, "steps", "t90", "map_accuracy", "worst_wall_precision", "bytes.total"]
+    made = of_settings(
+        "compare", {}, {**settings, "seed": range(seeds)}, variants, list(dict.fromkeys(metrics))
     )
-    made = of_settings("compare", {}, {**settings, "seed": range(seeds)}, variants, metrics)
     panels = "map" if "map" in made.grid else ""
-    made = made.with_plots(
-        (
-            Plot(metric, kind=BOXES, panels=panels, finished_only=True),
-            Plot("explored", kind=CURVES, panels=panels, xlabel="step", ylabel="explored"),
-        )
-    )
+    boxes = Plot(metric, kind=BOXES, panels=panels)
+    curves = Plot("explored", kind=CURVES, panels=panels, xlabel="step", ylabel="explored")
+    made = replace(made, plots=(boxes, curves))
     done = run(made, jobs=jobs, scheduler=scheduler, out=out, progress=progress)
     rules = [
-        Rule(metric=metric, expect="ratio < 1", compare={VARIANT: one}, to={VARIANT: other})
+        Rule("", metric, "ratio < 1", compare={VARIANT: one}, to={VARIANT: other})
         for one, other in combinations(variants, 2)
     ]
     return Comparison(done, metric, judge([(rules, done.rows)]).findings)
@@ -151,30 +148,25 @@ def _named(
     for each, own in zip(scenarios, settings, strict=True):
         if isinstance(each, str | Path):
             name = Path(each).stem
+        elif own in named.values():
+            same = ", ".join(f"{key} = {value}" for key, value in own.items())
+            raise ScenarioError(f"two of the scenarios are the same: {same}")
         else:
             differing = {k: v for k, v in own.items() if any(other.get(k) != v for other in settings)}
-            name = (
-                ", ".join(f"{v}" if isinstance(v, str) else f"{k} {v}" for k, v in differing.items())
-                or "plain"
-            )
-            if own in named.values():
-                raise ScenarioError(f"two of the scenarios are the same: {_as_text(own)}")
+            name = ", ".join(v if isinstance(v, str) else f"{k} {v}" for k, v in differing.items()) or "plain"
         if name in named:
             raise ScenarioError(f"two scenarios are called {name!r}: rename a file, or use a dict in Python")
         named[name] = own
     return named
 
 
-def _as_text(settings: dict[str, Any]) -> str:
-    return ", ".join(f"{key} = {value}" for key, value in settings.items())
-
-
 def _settings(scenario: Scenario | dict[str, Any] | Path | str) -> dict[str, Any]:
-    """The explicit settings of a scenario."""
-    if isinstance(scenario, dict):
-        return {key: value for key, value in scenario.items() if key not in REPLACED}
-    read = scenario if isinstance(scenario, Scenario) else load(Path(scenario), {})
-    return read.model_dump(mode="json", exclude_unset=True, exclude=set(REPLACED))
+    """The explicit settings of a scenario, without those that the comparison replaces."""
+    if isinstance(scenario, str | Path):
+        scenario = load(Path(scenario), {})
+    if isinstance(scenario, Scenario):
+        scenario = scenario.model_dump(mode="json", exclude_unset=True)
+    return {key: value for key, value in scenario.items() if key not in REPLACED}
 
 
 def _sentence(metric: str, finding: Finding) -> str:
@@ -184,9 +176,8 @@ def _sentence(metric: str, finding: Finding) -> str:
     if not effect.n:
         return f"{one} and {other}: no pair of runs to compare"
     bounds = "" if effect.low != effect.low else f" [{effect.low:.2f}, {effect.high:.2f}]"
-    pairs = f"{effect.n} pairs" + (
-        f", {finding.left_out} excluded as unfinished or 0" if finding.left_out else ""
-    )
+    excluded = f", {finding.left_out} excluded as unfinished or 0" if finding.left_out else ""
+    pairs = f"{effect.n} pairs{excluded}"
     text = f"{effect.mean:.2f}{bounds} of the {metric} of {other} (p = {finding.p:.3g}, {pairs})"
     if finding.verdict == UNDECIDED:
         return f"{one} and {other} have no significant difference: {one} has {text}"

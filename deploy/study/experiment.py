@@ -17,26 +17,69 @@ An experiment is a TOML file:
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from deploy.scenario.scenario import SHIPPED as SCENARIOS
-from deploy.scenario.scenario import ScenarioError, beside, read_toml
-from deploy.study.claims import Claim, read_claim
+from deploy.scenario.scenario import ScenarioError, beside, explain, read_toml
+from deploy.scenario.tables import Table as Keys
+from deploy.scenario.tables import Whole
+from deploy.study.claims import Claim, Rule, check_claim
 from deploy.study.measures import EXPLORATION, MEASURES, METRICS
-from deploy.study.plots import Plot, read_plots
-from deploy.study.tables import RELATIVE, VARIANT, Table, check
+from deploy.study.plots import Plot, check_plot
+from deploy.study.tables import RELATIVE, VARIANT, Table, check_table
 from protocol.errors import there_are
 
 SHIPPED = Path(__file__).with_name("experiments")
 """Installed experiments, which commands accept by name instead of a path."""
 
-TABLES = ("base", "grid", "follow", VARIANT, "table", "plot", "claim", "quick")
-KEYS = ("name", "scenario", "seeds", "measure")
 
-QUICK_SEEDS = 3
+class Quick(BaseModel):
+    """The reduced experiment: names of its variants (default: all), number of seeds, and values as for `override`."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+    seeds: Whole = Field(3, ge=1)
+    variants: list[str] = Field(default_factory=list)
+
+
+class Variant(BaseModel):
+    """A named set of settings."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+    name: str
+
+
+class ExperimentFile(Keys):
+    """The keys of an experiment's file; see the module's description."""
+
+    name: str | None = None
+    scenario: str | None = None
+    seeds: Whole | None = Field(None, ge=1)
+    measure: str = EXPLORATION
+    base: dict[str, Any] = Field(default_factory=dict)
+    grid: dict[str, list[Any]] = Field(default_factory=dict)
+    follow: dict[str, str] = Field(default_factory=dict)
+    variant: Annotated[list[Variant], Field(min_length=1)] = [Variant(name="plain")]  # noqa: RUF012
+    table: Table | None = None
+    plot: list[Plot] = Field(default_factory=list)
+    claim: Claim | None = None
+    quick: Quick = Field(default_factory=Quick)
+
+
+KEYS = {
+    "": list(ExperimentFile.model_fields),
+    "table": [each.name for each in fields(Table)],
+    "plot": [each.name for each in fields(Plot)],
+    "claim": [each.name for each in fields(Claim)],
+    "claim.rule": [each.name for each in fields(Rule)],
+}
+"""The valid keys of each table."""
 
 
 @dataclass(frozen=True)
@@ -62,8 +105,8 @@ class Experiment:
         The plots to draw.
     claim : Claim, optional
         The claim of a paper.
-    quick : dict
-        Values of the reduced experiment, as for `override`, and ``variants``, the names of its variants.
+    quick : Quick
+        Values of the reduced experiment.
     measure : str
         Name of the measure of each case.
     """
@@ -77,12 +120,8 @@ class Experiment:
     table: Table
     plots: tuple[Plot, ...] = ()
     claim: Claim | None = None
-    quick: dict[str, Any] = field(default_factory=dict)
+    quick: Quick = field(default_factory=Quick)
     measure: str = EXPLORATION
-
-    def with_plots(self, plots: tuple[Plot, ...]) -> Experiment:
-        """The experiment with other plots."""
-        return replace(self, plots=plots)
 
 
 def read(path: Path) -> Experiment:
@@ -96,53 +135,55 @@ def read(path: Path) -> Experiment:
     path, data = read_toml(path, "experiment", SHIPPED)
     where = f"experiment {path}"
     try:
-        unknown = sorted(set(data) - {*KEYS, *TABLES})
-        if unknown:
-            raise ValueError(
-                f"{unknown[0]} is not a key of an experiment; there are: {', '.join((*TABLES, *KEYS))}"
-            )
-        if not (set(data) & {"base", "grid", "scenario", VARIANT}):
-            raise ValueError("nothing to run; an experiment has [base], [grid], [[variant]] or a scenario")
-        for key in ("base", "grid", "follow", "table", "quick"):
-            if not isinstance(data.get(key, {}), dict):
-                raise ValueError(f"{key} = {data[key]!r}: must be a table, [{key}]")
-        base, grid = _with_scenario(path, data.get("scenario"), data.get("base", {})), data.get("grid", {})
-        if "seeds" in data:
-            if "seed" in grid:
-                raise ValueError("seeds and grid.seed: set only one of them")
-            grid["seed"] = seeds(data["seeds"])
-        for key, values in grid.items():
-            _check_values(f"grid.{key}", values)
-        measure = data.get("measure", EXPLORATION)
-        if measure not in MEASURES:
-            raise ValueError(f"measure = {measure!r}: {there_are(MEASURES, str(measure))}")
-        names = METRICS.get(measure, ())
-        follow = _follow(data.get("follow", {}), grid)
-        variants = _variants(data.get(VARIANT, [{"name": "plain"}]), grid)
-        for settings in (base, *variants.values()):
-            if "map" in settings:
-                settings["map"] = beside(path, settings["map"])
-        if "map" in grid:
-            grid["map"] = [_found(path, value) for value in grid["map"]]
-        table = _table(data.get("table", {}), grid, variants, names)
-        plots = read_plots(data.get("plot", []), {*grid, VARIANT}, names)
-        claim = read_claim(data["claim"], grid, variants, names) if "claim" in data else None
-        quick = data.get("quick", {})
-        if "map" in quick:
-            found = quick["map"] if isinstance(quick["map"], list) else [quick["map"]]
-            quick["map"] = [_found(path, value) for value in found]
+        return _checked(path, ExperimentFile.model_validate(data))
+    except ValidationError as error:
+        lines = [f"{where}: {explain(item, KEYS)}" for item in error.errors()]
+        raise ScenarioError("\n".join(lines)) from None
     except ValueError as error:
         raise ScenarioError(f"{where}: {error}") from None
-    name = str(data.get("name", path.stem))
-    return Experiment(where, name, base, grid, follow, variants, table, plots, claim, quick, measure)
 
 
-def _with_scenario(path: Path, scenario: Any, base: dict[str, Any]) -> dict[str, Any]:
+def _checked(path: Path, file: ExperimentFile) -> Experiment:
+    """The experiment of a file; ValueError if its parts do not fit together."""
+    if not file.model_fields_set & {"base", "grid", "scenario", VARIANT}:
+        raise ValueError("nothing to run; an experiment has [base], [grid], [[variant]] or a scenario")
+    if file.measure not in MEASURES:
+        raise ValueError(f"measure = {file.measure!r}: {there_are(MEASURES, file.measure)}")
+    grid, base = file.grid, _with_scenario(path, file.scenario, file.base)
+    if file.seeds is not None:
+        if "seed" in grid:
+            raise ValueError("seeds and grid.seed: set only one of them")
+        grid["seed"] = list(range(file.seeds))
+    for key, values in grid.items():
+        _check_values(f"grid.{key}", values)
+    for key, leader in file.follow.items():
+        if leader not in grid:
+            raise ValueError(f"follow.{key} = {leader!r}: is not in the grid; there are: {', '.join(grid)}")
+        if key in grid:
+            raise ValueError(f"follow.{key}: the grid sets {key} as well; remove one of them")
+    variants = _variants(file.variant, grid)
+    for settings in (base, *variants.values(), file.quick.model_extra or {}):
+        if "map" in settings:
+            settings["map"] = _found(path, settings["map"])
+    if "map" in grid:
+        grid["map"] = _found(path, grid["map"])
+    table, names = file.table or Table(), METRICS.get(file.measure, ())
+    table = table if table.rows is not None else replace(table, rows=list(grid))
+    check_table(table, grid, variants, names)
+    for plot in file.plot:
+        check_plot(plot, grid, names)
+    if file.claim is not None:
+        check_claim(file.claim, grid, variants, names)
+    return Experiment(
+        f"experiment {path}", file.name or path.stem, base, grid, file.follow, variants, table, tuple(file.plot),
+        file.claim, file.quick, file.measure,
+    )  # fmt: skip
+
+
+def _with_scenario(path: Path, scenario: str | None, base: dict[str, Any]) -> dict[str, Any]:
     """Lay the base over the settings of the named scenario file, if any."""
     if scenario is None:
         return base
-    if not isinstance(scenario, str):
-        raise ValueError(f"scenario = {scenario!r}: must be the name of a scenario file")
     beside_it = path.parent / scenario
     named, data = read_toml(beside_it if beside_it.exists() else Path(scenario), "scenario", SCENARIOS)
     if "map" in data:
@@ -167,20 +208,13 @@ def lay(data: dict[str, Any], settings: dict[str, Any]) -> None:
             data[key] = value
 
 
-def seeds(count: Any) -> list[int]:
-    """The seeds 0 to `count` - 1; ValueError for an invalid count."""
-    if type(count) is not int or count < 1:
-        raise ValueError(f"seeds = {count!r}: must be a whole number, 1 or more")
-    return list(range(count))
-
-
 def quickened(experiment: Experiment) -> Experiment:
-    """The reduced experiment by its ``[quick]``; three seeds by default."""
-    settings = dict(experiment.quick)
-    names = settings.pop("variants", list(experiment.variants))
-    if "seeds" in settings or "seed" not in settings:
-        settings["seed"] = seeds(settings.pop("seeds", QUICK_SEEDS))
-    return override(choose(experiment, names), settings)
+    """The reduced experiment by its ``[quick]``."""
+    quick = experiment.quick
+    settings = dict(quick.model_extra or {})
+    if "seeds" in quick.model_fields_set or "seed" not in settings:
+        settings["seed"] = list(range(quick.seeds))
+    return override(choose(experiment, quick.variants), settings)
 
 
 def settings_of(key: str, value: Any) -> dict[str, Any]:
@@ -236,8 +270,8 @@ def override(experiment: Experiment, settings: dict[str, Any]) -> Experiment:
 
 
 def _check_values(key: str, values: Any) -> None:
-    """Raise ValueError unless `values` is a valid list of a grid."""
-    if not isinstance(values, list) or not values:
+    """Raise ValueError unless `values` is a list of different values, at least one."""
+    if not values:
         raise ValueError(f"{key} = {values!r}: must be a list of values, as [3, 5]")
     name = key.rpartition(".")[2].rpartition(" ")[2]
     labels = [settings_of(name, value)[name] for value in values]
@@ -247,70 +281,26 @@ def _check_values(key: str, values: Any) -> None:
 
 
 def _found(path: Path, value: Any) -> Any:
-    """A map of the grid, with its path."""
-    return (
-        value | {"map": beside(path, value["map"])}
-        if isinstance(value, dict) and "map" in value
-        else beside(path, value)
-    )
+    """A map, a table with a map, or a list of these, with the paths of the maps."""
+    if isinstance(value, list):
+        return [_found(path, each) for each in value]
+    if isinstance(value, dict) and "map" in value:
+        return value | {"map": beside(path, value["map"])}
+    return beside(path, value)
 
 
-def _follow(pairs: dict[str, Any], grid: dict[str, Any]) -> dict[str, str]:
-    """Check pairs of a key and the key that it follows; ValueError unless only the second is in the grid."""
-    for key, leader in pairs.items():
-        if leader not in grid:
-            raise ValueError(f"follow.{key} = {leader!r}: is not in the grid; there are: {', '.join(grid)}")
-        if key in grid:
-            raise ValueError(f"follow.{key}: the grid sets {key} as well; remove one of them")
-    return dict(pairs)
-
-
-def _variants(entries: Any, grid: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """The settings of each variant by its name; ValueError for missing or equal names, or keys of the grid."""
-    if not isinstance(entries, list) or not entries:
-        raise ValueError(f"{VARIANT} = {entries!r}: must be tables, [[{VARIANT}]]")
+def _variants(entries: Sequence[Variant], grid: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """The settings of each variant by its name; ValueError for equal names, or keys of the grid."""
     set_by_grid = {
         each for key, values in grid.items() for value in values for each in settings_of(key, value)
     }
     variants: dict[str, dict[str, Any]] = {}
     for entry in entries:
-        if not isinstance(entry, dict) or "name" not in entry:
-            raise ValueError(f"each [[{VARIANT}]] needs a name")
-        keys = {key: value for key, value in entry.items() if key != "name"}
-        name = str(entry["name"])
-        if name in variants:
-            raise ValueError(f"two variants are called {name!r}; names must differ")
-        for key in keys:
-            if key in set_by_grid:
-                raise ValueError(
-                    f"variant {name!r} sets {key}, which the grid sets as well; remove one of them"
-                )
-        variants[name] = keys
+        if entry.name in variants:
+            raise ValueError(f"two variants are called {entry.name!r}; names must differ")
+        variants[entry.name] = entry.model_extra or {}
+        if twice := sorted(variants[entry.name].keys() & set_by_grid):
+            raise ValueError(
+                f"variant {entry.name!r} sets {twice[0]}, which the grid sets as well; remove one of them"
+            )
     return variants
-
-
-def _table(
-    data: dict[str, Any], grid: dict[str, Any], variants: dict[str, Any], names: Iterable[str]
-) -> Table:
-    """Check a table; ValueError if it is invalid."""
-    usual = {"rows": list(grid), "columns": [VARIANT], "values": ["steps", "coverage", "map_accuracy"]}
-    flags = {"interval": False, "finished_only": False}
-    whole: dict[str, Any] = usual | flags | data
-    for key, value in whole.items():
-        if key not in usual and key not in flags:
-            raise ValueError(f"table.{key} is not a key of a table; there are: {', '.join([*usual, *flags])}")
-        if key in flags:
-            if not isinstance(value, bool):
-                raise ValueError(f"table.{key} = {value!r}: must be true or false")
-        elif not isinstance(value, list) or not all(isinstance(name, str) for name in value):
-            raise ValueError(f"table.{key} = {value!r}: must be a list of names, as {usual[key]}")
-    table = Table(**whole)
-    for key in [*table.rows, *table.columns]:
-        if key != VARIANT and key not in grid:
-            known = ", ".join([*grid, VARIANT])
-            raise ValueError(f"table names {key!r}, which is not in the grid; there are: {known}")
-    if not table.values:
-        raise ValueError("table.values = []: must name at least one metric, as ['steps']")
-    for value in table.values:
-        check(value, variants, names)
-    return table

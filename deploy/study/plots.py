@@ -17,24 +17,26 @@ from __future__ import annotations
 import base64
 import io
 import math
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal
 
 import numpy as np
 
 from deploy.study.measures import SERIES
 from deploy.study.results import Results, Row
 from deploy.study.statistics import interval
-from deploy.study.tables import VARIANT, check, has_finished, metric_value
+from deploy.study.tables import VARIANT, check, has_finished, metric_value, short
 from worldsim.atomic_files import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-LINES, BOXES, CURVES = "lines", "boxes", "curves"
+LINES: Final = "lines"
+BOXES: Final = "boxes"
+CURVES: Final = "curves"
 
 COLUMNS = 3
 PANEL = 4.2, 3.2
@@ -54,9 +56,11 @@ CURVE_POINTS = 200
 class Plot:
     """The description of a plot; see the module's description."""
 
+    __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
+
     y: str
     x: str = ""
-    kind: str = LINES
+    kind: Literal["lines", "boxes", "curves"] = LINES
     lines: str = VARIANT
     panels: str = ""
     xlabel: str = ""
@@ -65,11 +69,18 @@ class Plot:
     finished_only: bool = True
 
 
-def read_plots(entries: Any, keys: set[str], names: Sequence[str]) -> tuple[Plot, ...]:
-    """Check plots as read from a file; ValueError if they are invalid."""
-    if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
-        raise ValueError(f"plot = {entries!r}: must be tables, [[plot]]")
-    return tuple(_plot(entry, keys, names) for entry in entries)
+def check_plot(plot: Plot, grid: Iterable[str], metrics: Iterable[str]) -> None:
+    """Raise ValueError if a plot names a key, a metric or a series that its experiment does not have."""
+    keys = sorted({*grid, VARIANT})
+    for name, key in (("x", plot.x), ("lines", plot.lines), ("panels", plot.panels)):
+        if key and key not in keys:
+            raise ValueError(f"plot.{name} = {key!r}: is not in the grid; there are: {', '.join(keys)}")
+    if plot.kind == CURVES and plot.y not in SERIES:
+        raise ValueError(f"plot.y = {plot.y!r}: is not a series; there are: {', '.join(SERIES)}")
+    if plot.kind != CURVES:
+        check(plot.y, (), metrics)
+    if plot.kind == LINES and not plot.x:
+        raise ValueError("plot.x is missing: lines are drawn over a key of the grid")
 
 
 def draw(plot: Plot, rows: Sequence[Row], results: Results) -> Figure:
@@ -78,25 +89,24 @@ def draw(plot: Plot, rows: Sequence[Row], results: Results) -> Figure:
 
     panels = _values(rows, plot.panels) if plot.panels else [None]
     lines = _values(rows, plot.lines) if plot.lines else [None]
-    columns = min(COLUMNS, len(panels))
-    height = -(-len(panels) // columns)
+    columns = max(1, min(COLUMNS, len(panels)))
+    height = math.ceil(len(panels) / columns)
     canvas = Figure(figsize=(PANEL[0] * columns, PANEL[1] * height + 0.4), layout="constrained")
-    axes = np.atleast_1d(canvas.subplots(height, columns, sharey=True, squeeze=False)).ravel()
+    axes = canvas.subplots(height, columns, sharey=True, squeeze=False).ravel()
     for panel, shown in zip(axes, panels, strict=False):
-        chosen = [row for row in rows if shown is None or row["place"][plot.panels] == shown]
         painter = {LINES: _lines, BOXES: _boxes, CURVES: _curves}[plot.kind]
-        painter(panel, plot, chosen, lines, results)
+        painter(panel, plot, _of(rows, plot.panels, shown), lines, results)
         if shown is not None:
             panel.set_title(f"{plot.panels.rpartition('.')[2]} {short(shown)}", fontsize=10)
         panel.set_xlabel(plot.xlabel or plot.x or ("step" if plot.kind == CURVES else ""))
         panel.grid(visible=True, color="#e5e5e5", linewidth=0.6)
         panel.set_axisbelow(True)
         panel.spines[["top", "right"]].set_visible(False)
-        if plot.log:
-            panel.set_yscale("log")
-        else:
-            panel.set_ylim(0, 1 if plot.y in SHARES else None)
-    for panel in axes[:: max(columns, 1)]:
+    if plot.log:
+        axes[0].set_yscale("log")
+    else:
+        axes[0].set_ylim(0, 1 if plot.y in SHARES else None)
+    for panel in axes[::columns]:
         panel.set_ylabel(plot.ylabel or plot.y)
     for panel in axes[len(panels) :]:
         panel.set_axis_off()
@@ -121,30 +131,21 @@ def as_html(canvas: Figure) -> str:
     return f'<img src="data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}">'
 
 
-def short(value: object) -> str:
-    """A value of the grid as a label; for files the name."""
-    return Path(value).stem if isinstance(value, str) and value.endswith((".yaml", ".png")) else str(value)
-
-
 def _lines(panel: Axes, plot: Plot, rows: Sequence[Row], lines: Sequence[Any], _: Results) -> None:
     levels = _values(rows, plot.x)
-    numbers = [_number(level) for level in levels]
-    plain = all(number is not None for number in numbers) and numbers == sorted(numbers)  # type: ignore[type-var]
-    places = [float(number or 0) for number in numbers] if plain else [float(n) for n in range(len(levels))]
-    nudge = 0.0 if len(places) < 2 else 0.02 * (max(places) - min(places))
+    numbers = [number for level in levels if (number := _number(level)) is not None]
+    is_axis = len(numbers) == len(levels) and numbers == sorted(numbers)
+    places = np.array(numbers if is_axis else range(len(levels)), float)
+    nudge = 0.02 * np.ptp(places) if len(places) else 0.0
     for n, line in enumerate(lines):
-        found = [
-            interval(
-                _metrics(plot, [row for row in _of(rows, plot.lines, line) if row["place"][plot.x] == level])
-            )
-            for level in levels
-        ]
-        there = [k for k, mean in enumerate(found) if mean.n]
-        if there:
+        of_line = _of(rows, plot.lines, line)
+        means = [interval(_metrics(plot, _of(of_line, plot.x, level))) for level in levels]
+        there = np.array([bool(mean.n) for mean in means], np.bool_)
+        if there.any():
             panel.errorbar(
-                [places[k] + nudge * (n - (len(lines) - 1) / 2) for k in there],
-                [found[k].mean for k in there],
-                [0 if math.isnan(found[k].half) else found[k].half for k in there],
+                (places + nudge * (n - (len(lines) - 1) / 2))[there],
+                [mean.mean for mean in means if mean.n],
+                np.nan_to_num([mean.half for mean in means if mean.n]),
                 label=short(line) if line is not None else None, color=COLORS[n % len(COLORS)],
                 marker=MARKERS[n % len(MARKERS)], markersize=4, linewidth=1.3, capsize=2,
             )  # fmt: skip
@@ -152,48 +153,40 @@ def _lines(panel: Axes, plot: Plot, rows: Sequence[Row], lines: Sequence[Any], _
 
 
 def _boxes(panel: Axes, plot: Plot, rows: Sequence[Row], lines: Sequence[Any], _: Results) -> None:
+    """A group of boxes for each value of `plot.x`; without it, one box for each line."""
     levels = _values(rows, plot.x) if plot.x else [None]
-    labels, at, width = [], [], 0.8 / len(lines)
-    for k, level in enumerate(levels):
-        of_level = rows if level is None else [row for row in rows if row["place"][plot.x] == level]
-        for n, line in enumerate(lines):
-            values = _metrics(plot, _of(of_level, plot.lines, line))
-            place = n if level is None else k + (n - (len(lines) - 1) / 2) * width
-            box = panel.boxplot(
-                [values], positions=[place], widths=0.6 if level is None else 0.8 * width, patch_artist=True,
-                medianprops={"color": "black"}, flierprops={"markersize": 3}, manage_ticks=False,
-            )  # fmt: skip
-            box["boxes"][0].set_facecolor(COLORS[n % len(COLORS)] + "80")
-            if level is None:
-                labels.append(short(line))
-                at.append(float(place))
-            elif k == 0:
-                panel.plot([], [], color=COLORS[n % len(COLORS)], linewidth=6, label=short(line))
-    if plot.x:
-        labels, at = [short(level) for level in levels], [float(k) for k in range(len(levels))]
-    panel.set_xticks(at, labels, rotation=20 if max(map(len, labels), default=0) > 12 else 0)
+    step, width = (0.8 / len(lines), 0.64 / len(lines)) if plot.x else (1.0, 0.6)
+    for n, line in enumerate(lines):
+        color = COLORS[n % len(COLORS)]
+        boxes = panel.boxplot(
+            [_metrics(plot, _of(_of(rows, plot.x, level), plot.lines, line)) for level in levels],
+            positions=[k + (n - (len(lines) - 1) / 2) * step for k in range(len(levels))], widths=width,
+            patch_artist=True, medianprops={"color": "black"}, flierprops={"markersize": 3}, manage_ticks=False,
+        )  # fmt: skip
+        for box in boxes["boxes"]:
+            box.set_facecolor(color + "80")
+        if plot.x:
+            panel.plot([], [], color=color, linewidth=6, label=short(line))
+    labels = [short(value) for value in (levels if plot.x else lines)]
+    places = range(len(levels)) if plot.x else [n - (len(lines) - 1) / 2 for n in range(len(lines))]
+    panel.set_xticks(places, labels, rotation=20 if max(map(len, labels), default=0) > 12 else 0)
 
 
 def _curves(panel: Axes, plot: Plot, rows: Sequence[Row], lines: Sequence[Any], results: Results) -> None:
     """Means with 95 % intervals over the steps; a finished run keeps its last value."""
-    longest = 0
     for n, line in enumerate(lines):
         found = results.series(plot.y, {row["key"] for row in _of(rows, plot.lines, line)})
         series = [np.asarray(found[key]) for key in sorted(found) if len(found[key])]
         if not series:
             continue
-        steps = max(map(len, series))
-        longest = max(longest, steps)
-        at = np.unique(np.linspace(0, steps - 1, CURVE_POINTS).astype(int))
-        table = np.array([one[np.minimum(at, len(one) - 1)] for one in series])
-        means = [interval(column) for column in table.T]
+        at = np.unique(np.linspace(0, max(map(len, series)) - 1, CURVE_POINTS).astype(int))
+        means = [interval([values[min(step, len(values) - 1)] for values in series]) for step in at]
         color = COLORS[n % len(COLORS)]
         panel.plot(at + 1, [m.mean for m in means], color=color, label=short(line), linewidth=1.4)
-        if len(series) > 1:
-            panel.fill_between(
-                at + 1, [m.low for m in means], [m.high for m in means], color=color, alpha=0.2, linewidth=0
-            )
-    panel.set_xlim(0, longest or 1)
+        panel.fill_between(
+            at + 1, [m.low for m in means], [m.high for m in means], color=color, alpha=0.2, linewidth=0
+        )
+    panel.set_xlim(left=0)
 
 
 def _metrics(plot: Plot, rows: Sequence[Row]) -> list[float]:
@@ -202,6 +195,7 @@ def _metrics(plot: Plot, rows: Sequence[Row]) -> list[float]:
 
 
 def _of(rows: Sequence[Row], key: str, value: Any) -> list[Row]:
+    """The rows with a value of a key; all rows if the value is None."""
     return [row for row in rows if value is None or row["place"][key] == value]
 
 
@@ -216,28 +210,3 @@ def _number(value: object) -> float | None:
         return None if isinstance(value, bool) else float(str(value).removesuffix("%"))
     except ValueError:
         return None
-
-
-def _plot(entry: dict[str, Any], keys: set[str], names: Sequence[str]) -> Plot:
-    kinds = asdict(Plot(""))
-    for key, value in entry.items():
-        if key not in kinds:
-            raise ValueError(f"plot.{key} is not a key of a plot; there are: {', '.join(kinds)}")
-        if type(value) is not type(kinds[key]):
-            raise ValueError(f"plot.{key} = {value!r}: must be a {type(kinds[key]).__name__}")
-    plot = Plot(**({"y": ""} | entry))
-    if plot.kind not in (LINES, BOXES, CURVES):
-        raise ValueError(f"plot.kind = {plot.kind!r}: there are: {LINES}, {BOXES}, {CURVES}")
-    for key in ("x", "lines", "panels"):
-        name = getattr(plot, key)
-        if name and name not in keys:
-            raise ValueError(
-                f"plot.{key} = {name!r}: is not in the grid; there are: {', '.join(sorted(keys))}"
-            )
-    if plot.kind == CURVES and plot.y not in SERIES:
-        raise ValueError(f"plot.y = {plot.y!r}: is not a series; there are: {', '.join(SERIES)}")
-    if plot.kind != CURVES:
-        check(plot.y, (), names)
-    if plot.kind == LINES and not plot.x:
-        raise ValueError("plot.x is missing: lines are drawn over a key of the grid")
-    return plot

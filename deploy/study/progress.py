@@ -7,14 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
 
 INTERVAL_S = 60
 """Seconds between two lines of output without a terminal."""
@@ -29,28 +22,22 @@ def counting(console: Console, title: str) -> Iterator[Report]:
     if not (console.is_terminal or console.is_jupyter):
         yield _lines(console, title)
         return
-    bar = Progress(
-        TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(),
-        TimeElapsedColumn(), TextColumn("left"),
-        TimeRemainingColumn(elapsed_when_finished=False), console=console, transient=True,
-    )  # fmt: skip
-    task = bar.add_task(title, total=None)
-    with bar:
+    columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), "left", TimeRemainingColumn())
+    with Progress("{task.description}", *columns, console=console, transient=True) as bar:
+        task = bar.add_task(title, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
 def _lines(console: Console, title: str) -> Report:
     """Print a line every `INTERVAL_S`."""
-    first: list[tuple[float, int]] = []
-    printed = time.monotonic()
+    began = printed = time.monotonic()
+    before: int | None = None
 
     def report(done: int, total: int) -> None:
-        nonlocal printed
+        nonlocal printed, before
         now = time.monotonic()
-        if not first:
-            first.append((now, done))
-        elif now - printed >= INTERVAL_S:
-            began, before = first[0]
+        before = done if before is None else before
+        if now - printed >= INTERVAL_S and done > before:
             printed = now
             minutes = (now - began) / (done - before) * (total - done) / 60
             left = f"{minutes:.0f} minutes" if minutes >= 1 else "less than a minute"

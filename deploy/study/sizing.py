@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import polars as pl
 
 from deploy.scenario.plan import load_map
 from deploy.study import plots
 from deploy.study.plots import Plot
-from deploy.study.results import Row, write_table
+from deploy.study.results import write_table
 from deploy.study.runs import Case
 from deploy.study.statistics import Interval, interval, share
 from deploy.study.sweep import Sweep, of_settings, run
-from deploy.study.tables import has_finished
+from deploy.study.tables import has_finished, short
 from protocol.budget import WORD_FOR_UNLIMITED
 
 if TYPE_CHECKING:
@@ -29,8 +29,7 @@ MIN_MAP_ACCURACY = 0.95
 SEEDS = 5
 
 
-@dataclass(frozen=True)
-class Option:
+class Option(NamedTuple):
     """A tested team.
 
     Attributes
@@ -48,6 +47,17 @@ class Option:
     range: str
     met: Interval
     steps: Interval
+
+    def __str__(self) -> str:
+        robots = "1 robot" if self.robots == 1 else f"{self.robots} robots"
+        is_word = isinstance(self.bandwidth, str)
+        bandwidth = "unlimited bandwidth" if is_word else f"{self.bandwidth} bytes per step"
+        return f"{robots} with {bandwidth} and a range of {self.range}"
+
+    @property
+    def time(self) -> str:
+        """Mean steps and half of their interval, as text."""
+        return f"{self.steps.mean:.0f} steps" + (f" ± {self.steps.half:.0f}" if self.steps.n > 1 else "")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -79,40 +89,30 @@ class Sizing:
     @property
     def sentence(self) -> str:
         """The answer as a sentence."""
+        building = short(self.sweep.experiment.base["map"])
         goal = f"with at least {100 * self.min_map_accuracy:g} % of the map correct"
         if self.deadline is not None:
             goal = f"within {self.deadline} steps and {goal}"
-        best = self.enough
-        if best is not None:
-            n = best.met.n
+        if best := self.enough:
             return (
-                f"{_count(best.robots)} with {_bandwidth(best.bandwidth)} and a range of {best.range} explore "
-                f"{self._map} {goal}: in {_steps(best.steps)}, {n} of {n} runs (at least "
+                f"{best} explore {building} {goal}: in {best.time}, {best.met.n} of {best.met.n} runs (at least "
                 f"{100 * best.met.low:.0f} % of all runs, with 95 % confidence)."
             )
-        nearest = min(
-            self.options, key=lambda option: (-option.met.mean, not option.steps.n, option.steps.mean)
-        )
-        met = round(nearest.met.mean * nearest.met.n)
-        return (
-            f"None of these teams always explores {self._map} {goal}; the best has {_count(nearest.robots)} with "
-            f"{_bandwidth(nearest.bandwidth)} and a range of {nearest.range}: {met} of {nearest.met.n} runs"
-            + (f", in {_steps(nearest.steps)}." if nearest.steps.n else ".")
-        )
+        best = min(self.options, key=lambda o: (-o.met.mean, not o.steps.n, o.steps.mean))
+        runs = f"{round(best.met.mean * best.met.n)} of {best.met.n} runs"
+        time = f", in {best.time}" if best.steps.n else ""
+        return f"None of these teams always explores {building} {goal}; the best has {best}: {runs}{time}."
 
     @property
     def table(self) -> pl.DataFrame:
         """A row per option."""
         return pl.DataFrame(
-            [
-                {
-                    "robots": o.robots, "bandwidth": str(o.bandwidth), "range": o.range, "runs": o.met.n,
-                    "met": o.met.mean, "met_low": o.met.low, "met_high": o.met.high,
-                    "steps": o.steps.mean, "steps_low": o.steps.low, "steps_high": o.steps.high,
-                }
-                for o in self.options
-            ],
-            infer_schema_length=None,
+            {
+                "robots": o.robots, "bandwidth": str(o.bandwidth), "range": o.range, "runs": o.met.n,
+                "met": o.met.mean, "met_low": o.met.low, "met_high": o.met.high,
+                "steps": o.steps.mean, "steps_low": o.steps.low, "steps_high": o.steps.high,
+            }
+            for o in self.options
         )  # fmt: skip
 
     def plot(self) -> Figure:
@@ -129,10 +129,6 @@ class Sizing:
         plots.save(self.plot(), files[0])
         write_table(self.table, files[1])
         return files
-
-    @property
-    def _map(self) -> str:
-        return plots.short(self.sweep.experiment.base["map"])
 
     def __repr__(self) -> str:
         return f"<Sizing of {len(self.sweep.rows)} runs: {self.sentence}>"
@@ -189,15 +185,8 @@ def size(
         "seed": list(_counted(seeds)),
     }
     made = of_settings("size", {"map": map, **settings}, grid, {"plain": {}}, ("steps", "map_accuracy"))
-    plot = Plot(
-        "steps",
-        x="robots",
-        lines="bandwidth",
-        panels="range",
-        xlabel="robots",
-        ylabel="exploration time (steps)",
-    )
-    done = run(made.with_plots((plot,)), jobs=jobs, scheduler=scheduler, out=out, progress=progress)
+    plot = Plot("steps", "robots", lines="bandwidth", panels="range", ylabel="exploration time (steps)")
+    done = run(replace(made, plots=(plot,)), jobs=jobs, scheduler=scheduler, out=out, progress=progress)
     return Sizing(done, _options(done, deadline, min_map_accuracy), deadline, min_map_accuracy)
 
 
@@ -217,25 +206,11 @@ def _options(done: Sweep, deadline: int | None, min_map_accuracy: float) -> list
     options = []
     for _, cases in sorted(teams.items()):
         team = {key: cases[0].place[key] for key in KEYS}
-        runs = [row for row in done.rows if team.items() <= row["place"].items()]
-        met = sum(_meets(row, deadline, min_map_accuracy) for row in runs)
-        steps = interval([row["steps"] for row in runs if has_finished(row)])
-        options.append(Option(**team, met=share(met, len(cases)), steps=steps))
+        finished = [row for row in done.rows if team.items() <= row["place"].items() and has_finished(row)]
+        met = [
+            row for row in finished
+            if (deadline is None or row["steps"] <= deadline) and (row["map_accuracy"] or 0) >= min_map_accuracy
+        ]  # fmt: skip
+        steps = interval([row["steps"] for row in finished])
+        options.append(Option(**team, met=share(len(met), len(cases)), steps=steps))
     return options
-
-
-def _meets(row: Row, deadline: int | None, min_map_accuracy: float) -> bool:
-    in_time = deadline is None or row["steps"] <= deadline
-    return has_finished(row) and in_time and (row["map_accuracy"] or 0) >= min_map_accuracy
-
-
-def _count(robots: int) -> str:
-    return "1 robot" if robots == 1 else f"{robots} robots"
-
-
-def _bandwidth(bandwidth: int | str) -> str:
-    return "unlimited bandwidth" if isinstance(bandwidth, str) else f"{bandwidth} bytes per step"
-
-
-def _steps(steps: Interval) -> str:
-    return f"{steps.mean:.0f} steps" + (f" ± {steps.half:.0f}" if steps.n > 1 else "")

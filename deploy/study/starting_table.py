@@ -12,7 +12,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from itertools import product
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,8 +82,7 @@ def train() -> NDArray[np.uint16]:
         }  # fmt: skip
         plan = plans.make(parse(settings))
         buses, _ = record_run(plan, list(map(names.robot, range(robots))))
-        for counts in counted(plan, [bus.senses for bus in buses.values()]):
-            total += counts
+        total += np.sum(list(counted(plan, [bus.senses for bus in buses.values()])), axis=0, dtype=float)
         print(f"{number + 1:3} {name} {robots} {speed}", flush=True)
     most = np.full(contexts.CONTEXTS, REST_WEIGHT)
     most[: contexts.OBSERVED] = CELLS_WEIGHT
@@ -94,12 +92,7 @@ def train() -> NDArray[np.uint16]:
     return trained
 
 
-def main(path: Path) -> None:
-    """Train the table and write it."""
-    counts = train()
-    used = np.flatnonzero(counts.any(axis=1)).astype(np.uint16)
-    np.savez_compressed(path, contexts=used, counts=counts[used].astype(np.uint16))
-
-
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    trained = train()
+    used = np.flatnonzero(trained.any(axis=1)).astype(np.uint16)
+    np.savez_compressed(sys.argv[1], contexts=used, counts=trained[used])

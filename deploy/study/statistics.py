@@ -8,8 +8,8 @@ p-values: for the expectation, and against it.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from scipy import stats
 CONFIDENCE = 0.95
 SIGNIFICANT = 0.05
 
-Values = NDArray[np.float64]
+Values = Sequence[float] | NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -56,25 +56,26 @@ class Evidence:
     p_against: float
 
 
-def interval(values: Sequence[float] | Values) -> Interval:
+NO_EVIDENCE = Evidence(Interval(0, math.nan, math.nan, math.nan), math.nan, 1.0, 1.0)
+"""The evidence of no values."""
+
+
+def interval(values: Values) -> Interval:
     """Mean and 95 % interval (Student's t)."""
-    data = np.asarray(values, float)
-    n = len(data)
-    if n == 0:
-        return Interval(0, math.nan, math.nan, math.nan)
-    mean = float(data.mean())
-    if n == 1:
-        return Interval(1, mean, math.nan, math.nan)
-    half = float(stats.t.ppf(0.5 + CONFIDENCE / 2, n - 1) * data.std(ddof=1) / math.sqrt(n))
+    n = len(values)
+    mean = float(np.mean(values)) if n else math.nan
+    if n < 2:
+        return Interval(n, mean, math.nan, math.nan)
+    half = float(stats.t.ppf(0.5 + CONFIDENCE / 2, n - 1) * stats.sem(values))
     return Interval(n, mean, mean - half, mean + half)
 
 
-def five_numbers(values: Sequence[float]) -> tuple[float, float, float, float, float]:
+def five_numbers(values: Values) -> list[float]:
     """Minimum, lower quartile, median, upper quartile, maximum; NaN without values."""
-    if not len(values):
-        return (math.nan,) * 5
-    low, first, median, third, high = (float(q) for q in np.quantile(values, (0, 0.25, 0.5, 0.75, 1)))
-    return low, first, median, third, high
+    quantiles: list[float] = (
+        np.quantile(values, (0, 0.25, 0.5, 0.75, 1)).tolist() if len(values) else 5 * [math.nan]
+    )
+    return quantiles
 
 
 def share(successes: int, n: int) -> Interval:
@@ -85,21 +86,19 @@ def share(successes: int, n: int) -> Interval:
     return Interval(n, successes / n, float(bounds.low), float(bounds.high))
 
 
-def mean_within(values: Sequence[float] | Values, low: float, high: float) -> Evidence:
+def mean_within(values: Values, low: float, high: float) -> Evidence:
     """Test whether the mean is above `low` and below `high`, which may be infinite, by one-sample t tests.
 
     If all values are 0 or 1, these are exact binomial tests instead.
     """
     data = np.asarray(values, float)
     if not (len(data) and set(np.unique(data)) <= {0.0, 1.0}):
-        return _t_test(data, low, high)
+        return _t_tests(data, low, high)
     ones, n = int(data.sum()), len(data)
-    above = [_binomial(ones, n, bound, "greater") for bound in (low, high)]
-    below = [_binomial(ones, n, bound, "less") for bound in (low, high)]
-    return Evidence(share(ones, n), _size(data, low, high), max(above[0], below[1]), min(below[0], above[1]))
+    return _tests(share(ones, n), data, low, high, lambda bound, side: _binomial(ones, n, bound, side))
 
 
-def difference_within(first: Sequence[float], second: Sequence[float], low: float, high: float) -> Evidence:
+def difference_within(first: Values, second: Values, low: float, high: float) -> Evidence:
     """Test whether the mean difference of the pairs is above `low` and below `high`.
 
     If all values are 0 or 1 and a bound is 0, this is an exact sign test of the pairs that differ (McNemar).
@@ -111,23 +110,18 @@ def difference_within(first: Sequence[float], second: Sequence[float], low: floa
         up, down = (_binomial(count, more + less, 0.5, "greater") for count in (more, less))
         p_for, p_against = (up, down) if low == 0 else (down, up)
         return Evidence(interval(differences), _size(differences, low, high), p_for, p_against)
-    return _t_test(differences, low, high)
+    return _t_tests(differences, low, high)
 
 
-def ratio_within(first: Sequence[float], second: Sequence[float], low: float, high: float) -> Evidence:
+def ratio_within(first: Values, second: Values, low: float, high: float) -> Evidence:
     """Test whether the geometric mean ratio of the pairs is above `low` and below `high`, by t tests on logarithms.
 
     All values must be positive.
     """
     logs = np.log(np.asarray(first, float)) - np.log(np.asarray(second, float))
-    test = _t_test(logs, math.log(low) if low > 0 else -math.inf, math.log(high))
-    of_logs = test.effect
-    return Evidence(
-        Interval(of_logs.n, math.exp(of_logs.mean), math.exp(of_logs.low), math.exp(of_logs.high)),
-        test.d,
-        test.p_for,
-        test.p_against,
-    )
+    test = _t_tests(logs, math.log(low) if low > 0 else -math.inf, math.log(high))
+    mean, lowest, highest = (math.exp(log) for log in (test.effect.mean, test.effect.low, test.effect.high))
+    return replace(test, effect=Interval(test.effect.n, mean, lowest, highest))
 
 
 def trend(blocks: Sequence[Sequence[float]], sign: int) -> Evidence:
@@ -138,7 +132,7 @@ def trend(blocks: Sequence[Sequence[float]], sign: int) -> Evidence:
     """
     data = np.asarray(blocks, float)
     if not len(data):
-        return Evidence(interval([]), math.nan, 1.0, 1.0)
+        return NO_EVIDENCE
     order = np.arange(data.shape[1])
     ranks = stats.rankdata(data, axis=1)
     steady = ranks.std(axis=1) == 0
@@ -162,28 +156,42 @@ def same_order(values: Sequence[float], reference: Sequence[float]) -> Evidence:
 
 def holm(p_values: Sequence[float]) -> list[float]:
     """Correct p-values for their number (Holm); keeps the order."""
-    corrected = [0.0] * len(p_values)
-    largest = 0.0
-    for rank, place in enumerate(sorted(range(len(p_values)), key=p_values.__getitem__)):
-        largest = max(largest, min(1.0, (len(p_values) - rank) * p_values[place]))
-        corrected[place] = largest
-    return corrected
+    order = np.argsort(p_values, kind="stable")
+    factors = np.arange(len(p_values), 0, -1)
+    corrected = np.empty(len(p_values))
+    corrected[order] = np.minimum(1, np.maximum.accumulate(factors * np.asarray(p_values)[order]))
+    result: list[float] = corrected.tolist()
+    return result
 
 
-def _t_test(data: Values, low: float, high: float) -> Evidence:
-    above = [_t(data - bound) if math.isfinite(bound) else float(bound > 0) for bound in (low, high)]
-    below = [_t(bound - data) if math.isfinite(bound) else float(bound < 0) for bound in (low, high)]
-    p_for, p_against = max(above[0], below[1]), min(below[0], above[1])
-    return Evidence(interval(data), _size(data, low, high), p_for, p_against)
+def _tests(
+    effect: Interval,
+    data: NDArray[np.float64],
+    low: float,
+    high: float,
+    p_value: Callable[[float, str], float],
+) -> Evidence:
+    """The evidence from one-sided tests of both bounds; `p_value` tests a bound with alternative greater or less."""
+    p_for = max(p_value(low, "greater"), p_value(high, "less"))
+    p_against = min(p_value(low, "less"), p_value(high, "greater"))
+    return Evidence(effect, _size(data, low, high), p_for, p_against)
 
 
-def _t(data: Values) -> float:
-    """One-sided p-value of a mean above 0; by a sign test if the values have no variance."""
+def _t_tests(data: NDArray[np.float64], low: float, high: float) -> Evidence:
+    return _tests(interval(data), data, low, high, lambda bound, side: _t(data, bound, side))
+
+
+def _t(data: NDArray[np.float64], bound: float, side: str) -> float:
+    """One-sided p-value; by a sign test if the values have no variance. Infinite bounds are certainly met or missed."""
+    sign = 1 if side == "greater" else -1
+    if math.isinf(bound):
+        return float(sign * bound > 0)
     if len(data) < 2:
         return 1.0
-    if data.std() <= 1e-12 * max(1.0, float(np.abs(data).max())):
-        return 0.5 ** len(data) if np.round(data.mean(), 12) > 0 else 1.0
-    return float(stats.ttest_1samp(data, 0, alternative="greater").pvalue)
+    beyond = sign * (data - bound)
+    if beyond.std() <= 1e-12 * max(1.0, float(np.abs(beyond).max())):
+        return 0.5 ** len(beyond) if np.round(beyond.mean(), 12) > 0 else 1.0
+    return float(stats.ttest_1samp(beyond, 0, alternative="greater").pvalue)
 
 
 def _binomial(successes: int, n: int, probability: float, side: str) -> float:
@@ -194,7 +202,7 @@ def _binomial(successes: int, n: int, probability: float, side: str) -> float:
     return float(stats.binomtest(successes, n, probability, alternative=side).pvalue) if n else 1.0
 
 
-def _size(data: Values, low: float, high: float) -> float:
+def _size(data: NDArray[np.float64], low: float, high: float) -> float:
     """Distance of the mean from the nearest bound, in standard deviations."""
     if len(data) < 2:
         return math.nan

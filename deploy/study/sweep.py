@@ -18,12 +18,10 @@ from deploy.study.experiment import Experiment
 from deploy.study.progress import counting
 from deploy.study.results import Results, Row, make_folder
 from deploy.study.runs import Case, cases, failures, looked_up, make
-from deploy.study.tables import VARIANT, Table, described
+from deploy.study.tables import DEFAULT_METRICS, VARIANT, Table, described, short
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-DEFAULT_METRICS = ("steps", "coverage", "map_accuracy")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -54,7 +52,7 @@ class Sweep:
         """A row per run: keys of the grid and the variant first, then all settings and metrics."""
         return pl.DataFrame(
             [
-                {name: plots.short(value) if isinstance(value, str | dict | list) else value
+                {name: short(value) if isinstance(value, str | dict | list) else value
                  for name, value in row["place"].items()}
                 | {name: value for name, value in row.items() if name != "place" and name not in row["place"]}
                 for row in self.rows

@@ -9,11 +9,12 @@ all runs instead of their mean.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, ClassVar
 
 import polars as pl
+from pydantic import Field
 
 from deploy.study.results import Row
 from deploy.study.statistics import five_numbers, interval, share
@@ -21,6 +22,8 @@ from netshaper.ledger import CAUSES
 from protocol.packets import ALL_KINDS
 
 VARIANT = "variant"
+
+DEFAULT_METRICS = ("steps", "coverage", "map_accuracy")
 
 RELATIVE = " relative to "
 """Separates a metric from the variant by whose metric it is divided."""
@@ -55,7 +58,7 @@ class Table:
     ----------
     rows, columns : list of str
         Keys of the grid, or ``variant``, that label rows and columns; the metrics are averaged over the other keys.
-        Without columns each metric has a column of its own.
+        Without columns each metric has a column of its own. In an experiment's file, the rows are by default all keys.
     values : list of str
         Metrics.
     interval : bool
@@ -64,11 +67,28 @@ class Table:
         Whether means include only finished runs; the table then shows their number if it differs.
     """
 
-    rows: list[str]
-    columns: list[str]
-    values: list[str]
-    interval: bool = False
-    finished_only: bool = False
+    __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
+
+    rows: list[str] | None = None
+    columns: list[str] = field(default_factory=lambda: [VARIANT])
+    values: Annotated[list[str], Field(min_length=1)] = field(default_factory=lambda: [*DEFAULT_METRICS])
+    interval: Annotated[bool, Field(strict=True)] = False
+    finished_only: Annotated[bool, Field(strict=True)] = False
+
+    @property
+    def keys(self) -> list[str]:
+        """The keys of rows and columns."""
+        return [*(self.rows or []), *self.columns]
+
+
+def check_table(table: Table, grid: Iterable[str], variants: Iterable[str], metrics: Iterable[str]) -> None:
+    """Raise ValueError if a table names a key, a variant or a metric that its experiment does not have."""
+    known = [*grid, VARIANT]
+    for key in table.keys:
+        if key not in known:
+            raise ValueError(f"table names {key!r}, which is not in the grid; there are: {', '.join(known)}")
+    for value in table.values:
+        check(value, variants, metrics)
 
 
 def check(text: str, variants: Iterable[str], names: Iterable[str] = ()) -> None:
@@ -99,54 +119,77 @@ def metric_value(row: Row, text: str) -> float | None:
     return sums[0] / sums[1] if sums[1] else None
 
 
-def tabulate(table: Table, summaries: Sequence[Row]) -> list[list[str]]:
+def tabulate(table: Table, runs: Sequence[Row]) -> list[list[str]]:
     """The lines of a table: a header, a line per row with means over all other keys, and a line for all rows."""
-    twins = {key_of(summary["place"]): summary for summary in summaries}
-    heads = _combinations(summaries, table.columns)
-    rows = _combinations(summaries, table.rows)
+    cells = _cells(table, runs, table.keys)
+    labels = table.rows or []
+    rows = list(dict.fromkeys(tuple(cell[key] for key in labels) for cell, _ in cells))
+    heads = list(dict.fromkeys(tuple(cell[key] for key in table.columns) for cell, _ in cells))
+    found = {tuple(cell.values()): statistics for cell, statistics in cells}
+    over_all = {tuple(cell.values()): statistics for cell, statistics in _cells(table, runs, table.columns)}
     split = not table.columns
-    names = table.values if split else ["/".join(map(_short, head)) for head in heads]
-    lines = [[*table.rows, *names]]
-    for row in (*rows, None) if table.rows else rows:
-        cells = list(map(_short, row)) if row is not None else ["all", *[""] * (len(table.rows) - 1)]
+    lines = [[*labels, *(table.values if split else map("/".join, heads))]]
+    for row in [*rows, None] if labels else rows:
+        texts = list(row) if row is not None else ["all", *[""] * (len(labels) - 1)]
         for head in heads:
-            chosen = [
-                s
-                for s in summaries
-                if (row is None or tuple(s["place"][key] for key in table.rows) == row)
-                and tuple(s["place"][key] for key in table.columns) == head
-            ]
-            shown = [_cell(table, chosen, value, twins) for value in table.values]
-            cells += shown if split else [" ".join(shown)]
-        lines.append(cells)
+            statistics = over_all[head] if row is None else found.get((*row, *head), [])
+            shown = [_text(table, each) for each in statistics] or ["-"] * len(table.values)
+            texts += shown if split else [" ".join(shown)]
+        lines.append(texts)
     return lines
 
 
-def described(table: Table, rows: Sequence[Row], keys: Sequence[str] | None = None) -> pl.DataFrame:
+def described(table: Table, runs: Sequence[Row], keys: Sequence[str] | None = None) -> pl.DataFrame:
     """Statistics of each cell and metric of a table: number of runs, share finished, mean with interval, quartiles.
 
     Cells are the combinations of the table's rows and columns, or of other `keys`.
     """
-    twins = {key_of(row["place"]): row for row in rows}
-    keys = [*table.rows, *table.columns] if keys is None else keys
-    lines = []
-    for cell in _combinations(rows, list(keys)):
-        members = [row for row in rows if tuple(row["place"][key] for key in keys) == cell]
-        counted = [row for row in members if has_finished(row)] if table.finished_only else members
-        finished = share(sum(has_finished(row) for row in members), len(members))
-        for name in table.values:
-            values = [v for row in counted if (v := _value(row, name.removeprefix(MIN), twins)) is not None]
-            mean = interval(values)
-            low, first, median, third, high = five_numbers(values)
-            lines.append(
-                {key: _short(value) for key, value in zip(keys, cell, strict=True)}
-                | {
-                    "metric": name, "runs": len(members), "finished": finished.mean, "finished_low": finished.low,
-                    "finished_high": finished.high, "n": mean.n, "mean": mean.mean, "low": mean.low, "high": mean.high,
-                    "min": low, "quartile_1": first, "median": median, "quartile_3": third, "max": high,
-                }
-            )  # fmt: skip
-    return pl.DataFrame(lines, infer_schema_length=None)
+    cells = _cells(table, runs, table.keys if keys is None else keys)
+    return pl.DataFrame(
+        [cell | statistics for cell, each in cells for statistics in each], infer_schema_length=None
+    )
+
+
+def _cells(
+    table: Table, runs: Sequence[Row], keys: Sequence[str]
+) -> list[tuple[dict[str, str], list[dict[str, Any]]]]:
+    """For each combination of the keys' values, in the order of the grid, the statistics of all metrics."""
+    twins = {key_of(run["place"]): run for run in runs}
+    members: dict[tuple[str, ...], list[Row]] = {}
+    for run in runs:
+        members.setdefault(tuple(short(run["place"][key]) for key in keys), []).append(run)
+    return [
+        (dict(zip(keys, cell, strict=True)), [_statistics(table, name, some, twins) for name in table.values])
+        for cell, some in members.items()
+    ]
+
+
+def _statistics(table: Table, metric: str, runs: Sequence[Row], twins: dict[Any, Row]) -> dict[str, Any]:
+    """Statistics of a metric over some runs; a minimum includes those that have not finished."""
+    name = metric.removeprefix(MIN)
+    counted = [run for run in runs if has_finished(run) or not table.finished_only or name != metric]
+    values = [value for run in counted if (value := _value(run, name, twins)) is not None]
+    finished, mean = share(sum(map(has_finished, runs)), len(runs)), interval(values)
+    low, first, median, third, high = five_numbers(values)
+    return {
+        "metric": metric, "runs": len(runs), "finished": finished.mean, "finished_low": finished.low,
+        "finished_high": finished.high, "n": mean.n, "mean": mean.mean, "low": mean.low, "high": mean.high,
+        "min": low, "quartile_1": first, "median": median, "quartile_3": third, "max": high,
+    }  # fmt: skip
+
+
+def _text(table: Table, statistics: dict[str, Any]) -> str:
+    """The mean or minimum of a metric over some runs, as text."""
+    n, mean, runs = statistics["n"], statistics["mean"], statistics["runs"]
+    if statistics["metric"].startswith(MIN):
+        return f"{statistics['min']:.4f}" if n else "-"
+    finished = round(statistics["finished"] * runs)
+    part = f" ({finished} of {runs})" if table.finished_only and finished < runs else ""
+    if not n:
+        return ("none" if part and not finished else "-") + part
+    digits = 0 if abs(mean) >= 10 else 3
+    half = f" ± {(statistics['high'] - mean):.{digits}f}" if table.interval and n > 1 else ""
+    return f"{mean:.{digits}f}{half}{part}"
 
 
 def has_finished(row: Row) -> bool:
@@ -157,18 +200,6 @@ def has_finished(row: Row) -> bool:
 def key_of(place: dict[str, Any]) -> tuple[tuple[str, str], ...]:
     """A position in a grid as a hashable key."""
     return tuple(sorted((name, repr(value)) for name, value in place.items()))
-
-
-def _cell(table: Table, runs: Sequence[Row], value: str, twins: dict[Any, Row]) -> str:
-    """The mean or minimum of a metric over some runs, as text."""
-    name = value.removeprefix(MIN)
-    if name != value:
-        found = [one for run in runs if (one := _value(run, name, twins)) is not None]
-        return f"{min(found):.4f}" if found else "-"
-    chosen = [run for run in runs if has_finished(run)] if table.finished_only else runs
-    share = "" if len(chosen) == len(runs) else f" ({len(chosen)} of {len(runs)})"
-    values = [_value(run, name, twins) for run in chosen]
-    return (_mean(values, interval_too=table.interval) if chosen or not share else "none") + share
 
 
 def _value(summary: Row, text: str, twins: dict[Any, Row]) -> float | None:
@@ -182,23 +213,9 @@ def _value(summary: Row, text: str, twins: dict[Any, Row]) -> float | None:
     return value / other if other else None
 
 
-def _combinations(summaries: Sequence[Row], keys: list[str]) -> list[tuple[Any, ...]]:
-    """All combinations of the keys' values, in the order of the grid."""
-    found = (tuple(summary["place"][key] for key in keys) for summary in summaries)
-    return list({repr(values): values for values in found}.values())
-
-
-def _short(value: object) -> str:
-    return Path(value).stem if isinstance(value, str) and value.endswith(".yaml") else str(value)
-
-
-def _mean(values: Sequence[float | None], *, interval_too: bool) -> str:
-    mean = interval([value for value in values if value is not None])
-    if not mean.n:
-        return "-"
-    digits = 0 if abs(mean.mean) >= 10 else 3
-    text = f"{mean.mean:.{digits}f}"
-    return f"{text} ± {mean.half:.{digits}f}" if interval_too and mean.n > 1 else text
+def short(value: object) -> str:
+    """A value of the grid as a label; for files the name."""
+    return Path(value).stem if isinstance(value, str) and value.endswith((".yaml", ".png")) else str(value)
 
 
 def _look_up(row: Row, name: str) -> Any:

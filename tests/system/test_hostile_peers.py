@@ -17,7 +17,7 @@ from agent.settings import Settings
 from deploy.run import in_memory
 from deploy.scenario.plan import Plan
 from protocol import keys as names
-from protocol import messages, packet_index, packets
+from protocol import map_parts, messages, packet_index, packets
 from protocol.budget import Budget
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
@@ -30,14 +30,14 @@ from protocol.messages import (
     Configure,
     ConnectionReport,
     Delivery,
-    End,
     ErrorReport,
-    Maps,
+    MapPart,
     MediumEvent,
     Move,
     Open,
     OutgoingFrame,
     PhaseDelivery,
+    RequestMaps,
     RobotFrames,
     RoundReport,
     Sense,
@@ -488,10 +488,10 @@ def test_no_frame_stops_a_robots_process(steps: list[tuple[list[bytes], ...]]) -
         assert [message.step for message in antenna.sent if isinstance(message, Move)] == [step]
         faults = [message.reason for message in antenna.sent if isinstance(message, ErrorReport)]
         assert faults or all(_is_a_broadcast(frame) for frame in broadcasts)
-    deliver(End(len(steps), "enough", -1))
-    maps = antenna.sent[-1]
-    assert isinstance(maps, Maps)
-    known, plan = np.frombuffer(maps.own, np.uint8), np.frombuffer(maps.planning, np.uint8)
+    deliver(RequestMaps(0, len(steps), 0))
+    part = antenna.sent[-1]
+    assert isinstance(part, MapPart)
+    known, plan = map_parts.split(map_parts.decode(part.cells, 0, WIDTH * HEIGHT), (HEIGHT, WIDTH))
     assert (plan[known != UNKNOWN] == known[known != UNKNOWN]).all()
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from collections import Counter
 from functools import cache, partial
 from pathlib import Path
@@ -42,7 +43,8 @@ EXAMPLES: tuple[messages.Record, ...] = (
     messages.WorldReport(3, bytes(48), [1, 2, 3], 90, 90),
     messages.RobotStatus(3, 4, 4, 9, 0, -1, 0, "idle", 1),
     messages.RadioReport(3, bytes(7), 0, b"frames"),
-    messages.Maps(0, 1, 1, b"\x01", b"\x01"),
+    messages.MapPart(0, b"\x01"),
+    messages.RequestMaps(0, 3, 0),
     messages.ErrorReport("r0", "I say so"),
     messages.Watched(here=True),
     messages.Back(0),
@@ -57,7 +59,7 @@ JUNK = (
     b"\xc1",
     1000 * b"\x91",
     bytes(9_000_000),
-    pack(messages.Maps(0, 9, 9, bytes(81), bytes(81))),
+    pack(messages.MapPart(0, zlib.compress(bytes(81)))),
     pack(messages.RobotFrames(1, 0, "offers", frames=10**6 * [messages.OutgoingFrame(0, b"")])),
     pack(messages.Move(1, bytes(8 << 20), 0, explored=True)),
 )
@@ -246,7 +248,7 @@ class Silent:
         self._inner.put(key, payload)
 
 
-@pytest.mark.parametrize("kind", [messages.Move, messages.RobotFrames, messages.Maps])
+@pytest.mark.parametrize("kind", [messages.Move, messages.RobotFrames, messages.MapPart])
 @pytest.mark.parametrize("after", [0, 7])
 def test_a_robot_that_omits_an_expected_message_is_given_up_and_the_others_continue(
     kind: type[messages.Record], after: int
@@ -257,8 +259,8 @@ def test_a_robot_that_omits_an_expected_message_is_given_up_and_the_others_conti
     records = in_memory.run(plan(), wrap=wrap)
     assert records.end is not None
     assert records.end.step == STEPS
-    lost = "it did not send its maps" if kind is messages.Maps else "timed out"
-    if kind is not messages.Maps or not after:
+    lost = "it did not send its maps" if kind is messages.MapPart else "timed out"
+    if kind is not messages.MapPart or not after:
         assert list(records.lost) == [1]
         assert lost in records.lost[1]
     assert sorted({0, 1, 2} - records.own.keys()) == sorted(records.lost)

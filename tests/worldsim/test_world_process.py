@@ -196,8 +196,9 @@ def test_robot_breaks_down_at_the_start_of_the_scheduled_step(step: int) -> None
     assert run.world.step == step
     assert list(run.world.cells) == [0]
     messages = run.received("r1")
-    assert isinstance(messages[-1], End)
     assert [message.step for message in messages if isinstance(message, Sense)] == list(range(1, step))
+    events = [message for message in run.received(names.RECORDER) if isinstance(message, FaultEvent)]
+    assert events == [FaultEvent(step, 1, "death")]
 
 
 def test_run_ends_when_all_robots_break_down() -> None:

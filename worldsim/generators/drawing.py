@@ -28,11 +28,8 @@ Points = NDArray[np.float64]
 def canvas(width_m: float, height_m: float, resolution: float, least_m: float) -> Grid:
     """Return an unknown grid for a world of this size, walls included.
 
-    Raises
-    ------
-    MapError
-        The resolution is not above 0 or too coarse for doors, or a side is shorter than `least_m` or too long for
-        a map.
+    Raises MapError if the resolution is not above 0 or too coarse for doors, or a side is shorter than `least_m` or too
+    long for a map.
     """
     width = length("width_m", width_m, resolution, least_m)
     height = length("height_m", height_m, resolution, least_m)
@@ -40,13 +37,7 @@ def canvas(width_m: float, height_m: float, resolution: float, least_m: float) -
 
 
 def length(name: str, side_m: float, resolution: float, least_m: float) -> int:
-    """Return the side of a world in cells; `name` is the parameter's name in error messages.
-
-    Raises
-    ------
-    MapError
-        As for `canvas`.
-    """
+    """Return the side of a world in cells; `name` is its parameter's. Raises MapError as `canvas` does."""
     if not 0 < resolution <= _COARSEST:
         raise MapError(f"resolution is {resolution}; it must be above 0 and at most {_COARSEST} m per cell")
     most_m = MAX_SIDE * resolution
@@ -75,14 +66,9 @@ def field(cells: Grid, wall: int) -> None:
 
 
 def enclose(cells: Grid, wall: int) -> None:
-    """Turn unknown cells next to free ones into walls, and fill free areas that cannot be reached.
+    """Turn unknown cells next to free ones into walls, and fill all free areas but the largest 4-connected one.
 
-    Parameters
-    ----------
-    cells : uint8 array of shape (height, width)
-        The world; its largest 4-connected free area remains.
-    wall : int
-        Thickness of the walls; they have no diagonal gaps.
+    Walls are `wall` cells thick, without diagonal gaps.
     """
     near = cells == FREE
     for _ in range(wall):
@@ -162,23 +148,10 @@ def scatter(
     gap: float,
     shapes: tuple[Shape, ...] = SHAPES,
 ) -> None:
-    """Place objects in free space, at least `gap` from each other and from existing obstacles.
+    """Place `count` objects in free space, at least `gap` cells from each other and from existing obstacles.
 
-    Parameters
-    ----------
-    cells : uint8 array of shape (height, width)
-        The world; objects become occupied in it.
-    random : numpy.random.Generator
-    where : bool array of shape (height, width)
-        Cells in which centers may lie.
-    count : int
-        Number of objects; an object for which no place is found is omitted.
-    radii : (float, float)
-        Radius of the smallest and the largest object, in cells; small ones are more common.
-    gap : float
-        Minimum distance between objects, in cells, so that robots can pass.
-    shapes : tuple of Shape
-        Shapes of the objects, all equally likely.
+    Their centers lie where `where` (bool, shape of `cells`) is true, their radii between those of `radii`, in cells;
+    small objects are more common, all `shapes` equally likely. An object for which no place is found is omitted.
     """
     from scipy import ndimage  # noqa: PLC0415  slow to import, and listing names needs none
 

@@ -46,41 +46,22 @@ def inside(cells: Grid, wall: int) -> Box:
 
 @dataclass(frozen=True)
 class Style:
-    """Dimensions of an office, in meters.
-
-    Attributes
-    ----------
-    corridor_m : float
-        Width of corridors.
-    room_m : (float, float)
-        Width of rooms along the corridor; not a limit, but the target for dividing a row.
-    door_m : (float, float)
-        Narrowest and widest door.
-    joined : float
-        Share of neighboring rooms with a door between them.
-    merged : float
-        Share of neighboring rooms without a wall between them.
-    """
+    """Dimensions of an office, in meters."""
 
     corridor_m: float = 2.0
+    """Width of corridors."""
     room_m: tuple[float, float] = (2.8, 5.5)
+    """Width of rooms along the corridor; not a limit, but the target for dividing a row."""
     door_m: tuple[float, float] = (0.9, 1.2)
+    """Narrowest and widest door."""
     joined: float = 0.12
+    """Share of neighboring rooms with a door between them."""
     merged: float = 0.08
+    """Share of neighboring rooms without a wall between them."""
 
 
 class Builder:
-    """Carves one floor plan.
-
-    Parameters
-    ----------
-    cells : uint8 array of shape (height, width)
-        The world to carve into.
-    random : numpy.random.Generator
-    resolution : float
-        Side of a cell in meters.
-    style : Style
-    """
+    """Carves one floor plan into `cells`, of `resolution` meters."""
 
     def __init__(self, cells: Grid, random: np.random.Generator, resolution: float, style: Style) -> None:
         self.cells = cells
@@ -101,12 +82,7 @@ class Builder:
     def offices(self, box: Box, corridors: int) -> tuple[list[Box], list[Box]]:
         """Fill the box with parallel corridors, rooms on both sides of each, and cross corridors.
 
-        Returns
-        -------
-        corridors : list of Box
-            The parallel ones, from top to bottom; each reaches from the left to the right side of the box.
-        rooms : list of Box
-            From the top row to the bottom row, each row from left to right.
+        Returns the parallel corridors, each from the left to the right side, and the rooms row by row, from the top.
         """
         height = box.height - corridors * self.corridor - (3 * corridors - 1) * self.wall
         depths = self.divide(box.top, height, 2 * corridors, 0)

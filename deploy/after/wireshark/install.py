@@ -35,10 +35,7 @@ def plugin_folder() -> Path:
 def install(folder: Path | None = None) -> Path:
     """Write the dissector into a plugin folder, replacing an older version of it; return its path.
 
-    Raises
-    ------
-    ValueError
-        Another file of that name exists, or the folder cannot be written.
+    Raises ValueError if another file of that name exists, or the folder cannot be written.
     """
     target = (folder or plugin_folder()) / TEMPLATE.name
     try:

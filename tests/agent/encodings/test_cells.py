@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from agent.encodings.cells import RUNS, SAME, ZSTD, CellEncoding, pack, pack_runs, unpack, unpack_runs
 from agent.settings import Settings
+from protocol.budget import UNLIMITED
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.packets import Fragment, Save, encode
@@ -25,7 +26,8 @@ seeds = st.integers(0, 2**32 - 1)
 def settings_of(robot: int) -> Settings:
     return Settings(
         robot=robot, robots=3, width=WIDTH, height=HEIGHT, ranges_cells=[6.0] * 3, beams=36, speed_cells=1.0,
-        seed=0, map_encoding="cells", strategy="meier", dissemination="gossip", bandwidth=None, reach_cells=math.inf,
+        seed=0, map_encoding="cells", strategy="meier", dissemination="gossip", bandwidth=UNLIMITED,
+        reach_cells=math.inf,
     )  # fmt: skip
 
 

@@ -13,6 +13,7 @@ from agent.encodings.base import MapEncoding
 from agent.encodings.catalog import make_encoding
 from agent.encodings.changed_cells import ChangedCells
 from agent.settings import Settings
+from protocol.budget import UNLIMITED, Budget
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, ray_table
 from protocol.scans import Change, Scan, draw
 from tests.agent.encodings.arrival import LATE
@@ -33,7 +34,7 @@ def house() -> Grid:
     return grid
 
 
-def settings_of(kind: str, robot: int, bandwidth: float | None) -> Settings:
+def settings_of(kind: str, robot: int, bandwidth: Budget) -> Settings:
     world = house()
     return Settings(
         robot=robot, robots=ROBOTS, width=world.shape[1], height=world.shape[0], ranges_cells=[RANGE] * ROBOTS,
@@ -55,7 +56,7 @@ def next_cell(world: Grid, cell: Cell, rng: np.random.Generator) -> Cell:
 class Looker:
     """A robot that drives about, sees, and keeps one grid for good; and a encoding that sees copies of it."""
 
-    def __init__(self, kind: str, robot: int, bandwidth: float | None) -> None:
+    def __init__(self, kind: str, robot: int, bandwidth: Budget) -> None:
         self.robot = robot
         self.own = np.full(house().shape, UNKNOWN, np.uint8)
         self.encoding: MapEncoding = make_encoding(settings_of(kind, robot, bandwidth))
@@ -85,8 +86,8 @@ class Looker:
 
 
 @pytest.mark.parametrize("kind", ["polygons", "scans", "none"])
-@pytest.mark.parametrize("bandwidth", [60.0, None])
-def test_incremental_results_equal_those_computed_from_scratch(kind: str, bandwidth: float | None) -> None:
+@pytest.mark.parametrize("bandwidth", [Budget(60), UNLIMITED])
+def test_incremental_results_equal_those_computed_from_scratch(kind: str, bandwidth: Budget) -> None:
     rng = np.random.default_rng(1)
     team = [Looker(kind, robot, bandwidth) for robot in range(ROBOTS)]
     for _ in range(40):

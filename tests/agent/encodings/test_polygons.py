@@ -23,6 +23,7 @@ from agent.outline.polygons import Polygons
 from agent.outline.simplify import refine
 from agent.settings import Settings
 from protocol import packets
+from protocol.budget import UNLIMITED, Budget
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.packets import Change as Changed
@@ -31,7 +32,7 @@ from protocol.scans import Change, Scan
 from tests.agent.encodings.arrival import LATE
 from tests.agent.explorations import Cell, exploration, growing_maps
 
-EXACT: dict[str, Any] = {"bandwidth": None}
+EXACT: dict[str, Any] = {"bandwidth": UNLIMITED}
 NO_NEWS = Change(0, (0, 0, 0, 0))
 WORLD_SEED, STEPS = 4, 25
 
@@ -39,7 +40,7 @@ WORLD_SEED, STEPS = 4, 25
 def settings_of(shape: tuple[int, int], robot: int = 0, robots: int = 3, **more: Any) -> Settings:
     known: dict[str, Any] = {
         "ranges_cells": [20.0] * robots, "beams": 360, "speed_cells": 5.0, "seed": 0, "map_encoding": "polygons",
-        "strategy": "meier", "dissemination": "backoff", "bandwidth": 1000.0, "reach_cells": 1000.0,
+        "strategy": "meier", "dissemination": "backoff", "bandwidth": Budget(1000), "reach_cells": 1000.0,
     }  # fmt: skip
     return Settings(robot, robots, shape[1], shape[0], **(known | more))
 
@@ -86,9 +87,9 @@ def reported(map_encoding: PolygonEncoding, steps: Sequence[tuple[Grid, Cell]]) 
 # --- encoding and decoding -----------------------------------------------------------------------------
 
 
-@given(growing_maps(), st.sampled_from([None, 50.0, 2000.0]))
+@given(growing_maps(), st.sampled_from([UNLIMITED, Budget(50), Budget(2000)]))
 def test_receivers_hold_the_authors_approximation_after_every_step(
-    steps: list[tuple[Grid, Cell]], bandwidth: float | None
+    steps: list[tuple[Grid, Cell]], bandwidth: Budget
 ) -> None:
     shape = steps[0][0].shape
     one, other = maker(shape, 0, bandwidth=bandwidth), maker(shape, 1, bandwidth=bandwidth)
@@ -145,7 +146,7 @@ def test_a_step_without_new_cells_logs_nothing_once_the_approximation_is_exact()
 
 
 def test_a_step_without_new_cells_refines_at_the_splitting_frequency() -> None:
-    one = maker((60, 80), bandwidth=300.0)
+    one = maker((60, 80), bandwidth=Budget(300))
     grid, cell = walk()[-1]
     sizes = []
     for _ in range(200):
@@ -157,7 +158,7 @@ def test_a_step_without_new_cells_refines_at_the_splitting_frequency() -> None:
 
 
 def test_without_bandwidth_the_approximation_is_still_repaired() -> None:
-    one = maker((60, 80), bandwidth=0.0, **with_options(unknown_pairs=True))
+    one = maker((60, 80), bandwidth=Budget(0), **with_options(unknown_pairs=True))
     for grid, cell in walk():
         record(one, grid, cell)
     assert not is_exact(one.polygons[0], grid, cell)
@@ -167,7 +168,7 @@ def test_without_bandwidth_the_approximation_is_still_repaired() -> None:
 def test_more_bandwidth_makes_a_smaller_error() -> None:
     grid = house()
     errors = []
-    for bandwidth in (20.0, 200.0, 1000.0, None):
+    for bandwidth in (Budget(20), Budget(200), Budget(1000), UNLIMITED):
         one = maker((60, 80), bandwidth=bandwidth)
         for grid, cell in walk():
             record(one, grid, cell)
@@ -178,7 +179,10 @@ def test_more_bandwidth_makes_a_smaller_error() -> None:
 
 def test_bytes_per_split_are_measured_unless_given() -> None:
     fixed = {"bytes_per_split": 1000.0}
-    measured, given_ = maker((60, 80), bandwidth=600.0), maker((60, 80), bandwidth=600.0, polygons=fixed)
+    measured, given_ = (
+        maker((60, 80), bandwidth=Budget(600)),
+        maker((60, 80), bandwidth=Budget(600), polygons=fixed),
+    )
     for grid, cell in walk():
         record(measured, grid, cell)
         record(given_, grid, cell)
@@ -283,7 +287,7 @@ def test_edges_that_stand_for_walls_and_for_nothing_known_come_first_if_wished()
     walls = {}
     for wished in (True, False):
         options = with_options(mixed_first=wished)
-        one, other = maker((60, 80), 0, bandwidth=200.0, **options), maker((60, 80), 1, **options)
+        one, other = maker((60, 80), 0, bandwidth=Budget(200), **options), maker((60, 80), 1, **options)
         for _ in range(6):
             other.apply(0, b"".join(record(one, grid, cell)), **LATE)
         walls[wished] = ((other.merge(np.zeros_like(grid)) == OCCUPIED) & (grid == OCCUPIED)).sum()
@@ -295,7 +299,7 @@ def test_free_inside_edges_are_drawn_if_wished() -> None:
     claims = {}
     for wished in (True, False):
         options = with_options(free_inside_edges=wished)
-        one, other = maker((60, 80), 0, bandwidth=100.0, **options), maker((60, 80), 1, **options)
+        one, other = maker((60, 80), 0, bandwidth=Budget(100), **options), maker((60, 80), 1, **options)
         other.apply(0, b"".join(record(one, grid, cell)), **LATE)
         claims[wished] = other.merge(np.zeros_like(grid)) == FREE
     assert claims[True].sum() > claims[False].sum()
@@ -308,7 +312,7 @@ def test_unknown_pairs_are_sent_and_drawn_only_if_enabled() -> None:
     objects, free = {}, {}
     for wished in (True, False):
         options = with_options(unknown_pairs=wished, bytes_per_split=10.0, close_slivers=False)
-        six_splits = options | {"bandwidth": 3 * 2 * 10.0 * 6}
+        six_splits = options | {"bandwidth": Budget(3 * 2 * 10 * 6)}
         one, other = maker((30, 30), 0, **six_splits), maker((30, 30), 1, **six_splits)
         other.apply(0, b"".join(record(one, grid, (1, 1))), **LATE)
         objects[wished] = other.polygons[0].objects

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from agent.encodings.predictive import ENOUGH_STEPS, PredictiveEncoding, fragments
 from agent.settings import Settings
+from protocol.budget import UNLIMITED, Budget
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, ray_table
 from protocol.packets import LAST_UPDATE_DATA, UPDATE_DATA, Delete, Fragment, Update, encode, update_fragment
@@ -30,7 +31,7 @@ def settings_of(robot: int, **more: Any) -> Settings:
     return Settings(
         robot=robot, robots=3, width=WIDTH, height=HEIGHT, ranges_cells=RANGES, beams=BEAMS, speed_cells=1.0,
         seed=0, map_encoding="predictive", strategy="meier", dissemination="gossip", reach_cells=math.inf,
-        **({"bandwidth": None} | more),
+        **({"bandwidth": UNLIMITED} | more),
     )  # fmt: skip
 
 
@@ -148,7 +149,7 @@ def test_changes_that_wait_are_sent_in_one_update_later(seed: int) -> None:
 @given(seeds)
 def test_a_small_budget_splits_changes_into_one_update_per_step(seed: int) -> None:
     truth = world(seed)
-    author, receiver = Explorer(0, seed, bandwidth=6), PredictiveEncoding(settings_of(1))
+    author, receiver = Explorer(0, seed, bandwidth=Budget(6)), PredictiveEncoding(settings_of(1))
     for _ in range(5):
         assert author.scan(truth, delivered=False) == []
     packets = 0
@@ -206,8 +207,11 @@ def test_a_scan_without_news_is_not_sent() -> None:
     assert second.own.any()
 
 
-@pytest.mark.parametrize(("bandwidth", "steps"), [(None, 0), (1000.0, 0), (50.0, 1), (25.0, 3), (1.0, 3)])
-def test_few_new_cells_wait_if_bandwidth_is_scarce(bandwidth: float | None, steps: int) -> None:
+@pytest.mark.parametrize(
+    ("bandwidth", "steps"),
+    [(UNLIMITED, 0), (Budget(1000), 0), (Budget(50), 1), (Budget(25), 3), (Budget(1), 3)],
+)
+def test_few_new_cells_wait_if_bandwidth_is_scarce(bandwidth: Budget, steps: int) -> None:
     truth = np.full((HEIGHT, WIDTH), OCCUPIED, np.uint8)
     truth[5, 5] = FREE
     explorer = Explorer(0, 0, bandwidth=bandwidth)

@@ -15,6 +15,7 @@ from agent.encodings.catalog import ENCODINGS, make_encoding
 from agent.encodings.none import NoEncoding
 from agent.encodings.scans import ScanEncoding
 from agent.settings import Settings
+from protocol.budget import UNLIMITED
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, ray_table
 from protocol.packets import Delete, Fragment, Save, encode
@@ -31,7 +32,8 @@ seeds = st.integers(0, 2**32 - 1)
 def settings_of(robot: int, **more: Any) -> Settings:
     return Settings(
         robot=robot, robots=3, width=WIDTH, height=HEIGHT, ranges_cells=RANGES, beams=BEAMS, speed_cells=1.0,
-        seed=0, map_encoding="scans", strategy="meier", dissemination="backoff", bandwidth=None, reach_cells=math.inf,
+        seed=0, map_encoding="scans", strategy="meier", dissemination="backoff", bandwidth=UNLIMITED,
+        reach_cells=math.inf,
         **more,
     )  # fmt: skip
 

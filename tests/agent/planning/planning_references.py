@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from agent.settings import Settings
+from protocol.budget import UNLIMITED
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 
 Cell = tuple[int, int]
@@ -114,6 +115,6 @@ def settings_for(grid: Grid, robot: int = 0, robots: int = 2, **others: object) 
     given: dict[str, object] = {
         "robot": robot, "robots": robots, "width": grid.shape[1], "height": grid.shape[0],
         "ranges_cells": [5.0] * robots, "beams": 360, "speed_cells": 3.0, "seed": 0, "map_encoding": "none",
-        "strategy": "meier", "dissemination": "backoff", "bandwidth": None, "reach_cells": 100.0,
+        "strategy": "meier", "dissemination": "backoff", "bandwidth": UNLIMITED, "reach_cells": 100.0,
     }  # fmt: skip
     return Settings(**(given | others))  # type: ignore[arg-type]

@@ -11,18 +11,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.replication.connection import Connection, Event, State
-from agent.replication.engine import Replication
-from agent.replication.handshake_packets import LEAST_HANDSHAKE
-from agent.replication.handshakes import MAX_WAIT, STUBBORN
+from agent.replication.base import Replication
+from agent.replication.control_packets import LEAST_HANDSHAKE
+from agent.replication.handshakes import MAX_WAIT, STUBBORN, Connection
 from agent.replication.log import Log
-from agent.replication.peers import held_by_all
-from agent.replication.policies import CROWD, POLICIES, choose_offers
+from agent.replication.peers import PeerTable, map_ids
+from agent.replication.policies import CROWD, POLICIES, Rounds, backoff
+from agent.replication.replica import Replica
 from protocol import packet_index, packets
 from protocol.errors import ProtocolError
 from protocol.messages import ConnectionReport, Delivery, OutgoingFrame, RoundReport
 from protocol.packets import BLOCKS, INDEX_WINDOW, Answer, Block, Decline, Offer, Save, encode
-from tests.agent.replication.network import Network, entries, entry, everyone, line
+from tests.agent.replication.network import Network, entries, entry, everyone, line, make_engine
 
 ROUND = BLOCKS * INDEX_WINDOW
 seeds = st.integers(0, 2**32 - 1)
@@ -31,7 +31,7 @@ policies = st.sampled_from(sorted(POLICIES))
 
 def engine(robot: int = 0, robots: int = 2) -> Replication:
     """An engine that can decode everything."""
-    return Replication(robot, robots, lambda *received: packet_index.ends(received[-1]))
+    return make_engine(robot, robots, lambda *received: packet_index.ends(received[-1]))
 
 
 def closing(*connections: ConnectionReport, data: Sequence[Delivery] = ()) -> RoundReport:
@@ -339,11 +339,20 @@ def offered_by_the_rule(
 def test_backoff_offers_by_its_rule(team: Any, number: int, now: int, single: bool) -> None:
     robots, rng, held, due, lengths = team
     robot = int(rng.integers(robots))
-    peers = np.array([peer for peer in range(robots) if peer != robot], np.int64)
-    chosen = np.empty(len(peers), np.int64)
-    choose_offers(held, due, lengths, peers, np.arange(robots), robot, now, number, single, chosen)
-    assert chosen.tolist() == [
-        offered_by_the_rule(robot, peer, held, due, lengths, now, number, single) for peer in peers.tolist()
+    peers = [peer for peer in range(robots) if peer != robot]
+    maps = map_ids(robots)
+    replica = Replica(maps[robot], maps, lambda *received: packet_index.ends(received[-1]))
+    for log, length in zip(replica.logs, lengths.tolist(), strict=True):
+        log.append([b"entry"] * length)
+    rounds = Rounds(replica, backoff, forwards=True)
+    rounds.now, rounds.single = now - 1, single
+    replica.peers.expected[:], rounds.due[:] = held, due
+    by_the_rule = [
+        (peer, offered_by_the_rule(robot, peer, held, due, lengths, now, number, single and number == 0))
+        for peer in peers
+    ]
+    assert rounds.open(number, peers, None) == [
+        (peer, of, held[peer, of]) for peer, of in by_the_rule if of >= 0
     ]
 
 
@@ -351,8 +360,10 @@ def test_backoff_offers_by_its_rule(team: Any, number: int, now: int, single: bo
 def test_all_robots_hold_the_least_that_any_other_holds(team: Any) -> None:
     robots, rng, held, _, _ = team
     robot = int(rng.integers(robots))
-    least = np.empty(robots, np.int64)
-    held_by_all(held, robot, least)
+    maps = map_ids(robots)
+    table = PeerTable(maps[robot], maps)
+    table.acked = held
+    least = table.held_by_all()
     for of in range(robots):
         others = [held[peer][of] for peer in range(robots) if peer not in (robot, of)]
         assert least[of] == min(others, default=np.iinfo(np.int64).max)
@@ -583,4 +594,4 @@ def test_entries_that_all_in_range_hold_count_as_delivered() -> None:
 
 def test_an_event_that_a_state_does_not_expect_is_an_error() -> None:
     with pytest.raises(KeyError):
-        Connection(1, 1, State.REFUSED).on(Event.NEWS)
+        Connection(1, 1, state="refused").on("news")

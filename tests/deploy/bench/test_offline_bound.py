@@ -1,4 +1,4 @@
-"""Offline exploration: in the simulated world its plan sees everything, and the lower bound never exceeds it."""
+"""Offline exploration: in the simulated world its plan sees everything."""
 
 from __future__ import annotations
 
@@ -6,10 +6,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from deploy.bench.offline_bound import Cell, KnownBuilding, min_steps, offline_steps, offline_tours
+from deploy.bench.offline_bound import Cell, KnownBuilding, offline_steps, offline_tours
 from protocol.grid import FREE, OCCUPIED, Grid
 from protocol.messages import Move, cells_to_bytes
 from worldsim import generators
@@ -73,26 +71,14 @@ def test_robots_share_the_work() -> None:
     assert four < 0.6 * one
 
 
-def test_in_a_corridor_bound_and_plan_are_known() -> None:
+def test_in_a_corridor_the_plan_is_known() -> None:
     # The robot has to come within 12 cells of cell 101: 88 cells at 2.5 a step, and a scan before it drives. The
     # beams are a degree apart, so they see all walls beside the last cells only from somewhat nearer.
     building = _building(_corridor(101), (1, 1))
     steps = 1 + int(np.ceil((101 - 1 - RANGE) / SPEED))
-    assert min_steps(building, [(1, 1)]) <= steps
-    assert min_steps(building, [(1, 1)]) >= steps - 5
     assert steps <= offline_steps(building, [(1, 1)]) <= steps + 4
 
 
 def test_a_building_seen_from_the_start_takes_one_step() -> None:
     building = _building(_corridor(8), (3, 1))
-    assert min_steps(building, [(3, 1)]) == offline_steps(building, [(3, 1)]) == 1
-
-
-@given(st.integers(0, 30), st.integers(1, 4))
-@settings(max_examples=5, deadline=None)
-def test_no_plan_is_shorter_than_the_bound(seed: int, robots: int) -> None:
-    truth = generators.make("office", width_m=10, height_m=10, seed=seed).cells
-    y, x = np.argwhere(truth == FREE)[seed]
-    building = _building(truth, (int(x), int(y)))
-    starts = [(int(x), int(y))] * robots
-    assert 1 <= min_steps(building, starts) <= offline_steps(building, starts)
+    assert offline_steps(building, [(3, 1)]) == 1

@@ -28,7 +28,7 @@ by = ["robots"]
 def verdict(tmp_path: Path, rules: str, rows: list[dict[str, Any]]) -> Any:
     claim = experiments.read(write(tmp_path, EXPERIMENT + HEAD + rules)).claim
     assert claim is not None
-    return judge([(claim.rules, rows)])
+    return judge([(claim.rule, rows)])
 
 
 def rows(
@@ -120,13 +120,13 @@ def test_every_form_of_expectation(tmp_path: Path, rule: str, word: str) -> None
             "compare and to are needed",
         ),
         ('metric = "steps"\nexpect = "ratio < 1"\ncompare = { seed = 1 }\nto = { robots = 1 }', "the same keys"),
-        ('metric = "steps"\nexpect = "falls over range"', "'range' is not in the grid; there are: robots, seed"),
+        ('metric = "steps"\nexpect = "falls over range"', "not in the grid; there are: robots, seed"),
         ('metric = "steps"\nexpect = "value < 1"\nby = ["range"]', "names 'range', which is not in the grid"),
-        ('metric = "steps"\nexpect = "value < 1"\nwhere = { seed = 1 }', "must be a list of values"),
+        ('metric = "steps"\nexpect = "value < 1"\nwhere = { seed = 1 }', "where.seed = 1: must be a list"),
         ('metric = "steps"\nexpect = "order of seed"', "ranks gives the expected order"),
         ('metric = "steps"', "expect is missing"),
-        ('metric = 3', "metric = 3: must be a str"),
-        ('fig = "steps"', "fig is not a key of a rule"),
+        ('metric = 3', "metric = 3: must be text"),
+        ('fig = "steps"', "claim.rule.0.fig: unknown setting; there are: statement, metric"),
         ('metric = "steps"\nexpect = "ratio < 1"\ncompare = { variant = "x" }\nto = { variant = "scans" }',
          "no variant is called 'x'; there are: polygons, scans"),
     ],
@@ -138,6 +138,9 @@ def test_an_invalid_rule_is_rejected(tmp_path: Path, rule: str, message: str) ->
 
 
 def test_a_claim_needs_a_name_and_rules(tmp_path: Path) -> None:
-    for text, message in ((HEAD, "a claim needs rules"), ("[claim]\nid = 'B1'\n", "claim.paper is missing")):
+    for text, message in (
+        (HEAD, "claim.rule is missing"),
+        ("[claim]\nid = 'B1'\n", "claim.paper is missing"),
+    ):
         with pytest.raises(ScenarioError, match=message):
             experiments.read(write(tmp_path, EXPERIMENT + text))

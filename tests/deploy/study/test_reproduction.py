@@ -37,7 +37,7 @@ def test_a_claim_on_real_buildings_is_undecided_without_their_maps(
     assert experiment.grid["map"] == []
     assert runs.cases(experiment) == []
     assert experiment.claim is not None
-    assert judge([(experiment.claim.rules, [])]).result == UNDECIDED
+    assert judge([(experiment.claim.rule, [])]).result == UNDECIDED
 
 
 def test_an_unknown_claim_is_named() -> None:

@@ -23,7 +23,7 @@ def test_an_interval_is_student_s() -> None:
 
 
 def test_five_numbers_are_the_quartiles_and_the_ends() -> None:
-    assert statistics.five_numbers([5, 1, 3, 2, 4]) == (1, 2, 3, 4, 5)
+    assert statistics.five_numbers([5, 1, 3, 2, 4]) == [1, 2, 3, 4, 5]
 
 
 def test_ratios_differ_significantly_from_1_with_pairing_and_not_without() -> None:
