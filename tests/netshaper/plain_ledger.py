@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import struct
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 
 from netshaper import pcapng
 from netshaper.admission import refused
 from netshaper.capture import HEAD, KEPT, PART, VERSION, WIDE, WIDE_HEAD, LoggedFrame, received_by
-from netshaper.frame_log import CONNECTION, Columns, FrameLog, comment
+from netshaper.frame_log import Columns, FrameLog, comment
 from netshaper.ledger import KIND_NUMBER, MALFORMED, on_air
 from protocol import packets
 from protocol.errors import ProtocolError
@@ -17,18 +17,16 @@ from protocol.errors import ProtocolError
 Row = tuple[int, ...]
 
 
-def columns(seen: Sequence[LoggedFrame]) -> Columns:
+def columns(seen: Iterable[LoggedFrame]) -> Columns:
     """A log of these frames."""
     log = FrameLog()
     for each in seen:
-        content = refused(each.frame, each.payload, "")
-        receivers = received_by(each)
+        content, receivers = refused(each.frame, each.payload, ""), received_by(each)
         log.add(
-            each.round, each.sender, each.receiver, content, each.verdict, receivers, each.map, each.reason
-        )
-    logged = log.columns()
-    logged.rows[:, CONNECTION] = [each.connection for each in seen]
-    return logged
+            each.round, each.sender, each.receiver, content, each.verdict, receivers, each.map, each.connection,
+            each.reason,
+        )  # fmt: skip
+    return log.columns()
 
 
 def rows(step: int, seen: Iterable[LoggedFrame]) -> list[Row]:
