@@ -42,9 +42,9 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     reach_cells: float
     """Communication range in cells."""
     polygons: dict[str, Any] = {}
-    """Options of the `polygons` encoding by name (`agent.encodings.polygon_options`)."""
+    """Options of the `polygons` encoding by name (`agent.encodings.options`)."""
     predictive: dict[str, Any] = {}
-    """Options of the `predictive` encoding by name (`agent.encodings.predictive_options`)."""
+    """Options of the `predictive` encoding by name (`agent.encodings.options`)."""
     options: dict[str, Any] = {}
     """Options of the strategy by name."""
     resolution: float = 0.1

@@ -8,12 +8,11 @@ from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from netshaper.ledger import CAUSES, EVERYONE, FIRST_ON_AIR, ROW
-from protocol import packet_index
+from protocol.arrays import Int64Rows, Int64s, ReadOnlyInt32s, ReadOnlyUint8s
 from protocol.kernels import kernel
-from protocol.packet_index import KINDS, Bytes, PacketIndex, Sizes
+from protocol.packet_index import KINDS, PacketIndex
 
 ROUND, CONNECTION, FRAME, SENDER, RECEIVER, MAP, VERDICT, COMMENT, RECEIVERS, BYTES, PACKETS = range(11)
 COLUMNS = 11
@@ -28,8 +27,6 @@ TEXT_OF_CAUSE = (
     "beyond the sender's own limit", "lost on the air", "damaged on the air", "beyond the hearer's own limit",
 )  # fmt: skip
 """Comment text of each verdict, for a frame to one robot."""
-
-Rows = NDArray[np.int64]
 
 
 class Content(NamedTuple):
@@ -68,13 +65,13 @@ class Columns(NamedTuple):
     which text n runs from ``text_at[n]`` to ``text_at[n + 1]``.
     """
 
-    rows: Rows
-    receivers: Rows
-    payload: Bytes
-    kinds: Bytes
-    sizes: Sizes
-    texts: Bytes
-    text_at: Rows
+    rows: Int64Rows
+    receivers: Int64s
+    payload: ReadOnlyUint8s
+    kinds: ReadOnlyUint8s
+    sizes: ReadOnlyInt32s
+    texts: ReadOnlyUint8s
+    text_at: Int64s
 
 
 class FrameLog:
@@ -148,8 +145,8 @@ def ledger_rows(step: int, columns: Columns) -> bytes:
     return rows.tobytes()
 
 
-@kernel(f"int64[:,::1](int64[:,::1], {packet_index.FRAME}, {packet_index.SIZES}, int64)")
-def _count(frames: Rows, kinds: Bytes, sizes: Sizes, most: int) -> Rows:
+@kernel
+def _count(frames: Int64Rows, kinds: ReadOnlyUint8s, sizes: ReadOnlyInt32s, most: int) -> Int64Rows:
     """Count the packets of each frame: rows of frame, kind, packets and bytes."""
     rows = np.empty((len(frames) + len(kinds), 4), np.int64)
     counts = np.zeros((most, 2), np.int64)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from protocol.arrays import Int32Rows, Int32s
 from protocol.grid import FREE, Grid, RayTable
 from protocol.kernels import kernel
 from protocol.scans import HIT, NONE, Readings
@@ -41,16 +42,14 @@ def cast(
     return readings
 
 
-@kernel(
-    "void(uint8[:,::1], uint8[:,::1], int32[:,::1], int32[::1], int32[::1], int32[::1], int64, int64, uint16[::1])"
-)
+@kernel
 def _cast(
     truth: Grid,
-    teammates: NDArray[np.uint8],
-    cells: NDArray[np.int32],
-    flat: NDArray[np.int32],
-    start: NDArray[np.int32],
-    shared: NDArray[np.int32],
+    teammates: Grid,
+    cells: Int32Rows,
+    flat: Int32s,
+    start: Int32s,
+    shared: Int32s,
     x: int,
     y: int,
     readings: Readings,

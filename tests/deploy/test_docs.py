@@ -14,7 +14,7 @@ import pytest
 from msgspec.structs import replace
 
 from agent.encodings.catalog import ENCODINGS
-from agent.encodings.polygon_options import THESIS_OPTIONS, PolygonOptions
+from agent.encodings.options import THESIS_OPTIONS, PolygonOptions
 from agent.encodings.predictive import PredictiveEncoding
 from agent.outline.approximation import approximation, repair
 from agent.outline.contour import contours
@@ -41,7 +41,7 @@ from protocol.grid import MAX_ROBOTS, MAX_SIDE, UNKNOWN, Grid, ray_table
 from protocol.keys import Keys
 from protocol.messages import Delivery, RoundReport, SendReport
 from protocol.scans import Scan, draw, encode_scan, fragments
-from tests.agent.outline.edit_scripts import edit_script
+from tests.agent.outline.edit_scripts import canonical, edit_script
 from tests.agent.replication.network import make_engine
 from worldsim.laser import cast
 
@@ -243,7 +243,7 @@ def test_the_worked_example_equals_the_code_s_result_to_the_byte(fence: str, mad
 def test_the_hex_in_the_document_decodes_as_explained_there() -> None:
     block = fences("protocol.md")["example"]
     receiver = Receiver((5, 6))
-    models = [held.polygons.canonical() for _, held in scripts()]
+    models = [canonical(held.polygons) for _, held in scripts()]
     for line in block.splitlines():
         if line.startswith("#"):
             continue
@@ -251,7 +251,7 @@ def test_the_hex_in_the_document_decodes_as_explained_there() -> None:
         (packet,) = packets.decode(bytes.fromhex(code))
         assert repr(packet) == explained
         if not isinstance(packet, packets.Offer | packets.Answer) and receiver.feed(bytes.fromhex(code)):
-            assert receiver.held.polygons.canonical() == models.pop(0)
+            assert canonical(receiver.held.polygons) == models.pop(0)
     assert not models
 
 
