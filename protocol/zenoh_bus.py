@@ -32,8 +32,8 @@ TICK_S = 0.25
 QUEUE = 1 << 16
 CONNECT_S = 10.0
 POLL_S = 0.002
-RECONNECT_S = 5.0
-"""Time limit for a robot's connection to be restored after it was cut."""
+RECONNECT_S = 3.0
+"""Time limit for a robot's connection to be restored after it was cut. The robot itself waits a second longer."""
 LEASE_MS, KEEP_ALIVE_MS = 10_000, 100
 
 
@@ -121,7 +121,7 @@ class ZenohBus:
         self._session_number = new_session()
         self._outgoing: dict[str, Outgoing] = {}
         self._incoming: dict[str, Incoming] = {}
-        self._misses = int(RECONNECT_S / TICK_S) if names.is_robot(name) else 1
+        self._misses = int((RECONNECT_S + 1) / TICK_S) if names.is_robot(name) else 1
         """Consecutive ticks without a connection that a participant tolerates."""
         self._closing = threading.Event()
         self._hub_gone = False

@@ -144,7 +144,7 @@ def test_a_robot_continues_after_an_outage(plan: Plan) -> None:
 
 
 def test_a_robot_that_stays_away_is_lost_and_the_others_continue(plan: Plan) -> None:
-    records = run(plan, [12], outage_s=8.0).records
+    records = run(plan, [12], outage_s=6.0).records
     assert records.lost == {CUT: DISCONNECTED}
     assert records.returned == []
     assert records.end is not None
