@@ -41,9 +41,8 @@ class Announcements:
         """Teammates in range when the pose was last sent."""
         self._sent_step = 0
         self._scanned: Cell | None = None
-        """The last cell that teammates can infer from received scan updates."""
+        """The last cell that teammates (`_scanned_to`) can infer from received scan updates."""
         self._scanned_to: frozenset[int] = frozenset()
-        """Those teammates."""
         self._inferred = False
         """Whether the pose is suppressed in this step because teammates can infer it."""
         self._has_pose = True
@@ -84,11 +83,7 @@ class Announcements:
 
     def _can_infer(self, pose: packets.Pose, in_range: Sequence[int]) -> bool:
         """Return whether teammates can infer the pose from scan updates, and nothing else about it is new."""
-        if (
-            self._scanned is None
-            or pose.leads
-            or self._sent_pose is None
-            or not self._scanned_to.issuperset(in_range)
-        ):
+        scanned, sent = self._scanned, self._sent_pose
+        if scanned is None or sent is None or pose.leads or not self._scanned_to.issuperset(in_range):
             return False
-        return math.dist(self._scanned, (pose.x, pose.y)) < self._pose_slack
+        return math.dist(scanned, (pose.x, pose.y)) < self._pose_slack

@@ -28,13 +28,7 @@ class JournalError(ValueError):
 
 
 class Journal:
-    """An append-only list of records.
-
-    Parameters
-    ----------
-    file : binary file
-        Open for reading and writing; it is read from its beginning.
-    """
+    """An append-only list of records in a file that is open for reading and writing."""
 
     def __init__(self, file: BinaryIO) -> None:
         self._file = file

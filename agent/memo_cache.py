@@ -17,13 +17,7 @@ CAPACITY = 4096
 
 
 class MemoCache:
-    """Bounded memo table, shared by the robots of a process; disabled for single-robot processes.
-
-    Parameters
-    ----------
-    capacity : int
-        Largest number of results; 0 disables the cache.
-    """
+    """Memo table of so many results, shared by the robots of a process; 0 disables it, for single-robot processes."""
 
     def __init__(self, capacity: int = CAPACITY) -> None:
         self._capacity = capacity

@@ -26,29 +26,19 @@ Base = TypeVar("Base")
 
 @dataclass(frozen=True)
 class Plugins(Generic[Base]):
-    """All classes of one kind that a scenario can name.
-
-    Attributes
-    ----------
-    kind : str
-        The kind, for error messages: ``strategy``.
-    group : str
-        The group of entry points.
-    base : type
-        The base class; each subclass defines a ``name``.
-    """
+    """All classes of one kind that a scenario can name."""
 
     kind: str
+    """The kind, for error messages: ``strategy``."""
     group: str
+    """The group of entry points."""
     base: type[Base]
+    """The base class; each subclass defines a ``name``."""
 
     def find(self, name: str, known: Mapping[str, type[Base]]) -> type[Base]:
         """Return the class with this name: a `known` or an installed one, or ``package.module:Class``.
 
-        Raises
-        ------
-        ValueError
-            The name is unknown (the message lists similar names), or the class cannot be imported.
+        ValueError: the name is unknown (the message lists similar names), or the class cannot be imported.
         """
         if name in known:
             return known[name]
@@ -68,13 +58,7 @@ class Plugins(Generic[Base]):
         return self.load(installed[name])
 
     def installed(self) -> dict[str, EntryPoint]:
-        """Return the entry points of installed packages, by name.
-
-        Raises
-        ------
-        ValueError
-            Two packages register the same name.
-        """
+        """Return the entry points of installed packages, by name; ValueError if two packages register the same name."""
         found: dict[str, EntryPoint] = {}
         for each in sorted(_entry_points(self.group), key=lambda each: each.name):
             other = found.setdefault(each.name, each)
@@ -90,8 +74,8 @@ class Plugins(Generic[Base]):
         where = f"{self.kind} {point.name!r} of package {package(point)}"
         try:
             loaded = point.load()
-        except (Exception, SystemExit):  # foreign code may raise anything; the traceback shows it
-            raise ValueError(f"{where} cannot be imported:\n{_own_traceback()}") from None
+        except (Exception, SystemExit):
+            raise _import_failed(where) from None
         checked = self._checked(loaded, where, point.value)
         own: Any = vars(checked)["name"]
         if own != point.name:
@@ -102,27 +86,25 @@ class Plugins(Generic[Base]):
 
     def _imported(self, name: str) -> type[Base]:
         module_name, _, class_name = name.partition(":")
+        where = f"{self.kind} {name!r}"
         if not module_name or not class_name:
-            raise ValueError(f"{self.kind} {name!r}: must be package.module:Class")
+            raise ValueError(f"{where}: must be package.module:Class")
         here = str(Path.cwd())
         if here not in sys.path:
             sys.path.append(here)  # last: a local file must not hide a module of this package
         try:
             module = importlib.import_module(module_name)
-        except ModuleNotFoundError as error:
-            if error.name is None or not f"{module_name}.".startswith(f"{error.name}."):
-                raise ValueError(f"{self.kind} {name!r} cannot be imported:\n{_own_traceback()}") from None
+        except (Exception, SystemExit) as error:
+            missing = error.name if isinstance(error, ModuleNotFoundError) else None
+            if missing is None or not f"{module_name}.".startswith(f"{missing}."):
+                raise _import_failed(where) from None
             raise ValueError(
-                f"{self.kind} {name!r}: {error}; modules are imported from this folder and from PYTHONPATH"
+                f"{where}: {error}; modules are imported from this folder and from PYTHONPATH"
             ) from None
-        except (Exception, SystemExit):  # as above
-            raise ValueError(f"{self.kind} {name!r} cannot be imported:\n{_own_traceback()}") from None
         if not hasattr(module, class_name):
             there = [each for each, loaded in vars(module).items() if self._is_one(loaded)]
-            raise ValueError(
-                f"{self.kind} {name!r}: {module_name} has no {class_name}; {there_are(there, class_name)}"
-            )
-        return self._checked(getattr(module, class_name), f"{self.kind} {name!r}", class_name)
+            raise ValueError(f"{where}: {module_name} has no {class_name}; {there_are(there, class_name)}")
+        return self._checked(getattr(module, class_name), where, class_name)
 
     def _is_one(self, loaded: object) -> bool:
         return isinstance(loaded, type) and issubclass(loaded, self.base) and "name" in vars(loaded)
@@ -149,11 +131,12 @@ def _entry_points(group: str) -> tuple[EntryPoint, ...]:
     return tuple(entry_points(group=group))
 
 
-def _own_traceback() -> str:
-    """Return the traceback of the current exception, without the frames of the import system."""
+def _import_failed(where: str) -> ValueError:
+    """Return the error for foreign code that raised anything, with the traceback below the import system's frames."""
     kind, error, frames = sys.exc_info()
     while frames is not None and (
         frames.tb_frame.f_code.co_filename == __file__ or "importlib" in frames.tb_frame.f_code.co_filename
     ):
         frames = frames.tb_next
-    return "".join(traceback.format_exception(kind, error, frames)).rstrip()
+    shown = "".join(traceback.format_exception(kind, error, frames)).rstrip()
+    return ValueError(f"{where} cannot be imported:\n{shown}")

@@ -23,17 +23,16 @@ ReportError = Callable[[str], None]
 
 def respond(robot: Robot, event: MediumEvent, report_error: ReportError) -> RobotFrames | None:
     """Pass an event to a robot; return the frames that it sends in response, None if the relay expects none."""
-    match event:
-        case Open():
-            broadcast = robot.announce(event.peers) if event.round == 0 else None
-            return open_round(robot.replication, event, broadcast or b"" if event.peers else b"")
-        case Broadcasts():
-            for delivery in event.deliveries:
-                robot.receive_broadcast(delivery.sender, delivery.payload)
-        case PhaseDelivery():
-            return continue_round(robot.replication, event, report_error)
-        case RoundReport():
-            robot.close_round(event)
+    if isinstance(event, Open):
+        broadcast = robot.announce(event.peers) if event.round == 0 else None
+        return open_round(robot.replication, event, broadcast or b"" if event.peers else b"")
+    if isinstance(event, PhaseDelivery):
+        return continue_round(robot.replication, event, report_error)
+    if isinstance(event, Broadcasts):
+        for delivery in event.deliveries:
+            robot.receive_broadcast(delivery.sender, delivery.payload)
+    elif isinstance(event, RoundReport):
+        robot.close_round(event)
     return None
 
 
@@ -48,13 +47,12 @@ def continue_round(
     replication: Replication, event: PhaseDelivery, report_error: ReportError
 ) -> RobotFrames | None:
     """Return the answers to offers, or the data after answers; None if the relay has answered already."""
+    answers = event.phase == "offers"
     frames: list[OutgoingFrame] = []
     try:
-        reply = replication.answer if event.phase == "offers" else replication.send_data
-        frames = reply(event.deliveries)
+        frames = (replication.answer if answers else replication.send_data)(event.deliveries)
     except ProtocolError as error:
         report_error(str(error))
     if event.answered_by_relay:
         return None
-    phase = "answers" if event.phase == "offers" else "data"
-    return RobotFrames(event.step, event.round, phase, frames=frames)
+    return RobotFrames(event.step, event.round, "answers" if answers else "data", frames=frames)

@@ -65,17 +65,7 @@ class Robot:
         self._encoding = make_encoding(settings)
         self._team = TeamState(settings)
         consume = partial(_consume, self._encoding, self._team)
-        self.replication = make_replication(
-            settings.robot,
-            settings.robots,
-            consume,
-            settings.dissemination,
-            requires_acks=settings.requires_acks,
-            incarnations=settings.incarnations,
-            incarnation=settings.incarnation,
-            forwards=settings.forward_maps,
-            dependencies=self._encoding.dependencies,
-        )
+        self.replication = make_replication(settings, consume, self._encoding.dependencies)
         self.target: Cell | None = None
         self.status = ""
         """Its current activity, as text."""

@@ -15,92 +15,62 @@ from protocol.errors import ProtocolError
 
 
 class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The task of one robot.
-
-    Attributes
-    ----------
-    robot, robots : int
-        Its number, and the number of robots.
-    width, height : int
-        Size of the grid in cells.
-    ranges_cells : list of float
-        Sensor range of each robot, in cells.
-    beams : int
-        Laser beams per full turn.
-    speed_cells : float
-        Distance that the robot can drive in a step, in cells.
-    seed : int
-        Seed of the run.
-    map_encoding : str
-        Name of the map encoding (`agent.encodings`).
-    strategy : str
-        Name of the exploration strategy (`agent.strategies`).
-    dissemination : str
-        Dissemination policy of the maps: ``backoff``, ``thesis`` or ``gossip`` (`agent.replication.policies`).
-    bandwidth : Budget
-        Bytes per step that the team shares.
-    reach_cells : float
-        Communication range in cells.
-    polygons : dict
-        Options of the `polygons` encoding by name (`agent.encodings.polygon_options`).
-    predictive : dict
-        Options of the `predictive` encoding by name (`agent.encodings.predictive_options`).
-    options : dict
-        Options of the strategy by name.
-    resolution : float
-        Side of a cell in meters.
-    radii_cells : list of float
-        Radius of each robot in cells, 0 for a point; empty: all robots are points.
-    field_of_view : float
-        Angle that the laser covers around the robot's heading, in degrees.
-    scanner_turn : float
-        Angle that the scanner turns and covers per step, in degrees; 0: it covers everything in each step.
-    forward_maps : bool
-        Whether the robot sends maps of other robots as well as its own.
-    requires_acks : bool
-        Whether only a peer's acknowledgment shows a delivery: the medium may lose frames, or peers may be deaf.
-    frame_bytes : int or None
-        Largest size of a packet in bytes; None: that of the longest packet.
-    incarnations : int
-        Largest number of incarnations of a robot: one, and one more for each restart (`agent.identity`).
-    incarnation : int
-        Number of this incarnation, from 0.
-    home : (x, y) or None
-        Start cell of the first incarnation; None: the start cell of this one.
-    fastest_cells : float
-        Distance that the fastest robot of the team can drive in a step, in cells.
-    record_maps : bool
-        Whether to report map changes to the recorder.
-    """
+    """The task of one robot."""
 
     robot: int
     robots: int
+    """The number of this robot, and the size of the team."""
     width: int
     height: int
+    """Size of the grid in cells."""
     ranges_cells: list[float]
+    """Sensor range of each robot, in cells."""
     beams: int
+    """Laser beams per full turn."""
     speed_cells: float
+    """Distance that the robot can drive in a step, in cells."""
     seed: int
+    """Seed of the run."""
     map_encoding: str
+    """Name of the map encoding (`agent.encodings`)."""
     strategy: str
+    """Name of the exploration strategy (`agent.strategies`)."""
     dissemination: str
+    """Dissemination policy of the maps: ``backoff``, ``thesis`` or ``gossip`` (`agent.replication.policies`)."""
     bandwidth: Budget
+    """Bytes per step that the team shares."""
     reach_cells: float
+    """Communication range in cells."""
     polygons: dict[str, Any] = {}
+    """Options of the `polygons` encoding by name (`agent.encodings.options`)."""
     predictive: dict[str, Any] = {}
+    """Options of the `predictive` encoding by name (`agent.encodings.options`)."""
     options: dict[str, Any] = {}
+    """Options of the strategy by name."""
     resolution: float = 0.1
+    """Side of a cell in meters."""
     radii_cells: list[float] = []
+    """Radius of each robot in cells, 0 for a point; empty: all robots are points."""
     field_of_view: float = 360.0
+    """Angle that the laser covers around the robot's heading, in degrees."""
     scanner_turn: float = 0.0
+    """Angle that the scanner turns and covers per step, in degrees; 0: it covers everything in each step."""
     forward_maps: bool = True
+    """Whether the robot sends maps of other robots as well as its own."""
     requires_acks: bool = False
+    """Whether only a peer's acknowledgment shows a delivery: the medium may lose frames, or peers may be deaf."""
     frame_bytes: int | None = None
+    """Largest size of a packet in bytes; None: that of the longest packet."""
     incarnations: int = 1
+    """Largest number of incarnations of a robot: one, and one more for each restart (`agent.identity`)."""
     incarnation: int = 0
+    """Number of this incarnation, from 0."""
     home: tuple[int, int] | None = None
+    """Start cell of the first incarnation; None: the start cell of this one."""
     fastest_cells: float = 0.0
+    """Distance that the fastest robot of the team can drive in a step, in cells."""
     record_maps: bool = False
+    """Whether to report map changes to the recorder."""
 
     @property
     def maps(self) -> int:

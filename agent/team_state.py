@@ -138,7 +138,5 @@ class TeamState:
 
 
 def _ascending(of_robots: dict[int, _Value]) -> dict[int, _Value]:
-    """Return a copy of a dictionary by ascending robot number; the common case, where it is so already, is fast."""
-    numbers = list(of_robots)
-    ordered = sorted(numbers)
-    return dict(of_robots) if numbers == ordered else {robot: of_robots[robot] for robot in ordered}
+    """Return a copy of a dictionary by ascending robot number."""
+    return dict(sorted(of_robots.items()))

@@ -27,7 +27,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from netshaper import pcapng
 from netshaper.frame_log import (
@@ -46,14 +45,12 @@ from netshaper.frame_log import (
     VERDICT,
     Columns,
     LoggedFrame,
-    Rows,
     receivers_of,
 )
 from netshaper.ledger import CAUSES, FIRST_ON_AIR, FRAMES
 from netshaper.pcapng import CaptureError
-from protocol import packet_index
+from protocol.arrays import Int32s, Int64Rows, Int64s, ReadOnlyUint8s, Uint8s
 from protocol.kernels import kernel
-from protocol.packet_index import Bytes
 
 LINK_TYPE = 147
 """LINKTYPE_USER0, which the dissector reads."""
@@ -153,20 +150,20 @@ _COMMENT = pcapng.COMMENT
 _PACKET = pcapng.PACKET
 
 
-@kernel("void(uint8[::1], int64, int64, int64)")
-def _little(out: Bytes, at: int, value: int, size: int) -> None:
+@kernel
+def _little(out: Uint8s, at: int, value: int, size: int) -> None:
     for byte in range(size):
         out[at + byte] = np.uint8(value >> 8 * byte & 0xFF)
 
 
-@kernel("void(uint8[::1], int64, int64, int64)")
-def _big(out: Bytes, at: int, value: int, size: int) -> None:
+@kernel
+def _big(out: Uint8s, at: int, value: int, size: int) -> None:
     for byte in range(size):
         out[at + byte] = np.uint8(value >> 8 * (size - 1 - byte) & 0xFF)
 
 
-@kernel("int64(uint8[::1], int64, int64, int64[::1], int64, boolean)")
-def _write_head(out: Bytes, at: int, step: int, row: Rows, part: int, wide: bool) -> int:
+@kernel
+def _write_head(out: Uint8s, at: int, step: int, row: Int64s, part: int, wide: bool) -> int:
     """Write the header of a frame, without receivers; return its end."""
     out[at] = WIDE if wide else VERSION
     out[at + 1] = row[FRAME]
@@ -185,8 +182,8 @@ def _write_head(out: Bytes, at: int, step: int, row: Rows, part: int, wide: bool
     return behind
 
 
-@kernel(f"int64(uint8[::1], int64, {packet_index.FRAME}, int64)")
-def _write_comment(out: Bytes, at: int, text: Bytes, block: int) -> int:
+@kernel
+def _write_comment(out: Uint8s, at: int, text: ReadOnlyUint8s, block: int) -> int:
     """Write a comment and the end-of-options mark; return their end."""
     _little(out, at, _COMMENT, 2)
     _little(out, at + 2, len(text), 2)
@@ -200,20 +197,17 @@ def _write_comment(out: Bytes, at: int, text: Bytes, block: int) -> int:
     return at + 4
 
 
-@kernel(
-    f"uint8[::1](int64, int64[:,::1], int64[::1], {packet_index.FRAME}, int32[::1], {packet_index.FRAME}, "
-    "int64[::1], int64)"
-)
+@kernel
 def _encode(
     step: int,
-    rows: Rows,
-    receivers: Rows,
-    payload: Bytes,
-    sizes: NDArray[np.int32],
-    texts: Bytes,
-    text_at: Rows,
+    rows: Int64Rows,
+    receivers: Int64s,
+    payload: ReadOnlyUint8s,
+    sizes: Int32s,
+    texts: ReadOnlyUint8s,
+    text_at: Int64s,
     on_air: int,
-) -> Bytes:
+) -> Uint8s:
     """Write enhanced packet blocks (`netshaper.pcapng.packet`), each with a header, frame part and comment."""
     room = 0
     for each in range(len(rows)):

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from netshaper.radio_options import Partition
+from protocol.arrays import Int64Rows
 from protocol.grid import OCCUPIED, Grid
 from protocol.kernels import kernel
 from protocol.keyed_random import keyed_random
@@ -115,8 +116,8 @@ def parted(robots: Sequence[int], partitions: Sequence[Partition], step: int) ->
     return together
 
 
-@kernel("int64[:,::1](uint8[:,::1], int64[:,::1])")
-def walls_crossed(grid: Grid, places: Places) -> NDArray[np.int64]:
+@kernel
+def walls_crossed(grid: Grid, places: Int64Rows) -> Int64Rows:
     """Count the walls between any two places: runs of occupied cells on the straight line between the cell centers.
 
     The line visits 4-neighbors only, from the smaller cell to the larger, so it is the same from both ends.

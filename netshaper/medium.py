@@ -27,11 +27,11 @@ from netshaper.frame_log import (
     VERDICT,
     Frame,
     FrameLog,
-    Rows,
 )
 from netshaper.ledger import ANSWER, BROADCAST, CAUSES, DATA, NEWS
 from netshaper.ledger_rows import ledger_rows
 from netshaper.settings import RadioSettings
+from protocol.arrays import Int64Rows, Int64s, ReadOnlyInt32s
 from protocol.budget import Budget
 from protocol.kernels import kernel
 from protocol.messages import Delivery, RadioReport
@@ -258,22 +258,19 @@ class Medium:
         self._log.add(self._round, piece, verdict, received, "" if verdict else ", ".join(notes))
 
 
-@kernel(
-    "UniTuple(int64, 3)(int64, int64, int64[:,::1], int64[::1], int64[::1], Array(int32, 1, 'C', readonly=True), "
-    "int64, int64, int64[:,::1], int64[:,::1], int64[::1])"
-)
+@kernel
 def _play(
     round_number: int,
     first: int,
-    ends: Rows,
-    sizes: Rows,
-    counts: Rows,
-    packets: NDArray[np.int32],
+    ends: Int64Rows,
+    sizes: Int64s,
+    counts: Int64s,
+    packets: ReadOnlyInt32s,
     left: int,
     most: int,
-    carried: Rows,
-    rows: Rows,
-    receivers: Rows,
+    carried: Int64Rows,
+    rows: Int64Rows,
+    receivers: Int64s,
 ) -> tuple[int, int, int]:
     """Play connections in their order; return the rows and receivers written, and the remaining budget.
 

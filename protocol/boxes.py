@@ -7,16 +7,18 @@ int32 array. They may overlap, cover more cells than have changed, and extend be
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
+from protocol.arrays import Int32s
 from protocol.kernels import kernel
 
 Box = tuple[int, int, int, int]
 """(x0, y0, x1, y1); empty if x0 >= x1 or y0 >= y1."""
 
-Boxes = NDArray[np.int32]
+Boxes = Annotated[NDArray[np.int32], "int32[:,::1]"]
 """Several boxes, shape (n, 4)."""
 
 MAX_BOXES = 16
@@ -50,14 +52,14 @@ def bounding_box(boxes: Iterable[Sequence[int]]) -> Box:
     return min(x0), min(y0), max(x1), max(y1)
 
 
-@kernel("void(int32[::1], int64, UniTuple(int64, 2), int32[::1])")
-def clip(box: NDArray[np.int32], margin: int, shape: tuple[int, int], out: NDArray[np.int32]) -> None:
+@kernel
+def clip(box: Int32s, margin: int, shape: tuple[int, int], out: Int32s) -> None:
     """Write to `out` the part of a box, enlarged by `margin` cells on each side, that lies on the grid."""
     out[0], out[1] = max(box[0] - margin, 0), max(box[1] - margin, 0)
     out[2], out[3] = max(min(box[2] + margin, shape[1]), out[0]), max(min(box[3] + margin, shape[0]), out[1])
 
 
-@kernel("int64(int32[:,::1], int64, int64, int64, int64, int64)")
+@kernel
 def add_box(boxes: Boxes, count: int, x0: int, y0: int, x1: int, y1: int) -> int:
     """Add a box behind the first `count` of `boxes`, shape (`MAX_BOXES`, 4), or enlarge one; return the new count."""
     fewest, best = np.int64(1) << 60, -1
@@ -75,7 +77,7 @@ def add_box(boxes: Boxes, count: int, x0: int, y0: int, x1: int, y1: int) -> int
     return count + 1
 
 
-@kernel("int32[:,::1](int32[:,::1], int32[:,::1])")
+@kernel
 def _union(first: Boxes, second: Boxes) -> Boxes:
     boxes = np.empty((MAX_BOXES, 4), np.int32)
     count = 0

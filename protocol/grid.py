@@ -13,10 +13,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
+from protocol.arrays import Int32Rows, Int32s, Int64Rows
 from protocol.kernels import kernel
 
 UNKNOWN = 0
@@ -29,7 +31,7 @@ MAX_SIDE = 2048
 MAX_ROBOTS = 256
 """The largest team. Offers can name the maps of fewer robots (`protocol.packets.MAX_MAPS`)."""
 
-Grid = NDArray[np.uint8]
+Grid = Annotated[NDArray[np.uint8], "uint8[:,::1]"]
 
 _REACH = 0.5
 """Half the side of a cell, in cells."""
@@ -80,8 +82,8 @@ def _shared(beams: RayTable) -> NDArray[np.int32]:
     return shared
 
 
-@kernel("int32[::1](int32[:,::1], int32[::1])")
-def _count_shared(cells: NDArray[np.int32], start: NDArray[np.int32]) -> NDArray[np.int32]:
+@kernel
+def _count_shared(cells: Int32Rows, start: Int32s) -> Int32s:
     """Count the cells that each beam shares with the beam before it, from the robot on."""
     shared = np.zeros(len(start) - 1, np.int32)
     for beam in range(1, len(shared)):
@@ -128,8 +130,8 @@ def ray_table(range_cells: float, beams: int = 360) -> RayTable:
     return RayTable(*_walk(np.array(directions, np.int64), reach))
 
 
-@kernel("Tuple((int32[:,::1], int32[::1]))(int64[:,::1], float64)")
-def _walk(directions: NDArray[np.int64], range_cells: float) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+@kernel
+def _walk(directions: Int64Rows, range_cells: float) -> tuple[Int32Rows, Int32s]:
     """Walk from cell (0, 0) along each direction; return the crossed cells, and the first index of each direction."""
     most = int(math.sqrt(2) * range_cells) + 2
     cells = np.empty((len(directions) * most, 2), np.int32)

@@ -1,10 +1,10 @@
 """Compilation of hot loops by numba.
 
-A kernel has an explicit signature. The first call compiles it, or reads it from numba's cache, so that commands which
-compute nothing do not import numba. If a kernel is not in the cache, all imported kernels are compiled at once: this
-takes a minute, once per installation, and the error stream shows the progress. The fork server loads all kernels in
-one process (`deploy.run.preload`), so robots never compile. Fastmath is off: equal versions of the libraries give
-equal bits on every machine.
+A kernel has one signature, given by the types of its parameters (`protocol.arrays`). The first call compiles it, or
+reads it from numba's cache, so that commands which compute nothing do not import numba. If a kernel is not in the
+cache, all imported kernels are compiled at once: this takes a minute, once per installation, and the error stream
+shows the progress. The fork server loads all kernels in one process (`deploy.run.preload`), so robots never compile.
+Fastmath is off: equal versions of the libraries give equal bits on every machine.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cached_property, update_wrapper
-from typing import Any, TypeVar, cast
+from typing import Annotated, Any, TypeVar, cast, get_args, get_origin, get_type_hints
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -21,10 +21,9 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 class Kernel:
     """A function that the first call compiles for one signature."""
 
-    def __init__(self, function: Callable[..., Any], signature: str) -> None:
+    def __init__(self, function: Callable[..., Any]) -> None:
         update_wrapper(self, function)
         self.function = function
-        self.signature = signature
         self.was_cached = False
         """Whether it was read from numba's cache; False until it is loaded."""
 
@@ -39,7 +38,7 @@ class Kernel:
 
         dispatcher = numba.njit(cache=True, error_model="numpy")(self.function)
         with _before_compiling(dispatcher, self._prepare):
-            dispatcher.compile(self.signature)
+            dispatcher.compile(self._signature)
         dispatcher.disable_compile()
         self.was_cached = bool(dispatcher.stats.cache_hits)
         self._replace(self.function.__name__, dispatcher)
@@ -59,6 +58,12 @@ class Kernel:
         module = self.function.__module__
         return module.rpartition(".")[0] or module
 
+    @property
+    def _signature(self) -> str:
+        """The signature in numba's notation."""
+        *parameters, result = map(_numba_type, get_type_hints(self.function, include_extras=True).values())
+        return f"{result}({', '.join(parameters)})"
+
     def _prepare(self) -> None:
         """Load the kernels that it calls before numba compiles it."""
         _compilation.begin(self.package)
@@ -76,14 +81,22 @@ class Kernel:
 _kernels: list[Kernel] = []
 
 
-def kernel(signature: str) -> Callable[[Function], Function]:
-    """Compile the decorated function for `signature` (numba's notation) at its first call."""
+def kernel(function: Function) -> Function:
+    """Compile the decorated function at its first call; its annotations give the signature (`protocol.arrays`)."""
+    _kernels.append(Kernel(function))
+    return cast("Function", _kernels[-1])
 
-    def keep(function: Function) -> Function:
-        _kernels.append(Kernel(function, signature))
-        return cast("Function", _kernels[-1])
 
-    return keep
+_SCALARS = {int: "int64", float: "float64", bool: "boolean", type(None): "void"}
+
+
+def _numba_type(hint: Any) -> str:
+    """Return an annotation in numba's notation, which ``Annotated`` types carry as their metadata."""
+    if get_origin(hint) is Annotated:
+        return str(hint.__metadata__[0])
+    if get_origin(hint) is tuple:
+        return f"Tuple(({', '.join(map(_numba_type, get_args(hint)))},))"
+    return _SCALARS[hint]
 
 
 def load_all() -> None:

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from protocol.arrays import Int32Rows, Int64Rows, ReadOnlyUint8s, Uint8s
 from protocol.errors import ProtocolError
 from protocol.kernels import kernel
 from protocol.packets import ALL_KINDS, LAYOUT_BY_BYTE, SHORT_HEAD, Fragment, content, decode
@@ -28,9 +29,6 @@ TABLE: Table = np.array(LAYOUT_BY_BYTE, np.int64)
 KINDS = len(ALL_KINDS)
 
 _FRAGMENT = ALL_KINDS.index(Fragment.name)
-
-FRAME = "Array(uint8, 1, 'C', readonly=True)"
-"""Type of a frame in the signature of a kernel; arrays over `bytes` are read-only."""
 
 
 class PacketIndex(NamedTuple):
@@ -157,8 +155,8 @@ def contents(frame: bytes, size: int = 0, held: int = 0) -> bytes:
     return joined[:count].tobytes()
 
 
-@kernel(f"int64({FRAME}, int64, int64, int64[:,::1])")
-def packet_end(data: Bytes, at: int, end: int, table: Table) -> int:
+@kernel
+def packet_end(data: ReadOnlyUint8s, at: int, end: int, table: Int64Rows) -> int:
     """Return the end of the packet that starts at `at`; -1 if it is malformed or does not end by `end`."""
     first = data[at]
     size = table[first, 1]
@@ -183,8 +181,8 @@ def packet_end(data: Bytes, at: int, end: int, table: Table) -> int:
     return int(at + size)
 
 
-@kernel(f"int64({FRAME}, int64[:,::1], uint8[::1], int32[:,::1])")
-def _packets(data: Bytes, table: Table, kinds: Bytes, places: NDArray[np.int32]) -> int:
+@kernel
+def _packets(data: ReadOnlyUint8s, table: Int64Rows, kinds: Uint8s, places: Int32Rows) -> int:
     """Write the kind, size and end of each packet; return how many there are, -1 if some bytes are no packet."""
     count = 0
     at = 0
@@ -202,8 +200,8 @@ def _packets(data: Bytes, table: Table, kinds: Bytes, places: NDArray[np.int32])
 _NO_FRAGMENT, _TOO_LONG = -1, -2
 
 
-@kernel(f"int64({FRAME}, int64[:,::1], int64, int64, uint8[::1])")
-def _contents(data: Bytes, table: Table, size: int, held: int, joined: Bytes) -> int:
+@kernel
+def _contents(data: ReadOnlyUint8s, table: Int64Rows, size: int, held: int, joined: Uint8s) -> int:
     """Write the content of all fragments to `joined`, and return its size; or `_NO_FRAGMENT` or `_TOO_LONG`."""
     at = count = 0
     while at < len(data):

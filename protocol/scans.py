@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from protocol.arrays import Int32Rows, Int32s, Uint16s
 from protocol.boxes import NO_BOXES, Box, Boxes
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, MAX_SIDE, OCCUPIED, UNKNOWN, Grid, RayTable
@@ -28,7 +29,7 @@ from protocol.packets import FRAGMENT_DATA, SHORT_HEAD, Fragment, encode
 HIT = 0x8000
 NONE = 0x7FFF
 
-Readings = NDArray[np.uint16]
+Readings = Uint16s
 
 
 @dataclass(frozen=True)
@@ -79,8 +80,8 @@ def check_readings(readings: Readings, ray_table: RayTable) -> None:
         raise ProtocolError("scan", 4 + 2 * beam, reason)
 
 
-@kernel("int64(uint16[::1], int32[::1])")
-def _first_too_long(readings: Readings, start: NDArray[np.int32]) -> int:
+@kernel
+def _first_too_long(readings: Readings, start: Int32s) -> int:
     """Return the first beam whose reading has more cells than the beam; the number of beams if there is none."""
     for beam in range(len(readings)):
         reading = readings[beam]
@@ -139,21 +140,18 @@ def draw(
     return Change(cells, (x0, y0, x1, y1))
 
 
-@kernel(
-    "void(uint8[:,::1], int32[:,::1], int32[::1], int32[::1], int32[::1], int64, int64, uint16[::1], int32[:,::1],"
-    " int32[::1])"
-)
+@kernel
 def _draw(
     grid: Grid,
-    cells: NDArray[np.int32],
-    flat: NDArray[np.int32],
-    start: NDArray[np.int32],
-    shared: NDArray[np.int32],
+    cells: Int32Rows,
+    flat: Int32s,
+    start: Int32s,
+    shared: Int32s,
     x: int,
     y: int,
     readings: Readings,
-    driven: NDArray[np.int32],
-    out: NDArray[np.int32],
+    driven: Int32Rows,
+    out: Int32s,
 ) -> None:
     # As an unsigned number, a cell beyond the left or upper border is very large; and indexing is twice as fast.
     height, width = np.uint64(grid.shape[0]), np.uint64(grid.shape[1])

@@ -75,8 +75,5 @@ def glide(truth: Grid, taken: NDArray[np.bool_], start: Point, points: list[Poin
 def _is_passable(truth: Grid, here: tuple[int, int], there: tuple[int, int]) -> bool:
     """Return whether a robot can enter a neighboring cell; past a corner only if all four cells there are free."""
     height, width = truth.shape
-    return all(
-        0 <= x < width and 0 <= y < height and truth[y, x] == FREE
-        for x in (here[0], there[0])
-        for y in (here[1], there[1])
-    )
+    around = [(x, y) for x in (here[0], there[0]) for y in (here[1], there[1])]
+    return all(0 <= x < width and 0 <= y < height and truth[y, x] == FREE for x, y in around)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from protocol.arrays import Int32Rows, Int32s
 from protocol.grid import FREE, Grid, RayTable
 from protocol.kernels import kernel
 from protocol.scans import HIT, NONE, Readings
@@ -32,17 +33,8 @@ def cast(
     """
     readings = np.empty(ray_table.beams, np.uint16)
     flat = ray_table.flat(truth.shape[1])
-    _cast(
-        truth,
-        teammates.view(np.uint8),
-        ray_table.cells,
-        flat,
-        ray_table.start,
-        ray_table.shared,
-        x,
-        y,
-        readings,
-    )
+    shared, others = ray_table.shared, teammates.view(np.uint8)
+    _cast(truth, others, ray_table.cells, flat, ray_table.start, shared, x, y, readings)
     if field_of_view < FULL_TURN:
         angles = np.arange(ray_table.beams) * (FULL_TURN / ray_table.beams)
         off = np.abs((angles - heading * FULL_TURN / HEADINGS + FULL_TURN / 2) % FULL_TURN - FULL_TURN / 2)
@@ -50,16 +42,14 @@ def cast(
     return readings
 
 
-@kernel(
-    "void(uint8[:,::1], uint8[:,::1], int32[:,::1], int32[::1], int32[::1], int32[::1], int64, int64, uint16[::1])"
-)
+@kernel
 def _cast(
     truth: Grid,
-    teammates: NDArray[np.uint8],
-    cells: NDArray[np.int32],
-    flat: NDArray[np.int32],
-    start: NDArray[np.int32],
-    shared: NDArray[np.int32],
+    teammates: Grid,
+    cells: Int32Rows,
+    flat: Int32s,
+    start: Int32s,
+    shared: Int32s,
     x: int,
     y: int,
     readings: Readings,

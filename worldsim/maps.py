@@ -98,18 +98,14 @@ class Map:
 
 def to_world(map_: Map, x: float, y: float) -> tuple[float, float]:
     """Convert a point of the cell frame (y down, centers at whole numbers) to meters, y up."""
-    return (
-        map_.origin[0] + (x + 0.5) * map_.resolution,
-        map_.origin[1] + (map_.height - 0.5 - y) * map_.resolution,
-    )
+    left, bottom, _ = map_.origin
+    return left + (x + 0.5) * map_.resolution, bottom + (map_.height - 0.5 - y) * map_.resolution
 
 
 def to_cell(map_: Map, mx: float, my: float) -> tuple[float, float]:
     """Convert a point in meters to the cell frame; rounding the result gives the cell's index."""
-    return (
-        (mx - map_.origin[0]) / map_.resolution - 0.5,
-        map_.height - 0.5 - (my - map_.origin[1]) / map_.resolution,
-    )
+    left, bottom, _ = map_.origin
+    return (mx - left) / map_.resolution - 0.5, map_.height - 0.5 - (my - bottom) / map_.resolution
 
 
 def load(path: str | os.PathLike[str]) -> Map:
@@ -123,23 +119,24 @@ def load(path: str | os.PathLike[str]) -> Map:
     """
     path = Path(path)
     entries = _read_yaml(path)
-    image = path.parent / _text(path, entries, "image")
-    resolution = _number(path, entries, "resolution")
-    origin = _origin(path, entries)
-    occupied = _share(path, entries, "occupied_thresh")
-    free = _share(path, entries, "free_thresh")
+    image = entries["image"]
+    if not isinstance(image, str) or not image:
+        raise MapError(f"{path}: image is {image!r}, not the name of a file")
+    resolution = _number(path, "resolution", entries["resolution"])
+    origin = _origin(path, entries["origin"])
+    occupied, free = (_share(path, key, entries[key]) for key in ("occupied_thresh", "free_thresh"))
     if free > occupied:
         raise MapError(
             f"{path}: free_thresh {free} is above occupied_thresh {occupied}; it must not be greater"
         )
-    negate = _entry(path, entries, "negate")
+    negate = entries["negate"]
     if negate not in (0, 1):
         raise MapError(f"{path}: negate is {negate!r}; give 0 (white is free) or 1 (black is free)")
     mode = entries.get("mode", "trinary")
     if mode != "trinary":
         raise MapError(f"{path}: mode is {mode!r}; only trinary is supported (free, occupied, unknown)")
 
-    return _from_picture(path, image, resolution, origin, (free, occupied), negate=bool(negate))
+    return _from_picture(path, path.parent / image, resolution, origin, (free, occupied), negate=bool(negate))
 
 
 def load_picture(path: str | os.PathLike[str], resolution: float) -> Map:
@@ -151,9 +148,8 @@ def load_picture(path: str | os.PathLike[str], resolution: float) -> Map:
     Raises MapError if the picture is missing or malformed, or contains no valid map.
     """
     path = Path(path)
-    return _from_picture(
-        path, path, resolution, (0.0, 0.0, 0.0), (_FREE_THRESH, _OCCUPIED_THRESH), negate=False
-    )
+    origin, thresholds = (0.0, 0.0, 0.0), (_FREE_THRESH, _OCCUPIED_THRESH)
+    return _from_picture(path, path, resolution, origin, thresholds, negate=False)
 
 
 def _from_picture(
@@ -219,6 +215,9 @@ def _read_yaml(path: Path) -> dict[str, Any]:
         raise MapError(
             f"{path}: contains no `key: value` lines; a map_server YAML file names image, resolution, origin"
         )
+    for key in ("image", "resolution", "origin", "occupied_thresh", "free_thresh", "negate"):
+        if key not in entries:
+            raise MapError(f"{path}: {key} is missing")
     return entries
 
 
@@ -229,24 +228,7 @@ def _bytes_of(path: Path) -> bytes:
     return path.read_bytes()
 
 
-def _entry(path: Path, entries: dict[str, Any], key: str) -> Any:
-    if key not in entries:
-        raise MapError(f"{path}: {key} is missing")
-    return entries[key]
-
-
-def _text(path: Path, entries: dict[str, Any], key: str) -> str:
-    value = _entry(path, entries, key)
-    if not isinstance(value, str) or not value:
-        raise MapError(f"{path}: {key} is {value!r}, not the name of a file")
-    return value
-
-
-def _number(path: Path, entries: dict[str, Any], key: str) -> float:
-    return _as_number(path, key, _entry(path, entries, key))
-
-
-def _as_number(path: Path, key: str, value: Any) -> float:
+def _number(path: Path, key: str, value: Any) -> float:
     """Parse a number as ROS does, which accepts 1e-1; for YAML that is a text."""
     try:
         if isinstance(value, int | float | str) and not isinstance(value, bool):
@@ -256,18 +238,17 @@ def _as_number(path: Path, key: str, value: Any) -> float:
     raise MapError(f"{path}: {key} is {value!r}, not a number")
 
 
-def _share(path: Path, entries: dict[str, Any], key: str) -> float:
-    value = _number(path, entries, key)
-    if not 0 <= value <= 1:
-        raise MapError(f"{path}: {key} is {value}; it must lie between 0 and 1")
-    return value
+def _share(path: Path, key: str, value: Any) -> float:
+    share = _number(path, key, value)
+    if not 0 <= share <= 1:
+        raise MapError(f"{path}: {key} is {share}; it must lie between 0 and 1")
+    return share
 
 
-def _origin(path: Path, entries: dict[str, Any]) -> tuple[float, float, float]:
-    value = _entry(path, entries, "origin")
+def _origin(path: Path, value: Any) -> tuple[float, float, float]:
     if not isinstance(value, list) or len(value) != 3:
         raise MapError(f"{path}: origin is {value!r}, not [x in meters, y in meters, yaw in radians]")
-    x, y, yaw = (_as_number(path, "origin", part) for part in value)
+    x, y, yaw = (_number(path, "origin", part) for part in value)
     return x, y, yaw
 
 

@@ -11,6 +11,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from protocol.arrays import BoolRows
 from protocol.grid import FREE, Grid, disc, enlarge, ray_table
 from protocol.kernels import kernel
 from protocol.keyed_random import keyed_random
@@ -281,9 +282,9 @@ class World:
         return Sense(self.step, x, y, heading, driven, readings.tobytes(), blocked, offset_x, offset_y)
 
 
-@kernel("int64(uint8[:,::1], boolean[:,::1], int64, int64, int64, int64, boolean[:,::1])")
+@kernel
 def _count_seen(
-    seen: Grid, reachable: NDArray[np.bool_], x0: int, y0: int, x1: int, y1: int, counted: NDArray[np.bool_]
+    seen: Grid, reachable: BoolRows, x0: int, y0: int, x1: int, y1: int, counted: BoolRows
 ) -> int:
     """Count the reachable free cells of a box that have been seen, once each."""
     fresh = 0

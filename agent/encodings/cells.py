@@ -8,13 +8,11 @@ by row, its new state or `SAME`. It travels as run lengths or as a zstd frame (R
 from __future__ import annotations
 
 import sys
-from collections.abc import Collection
 
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.encodings.base import MapEncoding
-from agent.encodings.received_grid import ReceivedGrid
+from agent.encodings.received_grid import GridEncoding
 from agent.settings import Settings
 from protocol import packet_index, packets
 from protocol.boxes import NO_BOXES, union
@@ -54,7 +52,7 @@ MOST_DIGITS = 4
 Patch = NDArray[np.uint8]
 
 
-class CellEncoding(MapEncoding):
+class CellEncoding(GridEncoding):
     """Encodes patches, and applies the patches of all teammates to one grid; the last patch of a cell counts."""
 
     name = "cells"
@@ -69,13 +67,12 @@ class CellEncoding(MapEncoding):
         """The self-explored grid as the patches so far describe it."""
         self._pending = NO_BOXES
         """Where the self-explored grid has changed since the last patch."""
-        self._received = ReceivedGrid(shape)
         self._partial: dict[int, bytes] = {}
 
     def encode_changes(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
         """Encode a patch of all changed cells, once all teammates in range hold the patches before."""
         del scan
-        self._received.own_changed(own, change)
+        self.own_changes.add(own, change)
         self._pending = union(self._pending, change.boxes)
         if not delivered or not len(self._pending):
             return []
@@ -91,7 +88,7 @@ class CellEncoding(MapEncoding):
         """Reassemble fragments, and apply the patches that are complete."""
         data = self._partial.get(map_id, b"") + packet_index.contents(frame)
         patches = []
-        while (read := unpack(data, self._received.grid.shape)) is not None:
+        while (read := unpack(data, self.received.shape)) is not None:
             x0, y0, patch, data = read
             patches.append((x0, y0, patch))
         for x0, y0, patch in patches:
@@ -100,25 +97,15 @@ class CellEncoding(MapEncoding):
         self._partial[map_id] = data
         for x0, y0, patch in patches:
             height, width = patch.shape
-            area = self._received.grid[y0 : y0 + height, x0 : x0 + width]
+            area = self.received[y0 : y0 + height, x0 : x0 + width]
             area[patch != SAME] = patch[patch != SAME] - 1
-            self._received.changed((x0, y0, x0 + width, y0 + height))
-
-    def merge(self, own: Grid, peers: Collection[int] = ()) -> Grid:
-        """Overlay the received cells with the self-explored grid."""
-        del peers
-        return self._received.overlaid(own)
+            self.received_changed((x0, y0, x0 + width, y0 + height))
 
 
 def pack(x0: int, y0: int, patch: Patch) -> bytes:
-    """Encode a patch: its compression, its box, the size of its body, and the body.
+    """Encode a patch: its compression, its box from column x0 and row y0, the size of its body, and the body.
 
-    Parameters
-    ----------
-    x0, y0 : int
-        First column and row of its box.
-    patch : uint8 array, shape (h, w)
-        `SAME`, or the state plus one, of each cell.
+    `patch`, shape (h, w), has `SAME`, or the state plus one, of each cell.
     """
     runs, frame = pack_runs(patch), zstd.compress(patch.tobytes(), LEVEL)
     compression, body = (RUNS, runs) if len(runs) <= len(frame) else (ZSTD, frame)
@@ -127,19 +114,10 @@ def pack(x0: int, y0: int, patch: Patch) -> bytes:
 
 
 def unpack(data: bytes, shape: tuple[int, int]) -> tuple[int, int, Patch, bytes] | None:
-    """Decode the patch at the beginning of `data`.
+    """Decode the patch at the beginning of `data`, patches of a grid of `shape`, the last of which may be cut off.
 
-    Parameters
-    ----------
-    data : bytes
-        Whole patches, the last of which may be cut off.
-    shape : (int, int)
-        Rows and columns of the grid.
-
-    Returns
-    -------
-    (x0, y0, patch, rest) : first column and row, uint8 array of shape (h, w), the bytes behind the patch
-        None if the patch is cut off.
+    Returns (x0, y0, patch, rest): first column and row, uint8 array of shape (h, w), the bytes behind the patch; None
+    if the patch is cut off.
 
     Raises
     ------

@@ -8,24 +8,23 @@ their own grid.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 from agent.encodings.base import MapEncoding
-from agent.encodings.changed_cells import ChangedCells
-from agent.encodings.polygon_options import PolygonOptions
+from agent.encodings.options import PolygonOptions
+from agent.encodings.received_grid import ChangedCells
 from agent.memo_cache import NO_CACHE, MemoCache
 from agent.outline.approximation import Marks, approximation, repair
 from agent.outline.claims import Drawing
 from agent.outline.contour import Tracer
 from agent.outline.edit_reader import SavePoint
 from agent.outline.edits import edit_packets
-from agent.outline.exact_error import ExactError
-from agent.outline.merge import ErrorCount, TeamMap
+from agent.outline.merge import ErrorCount, TeamMap, exact_error
 from agent.outline.polygons import Polygons
 from agent.outline.receiver import Receiver
-from agent.outline.simplify import by_distance, mixed_first, refine
-from agent.outline.splitting import SplitAllowance, Splitting
+from agent.outline.simplify import refine
+from agent.outline.splitting import SplitAllowance
 from agent.settings import Settings
 from protocol.grid import Grid
 from protocol.scans import Change, Scan
@@ -41,31 +40,22 @@ class PolygonEncoding(MapEncoding):
         options = PolygonOptions(**settings.polygons)
         shape = settings.height, settings.width
         self._options = options
-        self._value = mixed_first if options.mixed_first else by_distance
-        self._drawing = Drawing(
-            options.free_inside_edges,
-            options.unknown_pairs,
-            options.wide_walls,
-            options.close_slivers,
-            options.wide_seen_walls,
-        )
+        self._drawing = Drawing(**{part.name: getattr(options, part.name) for part in fields(Drawing)})
         self._allowance = SplitAllowance(
-            Splitting(
-                settings.robots,
-                settings.bandwidth.limit,
-                settings.reach_cells,
-                settings.width,
-                settings.height,
-                options.medium_use,
-                options.bytes_per_split or None,
-                options.splits_per_step or None,
-            )
+            settings.robots,
+            settings.bandwidth.limit,
+            settings.reach_cells,
+            settings.width,
+            settings.height,
+            options.medium_use,
+            options.bytes_per_split or None,
+            options.splits_per_step or None,
         )
         self._outdated = True
         self._updated: set[int] = set()
         """Maps with a save point received since the last merge."""
         self._without_inference = replace(self._drawing, wide_walls=False, close_slivers=False)
-        self._exact = ExactError(self._without_inference) if options.exact_error else None
+        self._scan_cell = 0, 0
         self._tracer = Tracer(shape)
         self._untraced, self._unmerged, self._uncounted = ChangedCells(), ChangedCells(), ChangedCells()
         self._make_receivers(NO_CACHE)
@@ -101,8 +91,7 @@ class PolygonEncoding(MapEncoding):
     def encode_changes(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
         """Repair and refine the approximation, and encode the edits (Algorithm 10, lines 6 to 13)."""
         self._outdated = self._outdated or change.cells > 0
-        if self._exact is not None:
-            self._exact.note(scan, change)
+        self._scan_cell = scan.x, scan.y
         for changes in (self._untraced, self._unmerged, self._uncounted):
             changes.add(own, change)
         if self._options.lazy and not delivered and self.settings.robots > 1:
@@ -113,7 +102,7 @@ class PolygonEncoding(MapEncoding):
         exact = self._tracer.contours(own, (scan.x, scan.y), self._untraced.take(own))
         held = self._held.held
         repaired = repair(held.polygons, exact)
-        refined = refine(exact, repaired, splits, self._value)
+        refined = refine(exact, repaired, splits, mixed_first=self._options.mixed_first)
         packets = edit_packets(held, self._approximation(exact, refined))
         script = b"".join(packets)
         if splits and len(refined) > len(repaired):
@@ -125,9 +114,10 @@ class PolygonEncoding(MapEncoding):
         return packets
 
     def _approximation(self, exact: Polygons, marks: Marks) -> Polygons:
-        """The approximation to log; without objects of two unknown edges, unless `unknown_pairs` is set.
+        """Return the approximation to log.
 
-        An object that has shrunk to two unknown edges is removed; if it grows again, it emerges anew.
+        An object that has shrunk to two unknown edges is removed without `unknown_pairs`; if it grows again, it emerges
+        anew.
         """
         return approximation(exact, marks, unknown_pairs=self._options.unknown_pairs)
 
@@ -160,4 +150,6 @@ class PolygonEncoding(MapEncoding):
 
     def exact_error(self, own: Grid) -> int | None:
         """Count the same for an exact approximation: Algorithm 9 leaves some cells unknown."""
-        return None if self._exact is None else self._exact.count(own)
+        return (
+            exact_error(own, self._scan_cell, self._without_inference) if self._options.exact_error else None
+        )

@@ -19,15 +19,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.encodings.base import Dependency, MapEncoding
-from agent.encodings.predictive_options import PredictiveOptions
-from agent.encodings.received_grid import ReceivedGrid
+from agent.encodings.base import Dependency
+from agent.encodings.options import PredictiveOptions
+from agent.encodings.received_grid import GridEncoding
 from agent.predictive.history import DecodedUpdate, History
 from agent.predictive.scan_updates import REPORTED
 from agent.predictive.shared_decoder import CachedReader, SharedDecoderCache
 from agent.predictive.stream import Stream
 from agent.settings import Settings
 from protocol import packet_index
+from protocol.arrays import Int32s, Uint8s, Uint16Rows
 from protocol.boxes import Box, bounding_box
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, ray_table
@@ -104,7 +105,7 @@ class _Limits:
         return cls(min(max(size, UPDATE_DATA), LAST_UPDATE_DATA), step_bytes, wait_steps)
 
 
-class PredictiveEncoding(MapEncoding):
+class PredictiveEncoding(GridEncoding):
     """Encodes this robot's updates, and decodes those of all other logs."""
 
     name = "predictive"
@@ -124,7 +125,6 @@ class PredictiveEncoding(MapEncoding):
         """`needed[a, b]`: first update of log b that log a may still depend on."""
         self._votes: NDArray[np.uint16] = np.zeros((2, *shape), np.uint16)
         """How many logs report each cell as free, and as a wall."""
-        self._received = ReceivedGrid(shape)
         self._limits = _Limits.of(settings)
         self._pending = _Pending()
         self._encoded = _Pending()
@@ -167,7 +167,7 @@ class PredictiveEncoding(MapEncoding):
 
     def encode_changes(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
         """Encode an update, if teammates hold the last one and enough cells have changed."""
-        self._received.own_changed(own, change)
+        self.own_changes.add(own, change)
         pending = self._pending
         if change.cells:
             pending.poses.append((scan.x, scan.y))
@@ -178,7 +178,7 @@ class PredictiveEncoding(MapEncoding):
         self.retractable = 0
         if not delivered:
             return []
-        new_cells = int(_unreported(self._received.grid, self._own.grid, own, *bounding_box(pending.boxes)))
+        new_cells = int(_unreported(self.received, self._own.grid, own, *bounding_box(pending.boxes)))
         if 0 < new_cells < ENOUGH_CELLS and pending.steps < self._limits.wait_steps:
             return []
         if not new_cells:
@@ -329,14 +329,13 @@ class PredictiveEncoding(MapEncoding):
         return self._dependencies[map_id]
 
     def merge(self, own: Grid, peers: Collection[int] = ()) -> Grid:
-        """Overlay the received cells with the self-explored grid."""
-        del peers
+        """Return the planning grid as `GridEncoding`; forget updates on which no log can depend any more."""
         if self._caches is None and len(self._histories) > 1:
             self._needed[self.settings.own_map] = self._own.first_needed()
             np.fill_diagonal(self._needed, np.iinfo(np.int64).max)
             for history, needed in zip(self._histories, self._needed.min(axis=0).tolist(), strict=True):
                 history.forget(needed)
-        return self._received.overlaid(own)
+        return super().merge(own, peers)
 
     def scan_cell(self, map_id: int) -> tuple[int, int] | None:
         """Cell (x, y) of the last scan in a log."""
@@ -344,10 +343,10 @@ class PredictiveEncoding(MapEncoding):
 
     def _count_votes(self, update: DecodedUpdate) -> None:
         """Apply an update to the received grid: a cell is a wall if any log reports a wall, else free if any does."""
-        grid = self._received.grid.reshape(-1)
+        grid = self.received.reshape(-1)
         _count_votes(self._votes.reshape(2, -1), update.places, update.before, update.states, grid)
         if len(update.places):
-            self._received.changed(update.box)
+            self.received_changed(update.box)
 
 
 def fragments(message: bytes, number: int, most: int) -> list[bytes]:
@@ -359,7 +358,7 @@ def fragments(message: bytes, number: int, most: int) -> list[bytes]:
     return [*packets, encode([Update(number % UPDATE_NUMBERS, message)])]
 
 
-@kernel("int64(uint8[:,::1], uint8[:,::1], uint8[:,::1], int64, int64, int64, int64)")
+@kernel
 def _unreported(received: Grid, logged: Grid, own: Grid, x0: int, y0: int, x1: int, y1: int) -> int:
     """Count the cells of a box whose state in `own` neither this robot's log nor a received log reports."""
     count = 0
@@ -373,10 +372,8 @@ def _unreported(received: Grid, logged: Grid, own: Grid, x0: int, y0: int, x1: i
     return count
 
 
-@kernel("void(uint16[:,::1], int32[::1], uint8[::1], uint8[::1], uint8[::1])")
-def _count_votes(
-    votes: NDArray[np.uint16], places: NDArray[np.int32], before: Grid, states: Grid, received: Grid
-) -> None:
+@kernel
+def _count_votes(votes: Uint16Rows, places: Int32s, before: Uint8s, states: Uint8s, received: Uint8s) -> None:
     """A log replaces its `before` states of cells by `states`: update the votes, and the received grid from them."""
     for index in range(len(places)):
         place = places[index]

@@ -20,13 +20,7 @@ SLACK = 8
 
 
 class ReachabilityCheck:
-    """The area that each map has reported so far, and how far it may grow.
-
-    Parameters
-    ----------
-    settings : Settings
-        The robot's task: the team's speeds and sensor ranges.
-    """
+    """The area that each map has reported so far, and how far it may grow by the team's speeds and sensor ranges."""
 
     def __init__(self, settings: Settings) -> None:
         self._author_of = settings.author_of
@@ -43,14 +37,7 @@ class ReachabilityCheck:
             self._poses[robot] = step, x, y
 
     def check(self, map_id: int, box: Box, entries: int = 1, *, step: int, sender: int) -> None:
-        """Accept `entries` further entries of a map, which report cells in `box`, cells (x0, y0, x1, y1).
-
-        Parameters
-        ----------
-        step : int
-            The step in which they arrived.
-        sender : int
-            The robot that sent them.
+        """Accept `entries` further entries of a map, which report cells in `box`, from robot `sender` in a step.
 
         Raises
         ------

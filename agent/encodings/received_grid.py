@@ -1,56 +1,75 @@
-"""One grid of all that teammates reported, and the planning grid made of it and the self-explored grid."""
+"""Encodings whose received maps share one grid; the planning grid is updated only where a grid has changed."""
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 
-from agent.encodings.changed_cells import ChangedCells
-from protocol.boxes import Box, Boxes, whole_grid
+from agent.encodings.base import MapEncoding
+from agent.settings import Settings
+from protocol.boxes import NO_BOXES, Box, Boxes, union, whole_grid
 from protocol.grid import UNKNOWN, Grid
 from protocol.kernels import kernel
 from protocol.scans import Change
 
 
-class ReceivedGrid:
-    """The grid of received cells; the planning grid is updated where this grid or the self-explored grid changed.
+class ChangedCells:
+    """Where a grid has changed, in place, since a reader last processed it."""
 
-    Parameters
-    ----------
-    shape : (int, int)
-        Rows and columns.
+    def __init__(self) -> None:
+        self._seen: Grid | None = None
+        self._boxes: Boxes = NO_BOXES
+
+    def add(self, own: Grid, change: Change) -> None:
+        """Note a change of the grid."""
+        if own is self._seen:
+            self._boxes = union(self._boxes, change.boxes)
+
+    def take(self, own: Grid) -> Boxes | None:
+        """Return boxes that cover all changes since the last call.
+
+        None: the last call was for another grid, or there was none, so all cells may have changed.
+        """
+        boxes = self._boxes if own is self._seen else None
+        self._seen, self._boxes = own, NO_BOXES
+        return boxes
+
+
+class GridEncoding(MapEncoding):
+    """An encoding that writes all received cells to one grid, and overlays it with the self-explored grid.
 
     Attributes
     ----------
-    grid : uint8 array, shape (h, w)
-        The received state of each cell. A caller that writes to it reports where (`changed`).
+    received : uint8 array, shape (h, w)
+        The received state of each cell. A subclass that writes to it reports where (`received_changed`).
     """
 
-    def __init__(self, shape: tuple[int, int]) -> None:
-        self.grid: Grid = np.zeros(shape, np.uint8)
+    def __init__(self, settings: Settings) -> None:
+        super().__init__(settings)
+        self.received: Grid = np.zeros((settings.height, settings.width), np.uint8)
+        self.own_changes = ChangedCells()
+        """Changes of the self-explored grid, which a subclass reports."""
         self._boxes: list[Box] = []
-        self._own_changes = ChangedCells()
         self._planning: Grid | None = None
 
-    def own_changed(self, own: Grid, change: Change) -> None:
-        """Note a change of the self-explored grid."""
-        self._own_changes.add(own, change)
-
-    def changed(self, box: Box) -> None:
-        """Note that the caller has written to `grid` in a box (x0, y0, x1, y1)."""
+    def received_changed(self, box: Box) -> None:
+        """Note that received cells were written in a box (x0, y0, x1, y1)."""
         self._boxes.append(box)
 
-    def overlaid(self, own: Grid) -> Grid:
-        """Return the planning grid: `own` where it is known, else `grid`. The next call overwrites it."""
-        changed = self._own_changes.take(own)
+    def merge(self, own: Grid, peers: Collection[int] = ()) -> Grid:
+        """Return the planning grid: the self-explored grid where it is known, else the received one."""
+        del peers
+        changed = self.own_changes.take(own)
         if self._planning is None or changed is None:
             self._planning, changed = np.empty_like(own), whole_grid(own.shape)
         boxes = np.array([*changed.tolist(), *self._boxes], np.int32).reshape(-1, 4)
-        overlay(self.grid, own, boxes, self._planning)
+        overlay(self.received, own, boxes, self._planning)
         self._boxes.clear()
         return self._planning
 
 
-@kernel("void(uint8[:,::1], uint8[:,::1], int32[:,::1], uint8[:,::1])")
+@kernel
 def overlay(below: Grid, above: Grid, boxes: Boxes, both: Grid) -> None:
     """Write to `both`, inside the boxes, the cells of `above` that are known, else those of `below`."""
     for box in boxes:

@@ -6,10 +6,7 @@ which the scan differs from the last one.
 
 from __future__ import annotations
 
-from collections.abc import Collection
-
-from agent.encodings.base import MapEncoding
-from agent.encodings.received_grid import ReceivedGrid
+from agent.encodings.received_grid import GridEncoding
 from agent.settings import Settings
 from protocol import packet_index, packets
 from protocol.errors import ProtocolError
@@ -17,7 +14,7 @@ from protocol.grid import Grid, RayTable, ray_table
 from protocol.scans import NONE, Change, Scan, decode_scan, draw, encode_scan, fragments, scan_size
 
 
-class ScanEncoding(MapEncoding):
+class ScanEncoding(GridEncoding):
     """Encodes scans as fragments, and draws the scans of all teammates onto one grid."""
 
     name = "scans"
@@ -27,14 +24,13 @@ class ScanEncoding(MapEncoding):
         self._ray_tables = [ray_table(cells, settings.beams) for cells in settings.ranges_cells]
         self._size = scan_size(settings.beams)
         self._most = settings.frame_bytes or packets.Fragment.size
-        self._received = ReceivedGrid((settings.height, settings.width))
         self._partial: dict[int, bytes] = {}
         self._last = b""
 
     def encode_changes(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
         """Encode the scan, unless it repeats the last one or has no readings."""
         del delivered
-        self._received.own_changed(own, change)
+        self.own_changes.add(own, change)
         data = encode_scan(scan)
         if data == self._last or (scan.readings == NONE).all():
             return []
@@ -53,14 +49,9 @@ class ScanEncoding(MapEncoding):
             self._reachability.check(map_id, box, len(scans), step=step, sender=sender)
         self._partial[map_id] = data[end:]
         for scan in scans:
-            change = draw(self._received.grid, self._ray_table_of(map_id), scan.x, scan.y, scan.readings)
+            change = draw(self.received, self._ray_table_of(map_id), scan.x, scan.y, scan.readings)
             if change.cells:
-                self._received.changed(change.box)
-
-    def merge(self, own: Grid, peers: Collection[int] = ()) -> Grid:
-        """Overlay the received cells with the self-explored grid."""
-        del peers
-        return self._received.overlaid(own)
+                self.received_changed(change.box)
 
     def _ray_table_of(self, map_id: int) -> RayTable:
         """The ray table of the map's author."""
@@ -68,7 +59,7 @@ class ScanEncoding(MapEncoding):
 
     def _read(self, map_id: int, data: bytes) -> Scan:
         scan = decode_scan(data, self._ray_table_of(map_id))
-        height, width = self._received.grid.shape
+        height, width = self.received.shape
         if scan.x >= width or scan.y >= height:
             reason = f"cell ({scan.x}, {scan.y}) is outside the {width} x {height} grid"
             raise ProtocolError("scan", 0, reason)

@@ -10,8 +10,8 @@ A symbol is a vertex with the occupancy of its edge in the lowest bit (`agent.ou
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from protocol.arrays import Bools, Int32Rows, Int32s
 from protocol.kernels import kernel
 from protocol.packets import Delete, Insert, Replace
 
@@ -22,8 +22,8 @@ _REPLACED = Delete.size + Insert.size - Replace.size
 """Bytes saved by a replacement, instead of a deletion and an insertion."""
 
 
-@kernel("int32[::1](int32[::1], int32[::1])")
-def match_vertices(old: NDArray[np.int32], new: NDArray[np.int32]) -> NDArray[np.int32]:
+@kernel
+def match_vertices(old: Int32s, new: Int32s) -> Int32s:
     """Return, for each new symbol, the index of the old symbol of the same vertex (x, y, side), or -1."""
     size = 16
     while size < 2 * len(old):
@@ -43,19 +43,16 @@ def match_vertices(old: NDArray[np.int32], new: NDArray[np.int32]) -> NDArray[np
     return twins
 
 
-@kernel(
-    "Tuple((int32[::1], int32[::1], int32[:,::1]))"
-    "(int32[::1], int32[::1], boolean[::1], int32[::1], int32[::1], boolean[::1], int32[::1])"
-)
+@kernel
 def match_objects(
-    old: NDArray[np.int32],
-    old_start: NDArray[np.int32],
-    old_inside: NDArray[np.bool_],
-    new: NDArray[np.int32],
-    new_start: NDArray[np.int32],
-    new_inside: NDArray[np.bool_],
-    twins: NDArray[np.int32],
-) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
+    old: Int32s,
+    old_start: Int32s,
+    old_inside: Bools,
+    new: Int32s,
+    new_start: Int32s,
+    new_inside: Bools,
+    twins: Int32s,
+) -> tuple[Int32s, Int32s, Int32Rows]:
     """Find the unchanged objects, and the pairs of changed objects that share vertices.
 
     Returns, for each new object, the equal old one (-1: none) and the index in its cycle of the first vertex of the
@@ -104,10 +101,8 @@ def match_objects(
     return equal, shift, pairs[:count].copy()
 
 
-@kernel("Tuple((int64, int64, int32[::1]))(int32[::1], int32[::1], int32[::1])")
-def align(
-    old: NDArray[np.int32], new: NDArray[np.int32], twins: NDArray[np.int32]
-) -> tuple[int, int, NDArray[np.int32]]:
+@kernel
+def align(old: Int32s, new: Int32s, twins: Int32s) -> tuple[int, int, Int32s]:
     """Align a new cycle with an old list such that the vertex packets have the fewest bytes.
 
     Only the symbol at index ``twins[i]`` of `old`, if that is a valid index, can equal ``new[i]``.

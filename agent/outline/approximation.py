@@ -19,32 +19,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.outline.polygons import SIDE_X, SIDE_Y, Polygons
+from protocol.arrays import Bools, Int16s, Int32s, Uint8s
 from protocol.kernels import kernel
 from protocol.packets import MAX_OBJECTS, MAX_VERTICES
 
-Marks = NDArray[np.int32]
+Marks = Int32s
 """An approximation as ascending indices into the flat arrays of its contours."""
 
 
 def repair(previous: Polygons, contours: Polygons) -> Marks:
-    """Adapt the last approximation to the current contours (section 4.2.1).
+    """Adapt the last approximation A(t - 1) to the current exact contours P(t), on grids of one shape (section 4.2.1).
 
-    Parameters
-    ----------
-    previous : Polygons
-        A(t - 1), on a grid of the same shape.
-    contours : Polygons
-        P(t), exact.
+    Returns the vertices of A(t) before refinement: all vertices of A(t - 1) that are still contour points, and more for
+    objects with fewer than two. An object without vertices gets its first point; an object with one vertex gets the
+    contour point farthest from it (the first of equals).
 
-    Returns
-    -------
-    int32 array, ascending
-        The vertices of A(t) before refinement, as indices into `contours`: all vertices of A(t - 1) that are
-        still contour points, and more for objects with fewer than two. An object without vertices gets its first
-        point; an object with one vertex gets the contour point farthest from it (the first of equals).
-
-    Notes
-    -----
     Packets can address 4096 objects and 4096 vertices per object. Beyond that, the outside objects with the fewest
     contour points are left out, and objects lose the vertices that deviate least from a straight line.
     """
@@ -112,10 +101,8 @@ def _coarsen(contours: Polygons, marks: Marks) -> Marks:
     return marks[kept]
 
 
-@kernel("int64(int16[::1], int16[::1], uint8[::1], int64, int64, int64)")
-def _farthest(
-    x: NDArray[np.int16], y: NDArray[np.int16], side: NDArray[np.uint8], first: int, end: int, point: int
-) -> int:
+@kernel
+def _farthest(x: Int16s, y: Int16s, side: Uint8s, first: int, end: int, point: int) -> int:
     """Return the point of ``first:end`` that is farthest from `point`, the first of equals."""
     farthest, largest = -1, -1
     for i in range(first, end):
@@ -127,22 +114,19 @@ def _farthest(
     return farthest
 
 
-@kernel(
-    "int32[::1](int16[::1], int16[::1], uint8[::1], int16[::1], int16[::1], uint8[::1], int32[::1], "
-    "boolean[::1], int64, uint8[::1])"
-)
+@kernel
 def _collect(
-    old_x: NDArray[np.int16],
-    old_y: NDArray[np.int16],
-    old_side: NDArray[np.uint8],
-    x: NDArray[np.int16],
-    y: NDArray[np.int16],
-    side: NDArray[np.uint8],
-    start: NDArray[np.int32],
-    approximated: NDArray[np.bool_],
+    old_x: Int16s,
+    old_y: Int16s,
+    old_side: Uint8s,
+    x: Int16s,
+    y: Int16s,
+    side: Uint8s,
+    start: Int32s,
+    approximated: Bools,
     row: int,
-    marked: NDArray[np.uint8],
-) -> NDArray[np.int32]:
+    marked: Uint8s,
+) -> Int32s:
     """Return the marks of `repair`; `row` is the width of the grid plus 2, `marked` the shared memory."""
     for i in range(len(old_x)):
         marked[(old_y[i] + 1) * row + old_x[i] + 1] |= 1 << old_side[i]
@@ -171,23 +155,17 @@ def _collect(
     return marks[:count].copy()
 
 
-@kernel(
-    "Tuple((int16[::1], int16[::1], uint8[::1], uint8[::1], int32[::1], boolean[::1]))"
-    "(int16[::1], int16[::1], uint8[::1], uint8[::1], int32[::1], boolean[::1], int32[::1], boolean)"
-)
+@kernel
 def _span(
-    x: NDArray[np.int16],
-    y: NDArray[np.int16],
-    side: NDArray[np.uint8],
-    occupied: NDArray[np.uint8],
-    start: NDArray[np.int32],
-    inside: NDArray[np.bool_],
-    marks: NDArray[np.int32],
+    x: Int16s,
+    y: Int16s,
+    side: Uint8s,
+    occupied: Uint8s,
+    start: Int32s,
+    inside: Bools,
+    marks: Int32s,
     unknown_pairs: bool,
-) -> tuple[
-    NDArray[np.int16], NDArray[np.int16], NDArray[np.uint8], NDArray[np.uint8], NDArray[np.int32],
-    NDArray[np.bool_],
-]:  # fmt: skip
+) -> tuple[Int16s, Int16s, Uint8s, Uint8s, Int32s, Bools]:
     """Return the columns of the polygons (`Polygons`)."""
     span_x, span_y = np.empty(len(marks), np.int16), np.empty(len(marks), np.int16)
     span_side, edge = np.empty(len(marks), np.uint8), np.empty(len(marks), np.uint8)

@@ -22,12 +22,15 @@ from agent.outline.objects import (
     RIGHT,
     TOP,
     Objects,
+    Symbol,
     Symbols,
     Table,
 )
-from agent.outline.polygons import SIDE_X, SIDE_Y, Polygons
+from agent.outline.polygons import SIDE_X, SIDE_Y
 from agent.outline.raster import Edges, draw, fill
+from protocol.arrays import Int32s, Uint8s
 from protocol.boxes import NO_BOXES, Boxes, clip, whole_grid
+from protocol.grid import Grid
 from protocol.kernels import kernel
 
 NEAR_WALL, FREE_AREA, OUTSIDE_OCCUPIED, INSIDE_FREE, INSIDE_OCCUPIED = 1, 2, 4, 8, 16
@@ -36,7 +39,7 @@ adds it to the walls of robots that are near."""
 
 _WALL = OUTSIDE_OCCUPIED | INSIDE_OCCUPIED
 
-Layer = NDArray[np.uint8]
+Layer = Grid
 
 
 class ClaimCounts:
@@ -88,28 +91,19 @@ THIN, WIDE_UNSEEN, WIDE = range(3)
 
 @dataclass(frozen=True)
 class Drawing:
-    """Parts of an approximation that are drawn, and inferred cells. By default as in the thesis.
-
-    Attributes
-    ----------
-    free_inside_edges : bool
-        Draw the free edges of inside objects. They mark cells as free that their robot has not seen.
-    unknown_pairs : bool
-        Draw outside objects of two vertices without an occupied edge: unseen cells between beams.
-    wide_walls : bool
-        Mark the eight neighbors of a wall's cells as wall, unless another claim exists.
-    close_slivers : bool
-        Mark an unknown cell as free if its neighbors on the left and right, or above and below, are free, and this
-        robot has not seen both itself.
-    wide_seen_walls : bool
-        Widen also walls that this robot has seen itself.
-    """
+    """Parts of an approximation that are drawn, and inferred cells. By default as in the thesis."""
 
     free_inside_edges: bool = True
+    """Draw the free edges of inside objects. They mark cells as free that their robot has not seen."""
     unknown_pairs: bool = True
+    """Draw outside objects of two vertices without an occupied edge: unseen cells between beams."""
     wide_walls: bool = False
+    """Mark the eight neighbors of a wall's cells as wall, unless another claim exists."""
     close_slivers: bool = False
+    """Mark an unknown cell as free if its neighbors on the left and right, or above and below, are free, and this robot
+    has not seen both itself."""
     wide_seen_walls: bool = True
+    """Widen also walls that this robot has seen itself."""
 
     @property
     def wide(self) -> int:
@@ -123,13 +117,6 @@ THESIS = Drawing()
 """Everything is drawn and nothing inferred, as in Algorithm 9."""
 
 
-def layer(polygons: Polygons, drawing: Drawing = THESIS) -> Layer:
-    """Render an approximation; return its claims, shape (h, w)."""
-    out = np.zeros(polygons.shape, np.uint8)
-    redraw(out, Objects.of(polygons), drawing, whole_grid(polygons.shape))
-    return out
-
-
 def redraw(out: Layer, objects: Objects, drawing: Drawing, boxes: Boxes) -> ClaimDifference:
     """Render an approximation within boxes, replacing the claims there; return the changes."""
     parts = drawing.free_inside_edges, drawing.unknown_pairs
@@ -137,17 +124,7 @@ def redraw(out: Layer, objects: Objects, drawing: Drawing, boxes: Boxes) -> Clai
 
 
 class DrawnClaims:
-    """The claims of an approximation that changes step by step.
-
-    Parameters
-    ----------
-    shape : (int, int)
-        Height and width of the grid.
-    drawing : Drawing
-        Parts that are drawn.
-    cache : MemoCache
-        Cache of intermediate results, shared by the robots of this process.
-    """
+    """The claims of an approximation that changes step by step; robots of this process share intermediate results."""
 
     def __init__(self, shape: tuple[int, int], drawing: Drawing, cache: MemoCache = NO_CACHE) -> None:
         self.layer: Layer = np.zeros(shape, np.uint8)
@@ -171,14 +148,14 @@ _CHUNK = 16
 """Edges per chunk; all edges of a chunk whose bounding box does not touch the box to be drawn are skipped."""
 
 
-@kernel("UniTuple(int64, 2)(int32)")
-def _place(symbol: int) -> tuple[int, int]:
+@kernel
+def _place(symbol: Symbol) -> tuple[int, int]:
     """Return the position of a vertex, in quarters of a cell."""
     side = symbol >> 1 & 3
     return ((symbol >> 3 & 0xFFF) - 1) * 4 + SIDE_X[side], ((symbol >> 15) - 1) * 4 + SIDE_Y[side]
 
 
-@kernel("void(int32[::1], int32[:,::1])")
+@kernel
 def _measure(vertices: Symbols, chunks: Boxes) -> None:
     """Write the bounding boxes of the edges of each chunk of an object, with a margin of one cell."""
     for begin in range(0, len(vertices), _CHUNK):
@@ -194,16 +171,16 @@ def _measure(vertices: Symbols, chunks: Boxes) -> None:
         box[0], box[1], box[2], box[3] = x0 - 2, y0 - 2, x1 + 1, y1 + 1
 
 
-@kernel("boolean(int32[::1], int32[::1], int32[::1])")
-def _overlap(row: NDArray[np.int32], box: NDArray[np.int32], part: NDArray[np.int32]) -> bool:
+@kernel
+def _overlap(row: Int32s, box: Int32s, part: Int32s) -> bool:
     """Write the intersection of a box and the box of an object; return whether it is not empty."""
     part[0], part[1] = max(row[LEFT], box[0]), max(row[TOP], box[1])
     part[2], part[3] = min(row[RIGHT], box[2]), min(row[BOTTOM], box[3])
     return bool(part[0] < part[2] and part[1] < part[3])
 
 
-@kernel("int64(int32[::1], int32[:,::1], int32[::1], int32[:,::1])")
-def _edges_near(vertices: Symbols, chunks: Boxes, box: NDArray[np.int32], edges: Edges) -> int:
+@kernel
+def _edges_near(vertices: Symbols, chunks: Boxes, box: Int32s, edges: Edges) -> int:
     """Collect the edges that may cross a column of a box, within it or above it; return their number."""
     count = 0
     for begin in range(0, len(vertices), _CHUNK):
@@ -220,8 +197,8 @@ def _edges_near(vertices: Symbols, chunks: Boxes, box: NDArray[np.int32], edges:
     return count
 
 
-@kernel("void(uint8[:,::1], uint8[::1], int64, int64, int64)")
-def _change(counts: Layer, claims: NDArray[np.uint8], cell: int, before: int, after: int) -> None:
+@kernel
+def _change(counts: Layer, claims: Uint8s, cell: int, before: int, after: int) -> None:
     """Update the counts of a cell about which a layer makes other claims than before."""
     changed = before ^ after
     for k in range(5):
@@ -230,15 +207,8 @@ def _change(counts: Layer, claims: NDArray[np.uint8], cell: int, before: int, af
             claims[cell] = claims[cell] & ~(1 << k) | (counts[k, cell] > 0) << k
 
 
-@kernel("void(int32[::1], uint8[::1], uint8[::1], boolean, uint8[:,::1], uint8[::1])")
-def _apply(
-    cells: NDArray[np.int32],
-    before: NDArray[np.uint8],
-    after: NDArray[np.uint8],
-    near: bool,
-    counts: Layer,
-    claims: NDArray[np.uint8],
-) -> None:
+@kernel
+def _apply(cells: Int32s, before: Uint8s, after: Uint8s, near: bool, counts: Layer, claims: Uint8s) -> None:
     """Update the counts of all changed cells of a layer."""
     for each in range(len(cells)):
         was, now = before[each], after[each]
@@ -248,18 +218,16 @@ def _apply(
         _change(counts, claims, cells[each], was, now)
 
 
-@kernel(
-    "int64(uint8[:,::1], uint8[:,::1], int32[::1], int32[::1], uint8[::1], uint8[::1], int64, int32[::1])"
-)
+@kernel
 def _note_change(
     before: Layer,
     layer: Layer,
-    box: NDArray[np.int32],
-    cells: NDArray[np.int32],
-    was: NDArray[np.uint8],
-    now: NDArray[np.uint8],
+    box: Int32s,
+    cells: Int32s,
+    was: Uint8s,
+    now: Uint8s,
     count: int,
-    changed: NDArray[np.int32],
+    changed: Int32s,
 ) -> int:
     """Append the cells of a box whose claims have changed, and write their bounding box; return the new number."""
     x0, y0 = box[0], box[1]
@@ -278,10 +246,8 @@ def _note_change(
     return count
 
 
-@kernel("boolean(uint8[:,::1], boolean, uint8[:,::1], uint8[::1], int32[::1])")
-def _set_near(
-    layer: Layer, near: bool, counts: Layer, claims: NDArray[np.uint8], box: NDArray[np.int32]
-) -> bool:
+@kernel
+def _set_near(layer: Layer, near: bool, counts: Layer, claims: Uint8s, box: Int32s) -> bool:
     """Add or remove the claim `NEAR_WALL` of all walls of a layer, and write their box; return whether it has walls."""
     height, width = layer.shape
     top, bottom, left, right = height, -1, width, -1
@@ -295,18 +261,10 @@ def _set_near(
     return bottom >= 0
 
 
-@kernel(
-    "Tuple((int32[::1], uint8[::1], uint8[::1], int32[:,::1]))"
-    "(uint8[:,::1], int32[:,::1], int32[::1], boolean, boolean, int32[:,::1])"
-)
+@kernel
 def _render(
-    out: Layer,
-    table: Table,
-    pool: Symbols,
-    free_inside_edges: bool,
-    unknown_pairs: bool,
-    boxes: Boxes,
-) -> tuple[NDArray[np.int32], NDArray[np.uint8], NDArray[np.uint8], Boxes]:
+    out: Layer, table: Table, pool: Symbols, free_inside_edges: bool, unknown_pairs: bool, boxes: Boxes
+) -> tuple[Int32s, Uint8s, Uint8s, Boxes]:
     """Render objects within boxes; return the columns of the `ClaimDifference`."""
     longest, all_chunks = 0, 0
     for row in table:

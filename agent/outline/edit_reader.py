@@ -1,4 +1,4 @@
-"""Fast reader of edit streams: applies a chunk of packets to the objects, and finds the boxes in which they changed.
+"""Reader of edit streams: applies a chunk of packets to the objects, and finds the boxes in which they changed.
 
 The state before the chunk is not modified. So a malformed chunk changes nothing, and several receivers can continue
 from the same state. A vertex packet changes the drawing only within the box of the vertex and its neighbors.
@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import NamedTuple, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.outline.objects import (
     BOTTOM,
@@ -24,11 +23,11 @@ from agent.outline.objects import (
     Table,
     enter,
 )
+from protocol.arrays import Int32s, Int64s, ReadOnlyUint8s, Uint8s
 from protocol.boxes import MAX_BOXES, NO_BOXES, Boxes, add_box, bounding_box
+from protocol.errors import ProtocolError
 from protocol.kernels import kernel
-from protocol.packets import ALL_KINDS, LAYOUT_BY_BYTE, MAX_VERTICES, Edit
-
-_REJECTED = -1
+from protocol.packets import ALL_KINDS, LAYOUT_BY_BYTE, MAX_VERTICES, AnyPacket, Decoder, Edit
 
 _EDITS = [ALL_KINDS.index(kind.name) for kind in get_args(Edit)]
 _SIZE = np.array([size if kind in _EDITS else 0 for kind, size, *_ in LAYOUT_BY_BYTE], np.int64)
@@ -37,45 +36,48 @@ _SIZE = np.array([size if kind in _EDITS else 0 for kind, size, *_ in LAYOUT_BY_
 SMALL = 3
 """An object with at most so many vertices is redrawn as a whole: each vertex can decide whether it is drawn at all."""
 
-
-_OPEN, _COUNT, _INSIDE, _EDITED, _VERTICES, _GAP, _BOXES, _INSIDES, _USED, _READ = range(10)
+_OPEN, _COUNT, _INSIDE, _EDITED, _VERTICES, _GAP, _BOXES, _INSIDES, _USED, _READ, _ERROR, _DETAILS = range(12)
 """Indices into `ReaderState.numbers`: number of the object being edited (-1: none), its announced vertices, and whether
 it is inside; whether a packet followed the last save point; current vertices of the object, and index of the gap in
-their buffer; number of boxes, of inside objects, and of used symbols in the pool; bytes read of the chunk."""
+their buffer; number of boxes, of inside objects, and of used symbols in the pool; bytes read of the chunk. If a packet
+is rejected, the last one is its offset; then follow the index of the reason in `_REASONS` and three details."""
+
+_MALFORMED, _CLOSED, _NO_INDEX, _FULL, _OUTSIDE, _UNFINISHED = range(1, 7)
+_MISSING, _PRESENT, _BAD_SIZE, _BAD_INSIDES, _UNCHANGED = range(7, 12)
+_REASONS = (
+    "",
+    "malformed",
+    "no object is being edited",
+    "index {1} of object {0}: the last one is {2}",
+    "object {0} is full with {1} vertices",
+    "cell ({0}, {1}) is outside the {width} x {height} grid",
+    "object {0} has {1} vertices instead of the announced {2}",
+    "there is no object {0}",
+    "object {0} already exists",
+    f"{{0}} vertices: an object has 2 to {MAX_VERTICES}",
+    "{0} inside objects: there must be exactly one",
+    "nothing has changed since the last save point",
+)
 
 
 class ReaderState(NamedTuple):
-    """State of a stream after any packet, also in the middle of an object.
-
-    Attributes
-    ----------
-    objects : Objects
-        All complete objects.
-    vertices : int32 array
-        Current vertices of the object being edited, as symbols.
-    boxes : int32 array, shape (n, 4)
-        Boxes of changes since the last save point.
-    numbers : int64 array, shape (10,)
-        See the constants above.
-    """
+    """State of a stream after any packet, also in the middle of an object."""
 
     objects: Objects
+    """All complete objects."""
     vertices: Symbols
+    """Current vertices of the object being edited, as symbols."""
     boxes: Boxes
-    numbers: NDArray[np.int64]
+    """Boxes of changes since the last save point, shape (n, 4)."""
+    numbers: Int64s
+    """Numbers by the constants above, shape (14,)."""
 
     @staticmethod
     def empty(shape: tuple[int, int]) -> ReaderState:
         """Return the state before the first packet, for a grid of `shape` (height, width)."""
-        numbers = np.zeros(10, np.int64)
+        numbers = np.zeros(_DETAILS + 3, np.int64)
         numbers[_OPEN] = -1
         return ReaderState(Objects.empty(shape), np.empty(0, np.int32), NO_BOXES, numbers)
-
-    @property
-    def header(self) -> tuple[int, int, bool, bool]:
-        """Object being edited (-1: none), its announced vertices, whether it is inside; whether all edits are saved."""
-        number, count, inside, edited = self.numbers[: _EDITED + 1].tolist()
-        return number, count, bool(inside), not edited
 
 
 class SavePoint(NamedTuple):
@@ -91,22 +93,16 @@ class SavePoint(NamedTuple):
     """Offset in the chunk behind the last save point."""
 
 
-def read(before: ReaderState, chunk: bytes) -> tuple[int, ReaderState, SavePoint | None] | None:
-    """Apply the whole edit packets at the start of a chunk, up to the first packet of another kind.
+def read(before: ReaderState, chunk: bytes) -> tuple[int, ReaderState, SavePoint | None]:
+    """Apply the whole packets at the start of a chunk; `before` is not modified.
 
-    Parameters
-    ----------
-    before : ReaderState
-        State before the chunk; it is not modified.
+    Returns the bytes of these packets, behind which at most an incomplete one follows; the state after them; and the
+    last save point, if there is one.
 
-    Returns
-    -------
-    used : int
-        Bytes of the applied packets; an incomplete packet, or one of another kind, follows.
-    after : ReaderState
-    saved : SavePoint, optional
-        The last save point of the chunk, if there is one.
-        Instead of these three, None if the chunk is malformed (`agent.outline.draft` finds the cause).
+    Raises
+    ------
+    ProtocolError
+        A packet is malformed, does not fit those before it, or is no edit.
     """
     objects, vertices, boxes, numbers = before
     shape, data = objects.shape, np.frombuffer(chunk, np.uint8)
@@ -114,8 +110,14 @@ def read(before: ReaderState, chunk: bytes) -> tuple[int, ReaderState, SavePoint
         data, *shape, numbers, objects.table, objects.pool, vertices, boxes
     )
     used = int(numbers[_READ])
-    if used == _REJECTED:
-        return None
+    packet = _packet_at(chunk, used)
+    if numbers[_ERROR]:
+        assert packet is not None
+        details = numbers[_DETAILS:].tolist()
+        reason = _REASONS[numbers[_ERROR]].format(*details, height=shape[0], width=shape[1])
+        raise ProtocolError(packet.name, used, reason)
+    if packet is not None:
+        raise ProtocolError(packet.name, used, "edit streams have no packets of this kind")
     saved = None
     if saves:
         box = bounding_box(saved_boxes.tolist()) if len(saved_boxes) else None
@@ -123,8 +125,24 @@ def read(before: ReaderState, chunk: bytes) -> tuple[int, ReaderState, SavePoint
     return used, ReaderState(Objects(shape, table, pool), vertices, boxes, numbers), saved
 
 
-@kernel("int64(int32[:,::1], int64, int32[::1])")
-def _add_box_of(boxes: Boxes, count: int, symbols: NDArray[np.int32]) -> int:
+def _packet_at(chunk: bytes, offset: int) -> AnyPacket | None:
+    """Decode the packet at an offset; None if it is incomplete, ProtocolError if it is malformed."""
+    try:
+        return next(Decoder().feed(chunk[offset:]), None)
+    except ProtocolError as error:
+        raise ProtocolError(error.packet, offset + error.offset, error.reason) from None
+
+
+@kernel
+def _reject(n: Int64s, at: int, reason: int, one: int, two: int, three: int) -> bool:
+    """Note the reason and the details why the packet at an offset is rejected; return False."""
+    n[_READ], n[_ERROR] = at, reason
+    n[_DETAILS], n[_DETAILS + 1], n[_DETAILS + 2] = one, two, three
+    return False
+
+
+@kernel
+def _add_box_of(boxes: Boxes, count: int, symbols: Int32s) -> int:
     """Add the bounding box of vertices with a margin of one cell; return the number of boxes."""
     x0 = y0 = 1 << 20
     x1 = y1 = -1
@@ -138,14 +156,14 @@ def _add_box_of(boxes: Boxes, count: int, symbols: NDArray[np.int32]) -> int:
 _CAPACITY = MAX_VERTICES + 1
 
 
-@kernel("int64(int64[::1], int64)")
-def _place(n: NDArray[np.int64], index: int) -> int:
+@kernel
+def _place(n: Int64s, index: int) -> int:
     """Return the place of a vertex in the gap buffer; vertices behind the gap are at the end."""
     return index if index < n[_GAP] else _CAPACITY - n[_VERTICES] + index
 
 
-@kernel("void(int32[::1], int64[::1], int64)")
-def _move_gap(vertices: NDArray[np.int32], n: NDArray[np.int64], to: int) -> None:
+@kernel
+def _move_gap(vertices: Int32s, n: Int64s, to: int) -> None:
     """Move the gap before the vertex of an index; for successive edits that is a short move."""
     behind = _CAPACITY - n[_VERTICES]
     for i in range(n[_GAP] - 1, to - 1, -1):
@@ -155,8 +173,8 @@ def _move_gap(vertices: NDArray[np.int32], n: NDArray[np.int64], to: int) -> Non
     n[_GAP] = to
 
 
-@kernel("UniTuple(int64, 3)(uint8[::1], int64)")
-def _header(data: NDArray[np.uint8], at: int) -> tuple[int, int, int]:
+@kernel
+def _header(data: Uint8s, at: int) -> tuple[int, int, int]:
     """Return the object, count and inside flag of an `Emerge` or `Change`."""
     packet = 0
     for i in range(5):
@@ -164,29 +182,27 @@ def _header(data: NDArray[np.uint8], at: int) -> tuple[int, int, int]:
     return packet >> 24 & 0xFFF, packet >> 11 & 0x1FFF, packet >> 10 & 1
 
 
-@kernel("int64(int32[:,::1], int64, int32[:,::1], int64)")
+@kernel
 def _add_box_around(boxes: Boxes, count: int, table: Table, number: int) -> int:
     """Add the box of an object; return the number of boxes."""
     row = table[number]
     return add_box(boxes, count, row[LEFT], row[TOP], row[RIGHT], row[BOTTOM])
 
 
-@kernel(
-    "boolean(uint8[::1], int64, int64, int64, int64, int64[::1], int32[:,::1], int32[::1], int32[::1], int32[:,::1])"
-)
+@kernel
 def _apply(
-    data: NDArray[np.uint8],
+    data: Uint8s,
     begin: int,
     end: int,
     height: int,
     width: int,
-    n: NDArray[np.int64],
+    n: Int64s,
     table: Table,
     pool: Symbols,
     vertices: Symbols,
     boxes: Boxes,
 ) -> bool:
-    """Apply the packets from `begin` to `end`; return False if one is malformed.
+    """Apply the packets from `begin` to `end`; return False if one is rejected.
 
     `vertices` is the gap buffer of the object being edited. The other arrays are modified as well.
     """
@@ -197,12 +213,14 @@ def _apply(
         if head >> 5 in (2, 3, 4):
             length = n[_VERTICES]
             if n[_OPEN] < 0:
-                return False
+                return _reject(n, at, _CLOSED, 0, 0, 0)
             if head >> 5 == 4:
                 packet = np.int64(data[at]) << 8 | data[at + 1]
                 index = packet >> 1 & 0xFFF
-                if packet & 1 or index >= length:
-                    return False
+                if packet & 1:
+                    return _reject(n, at, _MALFORMED, 0, 0, 0)
+                if index >= length:
+                    return _reject(n, at, _NO_INDEX, n[_OPEN], index, length - 1)
                 around[0] = around[3] = vertices[_place(n, index)]
                 around[1] = vertices[_place(n, (index + length - 1) % length)]
                 around[2] = vertices[_place(n, (index + 1) % length)]
@@ -215,10 +233,14 @@ def _apply(
                     packet = packet << 8 | data[at + i]
                 index, x, y = packet >> 33 & 0xFFF, packet >> 21 & 0xFFF, packet >> 9 & 0xFFF
                 is_new = head >> 5 == 2
-                if packet & 0x3F or x > width + 1 or y > height + 1:
-                    return False
-                if index > length or (index == length and not is_new) or (is_new and length == MAX_VERTICES):
-                    return False
+                if packet & 0x3F:
+                    return _reject(n, at, _MALFORMED, 0, 0, 0)
+                if is_new and length == MAX_VERTICES:
+                    return _reject(n, at, _FULL, n[_OPEN], length, 0)
+                if index >= length + is_new:
+                    return _reject(n, at, _NO_INDEX, n[_OPEN], index, length + is_new - 1)
+                if x > width + 1 or y > height + 1:
+                    return _reject(n, at, _OUTSIDE, x - 1, y - 1, 0)
                 around[:] = np.int32(y << 15 | x << 3 | (packet >> 6 & 7))
                 if length:
                     around[1] = vertices[_place(n, (index + length - 1) % length)]
@@ -240,7 +262,7 @@ def _apply(
         if n[_OPEN] >= 0:
             number, length = n[_OPEN], n[_VERTICES]
             if length != n[_COUNT]:
-                return False
+                return _reject(n, at, _UNFINISHED, number, length, n[_COUNT])
             _move_gap(vertices, n, length)
             known, was_inside = table[number, FIRST] >= 0, table[number, INSIDE]
             as_a_whole = not known or min(length, table[number, LENGTH]) <= SMALL or was_inside != n[_INSIDE]
@@ -258,24 +280,28 @@ def _apply(
         if head >> 4 == 0xA:
             number = (np.int64(data[at]) << 8 | data[at + 1]) & 0xFFF
             if number >= len(table) or table[number, FIRST] < 0:
-                return False
+                return _reject(n, at, _MISSING, number, 0, 0)
             n[_BOXES] = _add_box_around(boxes, n[_BOXES], table, number)
             n[_INSIDES] -= table[number, INSIDE]
             table[number, FIRST] = -1
             n[_EDITED] = 1
             at += 2
         elif head == 0xF0:
-            if not n[_EDITED] or n[_INSIDES] != 1:
-                return False
+            if not n[_EDITED]:
+                return _reject(n, at, _UNCHANGED, 0, 0, 0)
+            if n[_INSIDES] != 1:
+                return _reject(n, at, _BAD_INSIDES, n[_INSIDES], 0, 0)
             n[_EDITED] = 0
             at += 1
         else:
             number, count, is_inside = _header(data, at)
             known = table[number, FIRST] >= 0
-            if data[at + 4] or data[at + 3] & 3 or known != (head >> 4 == 0xE):
-                return False
+            if data[at + 4] or data[at + 3] & 3:
+                return _reject(n, at, _MALFORMED, 0, 0, 0)
+            if known != (head >> 4 == 0xE):
+                return _reject(n, at, _PRESENT if known else _MISSING, number, 0, 0)
             if count < 2 or count > MAX_VERTICES:
-                return False
+                return _reject(n, at, _BAD_SIZE, count, 0, 0)
             n[_OPEN], n[_COUNT], n[_INSIDE] = number, count, is_inside
             n[_VERTICES] = n[_GAP] = table[number, LENGTH] if known else 0
             for i in range(n[_VERTICES]):
@@ -285,8 +311,8 @@ def _apply(
     return True
 
 
-@kernel("UniTuple(int64, 5)(uint8[::1])")
-def _scan(data: NDArray[np.uint8]) -> tuple[int, int, int, int, int]:
+@kernel
+def _scan(data: Uint8s) -> tuple[int, int, int, int, int]:
     """Scan the packets before applying them.
 
     Returns the bytes of whole edit packets; the number of save points and the end of the last one (-1: none); the sum
@@ -308,7 +334,7 @@ def _scan(data: NDArray[np.uint8]) -> tuple[int, int, int, int, int]:
     return whole, saves, last_save, vertices, highest
 
 
-@kernel("Tuple((int32[::1], int64))(int32[:,::1], int32[::1], int64)")
+@kernel
 def _new_pool(table: Table, pool: Symbols, more: int) -> tuple[Symbols, int]:
     """Copy the objects of a table to a new pool with capacity for `more` symbols; return it and its used length."""
     used = 0
@@ -325,21 +351,17 @@ def _new_pool(table: Table, pool: Symbols, more: int) -> tuple[Symbols, int]:
     return fresh, used
 
 
-@kernel(
-    "Tuple((int32[:,::1], int32[::1], int32[::1], int32[:,::1], int64[::1], int64, int64, int32[:,::1], int32[:,::1]))"
-    "(Array(uint8, 1, 'C', readonly=True), int64, int64, int64[::1], int32[:,::1], int32[::1], int32[::1],"
-    " int32[:,::1])"
-)
+@kernel
 def _read(
-    chunk: NDArray[np.uint8],
+    chunk: ReadOnlyUint8s,
     height: int,
     width: int,
-    numbers: NDArray[np.int64],
+    numbers: Int64s,
     old_table: Table,
     pool: Symbols,
     vertices: Symbols,
     unsaved: Boxes,
-) -> tuple[Table, Symbols, Symbols, Boxes, NDArray[np.int64], int, int, Table, Boxes]:
+) -> tuple[Table, Symbols, Symbols, Boxes, Int64s, int, int, Table, Boxes]:
     """Apply a chunk.
 
     Returns the parts of the new state, the number of save points, the end of the last one, and the table and boxes at
@@ -371,8 +393,7 @@ def _read(
         is_valid = _apply(data, saved, whole, height, width, n, table, pool, edited, boxes)
     _move_gap(edited, n, n[_VERTICES])
     if is_valid:
-        pool[-1] = n[_USED]
-    n[_READ] = whole if is_valid else _REJECTED
+        pool[-1], n[_READ] = n[_USED], whole
     return (
         table,
         pool,

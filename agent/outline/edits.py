@@ -17,16 +17,9 @@ from numpy.typing import NDArray
 from agent.outline.alignment import align, match_objects, match_vertices
 from agent.outline.objects import Symbols, symbols
 from agent.outline.polygons import Polygons
+from protocol.arrays import Bools, Int32Rows, Int32s, Uint8s
 from protocol.kernels import kernel
-from protocol.packets import (
-    MAX_OBJECTS,
-    Change,
-    Delete,
-    Emerge,
-    Insert,
-    Remove,
-    Save,
-)
+from protocol.packets import MAX_OBJECTS, Change, Delete, Emerge, Insert, Remove, Save
 
 _INSERT, _DELETE, _EMERGE, _CHANGE, _REMOVE, _SAVE = (
     kind.size for kind in (Insert, Delete, Emerge, Change, Remove, Save)
@@ -38,18 +31,12 @@ _MAX_SAVING = 1 << 30
 
 @dataclass(frozen=True, eq=False)
 class NumberedPolygons:
-    """An approximation with numbered objects and indexed vertices, as packets refer to them.
-
-    Attributes
-    ----------
-    number : int32 array of shape (objects,), ascending
-        The number of each object.
-    polygons : Polygons
-        The objects in this order; packets index an object's vertices from its start.
-    """
+    """An approximation with numbered objects and indexed vertices, as packets refer to them."""
 
     number: NDArray[np.int32]
+    """The number of each object, ascending, shape (objects,)."""
     polygons: Polygons
+    """The objects in this order; packets index an object's vertices from its start."""
 
     @staticmethod
     def empty(shape: tuple[int, int]) -> NumberedPolygons:
@@ -58,22 +45,12 @@ class NumberedPolygons:
 
 
 def edit_packets(held: NumberedPolygons, approximation: Polygons) -> list[bytes]:
-    """Find the packets that turn the held approximation into a new one (Algorithm 5).
+    """Encode the packets that turn the held approximation, A(t - 1), into A(t) (Algorithm 5); none if they are equal.
 
-    Parameters
-    ----------
-    held : NumberedPolygons
-        A(t - 1), as all packets so far have left it.
-    approximation : Polygons
-        A(t): at most 4096 objects of at most 4096 vertices, no vertex twice.
-
-    Returns
-    -------
-    list of bytes
-        Encoded packets: removed objects, then changed ones, then new ones, each by ascending number, and a save
-        point; nothing if the approximations are equal. Within an object, vertices are deleted from the last to the
-        first, then replaced or inserted from the first to the last at their final index. So it is never longer than
-        before and after.
+    A(t) has at most 4096 objects of at most 4096 vertices, no vertex twice. The packets are removed objects, then
+    changed ones, then new ones, each by ascending number, and a save point. Within an object, vertices are deleted from
+    the last to the first, then replaced or inserted from the first to the last at their final index. So it is never
+    longer than before and after.
     """
     old, new = held.polygons, approximation
     script, ends = _script(
@@ -83,57 +60,54 @@ def edit_packets(held: NumberedPolygons, approximation: Polygons) -> list[bytes]
     return [data[begin:end] for begin, end in pairwise(ends.tolist())]
 
 
-@kernel("int64(uint8[::1], int64, int64, int64)")
-def _put(out: NDArray[np.uint8], at: int, packet: int, size: int) -> int:
-    """Write a packet, most significant byte first; return the offset behind it."""
+@kernel
+def _put(out: Uint8s, ends: Int32s, packets: int, packet: int, size: int) -> int:
+    """Write a packet behind the first `packets`, most significant byte first; return the number of packets."""
+    at = ends[packets]
     for i in range(size):
         out[at + i] = packet >> 8 * (size - 1 - i) & 0xFF
-    return at + size
+    ends[packets + 1] = at + size
+    return packets + 1
 
 
-@kernel("int64(int64, int64, int64)")
+@kernel
 def _vertex_packet(code: int, index: int, symbol: int) -> int:
     """Return an `Insert` or `Replace` packet as a number, without spare bits set."""
     x, y = symbol >> 3 & 0xFFF, symbol >> 15
     return code << 45 | index << 33 | x << 21 | y << 9 | (symbol & 7) << 6
 
 
-@kernel("int64(int64, int64, int64, int64)")
+@kernel
 def _object_packet(code: int, number: int, count: int, inside: int) -> int:
     """Return an `Emerge` or `Change` packet as a number."""
     return code << 36 | number << 24 | count << 11 | inside << 10
 
 
-@kernel(
-    "Tuple((int64, int64, int32[::1]))"
-    "(int32[::1], int32[::1], int32[::1], int32[::1], int32[::1], int64, int64)"
-)
+@kernel
 def _align_pair(
     old_symbols: Symbols,
-    old_start: NDArray[np.int32],
+    old_start: Int32s,
     new_symbols: Symbols,
-    new_start: NDArray[np.int32],
-    twins: NDArray[np.int32],
+    new_start: Int32s,
+    twins: Int32s,
     old_object: int,
     new_object: int,
-) -> tuple[int, int, NDArray[np.int32]]:
+) -> tuple[int, int, Int32s]:
     """Align one old and one new object (`align`)."""
     first, begin, end = old_start[old_object], new_start[new_object], new_start[new_object + 1]
     own = twins[begin:end] - np.int32(first)
     return align(old_symbols[first : old_start[old_object + 1]], new_symbols[begin:end], own)
 
 
-@kernel(
-    "int32[::1](int32[::1], int32[::1], int32[::1], int32[::1], int32[::1], int32[:,::1])",
-)
+@kernel
 def _pair(
     old_symbols: Symbols,
-    old_start: NDArray[np.int32],
+    old_start: Int32s,
     new_symbols: Symbols,
-    new_start: NDArray[np.int32],
-    twins: NDArray[np.int32],
-    related: NDArray[np.int32],
-) -> NDArray[np.int32]:
+    new_start: Int32s,
+    twins: Int32s,
+    related: Int32Rows,
+) -> Int32s:
     """Pair the new objects with old ones whose number they take over, the largest saving first.
 
     Returns for each new object the old one, or -1. Of the parts of a split object, all but one emerge; of merged
@@ -161,19 +135,16 @@ def _pair(
     return successor
 
 
-@kernel(
-    "Tuple((uint8[::1], int32[::1]))"
-    "(int32[::1], int32[::1], int32[::1], boolean[::1], int32[::1], int32[::1], boolean[::1])"
-)
+@kernel
 def _script(
     old_symbols: Symbols,
-    old_number: NDArray[np.int32],
-    old_start: NDArray[np.int32],
-    old_inside: NDArray[np.bool_],
+    old_number: Int32s,
+    old_start: Int32s,
+    old_inside: Bools,
     new_symbols: Symbols,
-    new_start: NDArray[np.int32],
-    new_inside: NDArray[np.bool_],
-) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:
+    new_start: Int32s,
+    new_inside: Bools,
+) -> tuple[Uint8s, Int32s]:
     """Return the script, and the ends of its packets (from 0)."""
     old_objects, new_objects = len(old_start) - 1, len(new_start) - 1
     twins = match_vertices(old_symbols, new_symbols)
@@ -194,12 +165,10 @@ def _script(
     most += _DELETE * len(old_symbols) + _INSERT * len(new_symbols)
     out = np.empty(most, np.uint8)
     ends = np.zeros(2 + old_objects + new_objects + len(old_symbols) + len(new_symbols), np.int32)
-    size, packets = 0, 1
+    packets = 0
     for n in old_number:
         if not is_taken[n]:
-            size = _put(out, size, 0b1010 << 12 | n, _REMOVE)
-            ends[packets] = size
-            packets += 1
+            packets = _put(out, ends, packets, 0b1010 << 12 | n, _REMOVE)
     is_changed = successor >= 0
     for k in np.argsort(number):
         if not is_changed[k]:
@@ -210,24 +179,19 @@ def _script(
         before = old_symbols[old_start[former] : old_start[former + 1]]
         after = new_symbols[new_start[k] : new_start[k + 1]]
         packet = _object_packet(0b1110, number[k], len(after), new_inside[k])
-        size = _put(out, size, packet, _CHANGE)
-        ends[packets] = size
-        packets += 1
+        packets = _put(out, ends, packets, packet, _CHANGE)
         stays = np.zeros(len(before), np.bool_)
         for i in source:
             if i >= 0:
                 stays[i] = True
         for i in range(len(before) - 1, -1, -1):
             if not stays[i]:
-                size = _put(out, size, 0b100 << 13 | i << 1, _DELETE)
-                ends[packets] = size
-                packets += 1
+                packets = _put(out, ends, packets, 0b100 << 13 | i << 1, _DELETE)
         for i in range(len(after)):
             symbol = after[i + begin if i + begin < len(after) else i + begin - len(after)]
             if source[i] < 0 or before[source[i]] != symbol:
-                size = _put(out, size, _vertex_packet(0b010 if source[i] < 0 else 0b011, i, symbol), _INSERT)
-                ends[packets] = size
-                packets += 1
+                packet = _vertex_packet(0b010 if source[i] < 0 else 0b011, i, symbol)
+                packets = _put(out, ends, packets, packet, _INSERT)
     lowest = 0
     for k in range(new_objects):
         if number[k] >= 0:
@@ -237,15 +201,10 @@ def _script(
         number[k] = lowest
         lowest += 1
         cycle = new_symbols[new_start[k] : new_start[k + 1]]
-        size = _put(out, size, _object_packet(0b1101, number[k], len(cycle), new_inside[k]), _EMERGE)
-        ends[packets] = size
-        packets += 1
+        packet = _object_packet(0b1101, number[k], len(cycle), new_inside[k])
+        packets = _put(out, ends, packets, packet, _EMERGE)
         for i in range(len(cycle)):
-            size = _put(out, size, _vertex_packet(0b010, i, cycle[i]), _INSERT)
-            ends[packets] = size
-            packets += 1
-    if size:
-        size = _put(out, size, 0xF0, _SAVE)
-        ends[packets] = size
-        packets += 1
-    return out[:size].copy(), ends[:packets].copy()
+            packets = _put(out, ends, packets, _vertex_packet(0b010, i, cycle[i]), _INSERT)
+    if packets:
+        packets = _put(out, ends, packets, 0xF0, _SAVE)
+    return out[: ends[packets]].copy(), ends[: packets + 1].copy()

@@ -7,11 +7,13 @@ older versions stay valid.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from agent.outline.polygons import Polygons
+from protocol.arrays import Bools, Int16s, Int32Rows, Int32s, Uint8s
 from protocol.kernels import kernel
 
 FIRST, LENGTH, INSIDE, LEFT, TOP, RIGHT, BOTTOM = range(7)
@@ -20,27 +22,21 @@ inside object, and its bounding box with a margin of one cell."""
 
 _COLUMNS = 7
 
-Table = NDArray[np.int32]
-Symbols = NDArray[np.int32]
+Table = Int32Rows
+Symbols = Int32s
+Symbol = Annotated[int, "int32"]
 
 
 @dataclass(frozen=True, eq=False)
 class Objects:
-    """One version of the numbered objects; versions are compared by identity.
-
-    Attributes
-    ----------
-    shape : (int, int)
-        Height and width of the grid, in cells.
-    table : int32 array, shape (n, 7)
-        One row for each number.
-    pool : int32 array
-        Vertices as symbols: from the highest bits y + 1, x + 1 (12 bits), side (2), occupancy of the edge (1).
-    """
+    """One version of the numbered objects; versions are compared by identity."""
 
     shape: tuple[int, int]
+    """Height and width of the grid, in cells."""
     table: Table
+    """One row for each number, shape (n, 7)."""
     pool: Symbols
+    """Vertices as symbols: from the highest bits y + 1, x + 1 (12 bits), side (2), occupancy of the edge (1)."""
 
     @staticmethod
     def empty(shape: tuple[int, int]) -> Objects:
@@ -68,20 +64,16 @@ def symbols(polygons: Polygons) -> Symbols:
     return packed
 
 
-@kernel("int32[::1](int16[::1], int16[::1], uint8[::1], uint8[::1])")
-def _pack(
-    x: NDArray[np.int16], y: NDArray[np.int16], side: NDArray[np.uint8], occupied: NDArray[np.uint8]
-) -> Symbols:
+@kernel
+def _pack(x: Int16s, y: Int16s, side: Uint8s, occupied: Uint8s) -> Symbols:
     packed = np.empty(len(x), np.int32)
     for i in range(len(x)):
         packed[i] = (np.int32(y[i]) + 1 << 12 | np.int32(x[i]) + 1) << 3 | side[i] << 1 | occupied[i]
     return packed
 
 
-@kernel("Tuple((int16[::1], int16[::1], uint8[::1], uint8[::1]))(int32[::1])")
-def unpack(
-    vertices: Symbols,
-) -> tuple[NDArray[np.int16], NDArray[np.int16], NDArray[np.uint8], NDArray[np.uint8]]:
+@kernel
+def unpack(vertices: Symbols) -> tuple[Int16s, Int16s, Uint8s, Uint8s]:
     """Return x, y, side and occupancy of packed vertices."""
     n = len(vertices)
     x, y = np.empty(n, np.int16), np.empty(n, np.int16)
@@ -95,16 +87,8 @@ def unpack(
     return x, y, side, occupied
 
 
-@kernel(
-    "Tuple((int32[::1], int16[::1], int16[::1], uint8[::1], uint8[::1], int32[::1], boolean[::1]))"
-    "(int32[:,::1], int32[::1])"
-)
-def _unpack(
-    table: Table, pool: Symbols
-) -> tuple[
-    NDArray[np.int32], NDArray[np.int16], NDArray[np.int16], NDArray[np.uint8], NDArray[np.uint8],
-    NDArray[np.int32], NDArray[np.bool_],
-]:  # fmt: skip
+@kernel
+def _unpack(table: Table, pool: Symbols) -> tuple[Int32s, Int16s, Int16s, Uint8s, Uint8s, Int32s, Bools]:
     """Return the numbers in use, and the columns of their polygons."""
     count = 0
     for row in table:
@@ -127,7 +111,7 @@ def _unpack(
     return number, *unpack(vertices), start, inside
 
 
-@kernel("void(int32[:,::1], int64, int32[::1], int64, int64, boolean)")
+@kernel
 def enter(table: Table, number: int, pool: Symbols, first: int, length: int, inside: bool) -> None:
     """Write the row of an object whose vertices, at least one, are in ``pool[first : first + length]``."""
     x0 = y0 = 1 << 20

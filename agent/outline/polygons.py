@@ -27,32 +27,22 @@ SIDE_Y = np.array([1, 0, -1, 0], np.int64)
 
 @dataclass(frozen=True, eq=False)
 class Polygons:
-    """A set of closed polygons, whose vertices are concatenated in flat arrays.
-
-    Attributes
-    ----------
-    shape : (int, int)
-        Height and width of the grid, in cells.
-    x, y : int16 arrays of shape (n,)
-        Cell of each vertex.
-    side : uint8 array of shape (n,)
-        Side of the cell: `BELOW`, `RIGHT`, `ABOVE` or `LEFT`.
-    occupied : uint8 array of shape (n,)
-        In exact contours: 1 if the vertex' cell is occupied, 0 if it is unknown. In approximations: 1 if the edge
-        from this vertex to the next is occupied, 0 if it is free (inside object) or unknown (outside object).
-    start : int32 array of shape (objects + 1,)
-        Object ``k`` has the vertices ``start[k]:start[k + 1]``.
-    inside : bool array of shape (objects,)
-        Whether the object encloses the free space.
-    """
+    """A set of closed polygons, whose vertices are concatenated in flat arrays."""
 
     shape: tuple[int, int]
+    """Height and width of the grid, in cells."""
     x: NDArray[np.int16]
     y: NDArray[np.int16]
+    """`x`, `y`, shape (n,): cell of each vertex."""
     side: NDArray[np.uint8]
+    """Side of the cell, shape (n,): `BELOW`, `RIGHT`, `ABOVE` or `LEFT`."""
     occupied: NDArray[np.uint8]
+    """In exact contours, shape (n,): 1 if the vertex' cell is occupied, 0 if it is unknown. In approximations: 1 if the
+    edge from this vertex to the next is occupied, 0 if it is free (inside object) or unknown (outside object)."""
     start: NDArray[np.int32]
+    """Object ``k`` has the vertices ``start[k]:start[k + 1]``; shape (objects + 1,)."""
     inside: NDArray[np.bool_]
+    """Whether the object encloses the free space, shape (objects,)."""
 
     @staticmethod
     def empty(shape: tuple[int, int]) -> Polygons:
@@ -64,18 +54,3 @@ class Polygons:
     def objects(self) -> int:
         """Number of polygons."""
         return len(self.inside)
-
-    def canonical(self) -> list[tuple[bool, tuple[tuple[int, int, int, int], ...]]]:
-        """Return a form that does not depend on the order of objects and on where their lists start.
-
-        Each object is (inside, cycle of (x, y, side, occupied)) with the smallest vertex first; the objects are
-        sorted.
-        """
-        cycles = []
-        for k in range(self.objects):
-            part = slice(self.start[k], self.start[k + 1])
-            columns = (self.x[part], self.y[part], self.side[part], self.occupied[part])
-            cycle = list(zip(*(column.tolist() for column in columns), strict=True))
-            first = cycle.index(min(cycle)) if cycle else 0
-            cycles.append((bool(self.inside[k]), tuple(cycle[first:] + cycle[:first])))
-        return sorted(cycles)

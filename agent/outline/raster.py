@@ -13,28 +13,23 @@ polygon encloses exactly one, at least one lies on its boundary. So free space c
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from protocol.arrays import Int32Rows, Int32s, Uint8
+from protocol.grid import Grid
 from protocol.kernels import kernel
 
-Edges = NDArray[np.int32]
+Edges = Int32Rows
 """Shape (n, 5): x and y of the first and of the last vertex, in quarters of a cell; 1 if the edge is occupied."""
 
 
-@kernel("UniTuple(int64, 4)(int32[::1])")
-def _four(numbers: NDArray[np.int32]) -> tuple[int, int, int, int]:
+@kernel
+def _four(numbers: Int32s) -> tuple[int, int, int, int]:
     """Return the first four numbers as int64, so that products do not overflow."""
     return numbers[0], numbers[1], numbers[2], numbers[3]
 
 
-@kernel("void(uint8[:,::1], int32[:,::1], uint8, uint8, int32[::1])")
-def fill(
-    layer: NDArray[np.uint8],
-    edges: Edges,
-    set_bits: int,
-    clear_bits: int,
-    box: NDArray[np.int32],
-) -> None:
+@kernel
+def fill(layer: Grid, edges: Edges, set_bits: Uint8, clear_bits: Uint8, box: Int32s) -> None:
     """Set and clear bits of all cells in a box that a polygon encloses.
 
     `edges` must contain all edges that cross a column of the box, within it or above it. The box must be on the grid.
@@ -71,14 +66,9 @@ def fill(
             bits[at] = bits[at] & ~(clear_bits & within[at]) | set_bits & within[at]
 
 
-@kernel("void(uint8[:,::1], int32[:,::1], uint8, uint8, uint8, int32[::1])")
+@kernel
 def draw(
-    layer: NDArray[np.uint8],
-    edges: Edges,
-    occupied_bits: int,
-    other_bits: int,
-    clear_bits: int,
-    box: NDArray[np.int32],
+    layer: Grid, edges: Edges, occupied_bits: Uint8, other_bits: Uint8, clear_bits: Uint8, box: Int32s
 ) -> None:
     """Draw the edges of a polygon within a box on the grid.
 

@@ -10,22 +10,17 @@ from collections.abc import Callable
 from hashlib import blake2b
 
 from agent.memo_cache import NO_CACHE, MemoCache
-from agent.outline.draft import Draft
 from agent.outline.edit_reader import ReaderState, SavePoint, read
 from agent.outline.edits import NumberedPolygons
-from agent.outline.objects import FIRST, INSIDE, LENGTH, Objects
+from agent.outline.objects import Objects
 from protocol.boxes import NO_BOXES, Boxes, union
 
 
 class Receiver:
     """One teammate's approximation, as its packets describe it.
 
-    Parameters
-    ----------
-    shape : (int, int)
-        Height and width of the grid, in cells; vertices may lie at most one cell outside.
-    cache : MemoCache
-        Cache of intermediate results, shared by the robots of this process.
+    Vertices may lie at most one cell outside of the grid of `shape`, (height, width). Robots of this process share
+    intermediate results by the `cache`.
     """
 
     def __init__(self, shape: tuple[int, int], cache: MemoCache = NO_CACHE) -> None:
@@ -64,14 +59,10 @@ class Receiver:
         """
         chunk = self._pending + data
         before, prefix = self._reading, self._digest.digest()
-        found = self._cache.get((prefix, chunk), lambda: read(before, chunk))
-        if found is None or found[0] < len(chunk):  # an error, or an incomplete packet
-            _draft_of(self._reading).read(self._pending, data)
-        if found is None:
-            raise RuntimeError("the edit reader rejected a chunk that the plain reader accepts")
-        if found[2] is not None:
-            check(found[2])
-        used, self._reading, saved = found
+        used, reading, saved = self._cache.get((prefix, chunk), lambda: read(before, chunk))
+        if saved is not None:
+            check(saved)
+        self._reading = reading
         self._pending = chunk[used:]
         behind = saved.end - (len(chunk) - len(data)) if saved is not None else 0
         self._digest.update(data[:behind])
@@ -80,18 +71,3 @@ class Receiver:
             self._changed = union(self._changed, saved.boxes)
         self._digest.update(data[behind:])
         return saved is not None
-
-
-def _draft_of(reading: ReaderState) -> Draft:
-    """Convert the state of the edit reader to that of the plain reader."""
-    objects = reading.objects
-    number, count, inside, is_saved = reading.header
-    outlines = {
-        each: (objects.pool[row[FIRST] : row[FIRST] + row[LENGTH]], bool(row[INSIDE]))
-        for each, row in enumerate(objects.table)
-        if row[FIRST] >= 0
-    }
-    vertices = reading.vertices.tolist()
-    return Draft(
-        objects.shape, outlines, None if number < 0 else number, vertices, count, inside, not is_saved
-    )

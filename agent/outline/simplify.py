@@ -8,84 +8,45 @@ quarters of a cell.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from heapq import heappop, heappush
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.outline.approximation import Marks
 from agent.outline.polygons import SIDE_X, SIDE_Y, Polygons
+from protocol.arrays import Int16s, Int32s, Uint8s
 from protocol.kernels import kernel
 from protocol.packets import MAX_VERTICES
 
-
-@dataclass(frozen=True)
-class ValueFunction:
-    """Priority of splitting an edge; larger values first.
-
-    Attributes
-    ----------
-    mixed : float
-        Added to the value of an edge of mixed occupancy, in cells.
-    """
-
-    mixed: float
-
-    def __call__(self, distance: float, mixed: bool) -> float:
-        """Return the value of an edge from the distance of its farthest contour point, in cells, and its occupancy."""
-        return distance + self.mixed if mixed else distance
-
-
-by_distance = ValueFunction(0.0)
-"""Value edges by distance alone, as in the thesis."""
-
-mixed_first = ValueFunction(1e6)
-"""Value edges with occupied and unknown contour points above all others.
-
-Teammates take such an edge for unexplored and drive to a wall that is already known."""
+_WORTH_OF_MIXED = 1e6
+"""Added to the value of an edge of mixed occupancy that is refined first, in cells."""
 
 
 def refine(
-    contours: Polygons, marks: Marks, splits: int | None = None, value: ValueFunction = by_distance
+    contours: Polygons, marks: Marks, splits: int | None = None, *, mixed_first: bool = False
 ) -> Marks:
-    """Split the most valuable edges of an approximation.
+    """Split the most valuable edges of an approximation, whose `marks` are vertices, at least two per object.
 
-    Parameters
-    ----------
-    contours : Polygons
-        The exact contours P(t).
-    marks : int32 array, ascending
-        Vertices of the approximation, as indices into `contours`; at least two per object.
-    splits : int, optional
-        Number of edges to split; by default until the approximation is exact.
-    value : ValueFunction
-        Determines which edge is split first; of equal values the edge that is earlier in the contours.
+    By default the edge is split first whose farthest contour point is farthest, as in the thesis; of equal edges the
+    one that is earlier in the contours. With `mixed_first`, edges with occupied and unknown contour points come before
+    all others: teammates take such an edge for unexplored and drive to a wall that is already known.
 
-    Returns
-    -------
-    int32 array, ascending
-        `marks`, and one more for each split; fewer than `splits` if the approximation becomes exact.
-
-    Notes
-    -----
-    It is exact when the contour points of each edge lie on it and are all occupied or all unknown. A straight edge of
-    mixed occupancy is split where the occupancy first changes. An object of 4096 vertices, the most that packets can
-    address, is not refined further.
+    Returns the marks, and one more for each of at most `splits` splits (None: no limit) until the approximation is
+    exact: the contour points of each edge lie on it and are all occupied or all unknown. A straight edge of mixed
+    occupancy is split where the occupancy first changes. An object of 4096 vertices, the most that packets can address,
+    is not refined further.
     """
     if splits == 0:
         return marks
     columns = contours.x, contours.y, contours.side, contours.occupied, contours.start
-    refined: Marks = _refine(*columns, marks, -1 if splits is None else splits, value.mixed)
+    worth_of_mixed = _WORTH_OF_MIXED if mixed_first else 0.0
+    refined: Marks = _refine(*columns, marks, -1 if splits is None else splits, worth_of_mixed)
     return refined
 
 
-_Places = NDArray[np.int32]
-
-
-@kernel("Tuple((float64, int64, boolean))(int32[::1], int32[::1], uint8[::1], int64, int64, int64, int64)")
+@kernel
 def _split_of(
-    x: _Places, y: _Places, occupied: NDArray[np.uint8], first: int, end: int, a: int, b: int
+    x: Int32s, y: Int32s, occupied: Uint8s, first: int, end: int, a: int, b: int
 ) -> tuple[float, int, bool]:
     """Find the split of the edge from point `a` to point `b` of the object ``first:end``.
 
@@ -123,54 +84,17 @@ def _split_of(
     return np.sqrt(largest / square) / 4, farthest, change >= 0
 
 
-@kernel(
-    "boolean(int32[::1], int32[::1], uint8[::1], int32[::1], int64[:,::1], boolean[::1], int64[::1])",
-)
-def _split_all(
-    x: _Places,
-    y: _Places,
-    occupied: NDArray[np.uint8],
-    start: NDArray[np.int32],
-    edges: NDArray[np.int64],
-    marked: NDArray[np.bool_],
-    vertices: NDArray[np.int64],
-) -> bool:
-    """Split edges (a, b, split, object) until all are exact; return False if an object gets too many vertices.
-
-    The result does not depend on the order of splits.
-    """
-    waiting = np.empty((len(x) + 2, 3), np.int64)
-    for edge in edges:
-        k = edge[3]
-        first, end = start[k], start[k + 1]
-        waiting[0] = edge[:3]
-        left = 1
-        while left:
-            left -= 1
-            a, b, split = waiting[left]
-            marked[split] = True
-            vertices[k] += 1
-            for one, other in ((a, split), (split, b)):
-                _, next_split, _ = _split_of(x, y, occupied, first, end, one, other)
-                if next_split >= 0:
-                    waiting[left, 0], waiting[left, 1], waiting[left, 2] = one, other, next_split
-                    left += 1
-        if vertices[k] > MAX_VERTICES:
-            return False
-    return True
-
-
-@kernel("int32[::1](int16[::1], int16[::1], uint8[::1], uint8[::1], int32[::1], int32[::1], int64, float64)")
+@kernel
 def _refine(
-    cell_x: NDArray[np.int16],
-    cell_y: NDArray[np.int16],
-    side: NDArray[np.uint8],
-    occupied: NDArray[np.uint8],
-    start: NDArray[np.int32],
-    marks: NDArray[np.int32],
+    cell_x: Int16s,
+    cell_y: Int16s,
+    side: Uint8s,
+    occupied: Uint8s,
+    start: Int32s,
+    marks: Int32s,
     splits: int,
     worth_of_mixed: float,
-) -> NDArray[np.int32]:
+) -> Int32s:
     """Split `splits` edges; if it is negative, split until the approximation is exact."""
     x, y = np.empty(len(cell_x), np.int32), np.empty(len(cell_x), np.int32)
     for i in range(len(cell_x)):
@@ -201,12 +125,7 @@ def _refine(
                 count += 1
 
     if splits < 0:
-        so_far, so_many = marked.copy(), vertices.copy()
-        if _split_all(x, y, occupied, start, edges[:count], marked, vertices):
-            return np.flatnonzero(marked).astype(np.int32)
-        marked, vertices = so_far, so_many  # an object is full: now the order of splits matters
         splits = len(x)
-
     # At most `splits` of the present edges are split: queue only the most valuable ones.
     least = np.full(1, -np.inf)
     if splits < count and most + splits <= MAX_VERTICES:

@@ -7,22 +7,22 @@ with the first robot, then the first goal counts.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.planning.utility import proximity, sees
+from protocol.arrays import Cells, FloatRows, Floats, Int64s
 from protocol.grid import Grid
 from protocol.kernels import kernel
 
-Costs = NDArray[np.float64]
-"""Shape (robots, goals); infinite without a way."""
+Costs = FloatRows
+"""Cost of the way of each robot to each goal; infinite without a way."""
 
-Assignment = NDArray[np.int64]
+Assignment = Int64s
 
 STARTS = 8
 """Random starts of the search for the best assignment."""
 
 
-def greedy(costs: Costs, order: NDArray[np.int64]) -> Assignment:
+def greedy(costs: Costs, order: Int64s) -> Assignment:
     """Give each robot, in the given order, the nearest goal that is left (Faigl and Vanek 2014, GA)."""
     left = costs.copy()
     given = np.full(len(costs), -1)
@@ -62,7 +62,7 @@ def hungarian(costs: Costs) -> Assignment:
     return given
 
 
-def in_turn(grid: Grid, goals: NDArray[np.int32], utility: Costs, costs: Costs, ranges: Costs) -> Assignment:
+def in_turn(grid: Grid, goals: Cells, utility: Floats, costs: Costs, ranges: Floats) -> Assignment:
     """Assign goals as Algorithm 1 of Burgard et al. (section II-C) does.
 
     Assign the pair of best utility minus cost, lower the utilities around its goal, and repeat until every robot has a
@@ -72,8 +72,6 @@ def in_turn(grid: Grid, goals: NDArray[np.int32], utility: Costs, costs: Costs, 
     ----------
     grid : uint8 array, shape (h, w)
         The planning grid; obstacles hide goals from each other.
-    goals : int32 array, shape (n, 2)
-        Cells (x, y).
     utility : float64 array, shape (n,)
         Utility of each goal before the assignment.
     costs : float64 array, shape (m, n)
@@ -95,18 +93,16 @@ def in_turn(grid: Grid, goals: NDArray[np.int32], utility: Costs, costs: Costs, 
 
 
 def best_of_all(
-    grid: Grid, goals: NDArray[np.int32], utility: Costs, costs: Costs, ranges: Costs,
-    random: np.random.Generator,
-) -> Assignment:  # fmt: skip
+    grid: Grid, goals: Cells, utility: Floats, costs: Costs, ranges: Floats, random: np.random.Generator
+) -> Assignment:
     """Search for the assignment with the largest `total_value` (Burgard et al. 2005, Algorithm 2).
 
     Hill climbing from the assignment of `in_turn` and from `STARTS` random ones: a robot takes another goal, or two
     robots swap goals. Parameters are those of `in_turn`, with costs squared before they are weighted.
     """
     cost = np.where(np.isfinite(costs), costs, 1e9)
-    first = in_turn(grid, goals, utility, cost, ranges)
-    best, best_value = first, -np.inf
-    for start in [first, *(random.integers(len(goals), size=(STARTS, len(costs))))]:
+    best, best_value = in_turn(grid, goals, utility, cost, ranges), -np.inf
+    for start in [best, *(random.integers(len(goals), size=(STARTS, len(costs))))]:
         given = start.astype(np.int64)
         _climb(grid, goals, utility, cost, ranges, given)
         value = total_value(grid, goals, utility, cost, ranges, given)
@@ -116,8 +112,8 @@ def best_of_all(
 
 
 def total_value(
-    grid: Grid, goals: NDArray[np.int32], utility: Costs, costs: Costs, ranges: Costs, given: Assignment
-) -> float:  # fmt: skip
+    grid: Grid, goals: Cells, utility: Floats, costs: Costs, ranges: Floats, given: Assignment
+) -> float:
     """Return the sum over all robots of the utility of its goal, lowered by all other goals, minus its cost."""
     total = 0.0
     for robot, goal in enumerate(given):
@@ -130,10 +126,8 @@ def total_value(
     return total
 
 
-@kernel("float64(uint8[:,::1], int32[:,::1], int64, int64, float64, float64)")
-def _overlap(
-    grid: Grid, goals: NDArray[np.int32], one: int, other: int, range_one: float, range_other: float
-) -> float:
+@kernel
+def _overlap(grid: Grid, goals: Cells, one: int, other: int, range_one: float, range_other: float) -> float:
     """Sum of the amounts by which two robots with these goals and ranges lower each other's utilities."""
     lowered = sees(grid, goals[one], goals[other], range_one)
     if range_one == range_other:
@@ -141,10 +135,10 @@ def _overlap(
     return lowered + sees(grid, goals[one], goals[other], range_other)
 
 
-@kernel("void(uint8[:,::1], int32[:,::1], float64[::1], float64[:,::1], float64[::1], int64[::1])")
+@kernel
 def _climb(
-    grid: Grid, goals: NDArray[np.int32], utility: Costs, costs: Costs, ranges: Costs, given: Assignment
-) -> None:  # fmt: skip
+    grid: Grid, goals: Cells, utility: Floats, costs: Costs, ranges: Floats, given: Assignment
+) -> None:
     robots = len(given)
     improved = True
     while improved:

@@ -12,90 +12,73 @@ from dataclasses import dataclass
 from heapq import heappop, heappush
 
 import numpy as np
-from numpy.typing import NDArray
 
-from agent.planning.cost_field import SHIFT, UNIT, Floor, begin, offsets, settle, tidy, way_back, workspace
-from agent.planning.frontier import frontier_at, is_enclosed
+from agent.planning.cost_field import (
+    SHIFT,
+    UNIT,
+    Workspace,
+    begin,
+    offsets,
+    settle,
+    tidy,
+    way_back,
+    workspace,
+)
+from agent.planning.frontier import Floor, is_enclosed, is_frontier
 from agent.planning.utility import sees
+from protocol.arrays import Bools, Cells, Floats
 from protocol.grid import Grid
 from protocol.kernels import kernel
 
 
 @dataclass(frozen=True)
 class TradeOff:
-    """Parameters of the trade-off.
+    """Parameters of the trade-off."""
 
-    Attributes
-    ----------
-    targets : int32 array, shape (n, 2)
-        Cells (x, y) to which teammates drive.
-    weights : float64 array, shape (n,)
-        Weight of each target, 0 or more.
-    ranges : float64 array, shape (n,)
-        Sensor range of each of these teammates in cells; utilities around its target are lowered within it.
-    scale : float
-        Sensor range that is the unit of V, in cells.
-    beta : float
-        Weight of cost against utility, 0 or more.
-    """
-
-    targets: NDArray[np.int32]
-    weights: NDArray[np.float64]
-    ranges: NDArray[np.float64]
+    targets: Cells
+    """Cells to which teammates drive."""
+    weights: Floats
+    """Weight of each target, 0 or more, shape (n,)."""
+    ranges: Floats
+    """Sensor range of each of them in cells, shape (n,); utilities around its target are lowered within it."""
     scale: float
+    """Sensor range that is the unit of V, in cells."""
     beta: float
+    """Weight of cost against utility, 0 or more."""
 
 
 def best_frontier(
     floor: Floor, grid: Grid, x: int, y: int, trade_off: TradeOff
-) -> tuple[tuple[int, int], NDArray[np.int32]] | None:
+) -> tuple[tuple[int, int], Cells] | None:
     """Find the frontier cell of the largest U - beta V among those that can be reached from (x, y).
 
     The result equals that of `agent.planning.utility.utilities` and `agent.planning.cost_field.costs` for all cells. Of
-    equal cells the first counts, row by row.
+    equal cells the first counts, row by row. `grid` is the planning grid, `floor` the cells that the robot may enter.
 
-    Parameters
-    ----------
-    floor : Floor
-        The cells that the robot may enter.
-    grid : uint8 array, shape (h, w)
-        The planning grid; a frontier cell is free and has an unknown 4-neighbor.
-
-    Returns
-    -------
-    cell : (x, y)
-    way : int32 array, shape (n, 2)
-        Cells (x, y) of a shortest way to it, without the start (`agent.planning.cost_field.way`).
-        None instead of both if no frontier cell is reachable.
+    Returns the cell (x, y) and a shortest way to it, without the start; None if no frontier cell is reachable.
     """
     work = workspace(len(floor.free))
     counted = trade_off.targets, trade_off.weights, trade_off.ranges
-    cell, way = _search(floor.free, grid, x, y, *counted, trade_off.scale, trade_off.beta, *work)
+    cell, way = _search(floor.free, grid, floor.at(x, y), *counted, trade_off.scale, trade_off.beta, work)
     return None if cell < 0 else ((cell % floor.stride - 1, cell // floor.stride - 1), way)
 
 
-@kernel(
-    "Tuple((int64, int32[:,::1]))(boolean[::1], uint8[:,::1], int64, int64, int32[:,::1], float64[::1],"
-    " float64[::1], float64, float64, int64[::1], uint8[::1], int32[::1])"
-)
+@kernel
 def _search(
-    free: NDArray[np.bool_],
+    free: Bools,
     grid: Grid,
-    x: int,
-    y: int,
-    targets: NDArray[np.int32],
-    weights: NDArray[np.float64],
-    ranges: NDArray[np.float64],
+    start: int,
+    targets: Cells,
+    weights: Floats,
+    ranges: Floats,
     scale: float,
     beta: float,
-    length: NDArray[np.int64],
-    came: NDArray[np.uint8],
-    touched: NDArray[np.int32],
-) -> tuple[int, NDArray[np.int32]]:
+    work: Workspace,
+) -> tuple[int, Cells]:
     stride = grid.shape[1] + 2
-    start = (y + 1) * stride + x + 1
+    length = work[0]
     fill = np.empty(5, np.int64)
-    buckets = begin(length, came, touched, fill, start)
+    buckets = begin(work, fill, start)
     offset = offsets(stride)
     here = np.empty(2, np.int32)
     # Entries: negative bound, cell, number of counted targets, utility after these.
@@ -105,12 +88,12 @@ def _search(
     best_cell = -1
     while best_cell < 0:
         if fill[:4].any() and (len(queue) == 0 or -queue[0][0] <= 1.0 - beta * (level / scale)):
-            buckets = settle(free, length, came, touched, buckets, fill, offset, level, start)
+            buckets = settle(free, work, buckets, fill, offset, level, start)
             for at in range(fill[level & 3]):
                 cell = buckets[level & 3, at]
                 if length[cell] >> SHIFT != level or is_enclosed(free, cell, stride):
                     continue
-                if frontier_at(grid, cell % stride - 1, cell // stride - 1):
+                if is_frontier(grid, cell % stride - 1, cell // stride - 1):
                     cost = beta * (length[cell] * UNIT / scale)
                     heappush(queue, (cost - 1.0, cell, 0, 1.0))
             fill[level & 3] = 0
@@ -130,5 +113,5 @@ def _search(
         cost = beta * (length[cell] * UNIT / scale)
         heappush(queue, (cost - utility, cell, counted, utility))
     cells = way_back(free, length, offset, best_cell) if best_cell >= 0 else np.empty((0, 2), np.int32)
-    tidy(length, came, touched, fill)
+    tidy(work, fill)
     return best_cell, cells

@@ -8,8 +8,9 @@ of all teammates' targets (steps 4 to 6); without one it takes the first frontie
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from protocol.arrays import Cells, Floats
 from protocol.grid import FREE, UNKNOWN, Grid
 from protocol.kernels import kernel
 
@@ -18,29 +19,14 @@ _STEPS = np.array([(1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1), (-1, -1), 
 
 
 def first_by_hops(
-    floor: Grid, grid: Grid, start: tuple[int, int], taken: NDArray[np.int32], ranges: ArrayLike
-) -> tuple[tuple[int, int], NDArray[np.int32]] | None:
+    floor: Grid, grid: Grid, start: tuple[int, int], taken: Cells, ranges: ArrayLike
+) -> tuple[tuple[int, int], Cells] | None:
     """Find the first frontier cell of a breadth-first search from `start`, and the way to it.
 
-    Parameters
-    ----------
-    floor : uint8 array, shape (h, w)
-        The cells that the robot may enter; its own cell counts as free.
-    grid : uint8 array, shape (h, w)
-        The planning grid.
-    start : (x, y)
-        The robot's cell.
-    taken : int32 array, shape (n, 2)
-        Cells (x, y) to which teammates drive.
-    ranges : float or float array, shape (n,)
-        Distance in cells within which a teammate's target excludes frontier cells.
+    `floor` has the cells that the robot may enter, its own cell included. `taken` are the targets of teammates; each
+    excludes frontier cells within its entry of `ranges` (cells; scalar or shape (n,)).
 
-    Returns
-    -------
-    cell : (x, y)
-    way : int32 array, shape (m, 2)
-        Cells (x, y) of a way with the fewest steps, without the start.
-        None instead of both if no frontier cell is reachable.
+    Returns the cell (x, y) and a way with the fewest steps, without the start; None if no frontier cell is reachable.
     """
     around = np.broadcast_to(np.asarray(ranges, np.float64), len(taken)).copy()
     way = np.empty((grid.size, 2), np.int32)
@@ -51,14 +37,12 @@ def first_by_hops(
     return (start if not length else (int(cells[-1, 0]), int(cells[-1, 1]))), cells
 
 
+@kernel
 def is_wide_frontier(grid: Grid, x: int, y: int) -> bool:
-    """Whether cell (x, y) is free with an unknown 8-neighbor."""
-    return bool(_wide_frontier_at(grid, x, y))
+    """Return whether cell (x, y) is free and has an unknown 8-neighbor.
 
-
-@kernel("boolean(uint8[:,::1], int64, int64)")
-def _wide_frontier_at(grid: Grid, x: int, y: int) -> bool:
-    """`is_wide_frontier` for kernels, without cells behind the corner of two occupied cells: they are never visible."""
+    Cells behind the corner of two occupied cells do not count: they are never visible.
+    """
     height, width = grid.shape
     if grid[y, x] != FREE:
         return False
@@ -71,16 +55,8 @@ def _wide_frontier_at(grid: Grid, x: int, y: int) -> bool:
     return False
 
 
-@kernel("int64(uint8[:,::1], uint8[:,::1], int64, int64, int32[:,::1], float64[::1], int32[:,::1])")
-def _search(
-    floor: Grid,
-    grid: Grid,
-    x: int,
-    y: int,
-    taken: NDArray[np.int32],
-    ranges: NDArray[np.float64],
-    way: NDArray[np.int32],
-) -> int:
+@kernel
+def _search(floor: Grid, grid: Grid, x: int, y: int, taken: Cells, ranges: Floats, way: Cells) -> int:
     """Write the way to the found cell, backwards, and return its length; -1 if no cell is found."""
     height, width = grid.shape
     came = np.full((height, width), -1, np.int8)
@@ -91,7 +67,7 @@ def _search(
     first = found = -1
     while head < tail and found < 0:
         cx, cy = queue[head]
-        if _wide_frontier_at(grid, cx, cy):
+        if is_wide_frontier(grid, cx, cy):
             first = head if first < 0 else first
             clear = True
             for other in range(len(taken)):

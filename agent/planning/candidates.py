@@ -13,11 +13,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from agent.planning.clusters import medoids
 from agent.planning.path_planner import PathPlanner
 from agent.planning.utility import sees
+from protocol.arrays import Cells, Int64s
 from protocol.grid import Grid
 from protocol.kernels import kernel
 
@@ -26,33 +27,18 @@ CANDIDATES = ("cells", "rfe", "anr", "breadth-first", "hops")
 SEARCHED = ("breadth-first", "hops")
 """Candidates that a search from the robot's cell finds, one cell each."""
 
-Edges = tuple[NDArray[np.int32], NDArray[np.int64]]
+Edges = tuple[Cells, Int64s]
 """Cells, segment after segment, and the number of cells of each segment."""
 
 LEAST_CELLS = 3
 """Shorter frontier segments have no representative unless all are shorter (n_f = 2 in the paper)."""
 
 
-def goal_candidates(
-    kind: str, frontier: NDArray[np.int32], range_cells: float, robots: int
-) -> NDArray[np.int32]:
-    """Return the goals that a robot or its team chooses from.
+def goal_candidates(kind: str, frontier: Cells, range_cells: float, robots: int) -> Cells:
+    """Return the goals that a robot or its team chooses from: cells of the frontier, empty only for an empty frontier.
 
-    Parameters
-    ----------
-    kind : str
-        One of `CANDIDATES`, but none of `SEARCHED`.
-    frontier : int32 array, shape (n, 2)
-        Reachable frontier cells (x, y), row by row.
-    range_cells : float
-        Sensor range in cells.
-    robots : int
-        Number of robots that choose.
-
-    Returns
-    -------
-    int32 array, shape (m, 2)
-        Cells (x, y) of the frontier; empty only for an empty frontier.
+    `kind` is one of `CANDIDATES`, but none of `SEARCHED`; `frontier` has the reachable frontier cells, row by row;
+    `range_cells` is the sensor range; `robots` robots choose.
     """
     if kind == "cells" or not len(frontier):
         return frontier
@@ -65,22 +51,10 @@ def searched_candidate(
     here: tuple[int, int],
     targets: Sequence[tuple[int, int]],
     ranges: ArrayLike,
-) -> NDArray[np.int32]:
-    """Return the goal that a search from the robot's cell finds; `kind` is one of `SEARCHED`.
+) -> Cells:
+    """Return the goal that a search from the robot's cell `here` finds; no cell only if no frontier cell is reachable.
 
-    Parameters
-    ----------
-    here : (x, y)
-        The robot's cell.
-    targets : sequence of (x, y)
-        Targets of teammates.
-    ranges : float or float array, shape (n,)
-        Sensor range of each of these teammates, in cells.
-
-    Returns
-    -------
-    int32 array, shape (1, 2) or (0, 2)
-        Empty only if no frontier cell is reachable.
+    `kind` is one of `SEARCHED`; `targets` are those of teammates, `ranges` the sensor range of each of them in cells.
     """
     taken = np.array(targets, np.int32).reshape(-1, 2)
     search = planner.first_by_hops if kind == "hops" else planner.first_frontier
@@ -88,7 +62,7 @@ def searched_candidate(
     return np.array([found] if found is not None else [], np.int32).reshape(-1, 2)
 
 
-def frontier_segments(cells: NDArray[np.int32]) -> Edges:
+def frontier_segments(cells: Cells) -> Edges:
     """Split frontier cells into segments, as `components` does, without those of fewer than `LEAST_CELLS` cells.
 
     If all segments are that small, all stay: robots visit them last, so that no reachable cell stays unexplored.
@@ -98,31 +72,26 @@ def frontier_segments(cells: NDArray[np.int32]) -> Edges:
     return (cells[np.repeat(large, sizes)], sizes[large]) if large.any() else (cells, sizes)
 
 
-def components(cells: NDArray[np.int32]) -> Edges:
+def components(cells: Cells) -> Edges:
     """Split frontier cells, at least one, into 8-connected components, in the order of their first cells.
 
     `scipy.ndimage.label` gives the same, but takes up to 100 times as long on large grids, which it scans in full.
 
-    Returns
-    -------
-    cells : int32 array, shape (n, 2)
-        The same cells, component after component.
-    sizes : int64 array, shape (k,)
-        Number of cells of each component.
+    Returns the same cells, component after component, and the number of cells of each component.
     """
     owner = np.full(len(cells), -1)
     _label(cells, owner)
     return cells[np.argsort(owner, kind="stable")], np.bincount(owner)
 
 
-def count_representatives(cells: ArrayLike, range_cells: float) -> NDArray[np.int64]:
+def count_representatives(cells: ArrayLike, range_cells: float) -> Int64s:
     """Return the number of representatives of segments: Eq. (1), n_r = 1 + floor(|F| / (1.8 rho) + 0.5)."""
     share = np.asarray(cells) / (1.8 * range_cells)
     return 1 + np.floor(share + 0.5).astype(np.int64)
 
 
-def representatives(cells: NDArray[np.int32], range_cells: float, at_least: int = 0) -> NDArray[np.int32]:
-    """Represent each frontier segment by the medoids of its clusters.
+def representatives(cells: Cells, range_cells: float, at_least: int = 0) -> Cells:
+    """Represent each frontier segment by the medoids of its clusters, which are cells of the frontier.
 
     Parameters
     ----------
@@ -133,11 +102,6 @@ def representatives(cells: NDArray[np.int32], range_cells: float, at_least: int 
     at_least : int
         Least number of goals (ANR): the segment with the most cells per representative gets another one, until there
         are enough or every cell is a representative.
-
-    Returns
-    -------
-    int32 array, shape (m, 2)
-        Different cells of the frontier.
     """
     edges, sizes = frontier_segments(cells)
     counts = np.minimum(sizes, count_representatives(sizes, range_cells))
@@ -149,33 +113,19 @@ def representatives(cells: NDArray[np.int32], range_cells: float, at_least: int 
     return medoids(edges, sizes, counts)[0]
 
 
-def thin_out(
-    grid: Grid, cells: NDArray[np.int32], lengths: NDArray[np.int64], gap: float
-) -> NDArray[np.int64]:
-    """Remove representatives that are in sight of a representative of a longer segment and nearer to it than `gap`.
+def thin_out(grid: Grid, cells: Cells, lengths: Int64s, gap: float) -> Int64s:
+    """Remove representatives that are in sight of a representative of a longer segment, nearer to it than `gap` cells.
 
-    Parameters
-    ----------
-    grid : uint8 array, shape (h, w)
-        The planning grid; occupied cells block the line of sight.
-    cells : int32 array, shape (n, 2)
-        Representatives (x, y).
-    lengths : int64 array, shape (n,)
-        Number of cells of each segment; of equally long segments the first counts.
-    gap : float
-        Distance in cells.
-
-    Returns
-    -------
-    int64 array, shape (m,)
-        Indices of the representatives that stay, the longest segment first.
+    Occupied cells of the planning grid block the line of sight. `lengths`, shape (n,), has the number of cells of each
+    segment; of equally long segments the first counts. Returns the indices of the representatives that stay, the
+    longest segment first.
     """
     order = np.argsort(-lengths, kind="stable")
     return order[: _thin_out(grid, cells, gap, order)]
 
 
-@kernel("int64(uint8[:,::1], int32[:,::1], float64, int64[::1])")
-def _thin_out(grid: Grid, cells: NDArray[np.int32], gap: float, order: NDArray[np.int64]) -> int:
+@kernel
+def _thin_out(grid: Grid, cells: Cells, gap: float, order: Int64s) -> int:
     """Move the representatives that stay to the front of `order`; return their number."""
     kept = 0
     for number in order:
@@ -191,8 +141,8 @@ def _thin_out(grid: Grid, cells: NDArray[np.int32], gap: float, order: NDArray[n
     return kept
 
 
-@kernel("void(int32[:,::1], int64[::1])")
-def _label(cells: NDArray[np.int32], owner: NDArray[np.int64]) -> None:
+@kernel
+def _label(cells: Cells, owner: Int64s) -> None:
     """Write the component of each cell to `owner`, which is -1 before; components are numbered by their first cells."""
     left, top = cells[:, 0].min() - 1, cells[:, 1].min() - 1
     at = np.full((cells[:, 1].max() - top + 2, cells[:, 0].max() - left + 2), -1, np.int32)

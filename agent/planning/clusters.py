@@ -3,32 +3,21 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from protocol.arrays import Cells, FloatRows, Int64s
 from protocol.kernels import kernel
 
 _ROUNDS = 30
 """Largest number of iterations; k-means ends earlier if no mean moves."""
 
-Points = NDArray[np.float64]
+Points = FloatRows
 
 
-def k_means(points: Points, seeds: Points) -> tuple[Points, NDArray[np.int64]]:
-    """Cluster points around as many means as there are seeds.
+def k_means(points: Points, seeds: Points) -> tuple[Points, Int64s]:
+    """Cluster points around as many means as there are seeds, the initial means; shapes (n, 2) and (k, 2).
 
-    An empty cluster keeps its mean; of equally near means the first counts.
-
-    Parameters
-    ----------
-    points : float64 array, shape (n, 2)
-    seeds : float64 array, shape (k, 2)
-        The initial means.
-
-    Returns
-    -------
-    means : float64 array, shape (k, 2)
-    owner : int64 array, shape (n,)
-        The cluster of each point.
+    An empty cluster keeps its mean; of equally near means the first counts. Returns the means, and the cluster of each
+    point.
     """
     means = seeds.copy()
     owner = np.zeros(len(points), np.int64)
@@ -36,9 +25,7 @@ def k_means(points: Points, seeds: Points) -> tuple[Points, NDArray[np.int64]]:
     return means, owner
 
 
-def medoids(
-    points: NDArray[np.int32], sizes: NDArray[np.int64], counts: NDArray[np.int64]
-) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+def medoids(points: Cells, sizes: Int64s, counts: Int64s) -> tuple[Cells, Int64s]:
     """Cluster the points of each group, and return the point of each cluster that is nearest to its mean.
 
     The initial means are far apart: the first point, then always the point farthest from all means so far.
@@ -47,17 +34,10 @@ def medoids(
     ----------
     points : int32 array, shape (n, 2)
         Group after group, different within a group; of equally near points the first counts.
-    sizes : int64 array, shape (k,)
-        Number of points of each group, at least one.
-    counts : int64 array, shape (k,)
-        Number of clusters of each group, from one to its number of points.
+    sizes, counts : int64 arrays, shape (k,)
+        Number of points of each group, at least one; number of its clusters, at most as many.
 
-    Returns
-    -------
-    found : int32 array, shape (m, 2)
-        The medoids; m is the sum of `counts` without empty clusters.
-    groups : int64 array, shape (m,)
-        The group of each medoid.
+    Returns the medoids, for `counts` without empty clusters, and the group of each.
     """
     found = np.empty((counts.sum(), 2), np.int32)
     groups = np.empty(len(found), np.int64)
@@ -65,8 +45,8 @@ def medoids(
     return found[:total], groups[:total]
 
 
-@kernel("void(float64[:,::1], float64[:,::1], int64[::1])")
-def _lloyd(points: Points, means: Points, owner: NDArray[np.int64]) -> None:
+@kernel
+def _lloyd(points: Points, means: Points, owner: Int64s) -> None:
     count = len(means)
     total = np.empty((count, 3))
     for _ in range(_ROUNDS):
@@ -96,8 +76,8 @@ def _lloyd(points: Points, means: Points, owner: NDArray[np.int64]) -> None:
             break
 
 
-@kernel("int64(float64[:,::1], int64, int32[:,::1])")
-def _medoids(points: Points, count: int, out: NDArray[np.int32]) -> int:
+@kernel
+def _medoids(points: Points, count: int, out: Cells) -> int:
     gap = np.full(len(points), np.inf)
     means = np.empty((count, 2))
     chosen = 0
@@ -131,14 +111,8 @@ def _medoids(points: Points, count: int, out: NDArray[np.int32]) -> int:
     return found
 
 
-@kernel("int64(int32[:,::1], int64[::1], int64[::1], int32[:,::1], int64[::1])")
-def _medoids_of_each(
-    points: NDArray[np.int32],
-    sizes: NDArray[np.int64],
-    counts: NDArray[np.int64],
-    found: NDArray[np.int32],
-    groups: NDArray[np.int64],
-) -> int:
+@kernel
+def _medoids_of_each(points: Cells, sizes: Int64s, counts: Int64s, found: Cells, groups: Int64s) -> int:
     first, total = 0, 0
     for group in range(len(sizes)):
         size = sizes[group]

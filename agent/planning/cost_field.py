@@ -16,13 +16,14 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from agent.planning.frontier import frontier_at, is_enclosed
+from agent.planning.frontier import Floor, is_enclosed, is_frontier
+from protocol.arrays import Bools, Cells, FloatRows, Floats, Int32Rows, Int32s, Int64s, Uint8s
 from protocol.grid import FREE, Grid
 from protocol.kernels import kernel
 
-Field = NDArray[np.float64]
+Field = FloatRows
 
 DIAGONAL = math.sqrt(2.0)
 
@@ -40,179 +41,90 @@ FAR = 1 << 62
 """Length of a cell that the search has not reached."""
 
 _STEPS = np.array([(1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1), (-1, -1), (1, -1)], np.int64)
-"""Neighbours (dx, dy). Step 4 + i is the diagonal between steps i and i + 1."""
+"""Neighbors (dx, dy). Step 4 + i is the diagonal between steps i and i + 1."""
 
+Workspace = tuple[Int64s, Uint8s, Int32s]
+"""Working memory of a search: the length of the way to each cell, the last step of this way (8 after the cell is
+settled), and a list of the reached cells."""
 
-class Floor:
-    """The cells that a robot may enter, as a flat array with a blocked rim.
-
-    Parameters
-    ----------
-    grid : uint8 array, shape (h, w)
-        A robot may enter its free cells.
-
-    Attributes
-    ----------
-    free : bool array, shape ((h + 2) * stride,)
-        Whether each cell is free, row by row, rim included.
-    stride : int
-        Index difference of a cell and the one below: w + 2.
-    """
-
-    def __init__(self, grid: Grid) -> None:
-        self.height: int = grid.shape[0]
-        self.width: int = grid.shape[1]
-        self.stride: int = self.width + 2
-        self.free: NDArray[np.bool_] = _laid_out(grid)
-
-    def at(self, x: int, y: int) -> int:
-        """Return the index of cell (x, y) in `free`."""
-        return (y + 1) * self.stride + x + 1
-
-
-@kernel("boolean[::1](Array(uint8, 2, 'C', readonly=True))")
-def _laid_out(grid: Grid) -> NDArray[np.bool_]:
-    height, width = grid.shape
-    free = np.zeros((height + 2) * (width + 2), np.bool_)
-    for y in range(height):
-        begin = (y + 1) * (width + 2) + 1
-        row, cells = free[begin : begin + width], grid[y]
-        for x in range(width):
-            row[x] = cells[x] == FREE
-    return free
+_NO_WEIGHTS = np.empty((0, 0))
 
 
 @lru_cache(maxsize=1)
-def workspace(cells: int) -> tuple[NDArray[np.int64], NDArray[np.uint8], NDArray[np.int32]]:
+def workspace(cells: int) -> Workspace:
     """Return the working memory that all searches on floors of one size share.
 
-    It has a length per cell, the step by which the search reached the cell, and a list of the reached cells. Fresh
-    memory pages take nearly as long as a search, so each search resets the cells that it has reached (`tidy`): the
-    next one finds all lengths `FAR`. Kernels hold the interpreter's lock, so no two searches run at the same time.
+    Fresh memory pages take nearly as long as a search, so each search resets the cells that it has reached (`tidy`):
+    the next one finds all lengths `FAR`. Kernels hold the interpreter's lock, so no two searches run at the same time.
     """
     return np.full(cells, FAR, np.int64), np.zeros(cells, np.uint8), np.empty(cells, np.int32)
 
 
-def way_between(floor: Floor, start: tuple[int, int], end: tuple[int, int]) -> NDArray[np.int32] | None:
+def way_between(floor: Floor, start: tuple[int, int], end: tuple[int, int]) -> Cells | None:
     """Return the cells of a shortest way between two cells, without the start; None if there is none.
 
     The way equals that of `way` on a whole field, but the search ends at `end`.
     """
-    cells: NDArray[np.int32]
     found, cells = _lead(
-        floor.free, floor.stride, floor.at(*start), floor.at(*end), *workspace(len(floor.free))
+        floor.free, floor.stride, floor.at(*start), floor.at(*end), workspace(len(floor.free))
     )
     return cells if found else None
 
 
-def costs(grid: Grid, x: int, y: int) -> Field:
-    """Return the length of the shortest way from cell (x, y) to every cell.
-
-    Returns
-    -------
-    float64 array, shape (h, w)
-        In cells; infinite without a way.
-    """
-    return costs_on(Floor(grid), x, y)
-
-
-def costs_on(floor: Floor, x: int, y: int) -> Field:
-    """Return what `costs` returns, for a given `Floor`."""
+def costs(floor: Floor, x: int, y: int) -> Field:
+    """Return the length of the shortest way from cell (x, y) to every cell, shape (h, w); infinite without a way."""
     field = np.empty((floor.height, floor.width))
-    _spread(floor.free, x, y, *workspace(len(floor.free)), field)
+    _spread(floor.free, floor.at(x, y), workspace(len(floor.free)), field)
     return field
 
 
-def costs_to(floor: Floor, x: int, y: int, cells: NDArray[np.int32]) -> NDArray[np.float64]:
-    """Return the length of the shortest way from cell (x, y) to each of `cells`; the search ends at the last of them.
+def costs_to(floor: Floor, x: int, y: int, cells: Cells) -> Floats:
+    """Return the length of the shortest way from cell (x, y) to each of `cells`, shape (n,), as `costs` does.
 
-    Suited to cells near each other; for cells all over the floor `agent.planning.jump_point_search` is faster.
-
-    Parameters
-    ----------
-    cells : int32 array, shape (n, 2)
-        Cells (x, y).
-
-    Returns
-    -------
-    float64 array, shape (n,)
-        The values of `costs` at these cells.
+    The search ends at the last of them: suited to cells near each other. For cells all over the floor
+    `agent.planning.jump_point_search` is faster.
     """
     found = np.empty(len(cells))
-    _spread_to(floor.free, floor.stride, floor.at(x, y), cells, *workspace(len(floor.free)), found)
+    _spread_to(floor.free, floor.stride, floor.at(x, y), cells, workspace(len(floor.free)), found)
     return found
 
 
 def nearest_first(
-    floor: Floor, grid: Grid, x: int, y: int, taken: NDArray[np.int32], ranges: ArrayLike
-) -> tuple[Field, tuple[int, int] | None]:
+    floor: Floor, grid: Grid, x: int, y: int, taken: Cells, ranges: ArrayLike
+) -> tuple[tuple[int, int], Cells] | None:
     """Find the frontier cell nearest to (x, y) that is out of range of every `taken` cell.
 
     Without one, the nearest of all frontier cells. The search ends with the bucket of this cell. Of equally near cells
-    the first counts, row by row.
+    the first counts, row by row. `taken` are the targets of teammates; each excludes frontier cells within its entry
+    of `ranges` (cells; scalar or shape (n,)).
 
-    Parameters
-    ----------
-    floor : Floor
-        The cells that the robot may enter.
-    grid : uint8 array, shape (h, w)
-        The planning grid; a frontier cell is free and has an unknown 4-neighbor.
-    taken : int32 array, shape (n, 2)
-        Targets of teammates, cells (x, y).
-    ranges : float or float array, shape (n,)
-        Distance in cells within which each of them excludes frontier cells.
-
-    Returns
-    -------
-    field : float64 array, shape (h, w)
-        The values of `costs` for cells no farther than the found one; infinite or too large beyond.
-    cell : (x, y), optional
-        None if no frontier cell is reachable.
+    Returns the cell (x, y) and a shortest way to it, without the start; None if no frontier cell is reachable.
     """
-    field = np.empty(grid.shape)
-    work = workspace(len(floor.free))
     around = np.broadcast_to(np.asarray(ranges, np.float64), len(taken)).copy()
-    cell = _spread_to_frontier(floor.free, grid, x, y, taken, around, *work, field)
-    return field, None if cell < 0 else (cell % grid.shape[1], cell // grid.shape[1])
+    cell, way = _spread_to_frontier(
+        floor.free, grid, floor.at(x, y), taken, around, workspace(len(floor.free))
+    )
+    return None if cell < 0 else ((cell % floor.stride - 1, cell // floor.stride - 1), way)
 
 
-def way(grid: Grid, field: Field, x: int, y: int) -> NDArray[np.int32]:
+def way(grid: Grid, field: Field, x: int, y: int, weights: FloatRows = _NO_WEIGHTS) -> Cells:
     """Return the cells of a shortest way from the origin of `field` to (x, y), in driving order, by steepest descent.
 
-    `field` must be finite at (x, y). Of equal neighbors the first counts, straight steps before diagonal ones.
-
-    Returns
-    -------
-    int32 array, shape (n, 2)
-        Cells (x, y) without the start; empty if (x, y) is the start.
+    The start is left out. `field` must be finite at (x, y). Of equal neighbors the first counts, straight steps before
+    diagonal ones. A field of `agent.planning.occupancy` needs its `weights`, shape (h, w).
     """
-    return weighted_way(grid, _NO_WEIGHTS, field, x, y)
-
-
-def weighted_way(grid: Grid, weights: NDArray[np.float64], field: Field, x: int, y: int) -> NDArray[np.int32]:
-    """Return what `way` returns, for a field and weights (shape (h, w)) of `agent.planning.occupancy`."""
     out = np.empty((grid.size, 2), np.int32)
     length = _descend(grid, weights, field, x, y, out)
     return out[:length][::-1].copy()
 
 
-_NO_WEIGHTS = np.empty((0, 0))
-
-_Lengths = NDArray[np.int64]
-_Buckets = NDArray[np.int32]
-_Fill = NDArray[np.int64]
-
-
-@kernel(
-    "int32[:,::1](int64[::1], uint8[::1], int32[::1], int64[::1], int64)",
-)
-def begin(
-    length: _Lengths, came: NDArray[np.uint8], touched: NDArray[np.int32], fill: _Fill, start: int
-) -> _Buckets:
+@kernel
+def begin(work: Workspace, fill: Int64s, start: int) -> Int32Rows:
     """Begin a search: put the start into the first of four empty buckets, and return them.
 
     `fill` has the number of cells in each bucket, and last the number of cells that the search has reached.
     """
+    length, came, touched = work
     buckets = np.empty((4, 1024), np.int32)
     length[start], came[start], buckets[0, 0], touched[0] = 0, 0, start, start
     fill[:] = 0
@@ -220,34 +132,24 @@ def begin(
     return buckets
 
 
-@kernel("void(int64[::1], uint8[::1], int32[::1], int64[::1])")
-def tidy(length: _Lengths, came: NDArray[np.uint8], touched: NDArray[np.int32], fill: _Fill) -> None:
+@kernel
+def tidy(work: Workspace, fill: Int64s) -> None:
     """Reset the reached cells of the workspace."""
+    length, came, touched = work
     for at in range(fill[4]):
         length[touched[at]] = FAR
         came[touched[at]] = 0
 
 
-@kernel(
-    "int32[:,::1](boolean[::1], int64[::1], uint8[::1], int32[::1], int32[:,::1], int64[::1], int64[::1],"
-    " int64, int64)"
-)
+@kernel
 def settle(
-    free: NDArray[np.bool_],
-    length: _Lengths,
-    came: NDArray[np.uint8],
-    touched: NDArray[np.int32],
-    buckets: _Buckets,
-    fill: _Fill,
-    offset: NDArray[np.int64],
-    level: int,
-    start: int,
-) -> _Buckets:
+    free: Bools, work: Workspace, buckets: Int32Rows, fill: Int64s, offset: Int64s, level: int, start: int
+) -> Int32Rows:
     """Settle the cells of one bucket, and put their neighbors into the next two; the bucket stays filled.
 
-    `came` has the step by which each cell was reached, 8 after it is settled. Returns the buckets, enlarged if
-    necessary.
+    Returns the buckets, enlarged if necessary.
     """
+    length, came, touched = work
     ring = level & 3
     for ahead in range(1, 3):
         # A cell has at most eight successors.
@@ -305,8 +207,8 @@ def settle(
     return buckets
 
 
-@kernel("int64[::1](int64)")
-def offsets(stride: int) -> NDArray[np.int64]:
+@kernel
+def offsets(stride: int) -> Int64s:
     """Return the index difference of each step on a flat floor."""
     offset = np.empty(8, np.int64)
     for number in range(8):
@@ -314,98 +216,87 @@ def offsets(stride: int) -> NDArray[np.int64]:
     return offset
 
 
-@kernel("void(int64[::1], float64[:,::1])")
-def _unpad(length: _Lengths, field: Field) -> None:
-    height, width = field.shape
-    for row in range(height):
-        begin = (row + 1) * (width + 2) + 1
-        source = length[begin : begin + width]
-        for column in range(width):
-            field[row, column] = source[column] * UNIT if source[column] != FAR else np.inf
-
-
-@kernel("void(boolean[::1], int64, int64, int64[::1], uint8[::1], int32[::1], float64[:,::1])")
-def _spread(
-    free: NDArray[np.bool_],
-    x: int,
-    y: int,
-    length: _Lengths,
-    came: NDArray[np.uint8],
-    touched: NDArray[np.int32],
-    field: Field,
-) -> None:
-    stride = field.shape[1] + 2
-    start = (y + 1) * stride + x + 1
-    fill = np.empty(5, np.int64)
-    buckets = begin(length, came, touched, fill, start)
-    offset = offsets(stride)
-    level = 0
-    while fill[:4].any():
-        buckets = settle(free, length, came, touched, buckets, fill, offset, level, start)
+@kernel
+def _settle_until(
+    free: Bools,
+    work: Workspace,
+    buckets: Int32Rows,
+    fill: Int64s,
+    offset: Int64s,
+    level: int,
+    start: int,
+    end: int,
+) -> tuple[Int32Rows, int]:
+    """Settle bucket after bucket until the cell `end` is settled or all are empty; return the buckets and the level."""
+    while fill[:4].any() and work[1][end] != 8:
+        buckets = settle(free, work, buckets, fill, offset, level, start)
         fill[level & 3] = 0
         level += 1
-    _unpad(length, field)
-    tidy(length, came, touched, fill)
+    return buckets, level
 
 
-@kernel("void(boolean[::1], int64, int64, int32[:,::1], int64[::1], uint8[::1], int32[::1], float64[::1])")
-def _spread_to(
-    free: NDArray[np.bool_],
-    stride: int,
-    start: int,
-    cells: NDArray[np.int32],
-    length: _Lengths,
-    came: NDArray[np.uint8],
-    touched: NDArray[np.int32],
-    found: NDArray[np.float64],
-) -> None:
+@kernel
+def _spread(free: Bools, start: int, work: Workspace, field: Field) -> None:
+    height, width = field.shape
     fill = np.empty(5, np.int64)
-    buckets = begin(length, came, touched, fill, start)
+    buckets = begin(work, fill, start)
+    _settle_until(
+        free, work, buckets, fill, offsets(width + 2), 0, start, 0
+    )  # cell 0, on the rim, is never settled
+    length = work[0]
+    for row in range(height):
+        first = (row + 1) * (width + 2) + 1
+        source = length[first : first + width]
+        for column in range(width):
+            field[row, column] = source[column] * UNIT if source[column] != FAR else np.inf
+    tidy(work, fill)
+
+
+@kernel
+def _spread_to(free: Bools, stride: int, start: int, cells: Cells, work: Workspace, found: Floats) -> None:
+    fill = np.empty(5, np.int64)
+    buckets, level = begin(work, fill, start), 0
     offset = offsets(stride)
-    level = 0
     for index in range(len(cells)):
         cell = (cells[index, 1] + 1) * stride + cells[index, 0] + 1
-        while came[cell] != 8 and fill[:4].any():
-            buckets = settle(free, length, came, touched, buckets, fill, offset, level, start)
-            fill[level & 3] = 0
-            level += 1
-        found[index] = length[cell] * UNIT if length[cell] != FAR else np.inf
-    tidy(length, came, touched, fill)
+        buckets, level = _settle_until(free, work, buckets, fill, offset, level, start, cell)
+        found[index] = work[0][cell] * UNIT if work[0][cell] != FAR else np.inf
+    tidy(work, fill)
 
 
-@kernel(
-    "int64(boolean[::1], uint8[:,::1], int64, int64, int32[:,::1], float64[::1],"
-    " int64[::1], uint8[::1], int32[::1], float64[:,::1])"
-)
-def _spread_to_frontier(
-    free: NDArray[np.bool_],
-    grid: Grid,
-    x: int,
-    y: int,
-    taken: NDArray[np.int32],
-    ranges: NDArray[np.float64],
-    length: _Lengths,
-    came: NDArray[np.uint8],
-    touched: NDArray[np.int32],
-    field: Field,
-) -> int:
-    stride = field.shape[1] + 2
-    start = (y + 1) * stride + x + 1
+@kernel
+def _lead(free: Bools, stride: int, start: int, end: int, work: Workspace) -> tuple[bool, Cells]:
     fill = np.empty(5, np.int64)
-    buckets = begin(length, came, touched, fill, start)
+    offset = offsets(stride)
+    _settle_until(free, work, begin(work, fill, start), fill, offset, 0, start, end)
+    found = work[0][end] != FAR
+    cells = way_back(free, work[0], offset, end) if found else np.empty((0, 2), np.int32)
+    tidy(work, fill)
+    return found, cells
+
+
+@kernel
+def _spread_to_frontier(
+    free: Bools, grid: Grid, start: int, taken: Cells, ranges: Floats, work: Workspace
+) -> tuple[int, Cells]:
+    """Return the index of the found cell, -1 if there is none, and the way to it."""
+    length = work[0]
+    stride = grid.shape[1] + 2
+    fill = np.empty(5, np.int64)
+    buckets = begin(work, fill, start)
     offset = offsets(stride)
     level = 0
     first = -1
     found = -1
     while fill[:4].any() and found < 0:
-        buckets = settle(free, length, came, touched, buckets, fill, offset, level, start)
+        buckets = settle(free, work, buckets, fill, offset, level, start)
         nearest = -1
         for at in range(fill[level & 3]):
             cell = buckets[level & 3, at]
             if length[cell] >> SHIFT != level or is_enclosed(free, cell, stride):
                 continue
             cx, cy = cell % stride - 1, cell // stride - 1
-            if not frontier_at(grid, cx, cy):
+            if not is_frontier(grid, cx, cy):
                 continue
             if nearest < 0 or (length[cell], cell) < (length[nearest], nearest):
                 nearest = cell
@@ -419,17 +310,15 @@ def _spread_to_frontier(
             first = nearest
         fill[level & 3] = 0
         level += 1
-    _unpad(length, field)
-    tidy(length, came, touched, fill)
     if found < 0:
         found = first
-    return -1 if found < 0 else (found // stride - 1) * field.shape[1] + found % stride - 1
+    cells = way_back(free, length, offset, found) if found >= 0 else np.empty((0, 2), np.int32)
+    tidy(work, fill)
+    return found, cells
 
 
-@kernel("int32[:,::1](boolean[::1], int64[::1], int64[::1], int64)")
-def way_back(
-    free: NDArray[np.bool_], length: _Lengths, offset: NDArray[np.int64], end: int
-) -> NDArray[np.int32]:
+@kernel
+def way_back(free: Bools, length: Int64s, offset: Int64s, end: int) -> Int32Rows:
     """Return the cells (x, y) of the way to a settled cell, in driving order.
 
     It computes the same sums as `_descend`, so it chooses the same one of several shortest ways.
@@ -461,36 +350,8 @@ def way_back(
     return cells[first:].copy()
 
 
-@kernel(
-    "Tuple((boolean, int32[:,::1]))(boolean[::1], int64, int64, int64, int64[::1], uint8[::1], int32[::1])"
-)
-def _lead(
-    free: NDArray[np.bool_],
-    stride: int,
-    start: int,
-    end: int,
-    length: _Lengths,
-    came: NDArray[np.uint8],
-    touched: NDArray[np.int32],
-) -> tuple[bool, NDArray[np.int32]]:
-    fill = np.empty(5, np.int64)
-    buckets = begin(length, came, touched, fill, start)
-    offset = offsets(stride)
-    level = 0
-    while fill[:4].any() and came[end] != 8:
-        buckets = settle(free, length, came, touched, buckets, fill, offset, level, start)
-        fill[level & 3] = 0
-        level += 1
-    found = length[end] != FAR
-    cells = way_back(free, length, offset, end) if found else np.empty((0, 2), np.int32)
-    tidy(length, came, touched, fill)
-    return found, cells
-
-
-@kernel("int64(uint8[:,::1], float64[:,::1], float64[:,::1], int64, int64, int32[:,::1])")
-def _descend(
-    grid: Grid, weights: NDArray[np.float64], field: Field, x: int, y: int, out: NDArray[np.int32]
-) -> int:
+@kernel
+def _descend(grid: Grid, weights: FloatRows, field: Field, x: int, y: int, out: Cells) -> int:
     height, width = grid.shape
     length = 0
     while field[y, x] > 0.0:

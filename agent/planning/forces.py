@@ -6,11 +6,11 @@ the motion.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from protocol.arrays import Cells, FloatRows, Floats
 from protocol.grid import FREE, OCCUPIED, Grid
 from protocol.kernels import kernel
 
@@ -23,32 +23,23 @@ SUBSTEPS = 20
 _TOUCH = 0.01
 """Least distance in meters that counts, so that forces stay finite."""
 
-Vector = NDArray[np.float64]
 
-
-@dataclass(frozen=True)
-class Field:
-    """Gains and ranges of the field.
-
-    Attributes
-    ----------
-    rho_robots, rho_obstacles : float
-        Ranges of repulsion, meters (Eq. 4: that of robots is the larger).
-    gain_robots, gain_obstacles, gain_frontier : float
-        k of Eq. (2) and k_att of Eq. (6).
-    damping : float
-        Newtons for each metre a second.
-    """
+class Field(NamedTuple):
+    """Gains and ranges of the field."""
 
     rho_robots: float
     rho_obstacles: float
+    """Range of repulsion of obstacles, meters, and before it that of robots, which is larger (Eq. 4)."""
     gain_robots: float
     gain_obstacles: float
+    """k of Eq. (2)."""
     gain_frontier: float
+    """k_att of Eq. (6)."""
     damping: float
+    """Newtons for each meter per second."""
 
 
-@kernel("float64(float64, float64, float64)")
+@kernel
 def repulsion(distance: float, rho: float, gain: float) -> float:
     """Eq. (2): k (1 / d - 1 / rho) / d^2 within rho, away from the source; 0 beyond."""
     if distance > rho:
@@ -57,64 +48,33 @@ def repulsion(distance: float, rho: float, gain: float) -> float:
     return gain * (1.0 / near - 1.0 / rho) / (near * near)
 
 
-@kernel("float64(float64, float64)")
-def attraction(distance: float, gain: float) -> float:
-    """Eq. (6): k_att times the distance, toward the frontier point."""
-    return gain * distance
-
-
 def glide(
     floor: Grid,
     resolution: float,
     at: tuple[float, float],
-    velocity: Vector,
-    frontier: NDArray[np.int32],
-    robots: Vector,
+    velocity: Floats,
+    frontier: Cells,
+    robots: FloatRows,
     field: Field,
     top_speed: float,
-) -> tuple[Vector, Vector]:
+) -> tuple[FloatRows, Floats]:
     """Integrate a robot's motion over one step of the world.
 
-    A robot that would leave the free cells of its map slides along their border.
+    A robot that would leave the free cells of its map slides along their border. The closest of the `frontier` cells
+    attracts it (Eq. 6); the `robots`, positions of shape (m, 2), within range repel it (Eq. 3). Positions are in cells,
+    `resolution` is in meters per cell, velocities are in meters per second.
 
-    Parameters
-    ----------
-    floor : uint8 array, shape (h, w)
-        The cells that the robot may enter.
-    resolution : float
-        Meters per cell.
-    at : (x, y)
-        The position in cells.
-    velocity : float64 array, shape (2,)
-        Meters per second.
-    frontier : int32 array, shape (n, 2)
-        Frontier cells (x, y); the closest one attracts the robot (Eq. 6).
-    robots : float64 array, shape (m, 2)
-        Positions of teammates in cells; those within range repel the robot (Eq. 3).
-    field : Field
-        Gains and ranges.
-    top_speed : float
-        Meters per second.
-
-    Returns
-    -------
-    path : float64 array, shape (SUBSTEPS, 2)
-        Position after each Euler step, in cells.
-    velocity : float64 array, shape (2,)
-        Velocity at the end.
+    Returns the position after each Euler step, shape (SUBSTEPS, 2), and the velocity at the end, shape (2,).
     """
     path = np.empty((SUBSTEPS, 2))
     moving = velocity.copy()
-    numbers = np.array([
-        field.rho_robots, field.rho_obstacles, field.gain_robots, field.gain_obstacles, field.gain_frontier,
-        field.damping, top_speed, resolution,
-    ])  # fmt: skip
+    numbers = np.array([*field, top_speed, resolution])
     _integrate(floor, frontier, np.ascontiguousarray(robots), np.array(at, np.float64), moving, numbers, path)
     return path, moving
 
 
-@kernel("void(uint8[:,::1], float64, float64, float64, float64[::1])")
-def closest_obstacle(floor: Grid, x: float, y: float, reach: float, out: Vector) -> None:
+@kernel
+def closest_obstacle(floor: Grid, x: float, y: float, reach: float, out: Floats) -> None:
     """Write to `out` the closest point of an occupied cell within `reach` cells of (x, y); NaN if there is none."""
     height, width = floor.shape
     out[:] = np.nan
@@ -131,18 +91,15 @@ def closest_obstacle(floor: Grid, x: float, y: float, reach: float, out: Vector)
                     out[1] = py
 
 
-@kernel(
-    "void(uint8[:,::1], int32[:,::1], float64[:,::1],"
-    " float64[::1], float64[::1], float64[::1], float64[:,::1])"
-)
+@kernel
 def _integrate(
     floor: Grid,
-    frontier: NDArray[np.int32],
-    robots: Vector,
-    at: Vector,
-    velocity: Vector,
-    numbers: Vector,
-    path: Vector,
+    frontier: Cells,
+    robots: FloatRows,
+    at: Floats,
+    velocity: Floats,
+    numbers: Floats,
+    path: FloatRows,
 ) -> None:
     rho_robots, rho_obstacles, gain_robots, gain_obstacles, gain_frontier, damping, top, size = numbers
     obstacle = np.empty(2)
@@ -158,7 +115,7 @@ def _integrate(
                 goal = point
         if goal >= 0 and best > 0.0:
             distance = np.sqrt(best)
-            pull = attraction(distance * size, gain_frontier)
+            pull = gain_frontier * (distance * size)
             for axis in range(2):
                 force[axis] += pull * (frontier[goal, axis] - at[axis]) / distance
         for robot in range(len(robots)):

@@ -9,8 +9,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from protocol.arrays import Cells, Floats, Int32Rows, Int32s, Int64s
 from protocol.grid import OCCUPIED, UNKNOWN, Grid, ray_table
 from protocol.kernels import kernel
 
@@ -24,31 +25,15 @@ share, and the increase for a segment as long as the sensor range. Measured on g
 
 def information_gain(
     grid: Grid,
-    cells: NDArray[np.int32],
+    cells: Cells,
     range_cells: float,
     others: Sequence[tuple[int, int]],
     ranges: ArrayLike | None = None,
-) -> NDArray[np.int64]:
-    """Count the unknown cells within range of each of `cells` and out of range of all `others`.
+) -> Int64s:
+    """Count the unknown cells within range of each of `cells` and out of range of all `others`, shape (n,).
 
-    Sheng et al. 2006, as quoted by Al-khawaldah and Nuechter 2014: I of Eq. (1).
-
-    Parameters
-    ----------
-    grid : uint8 array, shape (h, w)
-        The planning grid.
-    cells : int32 array, shape (n, 2)
-        Frontier cells (x, y).
-    range_cells : float
-        Sensor range.
-    others : sequence of (x, y)
-        Cells and targets of teammates.
-    ranges : float array, shape (m,), optional
-        Sensor range of each of these teammates; default: `range_cells`.
-
-    Returns
-    -------
-    int64 array, shape (n,)
+    Sheng et al. 2006, as quoted by Al-khawaldah and Nuechter 2014: I of Eq. (1). `others` are the cells and targets of
+    teammates; `ranges` has the sensor range of each of them in cells, by default `range_cells`.
     """
     gain = np.zeros(len(cells), np.int64)
     theirs = np.broadcast_to(range_cells if ranges is None else ranges, len(others))
@@ -61,53 +46,29 @@ def information_gain(
     return gain
 
 
-def _disc_rows(range_cells: float) -> NDArray[np.int64]:
+def _disc_rows(range_cells: float) -> Int64s:
     """Return the half width of a disc in the rows at distance 0, 1, ... from its center."""
     rows = np.arange(int(range_cells) + 1)
-    widths: NDArray[np.int64] = np.sqrt(np.maximum(range_cells**2 - rows**2, 0)).astype(np.int64)
+    widths: Int64s = np.sqrt(np.maximum(range_cells**2 - rows**2, 0)).astype(np.int64)
     return widths
 
 
-def expected_gain(
-    grid: Grid, cells: NDArray[np.int32], lengths: NDArray[np.int64], range_cells: float
-) -> NDArray[np.float64]:
-    """Predict the area that a robot will observe from representatives of frontier segments.
+def expected_gain(grid: Grid, cells: Cells, lengths: Int64s, range_cells: float) -> Floats:
+    """Predict the area that a robot will observe from representatives of frontier segments, in discs of its sensor.
 
     An upper bound is the unknown area in sight through free and unknown cells. Most of it lies behind unknown walls,
-    and more so for short segments.
-
-    Parameters
-    ----------
-    grid : uint8 array, shape (h, w)
-        The planning grid.
-    cells : int32 array, shape (n, 2)
-        Frontier cells (x, y).
-    lengths : int64 array, shape (n,)
-        Number of cells of the frontier segment of each.
-    range_cells : float
-        Sensor range.
-
-    Returns
-    -------
-    float64 array, shape (n,)
-        Expected area as a share of the sensor's disc.
+    and more so for short segments. `lengths`, shape (n,), has the number of cells of the frontier segment of each.
     """
     around = ray_table(range_cells, BEAMS)
     unknown = np.empty(len(cells))
     _sum_unknown(grid, cells, around.cells, around.start, unknown)
     floor = np.minimum(_LEAST_FLOOR + _A_LENGTH * lengths / range_cells, _MOST_FLOOR)
-    shares: NDArray[np.float64] = floor * unknown / (BEAMS * range_cells**2 / 2)
+    shares: Floats = floor * unknown / (BEAMS * range_cells**2 / 2)
     return shares
 
 
-@kernel("void(uint8[:,::1], int32[:,::1], int32[:,::1], int32[::1], float64[::1])")
-def _sum_unknown(
-    grid: Grid,
-    cells: NDArray[np.int32],
-    beam_cells: NDArray[np.int32],
-    start: NDArray[np.int32],
-    unknown: NDArray[np.float64],
-) -> None:
+@kernel
+def _sum_unknown(grid: Grid, cells: Cells, beam_cells: Int32Rows, start: Int32s, unknown: Floats) -> None:
     """Sum over all beams of each cell the integral of the distance over unknown cells, up to the first obstacle."""
     height, width = grid.shape
     for index in range(len(cells)):
@@ -125,15 +86,9 @@ def _sum_unknown(
         unknown[index] = total
 
 
-@kernel("void(uint8[:,::1], int32[:,::1], int32[:,::1], int64[::1], int64[::1], int64[::1], int64[::1])")
+@kernel
 def _count(
-    grid: Grid,
-    cells: NDArray[np.int32],
-    others: NDArray[np.int32],
-    taken: NDArray[np.int64],
-    start: NDArray[np.int64],
-    reach: NDArray[np.int64],
-    gain: NDArray[np.int64],
+    grid: Grid, cells: Cells, others: Cells, taken: Int64s, start: Int64s, reach: Int64s, gain: Int64s
 ) -> None:
     """Count unknown cells; `reach` has the rows of a disc (`_disc_rows`), `taken` those of all others."""
     height, width = grid.shape

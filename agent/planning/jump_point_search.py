@@ -11,64 +11,32 @@ are the same bits.
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.planning.cost_field import ONE, ROOT, SHIFT, UNIT, Floor, offsets
+from agent.planning.cost_field import ONE, ROOT, SHIFT, UNIT, offsets
+from agent.planning.frontier import Floor
+from protocol.arrays import BoolRows, Bools, Cells, FloatRows, Int64Rows, Int64s, Uint8s
 from protocol.kernels import kernel
 
-_Flags = NDArray[np.bool_]
-_Numbers = NDArray[np.int64]
-_Jumps = NDArray[np.int16]
+_Jumps = Annotated[NDArray[np.int16], "int16[:,:,::1]"]
 
 _BEGIN = 8
 """Step number of the start of a search."""
 
 
-def costs_between(floor: Floor, starts: NDArray[np.int32], goals: NDArray[np.int32]) -> NDArray[np.float64]:
-    """Return the length of the shortest way from each start to each goal.
-
-    Parameters
-    ----------
-    floor : Floor
-        The cells that the robot may enter.
-    starts : int32 array, shape (m, 2)
-        Cells (x, y).
-    goals : int32 array, shape (n, 2)
-        Cells (x, y).
-
-    Returns
-    -------
-    float64 array, shape (m, n)
-        In cells; infinite without a way.
-    """
+def costs_between(floor: Floor, starts: Cells, goals: Cells) -> FloatRows:
+    """Return the length of the shortest way from each start to each goal, shape (m, n), infinite without one."""
     return _found(floor, starts, goals, np.zeros(len(starts), np.int64))
 
 
-def costs_among(
-    floor: Floor, starts: NDArray[np.int32], goals: NDArray[np.int32]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the lengths of the shortest ways from each start to each goal, and between all pairs of goals.
+def costs_among(floor: Floor, starts: Cells, goals: Cells) -> tuple[FloatRows, FloatRows]:
+    """Return `costs_between` starts and goals, and between all pairs of goals, which are free cells.
 
     Lengths are symmetric, so each pair of goals is searched once. The outermost goals are searched first, as the
     remaining goals are then close together.
-
-    Parameters
-    ----------
-    floor : Floor
-        The cells that the robot may enter.
-    starts : int32 array, shape (m, 2)
-        Cells (x, y).
-    goals : int32 array, shape (n, 2)
-        Free cells (x, y).
-
-    Returns
-    -------
-    ways : float64 array, shape (m, n)
-        In cells; infinite without a way.
-    between : float64 array, shape (n, n)
-        The same, symmetric.
     """
     if not len(goals):
         return np.empty((len(starts), 0)), np.empty((0, 0))
@@ -83,9 +51,7 @@ def costs_among(
     return np.ascontiguousarray(ways), np.ascontiguousarray(between[np.ix_(back, back)])
 
 
-def _found(
-    floor: Floor, starts: NDArray[np.int32], goals: NDArray[np.int32], first: _Numbers
-) -> NDArray[np.float64]:
+def _found(floor: Floor, starts: Cells, goals: Cells, first: Int64s) -> FloatRows:
     """Return the length of the shortest way from each start to each goal with an index of at least its `first`."""
     start, goal = (
         (cells[:, 1].astype(np.int64) + 1) * floor.stride + cells[:, 0] + 1 for cells in (starts, goals)
@@ -99,7 +65,7 @@ def _found(
 
 
 @lru_cache(maxsize=1)
-def _workspace(height: int, stride: int) -> tuple[_Jumps, _Numbers, NDArray[np.uint8]]:
+def _workspace(height: int, stride: int) -> tuple[_Jumps, Int64s, Uint8s]:
     """Return the working memory that all searches on floors of one size share: jumps, lengths, arrival steps.
 
     Each search initializes it.
@@ -108,8 +74,8 @@ def _workspace(height: int, stride: int) -> tuple[_Jumps, _Numbers, NDArray[np.u
     return np.zeros((4, height, stride), np.int16), np.empty(cells, np.int64), np.empty(cells, np.uint8)
 
 
-@kernel("void(boolean[:,::1], boolean[:,::1], int16[:,:,::1])")
-def _lay_out(free: _Flags, is_goal: _Flags, jumps: _Jumps) -> None:
+@kernel
+def _lay_out(free: BoolRows, is_goal: BoolRows, jumps: _Jumps) -> None:
     """Compute the number of steps from each cell to the next jump point or goal in each direction; 0 for none.
 
     A run may turn at a cell beside which a free cell follows an obstacle. Directions 0 and 2 are +x and -x, 1 and 3 are
@@ -140,8 +106,8 @@ def _lay_out(free: _Flags, is_goal: _Flags, jumps: _Jumps) -> None:
                 jumps[2 - way, y - way, x] = jump if free[y, x] else np.int16(0)
 
 
-@kernel("int64(boolean[::1], int64[::1], int64, int64)")
-def _onward(free: _Flags, offset: _Numbers, cell: int, step: int) -> int:
+@kernel
+def _onward(free: Bools, offset: Int64s, cell: int, step: int) -> int:
     """Return the successor steps, as bits, of a cell reached by a straight step: straight on, and around obstacles."""
     if step == _BEGIN:
         return 255
@@ -153,8 +119,8 @@ def _onward(free: _Flags, offset: _Numbers, cell: int, step: int) -> int:
     return onward
 
 
-@kernel("boolean(int64, int64, int64, int64[::1], uint8[::1])")
-def _reach(cell: int, new: int, step: int, length: _Numbers, came: NDArray[np.uint8]) -> bool:
+@kernel
+def _reach(cell: int, new: int, step: int, length: Int64s, came: Uint8s) -> bool:
     """Record an arrival at a cell; return whether it is shorter than before, or equally short by a new step.
 
     `came` has the arrival steps of the shortest ways so far, as bits; without any bit the cell has no length.
@@ -169,16 +135,9 @@ def _reach(cell: int, new: int, step: int, length: _Numbers, came: NDArray[np.ui
     return True
 
 
-@kernel("int64(int64, int64, int64, int64[::1], uint8[::1], int64[::1], int64[:,::1], int64)")
+@kernel
 def _queue_up(
-    cell: int,
-    new: int,
-    step: int,
-    length: _Numbers,
-    came: NDArray[np.uint8],
-    buckets: _Numbers,
-    queue: _Numbers,
-    used: int,
+    cell: int, new: int, step: int, length: Int64s, came: Uint8s, buckets: Int64s, queue: Int64Rows, used: int
 ) -> int:
     """Queue a jump point if its arrival is new; return the length of the queue."""
     if _reach(cell, new, step, length, came):
@@ -189,20 +148,17 @@ def _queue_up(
     return used
 
 
-@kernel(
-    "void(boolean[::1], boolean[::1], int16[:,:,::1], int64[::1], int64[::1], int64[::1],"
-    " int64[::1], uint8[::1], float64[:,::1])"
-)
+@kernel
 def _search(
-    free: _Flags,
-    is_goal: _Flags,
+    free: Bools,
+    is_goal: Bools,
     laid_out: _Jumps,
-    starts: _Numbers,
-    goals: _Numbers,
-    first: _Numbers,
-    length: _Numbers,
-    came: NDArray[np.uint8],
-    costs: NDArray[np.float64],
+    starts: Int64s,
+    goals: Int64s,
+    first: Int64s,
+    length: Int64s,
+    came: Uint8s,
+    costs: FloatRows,
 ) -> None:
     """Settle jump points in buckets of width 1, until all goals of a start from its `first` on are settled.
 

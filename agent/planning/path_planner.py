@@ -6,29 +6,23 @@ from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from agent.memo_cache import NO_CACHE, MemoCache, Result
 from agent.planning.best_frontier import TradeOff, best_frontier
 from agent.planning.breadth_first import first_by_hops
-from agent.planning.cost_field import (
-    Field,
-    Floor,
-    costs_on,
-    costs_to,
-    nearest_first,
-    way,
-    way_between,
-    weighted_way,
-)
+from agent.planning.cost_field import Field, costs, costs_to, nearest_first, way, way_between
+from agent.planning.frontier import Floor, reachable_frontier
 from agent.planning.jump_point_search import costs_among, costs_between
-from agent.planning.occupancy import Terrain, barred, weighted_costs
-from agent.planning.reachability import reachable_frontier
+from agent.planning.occupancy import barred, entry_costs, weighted_costs
+from protocol.arrays import Cells, FloatRows, Floats
 from protocol.grid import OCCUPIED, Grid, enlarge
 
 COSTS = ("shortest", "weighted")
 """Cost of a way. ``shortest``: its length. ``weighted``: its length times the occupancy of a smoothed map, so that ways
 keep away from walls (Burgard et al. 2005, section II-A)."""
+
+Cell = tuple[int, int]
 
 
 class PathPlanner:
@@ -43,18 +37,11 @@ class PathPlanner:
     radius_cells : float
         The robot's radius: obstacles are enlarged by it.
     floor : uint8 array, shape (h, w), optional
-        The grid with obstacles enlarged; computed by default.
+        The grid with obstacles enlarged, the cells that the robot's center may enter; computed by default.
     occ_max : float
         Cells of more occupancy on a smoothed map are obstacles (`agent.planning.occupancy.barred`).
     cache : MemoCache
         Cache of intermediate results, shared by the robots of this process.
-
-    Attributes
-    ----------
-    grid : uint8 array, shape (h, w)
-        The planning grid.
-    floor : uint8 array, shape (h, w)
-        The grid with obstacles enlarged: the cells that the robot's center may enter.
     """
 
     def __init__(
@@ -73,9 +60,8 @@ class PathPlanner:
         self._occ_max = occ_max
         self._cache = cache
         self._others: dict[float, PathPlanner] = {}
-        self._fields: dict[tuple[int, int], Field] = {}
-        self._near: dict[tuple[int, int], Field] = {}
-        self._ways: dict[tuple[tuple[int, int], tuple[int, int]], NDArray[np.int32]] = {}
+        self._fields: dict[Cell, Field] = {}
+        self._ways: dict[tuple[Cell, Cell], Cells] = {}
 
     @cached_property
     def _laid_out(self) -> Floor:
@@ -86,55 +72,38 @@ class PathPlanner:
         return self.floor.shape, self.floor.tobytes()
 
     @cached_property
-    def _terrain(self) -> Terrain | None:
-        return Terrain(self.grid, self.floor) if self._kind == "weighted" else None
+    def _weights(self) -> FloatRows | None:
+        return entry_costs(self.grid) if self._kind == "weighted" else None
 
     def costs(self, x: int, y: int) -> Field:
         """Return the cost of the best way from cell (x, y) to every cell, shape (h, w); infinite without a way."""
         if (x, y) not in self._fields:
-            if self._terrain is None:
-                self._fields[x, y] = costs_on(self._laid_out, x, y)
+            if self._weights is None:
+                self._fields[x, y] = costs(self._laid_out, x, y)
             else:
-                self._fields[x, y] = weighted_costs(self._terrain, x, y)
+                self._fields[x, y] = weighted_costs(self.floor, self._weights, x, y)
         return self._fields[x, y]
 
-    def costs_to(self, x: int, y: int, cells: NDArray[np.int32]) -> NDArray[np.float64]:
+    def costs_to(self, x: int, y: int, cells: Cells) -> Floats:
         """Return the cost of the best way from cell (x, y) to each of `cells`, shape (n,); fast for close cells."""
-        if self._terrain is None and (x, y) not in self._fields:
+        if self._weights is None and (x, y) not in self._fields:
             return costs_to(self._laid_out, x, y, cells)
         return self.costs(x, y)[cells[:, 1], cells[:, 0]]
 
-    def costs_between(self, starts: NDArray[np.int32], goals: NDArray[np.int32]) -> NDArray[np.float64]:
-        """Return the cost of the best way from each of `starts` to each of `goals`.
-
-        Parameters
-        ----------
-        starts : int32 array, shape (m, 2)
-            Cells (x, y).
-        goals : int32 array, shape (n, 2)
-            Cells (x, y).
-
-        Returns
-        -------
-        float64 array, shape (m, n)
-        """
-        if self._terrain is None:
+    def costs_between(self, starts: Cells, goals: Cells) -> FloatRows:
+        """Return the cost of the best way from each of `starts` to each of `goals`, shape (m, n)."""
+        if self._weights is None:
             return self._searched(costs_between, starts, goals)
         return np.array([self.costs(x, y)[goals[:, 1], goals[:, 0]] for x, y in starts.tolist()])
 
-    def costs_among(
-        self, starts: NDArray[np.int32], goals: NDArray[np.int32]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def costs_among(self, starts: Cells, goals: Cells) -> tuple[FloatRows, FloatRows]:
         """Return `costs_between` of starts and goals, and of all pairs of goals."""
-        if self._terrain is None:
+        if self._weights is None:
             return self._searched(costs_among, starts, goals)
         return self.costs_between(starts, goals), self.costs_between(goals, goals)
 
     def _searched(
-        self,
-        search: Callable[[Floor, NDArray[np.int32], NDArray[np.int32]], Result],
-        starts: NDArray[np.int32],
-        goals: NDArray[np.int32],
+        self, search: Callable[[Floor, Cells, Cells], Result], starts: Cells, goals: Cells
     ) -> Result:
         """Return the result of a search on the floor; callers must not modify it, as robots share it."""
         if self._cache is NO_CACHE:
@@ -142,56 +111,46 @@ class PathPlanner:
         key = search, self._all_of_the_floor, starts.tobytes(), goals.tobytes()
         return self._cache.get(key, lambda: search(self._laid_out, starts, goals))
 
-    def path(self, start: tuple[int, int], end: tuple[int, int]) -> NDArray[np.int32] | None:
-        """Return the cells (x, y) of a best way, without the start; None if there is none."""
-        if self._terrain is not None:
+    def path(self, start: Cell, end: Cell) -> Cells | None:
+        """Return the cells of a best way, without the start; None if there is none."""
+        if self._weights is not None:
             field = self.costs(*start)
             found = np.isfinite(field[end[1], end[0]])
-            return weighted_way(self.floor, self._terrain.weights, field, *end) if found else None
+            return way(self.floor, field, *end, self._weights) if found else None
         if (start, end) in self._ways:
             return self._ways[start, end]
-        for known in (self._fields.get(start), self._near.get(start)):
-            if known is not None and np.isfinite(known[end[1], end[0]]):
-                return way(self.floor, known, *end)
+        known = self._fields.get(start)
+        if known is not None and np.isfinite(known[end[1], end[0]]):
+            return way(self.floor, known, *end)
         return way_between(self._laid_out, start, end)
 
-    def frontier(self, x: int, y: int) -> NDArray[np.int32]:
-        """Return all frontier cells that are reachable from (x, y), row by row: int32 array, shape (n, 2)."""
+    def frontier(self, x: int, y: int) -> Cells:
+        """Return all frontier cells that are reachable from (x, y), row by row."""
         return reachable_frontier(self._laid_out, self.grid, x, y)
 
-    def best_frontier(self, x: int, y: int, trade_off: TradeOff) -> tuple[int, int] | None:
+    def best_frontier(self, x: int, y: int, trade_off: TradeOff) -> Cell | None:
         """Return the frontier cell of the best trade-off of utility and length of way; None if there is none.
 
-        The cost is the length also for ``weighted`` planners. The same search finds the way to the cell.
+        Only for planners of kind ``shortest``. The same search finds the way to the cell.
         """
-        found = best_frontier(self._laid_out, self.grid, x, y, trade_off)
-        if found is None:
-            return None
-        cell, cells = found
-        if self._kind == "shortest":
-            self._ways[(x, y), cell] = cells
-        return cell
+        return self._keep(x, y, best_frontier(self._laid_out, self.grid, x, y, trade_off))
 
-    def first_frontier(
-        self, x: int, y: int, taken: NDArray[np.int32], ranges: ArrayLike
-    ) -> tuple[int, int] | None:
+    def first_frontier(self, x: int, y: int, taken: Cells, ranges: ArrayLike) -> Cell | None:
         """Return the frontier cell nearest to (x, y) that is out of range of all `taken` cells.
 
         If there is none, the nearest frontier cell; None without a frontier. The search ends at the found cell.
         """
-        field, cell = nearest_first(self._laid_out, self.grid, x, y, taken, ranges)
-        self._near[x, y] = field
-        return cell
+        return self._keep(x, y, nearest_first(self._laid_out, self.grid, x, y, taken, ranges))
 
-    def first_by_hops(
-        self, x: int, y: int, taken: NDArray[np.int32], ranges: ArrayLike
-    ) -> tuple[int, int] | None:
+    def first_by_hops(self, x: int, y: int, taken: Cells, ranges: ArrayLike) -> Cell | None:
         """Return the first frontier cell of the breadth-first search in `agent.planning.breadth_first`."""
-        found = first_by_hops(self.floor, self.grid, (x, y), taken, ranges)
+        return self._keep(x, y, first_by_hops(self.floor, self.grid, (x, y), taken, ranges))
+
+    def _keep(self, x: int, y: int, found: tuple[Cell, Cells] | None) -> Cell | None:
+        """Keep the way to a found cell for `path`; return the cell."""
         if found is None:
             return None
-        cell, cells = found
-        self._ways[(x, y), cell] = cells
+        cell, self._ways[(x, y), found[0]] = found
         return cell
 
     def of_radius(self, radius_cells: float) -> PathPlanner:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.planning.path_planner import PathPlanner
+from protocol.arrays import Cells
 from protocol.grid import FREE, Grid
 from protocol.kernels import kernel
 
@@ -16,16 +16,10 @@ _NOWHERE = np.empty((0, 2), np.int32)
 
 
 class Route:
-    """The remaining cells of a robot's way.
-
-    Attributes
-    ----------
-    cells : int32 array, shape (n, 2)
-        Cells (x, y), without the robot's own cell.
-    """
+    """The remaining cells of a robot's way, without its own cell, as `cells`."""
 
     def __init__(self) -> None:
-        self.cells: NDArray[np.int32] = _NOWHERE
+        self.cells: Cells = _NOWHERE
 
     def lead(self, planner: PathPlanner, start: tuple[int, int], end: tuple[int, int]) -> bool:
         """Plan a best way from `start` to `end`; return whether there is one. Without one, the route is empty."""
@@ -47,13 +41,13 @@ class Route:
         """Return whether the remaining cells from `start` on are free on `floor`, and both beside each diagonal."""
         return bool(_is_open(floor, *start, self.cells))
 
-    def next_cells(self, count: int) -> NDArray[np.int32]:
+    def next_cells(self, count: int) -> Cells:
         """Return the next cells, at most `count`: int32 array, shape (n, 2)."""
         return self.cells[:count]
 
 
-@kernel("int64(int32[:,::1], int64, int64)")
-def _cells_up_to(cells: NDArray[np.int32], x: int, y: int) -> int:
+@kernel
+def _cells_up_to(cells: Cells, x: int, y: int) -> int:
     """Return the number of cells up to and including (x, y); 0 if the cell is not on the way."""
     for at in range(len(cells) - 1, -1, -1):
         if cells[at, 0] == x and cells[at, 1] == y:
@@ -61,8 +55,8 @@ def _cells_up_to(cells: NDArray[np.int32], x: int, y: int) -> int:
     return 0
 
 
-@kernel("boolean(uint8[:,::1], int64, int64, int32[:,::1])")
-def _is_open(floor: Grid, x: int, y: int, cells: NDArray[np.int32]) -> bool:
+@kernel
+def _is_open(floor: Grid, x: int, y: int, cells: Cells) -> bool:
     for at in range(len(cells)):
         next_x, next_y = cells[at, 0], cells[at, 1]
         if floor[next_y, next_x] != FREE:
@@ -73,20 +67,11 @@ def _is_open(floor: Grid, x: int, y: int, cells: NDArray[np.int32]) -> bool:
     return True
 
 
-def straighten(floor: Grid, start: tuple[int, int], cells: NDArray[np.int32]) -> NDArray[np.int32]:
+def straighten(floor: Grid, start: tuple[int, int], cells: Cells) -> Cells:
     """Straighten a way by ray shooting: from each corner straight to the farthest visible cell of the way.
 
     A cell is visible if a straight, 8-connected line of free cells leads to it, and the cells beside its diagonal steps
-    are free. So the new way is no longer than the old one.
-
-    Parameters
-    ----------
-    floor : uint8 array, shape (h, w)
-        The cells that the robot may enter.
-    start : (x, y)
-        The start of the way.
-    cells : int32 array, shape (n, 2)
-        The cells of the way, without the start.
+    are free. So the new way is no longer than the old one. Both lack the start.
     """
     if not len(cells):
         return cells
@@ -95,7 +80,7 @@ def straighten(floor: Grid, start: tuple[int, int], cells: NDArray[np.int32]) ->
     return out[: _shoot(floor, points, out)].copy()
 
 
-@kernel("boolean(uint8[:,::1], int64, int64, int64, int64)")
+@kernel
 def _is_clear(floor: Grid, x: int, y: int, to_x: int, to_y: int) -> bool:
     dx, dy = abs(to_x - x), abs(to_y - y)
     step_x = 1 if to_x > x else -1
@@ -116,26 +101,14 @@ def _is_clear(floor: Grid, x: int, y: int, to_x: int, to_y: int) -> bool:
     return True
 
 
-def corners(floor: Grid, start: tuple[int, int], cells: NDArray[np.int32]) -> NDArray[np.int32]:
+def corners(floor: Grid, start: tuple[int, int], cells: Cells) -> Cells:
     """Return the waypoints of a way that may leave the centers of cells: its bends and its end.
 
-    Parameters
-    ----------
-    floor : uint8 array, shape (h, w)
-        The cells that the robot may enter.
-    start : (x, y)
-        The robot's position in thousandths of a cell.
-    cells : int32 array, shape (n, 2)
-        The cells of the way; the first is a neighbor of the robot's cell.
-
-    Returns
-    -------
-    int32 array, shape (m, 2)
-        In thousandths of a cell. If no straight line leads to the first cell, the center of the robot's own cell comes
-        first.
+    `start` and the result, shape (m, 2), are in thousandths of a cell. The first of `cells` is a neighbor of the
+    robot's cell. If no straight line leads to it, the center of the robot's own cell comes first.
     """
     points = cells * _FINE
-    found: list[NDArray[np.int32]] = []
+    found: list[Cells] = []
     at = np.array(start, np.int32)
     if len(points) and not _is_line_clear(floor, *map(int, at), *map(int, points[0])):
         at = (at + _FINE // 2) // _FINE * _FINE
@@ -152,7 +125,7 @@ def corners(floor: Grid, start: tuple[int, int], cells: NDArray[np.int32]) -> ND
     return np.array(found, np.int32).reshape(-1, 2)
 
 
-def crossed(start: tuple[int, int], points: NDArray[np.int32], most: float) -> NDArray[np.int32]:
+def crossed(start: tuple[int, int], points: Cells, most: float) -> Cells:
     """Return the cells that the lines from point to point cross, in order: int32 array, shape (m, 2).
 
     Lines that begin after more than `most` cells are left out. `start` and `points`, shape (n, 2), are in thousandths
@@ -175,7 +148,7 @@ def crossed(start: tuple[int, int], points: NDArray[np.int32], most: float) -> N
     return np.array(found, np.int32).reshape(-1, 2)
 
 
-@kernel("boolean(uint8[:,::1], int64, int64, int64, int64)")
+@kernel
 def _is_line_clear(floor: Grid, x: int, y: int, to_x: int, to_y: int) -> bool:
     """Return whether a line, in thousandths of a cell, touches free cells alone; checked every tenth of a cell."""
     half = _FINE // 2
@@ -195,8 +168,8 @@ def _is_line_clear(floor: Grid, x: int, y: int, to_x: int, to_y: int) -> bool:
     return True
 
 
-@kernel("int64(uint8[:,::1], int32[:,::1], int32[:,::1])")
-def _shoot(floor: Grid, points: NDArray[np.int32], out: NDArray[np.int32]) -> int:
+@kernel
+def _shoot(floor: Grid, points: Cells, out: Cells) -> int:
     length = 0
     corner = 0
     while corner < len(points) - 1:

@@ -8,8 +8,8 @@ either direction (Or-opt), as long as the tour becomes shorter.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from protocol.arrays import FloatRows, Floats, Int64s
 from protocol.kernels import kernel
 
 ROUNDS = 100
@@ -18,27 +18,15 @@ ROUNDS = 100
 MOST_MOVED = 3
 """Largest number of consecutive goals that are moved together."""
 
-Numbers = NDArray[np.float64]
-Tour = NDArray[np.int64]
-
 _LEAST = 1e-7
 """Least improvement that counts; less may be rounding."""
 
 
-def single_robot_tour(starts: Numbers, between: Numbers) -> list[int]:
-    """Order goals by a short path from a start through all of them.
+def single_robot_tour(starts: Floats, between: FloatRows) -> list[int]:
+    """Order goals by a short path from a start through all of them; unreachable goals are left out.
 
-    Parameters
-    ----------
-    starts : float64 array, shape (n,)
-        Distance from the robot to each goal; infinite without a way.
-    between : float64 array, shape (n, n)
-        Distance between goals, symmetric.
-
-    Returns
-    -------
-    list of int
-        The goals in the order of the tour; unreachable goals are left out.
+    `starts`, shape (n,), has the distance from the robot to each goal, infinite without a way; `between`, shape (n, n),
+    the distances between goals, symmetric.
     """
     goals = np.flatnonzero(np.isfinite(starts))
     count = len(goals)
@@ -51,14 +39,14 @@ def single_robot_tour(starts: Numbers, between: Numbers) -> list[int]:
     return order
 
 
-@kernel("float64(int64[::1], int64, int64, float64[:,::1])")
-def _step(tour: Tour, place: int, after: int, ways: Numbers) -> float:
+@kernel
+def _step(tour: Int64s, place: int, after: int, ways: FloatRows) -> float:
     """Return the distance between the goals at two places; 0 beyond the end of the tour."""
     return float(ways[tour[place], tour[after]]) if after < len(tour) else 0.0
 
 
-@kernel("boolean(int64[::1], float64[:,::1])")
-def _reverse_parts(tour: Tour, ways: Numbers) -> bool:
+@kernel
+def _reverse_parts(tour: Int64s, ways: FloatRows) -> bool:
     """Reverse each part whose reversal makes the tour shorter; return whether there was one."""
     improved = False
     for first in range(1, len(tour) - 1):
@@ -71,8 +59,8 @@ def _reverse_parts(tour: Tour, ways: Numbers) -> bool:
     return improved
 
 
-@kernel("boolean(int64[::1], int64, int64, float64[:,::1])")
-def _move(tour: Tour, first: int, length: int, ways: Numbers) -> bool:
+@kernel
+def _move(tour: Int64s, first: int, length: int, ways: FloatRows) -> bool:
     """Move consecutive goals to their best place, in either direction; return whether that is another place."""
     part = tour[first : first + length].copy()
     rest = np.concatenate((tour[:first], tour[first + length :]))
@@ -97,8 +85,8 @@ def _move(tour: Tour, first: int, length: int, ways: Numbers) -> bool:
     return best > 0
 
 
-@kernel("void(int64[::1], float64[:,::1])")
-def _shorten(tour: Tour, ways: Numbers) -> None:
+@kernel
+def _shorten(tour: Int64s, ways: FloatRows) -> None:
     """Order a tour by nearest neighbors, then improve it; its first place is the robot itself."""
     for place in range(1, len(tour) - 1):
         nearest = place

@@ -13,60 +13,42 @@ cost of a change without evaluating the whole tour.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from protocol.arrays import FloatRows, Floats, Int64Rows, Int64s
 from protocol.kernels import kernel
 
 ROUNDS = 10
 """Largest number of improvement rounds; the search ends earlier if a round changes nothing."""
-
-Numbers = NDArray[np.float64]
 
 _LEAST = 1e-7
 """Least improvement that counts; less may be rounding."""
 
 
 class Task(NamedTuple):
-    """Input of the planner.
+    """Input of the planner."""
 
-    Attributes
-    ----------
-    starts : float64 array, shape (m, n)
-        Distance from each robot to each goal; infinite without a way.
-    between : float64 array, shape (n, n)
-        Distance between goals, symmetric.
-    weights : float64 array, shape (n,)
-        Cost of each goal per cell of its arrival distance.
-    latency_weight : float64 array, shape (n,)
-        Cost of each goal per square of its arrival distance.
-    last : float
-        Cost per cell of the longest tour.
-    way : float
-        Cost per cell of every tour.
-    loads : float64 array, shape (n,)
-        Length that each goal adds to the end of its tour, for the expected work behind it.
-    """
-
-    starts: Numbers
-    between: Numbers
-    weights: Numbers
-    latency_weight: Numbers
+    starts: FloatRows
+    """Distance from each robot to each goal, shape (m, n); infinite without a way."""
+    between: FloatRows
+    """Distance between goals, symmetric, shape (n, n)."""
+    weights: Floats
+    """Cost of each goal per cell of its arrival distance, shape (n,)."""
+    latency_weight: Floats
+    """Cost of each goal per square of its arrival distance, shape (n,)."""
     last: float
+    """Cost per cell of the longest tour."""
     way: float
-    loads: Numbers
+    """Cost per cell of every tour."""
+    loads: Floats
+    """Length that each goal adds to the end of its tour, for the expected work behind it, shape (n,)."""
 
 
 def team_tours(task: Task) -> list[list[int]]:
-    """Plan one tour per robot with a small `tours_cost`.
-
-    Returns
-    -------
-    list of lists of int
-        The goals of each robot, in the order of its tour; unreachable goals are left out.
-    """
+    """Plan one tour per robot, goals in their order, with a small `tours_cost`; unreachable goals are left out."""
     robots, goals = task.starts.shape
     tours = np.full((robots, goals), -1)
     counts = np.zeros(robots, np.int64)
@@ -90,15 +72,13 @@ def tours_cost(tours: list[list[int]], task: Task) -> float:
     return total + last * longest
 
 
-_Task = tuple[Numbers, Numbers, Numbers, Numbers, float, float, Numbers]
-_Plan = tuple[NDArray[np.int64], NDArray[np.int64], Numbers]
+_Task = tuple[FloatRows, FloatRows, Floats, Floats, float, float, Floats]
+_Books = Annotated[NDArray[np.float64], "float64[:,:,::1]"]
+_Plan = tuple[Int64Rows, Int64s, _Books]
 """Tours by robot and place, the length of each, and the sums of `_drive`."""
 
-_TASK = "Tuple((float64[:,::1], float64[:,::1], float64[::1], float64[::1], float64, float64, float64[::1]))"
-_PLAN = "Tuple((int64[:,::1], int64[::1], float64[:,:,::1]))"
 
-
-@kernel(f"float64(int64, {_TASK}, {_PLAN})")
+@kernel
 def _drive(robot: int, task: _Task, plan: _Plan) -> float:
     """Compute the arrival at each place of a tour, and sums over the later goals; return the cost of the goals.
 
@@ -124,20 +104,20 @@ def _drive(robot: int, task: _Task, plan: _Plan) -> float:
     return total
 
 
-@kernel("float64(float64[:,::1], int64, float64)")
-def _delay(book: Numbers, place: int, later: float) -> float:
+@kernel
+def _delay(book: FloatRows, place: int, later: float) -> float:
     """Return the additional cost if the arrival at all goals from `place` on increases by `later`."""
     return float(later * (book[place, 1] + 2.0 * book[place, 3] + later * book[place, 2]))
 
 
-@kernel("float64(float64[:,:,::1], int64[::1], int64)")
-def _end(books: Numbers, counts: NDArray[np.int64], robot: int) -> float:
+@kernel
+def _end(books: _Books, counts: Int64s, robot: int) -> float:
     """Return the length of a robot's tour, loads included."""
     return float(books[robot, counts[robot] - 1, 0] + books[robot, 0, 4]) if counts[robot] else 0.0
 
 
-@kernel("float64(float64[:,:,::1], int64[::1], int64, int64)")
-def _longest(books: Numbers, counts: NDArray[np.int64], one: int, other: int) -> float:
+@kernel
+def _longest(books: _Books, counts: Int64s, one: int, other: int) -> float:
     """Return the length of the longest tour of the robots other than these two."""
     longest = 0.0
     for robot in range(len(counts)):
@@ -146,7 +126,7 @@ def _longest(books: Numbers, counts: NDArray[np.int64], one: int, other: int) ->
     return longest
 
 
-@kernel(f"Tuple((float64, int64, int64))(int64, {_TASK}, {_PLAN})")
+@kernel
 def _best_place(goal: int, task: _Task, plan: _Plan) -> tuple[float, int, int]:
     """Find the cheapest insertion of a goal: the cost, the robot (-1 for an unreachable goal) and the place."""
     starts, between, weights, latency_weight, last, way, loads = task
@@ -174,7 +154,7 @@ def _best_place(goal: int, task: _Task, plan: _Plan) -> tuple[float, int, int]:
     return least, best_robot, best_place
 
 
-@kernel(f"boolean(int64, {_TASK}, {_PLAN})")
+@kernel
 def _move(goal: int, task: _Task, plan: _Plan) -> bool:
     """Move a goal to its cheapest place; return whether that is another place than before."""
     _, _, _, _, last, way, _ = task
@@ -208,7 +188,7 @@ def _move(goal: int, task: _Task, plan: _Plan) -> bool:
     return moved
 
 
-@kernel(f"boolean(int64, int64, {_TASK}, {_PLAN})")
+@kernel
 def _swap_ends(one: int, other: int, task: _Task, plan: _Plan) -> bool:
     """Swap the ends of two tours at the best places; return whether the cost decreases."""
     starts, between, _, _, last, way, _ = task
@@ -252,7 +232,7 @@ def _swap_ends(one: int, other: int, task: _Task, plan: _Plan) -> bool:
     return True
 
 
-@kernel(f"boolean(int64, {_TASK}, {_PLAN})")
+@kernel
 def _reverse_part(robot: int, task: _Task, plan: _Plan) -> bool:
     """Reverse the best part of a tour; return whether the cost decreases."""
     starts, between, weights, latency_weight, last, way, _ = task
@@ -288,8 +268,8 @@ def _reverse_part(robot: int, task: _Task, plan: _Plan) -> bool:
     return True
 
 
-@kernel(f"void({_TASK}, int64[::1], int64[:,::1], int64[::1])")
-def _plan(task: _Task, order: NDArray[np.int64], tours: NDArray[np.int64], counts: NDArray[np.int64]) -> None:
+@kernel
+def _plan(task: _Task, order: Int64s, tours: Int64Rows, counts: Int64s) -> None:
     """Insert the goals in the given order, then improve; `tours` and `counts` are empty before."""
     robots, goals = task[0].shape
     plan = tours, counts, np.zeros((robots, goals + 1, 5))

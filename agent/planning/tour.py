@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import fast_tsp
 import numpy as np
-from numpy.typing import NDArray
+
+from protocol.arrays import FloatRows, Floats
 
 LONGEST = 12
 """Largest number of goals; the exact solution then takes less than a millisecond."""
@@ -17,24 +18,12 @@ _LARGEST = 65535
 """Largest distance of the solver, which takes integers."""
 
 
-def open_tour(
-    from_start: NDArray[np.float64], between: NDArray[np.float64], to_end: NDArray[np.float64]
-) -> list[int]:
-    """Order goals by the shortest path from a start through all of them.
+def open_tour(from_start: Floats, between: FloatRows, to_end: Floats) -> list[int]:
+    """Order goals by the shortest path from a start through all of them; return the goals in the order of the path.
 
-    Parameters
-    ----------
-    from_start : float64 array, shape (n,)
-        Cost of the way from the start to each goal; n at most `LONGEST`.
-    between : float64 array, shape (n, n)
-        Cost of the way from goal to goal, symmetric.
-    to_end : float64 array, shape (n,)
-        Cost of the way from each goal to the end of the path; zeros for a path that ends at its last goal.
-
-    Returns
-    -------
-    list of int
-        The goals in the order of the path.
+    `from_start` and `to_end`, shape (n,), have the cost of the way from the start to each goal, and from each goal to
+    the end of the path: zeros for a path that ends at its last goal. `between`, shape (n, n), has the costs between
+    goals, symmetric. n is at most `LONGEST`.
     """
     count = len(from_start)
     if count <= 2:

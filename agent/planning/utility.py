@@ -9,37 +9,24 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from protocol.arrays import Cells, Floats, Int32s
 from protocol.grid import OCCUPIED, Grid
 from protocol.kernels import kernel
 
 
 def utilities(
     grid: Grid,
-    cells: NDArray[np.int32],
+    cells: Cells,
     targets: Sequence[tuple[int, int]],
     range_cells: ArrayLike,
     weights: Sequence[float] | None = None,
-) -> NDArray[np.float64]:
-    """Return the utility of each of `cells`.
+) -> Floats:
+    """Return the utility of each of `cells` on a planning grid, shape (n,); occupied cells block the line of sight.
 
-    Parameters
-    ----------
-    grid : uint8 array, shape (h, w)
-        The planning grid; occupied cells block the line of sight.
-    cells : int32 array, shape (n, 2)
-        Frontier cells (x, y).
-    targets : sequence of (x, y)
-        Targets of teammates.
-    range_cells : float or float array, shape (m,)
-        Sensor range of each of these teammates: P(d) = max(0, 1 - d / range).
-    weights : sequence of float, optional
-        Weight of each target; default: 1.
-
-    Returns
-    -------
-    float64 array, shape (n,)
+    `range_cells` has the sensor range of the teammate of each of the `targets`, scalar or shape (m,):
+    P(d) = max(0, 1 - d / range). `weights` has the weight of each target, by default 1.
     """
     result = np.ones(len(cells))
     weighted = np.ones(len(targets)) if weights is None else np.asarray(weights, np.float64)
@@ -48,22 +35,16 @@ def utilities(
     return result
 
 
-def proximity(
-    grid: Grid, cells: NDArray[np.int32], target: NDArray[np.int32], range_cells: float
-) -> NDArray[np.float64]:
+def proximity(grid: Grid, cells: Cells, target: Int32s, range_cells: float) -> Floats:
     """Return P(d) of each of `cells` for one target, the amount by which it lowers their utilities, shape (n,)."""
     lowered = np.zeros(len(cells))
     _lower(grid, cells, target.reshape(1, 2), np.ones(1), np.array([range_cells]), lowered)
     return -lowered
 
 
+@kernel
 def in_sight(grid: Grid, x0: int, y0: int, x1: int, y1: int) -> bool:
     """Return whether no occupied cell lies on the straight line between two cells."""
-    return bool(_in_sight(grid, x0, y0, x1, y1))
-
-
-@kernel("boolean(uint8[:,::1], int64, int64, int64, int64)")
-def _in_sight(grid: Grid, x0: int, y0: int, x1: int, y1: int) -> bool:
     # The line always begins at the same end, so that the result is symmetric.
     if (y1, x1) < (y0, x0):
         x0, y0, x1, y1 = x1, y1, x0, y0
@@ -84,24 +65,17 @@ def _in_sight(grid: Grid, x0: int, y0: int, x1: int, y1: int) -> bool:
             y0 += 1
 
 
-@kernel("float64(uint8[:,::1], int32[::1], int32[::1], float64)")
-def sees(grid: Grid, one: NDArray[np.int32], other: NDArray[np.int32], range_cells: float) -> float:
+@kernel
+def sees(grid: Grid, one: Int32s, other: Int32s, range_cells: float) -> float:
     """Return P(d) of two cells for each other, 0 if an obstacle lies between them; for kernels."""
     distance = np.sqrt(float((one[0] - other[0]) ** 2 + (one[1] - other[1]) ** 2))
-    if distance < range_cells and _in_sight(grid, one[0], one[1], other[0], other[1]):
+    if distance < range_cells and in_sight(grid, one[0], one[1], other[0], other[1]):
         return float(1.0 - distance / range_cells)
     return 0.0
 
 
-@kernel("void(uint8[:,::1], int32[:,::1], int32[:,::1], float64[::1], float64[::1], float64[::1])")
-def _lower(
-    grid: Grid,
-    cells: NDArray[np.int32],
-    targets: NDArray[np.int32],
-    weights: NDArray[np.float64],
-    ranges: NDArray[np.float64],
-    result: NDArray[np.float64],
-) -> None:
+@kernel
+def _lower(grid: Grid, cells: Cells, targets: Cells, weights: Floats, ranges: Floats, result: Floats) -> None:
     for target in range(len(targets)):
         for at in range(len(cells)):
             result[at] -= weights[target] * sees(grid, cells[at], targets[target], ranges[target])

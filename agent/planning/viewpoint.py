@@ -9,13 +9,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.planning.path_planner import PathPlanner
+from protocol.arrays import BoolRows, Bools, Cells, Int32s
 from protocol.grid import FREE, UNKNOWN, Grid, RayTable
 from protocol.kernels import kernel
-
-Cells = NDArray[np.int32]
 
 _BEGUN = 1 / 2
 """Cells by which a way may exceed a whole number of steps without another step: robots round lengths."""
@@ -25,23 +23,10 @@ _DIGITS = 6
 
 
 def viewpoint_cells(grid: Grid, goal: tuple[int, int], around: RayTable, reach: float) -> Cells:
-    """Find all cells from which a beam reaches an unknown 4-neighbor of a goal over free cells.
+    """Find all cells from which a beam reaches an unknown 4-neighbor of a goal over free cells, row by row.
 
-    Parameters
-    ----------
-    grid : uint8 array, shape (h, w)
-        The planning grid.
-    goal : (x, y)
-        A frontier cell.
-    around : RayTable
-        The beams of the scanner.
-    reach : float
-        Largest length of a beam in cells.
-
-    Returns
-    -------
-    int32 array, shape (n, 2)
-        Free cells (x, y), row by row, the goal itself among them.
+    `goal` is a frontier cell of the planning grid, itself among the result; `around` has the beams of the scanner,
+    which count up to a length of `reach` cells.
     """
     x0, y0 = max(0, goal[0] - int(reach) - 1), max(0, goal[1] - int(reach) - 1)
     x1, y1 = goal[0] + int(reach) + 2, goal[1] + int(reach) + 2
@@ -58,24 +43,11 @@ def best_viewpoint(
 ) -> tuple[int, int] | None:
     """Choose the viewpoint of the first goal of a tour with the shortest way through it and on through the tour.
 
-    Goals that are visible from this viewpoint as well need no further way. The robot scans at the end of each step, so
-    the way to the viewpoint counts in whole steps.
+    Goals that are visible from this viewpoint as well need no further way. The robot, in cell `here`, scans at the end
+    of each step of `step` cells, so the way to the viewpoint counts in whole steps. `views` has the viewpoints of each
+    goal, None for a goal that the robot must drive to; the first goal has viewpoints.
 
-    Parameters
-    ----------
-    here : (x, y)
-        The robot's cell.
-    views : iterable of int32 arrays, shape (n, 2)
-        The viewpoints of each goal; None for a goal that the robot must drive to. The first goal has viewpoints.
-    goals : int32 array, shape (m, 2)
-        The first goals of the tour.
-    step : float
-        Distance that the robot drives in a step, in cells.
-
-    Returns
-    -------
-    (x, y)
-        The viewpoint; None if the robot is already at one, so that a scan had no effect, or no viewpoint is reachable.
+    Returns None if the robot is already at a viewpoint, so that a scan had no effect, or no viewpoint is reachable.
     """
     more = iter(views)
     cells = next(more)
@@ -97,21 +69,15 @@ def best_viewpoint(
     return (int(cells[best, 0]), int(cells[best, 1])) if np.isfinite(cost[best]) else None
 
 
-def _are_among(cells: Cells, others: Cells) -> NDArray[np.bool_]:
+def _are_among(cells: Cells, others: Cells) -> Bools:
     """Return for each cell whether `others` contains it."""
     width = 1 + max(int(cells[:, 0].max()), int(others[:, 0].max()))
     return np.isin(cells @ (1, width), others @ (1, width))
 
 
-@kernel("void(uint8[:,::1], int64, int64, int32[:,::1], int32[::1], float64, boolean[:,::1])")
+@kernel
 def _trace_back(
-    part: Grid,
-    x: int,
-    y: int,
-    beam_cells: Cells,
-    start: NDArray[np.int32],
-    reach: float,
-    found: NDArray[np.bool_],
+    part: Grid, x: int, y: int, beam_cells: Cells, start: Int32s, reach: float, found: BoolRows
 ) -> None:
     """Mark the cells from which a beam reaches an unknown neighbor of (x, y), by following each beam backwards."""
     height, width = part.shape

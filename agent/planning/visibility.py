@@ -10,8 +10,8 @@ The search skips corners farther away than an upper bound of the way, the length
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from protocol.arrays import Cells, Int64Rows, Int64s
 from protocol.grid import FREE, Grid
 from protocol.kernels import kernel
 
@@ -24,31 +24,18 @@ MARGIN = 100
 _HALF = FINE // 2
 
 
-def shortest_way(
-    floor: Grid, start: tuple[int, int], goals: NDArray[np.int32], most: float
-) -> NDArray[np.int32] | None:
-    """Find the shortest way to the nearest goal.
+def shortest_way(floor: Grid, start: tuple[int, int], goals: Cells, most: float) -> Cells | None:
+    """Find the shortest way to the center of the nearest of `goals`, free cells, over cells that the robot may enter.
 
-    Parameters
-    ----------
-    floor : uint8 array, shape (h, w)
-        The cells that the robot may enter.
-    start : (x, y)
-        The robot's position in thousandths of a cell. If it is too close to an obstacle, the way begins at the center
-        of its cell.
-    goals : int32 array, shape (n, 2)
-        Free cells (x, y); the way ends at a center.
-    most : float
-        Upper bound of the length in cells: the length of a way over cells to a goal.
+    `start` is the robot's position in thousandths of a cell; if it is too close to an obstacle, the way begins at the
+    center of its cell. `most` is an upper bound of the length in cells: the length of a way over cells to a goal.
 
-    Returns
-    -------
-    int32 array, shape (m, 2), optional
-        Waypoints in thousandths of a cell, the last one a goal's center; None if no goal is reachable.
+    Returns waypoints in thousandths of a cell, shape (m, 2), the last one a goal's center; None if no goal is
+    reachable.
     """
     at = np.array(start, np.int64)
     middle = (at + _HALF) // FINE * FINE
-    first: list[NDArray[np.int64]] = []
+    first: list[Int64Rows] = []
     if not _is_clear(floor, at[0], at[1], at[0], at[1]) or not _is_clear(
         floor, at[0], at[1], middle[0], middle[1]
     ):
@@ -67,13 +54,13 @@ def shortest_way(
     return np.array(first + way[::-1], np.int32).reshape(-1, 2)
 
 
-def _within(points: NDArray[np.int64], at: NDArray[np.int64], reach: float) -> NDArray[np.int64]:
-    near: NDArray[np.int64] = points[((points - at) ** 2).sum(axis=1) <= reach * reach]
+def _within(points: Int64Rows, at: Int64Rows, reach: float) -> Int64Rows:
+    near: Int64Rows = points[((points - at) ** 2).sum(axis=1) <= reach * reach]
     return near
 
 
-@kernel("int64[:,::1](uint8[:,::1])")
-def _corners(floor: Grid) -> NDArray[np.int64]:
+@kernel
+def _corners(floor: Grid) -> Int64Rows:
     """Return the points where ways may bend, at the convex corners of obstacles, shape (n, 2)."""
     height, width = floor.shape
     out = np.empty((256, 2), np.int64)
@@ -99,7 +86,7 @@ def _corners(floor: Grid) -> NDArray[np.int64]:
     return out[:count].copy()
 
 
-@kernel("boolean(uint8[:,::1], int64, int64, int64, int64)")
+@kernel
 def _is_clear(floor: Grid, x0: int, y0: int, x1: int, y1: int) -> bool:
     """Return whether a line keeps the distance `MARGIN` from all obstacles."""
     height, width = floor.shape
@@ -120,8 +107,8 @@ def _is_clear(floor: Grid, x0: int, y0: int, x1: int, y1: int) -> bool:
     return True
 
 
-@kernel("int64(uint8[:,::1], int64[:,::1], int64, float64, int64[::1])")
-def _search(floor: Grid, nodes: NDArray[np.int64], goals: int, reach: float, came: NDArray[np.int64]) -> int:
+@kernel
+def _search(floor: Grid, nodes: Int64Rows, goals: int, reach: float, came: Int64s) -> int:
     """Search by Dijkstra's algorithm from node 0 to the nearest of nodes 1 to `goals`; -1 if none is reachable.
 
     `came` gets the predecessor of each node. Of equally long ways the one over the first nodes counts.

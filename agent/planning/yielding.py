@@ -30,15 +30,7 @@ Cell = tuple[int, int]
 
 
 class YieldBehavior:
-    """Yield state of one robot.
-
-    Parameters
-    ----------
-    seed, robot : int
-        Seed of the random yield cells.
-    near : float
-        The first yield distance, in cells.
-    """
+    """Yield state of one robot; `seed` and `robot` draw the yield cells, `near` is the first distance in cells."""
 
     def __init__(self, seed: int, robot: int, near: float) -> None:
         self.waited = 0

@@ -11,14 +11,16 @@ the code that walks along beams exists once.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from protocol.arrays import Int64s, Uint8s, Uint16Rows
 from protocol.errors import ProtocolError
 from protocol.kernels import kernel
 
-State = NDArray[np.int64]
-Counts = NDArray[np.uint16]
-Data = NDArray[np.uint8]
+State = Int64s
+Counts = Uint16Rows
+Data = Uint8s
+Coder = tuple[State, Data, Counts]
+"""State and buffer, from `writer` or `reader`, and the counts of 0 and 1 in each context, shape (n, 2)."""
 
 LOW, WIDTH, PLACE, SIZE, DECODES, FAILED = range(6)
 """Indices of a coder's state: the lower end of the interval (decoder: offset of the message from it) and its width, in
@@ -64,7 +66,7 @@ def check_end(state: State, packet: str) -> None:
         raise ProtocolError(packet, int(min(state[PLACE], state[SIZE])), reason)
 
 
-@kernel("void(int64[::1], uint8[::1], int64)")
+@kernel
 def _put(state: State, data: Data, byte: int) -> None:
     """Write a byte, and propagate its carry into the bytes before."""
     place = state[PLACE]
@@ -78,7 +80,7 @@ def _put(state: State, data: Data, byte: int) -> None:
     state[PLACE] = place + 1
 
 
-@kernel("void(int64[::1], uint8[::1])")
+@kernel
 def _shift(state: State, data: Data) -> None:
     """Shift the interval by a byte: write its highest byte, or read the next."""
     place = state[PLACE]
@@ -98,21 +100,13 @@ def _shift(state: State, data: Data) -> None:
     state[LOW] = state[LOW] << 8 & _TOP - 1
 
 
-@kernel("int64(int64[::1], uint8[::1], uint16[:,::1], int64, int64, int64)")
-def code_bit(state: State, data: Data, counts: Counts, context: int, bit: int, most: int) -> int:
-    """Encode `bit`, or decode a bit; return it.
+@kernel
+def code_bit(coder: Coder, context: int, bit: int, most: int) -> int:
+    """Encode `bit`, or decode a bit, in a context, a row of the counts; return it.
 
-    Parameters
-    ----------
-    state, data : arrays
-        From `writer` or `reader`.
-    counts : uint16 array, shape (n, 2)
-        How often 0 and 1 have occurred in each context; updated with this bit.
-    context : int
-        A row of `counts`.
-    most : int
-        Sum of the two counts at which both are halved.
+    The counts are updated with this bit; both are halved when their sum reaches `most`.
     """
+    state, data, counts = coder
     zeros, ones = np.int64(counts[context, 0]), np.int64(counts[context, 1])
     width = state[WIDTH]
     part = (width * (2 * zeros + 1)) // (2 * (zeros + ones) + 2)
@@ -134,7 +128,7 @@ def code_bit(state: State, data: Data, counts: Counts, context: int, bit: int, m
     return bit
 
 
-@kernel("int64(int64[::1], uint8[::1])")
+@kernel
 def _end(state: State, data: Data) -> int:
     """Write the shortest number inside the interval; return the size of the message in bytes."""
     low, last = state[LOW], state[LOW] + state[WIDTH] - 1
@@ -152,35 +146,33 @@ def _end(state: State, data: Data) -> int:
     return int(state[PLACE])
 
 
-@kernel("int64(int64[::1], uint8[::1], uint16[:,::1], int64, int64, int64)")
-def code_number(state: State, data: Data, counts: Counts, context: int, value: int, most: int) -> int:
+@kernel
+def code_number(coder: Coder, context: int, value: int, most: int) -> int:
     """Encode or decode a number of 0 to `LONGEST` bits: its length, then the bits behind the first (Elias gamma code).
 
     `context` is the first of its `NUMBER` contexts.
     """
-    if not code_bit(state, data, counts, context + _ZERO, 1 if value else 0, most):
+    if not code_bit(coder, context + _ZERO, 1 if value else 0, most):
         return 0
     length = 0
     while value >> length > 1:
         length += 1
     read = 0
-    while read < LONGEST - 1 and code_bit(
-        state, data, counts, context + _LENGTH + read, 1 if read < length else 0, most
-    ):
+    while read < LONGEST - 1 and code_bit(coder, context + _LENGTH + read, 1 if read < length else 0, most):
         read += 1
     number = 1
     for place in range(read - 1, -1, -1):
         bit = value >> place & 1
         # the context of a bit: up to 15 all bits before it, in larger numbers its place
         row = _BITS + (1 << read) - read - 1 + number - 1 if read <= 3 else _LOW_BITS + place
-        number = number << 1 | code_bit(state, data, counts, context + row, bit, most)
+        number = number << 1 | code_bit(coder, context + row, bit, most)
     return number
 
 
-@kernel("int64(int64[::1], uint8[::1], uint16[:,::1], int64, int64, int64)")
-def code_signed(state: State, data: Data, counts: Counts, context: int, value: int, most: int) -> int:
+@kernel
+def code_signed(coder: Coder, context: int, value: int, most: int) -> int:
     """Encode or decode a number with a sign; otherwise as `code_number`."""
-    size = code_number(state, data, counts, context, abs(value), most)
-    if size and code_bit(state, data, counts, context + _SIGN, 1 if value < 0 else 0, most):
+    size = code_number(coder, context, abs(value), most)
+    if size and code_bit(coder, context + _SIGN, 1 if value < 0 else 0, most):
         return -size
     return size

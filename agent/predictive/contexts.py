@@ -82,7 +82,7 @@ def start() -> Counts:
     return _table().copy()
 
 
-@kernel("int64(uint8[:,::1], int64, int64)")
+@kernel
 def neighbors(grid: Grid, x: int, y: int) -> int:
     """Return the context of cell (x, y): the states of its eight neighbors, row by row, as a number in base 3.
 

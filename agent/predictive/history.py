@@ -13,6 +13,7 @@ from hashlib import blake2b
 import numpy as np
 from numpy.typing import NDArray
 
+from protocol.arrays import Int32Rows
 from protocol.boxes import Box
 from protocol.kernels import kernel
 
@@ -28,34 +29,24 @@ class Base:
 
 @dataclass(frozen=True)
 class DecodedUpdate:
-    """The content of an update.
-
-    Attributes
-    ----------
-    places : int32 array, shape (n,)
-        Reported cells, as indices of the flat grid, each once.
-    states, before : uint8 array, shape (n,)
-        The reported state of each cell, and the author's previous report of it: unknown if there was none.
-    box : Box
-        The bounding box of the cells.
-    message : bytes
-        The encoded update.
-    bases : tuple of Base
-        Dependencies beyond those of the update before, by ascending map ID.
-    pose : (x, y), optional
-        Cell of the author's last scan; None before the first.
-    key : bytes
-        Hash of the messages on which this content depends (`key_of`).
-    """
+    """The content of an update."""
 
     places: NDArray[np.int32]
+    """Reported cells, as indices of the flat grid, each once, shape (n,)."""
     states: NDArray[np.uint8]
     before: NDArray[np.uint8]
+    """`states`, `before`, shape (n,): the reported state of each cell, and the author's previous report of it: unknown
+    if there was none."""
     box: Box
+    """The bounding box of the cells."""
     message: bytes = b""
+    """The encoded update."""
     bases: tuple[Base, ...] = ()
+    """Dependencies beyond those of the update before, by ascending map ID."""
     pose: tuple[int, int] | None = None
+    """Cell of the author's last scan; None before the first."""
     key: bytes = b""
+    """Hash of the messages on which this content depends (`key_of`)."""
 
 
 def key_of(before: bytes, message: bytes, bases: Sequence[Base]) -> bytes:
@@ -109,8 +100,8 @@ class History:
             self._dropped = before
 
 
-@kernel("int64(int32[:,::1], int64, int64, int64, int64, int64, int64)")
-def _last_meeting(boxes: NDArray[np.int32], first: int, end: int, x0: int, y0: int, x1: int, y1: int) -> int:
+@kernel
+def _last_meeting(boxes: Int32Rows, first: int, end: int, x0: int, y0: int, x1: int, y1: int) -> int:
     """Return the last of boxes `first` to `end` - 1 that meets the box (x0, y0, x1, y1); -1 if there is none."""
     for number in range(end - 1, first - 1, -1):
         box = boxes[number]

@@ -11,19 +11,8 @@ A cell of the grid is a byte: its state in the low two bits, and the flag `REPOR
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from agent.predictive.coder import (
-    DECODES,
-    FAILED,
-    NUMBER,
-    Counts,
-    Data,
-    State,
-    code_bit,
-    code_number,
-    code_signed,
-)
+from agent.predictive.coder import DECODES, FAILED, NUMBER, Coder, code_bit, code_number, code_signed
 from agent.predictive.contexts import (
     ACROSS,
     ALONG,
@@ -42,6 +31,7 @@ from agent.predictive.contexts import (
     SAME_ROW,
     neighbors,
 )
+from protocol.arrays import BoolRows, Cells, Int32s, Int64s
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.kernels import kernel
 
@@ -57,12 +47,11 @@ MAX_SCANS = 64
 X, Y, DX, DY, SCANS = range(5)
 """Indices of a `Motion`: cell of the last scan, its offset from the scan before, and whether there was a scan."""
 
-Cells = NDArray[np.int32]
-Motion = NDArray[np.int64]
+Motion = Int64s
 
 
-@kernel("void(int64[::1], uint8[::1], uint16[:,::1], int64[::1], int64, int64)")
-def code_pose(state: State, data: Data, counts: Counts, motion: Motion, x: int, y: int) -> None:
+@kernel
+def code_pose(coder: Coder, motion: Motion, x: int, y: int) -> None:
     """Encode or decode the next pose into `motion`, predicting that the robot repeats its last motion.
 
     The last motion is mirrored into the octant between +x and the diagonal. The differences along and across it are
@@ -71,11 +60,9 @@ def code_pose(state: State, data: Data, counts: Counts, motion: Motion, x: int, 
     if motion[SCANS] == 0:
         column, row = 0, 0
         for place in range(10, -1, -1):
-            column = column << 1 | code_bit(
-                state, data, counts, FIRST_POSE + place, x >> place & 1, REST_MOST
-            )
+            column = column << 1 | code_bit(coder, FIRST_POSE + place, x >> place & 1, REST_MOST)
         for place in range(10, -1, -1):
-            row = row << 1 | code_bit(state, data, counts, FIRST_POSE + 11 + place, y >> place & 1, REST_MOST)
+            row = row << 1 | code_bit(coder, FIRST_POSE + 11 + place, y >> place & 1, REST_MOST)
         motion[X], motion[Y], motion[DX], motion[DY], motion[SCANS] = column, row, 0, 0, 1
         return
     last_x, last_y = motion[DX], motion[DY]
@@ -90,15 +77,13 @@ def code_pose(state: State, data: Data, counts: Counts, motion: Motion, x: int, 
         along, across = across, along
         went_x, went_y = went_y, went_x
     kind = 0 if along == 0 else 1 if across == 0 else 3 if across == along else 2
-    same = code_bit(
-        state, data, counts, SAME_MOTION + kind, 1 if went_x == along and went_y == across else 0, REST_MOST
-    )
+    same = code_bit(coder, SAME_MOTION + kind, 1 if went_x == along and went_y == across else 0, REST_MOST)
     if same:
         went_x, went_y = along, across
     else:
-        farther = code_signed(state, data, counts, ALONG + kind * NUMBER, went_x - along, REST_MOST)
+        farther = code_signed(coder, ALONG + kind * NUMBER, went_x - along, REST_MOST)
         row = ACROSS + (7 * kind + 3 + max(-3, min(3, farther))) * NUMBER
-        aside = code_signed(state, data, counts, row, went_y - across, REST_MOST)
+        aside = code_signed(coder, row, went_y - across, REST_MOST)
         went_x, went_y = along + farther, across + aside
     if swap:
         went_x, went_y = went_y, went_x
@@ -111,16 +96,13 @@ def code_pose(state: State, data: Data, counts: Counts, motion: Motion, x: int, 
     motion[DX], motion[DY] = went_x, went_y
 
 
-@kernel("int64(int64[::1], uint8[::1], uint16[:,::1], uint8[:,::1], uint8[:,::1], int32[:,::1], int32[::1],"
-        "int64, int64, int32[:,::1], int64)")  # fmt: skip
+@kernel
 def code_scan(
-    state: State,
-    data: Data,
-    counts: Counts,
+    coder: Coder,
     grid: Grid,
     own: Grid,
     cells: Cells,
-    start: NDArray[np.int32],
+    start: Int32s,
     x: int,
     y: int,
     changes: Cells,
@@ -141,13 +123,11 @@ def code_scan(
     changes : int32 array, shape (n, 2)
         Changed cells, as indices of the flat grid, and their previous values, from row `changed` on.
 
-    Returns
-    -------
-    int
-        The number of used rows of `changes`.
+    Returns the number of used rows of `changes`.
     """
     # Unsigned, a cell beyond the left or upper rim has a very large number; unsigned indexing is twice as fast.
     height, width = np.uint64(grid.shape[0]), np.uint64(grid.shape[1])
+    state = coder[0]
     reads = state[DECODES]
     if grid[y, x] & STATE == UNKNOWN:
         changes[changed, 0], changes[changed, 1] = y * grid.shape[1] + x, grid[y, x]
@@ -169,12 +149,7 @@ def code_scan(
             asked_before = asked
             asked = 1
             seen = code_bit(
-                state,
-                data,
-                counts,
-                OBSERVED + 2 * unseen_before + asked_before,
-                1 if truth != UNKNOWN else 0,
-                REST_MOST,
+                coder, OBSERVED + 2 * unseen_before + asked_before, 1 if truth != UNKNOWN else 0, REST_MOST
             )
             if state[FAILED]:
                 return changed
@@ -182,7 +157,7 @@ def code_scan(
                 unseen = 1
                 break
             wall = code_bit(
-                state, data, counts, CELLS + neighbors(grid, int(column), int(row)),
+                coder, CELLS + neighbors(grid, int(column), int(row)),
                 1 if truth == OCCUPIED else 0, CELLS_MOST,
             )  # fmt: skip
             changes[changed, 0] = np.int64(row) * grid.shape[1] + np.int64(column)
@@ -196,15 +171,9 @@ def code_scan(
     return changed
 
 
-@kernel("int64(uint8[:,::1], uint8[:,::1], boolean[:,::1], int32[:,::1], int32[::1], int64, int64)")
+@kernel
 def count_new_cells(
-    grid: Grid,
-    own: Grid,
-    counted: NDArray[np.bool_],
-    cells: Cells,
-    start: NDArray[np.int32],
-    x: int,
-    y: int,
+    grid: Grid, own: Grid, counted: BoolRows, cells: Cells, start: Int32s, x: int, y: int
 ) -> int:
     """Count the cells that a scan from (x, y) would reveal and no scan counted before reveals; mark them in `counted`.
 
@@ -232,10 +201,8 @@ def count_new_cells(
     return count
 
 
-@kernel("int64(uint8[:,::1], uint8[:,::1], int64, int64, int64, int64, int32[::1])")
-def find_differences(
-    grid: Grid, own: Grid, x0: int, y0: int, x1: int, y1: int, found: NDArray[np.int32]
-) -> int:
+@kernel
+def find_differences(grid: Grid, own: Grid, x0: int, y0: int, x1: int, y1: int, found: Int32s) -> int:
     """Find the cells of the box (x0, y0, x1, y1) that need a correction.
 
     A cell known in `own` needs one if `grid` has another state; a cell unknown in `own`, if the author has reported it.
@@ -253,15 +220,12 @@ def find_differences(
     return count
 
 
-@kernel("int64(int64[::1], uint8[::1], uint16[:,::1], uint8[:,::1], uint8[:,::1], int32[::1], int64, int64[::1],"
-        "int32[:,::1], int64)")  # fmt: skip
+@kernel
 def code_corrections(
-    state: State,
-    data: Data,
-    counts: Counts,
+    coder: Coder,
     grid: Grid,
     own: Grid,
-    places: NDArray[np.int32],
+    places: Int32s,
     number: int,
     motion: Motion,
     changes: Cells,
@@ -272,30 +236,29 @@ def code_corrections(
     `places` has the `number` corrected cells, as ascending indices of the flat grid; a decoder passes none. The other
     parameters and the result are those of `code_scan`. Returns -1 - `changed` if a decoded cell lies outside the grid.
     """
+    state = coder[0]
     height, width = grid.shape
-    number = code_number(state, data, counts, CORRECTIONS, number, REST_MOST)
+    number = code_number(coder, CORRECTIONS, number, REST_MOST)
     x, y = motion[X], motion[Y]
     for index in range(number):
         to_x, to_y = np.int64(0), np.int64(0)
         if not state[DECODES]:
             to_x, to_y = places[index] % width, places[index] // width
         if index == 0:
-            x += code_signed(state, data, counts, FIRST_X, to_x - x, REST_MOST)
-            y += code_signed(state, data, counts, FIRST_Y, to_y - y, REST_MOST)
+            x += code_signed(coder, FIRST_X, to_x - x, REST_MOST)
+            y += code_signed(coder, FIRST_Y, to_y - y, REST_MOST)
         else:
-            rows = code_number(state, data, counts, NEXT_ROW, to_y - y, REST_MOST)
+            rows = code_number(coder, NEXT_ROW, to_y - y, REST_MOST)
             y += rows
             if rows:
-                x += code_signed(state, data, counts, OTHER_ROW, to_x - x, REST_MOST)
+                x += code_signed(coder, OTHER_ROW, to_x - x, REST_MOST)
             else:
-                x += 1 + code_number(state, data, counts, SAME_ROW, to_x - x - 1, REST_MOST)
+                x += 1 + code_number(coder, SAME_ROW, to_x - x - 1, REST_MOST)
         if state[FAILED] or not (0 <= x < width and 0 <= y < height) or changed >= len(changes):
             return -1 - changed
         before = int(grid[y, x] & STATE)
         truth = (before + 1) % 3 if state[DECODES] else int(own[y, x])
-        other = code_bit(
-            state, data, counts, CHANGED + before, 1 if truth == (before + 2) % 3 else 0, REST_MOST
-        )
+        other = code_bit(coder, CHANGED + before, 1 if truth == (before + 2) % 3 else 0, REST_MOST)
         now = (before + 1 + other) % 3
         changes[changed, 0], changes[changed, 1] = y * width + x, grid[y, x]
         changed += 1

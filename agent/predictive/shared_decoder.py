@@ -23,15 +23,7 @@ MakeStream = Callable[[int, Sequence[History]], Stream]
 
 
 class SharedDecoderCache:
-    """Decoded updates of one log, shared by the robots of a process.
-
-    Parameters
-    ----------
-    map_id : int
-        The map.
-    make_stream : MakeStream
-        Makes a decoder.
-    """
+    """Decoded updates of one log, shared by the robots of a process; `make_stream` makes a decoder."""
 
     def __init__(self, map_id: int, make_stream: MakeStream) -> None:
         self._map_id = map_id

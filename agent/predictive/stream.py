@@ -21,9 +21,8 @@ from agent.predictive.coder import (
     FAILED,
     NUMBER,
     PLACE,
+    Coder,
     Counts,
-    Data,
-    State,
     check_end,
     code_bit,
     code_number,
@@ -38,7 +37,6 @@ from agent.predictive.scan_updates import (
     REPORTED,
     SCANS,
     STATE,
-    Cells,
     Motion,
     X,
     Y,
@@ -48,6 +46,7 @@ from agent.predictive.scan_updates import (
     count_new_cells,
     find_differences,
 )
+from protocol.arrays import Bools, Cells, Int32s, Int64s, Uint8s
 from protocol.boxes import NO_BOX, Box, bounding_box
 from protocol.errors import ProtocolError
 from protocol.grid import UNKNOWN, Grid, RayTable
@@ -143,8 +142,6 @@ class Stream:
 
         Parameters
         ----------
-        own : uint8 array, shape (h, w)
-            The self-explored grid.
         poses : sequence of (x, y)
             Cells from which the robot has scanned since the last update.
         box : Box
@@ -161,9 +158,9 @@ class Stream:
         """
         size, last = _BUFFER, (self._before, self._overwritten)
         while True:
-            state, data = writer(size)
             self._begin()
-            update, scans = self._write(state, data, own, poses, box, most)
+            state, data = writer(size)
+            update, scans = self._write((state, data, self._counts), own, poses, box, most)
             if state[FAILED]:
                 self.rollback()
                 size *= 2
@@ -183,10 +180,10 @@ class Stream:
         ProtocolError
             The update is malformed; nothing has changed.
         """
-        state, data = reader(message)
         self._begin()
+        coder = (*reader(message), self._counts)
         try:
-            update = self._read(state, data)
+            update = self._read(coder)
         except ProtocolError:
             self.rollback()
             raise
@@ -236,12 +233,12 @@ class Stream:
         return update
 
     def _write(
-        self, state: State, data: Data, own: Grid, poses: Sequence[tuple[int, int]], box: Box, most: float
+        self, coder: Coder, own: Grid, poses: Sequence[tuple[int, int]], box: Box, most: float
     ) -> tuple[DecodedUpdate | None, int]:
         """Encode an update and apply it to the grid; return it, None if empty, and the number of covered poses."""
-        counts, motion, grid, scratch = self._counts, self._motion, self.grid, self._scratch
+        motion, grid, scratch = self._motion, self.grid, self._scratch
         cells, start = self._ray_table.cells, self._ray_table.start
-        contradicted = self._choose_bases(state, data, own, poses, box)
+        contradicted = self._choose_bases(coder, own, poses, box)
         unreported = bounding_box(
             [self._unreported, *contradicted, *((x, y, x + 1, y + 1) for x, y in poses)]
         )
@@ -250,30 +247,29 @@ class Stream:
         counted = np.zeros(grid.shape, np.bool_)
         new_cells = [count_new_cells(grid, own, counted, cells, start, x, y) for x, y in reversed(poses)]
         for (x, y), shows_more in zip(poses, reversed(new_cells), strict=True):
-            if shows_more and (scans == MAX_SCANS or (scans and state[PLACE] >= most)):
+            if shows_more and (scans == MAX_SCANS or (scans and coder[0][PLACE] >= most)):
                 break
             done += 1
             if shows_more:
-                code_bit(state, data, counts, contexts.MORE_SCANS + min(scans, 3), 1, REST_MOST)
-                code_pose(state, data, counts, motion, x, y)
-                changed = code_scan(state, data, counts, grid, own, cells, start, x, y, scratch, changed)
+                code_bit(coder, contexts.MORE_SCANS + min(scans, 3), 1, REST_MOST)
+                code_pose(coder, motion, x, y)
+                changed = code_scan(coder, grid, own, cells, start, x, y, scratch, changed)
                 scans += 1
         if scans < MAX_SCANS:
-            code_bit(state, data, counts, contexts.MORE_SCANS + min(scans, 3), 0, REST_MOST)
+            code_bit(coder, contexts.MORE_SCANS + min(scans, 3), 0, REST_MOST)
         self._unreported = NO_BOX if done == len(poses) else unreported
         places = _places(grid, own, box) if done == len(poses) else np.empty(0, np.int32)
         by_scans = changed
-        changed = code_corrections(
-            state, data, counts, grid, own, places, len(places), motion, scratch, changed
-        )
+        changed = code_corrections(coder, grid, own, places, len(places), motion, scratch, changed)
         return self._decoded(changed if changed >= 0 else -1 - changed, by_scans) if changed else None, done
 
-    def _read(self, state: State, data: Data) -> DecodedUpdate | None:
+    def _read(self, coder: Coder) -> DecodedUpdate | None:
         """Decode an update into the grid; None if a dependency is missing."""
-        counts, motion, grid, scratch = self._counts, self._motion, self.grid, self._scratch
+        motion, grid, scratch = self._motion, self.grid, self._scratch
         height, width = grid.shape
         first = self.depends_on.copy()
-        self._code_bases(state, data, np.zeros(len(self.depends_on), np.int64))
+        none = np.zeros(len(self.depends_on), np.int64)
+        _code_bases(coder, self._others, none, self._bases_grew, self.depends_on)
         more = np.flatnonzero(self.depends_on > first).tolist()
         if any(len(self.histories[other]) < self.depends_on[other] for other in more):
             return None
@@ -281,41 +277,27 @@ class Stream:
             for update in self.histories[other].between(int(first[other]), int(self.depends_on[other])):
                 self._overlay(update)
         changed = scans = 0
-        while scans < MAX_SCANS and not state[FAILED]:
-            if not code_bit(state, data, counts, contexts.MORE_SCANS + min(scans, 3), 0, REST_MOST):
+        while scans < MAX_SCANS and not coder[0][FAILED]:
+            if not code_bit(coder, contexts.MORE_SCANS + min(scans, 3), 0, REST_MOST):
                 break
-            code_pose(state, data, counts, motion, 0, 0)
+            code_pose(coder, motion, 0, 0)
             x, y = int(motion[X]), int(motion[Y])
             if not (0 <= x < width and 0 <= y < height):
                 self._decoded(changed, changed)
                 raise ProtocolError(Update.name, 0, f"cell ({x}, {y}) is outside the {width} x {height} grid")
             changed = code_scan(
-                state,
-                data,
-                counts,
-                grid,
-                grid,
-                self._ray_table.cells,
-                self._ray_table.start,
-                x,
-                y,
-                scratch,
-                changed,
+                coder, grid, grid, self._ray_table.cells, self._ray_table.start, x, y, scratch, changed
             )
             scans += 1
         by_scans = changed
-        changed = code_corrections(
-            state, data, counts, grid, grid, np.empty(0, np.int32), 0, motion, scratch, changed
-        )
+        changed = code_corrections(coder, grid, grid, np.empty(0, np.int32), 0, motion, scratch, changed)
         update = self._decoded(changed if changed >= 0 else -1 - changed, by_scans)
         if changed < 0:
             raise ProtocolError(Update.name, 0, f"a corrected cell is outside the {width} x {height} grid")
-        check_end(state, Update.name)
+        check_end(coder[0], Update.name)
         return update
 
-    def _choose_bases(
-        self, state: State, data: Data, own: Grid, poses: Sequence[tuple[int, int]], box: Box
-    ) -> list[Box]:
+    def _choose_bases(self, coder: Coder, own: Grid, poses: Sequence[tuple[int, int]], box: Box) -> list[Box]:
         """Choose the dependencies: of each other map all updates up to the last one that saves cells near by.
 
         Returns boxes in which the chosen updates contradict the self-explored grid.
@@ -336,12 +318,8 @@ class Stream:
                 self._overlay(update)
                 if _contradicts(own.reshape(-1), update.places, update.states):
                     contradicted.append(update.box)
-        self._code_bases(state, data, more)
+        _code_bases(coder, self._others, more, self._bases_grew, self.depends_on)
         return contradicted
-
-    def _code_bases(self, state: State, data: Data, more: NDArray[np.int64]) -> None:
-        """Encode or decode the number of further updates of each map on which the update depends."""
-        _code_bases(state, data, self._counts, self._others, more, self._bases_grew, self.depends_on)
 
     def _overlay(self, update: DecodedUpdate) -> None:
         """Apply an update of another map to all cells that the author itself has not reported."""
@@ -376,28 +354,18 @@ def _places(grid: Grid, own: Grid, box: Box) -> NDArray[np.int32]:
     return found[:count]
 
 
-@kernel("void(int64[::1], uint8[::1], uint16[:,::1], int64[::1], int64[::1], boolean[::1], int64[::1])")
-def _code_bases(
-    state: State,
-    data: Data,
-    counts: Counts,
-    maps: NDArray[np.int64],
-    more: NDArray[np.int64],
-    bases_grew: NDArray[np.bool_],
-    depends_on: NDArray[np.int64],
-) -> None:
+@kernel
+def _code_bases(coder: Coder, maps: Int64s, more: Int64s, bases_grew: Bools, depends_on: Int64s) -> None:
     """Code the number of further updates of each map, `more`, and add it to `depends_on`."""
     for other in maps:
         row = BASES + NUMBER * int(bases_grew[other])
-        number = code_number(state, data, counts, row, more[other], REST_MOST)
+        number = code_number(coder, row, more[other], REST_MOST)
         bases_grew[other] = number > 0
         depends_on[other] += number
 
 
-@kernel("boolean(uint8[:,::1], uint8[:,::1], int32[::1], int64, int64, int64, int64)")
-def _saves_cells(
-    grid: Grid, own: Grid, places: NDArray[np.int32], x0: int, y0: int, x1: int, y1: int
-) -> bool:
+@kernel
+def _saves_cells(grid: Grid, own: Grid, places: Int32s, x0: int, y0: int, x1: int, y1: int) -> bool:
     """Whether an update reports a cell of the box that the robot knows and would have to report itself."""
     width = grid.shape[1]
     for place in places:
@@ -408,8 +376,8 @@ def _saves_cells(
     return False
 
 
-@kernel("void(uint8[::1], int32[::1], uint8[::1], uint8[::1])")
-def _overlay(grid: Grid, places: NDArray[np.int32], states: Grid, before: Grid) -> None:
+@kernel
+def _overlay(grid: Uint8s, places: Int32s, states: Uint8s, before: Uint8s) -> None:
     """Write states to the cells that the author has not reported; save the previous values in `before`."""
     for index in range(len(places)):
         place = places[index]
@@ -418,15 +386,15 @@ def _overlay(grid: Grid, places: NDArray[np.int32], states: Grid, before: Grid) 
             grid[place] = states[index]
 
 
-@kernel("void(uint8[::1], int32[::1], uint8[::1])")
-def _restore(grid: Grid, places: NDArray[np.int32], states: Grid) -> None:
+@kernel
+def _restore(grid: Uint8s, places: Int32s, states: Uint8s) -> None:
     """Write states to cells, the last one first."""
     for index in range(len(places) - 1, -1, -1):
         grid[places[index]] = states[index]
 
 
-@kernel("boolean(uint8[::1], int32[::1], uint8[::1])")
-def _contradicts(own: Grid, places: NDArray[np.int32], states: Grid) -> bool:
+@kernel
+def _contradicts(own: Uint8s, places: Int32s, states: Uint8s) -> bool:
     """Whether an update reports a cell with another state than the self-explored grid has."""
     for index in range(len(places)):
         truth = own[places[index]]

@@ -16,6 +16,7 @@ retransmission timeout follows the measured round trip, as in TCP; a retransmitt
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import dataclass
 from functools import partial
 
@@ -44,9 +45,6 @@ RECENT = 8
 UNREACHABLE = 4
 """Transmissions without a report after which a peer is not waited for."""
 
-Pair = tuple[int, int]
-"""A peer and a map number."""
-
 
 @dataclass(slots=True)
 class _Timer:
@@ -69,9 +67,9 @@ class AckedFrames(Replication):
     def __init__(self, replica: Replica, policy: Policy, *, forwards: bool) -> None:
         super().__init__(replica)
         self._rounds = Rounds(replica, policy, forwards=forwards)
-        self._reports_due: set[Pair] = set()
-        """Peers that must be sent a report of a map."""
-        self._timers: dict[Pair, _Timer] = {}
+        self._reports_due: set[tuple[int, int]] = set()
+        """Peers that must be sent a report of a map, as pairs (peer, map)."""
+        self._timers: defaultdict[tuple[int, int], _Timer] = defaultdict(_Timer)
         self._builders: list[FrameBuilder] = []
 
     def open_round(self, number: int, in_range: list[int], budget: int | None) -> list[OutgoingFrame]:
@@ -104,8 +102,7 @@ class AckedFrames(Replication):
         """Return whether all peers in range reported to hold this robot's log, but for those that are `UNREACHABLE`."""
         length, own, in_range = len(self.replica.own_log), self.peers.own, self._rounds.in_range
         return bool(in_range) and all(
-            self.peers.expected[peer, own] >= length
-            or ((peer, own) in self._timers and self._timers[peer, own].tries > UNREACHABLE)
+            self.peers.expected[peer, own] >= length or self._timers[peer, own].tries > UNREACHABLE
             for peer in in_range
         )
 
@@ -118,7 +115,7 @@ class AckedFrames(Replication):
             builder.add(held, partial(self._reports_due.discard, (peer, number)))
         answered = []
         for each in offers:
-            if self._timer(peer, each.number).reported >= self._rounds.now - RECENT:
+            if self._timers[peer, each.number].reported >= self._rounds.now - RECENT:
                 answered.append(each)
             else:
                 builder.add(offer(each.number, each.first), partial(self._transmitted, peer, each.number))
@@ -128,19 +125,16 @@ class AckedFrames(Replication):
             on_sent = partial(self._entries_sent, peer, number)
             builder.add_entries(log, first, len(log), header(number, first), on_sent)
 
-    def _timer(self, peer: int, number: int) -> _Timer:
-        return self._timers.setdefault((peer, number), _Timer())
-
     def _entries_sent(self, peer: int, number: int, _first: int, end: int) -> None:
         """Entries of a map, before offset `end`, were on the air."""
         self._transmitted(peer, number)
-        self._timer(peer, number).reported = -MAX_WAIT
+        self._timers[peer, number].reported = -MAX_WAIT
         if number == self.peers.own:
             self.shared = max(self.shared, end)
 
     def _transmitted(self, peer: int, number: int) -> None:
         """Start the retransmission timeout of a map; it doubles with every transmission that no report follows."""
-        timer = self._timer(peer, number)
+        timer = self._timers[peer, number]
         timer.tries += 1
         if timer.tries > 1:
             longest = MAX_WAIT if timer.round_trip is None else max(MAX_TIMEOUT, 4 * timer.round_trip)
@@ -186,7 +180,8 @@ class AckedFrames(Replication):
         """A peer that offers or sends a map of a new incarnation of its own lost all: none of its reports holds."""
         if self.peers.restarted(peer, number):
             self._rounds.due[peer] = 0
-            self._timers = {pair: timer for pair, timer in self._timers.items() if pair[0] != peer}
+            for each in range(len(self.logs)):
+                self._timers.pop((peer, each), None)
 
     def _reported(self, peer: int, number: int, length: int) -> None:
         """A peer reports how many entries of a map it holds."""
@@ -195,7 +190,7 @@ class AckedFrames(Replication):
         ):  # a report of an earlier incarnation, which held more, may arrive late
             self.peers.expected[peer, number] = 0
         self._learn(peer, number, length)
-        timer, now = self._timer(peer, number), self._rounds.now
+        timer, now = self._timers[peer, number], self._rounds.now
         timer.reported = now
         if timer.sent is not None and (timer.tries == 1 or timer.round_trip is None):
             timer.round_trip = now - timer.sent

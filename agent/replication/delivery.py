@@ -1,7 +1,6 @@
 """Two ways for gossip to learn that entries arrived: the medium acknowledges them, or the peers do.
 
-`MediumAcks`: on a medium that loses nothing, all peers in range have received a broadcast that was on the air. The send
-report is the acknowledgment.
+`MediumAcks`: on a medium that loses nothing, the send report is the acknowledgment.
 
 `PeerAcks`: if the medium may lose, delay, repeat or reorder frames, a broadcast only raises what a peer is *expected*
 to hold. Peers acknowledge by `Held` reports, or by sending entries themselves. An expectation that is not acknowledged

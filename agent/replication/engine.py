@@ -22,31 +22,24 @@ from agent.replication.handshakes import Handshakes
 from agent.replication.peers import map_ids
 from agent.replication.policies import DISSEMINATIONS, GOSSIP, POLICIES
 from agent.replication.replica import Consume, Replica
+from agent.settings import Settings
 
 
 def make_replication(
-    robot: int,
-    robots: int,
-    consume: Consume,
-    dissemination: str = "backoff",
-    *,
-    requires_acks: bool = False,
-    incarnations: int = 1,
-    incarnation: int = 0,
-    forwards: bool = True,
-    dependencies: Dependencies = no_dependencies,
+    settings: Settings, consume: Consume, dependencies: Dependencies = no_dependencies
 ) -> Replication:
-    """Return one robot's end of the replication, by its settings (`agent.settings.Settings`).
+    """Return a robot's end of the replication, by its settings; ValueError if there is no such dissemination.
 
-    `consume` decodes received entries; `dependencies` returns log ranges that depend on entries of other logs, by map
-    number. With `forwards`, handshakes offer other robots' maps as well. ValueError: there is no such dissemination.
+    `consume` decodes received entries; `dependencies` returns log ranges that depend on other logs, by map number.
     """
-    maps = map_ids(robots, incarnations)
-    replica = Replica(maps[robot + robots * incarnation], maps, consume)
-    if dissemination == GOSSIP:
-        acks = PeerAcks(replica.peers) if requires_acks else MediumAcks(replica.peers)
+    maps = map_ids(settings.robots, settings.incarnations)
+    replica = Replica(maps[settings.own_map], maps, consume)
+    if settings.dissemination == GOSSIP:
+        acks = PeerAcks(replica.peers) if settings.requires_acks else MediumAcks(replica.peers)
         return Gossip(replica, acks, dependencies)
-    if dissemination not in POLICIES:
-        raise ValueError(f"unknown dissemination {dissemination!r}; choose from: {', '.join(DISSEMINATIONS)}")
-    unicast = AckedFrames if requires_acks else Handshakes
-    return unicast(replica, POLICIES[dissemination], forwards=forwards)
+    policy = POLICIES.get(settings.dissemination)
+    if policy is None:
+        known = ", ".join(DISSEMINATIONS)
+        raise ValueError(f"unknown dissemination {settings.dissemination!r}; choose from: {known}")
+    unicast = AckedFrames if settings.requires_acks else Handshakes
+    return unicast(replica, policy, forwards=settings.forward_maps)

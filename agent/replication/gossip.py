@@ -202,14 +202,14 @@ class Gossip(Replication):
         for control in frame.controls:
             match control:
                 case Near(robot) | Gone(robot) if robot < robots:
-                    self._neighbors.reported(peer, robot, isinstance(control, Near))
+                    self._neighbors.near[peer, robot] = isinstance(control, Near)
                 case (Held(number, _) | HeldEarly(number, _)) as held if number < len(logs) and (
                     number != peer or len(logs) > robots
                 ):
                     length = self._possible(number, offset(held, len(logs[number])))
                     self._delivery.report_received(peer, number, length, self._step)
                     self._meetings.on(peer, "reported")
-                    self._neighbors.reported(peer, self.peers.robot, True)
+                    self._neighbors.near[peer, self.peers.robot] = True
                 case From(number, _) | FromEarly(number, _) if number < len(logs):
                     pass
                 case other:

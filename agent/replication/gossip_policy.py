@@ -143,7 +143,7 @@ class GossipPolicy:
         candidates = [
             each
             for each in self._in_range
-            if self._neighbors.are_near(each, peer)
+            if self._neighbors.near[each, peer]
             and (current[each] == number or expected[each, number] > expected[peer, number])
         ]
         candidates.append(self._peers.robot)

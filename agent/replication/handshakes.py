@@ -84,13 +84,15 @@ class Handshakes(Replication):
         self._offered: dict[tuple[int, int], Connection] = {}
         self._answered: dict[int, Connection] = {}
         self._received: dict[int, Connection] = {}
-        self._taking: set[int] = set()
-        """Maps that are received in this round."""
+        self._own_maps = range(self.peers.own, len(self.logs), self.peers.robots)
+        """The maps that only this robot may write, in this incarnation and later ones."""
+        self._unwanted = set(self._own_maps)
+        """Those maps, and the ones that are received in this round."""
 
     def open_round(self, number: int, in_range: list[int], budget: int | None) -> list[OutgoingFrame]:
         """Return this round's offers."""
-        for of_last_round in (self._offered, self._answered, self._received, self._taking):
-            of_last_round.clear()
+        self._offered, self._answered, self._received = {}, {}, {}
+        self._unwanted = set(self._own_maps)
         frames = []
         for peer, offered, first in self._rounds.open(number, in_range, budget):
             connection = self._offered[peer, offered] = Connection(peer, offered, first)
@@ -108,8 +110,7 @@ class Handshakes(Replication):
         lengths = [len(log) for log in self.logs]
         if not rounds.in_range or not self._speculates or not any(lengths):
             return NO_REPLIES
-        declined = {number for _, number in self.replica.refused}
-        declined.update(range(own, len(lengths), self.peers.robots))
+        declined = self._unwanted.union(number for _, number in self.replica.refused)
         offers = [
             OfferReply(offer(number, length), answer(length, block_of(length)))
             for number, length in enumerate(lengths)
@@ -137,16 +138,12 @@ class Handshakes(Replication):
             if number >= len(self.logs):
                 raise ProtocolError(offered.name, 0, f"map {number} of {len(self.logs)} robots")
             connection = self._received[delivery.connection] = Connection(sender, number)
-            if (
-                number in self._taking
-                or self.peers.is_own(number)
-                or (sender, number) in self.replica.refused
-            ):
+            if number in self._unwanted or (sender, number) in self.replica.refused:
                 connection.on("unwanted offer")
                 reply = DECLINE
             else:
                 connection.on("first offer")
-                self._taking.add(number)
+                self._unwanted.add(number)
                 reply = answer(len(self.logs[number]), offered.block)
             frames.append(OutgoingFrame(sender, reply, delivery.connection))
         return frames
@@ -190,7 +187,7 @@ class Handshakes(Replication):
                 continue
             sender, number = delivery.sender, connection.number
             if self.replica.accept(sender, number, delivery.payload):
-                self._note_length(sender, number, len(self.logs[number]))
+                self._note_length((sender, number), len(self.logs[number]))
         return self.replica.take_rejected()
 
     def delivered(self) -> bool:
@@ -221,11 +218,12 @@ class Handshakes(Replication):
             reached = self.logs[connection.number].offset_after(reached, sent)
         if connection.number == self.peers.own:
             self.shared = max(self.shared, reached)
-        self._note_length(*pair, reached)
+        self._note_length(pair, reached)
 
-    def _note_length(self, peer: int, number: int, length: int) -> None:
+    def _note_length(self, pair: tuple[int, int], length: int) -> None:
         """A peer holds at least so many entries of a map."""
-        self.peers.expected[peer, number] = max(self.peers.expected.item(peer, number), length)
+        if length > self.peers.expected.item(pair):
+            self.peers.expected[pair] = length
 
     def _note_restart(self, peer: int, number: int) -> None:
         """A peer that offers a map of a new incarnation of its own lost all entries that it was sent."""

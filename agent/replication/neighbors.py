@@ -89,14 +89,14 @@ class Neighbors:
 
     def __init__(self, robot: int, robots: int) -> None:
         self._robot = robot
-        self._near: Mask = ~np.eye(robots, dtype=np.bool_)
-        """``_near[peer, other]``: whether `other` is in range of a peer, by the peer's reports."""
+        self.near: Mask = ~np.eye(robots, dtype=np.bool_)
+        """``near[peer, other]``: whether `other` is in range of a peer, by the peer's reports."""
         self._informed: Mask = np.arange(robots) != np.full((robots, 1), robot)
         """``_informed[peer, other]``: whether `other` is in this robot's range, by the reports that a peer received."""
 
     def news(self, in_range: list[int]) -> list[tuple[int, bool]]:
         """Return the robots of which a peer in range has an outdated report, and whether each is in range now."""
-        here = np.zeros(len(self._near), np.bool_)
+        here = np.zeros(len(self.near), np.bool_)
         here[in_range] = True
         outdated = self._informed[in_range] ^ here
         outdated[range(len(in_range)), in_range] = False
@@ -106,24 +106,16 @@ class Neighbors:
         """Note that peers received this robot's report about another robot."""
         self._informed[peers, other] = here
 
-    def reported(self, peer: int, other: int, here: bool) -> None:
-        """Note a peer's report about another robot."""
-        self._near[peer, other] = here
-
-    def are_near(self, peer: int, other: int) -> bool:
-        """Return whether another robot is in range of a peer, by the peer's reports."""
-        return bool(self._near[peer, other])
-
     def receivers(self, peer: int) -> Mask:
         """Return the mask of all robots but this one that receive a peer's broadcasts."""
-        receivers: Mask = self._near[peer].copy()
+        receivers: Mask = self.near[peer].copy()
         receivers[self._robot] = False
         return receivers
 
     def restarted(self, peer: int) -> None:
         """Note that a peer lost its state: it has received and sent no reports."""
-        self._near[peer] = np.arange(len(self._near)) != peer
-        self._informed[peer] = np.arange(len(self._near)) != self._robot
+        self.near[peer] = np.arange(len(self.near)) != peer
+        self._informed[peer] = np.arange(len(self.near)) != self._robot
 
 
 class BroadcastCursors:

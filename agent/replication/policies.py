@@ -86,26 +86,26 @@ def thesis(rounds: Rounds, lengths: Table) -> list[Offer]:
 
 def backoff(rounds: Rounds, lengths: Table) -> list[Offer]:
     """Offer every peer in range one map at most, with binary exponential back-off after refusals."""
-    peers, in_range = rounds.peers, np.array(rounds.in_range)
-    missing = np.where(rounds.now >= rounds.due[in_range], lengths - peers.expected[in_range], 0)
-    own_missing: list[int] = missing[:, peers.own].tolist()
-    chosen = [peers.own if missing > 0 else None for missing in own_missing]
-    if rounds.number or (rounds.single and rounds.now % 2 == 0):
-        missing[:, peers.own] = 0
-        missing[np.arange(len(in_range)), np.array(peers.current)[in_range]] = 0
-        most_missing: list[int] = missing.argmax(axis=1).tolist()
-        for each, number in enumerate(most_missing):
-            if missing[each, number] > 0 and (chosen[each] is None or rounds.single):
-                chosen[each] = number
-    offers = [
-        Offer(peer, number, peers.expected.item(peer, number))
-        for peer, number in zip(rounds.in_range, chosen, strict=True)
-        if number is not None
-    ]
+    in_range, now, own, expected = rounds.in_range, rounds.now, rounds.peers.own, rounds.peers.expected
+    length = lengths.item(own)
+    offers = {
+        peer: Offer(peer, own, first)
+        for peer in in_range
+        if (first := expected.item(peer, own)) < length and now >= rounds.due.item(peer, own)
+    }
+    if rounds.number or (rounds.single and now % 2 == 0):
+        missing = np.where(now >= rounds.due[in_range], lengths - expected[in_range], 0)
+        missing[:, own] = 0
+        missing[np.arange(len(in_range)), [rounds.peers.current[peer] for peer in in_range]] = 0
+        for each, number in enumerate(missing.argmax(axis=1).tolist()):
+            peer = in_range[each]
+            if missing.item(each, number) > 0 and (rounds.single or peer not in offers):
+                offers[peer] = Offer(peer, number, expected.item(peer, number))
+    chosen = [offers[peer] for peer in in_range if peer in offers]
     crowd = len(in_range) + 1
     if rounds.budget is None or crowd <= CROWD:
-        return offers
-    return _in_turn(offers, rounds, max(1, rounds.budget // (LEAST_HANDSHAKE * crowd)))
+        return chosen
+    return _in_turn(chosen, rounds, max(1, rounds.budget // (LEAST_HANDSHAKE * crowd)))
 
 
 def _in_turn(offers: list[Offer], rounds: Rounds, most: int) -> list[Offer]:

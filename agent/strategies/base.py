@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.settings import Settings
 from agent.strategies.options import read_options
+from protocol.arrays import Cells
 from protocol.grid import UNKNOWN, Grid
 
 Cell = tuple[int, int]
@@ -35,61 +35,41 @@ class Pose(NamedTuple):
 
 @dataclass(frozen=True)
 class Situation:
-    """Input of a robot's decision.
-
-    Attributes
-    ----------
-    step : int
-        The current step.
-    grid : uint8 array, shape (h, w)
-        The planning grid.
-    x, y : int
-        The robot's cell.
-    offset : (x, y)
-        The robot's position in this cell, in thousandths of a cell from the center.
-    heading : int
-        The robot's heading in eighths of a turn.
-    blocked : str
-        Why the last move stopped short (`worldsim.cell_motion`); empty if it did not.
-    homes : dict of robot to (x, y)
-        The depots: this robot's start cell, and the first received pose of each teammate.
-    home : (x, y)
-        This robot's depot.
-    peers : tuple of int
-        Teammates in radio range, ascending.
-    connected : tuple of int
-        Teammates out of radio range but connected through others, ascending; needs relayed states.
-    poses : dict of robot to Pose
-        The last received pose of each teammate, by ascending number.
-    last_moved : dict of robot to step
-        The step of the last change of each of these poses.
-    traveled : dict of robot to float
-        Distance in cells along the received poses of a teammate, and along this robot's own poses.
-    targets : dict of robot to (x, y)
-        The last received target of each teammate, by ascending number.
-    target_steps : dict of robot to step
-        The step in which each of these targets arrived.
-    new_targets : dict of robot to (x, y)
-        Targets received since the last decision.
-    """
+    """Input of a robot's decision."""
 
     step: int
+    """The current step."""
     grid: Grid
+    """The planning grid, shape (h, w)."""
     x: int
     y: int
+    """`x`, `y`: the robot's cell."""
     offset: Cell = (0, 0)
+    """The robot's position in this cell, in thousandths of a cell from the center."""
     heading: int = 0
+    """The robot's heading in eighths of a turn."""
     blocked: str = ""
+    """Why the last move stopped short (`worldsim.cell_motion`); empty if it did not."""
     homes: Mapping[int, Cell] = field(default_factory=dict)
+    """The depots: this robot's start cell, and the first received pose of each teammate."""
     home: Cell = (0, 0)
+    """This robot's depot."""
     peers: tuple[int, ...] = ()
+    """Teammates in radio range, ascending."""
     connected: tuple[int, ...] = ()
+    """Teammates out of radio range but connected through others, ascending; needs relayed states."""
     poses: Mapping[int, Pose] = field(default_factory=dict)
+    """The last received pose of each teammate, by ascending number."""
     last_moved: Mapping[int, int] = field(default_factory=dict)
+    """The step of the last change of each of these poses."""
     traveled: Mapping[int, float] = field(default_factory=dict)
+    """Distance in cells along the received poses of a teammate, and along this robot's own poses."""
     targets: Mapping[int, Cell] = field(default_factory=dict)
+    """The last received target of each teammate, by ascending number."""
     target_steps: Mapping[int, int] = field(default_factory=dict)
+    """The step in which each of these targets arrived."""
     new_targets: Mapping[int, Cell] = field(default_factory=dict)
+    """Targets received since the last decision."""
 
     @property
     def here(self) -> Cell:
@@ -111,39 +91,26 @@ class Situation:
 
 @dataclass(frozen=True)
 class Decision:
-    """A robot's actions until the next step.
-
-    Attributes
-    ----------
-    target : (x, y), optional
-        The cell to which the robot drives.
-    path : int32 array, shape (n, 2)
-        Cells to drive over.
-    points : int32 array, shape (n, 2)
-        Waypoints in thousandths of a cell, instead of cells.
-    heading : int
-        The heading of a robot that stays.
-    explored : bool
-        Nothing is left to explore.
-    stalled : bool
-        Frontiers are left, but the robot cannot approach them.
-    look : bool
-        Whether the scanner works on the way.
-    publish : bool
-        Whether to publish the map changes that a strategy with `defers_publication` has held back.
-    status : str
-        The current activity, as text.
-    """
+    """A robot's actions until the next step."""
 
     target: Cell | None = None
-    path: NDArray[np.int32] = field(default_factory=lambda: NO_CELLS)
-    points: NDArray[np.int32] = field(default_factory=lambda: NO_CELLS)
+    """The cell to which the robot drives."""
+    path: Cells = field(default_factory=lambda: NO_CELLS)
+    """Cells to drive over, shape (n, 2)."""
+    points: Cells = field(default_factory=lambda: NO_CELLS)
+    """Waypoints in thousandths of a cell, instead of cells, shape (n, 2)."""
     heading: int = 0
+    """The heading of a robot that stays."""
     explored: bool = False
+    """Nothing is left to explore."""
     stalled: bool = False
+    """Frontiers are left, but the robot cannot approach them."""
     look: bool = True
+    """Whether the scanner works on the way."""
     publish: bool = True
+    """Whether to publish the map changes that a strategy with `defers_publication` has held back."""
     status: str = ""
+    """The current activity, as text."""
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.planning.assignment import Assignment, best_of_all, in_turn
 from agent.planning.path_planner import PathPlanner
@@ -26,6 +25,7 @@ from agent.strategies.base import Cell, Situation
 from agent.strategies.options import option
 from agent.strategies.targets import Parts, TargetStrategy
 from agent.strategies.team import Table, TeamStrategy
+from protocol.arrays import Cells, Floats
 
 SUB_TEAMS = ("in-range", "connected")
 """The robots that decide together. ``in-range``: robots in range of each other. ``connected``, as in the paper: also
@@ -56,7 +56,7 @@ class Nearest(TargetStrategy):
     source = "Burgard et al. 2005, section IV-C: uncoordinated, after Yamauchi 1998"
     publishes_target = False
 
-    def choose(self, situation: Situation, goals: NDArray[np.int32], planner: PathPlanner) -> Cell | None:
+    def choose(self, situation: Situation, goals: Cells, planner: PathPlanner) -> Cell | None:
         """Return the goal of least cost; of equal goals the first, row by row."""
         best = goals[np.argmin(planner.costs(*situation.here)[goals[:, 1], goals[:, 0]])]
         return int(best[0]), int(best[1])
@@ -117,7 +117,7 @@ class Burgard(TeamStrategy):
         ranges = self.settings.ranges_of(table.robots)
         return in_turn(situation.grid, table.goals, utility, costs, ranges)
 
-    def _utility(self, table: Table, situation: Situation) -> NDArray[np.float64]:
+    def _utility(self, table: Table, situation: Situation) -> Floats:
         remembered = self.remembered(situation)
         ranges = self.settings.ranges_of(remembered)
         return utilities(situation.grid, table.goals, list(remembered.values()), ranges)

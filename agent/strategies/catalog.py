@@ -47,26 +47,18 @@ the depot strategies on open missions; any part with the potential field."""
 
 @dataclass(frozen=True)
 class Entry:
-    """Description of one strategy.
-
-    Attributes
-    ----------
-    name, summary, source : str
-        Name, one line of description, and paper with section.
-    options : list of OptionLine
-        The options with their defaults.
-    refused : mapping of option to reason
-        Options of other strategies that do not apply.
-    clashes : list of str
-        Errors of option values that conflict with the defaults of the other options.
-    """
+    """Description of one strategy."""
 
     name: str
     summary: str
     source: str
+    """`name`, `summary`, `source`: name, one line of description, and paper with section."""
     options: list[OptionLine]
+    """The options with their defaults."""
     refused: Mapping[str, str]
+    """Options of other strategies that do not apply."""
     clashes: list[str]
+    """Errors of option values that conflict with the defaults of the other options."""
 
     @property
     def paper(self) -> str:

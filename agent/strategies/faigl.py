@@ -14,12 +14,11 @@ are options.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from agent.planning.assignment import Assignment, greedy, hungarian, iterative
+from agent.planning.assignment import Assignment, Costs, greedy, hungarian, iterative
 from agent.planning.candidates import CANDIDATES
 from agent.planning.clusters import k_means
 from agent.planning.path_planner import PathPlanner
@@ -27,8 +26,9 @@ from agent.planning.route import straighten
 from agent.planning.tour import LONGEST, open_tour
 from agent.strategies.base import Cell, Situation
 from agent.strategies.options import option
-from agent.strategies.targets import MISSIONS, Parts
+from agent.strategies.targets import MISSIONS, Clash, Parts
 from agent.strategies.team import Table, TeamStrategy, unclaimed
+from protocol.arrays import Cells, Floats, Int64s
 
 
 @dataclass(frozen=True)
@@ -45,12 +45,19 @@ class DepotAllocation(Allocation):
     mission: str = option("return", "the end of the run", MISSIONS)
 
 
+_OPEN = Clash(
+    ("mission",),
+    lambda parts: parts.mission == "open",
+    "its costs include the way to the depot, which no robot of an open mission drives",
+)
+
+
 class _Allocating(TeamStrategy):
     """Common part of the six: goals of teammates out of range are left to them, and routes are straightened."""
 
     options_type: ClassVar[type] = Allocation
 
-    def goals(self, situation: Situation, planner: PathPlanner) -> NDArray[np.int32]:
+    def goals(self, situation: Situation, planner: PathPlanner) -> Cells:
         """Return the candidates that are not near the last target of a teammate out of range."""
         found = super().goals(situation, planner)
         return unclaimed(situation, found, self.remembered(situation), self.settings)
@@ -107,11 +114,7 @@ class HungarianDepot(Hungarian):
     summary = "as hungarian, with the distances to the depot and traveled so far added"
     source = "Faigl and Vanek 2014, HAd (section 4.1.1, Eq. 2)"
     options_type = DepotAllocation
-
-    @classmethod
-    def clashes(cls, parts: Any) -> list[tuple[tuple[str, ...], str]]:
-        """Return the conflicts of all strategies, and an open mission."""
-        return super().clashes(parts) + _clash_with_open(parts)
+    clashes = (*_Allocating.clashes, _OPEN)
 
     def assign(self, table: Table, situation: Situation, planner: PathPlanner) -> Assignment:
         """Assign goals by the costs of Eq. (2)."""
@@ -129,15 +132,14 @@ class Mtsp(_Allocating):
     name = "mtsp"
     summary = "goals clustered around the robots; each follows its cluster's shortest tour"
     source = "Faigl and Vanek 2014, MA (section 3.1)"
-
-    @classmethod
-    def clashes(cls, parts: Any) -> list[tuple[tuple[str, ...], str]]:
-        """Return the conflicts of all strategies, and candidates that are too many."""
-        found = super().clashes(parts)
-        if parts.candidates == "cells":
-            reason = "a tour needs the way between every two goals; rfe and anr make few of them"
-            found.append((("candidates",), reason))
-        return found
+    clashes = (
+        *_Allocating.clashes,
+        Clash(
+            ("candidates",),
+            lambda parts: parts.candidates == "cells",
+            "a tour needs the way between every two goals; rfe and anr make few of them",
+        ),
+    )
 
     def assign(self, table: Table, situation: Situation, planner: PathPlanner) -> Assignment:
         """Assign a goal to this robot alone; the tours of the others are not needed."""
@@ -151,9 +153,7 @@ class Mtsp(_Allocating):
             given[me] = self._first_stop(table, mine, situation, planner)
         return given
 
-    def _first_stop(
-        self, table: Table, mine: NDArray[np.int64], situation: Situation, planner: PathPlanner
-    ) -> int:
+    def _first_stop(self, table: Table, mine: Int64s, situation: Situation, planner: PathPlanner) -> int:
         """Return the first goal of the shortest tour through the nearest `LONGEST` goals of a cluster."""
         costs = table.costs[table.robots.index(self.settings.robot)]
         mine = mine[np.argsort(costs[mine], kind="stable")][:LONGEST]
@@ -162,9 +162,7 @@ class Mtsp(_Allocating):
         tour = open_tour(costs[mine], (between + between.T) / 2, self._to_end(cells, situation, planner))
         return int(mine[tour[0]])
 
-    def _to_end(
-        self, cells: NDArray[np.int32], situation: Situation, planner: PathPlanner
-    ) -> NDArray[np.float64]:
+    def _to_end(self, cells: Cells, situation: Situation, planner: PathPlanner) -> Floats:
         """Cost of the way from each goal to the end of the tour; 0, as the tour ends at a goal."""
         del situation, planner
         return np.zeros(len(cells))
@@ -177,22 +175,14 @@ class MtspDepot(Mtsp):
     summary = "as mtsp, with tours that end at the depot"
     source = "Faigl and Vanek 2014, MAd (section 4.1.1)"
     options_type = DepotAllocation
+    clashes = (*Mtsp.clashes, _OPEN)
 
-    @classmethod
-    def clashes(cls, parts: Any) -> list[tuple[tuple[str, ...], str]]:
-        """Return the conflicts of all strategies, and an open mission."""
-        return super().clashes(parts) + _clash_with_open(parts)
-
-    def _to_end(
-        self, cells: NDArray[np.int32], situation: Situation, planner: PathPlanner
-    ) -> NDArray[np.float64]:
-        back: NDArray[np.float64] = _way_back(planner, cells, np.array([situation.home], np.int32))[0]
+    def _to_end(self, cells: Cells, situation: Situation, planner: PathPlanner) -> Floats:
+        back: Floats = _way_back(planner, cells, np.array([situation.home], np.int32))[0]
         return back
 
 
-def _way_back(
-    planner: PathPlanner, goals: NDArray[np.int32], homes: NDArray[np.int32]
-) -> NDArray[np.float64]:
+def _way_back(planner: PathPlanner, goals: Cells, homes: Cells) -> Costs:
     """Cost of the way from each goal to each depot, shape (depots, goals).
 
     The straight distance if there is no way: a wrongly reported wall may bar it for a while.
@@ -202,7 +192,7 @@ def _way_back(
     return np.where(np.isfinite(back), back, straight)
 
 
-def cluster_goals(table: Table) -> NDArray[np.int64]:
+def cluster_goals(table: Table) -> Int64s:
     """Cluster the goals around the robots by k-means; return for each goal the index of its robot.
 
     A robot with an empty cluster gets the nearest goal of a robot that has several.
@@ -216,14 +206,3 @@ def cluster_goals(table: Table) -> NDArray[np.int64]:
         if np.isfinite(costs).any():
             owner[np.argmin(costs)] = robot
     return owner
-
-
-def _clash_with_open(parts: Any) -> list[tuple[tuple[str, ...], str]]:
-    if parts.mission == "open":
-        return [
-            (
-                ("mission",),
-                "its costs include the way to the depot, which no robot of an open mission drives",
-            )
-        ]
-    return []

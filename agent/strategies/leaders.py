@@ -14,7 +14,6 @@ from itertools import pairwise
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.planning import forces
 from agent.planning.path_planner import PathPlanner
@@ -24,6 +23,7 @@ from agent.planning.yielding import YieldBehavior
 from agent.settings import Settings
 from agent.strategies.base import Cell, Decision, Situation, Strategy
 from agent.strategies.options import option
+from protocol.arrays import Cells
 
 FINE = 1000
 """Waypoints are in thousandths of a cell."""
@@ -77,11 +77,7 @@ class PotentialField(Strategy):
 
     def __init__(self, options: Mapping[str, Any], settings: Settings) -> None:
         super().__init__(options, settings)
-        chosen = self.options
-        self._field = forces.Field(
-            chosen.rho_robots, chosen.rho_obstacles, chosen.gain_robots, chosen.gain_obstacles,
-            chosen.gain_frontier, chosen.damping,
-        )  # fmt: skip
+        self._field = forces.Field(*(getattr(self.options, name) for name in forces.Field._fields))
         self._velocity = np.zeros(2)
         self._route = Route()
         self._yielding = YieldBehavior(settings.seed, settings.robot, settings.range_cells)
@@ -157,9 +153,7 @@ class PotentialField(Strategy):
         del situation
         return False
 
-    def _lead(
-        self, situation: Situation, planner: PathPlanner, frontier: NDArray[np.int32]
-    ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    def _lead(self, situation: Situation, planner: PathPlanner, frontier: Cells) -> tuple[Cells, Cells]:
         """Return the closest frontier cell, and waypoints of the shortest way to it."""
         costs = planner.costs(*situation.here)[frontier[:, 1], frontier[:, 0]]
         target = frontier[np.argmin(costs)]

@@ -7,20 +7,16 @@ lowered around the received targets of teammates, and V is the length of the way
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.planning.best_frontier import TradeOff
-from agent.planning.candidates import SEARCHED
 from agent.planning.path_planner import PathPlanner
 from agent.planning.utility import utilities
 from agent.strategies.base import Cell, Situation
 from agent.strategies.options import option
-from agent.strategies.targets import Parts, TargetStrategy
-
-BREADTH_FIRST_IS_ONE = "breadth-first search finds a single cell, so there are no goals to compare"
+from agent.strategies.targets import SINGLE_CANDIDATE, Parts, TargetStrategy
+from protocol.arrays import Cells
 
 
 @dataclass(frozen=True)
@@ -44,18 +40,7 @@ class Meier(TargetStrategy):
     summary = "each robot takes the frontier of best utility minus cost, and broadcasts it"
     source = "Meier 2005, sections 4.4 and 4.5"
     options_type = Options
-
-    @classmethod
-    def clashes(cls, parts: Any) -> list[tuple[tuple[str, ...], str]]:
-        """Return the conflicts of all strategies, and a single candidate."""
-        found = super().clashes(parts)
-        if parts.candidates in SEARCHED:
-            found.append((("candidates",), BREADTH_FIRST_IS_ONE))
-        return found
-
-    def is_due(self, situation: Situation) -> bool:
-        """Return whether to replan; also once for each received target that conflicts by the rule against herding."""
-        return super().is_due(situation) or (self.options.herding and self.herds(situation))
+    clashes = (*TargetStrategy.clashes, SINGLE_CANDIDATE)
 
     def select(self, situation: Situation, planner: PathPlanner) -> tuple[Cell | None, bool]:
         """Return the best goal; if all frontier cells are goals, a bounded search finds it without listing them."""
@@ -69,7 +54,7 @@ class Meier(TargetStrategy):
         best = planner.best_frontier(*situation.here, trade_off)
         return best, best is not None
 
-    def choose(self, situation: Situation, goals: NDArray[np.int32], planner: PathPlanner) -> Cell | None:
+    def choose(self, situation: Situation, goals: Cells, planner: PathPlanner) -> Cell | None:
         """Return the goal of the best trade-off; of equal goals the first, row by row."""
         ranges = self.settings.ranges_of(situation.targets)
         worth = utilities(

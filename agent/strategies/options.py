@@ -33,16 +33,9 @@ def option_lines(kind: type) -> list[OptionLine]:
 def read_options(
     kind: type[Options], options: Mapping[str, Any], owner: str, refused: Mapping[str, str] | None = None
 ) -> Options:
-    """Make an options dataclass from values by name.
+    """Make an options dataclass, of fields made by `option`, from values by name.
 
-    Parameters
-    ----------
-    kind : type
-        A dataclass whose fields are made by `option`.
-    owner : str
-        Name of the strategy, for error messages.
-    refused : mapping of name to reason, optional
-        Options of other strategies that do not apply, each with the reason.
+    `owner` names the strategy in errors; `refused` has options of other strategies that do not apply, with the reasons.
 
     Raises
     ------

@@ -27,7 +27,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.planning.assignment import Assignment
 from agent.planning.candidates import components, count_representatives, thin_out
@@ -44,6 +43,7 @@ from agent.strategies.base import Cell, Situation
 from agent.strategies.options import option
 from agent.strategies.targets import Parts
 from agent.strategies.team import PLAN_ALONE_AFTER, Table, TeamStrategy
+from protocol.arrays import Cells, FloatRows, Floats
 from protocol.grid import ray_table
 
 PLENTY = 1 / 8
@@ -174,7 +174,7 @@ class Repairmen(TeamStrategy):
             or situation.target_steps.get(peer, 0) > self._given_up.get(peer, -1)
         }
 
-    def goals(self, situation: Situation, planner: PathPlanner) -> NDArray[np.int32]:
+    def goals(self, situation: Situation, planner: PathPlanner) -> Cells:
         """Return representatives of all reachable frontier segments, merged if they are close to each other."""
         frontier = self.frontier(situation, planner)
         if not len(frontier):
@@ -192,7 +192,7 @@ class Repairmen(TeamStrategy):
         self._lengths = lengths[stays]
         return cells[stays]
 
-    def table(self, situation: Situation, goals: NDArray[np.int32], planner: PathPlanner) -> Table:
+    def table(self, situation: Situation, goals: Cells, planner: PathPlanner) -> Table:
         """Return the costs of all robots and goals; ways between goals come from the same search."""
         team = self.team(situation)
         radii = {self.settings.radius_of(robot) for robot in team}
@@ -203,7 +203,7 @@ class Repairmen(TeamStrategy):
         ways, self._between = planner.costs_among(cells, goals)
         return Table(tuple(team), cells, goals, ways)
 
-    def choose(self, situation: Situation, goals: NDArray[np.int32], planner: PathPlanner) -> Cell | None:
+    def choose(self, situation: Situation, goals: Cells, planner: PathPlanner) -> Cell | None:
         """Return the first goal of this robot's tour; keep the next ones for the choice of a viewpoint."""
         self._tour = []
         chosen = super().choose(situation, goals, planner)
@@ -272,7 +272,7 @@ class Repairmen(TeamStrategy):
         self._tour = tours[table.robots.index(self.settings.robot)]
         return _follow(np.array([tour[0] if tour else -1 for tour in tours]), table.costs, worth)
 
-    def _with_hysteresis(self, table: Table, situation: Situation) -> NDArray[np.float64]:
+    def _with_hysteresis(self, table: Table, situation: Situation) -> FloatRows:
         """Return the costs of all goals, reduced for the goal nearest to each robot's last target."""
         range_cells = self.settings.scale_cells
         target_hysteresis = self.options.target_hysteresis * (
@@ -289,7 +289,7 @@ class Repairmen(TeamStrategy):
         return ways
 
 
-def _follow(firsts: Assignment, ways: NDArray[np.float64], worth: NDArray[np.float64]) -> Assignment:
+def _follow(firsts: Assignment, ways: FloatRows, worth: Floats) -> Assignment:
     """Send robots without a tour after their teammates, to goals of large expected gain.
 
     Each follows to the nearest one of those worthwhile goals to which the fewest robots drive. `firsts` is changed.

@@ -14,18 +14,25 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from agent.planning.candidates import CANDIDATES, SEARCHED
+from agent.planning.candidates import CANDIDATES
 from agent.planning.gain import information_gain
 from agent.planning.path_planner import PathPlanner
 from agent.strategies.base import Cell, Situation
-from agent.strategies.meier import BREADTH_FIRST_IS_ONE
 from agent.strategies.options import option
-from agent.strategies.targets import REPLANNING, SCANNING, SHARING, Parts, TargetStrategy
+from agent.strategies.targets import (
+    REPLANNING,
+    SCANNING,
+    SHARING,
+    SINGLE_CANDIDATE,
+    Clash,
+    Parts,
+    TargetStrategy,
+    is_searched,
+)
+from protocol.arrays import Cells, Floats
 
 HERDING = "choose again when a lower-numbered robot drives to the same place"
 
@@ -54,32 +61,23 @@ class Continuous(Turning):
     replan: str = option("at-once", "when to choose a new target", REPLANNING)
 
 
-class Rotating(TargetStrategy):
-    """Common part of these strategies."""
-
-    def is_due(self, situation: Situation) -> bool:
-        """Return whether to replan; with `herding` also by the rule against herding."""
-        return super().is_due(situation) or (self.options.herding and self.herds(situation))
-
-
-class StopScanReplan(Rotating):
+class StopScanReplan(TargetStrategy):
     """Stop, scan, replan, go."""
 
     name = "stop-scan-replan"
     summary = "a full scanner turn at each target, then to the nearest frontier without a teammate"
     source = "Al-khawaldah and Nuechter 2014, section 3.1, Algorithm 1"
     options_type = Turning
+    clashes = (
+        *TargetStrategy.clashes,
+        Clash(
+            ("candidates",),
+            lambda parts: not is_searched(parts),
+            "it takes the first cell that its search finds; nearest chooses among several",
+        ),
+    )
 
-    @classmethod
-    def clashes(cls, parts: Any) -> list[tuple[tuple[str, ...], str]]:
-        """Return the conflicts of all strategies, and several candidates."""
-        found = super().clashes(parts)
-        if parts.candidates not in SEARCHED:
-            reason = "it takes the first cell that its search finds; nearest chooses among several"
-            found.append((("candidates",), reason))
-        return found
-
-    def choose(self, situation: Situation, goals: NDArray[np.int32], planner: PathPlanner) -> Cell | None:
+    def choose(self, situation: Situation, goals: Cells, planner: PathPlanner) -> Cell | None:
         """Return the cell that the search has found."""
         del situation, planner
         return int(goals[0, 0]), int(goals[0, 1])
@@ -124,31 +122,22 @@ class ClassicalBids(Bids):
     share: str = option("at-target", "when map changes are sent to teammates", SHARING)
 
 
-class ShengBid(Rotating):
+class ShengBid(TargetStrategy):
     """Best bid (Sheng et al. 2006)."""
 
     name = "sheng-bid"
     summary = "takes the frontier cell of the best bid: unknown area, distance, nearness to teammates"
     source = "Sheng et al. 2006, as Al-khawaldah and Nuechter 2014 quote it, Eq. (1)"
     options_type = Bids
+    clashes = (*TargetStrategy.clashes, SINGLE_CANDIDATE)
     publishes_pose = True
 
-    @classmethod
-    def clashes(cls, parts: Any) -> list[tuple[tuple[str, ...], str]]:
-        """Return the conflicts of all strategies, and a single candidate."""
-        found = super().clashes(parts)
-        if parts.candidates in SEARCHED:
-            found.append((("candidates",), BREADTH_FIRST_IS_ONE))
-        return found
-
-    def choose(self, situation: Situation, goals: NDArray[np.int32], planner: PathPlanner) -> Cell | None:
+    def choose(self, situation: Situation, goals: Cells, planner: PathPlanner) -> Cell | None:
         """Return the goal of the largest bid; of equal goals the first, row by row."""
         best = goals[np.argmax(self.bids(situation, goals, planner))]
         return int(best[0]), int(best[1])
 
-    def bids(
-        self, situation: Situation, goals: NDArray[np.int32], planner: PathPlanner
-    ) -> NDArray[np.float64]:
+    def bids(self, situation: Situation, goals: Cells, planner: PathPlanner) -> Floats:
         """Return the bid of each goal, shape (n,): Eq. (1), g = w1 I - w2 D + w3 lambda.
 
         The paper does not define the units. Here I is the share of the disc of sensor range, and D and lambda are in
@@ -167,9 +156,7 @@ class ShengBid(Rotating):
             apart = np.array([np.hypot(goals[:, 0] - x, goals[:, 1] - y) for x, y in poses])
             nearness = -apart.min(axis=0) / scale
         weights = self.options
-        bids: NDArray[np.float64] = (
-            weights.gain * share - weights.distance * distance + weights.nearness * nearness
-        )
+        bids: Floats = weights.gain * share - weights.distance * distance + weights.nearness * nearness
         return bids
 
 

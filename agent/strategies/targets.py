@@ -14,12 +14,9 @@ which an option can replace, and its own rule that chooses one of the goals.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any, ClassVar, NamedTuple
 
 from agent.memo_cache import NO_CACHE, MemoCache
 from agent.planning.breadth_first import is_wide_frontier
@@ -32,6 +29,7 @@ from agent.planning.yielding import YieldBehavior
 from agent.settings import Settings
 from agent.strategies.base import Cell, Decision, Situation, Strategy
 from agent.strategies.options import option
+from protocol.arrays import Cells
 
 REPLANNING = ("at-goal", "at-once", "after-turn")
 """When a robot chooses a new target. ``at-goal``: at its target. ``at-once``: as soon as its target is no frontier any
@@ -59,6 +57,24 @@ MAX_CACHED_SEARCHES = 64
 """Capacity of the cache of path searches that the robots of a process share."""
 
 
+class Clash(NamedTuple):
+    """Options that conflict, the condition on all options under which they do, and the reason."""
+
+    names: tuple[str, ...]
+    holds: Callable[[Any], bool]
+    reason: str
+
+
+def is_searched(parts: Any) -> bool:
+    """Return whether a search finds a single candidate."""
+    return parts.candidates in SEARCHED
+
+
+SINGLE_CANDIDATE = Clash(
+    ("candidates",), is_searched, "breadth-first search finds a single cell, so there are no goals to compare"
+)
+
+
 @dataclass(frozen=True)
 class Parts:
     """The parts of a strategy, as options."""
@@ -75,6 +91,18 @@ class TargetStrategy(Strategy):
     """A strategy made of parts; a subclass chooses a goal in `choose`."""
 
     options_type: ClassVar[type] = Parts
+    clashes: ClassVar[tuple[Clash, ...]] = (
+        Clash(
+            ("scan", "replan"),
+            lambda parts: parts.scan == "at-target" and parts.replan != "after-turn",
+            "a robot that scans at its target alone must stay for a full turn before it chooses again",
+        ),
+        Clash(
+            ("candidates", "costs"),
+            lambda parts: is_searched(parts) and parts.costs != "shortest",
+            "breadth-first search visits cells in the order of their distance, not of weighted costs",
+        ),
+    )
 
     def __init__(self, options: Mapping[str, Any], settings: Settings) -> None:
         super().__init__(options, settings)
@@ -99,24 +127,11 @@ class TargetStrategy(Strategy):
     def check(cls, options: Mapping[str, Any]) -> Any:
         """Return the options; ValueError names an invalid option, or options that conflict, and the reason."""
         chosen = super().check(options)
-        for names, reason in cls.clashes(chosen):
-            given = ", ".join(f"{name} = {getattr(chosen, name)}" for name in names)
-            raise ValueError(f"{cls.name} cannot have {given}: {reason}")
+        for names, holds, reason in cls.clashes:
+            if holds(chosen):
+                given = ", ".join(f"{name} = {getattr(chosen, name)}" for name in names)
+                raise ValueError(f"{cls.name} cannot have {given}: {reason}")
         return chosen
-
-    @classmethod
-    def clashes(cls, parts: Any) -> list[tuple[tuple[str, ...], str]]:
-        """Return the options that conflict, as (names, reason)."""
-        found: list[tuple[tuple[str, ...], str]] = []
-        if parts.scan == "at-target" and parts.replan != "after-turn":
-            reason = (
-                "a robot that scans at its target alone must stay for a full turn before it chooses again"
-            )
-            found.append((("scan", "replan"), reason))
-        if parts.candidates in SEARCHED and parts.costs != "shortest":
-            reason = "breadth-first search visits cells in the order of their distance, not of weighted costs"
-            found.append((("candidates", "costs"), reason))
-        return found
 
     @classmethod
     def returns(cls, options: Mapping[str, Any]) -> bool:
@@ -124,24 +139,22 @@ class TargetStrategy(Strategy):
         return bool(cls.check(options).mission == "return")
 
     @abstractmethod
-    def choose(self, situation: Situation, goals: NDArray[np.int32], planner: PathPlanner) -> Cell | None:
-        """Choose one of the goals; None leaves them to teammates.
+    def choose(self, situation: Situation, goals: Cells, planner: PathPlanner) -> Cell | None:
+        """Choose one of the goals, of which there is at least one; None leaves them to teammates.
 
-        Parameters
-        ----------
-        situation : Situation
-            Input of the decision.
-        goals : int32 array, shape (n, 2)
-            Cells (x, y), at least one.
-        planner : PathPlanner
-            Costs and paths on the planning grid.
+        The planner has costs and paths on the planning grid.
         """
 
     def is_due(self, situation: Situation) -> bool:
-        """Return whether to choose a target; always true without a target."""
+        """Return whether to choose a target; always true without a target, and if the robot `herds`."""
         if self.options.replan == "after-turn":
-            return self.target in (None, situation.here) and self._scanner_steps >= self.settings.turn_steps
-        return self.target is None or self.is_spent(situation, self.target, situation.here)
+            is_there = self.target in (None, situation.here)
+            return (is_there and self._scanner_steps >= self.settings.turn_steps) or self.herds(situation)
+        return (
+            self.target is None
+            or self.is_spent(situation, self.target, situation.here)
+            or self.herds(situation)
+        )
 
     def is_spent(self, situation: Situation, target: Cell, at: Cell) -> bool:
         """Return whether a robot in cell `at` is done with its target."""
@@ -151,12 +164,12 @@ class TargetStrategy(Strategy):
         return target == at
 
     def herds(self, situation: Situation) -> bool:
-        """Apply the rule against herding: robots that choose at the same time from the same map choose alike.
+        """Apply the rule against herding, with the option `herding`: robots that choose from the same map choose alike.
 
         Returns whether a lower-numbered teammate has just sent a target in sight of this robot's target and nearer
         to it than that teammate's sensor range.
         """
-        if self.target is None:
+        if self.target is None or not getattr(self.options, "herding", False):
             return False
         own_x, own_y = self.target
         return any(
@@ -209,8 +222,8 @@ class TargetStrategy(Strategy):
         """Return a path planner on the planning grid."""
         return PathPlanner(situation.grid, self.options.costs, self.settings.radius_cells, cache=self._cache)
 
-    def goals(self, situation: Situation, planner: PathPlanner) -> NDArray[np.int32]:
-        """Return the goals: cells (x, y), int32 array of shape (n, 2)."""
+    def goals(self, situation: Situation, planner: PathPlanner) -> Cells:
+        """Return the goals."""
         kind = self.options.candidates
         if kind in SEARCHED:
             ranges = self.settings.ranges_of(situation.targets)
@@ -218,8 +231,8 @@ class TargetStrategy(Strategy):
         frontier = self.frontier(situation, planner)
         return goal_candidates(kind, frontier, self.settings.scale_cells, self.team_size(situation))
 
-    def frontier(self, situation: Situation, planner: PathPlanner) -> NDArray[np.int32]:
-        """Return the reachable frontier cells (x, y), row by row: int32 array, shape (n, 2)."""
+    def frontier(self, situation: Situation, planner: PathPlanner) -> Cells:
+        """Return the reachable frontier cells, row by row."""
         return planner.frontier(*situation.here)
 
     def select(self, situation: Situation, planner: PathPlanner) -> tuple[Cell | None, bool]:

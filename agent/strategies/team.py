@@ -15,15 +15,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from agent.planning.assignment import Assignment
-from agent.planning.candidates import SEARCHED
+from agent.planning.assignment import Assignment, Costs
 from agent.planning.path_planner import PathPlanner
 from agent.planning.utility import in_sight
 from agent.settings import Settings
 from agent.strategies.base import Cell, Situation
-from agent.strategies.targets import TargetStrategy
+from agent.strategies.targets import Clash, TargetStrategy, is_searched
+from protocol.arrays import Cells
 from protocol.keyed_random import keyed_random
 
 PLAN_ALONE_AFTER = 20
@@ -32,47 +31,36 @@ PLAN_ALONE_AFTER = 20
 
 @dataclass(frozen=True)
 class Table:
-    """Input of an assignment.
-
-    Attributes
-    ----------
-    robots : tuple of int
-        The members of the sub-team, ascending.
-    cells : int32 array, shape (m, 2)
-        The cell (x, y) of each member.
-    goals : int32 array, shape (n, 2)
-        The goals, cells (x, y).
-    costs : float64 array, shape (m, n)
-        Cost of each member's way to each goal, in cells; infinite without a way.
-    """
+    """Input of an assignment."""
 
     robots: tuple[int, ...]
-    cells: NDArray[np.int32]
-    goals: NDArray[np.int32]
-    costs: NDArray[np.float64]
+    """The members of the sub-team, ascending."""
+    cells: Cells
+    """The cell of each member."""
+    goals: Cells
+    """The goals."""
+    costs: Costs
+    """Cost of each member's way to each goal, in cells, shape (m, n); infinite without a way."""
 
 
 class TeamStrategy(TargetStrategy):
     """A strategy of sub-teams; a subclass assigns goals to robots in `assign`."""
 
     publishes_pose = True
+    clashes = (
+        *TargetStrategy.clashes,
+        Clash(("candidates",), is_searched, "breadth-first search finds one robot's goal, not a team's"),
+        Clash(
+            ("replan",),
+            lambda parts: parts.replan == "after-turn",
+            "a team that assigns targets together would wait for its slowest scanner",
+        ),
+    )
 
     def __init__(self, options: Mapping[str, Any], settings: Settings) -> None:
         super().__init__(options, settings)
         self._spent: set[tuple[int, Cell]] = set()
         self._waited = 0
-
-    @classmethod
-    def clashes(cls, parts: Any) -> list[tuple[tuple[str, ...], str]]:
-        """Return the conflicts of all strategies, and parts for a single robot."""
-        found = super().clashes(parts)
-        if parts.candidates in SEARCHED:
-            found.append((("candidates",), "breadth-first search finds one robot's goal, not a team's"))
-        if parts.replan == "after-turn":
-            found.append(
-                (("replan",), "a team that assigns targets together would wait for its slowest scanner")
-            )
-        return found
 
     @abstractmethod
     def assign(self, table: Table, situation: Situation, planner: PathPlanner) -> Assignment:
@@ -113,7 +101,7 @@ class TeamStrategy(TargetStrategy):
             or self._collides(situation)
         )
 
-    def choose(self, situation: Situation, goals: NDArray[np.int32], planner: PathPlanner) -> Cell | None:
+    def choose(self, situation: Situation, goals: Cells, planner: PathPlanner) -> Cell | None:
         """Return this robot's goal in the assignment."""
         table = self.table(situation, goals, planner)
         goal = int(self.assign(table, situation, planner)[table.robots.index(self.settings.robot)])
@@ -122,15 +110,13 @@ class TeamStrategy(TargetStrategy):
         self._waited = 0
         return int(goals[goal, 0]), int(goals[goal, 1])
 
-    def table(self, situation: Situation, goals: NDArray[np.int32], planner: PathPlanner) -> Table:
+    def table(self, situation: Situation, goals: Cells, planner: PathPlanner) -> Table:
         """Return the table of members, goals and costs."""
         team = self.team(situation)
         cells = np.array(list(team.values()), np.int32)
         return Table(tuple(team), cells, goals, self.costs_of(team, goals, planner))
 
-    def costs_of(
-        self, team: Mapping[int, Cell], goals: NDArray[np.int32], planner: PathPlanner
-    ) -> NDArray[np.float64]:
+    def costs_of(self, team: Mapping[int, Cell], goals: Cells, planner: PathPlanner) -> Costs:
         """Return the cost of each member's way to each goal, shape (m, n), with obstacles enlarged by its radius."""
         costs = np.empty((len(team), len(goals)))
         radii = np.array([self.settings.radius_of(robot) for robot in team])
@@ -140,7 +126,7 @@ class TeamStrategy(TargetStrategy):
             costs[alike] = planner.of_radius(float(radius)).costs_between(cells[alike], goals)
         return costs
 
-    def frontier(self, situation: Situation, planner: PathPlanner) -> NDArray[np.int32]:
+    def frontier(self, situation: Situation, planner: PathPlanner) -> Cells:
         """Return the frontier cells that this robot, or with mixed radii any member, can reach."""
         team = self.team(situation)
         radii = {robot: self.settings.radius_of(robot) for robot in team}
@@ -173,9 +159,7 @@ class TeamStrategy(TargetStrategy):
         )
 
 
-def unclaimed(
-    situation: Situation, goals: NDArray[np.int32], targets: Mapping[int, Cell], settings: Settings
-) -> NDArray[np.int32]:
+def unclaimed(situation: Situation, goals: Cells, targets: Mapping[int, Cell], settings: Settings) -> Cells:
     """Return the goals not within sensor range and in sight of a robot's target; all goals if none would be left."""
     keep = [
         all(

@@ -21,6 +21,7 @@ import math
 import shutil
 import tempfile
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -182,32 +183,24 @@ class _Messages:
         for row, key in enumerate(zip(*(here[name].tolist() for name in same), strict=True)):
             frames.setdefault(key, []).append(row)
         for key, rows in frames.items():
-            yield (
-                "/radio/frames",
-                RADIO_FRAME,
-                step,
-                self._frame(step, dict(zip(same, key, strict=True)), here, rows),
-            )
+            frame = self._frame(step, dict(zip(same, key, strict=True)), here, rows)
+            yield "/radio/frames", RADIO_FRAME, step, frame
         carried = here["carried"].astype(bool)
         sums = {
             name: int(here["bytes"][carried & np.isin(here["kind"], group.kinds)].sum())
             for name, group in GROUPS.items()
         }
         budget = float(self._archive.budgets[step])
-        yield (
-            "/radio/steps",
+        totals = self._make(
             RADIO_STEP,
-            step,
-            self._make(
-                RADIO_STEP,
-                header=self._header(step),
-                budget=budget if math.isfinite(budget) else math.nan,
-                frames=len(frames),
-                carried=int(here["bytes"][carried].sum()),
-                waiting=int(here["bytes"][here["cause"] == "budget"].sum()),
-                **sums,
-            ),
+            header=self._header(step),
+            budget=budget if math.isfinite(budget) else math.nan,
+            frames=len(frames),
+            carried=int(here["bytes"][carried].sum()),
+            waiting=int(here["bytes"][here["cause"] == "budget"].sum()),
+            **sums,
         )
+        yield "/radio/steps", RADIO_STEP, step, totals
 
     def _frame(self, step: int, key: dict[str, int], here: Table, rows: list[int]) -> Any:
         """One frame: the rows of the ledger that differ only in packet kind, or in whether the packets were carried."""
@@ -241,19 +234,31 @@ class _Messages:
         return by_step
 
     def _make(self, kind: str, **fields: Any) -> Any:
-        return self.types.types[kind](**fields)
+        """Make a message; fields that are left out are zero or empty."""
+        return self.types.types[kind](**(self._zeros(kind) | fields))
+
+    @cache  # noqa: B019  as long as the export
+    def _zeros(self, kind: str) -> dict[str, Any]:
+        """Return a message's fields with value zero, or empty."""
+        zeros: dict[str, Any] = {}
+        for name, (node, details) in self.types.fielddefs[kind][1]:
+            if node.name == "NAME":
+                zeros[name] = self._make(details)
+            elif node.name == "BASE":
+                zeros[name] = "" if details[0] == "string" else 0
+            else:
+                zeros[name] = np.empty(0, np.uint8)
+        return zeros
 
     def _header(self, step: int, frame: str = MAP_FRAME) -> Any:
-        stamp = self._make("builtin_interfaces/msg/Time", sec=step, nanosec=0)
+        stamp = self._make("builtin_interfaces/msg/Time", sec=step)
         return self._make("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
 
     def _point(self, x: float, y: float, kind: str = "Point") -> Any:
-        return self._make(f"geometry_msgs/msg/{kind}", x=float(x), y=float(y), z=0.0)
+        return self._make(f"geometry_msgs/msg/{kind}", x=float(x), y=float(y))
 
     def _turn(self, yaw: float) -> Any:
-        return self._make(
-            "geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=math.sin(yaw / 2), w=math.cos(yaw / 2)
-        )
+        return self._make("geometry_msgs/msg/Quaternion", z=math.sin(yaw / 2), w=math.cos(yaw / 2))
 
     def _placed(self, x: float, y: float, yaw: float = 0.0) -> Any:
         return self._make("geometry_msgs/msg/Pose", position=self._point(x, y), orientation=self._turn(yaw))
@@ -265,19 +270,12 @@ class _Messages:
         return self._placed(steps["x"][row], steps["y"][row], -math.radians(steps["heading"][row]))
 
     def _transforms(self, step: int, poses: dict[int, Any]) -> Any:
-        transforms = []
+        kind, header, transforms = "geometry_msgs/msg/TransformStamped", self._header(step), []
         for robot, pose in poses.items():
             place = self._point(pose.position.x, pose.position.y, "Vector3")
             for frame, turn in ((f"r{robot}", pose.orientation), (f"r{robot}/laser", self._turn(0.0))):
                 moved = self._make("geometry_msgs/msg/Transform", translation=place, rotation=turn)
-                transforms.append(
-                    self._make(
-                        "geometry_msgs/msg/TransformStamped",
-                        header=self._header(step),
-                        child_frame_id=frame,
-                        transform=moved,
-                    )
-                )
+                transforms.append(self._make(kind, header=header, child_frame_id=frame, transform=moved))
         return self._make("tf2_msgs/msg/TFMessage", transforms=transforms)
 
     def _scan(self, step: int, scan: Rescan) -> Any:
@@ -287,22 +285,17 @@ class _Messages:
         return self._make(
             "sensor_msgs/msg/LaserScan",
             header=self._header(step, f"r{scan.robot}/laser"),
-            angle_min=0.0,
             angle_max=turn * (ray_table.beams - 1),
             angle_increment=turn,
-            time_increment=0.0,
             scan_time=1.0,
-            range_min=0.0,
             range_max=self._archive.plan.world.bodies[scan.robot].range_cells * world.resolution,
             ranges=ranges,
-            intensities=np.empty(0, np.float32),
         )
 
     def _grid(self, step: int, grid: Grid) -> Any:
         world: Map = self._archive.plan.map
         info = self._make(
             "nav_msgs/msg/MapMetaData",
-            map_load_time=self._make("builtin_interfaces/msg/Time", sec=0, nanosec=0),
             resolution=world.resolution,
             width=world.width,
             height=world.height,
@@ -328,34 +321,19 @@ class _Messages:
         for here, there in enumerate(following):
             points += [self._point(*places[here]), self._point(*places[there])]
             colors += 2 * [wall if rows[here, 3] & 1 else open_]
-        return self._make(
-            "visualization_msgs/msg/MarkerArray", markers=[self._lines(step, outlines.map_id, points, colors)]
-        )
-
-    def _lines(self, step: int, map_id: int, points: list[Any], colors: list[Any]) -> Any:
-        marker: Any = self.types.types["visualization_msgs/msg/Marker"]
-        clock = self._make("builtin_interfaces/msg/Duration", sec=0, nanosec=0)
-        none = np.empty(0, np.uint8)
-        return marker(
+        kind: Any = self.types.types["visualization_msgs/msg/Marker"]
+        marker = self._make(
+            "visualization_msgs/msg/Marker",
             header=self._header(step),
             ns="approximations",
-            id=map_id,
-            type=marker.LINE_LIST,
-            action=marker.ADD if points else marker.DELETE,
+            id=outlines.map_id,
+            type=kind.LINE_LIST,
+            action=kind.ADD if points else kind.DELETE,
             pose=self._placed(0.0, 0.0),
-            scale=self._make("geometry_msgs/msg/Vector3", x=EDGE_WIDTH_M, y=0.0, z=0.0),
-            color=self._make("std_msgs/msg/ColorRGBA", r=0.0, g=0.0, b=0.0, a=1.0),
-            lifetime=clock,
-            frame_locked=False,
+            scale=self._make("geometry_msgs/msg/Vector3", x=EDGE_WIDTH_M),
+            color=self._make("std_msgs/msg/ColorRGBA", a=1.0),
             points=points,
             colors=colors,
-            texture_resource="",
-            texture=self._make(
-                "sensor_msgs/msg/CompressedImage", header=self._header(step), format="", data=none
-            ),
-            uv_coordinates=[],
-            text=f"map of robot {map_id}",
-            mesh_resource="",
-            mesh_file=self._make("visualization_msgs/msg/MeshFile", filename="", data=none),
-            mesh_use_embedded_materials=False,
+            text=f"map of robot {outlines.map_id}",
         )
+        return self._make("visualization_msgs/msg/MarkerArray", markers=[marker])

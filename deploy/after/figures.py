@@ -22,7 +22,6 @@ from deploy.after.archive import Archive
 from deploy.dashboard.shapes import outline_strips
 from deploy.record.colors import GROUPS
 from deploy.record.map_pictures import rgb, robot_color, save, show_grid
-from netshaper.ledger import CAUSES
 from protocol.budget import WORD_FOR_UNLIMITED
 from protocol.grid import FREE
 
@@ -59,9 +58,8 @@ def maps_over_time(archive: Archive) -> Figure:
     moments = _moments(archive.last_step)
     shape = archive.plan.map.height / archive.plan.map.width
     wide = max(1.45, 11 / len(robots)) if len(robots) > 3 else 3.2
-    figure = Figure(
-        figsize=(wide * len(robots) + 0.4, (wide * shape + 0.1) * len(moments) + 0.7), layout="constrained"
-    )
+    size = wide * len(robots) + 0.4, (wide * shape + 0.1) * len(moments) + 0.7
+    figure = Figure(figsize=size, layout="constrained")
     axes = np.atleast_2d(figure.subplots(len(moments), len(robots), squeeze=False))
     for row, step in enumerate(moments):
         for robot in robots:
@@ -71,7 +69,7 @@ def maps_over_time(archive: Archive) -> Figure:
                 panel.set_axis_off()
                 continue
             _draw(panel, archive, grid, archive.maps.outlines(robot, robot, step))
-            _bare(panel)
+            panel.set(xticks=[], yticks=[], xlabel="")
         axes[row, 0].set_ylabel(f"step {step}")
     for robot in robots:
         axes[0, robot].set_title(f"robot {robot}", color=robot_color(robot))
@@ -148,13 +146,9 @@ def compared(archives: dict[str, Archive]) -> Figure:
                   label=f"{name}: {total:.0f} kB in total")  # fmt: skip
     if len(budgets) == 1 and WORD_FOR_UNLIMITED not in budgets:
         load.axhline(float(*budgets), color=RED, linewidth=1.2, label="budget")
-    explored.set_title("Explored")
-    explored.set_ylabel("% of reachable area, seen by the team")
-    explored.set_ylim(0, 102)
-    load.set_title("Transmitted")
-    load.set_ylabel("bytes per step")
-    load.set_ylim(0, max(1.0, load.get_ylim()[1]))
-    load.set_xlabel("step")
+    explored.set(title="Explored", ylabel="% of reachable area, seen by the team", ylim=(0, 102))
+    ylim = 0, max(1.0, load.get_ylim()[1])
+    load.set(title="Transmitted", xlabel="step", ylabel="bytes per step", ylim=ylim)
     for panel in (explored, load):
         panel.grid(alpha=0.25)
         panel.margins(x=0)
@@ -175,8 +169,7 @@ def draw_explored(panel: Axes, archive: Archive) -> None:
         known = [100 * float((grid[reachable] == FREE).mean()) for grid in grids if grid is not None]
         curves[robot] = np.array(changed), np.array(known)
     _draw_curves(panel, curves, "on the map of")
-    panel.set_ylabel("% of reachable area")
-    panel.set_title("Explored")
+    panel.set(title="Explored", ylabel="% of reachable area")
 
 
 def draw_load(panel: Axes, archive: Archive) -> None:
@@ -203,28 +196,19 @@ def draw_load(panel: Axes, archive: Archive) -> None:
         title += f": {100 * used:.0f} % of the budget"
     if len(set(budgets.tolist())) == 1 and 0 < budgets[0] < math.inf:
         percent = budgets[0] / 100
-
-        def to_share(size: Any) -> Any:
-            return size / percent
-
-        def to_size(share: Any) -> Any:
-            return share * percent
-
-        share = panel.secondary_yaxis("right", functions=(to_share, to_size))
+        scales = (lambda size: size / percent), (lambda share: share * percent)
+        share = panel.secondary_yaxis("right", functions=scales)
         share.set_ylabel("% of the budget")
-    panel.set_ylabel("bytes per step")
-    panel.set_title(title)
+    panel.set(title=title, ylabel="bytes per step")
 
 
 def _draw_waiting(panel: Axes, archive: Archive) -> Axes:
     """Draw bytes over the budget, and each robot's undelivered packets on a second axis, which is returned."""
     last = archive.last_step
-    cut = _per_step(archive.ledger, archive.ledger["cause"] == CAUSES[CAUSES.index("budget")], last)
-    panel.fill_between(
-        np.arange(1, last + 1), cut, step="mid", color="#c9ccd1", label="bytes over the step's budget"
-    )
-    panel.set_ylabel("bytes per step")
-    panel.set_title("Queued")
+    cut = _per_step(archive.ledger, archive.ledger["cause"] == "budget", last)
+    steps = np.arange(1, last + 1)
+    panel.fill_between(steps, cut, step="mid", color="#c9ccd1", label="bytes over the step's budget")
+    panel.set(title="Queued", ylabel="bytes per step")
     packets = panel.twinx()
     rows = {robot: archive.of_robot(robot) for robot in range(archive.plan.scenario.robots)}
     _draw_curves(packets, {robot: (own["step"], own["backlog"]) for robot, own in rows.items()}, "packets of")
@@ -270,9 +254,3 @@ def _draw(
     show_grid(panel, archive.plan.map, grid)
     strips = [strip * (1, -1) for strip in outline_strips(archive.plan.map, outlines)]
     panel.add_collection(LineCollection(strips, colors=RED, linewidths=width))
-
-
-def _bare(panel: Axes) -> None:
-    panel.set_xticks([])
-    panel.set_yticks([])
-    panel.set_xlabel("")

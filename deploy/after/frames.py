@@ -104,11 +104,8 @@ class Frames:
 
     def _write_head(self, draw: ImageDraw.ImageDraw, step: int) -> None:
         scenario, px = self._archive.plan.scenario, self._px
-        medium = (
-            scenario.bandwidth
-            if isinstance(scenario.bandwidth, str)
-            else f"{scenario.bandwidth} bytes per step"
-        )
+        limit = scenario.bandwidth
+        medium = limit if isinstance(limit, str) else f"{limit} bytes per step"
         title = (
             f"{self._archive.summary['map']}: {counted(scenario.robots, 'robot')}, {scenario.strategy}, "
             f"{scenario.map_encoding}, {medium}"
@@ -212,9 +209,8 @@ class Frames:
     def _cell(self, x: float, y: float) -> Place:
         """A position in cells from the upper left corner."""
         world = self._archive.plan.map
-        return (x - world.origin[0]) / world.resolution, world.height - (
-            y - world.origin[1]
-        ) / world.resolution
+        left, bottom, _ = world.origin
+        return (x - left) / world.resolution, world.height - (y - bottom) / world.resolution
 
     @cached_property
     def _tracks(self) -> dict[int, dict[str, NDArray[Any]]]:

@@ -86,5 +86,4 @@ def _known(grid: Grid) -> tuple[slice, slice]:
 
 def _show(panel: Axes, grid: Grid) -> None:
     panel.imshow(grid, cmap=_COLORS, vmin=0, vmax=UNDEFINED, interpolation="nearest")
-    panel.set_xticks([])
-    panel.set_yticks([])
+    panel.set(xticks=[], yticks=[])

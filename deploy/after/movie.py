@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib.util
+import shlex
 import subprocess
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
@@ -30,19 +31,8 @@ class MovieError(ValueError):
 MP4, GIF = ".mp4", ".gif"
 """The formats of films, by their suffix."""
 
-AS_MP4 = [
-    "-c:v",
-    "libx264",
-    "-preset",
-    "veryfast",
-    "-crf",
-    "20",
-    "-pix_fmt",
-    "yuv420p",
-    "-movflags",
-    "+faststart",
-]
-AS_GIF = ["-lavfi", "paletteuse=dither=none:diff_mode=rectangle", "-loop", "0"]
+AS_MP4 = shlex.split("-c:v libx264 -preset veryfast -crf 20 -pix_fmt yuv420p -movflags +faststart")
+AS_GIF = shlex.split("-lavfi paletteuse=dither=none:diff_mode=rectangle -loop 0")
 """Output options of ffmpeg; for a GIF they follow a picture of its palette."""
 
 
@@ -106,20 +96,8 @@ def _encode(
     from imageio_ffmpeg import get_ffmpeg_exe  # noqa: PLC0415  the package may be missing
 
     beside = path.with_name(f".{path.stem}.part{path.suffix}")
-    with beside.open("wb"):
-        pass  # raises OSError with the file's name if the folder is not writable
-    source = [
-        "-f",
-        "rawvideo",
-        "-pix_fmt",
-        "rgb24",
-        "-s",
-        f"{size[0]}x{size[1]}",
-        "-r",
-        f"{rate:g}",
-        "-i",
-        "-",
-    ]
+    beside.touch()  # raises OSError with the file's name if the folder is not writable
+    source = shlex.split(f"-f rawvideo -pix_fmt rgb24 -s {size[0]}x{size[1]} -r {rate:g} -i -")
     command = [get_ffmpeg_exe(), "-y", "-v", "error", *source, *options, str(beside)]
     try:
         with tempfile.TemporaryFile() as output:

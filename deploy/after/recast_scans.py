@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.after.archive import Archive
-from protocol.grid import RayTable, ray_table
+from protocol.grid import ray_table
 from protocol.scans import Readings
 from worldsim.laser import HEADINGS, cast
 from worldsim.maps import to_cell
@@ -38,9 +38,7 @@ class Lasers:
         self._archive = archive
         plan = archive.plan
         self._bodies = plan.world.bodies
-        self.ray_tables: list[RayTable] = [
-            ray_table(body.range_cells, plan.world.beams) for body in self._bodies
-        ]
+        self.ray_tables = [ray_table(body.range_cells, plan.world.beams) for body in self._bodies]
 
     def scans(self) -> Iterator[tuple[int, list[Rescan]]]:
         """Yield each step and its scans, by ascending robot."""

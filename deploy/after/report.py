@@ -115,15 +115,15 @@ def write_report(directory: Path, other: Path | None = None) -> Path:
 
     Raises ScenarioError if a directory is not a run directory, or a table is missing.
     """
-    archive, another = read(directory), read(other) if other is not None else None
-    if other is None or another is None:
+    archive = read(directory)
+    if other is None:
         figures = write_figures(archive, directory / run_directory.PICTURES)
         if (directory / run_directory.PICTURE).is_file():
             figures.append(directory / run_directory.PICTURE)
         path, text = directory / REPORT, page(archive, figures)
     else:
         path = directory / f"compared-with-{other.resolve().name}.html"
-        text = comparison({directory: archive, other: another})
+        text = comparison({directory: archive, other: read(other)})
     write_whole(path, lambda file: file.write(text.encode()))
     return path
 
@@ -131,6 +131,7 @@ def write_report(directory: Path, other: Path | None = None) -> Path:
 def page(archive: Archive, figures: Sequence[Path]) -> str:
     """The page of a run, with all pictures embedded."""
     summary = archive.summary
+    scenario = (archive.directory / run_directory.SCENARIO).read_text(encoding="utf-8")
     return _render(
         f"{counted(summary['robots'], 'robot')} on {summary['map']}",
         [_abstract(summary)],
@@ -142,7 +143,7 @@ def page(archive: Archive, figures: Sequence[Path]) -> str:
             Section("Pictures", pictures=[_picture(figure.read_bytes(), CAPTIONS[figure.name]) for figure in figures]),
             Section("The robots", [_table(_robots(archive))]),
             Section("Traffic", [_table(_kinds(summary), last_is_sum=True), _table(_undelivered(summary))]),
-            Section("The scenario", texts=[_scenario(archive)]),
+            Section("The scenario", texts=[scenario]),
         ],
         {"": summary["digest"]},
     )  # fmt: skip
@@ -203,15 +204,14 @@ def _frames(runs: list[Frames]) -> list[Picture]:
     pictures = [_png(side_by_side(runs, int(step))) for step in steps]
     while len(pictures) > 2 and sum(map(len, pictures)) > MOST_FRAME_BYTES * 3 / 4:
         steps, pictures = steps[::-2][::-1], pictures[::-2][::-1]
-    return [Picture(_uri(data), step=int(step)) for step, data in zip(steps, pictures, strict=True)]
+    return [_picture(data, step=int(step)) for step, data in zip(steps, pictures, strict=True)]
 
 
 def _png(picture: Image.Image) -> bytes:
     """A picture as a small PNG of at most 128 colors."""
     file = io.BytesIO()
-    picture.quantize(128, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE).save(
-        file, "PNG", optimize=True
-    )
+    small = picture.quantize(128, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+    small.save(file, "PNG", optimize=True)
     return file.getvalue()
 
 
@@ -219,10 +219,6 @@ def _names(directories: list[Path]) -> list[str]:
     """Short but distinct names of runs."""
     short = [directory.resolve().name for directory in directories]
     return short if len(set(short)) == len(short) else [str(directory) for directory in directories]
-
-
-def _scenario(archive: Archive) -> str:
-    return (archive.directory / run_directory.SCENARIO).read_text(encoding="utf-8")
 
 
 def _differences(archives: list[Archive]) -> list[list[str]]:
@@ -246,12 +242,14 @@ def _leaves(settings: dict[str, Any], before: str = "") -> Iterable[tuple[str, s
 
 def _traffic(names: list[str], summaries: list[dict[str, Any]]) -> list[list[str]]:
     """Bytes of each packet kind that any run has sent."""
-    rows = [["packet", "meaning", *(f"bytes, {name}" for name in names)]]
-    for kind in ALL_KINDS:
-        if any(kind in summary["bytes"] for summary in summaries):
-            sizes = [f"{summary['bytes'].get(kind, 0):,}" for summary in summaries]
-            rows.append([kind, KINDS[kind], *sizes])
-    return [*rows, ["all", "", *(f"{summary['bytes']['total']:,}" for summary in summaries)]]
+    counts = [summary["bytes"] for summary in summaries]
+    rows = [
+        [kind, KINDS[kind], *(f"{each.get(kind, 0):,}" for each in counts)]
+        for kind in ALL_KINDS
+        if any(kind in each for each in counts)
+    ]
+    head = ["packet", "meaning", *(f"bytes, {name}" for name in names)]
+    return [head, *rows, ["all", "", *(f"{each['total']:,}" for each in counts)]]
 
 
 def _abstract(summary: dict[str, Any]) -> str:
@@ -265,24 +263,18 @@ def _abstract(summary: dict[str, Any]) -> str:
 
 
 def _figures(summary: dict[str, Any]) -> list[list[str]]:
-    agreement = summary["map_accuracy"]
-    rows = [
+    accuracy = summary["map_accuracy"]
+    error = summary.get("approximation_error")
+    return [
         ["reachable cells seen by the team", _percent(summary["coverage"])],
-        [
-            "accuracy of the planning map of the first robot",
-            "-" if agreement is None else _percent(agreement),
-        ],
+        ["accuracy of the planning map of the first robot", "-" if accuracy is None else _percent(accuracy)],
         ["team had seen 90 %, 99 %", f"step {summary['t90'] or '-'}, step {summary['t99'] or '-'}"],
         ["strategy, seed", f"{summary['strategy']}, {summary['seed']}"],
+        *([] if error is None else [["approximation error (Eq. 6.1)", f"{error:.2%} of the cells"]]),
         ["transmitted", f"{summary['bytes']['total']:,} bytes in {summary['packets']['total']:,} packets"],
         ["steps over the budget", str(summary["over_budget_steps"])],
         ["bus", f"{summary['bus']}, {summary['steps_per_s']} steps per second"],
     ]
-    if summary.get("approximation_error") is not None:
-        rows.insert(
-            4, ["approximation error (Eq. 6.1)", f"{summary['approximation_error']:.2%} of the cells"]
-        )
-    return rows
 
 
 def _robots(archive: Archive) -> list[list[str]]:
@@ -313,11 +305,8 @@ def _kinds(summary: dict[str, Any]) -> list[list[str]]:
 
 
 def _undelivered(summary: dict[str, Any]) -> list[list[str]]:
-    rows = [["frames not delivered in full, because", "frames"]]
-    return [
-        *rows,
-        *([UNDELIVERED[cause], f"{count:,}"] for cause, count in summary["undelivered"].items()),
-    ]
+    rows = [[UNDELIVERED[cause], f"{count:,}"] for cause, count in summary["undelivered"].items()]
+    return [["frames not delivered in full, because", "frames"], *rows]
 
 
 def _table(
@@ -334,19 +323,12 @@ def _table(
 
 
 def _numeric(rows: list[list[str]]) -> set[int]:
-    return {
-        c
-        for c in range(len(rows[0]))
-        if all(not row[c] or row[c][0].isdigit() or row[c] == "-" for row in rows)
-    }
+    columns = enumerate(zip(*rows, strict=True))
+    return {c for c, texts in columns if all(text in ("", "-") or text[0].isdigit() for text in texts)}
 
 
-def _picture(png: bytes, caption: str) -> Picture:
-    return Picture(_uri(png), caption)
-
-
-def _uri(png: bytes) -> str:
-    return f"data:image/png;base64,{base64.b64encode(png).decode()}"
+def _picture(png: bytes, caption: str = "", step: int = 0) -> Picture:
+    return Picture(f"data:image/png;base64,{base64.b64encode(png).decode()}", caption, step)
 
 
 def _percent(share: float) -> str:

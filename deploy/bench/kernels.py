@@ -25,8 +25,9 @@ from agent.outline.five_stages import five_stages
 from agent.outline.merge import TeamMap
 from agent.outline.objects import Objects
 from agent.outline.polygons import Polygons
-from agent.outline.simplify import mixed_first, refine
-from agent.planning.cost_field import costs
+from agent.outline.simplify import refine
+from agent.planning.cost_field import Field, costs
+from agent.planning.frontier import Floor
 from deploy.bench import baselines
 from deploy.bench.explorations import SAMPLES, Moment, beams, explore, office, samples
 from deploy.bench.measurement import Measurement, compare, timed
@@ -119,7 +120,7 @@ def _encode_whole_map(moment: Moment, vertices: int) -> None:
     nothing = NumberedPolygons.empty(moment.grid.shape)
     exact = contours(moment.grid, moment.cell)
     marks = repair(nothing.polygons, exact)
-    marks = refine(exact, marks, max(0, vertices - len(marks)), mixed_first)
+    marks = refine(exact, marks, max(0, vertices - len(marks)), mixed_first=True)
     edit_packets(nothing, approximation(exact, marks))
 
 
@@ -147,10 +148,14 @@ def _merging(moments: Sequence[Moment], polygons: Sequence[Sequence[Polygons]]) 
     yield compare(f"{name}, none changed", "ms", none_changed, "all changed", all_changed)
 
 
+def _costs(grid: Grid, cell: tuple[int, int]) -> Field:
+    return costs(Floor(grid), *cell)
+
+
 def _cost_field(moments: Sequence[Moment], graph: Any) -> Measurement:
     """Compute path costs to all cells; baseline: skimage's paths, which may cut corners, the easier problem."""
     known = [(moment.grid, moment.cell) for moment in samples(moments)[SAMPLES // 4 :]]
-    kernel = [timed(partial(costs, grid, *cell))[1] for grid, cell in known]
+    kernel = [timed(partial(_costs, grid, cell))[1] for grid, cell in known]
     baseline = [baselines.skimage_costs_ms(graph, grid, cell) for grid, cell in known]
     return compare("costs to all cells", "ms", kernel, "skimage's MCP_Geometric", baseline)
 

@@ -8,7 +8,7 @@ destinations differ.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -34,7 +34,7 @@ DEFAULTS = {
     "sensor_range": 5.0,
     "speed": 0.5,
 }
-"""Settings of all scenarios, unless the contest overrides them."""
+"""Settings of all scenarios, unless the user overrides them."""
 
 Run = dict[str, Any]
 """One run: strategy, map, robots, seed, steps. Strategies also have finished, t90, t99, coverage, driven (meters of
@@ -55,11 +55,12 @@ class Task:
         return f"{self.name} on {first.map}, {first.robots} robots, seed {first.seed}"
 
 
-@dataclass(frozen=True)
-class Contest:
-    """The runs of a league table.
+def tasks(
+    maps: Sequence[str], robots: Sequence[int], seeds: int, names: Sequence[str], settings: dict[str, Any]
+) -> list[Task]:
+    """The units of work: the offline plans of each map, and each strategy in each scenario.
 
-    Attributes
+    Parameters
     ----------
     maps : sequence of str
         Names of shipped maps, or files.
@@ -67,42 +68,30 @@ class Contest:
         Team sizes.
     seeds : int
         Number of seeds, from 0.
-    strategies : sequence of str
+    names : sequence of str
         Names of strategies; all if empty.
     settings : dict
         Scenario settings of all runs, on top of `DEFAULTS`.
+
+    Raises
+    ------
+    ValueError
+        A name or a setting is invalid.
     """
-
-    maps: Sequence[str] = ("office",)
-    robots: Sequence[int] = (6,)
-    seeds: int = 3
-    strategies: Sequence[str] = ()
-    settings: dict[str, Any] = field(default_factory=dict)
-
-    def names(self) -> list[str]:
-        """The competing strategies; ValueError for an unknown name."""
-        return [strategy(name).name for name in self.strategies] or sorted(strategies())
-
-    def tasks(self) -> list[Task]:
-        """The units of work: the offline plans of each map, and each strategy in each scenario."""
-        scenarios = self.scenarios()
-        offline = [
-            Task(OFFLINE, tuple(each for each in scenarios if each.map == name))
-            for name in dict.fromkeys(self.maps)
-        ]
-        return offline + [Task(name, (scenario,)) for scenario in scenarios for name in self.names()]
-
-    def scenarios(self) -> list[Scenario]:
-        """A scenario per map, team size and seed, grouped by map; ScenarioError if a setting is invalid."""
-        return [
-            parse({**DEFAULTS, **self.settings, "map": name, "robots": robots, "seed": seed})
-            for name, robots, seed in product(self.maps, self.robots, range(self.seeds))
-        ]
+    competing = [strategy(name).name for name in names] or sorted(strategies())
+    scenarios = [
+        parse({**DEFAULTS, **settings, "map": name, "robots": size, "seed": seed})
+        for name, size, seed in product(maps, robots, range(seeds))
+    ]
+    offline = [
+        Task(OFFLINE, tuple(each for each in scenarios if each.map == name)) for name in dict.fromkeys(maps)
+    ]
+    return offline + [Task(name, (scenario,)) for scenario in scenarios for name in competing]
 
 
-def compete(tasks: Sequence[Task], jobs: int | None = None) -> Iterator[list[Run]]:
+def compete(todo: Sequence[Task], jobs: int | None = None) -> Iterator[list[Run]]:
     """Yield the runs of each task as it ends, by `jobs` processes; ConnectionError if a process dies."""
-    for task, found in workers(jobs, None).each(tasks, _run_task):
+    for task, found in workers(jobs, None).each(todo, _run_task):
         if isinstance(found, str):
             raise ConnectionError(f"{task.key}: {found}")
         yield found

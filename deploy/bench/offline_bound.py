@@ -18,8 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
-from agent.planning.cost_field import Field, Floor, costs_on
+from agent.planning.cost_field import Field, costs
 from agent.planning.cost_field import way as path_down
+from agent.planning.frontier import Floor
 from agent.planning.jump_point_search import costs_between
 from agent.planning.team_tours import Task, team_tours
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, enlarge, ray_table
@@ -133,7 +134,7 @@ class KnownBuilding:
 
     def _field(self, cell: Cell) -> Field:
         """Shortest path length from a cell to every other cell, in cells."""
-        return costs_on(self._padded_floor, *cell)
+        return costs(self._padded_floor, *cell)
 
     def path(self, start: Cell, end: Cell) -> list[Cell]:
         """The cells of a shortest path, without its start."""

@@ -17,7 +17,7 @@ from msgspec.structs import replace
 
 from protocol import keys as names
 from protocol import packet_index, packets
-from protocol.bus import Bus, Message
+from protocol.bus import Bus
 from protocol.errors import ProtocolError
 from protocol.keyed_random import keyed_random
 from protocol.messages import pack, unpack
@@ -32,15 +32,7 @@ NOT_LOGGED = {Offer.name, Target.name, Pose.name}
 
 @dataclass(frozen=True)
 class ByzantineRadios:
-    """A wrapper for the buses of participants: byzantine robots get a `ByzantineBus`.
-
-    Attributes
-    ----------
-    seed : int
-        Seed of the hostile frames.
-    robots : tuple of int
-        The byzantine robots.
-    """
+    """A wrapper for the buses of participants: the robots in `robots` get a `ByzantineBus`, drawn from `seed`."""
 
     seed: int
     robots: tuple[int, ...]
@@ -55,6 +47,7 @@ class ByzantineBus:
     """An end of the bus that sometimes replaces the frames of its robot's radio."""
 
     def __init__(self, bus: Bus, seed: int, robot: int) -> None:
+        self.receive, self.close = bus.receive, bus.close
         self._bus = bus
         self._seed = seed
         self._robot = robot
@@ -69,14 +62,6 @@ class ByzantineBus:
             frames = [replace(each, payload=self._transmitted(each.payload)) for each in message.frames]
             payload = pack(replace(message, broadcast=broadcast, frames=frames))
         self._bus.put(key, payload)
-
-    def receive(self, timeout_s: float | None = None) -> Message | None:
-        """Return the next message unchanged."""
-        return self._bus.receive(timeout_s)
-
-    def close(self) -> None:
-        """Leave the bus."""
-        self._bus.close()
 
     def _transmitted(self, frame: bytes) -> bytes:
         """The frame, or its replacement."""
@@ -99,11 +84,9 @@ class ByzantineBus:
             return bytes(flipped)
         if kind == 2:
             return frame[: int(draw.integers(len(frame) + 1))]
-        if kind == 3:
-            return frame + frame
-        if kind == 4:
-            return self._last
-        return packets.encode([_packet(draw) for _ in range(int(draw.integers(1, 4)))])
+        if kind == 5:
+            return packets.encode([_packet(draw) for _ in range(int(draw.integers(1, 4)))])
+        return frame + frame if kind == 3 else self._last
 
 
 def _has_log_entries(frame: bytes) -> bool:

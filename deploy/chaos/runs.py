@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from deploy.chaos.byzantine import ByzantineRadios
@@ -26,13 +26,8 @@ class Verdict:
 
     Attributes
     ----------
-    case : ChaosCase
     failure : str
         The violated invariant or the error; empty if all invariants hold.
-    digest : str
-        Digest of the run.
-    steps : int
-        Number of steps.
     wall_s : float
         Duration of the run in memory.
     known : float
@@ -90,17 +85,12 @@ def run_cases(first: int, runs: int) -> Iterator[Verdict]:
         yield run_case(case(seed), as_processes=seed % AS_PROCESSES_EVERY == 0)
 
 
-def shrink(verdict: Verdict, report: Callable[[ChaosCase], object] = lambda _: None) -> Verdict:
+def shrink(verdict: Verdict) -> Verdict:
     """Remove faults from a failing case as long as it still fails, in whichever way."""
-    smaller = True
-    while smaller:
-        smaller = False
-        for candidate in verdict.case.smaller():
-            report(candidate)
-            found = run_case(candidate, as_processes=verdict.as_processes)
-            if found.failure:
-                verdict, smaller = found, True
-                break
+    for candidate in verdict.case.smaller():
+        found = run_case(candidate, as_processes=verdict.as_processes)
+        if found.failure:
+            return shrink(found)
     return verdict
 
 

@@ -8,14 +8,7 @@ from typing import Annotated
 
 import typer
 
-from deploy.commands.console import (
-    errors,
-    explain_difference,
-    progress,
-    report_deaths,
-    report_user_errors,
-    screen,
-)
+from deploy.commands.console import errors, explain_difference, progress, report_deaths, screen
 from deploy.commands.flags import JsonFlag, command_family
 from deploy.scenario.scenario import ScenarioError, load
 
@@ -41,15 +34,14 @@ def report(
     """
     from deploy.after.report import write_report  # noqa: PLC0415
 
-    with report_user_errors():
-        directory, *others = directories
-        if len(others) > (1 if stages is None else 0):
-            raise ValueError("report takes one run directory, or two; with --stages only one")
-        if stages is not None:
-            screen.print(f"{_draw_stages(directory, robot, stages)}: stages of merging")
-            return
-        page = write_report(directory, *others)
-        screen.print(f"{page}: report of the {'runs' if others else 'run'}")
+    directory, *others = directories
+    if len(others) > (1 if stages is None else 0):
+        raise ValueError("report takes one run directory, or two; with --stages only one")
+    if stages is not None:
+        screen.print(f"{_draw_stages(directory, robot, stages)}: stages of merging")
+        return
+    page = write_report(directory, *others)
+    screen.print(f"{page}: report of the {'runs' if others else 'run'}")
 
 
 def _draw_stages(directory: Path, robot: int, step: int) -> Path:
@@ -75,18 +67,16 @@ def export(
     """Export poses, scans, maps, outlines and radio traffic of a run to formats of other programs."""
     from deploy.after.export import export_mcap  # noqa: PLC0415
 
-    with report_user_errors():
-        if not mcap:
-            raise ScenarioError("no format given; use --mcap")
-        written = export_mcap(directory)
-        screen.print(f"{written}: for Foxglove, or ros2 bag play {written.parent}")
+    if not mcap:
+        raise ScenarioError("no format given; use --mcap")
+    written = export_mcap(directory)
+    screen.print(f"{written}: for Foxglove, or ros2 bag play {written.parent}")
 
 
 @app.command()
 def movie(
     directories: Annotated[
-        list[Path],
-        typer.Argument(metavar="DIR [OTHER]", help="a run directory, or two to show side by side"),
+        list[Path], typer.Argument(metavar="DIR [OTHER]", help="a run directory, or two to show side by side")
     ],
     mp4: Annotated[bool, typer.Option("--mp4", help="write an MP4 (default)")] = False,
     gif: Annotated[bool, typer.Option("--gif", help="write a GIF")] = False,
@@ -102,14 +92,13 @@ def movie(
     from deploy.after.movie import GIF, MP4, write_movie  # noqa: PLC0415
     from deploy.study.progress import counting  # noqa: PLC0415
 
-    with report_user_errors():
-        if len(directories) > 2:
-            raise ValueError("movie takes one run directory, or two")
-        if mp4 and gif:
-            raise ValueError("use either --mp4 or --gif")
-        with counting(errors, "pictures") as progress:
-            path = write_movie(directories, GIF if gif else MP4, out, rate=rate, progress=progress)
-        screen.print(f"{path}: {path.stat().st_size / 1e6:.1f} MB")
+    if len(directories) > 2:
+        raise ValueError("movie takes one run directory, or two")
+    if mp4 and gif:
+        raise ValueError("use either --mp4 or --gif")
+    with counting(errors, "pictures") as progress:
+        path = write_movie(directories, GIF if gif else MP4, out, rate=rate, progress=progress)
+    screen.print(f"{path}: {path.stat().st_size / 1e6:.1f} MB")
 
 
 @app.command()
@@ -123,28 +112,27 @@ def replay(
     """Repeat a run from its directory, and check that its digest is the same."""
     from deploy.record import run_directory  # noqa: PLC0415
     from deploy.run import exploration  # noqa: PLC0415
-    from deploy.run.repeat import why_unrepeatable  # noqa: PLC0415
+    from deploy.run.control import why_unrepeatable  # noqa: PLC0415
 
-    with report_user_errors():
-        scenario = run_directory.read_scenario(directory)
-        if bus is not None:
-            scenario = load(directory / run_directory.SCENARIO, {"bus": bus})
-        before = run_directory.read_summary(directory)
-        if reason := why_unrepeatable(before):
-            raise ScenarioError(f"{directory}: cannot be repeated: {reason}")
-        with progress(shown=not as_json) as watch:
-            result = exploration.explore(scenario, keep=False, watch=watch)
-        report_deaths(result.deaths)
-        if result.exit_code == exploration.BROKEN_OFF:
-            raise typer.Exit(exploration.BROKEN_OFF)
-        same = result.summary["digest"] == before["digest"]
-        if as_json:
-            print(json.dumps({"holds": same, "digest": result.summary["digest"], "before": before["digest"]}))
-        elif same:
-            screen.print(f"Replay matches: {result.summary['steps']} steps, digest {before['digest'][:16]}…")
-        else:
-            explain_difference(before, result.summary)
-        raise typer.Exit(0 if same else 1)
+    scenario = run_directory.read_scenario(directory)
+    if bus is not None:
+        scenario = load(directory / run_directory.SCENARIO, {"bus": bus})
+    before = run_directory.read_summary(directory)
+    if reason := why_unrepeatable(before):
+        raise ScenarioError(f"{directory}: cannot be repeated: {reason}")
+    with progress(shown=not as_json) as watch:
+        result = exploration.explore(scenario, keep=False, watch=watch)
+    report_deaths(result.deaths)
+    if result.exit_code == exploration.BROKEN_OFF:
+        raise typer.Exit(exploration.BROKEN_OFF)
+    same = result.summary["digest"] == before["digest"]
+    if as_json:
+        print(json.dumps({"holds": same, "digest": result.summary["digest"], "before": before["digest"]}))
+    elif same:
+        screen.print(f"Replay matches: {result.summary['steps']} steps, digest {before['digest'][:16]}…")
+    else:
+        explain_difference(before, result.summary)
+    raise typer.Exit(0 if same else 1)
 
 
 @app.command("capture")
@@ -180,19 +168,18 @@ def show_capture(
     from deploy.after import capture  # noqa: PLC0415
     from deploy.after.wireshark.install import install  # noqa: PLC0415
 
-    with report_user_errors():
-        if install_dissector:
-            screen.print(f"installed: {install()}")
-        elif directory is None:
-            raise ValueError("name a run directory, or use --install-dissector")
-        if directory is None:
-            return
-        wanted = capture.Filter(
-            capture.check_robot(directory, robot) if robot is not None else None,
-            capture.check_kind(kind) if kind is not None else None,
-            capture.parse_steps(step) if step is not None else None,
-            refused,
-        )
-        table = capture.lines(directory, wanted, every_packet=packets)
-        for line in capture.json_lines(directory, wanted) if as_json else table:
-            print(line)
+    if install_dissector:
+        screen.print(f"installed: {install()}")
+    elif directory is None:
+        raise ValueError("name a run directory, or use --install-dissector")
+    if directory is None:
+        return
+    wanted = capture.Filter(
+        capture.check_robot(directory, robot) if robot is not None else None,
+        capture.check_kind(kind) if kind is not None else None,
+        capture.parse_steps(step) if step is not None else None,
+        refused,
+    )
+    table = capture.lines(directory, wanted, every_packet=packets)
+    for line in capture.json_lines(directory, wanted) if as_json else table:
+        print(line)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from deploy.commands.console import errors, progress, report_result, report_user_errors, screen
+from deploy.commands.console import errors, progress, report_result, screen
 from deploy.commands.flags import JsonFlag, OutOption, Subcommands, ViewAs, command_family
 from deploy.scenario.scenario import load
 
@@ -42,8 +43,7 @@ def run_netshaper(
     """Start the radio relay and hub, which all other processes join; it writes their credentials."""
     from deploy.run.by_hand import serve_netshaper  # noqa: PLC0415
 
-    with report_user_errors():
-        serve_netshaper(load(scenario, {}), listen, credentials, screen.print, keys)
+    serve_netshaper(load(scenario, {}), listen, credentials, screen.print, keys)
 
 
 @run_app.command("worldsim")
@@ -56,8 +56,7 @@ def run_worldsim(
     """Start the world simulator, with the map and the clock; the run begins when all processes have joined."""
     from deploy.run.by_hand import serve_worldsim  # noqa: PLC0415
 
-    with report_user_errors():
-        serve_worldsim(load(scenario, {}), credential)
+    serve_worldsim(load(scenario, {}), credential)
 
 
 @run_app.command("agent")
@@ -69,8 +68,7 @@ def run_agent(
     """Start one robot; it receives its settings over the bus."""
     from deploy.run.by_hand import serve_robot  # noqa: PLC0415
 
-    with report_user_errors():
-        serve_robot(credential)
+    serve_robot(credential)
 
 
 @run_app.command("agents")
@@ -78,8 +76,7 @@ def run_agents() -> None:
     """Start robots for `murmur explore --hosts` on another host; it uses standard input and output."""
     from deploy.run.remote_agents import serve  # noqa: PLC0415
 
-    with report_user_errors():
-        serve()
+    serve()
 
 
 @run_app.command("router")
@@ -97,8 +94,7 @@ def run_router(
     """Start a router, whose robots share one connection to the hub (docs/hosts.md)."""
     from deploy.run.by_hand import serve_routing  # noqa: PLC0415
 
-    with report_user_errors():
-        serve_routing(credential, listen, credentials, screen.print)
+    serve_routing(credential, listen, credentials, screen.print)
 
 
 @run_app.command("view")
@@ -114,12 +110,8 @@ def run_view(
     from deploy.dashboard.windows import Window  # noqa: PLC0415
     from deploy.run.by_hand import serve_viewer  # noqa: PLC0415
 
-    with report_user_errors():
-        window = Window(view_as, errors.print)
-        try:
-            serve_viewer(load(scenario, {}), credential, out, window)
-        finally:
-            window.close()
+    with closing(Window(view_as, errors.print)) as window:
+        serve_viewer(load(scenario, {}), credential, out, window)
 
 
 @run_app.command("recorder")
@@ -134,7 +126,6 @@ def run_recorder(
     """Start the recorder, which writes the run directory at the end."""
     from deploy.run.by_hand import serve_recorder  # noqa: PLC0415
 
-    with report_user_errors():
-        with progress(shown=not as_json) as watch:
-            result = serve_recorder(load(scenario, {}), credential, out, watch, errors.print)
-        raise typer.Exit(report_result(result, as_json=as_json))
+    with progress(shown=not as_json) as watch:
+        result = serve_recorder(load(scenario, {}), credential, out, watch, errors.print)
+    raise typer.Exit(report_result(result, as_json=as_json))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from deploy.commands.console import errors, report_user_errors, screen
+from deploy.commands.console import errors, screen
 from deploy.commands.flags import command_family
 
 if TYPE_CHECKING:
@@ -40,29 +40,28 @@ def chaos(
 
     failed: list[Verdict] = []
     steps, wall_s, repeated, min_known = 0, 0.0, 0, 1.0
-    with report_user_errors():
-        if out.exists() and not out.is_dir():
-            raise ValueError(f"out = {out}: is a file; name a directory for the scenarios of failing cases")
-        with counting(errors, "chaos") as progress:
-            for done, verdict in enumerate(run_cases(seed, runs), 1):
-                steps, wall_s = steps + verdict.steps, wall_s + verdict.wall_s
-                repeated += verdict.as_processes and not verdict.failure
-                if verdict.failure:
-                    failed.append(verdict)
-                    errors.print(f"seed {verdict.case.seed}: {verdict.failure}")
-                    errors.print(f"  repeat: murmur chaos --runs 1 --seed {verdict.case.seed}")
-                    if shrink:
-                        errors.print(f"  {_write(shrink_case(verdict), out)}")
-                else:
-                    min_known = min(min_known, verdict.known)
-                    if verbose:
-                        screen.print(verdict.line)
-                progress(done, runs)
-        pace = f" at {60 * steps / wall_s:.0f} steps per minute" if wall_s else ""
-        screen.print(
-            f"{runs - len(failed)} of {runs} runs passed: {steps} steps{pace}; {repeated} repeated as processes with "
-            f"the same digest; living robots knew at least {100 * min_known:.1f} % of the map"
-        )
+    if out.exists() and not out.is_dir():
+        raise ValueError(f"out = {out}: is a file; name a directory for the scenarios of failing cases")
+    with counting(errors, "chaos") as progress:
+        for done, verdict in enumerate(run_cases(seed, runs), 1):
+            steps, wall_s = steps + verdict.steps, wall_s + verdict.wall_s
+            repeated += verdict.as_processes and not verdict.failure
+            if verdict.failure:
+                failed.append(verdict)
+                errors.print(f"seed {verdict.case.seed}: {verdict.failure}")
+                errors.print(f"  repeat: murmur chaos --runs 1 --seed {verdict.case.seed}")
+                if shrink:
+                    errors.print(f"  {_write(shrink_case(verdict), out)}")
+            else:
+                min_known = min(min_known, verdict.known)
+                if verbose:
+                    screen.print(verdict.line)
+            progress(done, runs)
+    pace = f" at {60 * steps / wall_s:.0f} steps per minute" if wall_s else ""
+    screen.print(
+        f"{runs - len(failed)} of {runs} runs passed: {steps} steps{pace}; {repeated} repeated as processes with "
+        f"the same digest; living robots knew at least {100 * min_known:.1f} % of the map"
+    )
     raise typer.Exit(1 if failed else 0)
 
 

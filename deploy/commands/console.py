@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -74,19 +75,19 @@ def progress(*, shown: bool, message: Callable[[], str] = lambda: "") -> Any:
     return terminal.progress(errors, shown=shown, message=message)
 
 
-class report_user_errors:  # noqa: N801  used like a statement
+@contextlib.contextmanager
+def report_user_errors() -> Iterator[None]:
     """Turn errors that the user can fix into a message: exit code 2 for bad input, 3 for work that was aborted."""
-
-    def __enter__(self) -> None:
-        return None
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: object) -> None:
-        if isinstance(error, ValueError):
-            fail(str(error), BAD_INPUT)
-        if isinstance(error, RecursionError):
-            fail("input nested too deeply", BAD_INPUT)
-        if isinstance(error, OSError) and not isinstance(error, BrokenPipeError):
-            fail(*_explain(error))
+    try:
+        yield
+    except ValueError as error:
+        fail(str(error), BAD_INPUT)
+    except RecursionError:
+        fail("input nested too deeply", BAD_INPUT)
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        fail(*_explain(error))
 
 
 def _explain(error: OSError) -> tuple[str, int]:

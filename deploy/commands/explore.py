@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import sys
+from contextlib import closing, nullcontext
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from deploy.commands.console import errors, progress, report_result, report_user_errors
+from deploy.commands.console import errors, progress, report_result
 from deploy.commands.flags import (
     RADIO,
     ROBOTS,
@@ -89,17 +90,16 @@ def explore(
     The run directory contains all results: summary.json, tables, pictures, maps, and scenario.toml, from which
     `murmur replay` repeats the run. docs/settings.md lists all settings.
     """
-    with report_user_errors():
-        overrides = settings | _other_settings(set_ or [], settings)
-        overrides["radio.preset"] = radio
-        overrides["map_options.resolution"] = resolution
-        overrides = {name: value for name, value in overrides.items() if value is not None}
-        if option:
-            overrides["options"] = named_values(option, "option", "beta=0.5")
-        chosen = (load_by_thesis if thesis else load)(scenario, overrides)
-        choices = {"out": out, "pace": pace, "restart": restart}
-        view_type = view_as or ("auto" if view else None)
-        raise typer.Exit(_explore(chosen, view_type, hosts, choices, pictures=pictures, as_json=as_json))
+    overrides = settings | _other_settings(set_ or [], settings)
+    overrides["radio.preset"] = radio
+    overrides["map_options.resolution"] = resolution
+    overrides = {name: value for name, value in overrides.items() if value is not None}
+    if option:
+        overrides["options"] = named_values(option, "option", "beta=0.5")
+    chosen = (load_by_thesis if thesis else load)(scenario, overrides)
+    choices = {"out": out, "pace": pace, "restart": restart}
+    view_type = view_as or ("auto" if view else None)
+    raise typer.Exit(_explore(chosen, view_type, hosts, choices, pictures=pictures, as_json=as_json))
 
 
 @app.command()
@@ -112,12 +112,8 @@ def watch(
     from deploy.dashboard.windows import Window  # noqa: PLC0415
     from deploy.run.interrupt import sigterm_as_ctrl_c  # noqa: PLC0415
 
-    with report_user_errors(), sigterm_as_ctrl_c():
-        window = Window(view_as, errors.print)
-        try:
-            watching.watch(directory, window)
-        finally:
-            window.close()
+    with sigterm_as_ctrl_c(), closing(Window(view_as, errors.print)) as window:
+        watching.watch(directory, window)
 
 
 def _other_settings(texts: list[str], flags: dict[str, Any]) -> dict[str, Any]:
@@ -147,9 +143,8 @@ def _explore(
     from deploy.run.interrupt import sigterm_as_ctrl_c  # noqa: PLC0415
 
     hosts = load_hosts(hosts_file) if hosts_file is not None else None
-    window = Window(view_type, errors.print) if view_type else None
     control = Control() if at_terminal() and not as_json else None
-    try:
+    with closing(Window(view_type, errors.print)) if view_type else nullcontext() as window:
         with controlled(control) as message, progress(shown=not as_json, message=message) as watch:
             result = exploration.explore(
                 scenario,
@@ -166,9 +161,6 @@ def _explore(
         if window is not None and result.directory is not None and sys.stdout.isatty():
             with sigterm_as_ctrl_c():
                 keep_showing(result.directory, window)
-    finally:
-        if window is not None:
-            window.close()
     return code
 
 

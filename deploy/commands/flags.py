@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from deploy.commands.console import BAD_INPUT, fail, report_user_errors
+from deploy.commands.console import BAD_INPUT, fail
 
 SETTINGS = {
     "World": {"map": "FILE|NAME", "map_seed": "S", "start": "X,Y"},
@@ -54,8 +54,7 @@ def setting_flags(*without: str) -> Callable[[Callable[..., None]], Callable[...
             settings = {name: given.pop(name) for name, *_ in flags}
             settings = {name: value for name, value in settings.items() if value is not None}
             if "start" in settings:
-                with report_user_errors():
-                    settings["start"] = position(settings["start"])
+                settings["start"] = position(settings["start"])
             command(**given, settings=settings)
 
         with_settings.__signature__ = inspect.Signature(  # type: ignore[attr-defined]

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from deploy.commands.console import report_user_errors, screen
+from deploy.commands.console import screen
 from deploy.commands.flags import command_family
 from deploy.scenario.scenario import ScenarioError
 from protocol import keys as names
@@ -42,14 +42,13 @@ def keys(
     """
     from netshaper import certificates  # noqa: PLC0415
 
-    with report_user_errors():
-        known_as = address or ["127.0.0.1"]
-        made = certificates.make(robots, known_as, days, _routers(router or [], robots))
-        written = certificates.write(made, directory)
-        screen.print(
-            f"{len(written)} files in {directory}, for a hub at {', '.join(known_as)}; valid for {days} days.\n"
-            f"Next: murmur run netshaper --keys {directory}"
-        )
+    known_as = address or ["127.0.0.1"]
+    made = certificates.make(robots, known_as, days, _routers(router or [], robots))
+    written = certificates.write(made, directory)
+    screen.print(
+        f"{len(written)} files in {directory}, for a hub at {', '.join(known_as)}; valid for {days} days.\n"
+        f"Next: murmur run netshaper --keys {directory}"
+    )
 
 
 def _routers(given: list[str], robots: int) -> dict[str, list[str]]:

@@ -61,6 +61,13 @@ class Commands(TyperGroup):
         family = importlib.import_module(f"deploy.commands.{COMMANDS[cmd_name].module}")
         return typer.main.get_group(family.app).get_command(ctx, cmd_name)
 
+    def invoke(self, ctx: Any) -> Any:
+        """Run a command; report errors that the user can fix."""
+        from deploy.commands.console import report_user_errors  # noqa: PLC0415  imports Rich, which help does not need
+
+        with report_user_errors():
+            return super().invoke(ctx)
+
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Find a command; for an unknown name, suggest similar ones."""
         if args and args[0] not in COMMANDS and not args[0].startswith("-"):

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
-from deploy.commands.console import report_user_errors, screen
+from deploy.commands.console import screen
 from deploy.commands.flags import Subcommands, command_family, output_file
 
 app = command_family()
@@ -38,12 +38,11 @@ def map_make(
     """Make a map and write it in the format of ROS map_server: a YAML file and its picture."""
     from worldsim import generators, maps  # noqa: PLC0415
 
-    with report_user_errors():
-        path = out or Path(f"{name}.yaml")
-        if path.suffix not in (".yaml", ".yml"):
-            raise ValueError(f"out = {path}: must end in .yaml")
-        maps.save(generators.make(name, seed=seed), path)
-        screen.print(f"{path}: {generators.describe(name)}, seed {seed}")
+    path = out or Path(f"{name}.yaml")
+    if path.suffix not in (".yaml", ".yml"):
+        raise ValueError(f"out = {path}: must end in .yaml")
+    maps.save(generators.make(name, seed=seed), path)
+    screen.print(f"{path}: {generators.describe(name)}, seed {seed}")
 
 
 @maps_app.command("show")
@@ -64,18 +63,17 @@ def map_show(
     from deploy.commands.sketch import sketch  # noqa: PLC0415
     from deploy.scenario.finding_maps import find_map  # noqa: PLC0415
 
-    with report_user_errors():
-        world_map = find_map(file, seed, {} if resolution is None else {"resolution": resolution})
-        free = int((world_map.cells == 1).sum())
-        screen.print(sketch(world_map.cells, screen))
-        screen.print(
-            f"{world_map.name}: {world_map.width} x {world_map.height} cells of {world_map.resolution:g} m, "
-            f"{world_map.width * world_map.resolution:.1f} x {world_map.height * world_map.resolution:.1f} m, "
-            f"{free} free cells ({100 * free / world_map.cells.size:.0f} %), "
-            f"diagonal {world_map.diagonal_m:.1f} m"
-        )
-        if png is not None:
-            from deploy.record.map_pictures import draw_map  # noqa: PLC0415
+    world_map = find_map(file, seed, {} if resolution is None else {"resolution": resolution})
+    free = int((world_map.cells == 1).sum())
+    screen.print(sketch(world_map.cells, screen))
+    screen.print(
+        f"{world_map.name}: {world_map.width} x {world_map.height} cells of {world_map.resolution:g} m, "
+        f"{world_map.width * world_map.resolution:.1f} x {world_map.height * world_map.resolution:.1f} m, "
+        f"{free} free cells ({100 * free / world_map.cells.size:.0f} %), "
+        f"diagonal {world_map.diagonal_m:.1f} m"
+    )
+    if png is not None:
+        from deploy.record.map_pictures import draw_map  # noqa: PLC0415
 
-            draw_map(png, world_map)
-            screen.print(f"drawn to {png}")
+        draw_map(png, world_map)
+        screen.print(f"drawn to {png}")

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from deploy.commands.console import report_user_errors, screen
+from deploy.commands.console import screen
 from deploy.commands.flags import Subcommands, command_family
 
 app = command_family()
@@ -72,22 +72,21 @@ def new_strategy(
     name: Annotated[str, typer.Argument(metavar="NAME", help="name of the strategy, as farthest or my-way")],
 ) -> None:
     """Write a strategy and its test into the current folder: one class to change."""
-    with report_user_errors():
-        module = name.replace("-", "_")
-        if not module.isidentifier() or keyword.iskeyword(module) or not module.islower():
-            raise ValueError(f"name = {name!r}: must be lower-case letters, digits and hyphens, as my-way")
-        if module in sys.stdlib_module_names or module in packages_distributions():
-            raise ValueError(
-                f"name = {name!r}: would hide the Python module of this name; choose another name, as my-{name}"
-            )
-        file, test = Path(f"{module}.py"), Path(f"test_{module}.py")
-        for path in (file, test):
-            if path.exists():
-                raise ValueError(f"{path}: already exists; choose another name")
-        kind = "".join(part.capitalize() for part in module.split("_"))
-        title = name.replace("-", " ")
-        file.write_text(STRATEGY.format(name=name, module=module, kind=kind, title=title), encoding="utf-8")
-        test.write_text(TEST.format(name=name, module=module, kind=kind, test=test), encoding="utf-8")
-        screen.print(f"{file}: the strategy; {test}: its test")
-        screen.print(f"run:  murmur explore --strategy {module}:{kind}")
-        screen.print(f"test: python -m pytest {test}")
+    module = name.replace("-", "_")
+    if not module.isidentifier() or keyword.iskeyword(module) or not module.islower():
+        raise ValueError(f"name = {name!r}: must be lower-case letters, digits and hyphens, as my-way")
+    if module in sys.stdlib_module_names or module in packages_distributions():
+        raise ValueError(
+            f"name = {name!r}: would hide the Python module of this name; choose another name, as my-{name}"
+        )
+    file, test = Path(f"{module}.py"), Path(f"test_{module}.py")
+    for path in (file, test):
+        if path.exists():
+            raise ValueError(f"{path}: already exists; choose another name")
+    kind = "".join(part.capitalize() for part in module.split("_"))
+    title = name.replace("-", " ")
+    file.write_text(STRATEGY.format(name=name, module=module, kind=kind, title=title), encoding="utf-8")
+    test.write_text(TEST.format(name=name, module=module, kind=kind, test=test), encoding="utf-8")
+    screen.print(f"{file}: the strategy; {test}: its test")
+    screen.print(f"run:  murmur explore --strategy {module}:{kind}")
+    screen.print(f"test: python -m pytest {test}")

@@ -11,14 +11,8 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from deploy.commands.console import FILE_WIDTH, errors, fail, report_user_errors, screen
-from deploy.commands.flags import (
-    GroupedCommand,
-    command_family,
-    named_values,
-    output_file,
-    setting_flags,
-)
+from deploy.commands.console import FILE_WIDTH, errors, fail, screen
+from deploy.commands.flags import GroupedCommand, command_family, named_values, output_file, setting_flags
 
 app = command_family()
 
@@ -35,9 +29,7 @@ SetOption = Annotated[
     ),
 ]
 RetryFlag = Annotated[bool, typer.Option("--retry", help="repeat failed runs of the table")]
-AnyCodeFlag = Annotated[
-    bool, typer.Option("--any-code", help="reuse runs made by other versions of the code")
-]
+AnyCodeFlag = Annotated[bool, typer.Option("--any-code", help="reuse runs of other versions of the code")]
 
 
 @app.command()
@@ -86,21 +78,18 @@ def sweep(
     from deploy.study import plots  # noqa: PLC0415
     from deploy.study.results import Results  # noqa: PLC0415
 
-    with report_user_errors():
-        settings = named_values(set_ or [], "set", "seed=[0,1]")
-        if seeds is not None:
-            settings["seed"] = list(range(seeds))
-        read = experiments.read(experiment)
-        read = experiments.quickened(read) if quick else read
-        read = experiments.override(experiments.choose(read, variant or []), settings)
-        with Results(out) as results:
-            done = _run_sweep(
-                read, results, workers(jobs, scheduler), out, table, any_code=any_code, retry=retry
-            )
-            for number, each in enumerate(read.plots if plot is not None and done else (), 1):
-                assert plot is not None
-                file = plot if number == 1 else plot.with_stem(f"{plot.stem}-{number}")
-                plots.save(plots.draw(each, done, results), file)
+    settings = named_values(set_ or [], "set", "seed=[0,1]")
+    if seeds is not None:
+        settings["seed"] = list(range(seeds))
+    read = experiments.read(experiment)
+    read = experiments.quickened(read) if quick else read
+    read = experiments.override(experiments.choose(read, variant or []), settings)
+    with Results(out) as results:
+        done = _run_sweep(read, results, workers(jobs, scheduler), out, table, any_code=any_code, retry=retry)
+        for number, each in enumerate(read.plots if plot is not None and done else (), 1):
+            assert plot is not None
+            file = plot if number == 1 else plot.with_stem(f"{plot.stem}-{number}")
+            plots.save(plots.draw(each, done, results), file)
 
 
 def _run_sweep(
@@ -159,34 +148,27 @@ def reproduce(
     from deploy.study import reproduction  # noqa: PLC0415
     from deploy.study.results import Results, make_folder  # noqa: PLC0415
 
-    with report_user_errors():
-        settings = {"seed": list(range(seeds))} if seeds is not None else {}
-        found = reproduction.requested(claim or [], quick=quick, settings=settings)
-        make_folder(out)
-        runs = out / reproduction.RUNS
-        with Results(runs) as results:
-            with running("reproduce", runs) as tell:
-                done = reproduction.reproduce(
-                    found,
-                    results,
-                    workers(jobs, scheduler),
-                    tell,
-                    quick=quick,
-                    any_code=any_code,
-                    retry=retry,
-                )
-            command = ["murmur reproduce", *(claim or []), *(["--quick"] if quick else [])]
-            command += [f"--seeds {seeds}"] if seeds is not None else []
-            pages = reproduction.write(done, out, " ".join(command))
-        lines = [["claim", "", "verdict", "tests", "runs"]]
-        for each in done.claims:
-            counts = each.verdict.counts
-            lines.append([each.claim.id, each.claim.statement, each.verdict.result, counts, str(each.runs)])
-            for part in each.parts:
-                report_failures(part.failures)
-        lines += [[name, "", "no experiment", "", "0"] for name in done.without_experiment]
-        print_table(terminal.table(lines))
-        screen.print(f"Results: {', '.join(map(str, pages))}" + (" (quick)" if quick else ""))
+    settings = {"seed": list(range(seeds))} if seeds is not None else {}
+    found = reproduction.requested(claim or [], quick=quick, settings=settings)
+    make_folder(out)
+    runs = out / reproduction.RUNS
+    with Results(runs) as results:
+        with running("reproduce", runs) as tell:
+            done = reproduction.reproduce(
+                found, results, workers(jobs, scheduler), tell, quick=quick, any_code=any_code, retry=retry
+            )
+        command = ["murmur reproduce", *(claim or []), *(["--quick"] if quick else [])]
+        command += [f"--seeds {seeds}"] if seeds is not None else []
+        pages = reproduction.write(done, out, " ".join(command))
+    lines = [["claim", "", "verdict", "tests", "runs"]]
+    for each in done.claims:
+        counts = each.verdict.counts
+        lines.append([each.claim.id, each.claim.statement, each.verdict.result, counts, str(each.runs)])
+        for part in each.parts:
+            report_failures(part.failures)
+    lines += [[name, "", "no experiment", "", "0"] for name in done.without_experiment]
+    print_table(terminal.table(lines))
+    screen.print(f"Results: {', '.join(map(str, pages))}" + (" (quick)" if quick else ""))
     raise typer.Exit(0 if done.all_hold else 1)
 
 
@@ -219,30 +201,26 @@ def compare(
     """Compare scenarios, strategies or map encodings on the same seeds, with confidence intervals."""
     from deploy.study import comparison  # noqa: PLC0415
 
-    with report_user_errors():
-        settings |= other_settings(set_ or [], comparison.compare, "radius=0.2", settings)
-        choices = {"strategy": strategies, "map_encoding": map_encodings}
-        given = [(key, items(names)) for key, names in choices.items() if names is not None]
-        if len(given) + bool(scenario) != 1:
-            raise ValueError("give either scenario files, --strategies or --map-encodings")
-        if twice := [key for key, _ in given if key in settings]:
-            raise ValueError(f"{twice[0]} = {settings[twice[0]]!r}: is compared; remove this flag")
-        compared: Any = [{key: name} for key, names in given for name in names] or scenario
-        if map_:
-            settings["map"] = map_ if len(map_) > 1 else map_[0]
-        runs = out / "runs.parquet"
-        with stopping(runs):
-            done = comparison.compare(
-                compared, seeds=seeds, metric=metric, jobs=jobs, scheduler=scheduler, out=runs, **settings
-            )
-        report_failures(done.sweep.failures)
-        if not done.sweep.rows:
-            fail("all runs failed", 3)
-        print_means(done.sweep)
-        for sentence in done.verdicts:
-            screen.print(f"{sentence}.")
-        files = done.write(out)
-        screen.print(f"Results: {out} (start with {files[0]} and {files[1]})")
+    settings |= other_settings(set_ or [], comparison.compare, "radius=0.2", settings)
+    choices = {"strategy": strategies, "map_encoding": map_encodings}
+    given = [(key, items(names)) for key, names in choices.items() if names is not None]
+    if len(given) + bool(scenario) != 1:
+        raise ValueError("give either scenario files, --strategies or --map-encodings")
+    if twice := [key for key, _ in given if key in settings]:
+        raise ValueError(f"{twice[0]} = {settings[twice[0]]!r}: is compared; remove this flag")
+    compared: Any = [{key: name} for key, names in given for name in names] or scenario
+    if map_:
+        settings["map"] = map_ if len(map_) > 1 else map_[0]
+    runs = out / "runs.parquet"
+    with stopping(runs):
+        done = comparison.compare(
+            compared, seeds=seeds, metric=metric, jobs=jobs, scheduler=scheduler, out=runs, **settings
+        )
+    report_sweep(done.sweep)
+    for sentence in done.verdicts:
+        screen.print(f"{sentence}.")
+    files = done.write(out)
+    screen.print(f"Results: {out} (start with {files[0]} and {files[1]})")
 
 
 @app.command(cls=GroupedCommand)
@@ -275,25 +253,21 @@ def size(
     """Find the smallest team, bandwidth and range that are sufficient for a building."""
     from deploy.study import sizing  # noqa: PLC0415
 
-    with report_user_errors():
-        settings |= other_settings(set_ or [], sizing.size, "radius=0.2", settings)
-        runs = out / "runs.parquet"
-        with stopping(runs):
-            done = sizing.size(
-                map_,
-                robots=whole_numbers(robots, "robots"),
-                bandwidth=[int(item) if item.isdecimal() else item for item in items(bandwidth)],
-                range=items(range_),
-                deadline=deadline, min_map_accuracy=min_map_accuracy,
-                seeds=seeds, jobs=jobs, scheduler=scheduler, out=runs, **settings,
-            )  # fmt: skip
-        report_failures(done.sweep.failures)
-        if not done.sweep.rows:
-            fail("all runs failed", 3)
-        print_means(done.sweep)
-        screen.print(done.sentence)
-        files = done.write(out)
-        screen.print(f"Results: {out} (start with {files[0]})")
+    settings |= other_settings(set_ or [], sizing.size, "radius=0.2", settings)
+    runs = out / "runs.parquet"
+    with stopping(runs):
+        done = sizing.size(
+            map_,
+            robots=whole_numbers(robots, "robots"),
+            bandwidth=[int(item) if item.isdecimal() else item for item in items(bandwidth)],
+            range=items(range_),
+            deadline=deadline, min_map_accuracy=min_map_accuracy,
+            seeds=seeds, jobs=jobs, scheduler=scheduler, out=runs, **settings,
+        )  # fmt: skip
+    report_sweep(done.sweep)
+    screen.print(done.sentence)
+    files = done.write(out)
+    screen.print(f"Results: {out} (start with {files[0]})")
     raise typer.Exit(0 if done.enough is not None else 1)
 
 
@@ -325,14 +299,16 @@ def whole_numbers(text: str, flag: str) -> list[int]:
     return numbers
 
 
-def print_means(sweep: Any) -> None:
-    """Print a sweep's table of means."""
+def report_sweep(sweep: Any) -> None:
+    """Print the causes of a sweep's failed runs, and its table of means; end the command if all runs failed."""
     from deploy.commands import terminal  # noqa: PLC0415
     from deploy.study.tables import tabulate  # noqa: PLC0415
 
-    screen.print(
-        f"{' '.join(sweep.experiment.table.values)}, means of {len(sweep.rows)} runs with 95 % intervals"
-    )
+    report_failures(sweep.failures)
+    if not sweep.rows:
+        fail("all runs failed", 3)
+    columns = " ".join(sweep.experiment.table.values)
+    screen.print(f"{columns}, means of {len(sweep.rows)} runs with 95 % intervals")
     print_table(terminal.table(tabulate(sweep.experiment.table, sweep.rows)))
 
 

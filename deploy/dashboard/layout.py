@@ -54,9 +54,8 @@ def layout(plan: Plan) -> rrb.Blueprint:
 def _chosen(robot: int, plan: Plan) -> rrb.Spatial2DView:
     """The true map with one robot in color, with its path and target; the others are gray discs with numbers."""
     contents = ["+ /world/**", "- /world/targets/**", "- /world/ranges"]
-    contents += [
-        f"+ {path}" for path in (f"/paths/{robot}", f"/robots/{robot}/self", f"/robots/{robot}/target")
-    ]
+    own = f"/paths/{robot}", f"/robots/{robot}/self", f"/robots/{robot}/target"
+    contents += [f"+ {path}" for path in own]
     dimmed = {"/world/robots": rr.Points2D.from_fields(colors=[QUIET]).visualizer()}
     return _map("/world", f"{robot}", plan, contents, 0.1, dimmed)
 

@@ -9,10 +9,9 @@ from __future__ import annotations
 import contextlib
 import signal
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 from deploy.scenario.plan import Plan
 from protocol import keys as names
@@ -31,13 +30,6 @@ TICK_S = 0.25
 """How often a viewer that receives nothing checks whether it was asked to stop."""
 
 
-class Watcher(Protocol):
-    """A consumer of a run's reports."""
-
-    def take(self, sender: str, report: object) -> None:
-        """Process a report of `sender`."""
-
-
 @dataclass(frozen=True)
 class ViewTask:
     """The task of a viewer."""
@@ -51,11 +43,11 @@ class ViewTask:
 
 
 class ViewNode:
-    """The viewer's end of the bus; `done` once the run is over."""
+    """The viewer's end of the bus; it passes each sender and report to `take`, and is `done` once the run is over."""
 
-    def __init__(self, watchers: Sequence[Watcher]) -> None:
+    def __init__(self, take: Callable[[str, object], object]) -> None:
         self.done = False
-        self._watchers = watchers
+        self.take = take
 
     def handle(self, message: Message) -> None:
         """Process one message from the bus; show a malformed one as a protocol error of its sender."""
@@ -68,8 +60,7 @@ class ViewNode:
     def _show(self, sender: str, report: object) -> None:
         if isinstance(report, Shutdown):
             self.done = True
-        for watcher in self._watchers:
-            watcher.take(sender, report)
+        self.take(sender, report)
 
 
 @contextlib.contextmanager
@@ -78,7 +69,7 @@ def watching(task: ViewTask) -> Iterator[ViewNode]:
     from deploy.dashboard.recording import recording  # noqa: PLC0415  only recording needs Rerun
 
     with recording(task.plan, free_name(task.directory / RECORDING), task.port) as recorder:
-        yield ViewNode([recorder])
+        yield ViewNode(recorder.take)
 
 
 def serve(credential: Credential, task: ViewTask, ready: Callable[[], object] = lambda: None) -> bool:

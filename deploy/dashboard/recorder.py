@@ -11,21 +11,9 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from deploy.dashboard.explanation import explain, shows_range
-from deploy.dashboard.grid_image import map_picture
-from deploy.dashboard.run_events import Event, RunEvents
-from deploy.dashboard.shapes import axes, corner, flip, number_strips, outline_strips
-from deploy.record.colors import (
-    ALARM,
-    GREY,
-    GROUPS,
-    IN_RANGE,
-    PAPER,
-    SIGNAL,
-    TEAM,
-    mix,
-    robot_color,
-)
+from deploy.dashboard.run_events import Event, RunEvents, explain, shows_range
+from deploy.dashboard.shapes import axes, corner, flip, map_picture, number_strips, outline_strips
+from deploy.record.colors import ALARM, GREY, GROUPS, IN_RANGE, PAPER, SIGNAL, TEAM, mix, robot_color
 from deploy.scenario.plan import Plan
 from protocol import keys as names
 from protocol.grid import FREE
@@ -118,9 +106,8 @@ class Recorder:
             "world/robots/numbers": style(colors=[PAPER], radii=[_px(0.9)], draw_order=ROBOT_ORDER + 1),
         }
         for robot in self._robots:
-            lines[f"paths/{robot}"] = style(
-                colors=[robot_color(robot)], radii=[_px(0.6)], draw_order=WAY_ORDER
-            )
+            color = [robot_color(robot)]
+            lines[f"paths/{robot}"] = style(colors=color, radii=[_px(0.6)], draw_order=WAY_ORDER)
             for maker in self._robots:
                 own = maker == robot
                 lines[f"robots/{robot}/outlines/{maker}"] = style(
@@ -128,13 +115,10 @@ class Recorder:
                     radii=[_px(0.6 if own else 0.3)],
                     draw_order=OUTLINE_ORDER + own,
                 )
-            disc = rr.Points2D.from_fields(
-                colors=[robot_color(robot)], radii=[self._disc], draw_order=ROBOT_ORDER + 0.5
-            )
+            points, order = rr.Points2D.from_fields, ROBOT_ORDER + 0.5
+            disc = points(colors=color, radii=[self._disc], draw_order=order)
             self._log(f"robots/{robot}/self", disc, static=True)
-            mark = rr.Points2D.from_fields(
-                colors=[robot_color(robot)], radii=[self._disc / 2], draw_order=TARGET_ORDER
-            )
+            mark = points(colors=color, radii=[self._disc / 2], draw_order=TARGET_ORDER)
             self._log(f"robots/{robot}/target", mark, static=True)
         for path, line in lines.items():
             self._log(path, line, static=True)
@@ -194,9 +178,8 @@ class Recorder:
         colors = [robot_color(robot) for robot in heading]
         ends = [(flip(events.positions[robot]), flip(events.targets[robot])) for robot in heading]
         self._log("world/targets/ways", rr.LineStrips2D.from_fields(strips=ends, colors=colors))
-        marks = rr.Points2D(
-            [end for _, end in ends], colors=colors, radii=[self._disc / 2], draw_order=TARGET_ORDER
-        )
+        there = [end for _, end in ends]
+        marks = rr.Points2D(there, colors=colors, radii=[self._disc / 2], draw_order=TARGET_ORDER)
         self._log("world/targets", marks)
 
     def _draw_traffic(self) -> None:
@@ -210,9 +193,7 @@ class Recorder:
         if events.budget.limit is not None:
             self._log("traffic/budget", rr.Scalars(events.budget.limit))
         here = events.positions
-        busy = {
-            pair: size for pair, size in sorted(traffic.links.items()) if pair[0] in here and pair[1] in here
-        }
+        busy = {pair: size for pair, size in sorted(traffic.links.items()) if here.keys() >= set(pair)}
         quiet = sorted(events.in_range - busy.keys())
         for path, pairs in (("quiet", quiet), ("busy", list(busy))):
             strips = [(flip(here[a]), flip(here[b])) for a, b in pairs]
@@ -223,9 +204,8 @@ class Recorder:
 
     def _draw_shares(self) -> None:
         """Draw bars of the bytes so far by traffic type, the longest on top, each with its label."""
-        spent = {
-            group: sum(self.events.bytes.get(kind, 0) for kind in GROUPS[group].kinds) for group in GROUPS
-        }
+        sent = self.events.bytes
+        spent = {name: sum(sent.get(kind, 0) for kind in group.kinds) for name, group in GROUPS.items()}
         total = sum(spent.values())
         shown = sorted((group for group in spent if spent[group]), key=lambda group: -spent[group])
         longest = max(spent.values())
@@ -243,9 +223,8 @@ class Recorder:
         self._log("traffic/shares/names", named)
 
     def _draw_planning_map(self, robot: int, snapshot: Snapshot) -> None:
-        self._log(
-            f"robots/{robot}/map", _image(map_picture(snapshot.width, snapshot.height, snapshot.planning))
-        )
+        picture = map_picture(snapshot.width, snapshot.height, snapshot.planning)
+        self._log(f"robots/{robot}/map", _image(picture))
         grid = grid_from_bytes(snapshot.planning, snapshot.width, snapshot.height)
         self._explored[robot] = 100 * float((grid[self._reachable] == FREE).mean())
 

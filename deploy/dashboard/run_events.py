@@ -1,4 +1,4 @@
-"""The state and the events of a run, step by step, from the reports of its participants, without drawing."""
+"""The state and the events of a run, step by step, from the reports of its participants, and the dashboard's help."""
 
 from __future__ import annotations
 
@@ -164,9 +164,8 @@ class RunEvents:
             logged = self._logged_targets.get(robot)
             if logged is None or math.dist(logged, target) > NEAR * self.plan.scenario.sensor_range:
                 self._logged_targets[robot] = target
-                events.append(
-                    Event(report.step, f"robot {robot} heads for ({target[0]:.1f}, {target[1]:.1f}) m")
-                )
+                text = f"robot {robot} heads for ({target[0]:.1f}, {target[1]:.1f}) m"
+                events.append(Event(report.step, text))
         idle = report.status.startswith("idle")
         if idle and robot not in self.idle:
             events.append(Event(report.step, f"robot {robot} is idle: its map is complete", 1))
@@ -209,3 +208,38 @@ def _emergences(step: int, carried: NDArray[np.void]) -> list[Event]:
         what = "a new object" if count == 1 else f"{count} new objects"
         events.append(Event(step, f"robot {robot} reports {what}"))
     return events
+
+
+HELP = """\
+**{robots} robots explore an unknown building.** Sensor range: {sensor:g} m. Radio: {medium}.
+
+**Left: the true map.** A line leads to each target. {circles}Links: green with traffic, gray in range.{chosen}
+
+**Right: each robot's map.** White: free, black: wall, gray: unknown. {outlines}
+
+**Below: the radio.** {budget}Bytes per step, by type. Thick line: area seen by the team; colored lines: area on \
+each robot's map. The gap is map data not yet received.
+"""
+OUTLINES = "Pale outlines: received from teammates."
+
+
+def explain(plan: Plan) -> str:
+    """Explain the dashboard, in markdown, with the figures of this run."""
+    budget = plan.radio.budget
+    polygons = plan.scenario.map_encoding == "polygons"
+    medium = "unlimited bandwidth" if budget.unlimited else f"{budget} bytes per step (one second)"
+    medium += f", range {plan.range_m:.0f} m"
+    return HELP.format(
+        robots=plan.scenario.robots,
+        sensor=plan.scenario.sensor_range,
+        medium=medium,
+        chosen=" Tabs show one robot each." if plan.scenario.robots > 1 else "",
+        circles="Circles: radio range. " if shows_range(plan) else "",
+        outlines=OUTLINES if polygons else "It includes map data received from teammates.",
+        budget="" if budget.unlimited else "Red: the limit. ",
+    )
+
+
+def shows_range(plan: Plan) -> bool:
+    """Whether to draw the radio range: not if it covers most of the map."""
+    return plan.range_m < plan.map.diagonal_m / 2

@@ -1,16 +1,18 @@
-"""Shapes for the dashboard's maps: positions, axes in meters, paths, numbers on robots.
+"""Shapes for the dashboard's maps: pictures of grids, positions, axes in meters, paths, numbers on robots.
 
 The dashboard's plane is the map's frame in meters, with y pointing down as in pictures.
 """
 
 from __future__ import annotations
 
+import io
 import math
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
+from deploy.record.colors import ALARM, CELLS
 from worldsim.maps import Map
 
 Point = tuple[float, float]
@@ -29,6 +31,15 @@ _STROKES: tuple[tuple[Strip, ...], ...] = (
     ([(1, 1), (0, 1), (0, 0), (1, 0), (1, 2), (0, 2)],),
 )
 """The strokes of each digit in a box of 1 x 2, y down."""
+
+
+def map_picture(width: int, height: int, cells: bytes) -> bytes:
+    """Return a PNG picture of a grid as `protocol.messages.grid_to_bytes` packs it, two bits per cell."""
+    picture = Image.frombytes("P", (width, height), cells, "raw", "P;2")
+    picture.putpalette([value for color in (*CELLS, ALARM) for value in color])
+    file = io.BytesIO()
+    picture.save(file, "PNG")
+    return file.getvalue()
 
 
 def flip(place: Point) -> Point:
@@ -102,7 +113,7 @@ def extend(path: list[Point], place: Point) -> None:
         path.append(place)
 
 
-def _straight(a: Point, b: Point, c: Sequence[float]) -> bool:
+def _straight(a: Point, b: Point, c: Point) -> bool:
     along, ahead = (b[0] - a[0], b[1] - a[1]), (c[0] - b[0], c[1] - b[1])
     turn = along[0] * ahead[1] - along[1] * ahead[0]
     return abs(turn) < 1e-9 and along[0] * ahead[0] + along[1] * ahead[1] > 0

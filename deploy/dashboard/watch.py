@@ -12,7 +12,7 @@ import os
 import socket
 import time
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 
 from deploy.dashboard.process import RECORDING, ViewTask, serve
@@ -24,14 +24,6 @@ from protocol.zenoh_bus import Credential
 
 LIVE = "live.json"
 POLL_S = 0.5
-
-
-@dataclass(frozen=True)
-class Live:
-    """The data that a viewer needs to join a run in progress."""
-
-    credential: Credential
-    port: int | None
 
 
 @contextlib.contextmanager
@@ -50,8 +42,10 @@ def announced(directory: Path | None, credential: Credential, port: int | None) 
         path.unlink(missing_ok=True)
 
 
-def read_live(directory: Path) -> Live | None:
-    """Read ``live.json``; None if no run is in progress (the file may be left over from a killed run).
+def read_live(directory: Path) -> tuple[Credential, int | None] | None:
+    """Read the credential and the port in ``live.json``; None if no run is in progress.
+
+    The file may be left over from a killed run.
 
     Raises ValueError if the file is damaged.
     """
@@ -64,7 +58,7 @@ def read_live(directory: Path) -> Live | None:
         socket.create_connection((host, int(hub_port)), timeout=1.0).close()
     except OSError:
         return None
-    return Live(credential, json.loads(path.read_text(encoding="utf-8"))["port"])
+    return credential, json.loads(path.read_text(encoding="utf-8"))["port"]
 
 
 def watch(directory: Path, window: Window) -> None:
@@ -77,8 +71,10 @@ def watch(directory: Path, window: Window) -> None:
     live = read_live(directory)
     if live is None:
         _show(recording_of(directory), window)
-    elif live.port is not None:
-        window.port = live.port
+        return
+    credential, port = live
+    if port is not None:
+        window.port = port
         window.open()
         if window.mode != "native":
             while read_live(directory) is not None:
@@ -86,7 +82,7 @@ def watch(directory: Path, window: Window) -> None:
             _show(recording_of(directory), window)
     else:
         task = ViewTask(plans.make(run_directory.read_scenario(directory)), directory, port=window.port)
-        ended = serve(live.credential, task, window.open)
+        ended = serve(credential, task, window.open)
         if ended and window.mode != "native":
             _show(recording_of(directory), window)
 

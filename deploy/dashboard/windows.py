@@ -130,12 +130,14 @@ def optimize(recording: Path) -> None:
         beside.unlink(missing_ok=True)
 
 
-def free_port() -> int:
-    """A free port of the loopback."""
-    with socket.socket() as probe:
-        probe.bind((LOOPBACK, 0))
-        port: int = probe.getsockname()[1]
-        return port
+def free_port(address: str = LOOPBACK, port: int = 0) -> int:
+    """Return a free port of this host: `port` unless that is 0; OSError if it is taken."""
+    family, kind, number, _, place = socket.getaddrinfo(address, port, type=socket.SOCK_STREAM)[0]
+    with socket.socket(family, kind, number) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        probe.bind(place)
+        found: int = probe.getsockname()[1]
+        return found
 
 
 def _start(*arguments: str, apart: bool = False) -> subprocess.Popen[bytes]:

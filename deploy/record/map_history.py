@@ -100,28 +100,26 @@ class MapHistory:
 
     def write(self, folder: Path) -> None:
         """Write both files atomically; that of the outlines only if there are any."""
-        rows = [(robot, grids) for robot, grids in sorted(self._grids.items()) if grids.steps]
-        sizes = [[len(cells) for cells, _ in grids.changes] for _, grids in rows]
-        y, x = np.divmod(
-            _join([cells for _, grids in rows for cells, _ in grids.changes], np.uint32), self._shape[1]
-        )
-        values = _join([values for _, grids in rows for _, values in grids.changes], np.uint8)
+        reports = [
+            (robot, step, cells, values)
+            for robot, grids in sorted(self._grids.items())
+            for step, (cells, values) in zip(grids.steps, grids.changes, strict=True)
+        ]
+        sizes = [len(cells) for _, _, cells, _ in reports]
+        cells = np.concatenate([np.empty(0, np.uint32), *(cells for _, _, cells, _ in reports)])
+        values = np.concatenate([np.empty(0, np.uint8), *(values for *_, values in reports)])
         changes = {
-            "robot": np.repeat([robot for robot, _ in rows], [sum(each) for each in sizes]),
-            "step": _join([np.repeat(g.steps, n) for (_, g), n in zip(rows, sizes, strict=True)], np.int64),
-            "x": x,
-            "y": y,
-            "own": values & 3,
-            "planning": values >> 2,
-        }
+            "robot": np.repeat(np.array([robot for robot, *_ in reports], np.int16), sizes),
+            "step": np.repeat(np.array([step for _, step, *_ in reports], np.int32), sizes),
+            "x": cells % self._shape[1], "y": cells // self._shape[1],
+            "own": values & 3, "planning": values >> 2,
+        }  # fmt: skip
         _write_table(folder / MAP_CHANGES, changes, CHANGE_COLUMNS)
-        if reports := self.outline_changes():
+        if held := self.outline_changes():
             outlines = {
-                "robot": [robot for robot, _ in reports],
-                "step": [each.step for _, each in reports],
-                "map": [each.map_id for _, each in reports],
-                "vertices": [each.vertices for _, each in reports],
-            }
+                "robot": [robot for robot, _ in held], "step": [each.step for _, each in held],
+                "map": [each.map_id for _, each in held], "vertices": [each.vertices for _, each in held],
+            }  # fmt: skip
             _write_table(folder / OUTLINES, outlines, OUTLINE_COLUMNS)
 
     @classmethod
@@ -167,10 +165,6 @@ def _check_order(report: MapChanges | Outlines, before: Sequence[int]) -> None:
     """Raise ProtocolError if a report is older than the last one, or one too many of its step."""
     if (before and report.step < before[-1]) or before.count(report.step) >= PER_STEP:
         raise ProtocolError(type(report).__name__, 0, f"step {report.step} after step {before[-1]}")
-
-
-def _join(parts: list[NDArray[Any]], kind: Any) -> NDArray[Any]:
-    return np.concatenate(parts) if parts else np.empty(0, kind)
 
 
 def _write_table(path: Path, columns: dict[str, Any], described: Any) -> None:

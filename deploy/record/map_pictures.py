@@ -34,10 +34,10 @@ MAP_ERRORS = ListedColormap([tuple(part / 255 for part in color) for color in co
 
 PAGE_WIDTH, PAGE_SHAPE = 14.4, 1.4
 """Width of the picture of all maps in inches, and its approximate ratio of width to height."""
-HEAD, FOOT, TICKS = 0.4, 0.5, 0.3
-"""Space in inches above and below all panels, and for the tick labels of an axis."""
-SPACING = ((6, 1, 0.28, 0.3), (30, 2, 0.28, 0.3), (90, 3, 0.14, 0.2), (math.inf, 5, 0.1, 0.16))
-"""Per maximum number of robots: size of the two large panels in robot panels; gap and title height in inches."""
+HEAD, FOOT, MARGIN, TITLE = 0.4, 0.8, 0.4, 0.22
+"""Space in inches above and below all panels, for the tick labels at the left, and for the title of a panel."""
+SPACING = ((6, 1, 0.28), (30, 2, 0.28), (90, 3, 0.14), (math.inf, 5, 0.1))
+"""Per maximum number of robots: size of the two large panels in robot panels, and the gap between panels in inches."""
 SHADES = 24
 """Number of shades along a path."""
 
@@ -69,11 +69,6 @@ def draw_map(path: Path, world_map: Map) -> None:
     save(path, figure, dpi=110)
 
 
-def draw_maps(path: Path, plan: Plan, records: Records, summary: dict[str, Any]) -> None:
-    """Write the picture of `maps_figure` to a file."""
-    save(path, maps_figure(plan, records, summary), dpi=110)
-
-
 def maps_figure(plan: Plan, records: Records, summary: dict[str, Any]) -> Figure:
     """Draw the world with all paths, and the errors of the team's and of each robot's map, on one page.
 
@@ -93,7 +88,8 @@ def maps_figure(plan: Plan, records: Records, summary: dict[str, Any]) -> Figure
         is_first = robot == summary["first_robot"]
         errors = compare(records.planning[robot], plan.map.cells, reachable)
         _show_errors(panel, plan, errors)
-        _bare(panel)
+        panel.set(xticks=[], yticks=[])
+        panel.spines[:].set(linewidth=0.6, color="#9aa1a9")
         right = _percent(share_correct(errors, reachable))
         if size > 8:
             title = f"robot {robot}: {right} correct" + (", finished first" if is_first else "")
@@ -133,20 +129,15 @@ def draw_paths(axes: Axes, plan: Plan, records: Records) -> None:
         axes.add_collection(LineCollection(parts, colors=shades, linewidths=size, capstyle="round", zorder=2))
         marks = places[steps % every == 0]
         axes.plot(*marks.T, "o", color=color, markersize=2.4 * size, markeredgewidth=0, zorder=3)
-    for _, _, places in _paths(plan, records):
-        start: dict[str, Any] = {
-            "markerfacecolor": "white",
-            "markeredgecolor": "black",
-            "markeredgewidth": 0.7,
-        }
-        axes.plot(*places[0], "s", markersize=2.4 * size, zorder=4, **start)
     for robot, _, places in _paths(plan, records):
-        disc: dict[str, Any] = {
-            "color": robot_color(robot),
-            "markeredgecolor": "white",
-            "markeredgewidth": 0.5,
-        }
-        axes.plot(*places[-1], "o", markersize=8.5 * size, zorder=5 + robot / 1000, **disc)
+        axes.plot(
+            *places[0], "s", markersize=2.4 * size, markerfacecolor="white", markeredgecolor="black",
+            markeredgewidth=0.7, zorder=4,
+        )  # fmt: skip
+        axes.plot(
+            *places[-1], "o", markersize=8.5 * size, color=robot_color(robot), markeredgecolor="white",
+            markeredgewidth=0.5, zorder=5 + robot / 1000,
+        )  # fmt: skip
         axes.annotate(
             str(robot), places[-1], color="white", fontsize=(6.5, 5.5, 4.2)[len(str(robot)) - 1] * size,
             fontweight="bold", ha="center", va="center_baseline", zorder=5.0005 + robot / 1000,
@@ -178,53 +169,42 @@ def _paths(plan: Plan, records: Records) -> Iterator[tuple[int, NDArray[np.int64
 
 def _page(robots: int, shape: float) -> tuple[Figure, list[Axes]]:
     """A page with two large panels and one panel per robot, for maps of ratio `shape` of height to width."""
-    _, large, gap, title = next(row for row in SPACING if robots <= row[0])
+    _, large, gap = next(row for row in SPACING if robots <= row[0])
+    taken = robots + 2 * large * large
 
-    def rows_of(columns: int) -> int:
-        return max(large, -(-(robots + 2 * large * large) // columns))
+    def size(columns: int) -> tuple[int, float]:
+        """Number of rows, and height of the page, for a number of columns."""
+        rows = max(large, -(-taken // columns))
+        side = PAGE_WIDTH / columns - gap
+        return rows, rows * (side * shape + TITLE + gap) + HEAD + FOOT
 
     def penalty(columns: int) -> float:
-        rows = rows_of(columns)
-        side = (PAGE_WIDTH - gap) / columns - gap
-        height = rows * (side * shape + title + gap) + HEAD + FOOT
-        spare = 1 - (robots + 2 * large * large) / (rows * columns)
-        return abs(math.log(PAGE_WIDTH / height / PAGE_SHAPE)) + spare
+        rows, height = size(columns)
+        return abs(math.log(PAGE_WIDTH / height / PAGE_SHAPE)) + 1 - taken / (rows * columns)
 
     columns = min(range(2 * large, 2 * large + robots + 2), key=penalty)
-    rows = rows_of(columns)
-    across = (PAGE_WIDTH - gap) / columns
-    tall = (across - gap) * shape
-    down = tall + title + gap
-    height = rows * down + HEAD + FOOT
+    rows, height = size(columns)
     figure = Figure(figsize=(PAGE_WIDTH, height))
-
-    def panel(column: int, row: int, size: int) -> Axes:
-        ticks = max(0.0, TICKS - gap) if size > 1 else 0.0
-        left, top = gap + column * across + ticks, HEAD + row * down + title
-        width = size * across - gap - ticks
-        room = size * down - title - gap - ticks
-        place = (left / PAGE_WIDTH, 1 - (top + room) / height, width / PAGE_WIDTH, room / height)
-        return figure.add_axes(place, anchor="N")
-
-    panels = [panel(0, 0, large), panel(large, 0, large)]
-    free = [(c, r) for r in range(rows) for c in range(columns) if r >= large or c >= 2 * large]
-    return figure, panels + [panel(column, row, 1) for column, row in free[:robots]]
+    panel_width, panel_height = PAGE_WIDTH / columns - gap, (height - HEAD - FOOT) / rows - TITLE - gap
+    grid = figure.add_gridspec(
+        rows, columns, wspace=gap / panel_width, hspace=(TITLE + gap) / panel_height, left=MARGIN / PAGE_WIDTH,
+        right=1 - gap / PAGE_WIDTH, top=1 - (HEAD + TITLE) / height, bottom=FOOT / height,
+    )  # fmt: skip
+    places = [grid[:large, :large], grid[:large, large : 2 * large]]
+    places += [grid[r, c] for r in range(rows) for c in range(columns) if r >= large or c >= 2 * large]
+    return figure, [figure.add_subplot(place, anchor="N") for place in places[: 2 + robots]]
 
 
 def _draw_legend(figure: Figure, records: Records) -> None:
     """Draw the legend of all panels at the bottom of the page."""
-    mark: dict[str, Any] = {
-        "color": "none",
-        "markeredgecolor": "black",
-        "markerfacecolor": "white",
-        "markersize": 4,
-    }
-    disc: dict[str, Any] = {"color": "none", "markerfacecolor": "#555555", "markeredgewidth": 0}
+    start: dict[str, Any] = {"markeredgecolor": "black", "markerfacecolor": "white", "markersize": 4}
+    disc: dict[str, Any] = {"markerfacecolor": "#555555", "markeredgewidth": 0}
     every = mark_steps(records.step)
+    dots = "every step" if every == 1 else f"every {every} steps"
     handles = [
-        Line2D([], [], marker="s", label="start", **mark),
-        Line2D([], [], marker="o", label="end", markersize=8, **disc),
-        Line2D([], [], marker="o", label="every step" if every == 1 else f"every {every} steps", markersize=3, **disc),
+        Line2D([], [], marker="s", label="start", color="none", **start),
+        Line2D([], [], marker="o", label="end", color="none", markersize=8, **disc),
+        Line2D([], [], marker="o", label=dots, color="none", markersize=3, **disc),
         *(Patch(color=rgb(colors.MAP_ERRORS[error]), label=text) for error, text in ERRORS.items()),
         Patch(facecolor=rgb(colors.MAP_ERRORS[2]), label="wall"),
     ]  # fmt: skip
@@ -238,12 +218,6 @@ def _show_errors(axes: Axes, plan: Plan, errors: NDArray[np.uint8]) -> None:
     most = len(colors.MAP_ERRORS) - 1
     axes.imshow(errors, cmap=MAP_ERRORS, vmin=0, vmax=most, extent=_extent(plan.map), interpolation="nearest")
     axes.tick_params(labelsize=7)
-
-
-def _bare(axes: Axes) -> None:
-    axes.set_xticks([])
-    axes.set_yticks([])
-    axes.spines[:].set(linewidth=0.6, color="#9aa1a9")
 
 
 def _extent(world_map: Map) -> tuple[float, float, float, float]:

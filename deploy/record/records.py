@@ -55,42 +55,12 @@ MAX_PROTOCOL_ERROR_TEXTS = 1000
 class Records:
     """All data reported during a run so far.
 
-    Attributes
-    ----------
-    robots : int
-        Number of robots.
-    maps : MapHistory
-        The robots' maps over time, if the run records them.
-    world : list of WorldReport
-        The world's report of each step.
-    statuses : list of list of RobotStatus
-        Status of each robot and step.
-    rows : list of bytes
-        Rows of the ledger, per step; see `ledger`.
-    own, planning : dict of int to uint8 array
-        Final self-explored grid, and final planning grid, by robot.
-    lost : dict of int to str
-        Cause of each unexpected robot failure, by robot.
-    fault_events : list of FaultEvent
-        Scheduled and requested faults that have occurred, in order.
-    changes : list of Change
-        Changes of the radio's budget and range.
-    killed : set of int
-        Robots killed by a fault event and not restarted.
-    returned : list of (int, int)
-        Step and robot of each return after an unexpected failure.
-    reconnected : list of (int, int)
-        Step and robot of each connection that was cut and restored.
-    protocol_errors : list of str
-        Sender and text of the first `MAX_PROTOCOL_ERROR_TEXTS` protocol errors.
-    protocol_error_count : int
-        Number of protocol errors.
-    end : End or None
-        The end of the run.
-    carried : int
-        Bytes transmitted in the last step.
-    wire_bytes : int or None
-        Bytes that the bus has moved (`deploy.record.wire_bytes`); None if that is not available.
+    `maps` has the robots' maps over time, if the run records them; `own` and `planning` have the final self-explored
+    and planning grids by robot. `world` has one report per step, `statuses` one list per robot, `rows` the rows of the
+    ledger per step. `lost` has the cause of each unexpected failure by robot, `killed` the robots that a fault event
+    killed and none restarted, `returned` step and robot of each return after an unexpected failure, `reconnected` of
+    each connection that was cut and restored. `protocol_errors` has sender and text of the first `MAX_PROTOCOL_ERROR_TEXTS` protocol errors. `carried` is the number of bytes
+    transmitted in the last step; `wire_bytes` that of the bus (`deploy.record.wire_bytes`), None if not available.
     """
 
     robots: int
@@ -152,16 +122,12 @@ class RecorderNode:
 
     Parameters
     ----------
-    bus : Bus
-    keys : Keys
     robots : int
         Number of robots.
     shape : (int, int)
         Height and width of the run's map.
     capture : binary file, optional
         Receives the frames of each step, which are not kept in memory.
-    meter : Meter, optional
-        Counts the bytes that the bus moves.
     on_fault : callable
         Called with each fault event, so that the launcher can kill and restart processes.
 

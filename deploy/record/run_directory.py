@@ -139,7 +139,7 @@ def write_results(out: Path, plan: Plan, records: Records, summary: dict[str, An
     """Write summary, tables, maps and their changes."""
     from pyarrow import parquet  # noqa: PLC0415  takes half a second to import
 
-    from deploy.record.map_pictures import draw_maps  # noqa: PLC0415
+    from deploy.record.map_pictures import maps_figure, save  # noqa: PLC0415
 
     text = json.dumps(summary, indent=2) + "\n"
     write_whole(out / SUMMARY, lambda file: file.write(text.encode()))
@@ -152,7 +152,7 @@ def write_results(out: Path, plan: Plan, records: Records, summary: dict[str, An
         for name, grid in named.items():
             if (grid == 1).any():
                 maps.save(Map(name, grid, plan.map.resolution, plan.map.origin), out / f"{name}.yaml")
-        draw_maps(out / PICTURE, plan, records, summary)
+        save(out / PICTURE, maps_figure(plan, records, summary), dpi=110)
 
 
 def steps_table(plan: Plan, records: Records) -> Any:
@@ -165,27 +165,18 @@ def steps_table(plan: Plan, records: Records) -> Any:
     for report in records.world:
         for robot, x_mm, y_mm, heading in np.frombuffer(report.poses, "<i4").reshape(-1, 4).tolist():
             x, y = to_world(plan.map, x_mm / 1000 / cell, y_mm / 1000 / cell)
-            row = {
-                "step": report.step,
-                "robot": robot,
-                "x": x,
-                "y": y,
-                "heading": heading / 10,
-                "driven": report.driven[robot] / 1000,
-                "team_seen": report.seen / report.reachable,
-            }
-            status = statuses.get((robot, report.step))
-            if status is not None:
-                has_target = status.target_x >= 0
-                target = to_world(plan.map, status.target_x, status.target_y) if has_target else (None, None)
+            row: dict[str, Any] = {
+                "step": report.step, "robot": robot, "x": x, "y": y, "heading": heading / 10,
+                "driven": report.driven[robot] / 1000, "team_seen": report.seen / report.reachable,
+            }  # fmt: skip
+            if status := statuses.get((robot, report.step)):
                 row |= {
-                    "target_x": target[0],
-                    "target_y": target[1],
-                    "known_cells": status.known,
-                    "backlog": status.backlog,
-                    "status": status.status,
+                    "known_cells": status.known, "backlog": status.backlog, "status": status.status,
                     "work_us": status.work_us,
-                }
+                }  # fmt: skip
+                if status.target_x >= 0:
+                    target = to_world(plan.map, status.target_x, status.target_y)
+                    row |= {"target_x": target[0], "target_y": target[1]}
             rows.append(row)
     return pa.Table.from_pylist(rows, schema=schema(STEP_COLUMNS))
 
@@ -194,15 +185,9 @@ def ledger_table(ledger: NDArray[np.void]) -> Any:
     """The rows of a ledger (`netshaper.ledger.ROW`) as a table: one row per frame and packet kind."""
     import pyarrow as pa  # noqa: PLC0415
 
-    kinds = np.array([*ALL_KINDS, "malformed"])
-    causes = np.array(CAUSES)
-    columns: dict[str, Any] = {}
-    for name in ledger.dtype.names or ():
-        column = np.ascontiguousarray(ledger[name])
-        if name == "kind":
-            columns[name] = pa.array(kinds[np.where(column == MALFORMED, len(ALL_KINDS), column)])
-        elif name == "cause":
-            columns[name] = pa.array(causes[column])
-        else:
-            columns[name] = pa.array(column == 1 if name == "carried" else column)
-    return pa.table(columns)
+    columns: dict[str, Any] = {name: np.ascontiguousarray(ledger[name]) for name in ledger.dtype.names or ()}
+    kinds = np.where(columns["kind"] == MALFORMED, len(ALL_KINDS), columns["kind"])
+    columns["kind"] = np.array([*ALL_KINDS, "malformed"])[kinds]
+    columns["cause"] = np.array(CAUSES)[columns["cause"]]
+    columns["carried"] = columns["carried"] == 1
+    return pa.table({name: pa.array(column) for name, column in columns.items()})

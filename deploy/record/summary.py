@@ -1,4 +1,4 @@
-"""The summary of a run: its metrics (docs/architecture.md) and its digest, which is the same for two equal runs."""
+"""The summary of a run: its metrics (`deploy.record.columns.SUMMARY`) and its digest, equal for equal runs."""
 
 from __future__ import annotations
 
@@ -35,7 +35,6 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
     finished = done and records.explored >= scenario.min_coverage
     ledger = records.ledger()
     reachable = plan.make_world().reachable
-    kinds, packets = _per_kind(ledger)
     first = end.first if done and end is not None else min(records.planning, default=-1)
     steps = end.step if end is not None and end.step >= 0 else records.step
     allowed = budgets(plan.radio.budget, records.changes, int(ledger["step"].max(initial=0)) + 1)
@@ -63,11 +62,10 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "map_encoding": scenario.map_encoding,
         "bandwidth": scenario.bandwidth,
         "range_m": plan.range_m,
-        "bytes": kinds,
+        "bytes": _per_kind(ledger, "bytes"),
         "raw_scan_bytes": steps * SCAN_VALUES * VALUE_BYTES * scenario.robots * (scenario.robots - 1),
-        "packets": packets,
-        "approximation_error": _approximation_error(records, first, int(reachable.sum())),
-        "approximation_error_net": _net_error(records, first, int(reachable.sum())),
+        "packets": _per_kind(ledger, "packets"),
+        **_approximation_error(records, first, int(reachable.sum())),
         "over_budget_steps": _over_budget(ledger, allowed, each=scenario.radio.reuse),
         "wire_bytes": records.wire_bytes,
         "undelivered": _undelivered(ledger),
@@ -157,37 +155,27 @@ def _first_step(records: Records, share: float) -> int | None:
     return next((w.step for w in records.world if w.seen >= share * w.reachable), None)
 
 
-def _per_kind(ledger: NDArray[np.void]) -> tuple[dict[str, int], dict[str, int]]:
-    """Transmitted bytes and packets by packet type, and in total."""
-    carried = ledger["carried"] == 1
-    kinds, size, packets = (ledger[name][carried] for name in ("kind", "bytes", "packets"))
-    sizes: dict[str, int] = {}
-    counts: dict[str, int] = {}
-    for number, kind in enumerate(ALL_KINDS):
-        these = kinds == number
-        if these.any():
-            sizes[kind] = int(size[these].sum())
-            counts[kind] = int(packets[these].sum())
-    sizes["total"] = int(size.sum())
-    counts["total"] = int(packets.sum())
-    return sizes, counts
+def _per_kind(ledger: NDArray[np.void], name: str) -> dict[str, int]:
+    """The sum of a column over the transmitted rows by packet type, and in total."""
+    rows = ledger[ledger["carried"] == 1]
+    sums = np.bincount(rows["kind"], rows[name], len(ALL_KINDS)).astype(int).tolist()
+    present = set(rows["kind"].tolist())
+    return {kind: sums[n] for n, kind in enumerate(ALL_KINDS) if n in present} | {"total": sum(sums)}
 
 
-def _approximation_error(records: Records, robot: int, cells: int) -> float | None:
-    """Mean of a robot's approximation error d(t) over the steps, as a share of all cells (thesis, Eq. 6.1)."""
-    if not 0 <= robot < len(records.statuses) or not records.statuses[robot]:
-        return None
-    return float(np.mean([report.error for report in records.statuses[robot]]) / cells)
+def _approximation_error(records: Records, robot: int, cells: int) -> dict[str, float | None]:
+    """Mean of a robot's approximation error d(t) over the steps, as a share of all cells (thesis, Eq. 6.1).
 
-
-def _net_error(records: Records, robot: int, cells: int) -> float | None:
-    """The same minus the error of an exact approximation; None if that was not measured."""
-    if not 0 <= robot < len(records.statuses) or not records.statuses[robot]:
-        return None
-    reports = records.statuses[robot]
-    if any(report.exact_error < 0 for report in reports):
-        return None
-    return float(np.mean([report.error - report.exact_error for report in reports]) / cells)
+    The net error is the same minus the error of an exact approximation; None if that was not measured.
+    """
+    reports = records.statuses[robot] if 0 <= robot < len(records.statuses) else []
+    error, exact = (
+        np.array([(report.error, report.exact_error) for report in reports]).reshape(-1, 2).T / cells
+    )
+    return {
+        "approximation_error": float(error.mean()) if len(error) else None,
+        "approximation_error_net": float((error - exact).mean()) if len(error) and exact.min() >= 0 else None,
+    }
 
 
 def _explored_at(plan: Plan, steps: int) -> int:

@@ -13,19 +13,15 @@ from collections.abc import Iterator
 
 LOOPBACKS = ("127.0.0.1", "[::1]")
 
-_NETLINK_SOCK_DIAG, _SOCK_DIAG_BY_FAMILY = 4, 20
-_REQUEST_DUMP = 0x301
+_NETLINK_SOCK_DIAG, _SOCK_DIAG_BY_FAMILY, _REQUEST_DUMP = 4, 20, 0x301
 _DONE, _ERROR = 3, 2
-_INFO = 2
-_STATES = 0xFFF
+"""Types of messages of the kernel."""
+_INFO, _ALL_STATES = 2, 0xFFF
 _HEADER = struct.Struct("<IHHII")
+_REQUEST = struct.Struct("<BBBxI")
 _ID = struct.Struct(">HH16s16s4s8s")
-_TIMEOUT_S = 1.0
-_RECEIVE = 1 << 16
-_MESSAGE = 72
-"""Size of ``struct inet_diag_msg``, which precedes the attributes."""
-_ID_AT = 4
-"""Offset of the socket's identity in it."""
+_ID_AT, _ATTRIBUTES_AT = 4, 72
+"""Offsets of the socket's identity, and of the attributes, in ``struct inet_diag_msg``."""
 _RECEIVED_AT, _SENT_AT = 128, 200
 """Offsets in ``struct tcp_info``: tcpi_bytes_received; tcpi_bytes_sent and _retrans (since Linux 4.19)."""
 
@@ -64,26 +60,24 @@ class Meter:
 
 def _connections(port: int, family: int) -> Iterator[tuple[bytes, int]]:
     """The TCP sockets of a family with a local port: their identity, and the bytes that they moved."""
-    wanted = struct.pack("<BBBxI", family, socket.IPPROTO_TCP, 1 << (_INFO - 1), _STATES)
+    wanted = _REQUEST.pack(family, socket.IPPROTO_TCP, 1 << (_INFO - 1), _ALL_STATES)
     wanted += _ID.pack(port, 0, bytes(16), bytes(16), bytes(4), b"\xff" * 8)
+    head = _HEADER.pack(_HEADER.size + len(wanted), _SOCK_DIAG_BY_FAMILY, _REQUEST_DUMP, 1, 0)
     with socket.socket(socket.AF_NETLINK, socket.SOCK_DGRAM, _NETLINK_SOCK_DIAG) as kernel:
-        kernel.settimeout(_TIMEOUT_S)
-        kernel.send(
-            _HEADER.pack(_HEADER.size + len(wanted), _SOCK_DIAG_BY_FAMILY, _REQUEST_DUMP, 1, 0) + wanted
-        )
+        kernel.settimeout(1.0)
+        kernel.send(head + wanted)
         while True:
-            data = kernel.recv(_RECEIVE)
+            data = kernel.recv(1 << 16)
             while data:
                 size, kind, *_ = _HEADER.unpack_from(data)
                 if kind == _DONE:
                     return
                 if kind == _ERROR:
                     raise OSError("the kernel has no sock_diag")
-                message = data[_HEADER.size : size]
-                count = _count(message[_MESSAGE:])
+                message, data = data[_HEADER.size : size], data[size + -size % 4 :]
+                count = _count(message[_ATTRIBUTES_AT:])
                 if count is not None:
                     yield message[_ID_AT : _ID_AT + _ID.size], count
-                data = data[size + -size % 4 :]
 
 
 def _count(attributes: bytes) -> int | None:

@@ -16,16 +16,16 @@ from ipaddress import ip_address
 from pathlib import Path
 
 from deploy.dashboard.process import ViewTask, serve
-from deploy.dashboard.windows import Window
+from deploy.dashboard.windows import Window, free_port
 from deploy.record import run_directory
 from deploy.record.records import RecorderNode, Records
 from deploy.record.wire_bytes import Meter
 from deploy.run import preload  # noqa: F401  before the process joins, since others wait for it then
 from deploy.run.exploration import Result, conclude
+from deploy.run.hosts import MOST_PORT
 from deploy.run.interrupt import Interrupt
 from deploy.run.launch import Outcome, attend
 from deploy.run.processes import WorldTask, relay, serve_agent, serve_world
-from deploy.run.rendezvous import free_port
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import Scenario, ScenarioError, load
@@ -40,7 +40,6 @@ from protocol.zenoh_bus import Credential, join
 SCENARIO = "scenario.toml"
 """File next to the credentials: the scenario of the netshaper, which the other processes compare with theirs."""
 STANDARD_INPUT = Path("-")
-MOST_PORT = 65535
 
 
 def serve_netshaper(
@@ -83,9 +82,8 @@ def serve_routing(credential: Path, listen: str, folder: Path, notify: Callable[
     credentials = access.passwords(read.run, endpoint, read.robots)
     with closing(Router(read, endpoint, credentials)) as router:
         _hand_out(credentials, folder)
-        notify(
-            f"{read.name} of run {read.run} at {endpoint}; credentials in {folder}: {', '.join(credentials)}"
-        )
+        where = f"credentials in {folder}: {', '.join(credentials)}"
+        notify(f"{read.name} of run {read.run} at {endpoint}; {where}")
         router.serve()
 
 
@@ -138,12 +136,8 @@ def serve_worldsim(scenario: Scenario, credential: Path) -> None:
     """Serve as the world of the run that the credential belongs to."""
     _check_same(scenario, credential)
     plan = plans.make(scenario)
-    task = WorldTask(
-        plan.make_world(),
-        scenario.steps,
-        1000 * plan.map.resolution,
-        reply_timeout_s=scenario.reply_timeout_s,
-    )
+    limit = scenario.reply_timeout_s
+    task = WorldTask(plan.make_world(), scenario.steps, 1000 * plan.map.resolution, reply_timeout_s=limit)
     serve_world(_credential(credential, names.WORLD), task)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import multiprocessing
 import queue
 from dataclasses import replace
-from typing import Literal
+from typing import Any, Literal
 
 from deploy.record.records import RecorderNode, Records
 from deploy.run.gate import Gate
@@ -17,6 +17,9 @@ from deploy.scenario.scenario import Scenario
 from deploy.scenario.tables import ChangeTable, FaultTable
 from protocol.messages import Change, FaultEvent
 from worldsim.pace import SLOWEST
+
+CUT_SHORT = ("interrupted", "broken off")
+"""End reasons of runs that were cut short."""
 
 
 class Control:
@@ -138,3 +141,16 @@ def _bandwidth(change: Change) -> int | Literal["unlimited"] | None:
     if change.budget is None:
         return None
     return "unlimited" if change.budget.limit is None else change.budget.limit
+
+
+def why_unrepeatable(summary: dict[str, Any]) -> str:
+    """Return why a run cannot be repeated: an event that its scenario does not contain; empty if it can."""
+    if summary["reason"] in CUT_SHORT:
+        return f"it was {summary['reason']} at step {summary['steps']}"
+    back = "; ".join(
+        f"robot {robot} was lost at step {step} and came back" for step, robot in summary.get("returned", [])
+    )
+    if back:
+        return f"{back}, unexpectedly"
+    lost = "; ".join(f"robot {robot} was lost: {cause}" for robot, cause in summary["lost"].items())
+    return f"{lost}, unexpectedly" if lost else ""

@@ -196,7 +196,7 @@ def explore(
     _check_pace_and_hosts(pace, hosts, scenario)
     if radio := effective_radio(plan):
         notify(radio)
-    interrupt = Interrupt(notify, control.resume if control is not None else _nothing)
+    interrupt = Interrupt(notify, control.resume if control is not None else (lambda: None))
     if control is not None:
         control.attach(plan, pace, may_kill=hosts is None)
     with (
@@ -265,10 +265,18 @@ class _Execution:
 
     def _run_in_memory(self, plan: Plan, capture: BinaryIO | None, _: int) -> launch.Outcome:
         task, ready = self._view(plan)
-        wait: Callable[[], object] = Pace(self.pace).wait if self.pace is not None else _nothing
+        wait: Callable[[], object] = Pace(self.pace).wait if self.pace is not None else (lambda: None)
         if self.control is not None:
             wait = self.control.gate().wait
-        crashes = _Crashes(self._logs)
+        deaths: dict[str, str] = {}
+
+        def note_crash(name: str, error: Exception) -> None:
+            report = traceback_of(error)
+            deaths[name] = f"exit code 1; last output: {report}"
+            if self._logs is not None:
+                self._logs.mkdir(exist_ok=True)
+                (self._logs / f"{name}.log").write_text(f"{report}\n", encoding="utf-8")
+
         with watching(task) if task is not None else contextlib.nullcontext() as view:
             ready()
             records = in_memory.run(
@@ -278,10 +286,10 @@ class _Execution:
                 heed=self._heed,
                 view=view,
                 wait=wait,
-                on_crash=crashes.note,
+                on_crash=note_crash,
                 journals=self._journals,
             )
-        return launch.Outcome(records, crashes.deaths)
+        return launch.Outcome(records, deaths)
 
     def _run_processes(self, plan: Plan, capture: BinaryIO | None, done: int) -> launch.Outcome:
         task, ready = self._view(plan)
@@ -304,7 +312,7 @@ class _Execution:
     def _view(self, plan: Plan) -> tuple[ViewTask | None, Callable[[], object]]:
         """Return the viewer's task, if there is a window, and what to call once the viewer has joined."""
         if self.directory is None or self.window is None:
-            return None, _nothing
+            return None, (lambda: None)
         return ViewTask(plan, self.directory.absolute(), self.window.port), self.window.open
 
     def _observer(self, plan: Plan) -> Callable[[Records], object]:
@@ -344,11 +352,9 @@ def _incarnations(scenario: Scenario, hosts: Hosts | None) -> int:
         raise ScenarioError("bus = 'memory': has no processes that could die; restart needs 'zenoh'")
     if hosts is not None:
         raise ScenarioError("restart: robots on other hosts cannot be restarted; omit --hosts or --restart")
-    incarnations = (
-        INCARNATIONS
-        if scenario.map_encoding == "none"
-        else min(INCARNATIONS, scenario.most_maps // scenario.robots)
-    )
+    incarnations = INCARNATIONS
+    if scenario.map_encoding != "none":
+        incarnations = min(INCARNATIONS, scenario.most_maps // scenario.robots)
     check_incarnations(scenario, max(incarnations, 2))
     return incarnations
 
@@ -366,22 +372,6 @@ def scenario_of(scenario: Scenario | None, settings: Mapping[str, Any]) -> Scena
     if scenario is not None and not settings:
         return scenario
     return parse((scenario.model_dump(exclude_unset=True) if scenario is not None else {}) | dict(settings))
-
-
-class _Crashes:
-    """Robots on the memory bus whose code raised: their crash reports, and a log file for each in `logs`."""
-
-    def __init__(self, logs: Path | None) -> None:
-        self.deaths: dict[str, str] = {}
-        self._logs = logs
-
-    def note(self, name: str, error: Exception) -> None:
-        """Note that the code of the robot `name` has raised `error`."""
-        report = traceback_of(error)
-        self.deaths[name] = f"exit code 1; last output: {report}"
-        if self._logs is not None:
-            self._logs.mkdir(exist_ok=True)
-            (self._logs / f"{name}.log").write_text(f"{report}\n", encoding="utf-8")
 
 
 def conclude(plan: Plan, outcome: launch.Outcome, directory: Path | None, wall_s: float) -> Result:
@@ -411,7 +401,3 @@ def frame(table: Any) -> pl.DataFrame:
     frame = polars.from_arrow(table)
     assert isinstance(frame, polars.DataFrame)
     return frame
-
-
-def _nothing() -> None:
-    """Do nothing: the callback of a run without pace or viewer."""

@@ -9,9 +9,17 @@ import re
 from pathlib import Path
 from typing import Annotated, Any, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 
-from deploy.scenario.scenario import ScenarioError, read_toml
+from deploy.scenario.scenario import ScenarioError, explain, read_toml
 from protocol.grid import MAX_ROBOTS
 
 MOST_PORT = 65535
@@ -21,6 +29,42 @@ Truth = Annotated[bool, Field(strict=True)]
 Port = Annotated[int, Field(strict=True, ge=1, le=MOST_PORT)]
 
 
+def _matching(pattern: str, error: str) -> AfterValidator:
+    """Check that a text matches a regular expression."""
+
+    def check(text: str) -> str:
+        if not re.fullmatch(pattern, text):
+            raise ValueError(error)
+        return text
+
+    return AfterValidator(check)
+
+
+Name = Annotated[
+    str,
+    _matching(r"[A-Za-z0-9][A-Za-z0-9._-]*", "must be letters, digits, '-', '_' and dots"),
+    _matching(
+        r"(?!(relay|world|recorder|view|r[0-9]+)$).*",
+        "is the name of a process of the run; call the host something else",
+    ),
+]
+SshTarget = Annotated[str, _matching(r"([^-\s]\S*)?", "must be HOST or USER@HOST, without spaces")]
+SshOption = Annotated[
+    str, _matching(r"[A-Za-z0-9]+\s*[=\s]\s*\S.*", "must be NAME=VALUE, as IdentityFile=~/.ssh/robots")
+]
+Command = Annotated[
+    str, _matching(r".*\S.*", "must be a command on one line, as murmur or /opt/murmur/bin/murmur")
+]
+Address = Annotated[
+    str,
+    _matching(r"[A-Za-z0-9.:_-]+", "must be a host's name or an IP address, as 192.168.1.10"),
+    _matching(
+        r"(?!0\.0\.0\.0$|::$).*",
+        "cannot be reached from other hosts; give the address by which they know this host",
+    ),
+]
+
+
 class _Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -28,13 +72,13 @@ class _Table(BaseModel):
 class Host(_Table):
     """Another host, and the robots that run there."""
 
-    name: str = Field(description="its name in messages and logs")
-    ssh: str = Field(
+    name: Name = Field(description="its name in messages and logs")
+    ssh: SshTarget = Field(
         "", description="destination of ssh: HOST, USER@HOST, or a name of ~/.ssh/config; empty: the name"
     )
     port: Port | None = Field(None, description="port of its SSH server")
-    options: tuple[str, ...] = Field((), description="options of ssh, as in ssh_config(5)")
-    command: str = Field("murmur", description="shell command that starts Murmur there")
+    options: tuple[SshOption, ...] = Field((), description="options of ssh, as in ssh_config(5)")
+    command: Command = Field("murmur", description="shell command that starts Murmur there")
     robots: Whole | tuple[Whole, ...] = Field(
         description="number of robots there, or a list of their numbers"
     )
@@ -42,45 +86,12 @@ class Host(_Table):
         False, description="whether they share one connection through a router on that host"
     )
 
-    @field_validator("name")
-    @classmethod
-    def _name_is_valid_file_name(cls, value: str) -> str:
-        if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", value):
-            raise ValueError("must be letters, digits, '-', '_' and dots")
-        if re.fullmatch(r"relay|world|recorder|view|r[0-9]+", value):
-            raise ValueError("is the name of a process of the run; call the host something else")
-        return value
-
-    @field_validator("ssh")
-    @classmethod
-    def _ssh_is_no_option(cls, value: str) -> str:
-        if not re.fullmatch(r"([^-\s]\S*)?", value):
-            raise ValueError("must be HOST or USER@HOST, without spaces")
-        return value
-
-    @field_validator("options")
-    @classmethod
-    def _options_are_settings(cls, value: tuple[str, ...]) -> tuple[str, ...]:
-        for option in value:
-            if not re.fullmatch(r"[A-Za-z0-9]+\s*[=\s]\s*\S.*", option):
-                raise ValueError(f"{option!r} must be NAME=VALUE, as IdentityFile=~/.ssh/robots")
-        return value
-
-    @field_validator("command")
-    @classmethod
-    def _command_is_not_empty(cls, value: str) -> str:
-        if not value.strip() or "\n" in value:
-            raise ValueError("must be a command on one line, as murmur or /opt/murmur/bin/murmur")
-        return value
-
     @field_validator("robots")
     @classmethod
     def _robots_are_valid(cls, value: int | tuple[int, ...]) -> int | tuple[int, ...]:
         numbers = value if isinstance(value, tuple) else range(value)
         if not 1 <= len(numbers) <= MAX_ROBOTS or len(set(numbers)) < len(numbers) or min(numbers) < 0:
-            raise ValueError(
-                "must be a number of robots, 1 or more, or a list of different robot numbers, from 0"
-            )
+            raise ValueError("must be a number of robots, 1 or more, or a list of different numbers, from 0")
         return value
 
     @property
@@ -92,20 +103,9 @@ class Host(_Table):
 class Hosts(_Table):
     """The hub's address, and the other hosts. All other robots run on this host."""
 
-    address: str = Field(description="name or IP address by which the other hosts reach this one")
+    address: Address = Field(description="name or IP address by which the other hosts reach this one")
     port: Port | None = Field(None, description="port of the hub; default: any free port")
     host: tuple[Host, ...] = Field(description="the other hosts")
-
-    @field_validator("address")
-    @classmethod
-    def _address_is_reachable(cls, value: str) -> str:
-        if not re.fullmatch(r"[A-Za-z0-9.:_-]+", value):
-            raise ValueError("must be a host's name or an IP address, as 192.168.1.10")
-        if value in ("0.0.0.0", "::"):
-            raise ValueError(
-                "cannot be reached from other hosts; give the address by which they know this host"
-            )
-        return value
 
     @model_validator(mode="after")
     def _hosts_differ(self) -> Self:
@@ -155,18 +155,8 @@ def parse(data: dict[str, Any], where: str = "hosts") -> Hosts:
     try:
         return Hosts.model_validate(data)
     except ValidationError as error:
-        lines = [_explain(item) for item in error.errors()]
+        lines = [
+            explain(item, {"": list(Hosts.model_fields), "host": list(Host.model_fields)})
+            for item in error.errors()
+        ]
         raise ScenarioError("\n".join(f"{where}: {line}" for line in dict.fromkeys(lines))) from None
-
-
-def _explain(item: Any) -> str:
-    key = ".".join(
-        str(part) for part in item["loc"] if part not in ("int", "tuple[int, ...]") and part != "tuple"
-    )
-    message = str(item["msg"]).removeprefix("Value error, ")
-    if item["type"] == "extra_forbidden":
-        table = Host if item["loc"][0] == "host" and len(item["loc"]) > 1 else Hosts
-        return f"{key}: unknown setting; there are: {', '.join(table.model_fields)}"
-    if item["type"] == "missing":
-        return f"{key} is missing"
-    return f"{key} = {item['input']!r}: {message}" if key else message

@@ -13,13 +13,11 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import json
-import multiprocessing
 import os
 import select
 import signal
 import sys
 import tempfile
-import threading
 from collections.abc import Callable
 from functools import cache
 from io import RawIOBase
@@ -133,7 +131,7 @@ def _run(credentials: list[Credential], orders: RawIOBase, channel: _Channel) ->
 
         with ProcessTable(logs) as processes:
             for name, row in table.items():
-                processes.start(name, serve_tied, *row)
+                processes.start(name, *row)
             while set(running) - routers:
                 is_over = False
                 if select.select([0], [], [], POLL_S)[0]:
@@ -148,19 +146,6 @@ def _run(credentials: list[Credential], orders: RawIOBase, channel: _Channel) ->
                 running = [name for name in running if name not in ended]
                 if is_over:
                     break
-
-
-def serve_tied(serve: Callable[..., None], *args: object) -> None:
-    """Serve as one robot or router, and end with the parent process, even if that is killed."""
-    threading.Thread(target=_die_with_parent, name="parent", daemon=True).start()
-    serve(*args)
-
-
-def _die_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os.kill(os.getpid(), signal.SIGKILL)
 
 
 def _credentials(order: bytes) -> list[Credential]:

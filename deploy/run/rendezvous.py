@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import secrets
-import socket
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from ipaddress import ip_address
 
+from deploy.dashboard.windows import LOOPBACK, free_port
 from deploy.scenario.scenario import ScenarioError
 from netshaper import access
 from protocol import keys as names
 from protocol.zenoh_bus import Certificate, Credential
-
-LOOPBACK = "127.0.0.1"
 
 
 @dataclass(frozen=True)
@@ -29,13 +27,13 @@ class Rendezvous:
 
 def on_loopback(robots: int) -> Rendezvous:
     """Return a rendezvous at a free port of the loopback interface, with passwords."""
-    run, endpoint = secrets.token_hex(4), f"tcp/{LOOPBACK}:{free_port(LOOPBACK)}"
+    run, endpoint = secrets.token_hex(4), f"tcp/{LOOPBACK}:{free_port()}"
     return Rendezvous(run, endpoint, access.issue(run, endpoint, robots))
 
 
 def behind(router: Credential) -> Rendezvous:
     """Return the rendezvous of a router's robots: a free port of the loopback interface, with new passwords."""
-    endpoint = f"tcp/{LOOPBACK}:{free_port(LOOPBACK)}"
+    endpoint = f"tcp/{LOOPBACK}:{free_port()}"
     return Rendezvous(router.run, endpoint, access.passwords(router.run, endpoint, router.robots))
 
 
@@ -61,16 +59,6 @@ def by_certificates(
     run, endpoint = secrets.token_hex(4), f"tls/{_bracketed(address)}:{port}"
     made = certificates.make(robots, [address], routers=routers)
     return Rendezvous(run, endpoint, certificates.credentials(run, endpoint, made), made[names.RELAY])
-
-
-def free_port(address: str, port: int = 0) -> int:
-    """Return a free port: `port` unless that is 0; OSError if it is taken."""
-    family, kind, number, _, place = socket.getaddrinfo(address, port, type=socket.SOCK_STREAM)[0]
-    with socket.socket(family, kind, number) as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        probe.bind(place)
-        found: int = probe.getsockname()[1]
-        return found
 
 
 def _bracketed(address: str) -> str:

@@ -61,13 +61,14 @@ class Fleet:
         routers = {names.router(host.name): placing[host.name] for host in hosts.host if host.router}
         self.rendezvous = by_certificates(hosts.address, hosts.port, robots, routers)
         """The hub's address and the credentials, made for this run alone."""
-        self._links = [_Link(host, placing[host.name]) for host in hosts.host]
+        self._placing = [(host, placing[host.name]) for host in hosts.host]
+        self._links: list[_Link] = []
         self._notify = notify
 
     @property
     def robots(self) -> set[str]:
         """Names of the robots on other hosts."""
-        return {robot for link in self._links for robot in link.robots}
+        return {robot for _, robots in self._placing for robot in robots}
 
     def __enter__(self) -> Self:
         """Connect to all hosts.
@@ -76,8 +77,8 @@ class Fleet:
         them.
         """
         try:
-            for link in self._links:
-                link.open()
+            for host, robots in self._placing:
+                self._links.append(_Link(host, robots))
             self._compare_versions()
         except BaseException:
             self.__exit__()
@@ -154,29 +155,25 @@ class _Link:
         self.broken_off: set[str] = set()
         """The participants that ended because they had lost the hub."""
         self._host = host
-        self._ssh: subprocess.Popen[bytes] | None = None
         self._stderr = tempfile.TemporaryFile()  # noqa: SIM115  closed by `close`
         self._hello: queue.Queue[dict[str, Any] | None] = queue.Queue()
         self._other_output: list[str] = []
         self._ended: dict[str, str] = {}
         self._lost_router = ""
         self._logs: Path | None = None
-        self._reader = threading.Thread(target=self._read_output, name=f"ssh {host.name}", daemon=True)
-
-    def open(self) -> None:
-        """Start ssh in its own session, so that only the launcher receives Ctrl-C."""
         try:
-            self._ssh = subprocess.Popen(
-                command_line(self._host),
+            self._ssh = subprocess.Popen(  # in its own session: only the launcher receives Ctrl-C
+                command_line(host),
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=self._stderr,
                 start_new_session=True,
             )
         except FileNotFoundError:
-            raise HostError(
-                "ssh is not installed; the launcher starts robots on other hosts with it"
-            ) from None
+            raise HostError("ssh is not installed; robots on other hosts are started with it") from None
+        assert self._ssh.stdin is not None and self._ssh.stdout is not None
+        self._orders, self._output = self._ssh.stdin, self._ssh.stdout
+        self._reader = threading.Thread(target=self._read_output, name=f"ssh {host.name}", daemon=True)
         self._reader.start()
 
     def differences(self, deadline: float) -> Iterable[str]:
@@ -213,52 +210,48 @@ class _Link:
         if self._lost_router:
             found[names.router(self._host.name)] = self._lost_router
         missing = [name for name in self.robots if name not in ended]
-        if missing and self._ssh is not None and self._ssh.poll() is not None and not self._reader.is_alive():
+        if missing and self.is_over() and not self._reader.is_alive():
             found[self._host.name] = f"{self._why_gone()}; with it {', '.join(missing)}"
         return found
 
     def give_up(self, name: str) -> None:
         """Request the end of a robot, once; no crash report is expected."""
-        if name not in self._ended and self._ssh is not None and self._ssh.stdin is not None:
+        if name not in self._ended:
             self._ended[name] = ""
             self._send({"end": name})
 
     def _send(self, order: Mapping[str, Any]) -> None:
-        assert self._ssh is not None and self._ssh.stdin is not None
         with contextlib.suppress(BrokenPipeError):  # the host is gone: `deaths` reports it
-            self._ssh.stdin.write(json.dumps(order).encode() + b"\n")
-            self._ssh.stdin.flush()
+            self._orders.write(json.dumps(order).encode() + b"\n")
+            self._orders.flush()
 
     def is_over(self) -> bool:
-        return self._ssh is None or self._ssh.poll() is not None
+        return self._ssh.poll() is not None
 
     def hang_up(self) -> None:
         """Close the remote process's standard input, so that it ends its robots."""
-        if self._ssh is not None and self._ssh.stdin is not None:
-            with contextlib.suppress(BrokenPipeError):
-                self._ssh.stdin.close()
+        with contextlib.suppress(BrokenPipeError):
+            self._orders.close()
 
     def close(self) -> None:
-        if self._ssh is not None:
-            for end in (self._ssh.terminate, self._ssh.kill):
-                if not self.is_over():
-                    end()
-                    _await_all([self], 1.0)
-            self._reader.join()
-            if self._ssh.stdout is not None:
-                self._ssh.stdout.close()
-            self._ssh = None
-            errors = self._errors()
-            if errors and self._logs is not None:
-                self._logs.mkdir(parents=True, exist_ok=True)
-                (self._logs / f"{self._host.name}.log").write_text(errors, encoding="utf-8")
+        if self._output.closed:
+            return
+        for end in (self._ssh.terminate, self._ssh.kill):
+            if not self.is_over():
+                end()
+                _await_all([self], 1.0)
+        self._reader.join()
+        self._output.close()
+        errors = self._errors()
+        if errors and self._logs is not None:
+            self._logs.mkdir(parents=True, exist_ok=True)
+            (self._logs / f"{self._host.name}.log").write_text(errors, encoding="utf-8")
         self._stderr.close()
 
     def _read_output(self) -> None:
         """Process the messages of the remote process, line by line, until it ends (runs on a thread)."""
-        assert self._ssh is not None and self._ssh.stdout is not None
         greeted = False
-        for line in self._ssh.stdout:
+        for line in self._output:
             message = _parse(line)
             if not greeted and "murmur" in message:
                 greeted = True
@@ -288,7 +281,7 @@ class _Link:
 
     def _why_silent(self) -> str:
         """Return why the host's first message did not arrive."""
-        code = self._ssh.wait() if self._ssh is not None else None
+        code = self._ssh.wait()
         if code == UNREACHED:
             return f"ssh cannot reach {self._host.target}: {self._last_output()}"
         if code in NO_COMMAND:
@@ -302,7 +295,7 @@ class _Link:
         )
 
     def _why_gone(self) -> str:
-        code = self._ssh.poll() if self._ssh is not None else None
+        code = self._ssh.poll()
         cause = (
             "the connection was lost" if code == UNREACHED else f"murmur run agents ended, exit code {code}"
         )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import fields
 
 from deploy.scenario.plan import Plan
 from netshaper.presets import PRESETS
@@ -24,11 +23,8 @@ def _parts(plan: Plan) -> Iterator[str]:
     if options.preset:
         yield f"{options.preset}, {PRESETS[options.preset].description}"
     sharing = "each neighborhood" if options.reuse else "the team"
-    rate = (
-        scenario.bandwidth
-        if scenario.bandwidth == WORD_FOR_UNLIMITED
-        else f"{scenario.bandwidth} bytes per step"
-    )
+    limit = scenario.bandwidth
+    rate = limit if limit == WORD_FOR_UNLIMITED else f"{limit} bytes per step"
     yield f"{rate} for {sharing}"
     yield f"range {plan.range_m:.4g} m, {options.model}"
     if options.model == "log-distance":
@@ -41,28 +37,22 @@ def _parts(plan: Plan) -> Iterator[str]:
             f"bursts of {options.burst_steps:g} steps every {options.burst_every:g} steps, in which "
             f"{100 * options.burst_loss:g} % of the frames are lost"
         )
-    for begin, end in _steps(options):
-        yield f"groups of robots out of range of each other in steps {begin} to {end}"
+    for each in options.partition:
+        yield f"groups of robots out of range of each other in steps {each.first} to {each.last}"
     if plan.radio.perfect:
         yield "lossless"
         return
     yield "acknowledgments by teammates"
     if options.sums:
         yield "frames with checksums"
-    differing = [
-        f"{field.name} {getattr(options, field.name):g}"
-        for field in fields(RadioOptions)
-        if field.name in _PLAIN and getattr(options, field.name) != field.default
-    ]
-    yield from differing
+    for name in _PLAIN:
+        value = getattr(options, name)
+        if value != getattr(RadioOptions, name):
+            yield f"{name} {value:g}"
     for name, limits in (("send_bytes", plan.radio.send), ("receive_bytes", plan.radio.receive)):
         own = [f"robot {robot} {limit}" for robot, limit in enumerate(limits) if limit]
         if own and len(set(limits)) > 1:
             yield f"{name} of {', '.join(own)}"
-
-
-def _steps(options: RadioOptions) -> list[tuple[int, int]]:
-    return [(partition.first, partition.last) for partition in options.partition]
 
 
 _PLAIN = ("loss", "delay", "jitter", "duplication", "bit_errors", "send_bytes", "receive_bytes", "duty_cycle")

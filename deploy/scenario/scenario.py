@@ -13,8 +13,7 @@ from typing import Annotated, Any, Literal, Self
 import tomli_w
 from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_validator
 
-from agent.encodings.polygon_options import PolygonOptions
-from agent.encodings.predictive_options import PredictiveOptions
+from agent.encodings.options import PolygonOptions, PredictiveOptions
 from deploy.scenario.finding_maps import FILES as MAP_FILES
 from deploy.scenario.tables import (
     MAX_INTEGER,
@@ -102,8 +101,7 @@ class Scenario(Table):
     )
     start_jitter: NotNegative = Field(0.0, description="maximum random offset of the start positions, meters")
     motion: Literal["meters", "cells"] = Field(
-        "meters",
-        description="length of a diagonal step: meters: sqrt 2 cells; cells: 1 cell",
+        "meters", description="length of a diagonal step: meters: sqrt 2 cells; cells: 1 cell"
     )
     robots_collide: Annotated[bool, Field(strict=True)] = Field(
         True, description="whether robots block each other's paths and laser beams"
@@ -129,10 +127,7 @@ class Scenario(Table):
         60.0, description="time limit for a robot's reply or move, seconds of wall clock"
     )
     min_coverage: float = Field(
-        0.9,
-        ge=0,
-        le=1,
-        description="fraction of the reachable area that a finished run must have seen",
+        0.9, ge=0, le=1, description="fraction of the reachable area that a finished run must have seen"
     )
     robot: tuple[RobotOverride, ...] = Field((), description="robots with different hardware")
     fault: tuple[FaultTable, ...] = Field(
@@ -178,11 +173,7 @@ class Scenario(Table):
     def _tables_are_tables(cls, value: object, info: ValidationInfo) -> object:
         if isinstance(value, list | tuple) and all(isinstance(each, dict | Table) for each in value):
             return value
-        kinds: dict[str, type[Table]] = {
-            "robot": RobotOverride,
-            "fault": FaultTable,
-            "change": ChangeTable,
-        }
+        kinds: dict[str, type[Table]] = {"robot": RobotOverride, "fault": FaultTable, "change": ChangeTable}
         kind = kinds[str(info.field_name)]
         hint = "; number of robots is `robots`" if info.field_name == "robot" else ""
         raise ValueError(f"must be tables, [[{info.field_name}]], of {', '.join(kind.model_fields)}{hint}")
@@ -214,9 +205,7 @@ class Scenario(Table):
                 "for more, set dissemination = 'gossip' or map_encoding = 'none'"
             )
         if not self.forward_maps and self.dissemination == "gossip":
-            raise ValueError(
-                "forward_maps = false: dissemination = 'gossip' forwards all maps; omit one of them"
-            )
+            raise ValueError("forward_maps = false: dissemination = 'gossip' forwards all maps; omit one")
         for partition in self.radio.partition:
             unknown = [robot for group in partition.groups for robot in group if robot >= self.robots]
             if unknown:
@@ -412,7 +401,7 @@ _WORDING = {
 
 def explain(item: Any, keys: Mapping[str, Iterable[str]]) -> str:
     """Return one of pydantic's errors as a line: the key, its value and the valid values, of `keys` by table."""
-    key = ".".join(str(part) for part in item["loc"] if part not in ("int", "literal['unlimited']"))
+    key = ".".join(str(part) for part in item["loc"] if str(part) not in _KINDS)
     message = str(item["msg"]).removeprefix("Value error, ")
     for theirs, ours in _WORDING.items():
         message = message.replace(theirs, ours)
@@ -423,3 +412,7 @@ def explain(item: Any, keys: Mapping[str, Iterable[str]]) -> str:
     if item["type"] == "missing":
         return f"{key} is missing"
     return f"{key} = {item['input']!r}: {message}" if key else message
+
+
+_KINDS = ("int", "tuple", "tuple[int, ...]", "literal['unlimited']")
+"""Parts of pydantic's locations that name an alternative of a value's type."""

@@ -6,7 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from agent.encodings.polygon_options import THESIS_OPTIONS, PolygonOptions
+from agent.encodings.options import THESIS_OPTIONS, PolygonOptions
 from deploy.scenario.scenario import SHIPPED, Scenario, ScenarioError, load, read_toml
 
 ENCODING, DISSEMINATIONS, STRATEGY = "polygons", "thesis", "meier"

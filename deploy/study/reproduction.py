@@ -7,7 +7,7 @@ report. All its content comes from runs and from the experiments' files.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -22,7 +22,7 @@ from deploy.run.workers import Workers
 from deploy.scenario.scenario import ScenarioError
 from deploy.study import experiment as experiments
 from deploy.study import plots
-from deploy.study.claims import HOLDS, Claim, Finding, Rule, Verdict, judge
+from deploy.study.claims import HOLDS, Claim, Finding, Verdict, judge
 from deploy.study.experiment import SHIPPED, Experiment
 from deploy.study.progress import Report
 from deploy.study.results import Results, Row, write_table
@@ -63,10 +63,14 @@ class Part:
             grid = grid | {
                 "map": [Path(each).name if isinstance(each, str) else each for each in grid["map"]]
             }
-        tables = {"base": self.experiment.base, "grid": grid, "follow": self.experiment.follow}
+        tables: dict[str, Any] = {
+            "base": self.experiment.base,
+            "grid": grid,
+            "follow": self.experiment.follow,
+        }
         variants = [{"name": name, **keys} for name, keys in self.experiment.variants.items()]
         if len(variants) > 1 or len(variants[0]) > 1:
-            tables["variant"] = variants  # type: ignore[assignment]
+            tables |= {"variant": variants}
         return tomli_w.dumps({name: table for name, table in tables.items() if table})
 
     @cached_property
@@ -142,28 +146,18 @@ def reproduce(
     any_code: bool = False,
     retry: bool = False,
 ) -> Reproduction:
-    """Make the runs that the table lacks, and judge each claim.
-
-    Parameters
-    ----------
-    found : dict of claim to experiments
-        From `requested`.
-    quick : bool
-        Whether these are reduced experiments; the report mentions it.
-    """
+    """Make the runs that the table lacks, and judge each claim; `quick` says whether `found` was reduced."""
     todo = {name: [(each, cases(each)) for each in listed] for name, listed in found.items()}
     every = [case for listed in todo.values() for _, some in listed for case in some]
     make(every, results, workers, report, any_code=any_code, retry=retry)
-    judged, without_experiment = [], []
-    for name, listed in todo.items():
+    judged = []
+    for listed in todo.values():
         parts = [Part(each, some, looked_up(some, results), failures(some, results)) for each, some in listed]
-        if not parts:
-            without_experiment.append(name)
-            continue
-        claim = parts[0].experiment.claim
-        assert claim is not None
-        judged.append(Judged(claim, judge(_rules(parts)), parts))
-    return Reproduction(judged, quick, results, without_experiment)
+        claims = [part.experiment.claim for part in parts if part.experiment.claim is not None]
+        if claims:
+            rules = ((claim.rule, part.rows) for claim, part in zip(claims, parts, strict=True))
+            judged.append(Judged(claims[0], judge(rules), parts))
+    return Reproduction(judged, quick, results, [name for name, listed in todo.items() if not listed])
 
 
 def write(reproduction: Reproduction, out: Path, command: str) -> list[Path]:
@@ -196,12 +190,6 @@ def write(reproduction: Reproduction, out: Path, command: str) -> list[Path]:
         write_whole(page, lambda file, text=text: file.write(text.encode()))  # type: ignore[misc]
         pages.append(page)
     return pages
-
-
-def _rules(parts: Sequence[Part]) -> Iterator[tuple[Sequence[Rule], list[Row]]]:
-    for part in parts:
-        if part.experiment.claim is not None:
-            yield part.experiment.claim.rule, part.rows
 
 
 def _effect(finding: Finding) -> str:

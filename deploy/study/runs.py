@@ -11,6 +11,7 @@ import itertools
 import json
 import sys
 import zlib
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -85,7 +86,7 @@ def cases(experiment: Experiment) -> list[Case]:
     Of runs that differ only in their seeds, the first is checked on its map; the others may fail as rows.
     """
     files: dict[str, bytes] = {}
-    checked = set()
+    checked: set[str] = set()
     result = []
     for combination in itertools.product(*experiment.grid.values()):
         settings: dict[str, Any] = {}
@@ -97,41 +98,37 @@ def cases(experiment: Experiment) -> list[Case]:
             place = {**chosen, VARIANT: name}
             here = ", ".join(f"{key} = {value}" for key, value in place.items())
             where = f"{experiment.where} ({here})"
-            data: dict[str, Any] = {"bus": MEMORY}
-            try:
-                for layer in (experiment.base, settings, keys):
-                    lay(data, layer)
-            except ValueError as error:
-                raise ScenarioError(f"{where}: {error}") from None
-            data |= {key: data[leader] for key, leader in experiment.follow.items() if leader in data}
-            data = with_thesis(data, where)
-            if data["bus"] != MEMORY:
-                raise ScenarioError(
-                    f"{where}: bus = {data['bus']!r}: sweeps run on the memory bus; leave it out"
-                )
-            scenario = parse(data, where)
-            without_seeds = scenario.model_copy(update={"seed": 0, "map_seed": 0})
+            scenario = _scenario(experiment, (experiment.base, settings, keys), where)
             try:
                 if is_file(scenario.map) and scenario.map not in files:
                     files[scenario.map] = content(plans.load_map(scenario))
-                if repr(without_seeds) not in checked:
+                without_seeds = repr(scenario.model_copy(update={"seed": 0, "map_seed": 0}))
+                if without_seeds not in checked:
                     plans.make(scenario)
-                    checked.add(repr(without_seeds))
+                    checked.add(without_seeds)
             except ScenarioError as error:
                 raise ScenarioError(f"{where}: {error}") from None
-            world = files.get(scenario.map, b"")
-            key = identity(scenario, experiment.measure, world)
+            world, measure = files.get(scenario.map, b""), experiment.measure
+            key = identity(scenario, measure, world)
             result.append(
-                Case(
-                    place,
-                    scenario,
-                    experiment.measure,
-                    key,
-                    code_of(scenario),
-                    world and zlib.compress(world),
-                )
+                Case(place, scenario, measure, key, code_of(scenario), world and zlib.compress(world))
             )
     return result
+
+
+def _scenario(experiment: Experiment, layers: Sequence[dict[str, Any]], where: str) -> Scenario:
+    """The scenario of some layers of settings; ScenarioError if it is invalid."""
+    data: dict[str, Any] = {"bus": MEMORY}
+    try:
+        for layer in layers:
+            lay(data, layer)
+    except ValueError as error:
+        raise ScenarioError(f"{where}: {error}") from None
+    data |= {key: data[leader] for key, leader in experiment.follow.items() if leader in data}
+    data = with_thesis(data, where)
+    if data["bus"] != MEMORY:
+        raise ScenarioError(f"{where}: bus = {data['bus']!r}: sweeps run on the memory bus; leave it out")
+    return parse(data, where)
 
 
 def make(
@@ -178,8 +175,11 @@ def make(
 
 def _check_digests(distinct: Mapping[str, Case], results: Results) -> None:
     """Repeat some runs by other versions of the code; ValueError if a digest differs."""
-    foreign = [case for key, case in sorted(distinct.items()) if results.knows(key, None)]
-    foreign = [case for case in foreign if not results.knows(case.key, case.code)]
+    foreign = [
+        case
+        for key, case in sorted(distinct.items())
+        if results.knows(key, None) and not results.knows(key, case.code)
+    ]
     rows = results.rows(case.key for case in foreign)
     checked = [case for case in foreign if rows[case.key].get("digest") is not None][:SPOT_CHECKS]
     for case in checked:
@@ -202,11 +202,8 @@ def looked_up(todo: Sequence[Case], results: Results) -> list[Row]:
 
 def failures(todo: Iterable[Case], results: Results) -> dict[str, int]:
     """Error messages and their counts."""
-    counts: dict[str, int] = {}
-    for row in results.rows({case.key for case in todo}).values():
-        if row[ERROR] is not None:
-            counts[row[ERROR]] = counts.get(row[ERROR], 0) + 1
-    return counts
+    rows = results.rows({case.key for case in todo}).values()
+    return dict(Counter(row[ERROR] for row in rows if row[ERROR] is not None))
 
 
 def run_case(case: Case) -> Row:
@@ -249,25 +246,15 @@ def identity(scenario: Scenario, measure: str, world: bytes) -> str:
 
 def code_of(scenario: Scenario) -> str:
     """SHA-256 of versions and sources, including those of a user's strategy and map encoding."""
-    plugins = f"{_strategy(scenario.strategy)} {_encoding(scenario.map_encoding)}"
-    return hashlib.sha256(f"{_versions()} {_sources()} {plugins}".encode()).hexdigest()
+    plugins = f"{_module(strategy(scenario.strategy))} {_module(encoding_class(scenario.map_encoding))}"
+    text = f"{json.dumps(versions(), sort_keys=True)} {_sources()} {plugins}"
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 @cache
-def _versions() -> str:
-    return json.dumps(versions(), sort_keys=True)
-
-
-@cache
-def _strategy(name: str) -> str:
-    """The source of a strategy, possibly a user's."""
-    return inspect.getsource(sys.modules[strategy(name).__module__])
-
-
-@cache
-def _encoding(name: str) -> str:
-    """The source of a map encoding, possibly a user's."""
-    return inspect.getsource(sys.modules[encoding_class(name).__module__])
+def _module(plugin: type) -> str:
+    """The source of the module of a class."""
+    return inspect.getsource(sys.modules[plugin.__module__])
 
 
 @cache

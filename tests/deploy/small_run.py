@@ -41,7 +41,7 @@ class Listener:
 def reports(**more: object) -> list[tuple[str, object]]:
     """All that a viewer of the small run is reports."""
     listener = Listener()
-    in_memory.run(small_plan(**more), view=ViewNode([listener]))
+    in_memory.run(small_plan(**more), view=ViewNode(listener.take))
     return listener.reports
 
 

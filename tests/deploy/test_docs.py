@@ -14,7 +14,7 @@ import pytest
 from msgspec.structs import replace
 
 from agent.encodings.catalog import ENCODINGS
-from agent.encodings.polygon_options import THESIS_OPTIONS, PolygonOptions
+from agent.encodings.options import THESIS_OPTIONS, PolygonOptions
 from agent.encodings.predictive import PredictiveEncoding
 from agent.outline.approximation import approximation, repair
 from agent.outline.contour import contours
@@ -24,7 +24,6 @@ from agent.outline.simplify import refine
 from agent.predictive.scan_updates import MAX_SCANS
 from agent.replication import handshakes, neighbors
 from agent.replication.base import Replication
-from agent.replication.engine import make_replication
 from agent.replication.policies import DISSEMINATIONS
 from agent.settings import Settings
 from deploy.record.columns import SUMMARY
@@ -42,7 +41,8 @@ from protocol.grid import MAX_ROBOTS, MAX_SIDE, UNKNOWN, Grid, ray_table
 from protocol.keys import Keys
 from protocol.messages import Delivery, RoundReport, SendReport
 from protocol.scans import Scan, draw, encode_scan, fragments
-from tests.agent.outline.edit_scripts import edit_script
+from tests.agent.outline.edit_scripts import canonical, edit_script
+from tests.agent.replication.network import make_engine
 from worldsim.laser import cast
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -102,7 +102,7 @@ def described(*buffers: bytes) -> list[str]:
 
 
 def replication(robot: int, robots: int, dissemination: str = "backoff") -> Replication:
-    return make_replication(robot, robots, lambda *received: packet_index.ends(received[-1]), dissemination)
+    return make_engine(robot, robots, lambda *received: packet_index.ends(received[-1]), dissemination)
 
 
 def worked_example() -> str:
@@ -243,7 +243,7 @@ def test_the_worked_example_equals_the_code_s_result_to_the_byte(fence: str, mad
 def test_the_hex_in_the_document_decodes_as_explained_there() -> None:
     block = fences("protocol.md")["example"]
     receiver = Receiver((5, 6))
-    models = [held.polygons.canonical() for _, held in scripts()]
+    models = [canonical(held.polygons) for _, held in scripts()]
     for line in block.splitlines():
         if line.startswith("#"):
             continue
@@ -251,7 +251,7 @@ def test_the_hex_in_the_document_decodes_as_explained_there() -> None:
         (packet,) = packets.decode(bytes.fromhex(code))
         assert repr(packet) == explained
         if not isinstance(packet, packets.Offer | packets.Answer) and receiver.feed(bytes.fromhex(code)):
-            assert receiver.held.polygons.canonical() == models.pop(0)
+            assert canonical(receiver.held.polygons) == models.pop(0)
     assert not models
 
 
@@ -351,6 +351,25 @@ def test_files_that_documents_name_are_there(document: str) -> None:
     assert named
     for path in named:
         assert (DOCS.parent / path).exists(), f"{document} names {path}"
+
+
+def test_the_reading_order_names_every_package_and_modules_that_exist() -> None:
+    order = {
+        package: re.findall(r"\w+", modules) for package, _, modules in rows("architecture.md", "Packages")
+    }
+    missing = [
+        f"{package}{module}.py"
+        for package, modules in order.items()
+        for module in modules
+        if not (DOCS.parent / package / f"{module}.py").exists()
+    ]
+    assert not missing
+    packages = {
+        f"{path.parent.relative_to(DOCS.parent)}/"
+        for name in ("agent", "deploy", "murmur", "netshaper", "protocol", "worldsim")
+        for path in (DOCS.parent / name).rglob("__init__.py")
+    }
+    assert packages - {"deploy/", "deploy/after/wireshark/", "worldsim/generators/"} <= set(order)
 
 
 SCENARIOS = sorted(path.name for path in SHIPPED.glob("*.toml"))

@@ -22,7 +22,6 @@ from agent.identity import Identity
 from agent.journal import Journal, JournalError
 from agent.outline.receiver import Receiver
 from agent.replication.base import Replication
-from agent.replication.engine import make_replication
 from agent.settings import Settings
 from deploy.scenario.scenario import ScenarioError, parse
 from protocol import packet_index, packets
@@ -32,6 +31,7 @@ from protocol.keys import Keys
 from protocol.messages import ConnectionReport, Delivery, Record, RoundReport, unpack
 from protocol.rights import RIGHTS, read
 from protocol.zenoh_bus import Credential
+from tests.agent.replication.network import make_engine
 from worldsim import maps
 from worldsim.map_error import MapError
 
@@ -95,9 +95,7 @@ def apply_entries(data: bytes) -> None:
 
 
 def engine(dissemination: str) -> Replication:
-    return make_replication(
-        1, 3, lambda *received: packet_index.ends(received[-1]), dissemination, incarnations=2
-    )
+    return make_engine(1, 3, lambda *received: packet_index.ends(received[-1]), dissemination, incarnations=2)
 
 
 def receive_offer(data: bytes) -> None:

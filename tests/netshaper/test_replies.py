@@ -13,7 +13,6 @@ from msgspec.structs import replace
 
 from agent.radio_events import continue_round, open_round
 from agent.replication.base import Replication
-from agent.replication.engine import make_replication
 from netshaper.radio import Radio
 from netshaper.settings import RadioSettings
 from protocol import packet_index, packets
@@ -33,6 +32,7 @@ from protocol.messages import (
     pack,
     unpack,
 )
+from tests.agent.replication.network import make_engine
 from tests.netshaper.network import Network
 
 
@@ -57,7 +57,7 @@ class Member:
 
 def replication(robot: int, robots: int, policy: str = "backoff") -> Replication:
     """An engine that can decode everything."""
-    return make_replication(robot, robots, lambda *received: packet_index.ends(received[-1]), policy)
+    return make_engine(robot, robots, lambda *received: packet_index.ends(received[-1]), policy)
 
 
 class Team:

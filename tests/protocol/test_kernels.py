@@ -11,18 +11,18 @@ MODULE = """
 from protocol.kernels import compiled, kernel, loaded
 
 
-@kernel("int64(int64)")
-def twice(number):
+@kernel
+def twice(number: int) -> int:
     return number + number
 
 
-@kernel("int64(int64)")
-def four_times(number):
+@kernel
+def four_times(number: int) -> int:
     return twice(twice(number))
 
 
-@kernel("int64(int64)")
-def unused(number):
+@kernel
+def unused(number: int) -> int:
     return number
 """
 CALL = "import sums; assert not sums.compiled(); print(sums.four_times(3), sums.loaded(), sums.compiled())"

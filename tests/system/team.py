@@ -23,6 +23,7 @@ from deploy.scenario.scenario import parse
 from netshaper.ledger import ROW
 from protocol.grid import FREE, OCCUPIED, Grid, ray_table
 from protocol.messages import NO_REPLIES, MediumEvent, Move, RobotFrames, Sense
+from tests.agent.outline.edit_scripts import canonical
 from tests.netshaper.network import Network
 from worldsim import generators
 from worldsim.laser import cast
@@ -99,7 +100,7 @@ class Team:
     def held(self, robot: int, map_id: int) -> object:
         """A robot's copy of a map in a comparable form; None if it has none."""
         polygons = self.members[robot].robot.polygons.get(map_id)
-        return None if polygons is None else polygons.canonical()
+        return None if polygons is None else canonical(polygons)
 
     def ledger(self) -> NDArray[np.void]:
         return np.frombuffer(b"".join(self._rows), ROW)

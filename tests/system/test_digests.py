@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from agent.encodings.catalog import ENCODINGS
-from agent.encodings.polygon_options import THESIS_OPTIONS
+from agent.encodings.options import THESIS_OPTIONS
 from deploy.run import exploration
 from deploy.scenario.scenario import parse
 from worldsim import generators, maps

@@ -68,6 +68,7 @@ from protocol.packets import (
     encode,
 )
 from protocol.scans import Scan, draw
+from tests.agent.outline.edit_scripts import canonical
 from tests.system.team import Member, Team, corridor, plan_on, small_plan
 from worldsim.laser import cast
 
@@ -234,7 +235,7 @@ def honest_updates() -> list[tuple[bytes, object]]:
         scan = Scan(sense.x, sense.y, np.frombuffer(sense.readings, np.uint16).copy())
         change = draw(own, ray_table(settings.range_cells), scan.x, scan.y, scan.readings)
         entries = map_encoding.encode_changes(own, scan, change, delivered=True)
-        updates.append((b"".join(entries), map_encoding.polygons[2].canonical()))
+        updates.append((b"".join(entries), canonical(map_encoding.polygons[2])))
     return updates
 
 
@@ -258,7 +259,7 @@ def test_hostile_data_never_stops_a_robot_nor_changes_a_saved_state(frames: list
             assert BYZANTINE not in robot.distrusted
         assert robot.distrusted <= {BYZANTINE}
         assert {fault.peer for fault in robot.faults} == robot.distrusted
-        assert robot.polygons[2].canonical() == meant
+        assert canonical(robot.polygons[2]) == meant
         assert robot.decide().step == step
 
 
@@ -278,7 +279,7 @@ def test_a_robot_whose_own_map_contradicts_a_forged_copy_is_not_distrusted() -> 
     assert [fault.peer for fault in robot.faults] == [2]
     assert robot.distrusted == set()
     receive(3, 2, 1, maps[0])
-    assert robot.polygons[1].canonical() == honest_updates()[0][1]
+    assert canonical(robot.polygons[1]) == honest_updates()[0][1]
     receive(4, BYZANTINE, 2, encode(MALFORMED_DATA["two save points in a row"]))
     assert robot.distrusted == {BYZANTINE}
 
@@ -305,7 +306,7 @@ def test_a_robot_that_forwards_one_of_two_versions_of_a_byzantine_robot_s_map_is
     receive(deceived, 0, BYZANTINE, passed_on)
     assert len(deceived.faults) == 1, "this map is not accepted from that robot again"
     receive(deceived, 0, 0, honest_updates()[0][0])
-    assert deceived.polygons[0].canonical() == honest_updates()[0][1]
+    assert canonical(deceived.polygons[0]) == honest_updates()[0][1]
 
 
 MALFORMED_UPDATES: dict[str, list[Packet]] = {

@@ -112,13 +112,8 @@ def hilbert(
     wall = wall_thickness(resolution)
     curve = hilbert_curve(order)
     for (x0, y0), (x1, y1) in pairwise(curve):
-        carve(
-            cells,
-            wall + min(x0, x1) * pitch,
-            wall + min(y0, y1) * pitch,
-            (max(x0, x1) + 1) * pitch,
-            (max(y0, y1) + 1) * pitch,
-        )
+        left, top = wall + min(x0, x1) * pitch, wall + min(y0, y1) * pitch
+        carve(cells, left, top, (max(x0, x1) + 1) * pitch, (max(y0, y1) + 1) * pitch)
     enclose(cells, wall)
     return cells
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from agent.encodings.base import MapEncoding
 from agent.encodings.catalog import make_encoding
-from agent.encodings.changed_cells import ChangedCells
+from agent.encodings.received_grid import ChangedCells
 from agent.settings import Settings
 from protocol.budget import UNLIMITED, Budget
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, ray_table

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.encodings.catalog import make_encoding
-from agent.encodings.polygon_options import THESIS_OPTIONS, PolygonOptions
+from agent.encodings.options import THESIS_OPTIONS, PolygonOptions
 from agent.encodings.polygons import PolygonEncoding
 from agent.outline.approximation import repair
 from agent.outline.claims import Drawing
@@ -31,6 +31,7 @@ from protocol.packets import Delete, Fragment, Save, encode
 from protocol.scans import Change, Scan
 from tests.agent.encodings.arrival import LATE
 from tests.agent.explorations import Cell, exploration, growing_maps
+from tests.agent.outline.edit_scripts import canonical
 
 EXACT: dict[str, Any] = {"bandwidth": UNLIMITED}
 NO_NEWS = Change(0, (0, 0, 0, 0))
@@ -96,7 +97,7 @@ def test_receivers_hold_the_authors_approximation_after_every_step(
     for grid, cell in steps:
         entries = record(one, grid, cell)
         other.apply(0, b"".join(entries), **LATE)
-        assert other.polygons[0].canonical() == one.polygons[0].canonical()
+        assert canonical(other.polygons[0]) == canonical(one.polygons[0])
 
 
 def test_each_log_entry_is_one_packet_and_a_step_ends_with_a_save_point() -> None:
@@ -116,7 +117,7 @@ def test_entries_take_effect_at_the_save_point() -> None:
             other.apply(0, packet, **LATE)
             assert other.polygons.get(0) is before
         other.apply(0, b"".join(entries[-1:]), **LATE)
-    assert other.polygons[0].canonical() == one.polygons[0].canonical()
+    assert canonical(other.polygons[0]) == canonical(one.polygons[0])
 
 
 def test_with_unlimited_bandwidth_and_alone_the_approximation_is_exact() -> None:
@@ -258,7 +259,7 @@ def test_malformed_data_is_rejected_and_changes_nothing(entries: list[bytes]) ->
     assert other.polygons[0] is held
     assert (other.merge(house()) == plan).all()
     other.apply(0, b"".join(last), **LATE)
-    assert other.polygons[0].canonical() == one.polygons[0].canonical()
+    assert canonical(other.polygons[0]) == canonical(one.polygons[0])
 
 
 # --- options -------------------------------------------------------------------------------------------
@@ -357,7 +358,7 @@ def test_the_thesis_plain_rules_are_a_set_of_options() -> None:
     one, other = (maker(shape, robot, polygons=asdict(THESIS_OPTIONS)) for robot in (0, 1))
     for grid, cell in walk():
         other.apply(0, b"".join(record(one, grid, cell, delivered=False)), **LATE)
-        assert other.polygons[0].canonical() == one.polygons[0].canonical()
+        assert canonical(other.polygons[0]) == canonical(one.polygons[0])
 
 
 @pytest.mark.parametrize(

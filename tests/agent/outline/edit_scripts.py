@@ -7,7 +7,9 @@ from typing import cast
 
 import numpy as np
 
+from agent.outline.claims import THESIS, Drawing, DrawnClaims, Layer
 from agent.outline.edits import NumberedPolygons, edit_packets
+from agent.outline.objects import Objects
 from agent.outline.polygons import Polygons
 from protocol.packets import Change, Delete, Edit, Emerge, Insert, Remove, Replace, Save, decode
 
@@ -66,3 +68,21 @@ def applied(objects: dict[int, tuple[bool, Cycle]], packets: list[Edit]) -> dict
     assert len(current) == announced
     assert (packets == []) or (packets[-1] == Save() and packets.count(Save()) == 1)
     return dict(sorted(objects.items()))
+
+
+def canonical(polygons: Polygons) -> list[tuple[bool, Cycle]]:
+    """The objects, sorted, each from its smallest vertex on: independent of their order and of where they start."""
+    cycles = []
+    for inside, cycle in lists(
+        NumberedPolygons(np.arange(polygons.objects, dtype=np.int32), polygons)
+    ).values():
+        first = cycle.index(min(cycle)) if cycle else 0
+        cycles.append((inside, cycle[first:] + cycle[:first]))
+    return sorted(cycles)
+
+
+def layer(polygons: Polygons, drawing: Drawing = THESIS) -> Layer:
+    """The claims of an approximation, shape (h, w)."""
+    drawn = DrawnClaims(polygons.shape, drawing)
+    drawn.update(Objects.of(polygons))
+    return drawn.layer

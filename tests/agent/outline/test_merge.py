@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from agent.outline.approximation import approximation, repair
-from agent.outline.claims import THESIS, Drawing, layer
+from agent.outline.claims import THESIS, Drawing
 from agent.outline.contour import contours
 from agent.outline.edits import NumberedPolygons
 from agent.outline.five_stages import UNDEFINED, five_stages
@@ -23,7 +23,7 @@ from protocol.boxes import NO_BOXES, Boxes
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.packets import encode
 from tests.agent.explorations import Cell, exploration, grids, growing_maps, real_map
-from tests.agent.outline.edit_scripts import edit_script
+from tests.agent.outline.edit_scripts import edit_script, layer
 
 quick = settings(deadline=None)
 
@@ -198,11 +198,6 @@ def test_the_incremental_error_equals_the_error_counted_anew(splits: int | None)
         counted = error.count(grid, receiver.objects, where_they_differ(before, grid), receiver.changed())
         assert counted == approximation_error(grid, polygons, drawing)
         before = grid
-
-
-def test_inferences_are_rejected_in_the_error() -> None:
-    with pytest.raises(ValueError, match="inferences of receivers"):
-        ErrorCount(Drawing(wide_walls=True))
 
 
 def reachable(grid: Grid, robot: Cell) -> NDArray[np.bool_]:

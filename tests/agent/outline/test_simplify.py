@@ -13,9 +13,10 @@ from hypothesis import strategies as st
 from agent.outline.approximation import Marks, approximation, repair
 from agent.outline.contour import contours
 from agent.outline.polygons import SIDE_X, SIDE_Y, Polygons
-from agent.outline.simplify import ValueFunction, by_distance, mixed_first, refine
+from agent.outline.simplify import refine
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from tests.agent.explorations import Cell, exploration, grids, real_map
+from tests.agent.outline.edit_scripts import canonical
 
 quick = settings(deadline=None)
 
@@ -59,24 +60,24 @@ def test_each_split_is_the_one_that_a_plain_search_over_all_points_finds(
     case: tuple[Grid, Cell], mixed_edges_first: bool
 ) -> None:
     exact = contours(*case)
-    value = mixed_first if mixed_edges_first else by_distance
     marks = born(exact)
     plain = marks.tolist()
     for splits in range(1, 12):
         split = plain_next_split(exact, plain, mixed_edges_first)
         plain = sorted([*plain, split]) if split is not None else plain
-        assert refine(exact, marks, splits, value).tolist() == plain
+        assert refine(exact, marks, splits, mixed_first=mixed_edges_first).tolist() == plain
 
 
 @quick
-@given(grids(), st.integers(0, 10), st.integers(0, 10), st.sampled_from([by_distance, mixed_first]))
+@given(grids(), st.integers(0, 10), st.integers(0, 10), st.booleans())
 def test_refining_in_two_calls_equals_refining_in_one(
-    case: tuple[Grid, Cell], one: int, other: int, value: ValueFunction
+    case: tuple[Grid, Cell], one: int, other: int, mixed_first: bool
 ) -> None:
     exact = contours(*case)
     marks = born(exact)
-    both = refine(exact, marks, one + other, value)
-    assert refine(exact, refine(exact, marks, one, value), other, value).tolist() == both.tolist()
+    first = refine(exact, marks, one, mixed_first=mixed_first)
+    both = refine(exact, marks, one + other, mixed_first=mixed_first)
+    assert refine(exact, first, other, mixed_first=mixed_first).tolist() == both.tolist()
     assert set(marks.tolist()) <= set(both.tolist())
     assert len(both) <= len(marks) + one + other
 
@@ -91,19 +92,21 @@ def assert_exact(exact: Polygons, marks: Marks) -> None:
 
 
 @quick
-@given(grids(), st.sampled_from([by_distance, mixed_first]))
-def test_refinement_without_a_limit_is_exact(case: tuple[Grid, Cell], value: ValueFunction) -> None:
+@given(grids(), st.booleans())
+def test_refinement_without_a_limit_is_exact(case: tuple[Grid, Cell], mixed_first: bool) -> None:
     exact = contours(*case)
-    marks = refine(exact, born(exact), value=value)
+    marks = refine(exact, born(exact), mixed_first=mixed_first)
     assert_exact(exact, marks)
-    assert refine(exact, marks, 5, value).tolist() == marks.tolist(), "nothing is left to split"
+    assert refine(exact, marks, 5, mixed_first=mixed_first).tolist() == marks.tolist(), (
+        "nothing is left to split"
+    )
 
 
-@pytest.mark.parametrize("value", [by_distance, mixed_first])
-def test_refinement_without_a_limit_is_exact_on_real_maps(value: ValueFunction) -> None:
+@pytest.mark.parametrize("mixed_first", [False, True])
+def test_refinement_without_a_limit_is_exact_on_real_maps(mixed_first: bool) -> None:
     *_, (grid, robot) = exploration(real_map("fr079"), np.random.default_rng(5), 30, 30.0)
     exact = contours(grid, robot)
-    assert_exact(exact, refine(exact, born(exact), value=value))
+    assert_exact(exact, refine(exact, born(exact), mixed_first=mixed_first))
 
 
 def test_a_straight_edge_is_split_where_its_occupancy_changes() -> None:
@@ -112,7 +115,7 @@ def test_a_straight_edge_is_split_where_its_occupancy_changes() -> None:
     grid[0] = [UNKNOWN] * 4 + [OCCUPIED] * 5
     exact = contours(grid, (0, 1))
     coarse = approximation(exact, refine(exact, born(exact)))
-    ((_, cycle),) = coarse.canonical()
+    ((_, cycle),) = canonical(coarse)
     wall = [(0, 0, 0, 0), (4, 0, 0, 1), (8, 0, 0, 1), (9, 1, 3, 0)]
     assert [vertex for vertex in cycle if vertex[1] == 0 or vertex in wall] == wall
 
@@ -135,7 +138,7 @@ def test_mixed_first_splits_an_edge_of_mixed_occupancy_before_one_with_a_larger_
     grid[0, 2:10] = [OCCUPIED, OCCUPIED, OCCUPIED, UNKNOWN, OCCUPIED, OCCUPIED, OCCUPIED, OCCUPIED]
     grid[6:11, 3:9] = OCCUPIED
     exact = contours(grid, (0, 5))
-    marks = refine(exact, born(exact), 3, mixed_first)
-    assert set(marks.tolist()) != set(refine(exact, born(exact), 3, by_distance).tolist())
+    marks = refine(exact, born(exact), 3, mixed_first=True)
+    assert set(marks.tolist()) != set(refine(exact, born(exact), 3).tolist())
     inside_only = marks[marks < exact.start[1]]
     assert len(inside_only) == 5, "only the inside contour is of mixed occupancy"

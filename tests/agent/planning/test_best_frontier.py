@@ -7,9 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.planning.best_frontier import TradeOff, best_frontier
-from agent.planning.cost_field import FAR, Floor, costs, way, way_between, workspace
-from agent.planning.frontier import frontier_cells
-from agent.planning.reachability import reachable, reachable_frontier
+from agent.planning.cost_field import FAR, costs, way, way_between, workspace
+from agent.planning.frontier import Floor, frontier_cells, reachable_frontier
 from agent.planning.utility import utilities
 from protocol.grid import FREE, Grid
 from tests.agent.explorations import exploration, real_map
@@ -20,7 +19,7 @@ seeds = st.integers(0, 2**32 - 1)
 
 def plain(grid: Grid, x: int, y: int, trade_off: TradeOff) -> tuple[int, int] | None:
     """Look at all frontier cells, on the whole cost field."""
-    field = costs(grid, x, y)
+    field = costs(Floor(grid), x, y)
     cells = frontier_cells(grid, np.isfinite(field))
     if not len(cells):
         return None
@@ -36,7 +35,7 @@ def check(grid: Grid, x: int, y: int, trade_off: TradeOff) -> None:
     assert (None if found is None else found[0]) == plain(grid, x, y, trade_off)
     if found is not None:
         cell, cells = found
-        assert cells.tolist() == way(grid, costs(grid, x, y), *cell).tolist()
+        assert cells.tolist() == way(grid, costs(Floor(grid), x, y), *cell).tolist()
 
 
 def appeal_of(rng: np.random.Generator, grid: Grid, range_cells: float, beta: float) -> TradeOff:
@@ -65,7 +64,7 @@ def test_the_result_equals_that_of_an_exhaustive_search_at_every_step_of_a_real_
 @given(floors(), seeds)
 def test_a_way_between_two_cells_is_that_of_the_whole_field(case: tuple[Grid, int, int], seed: int) -> None:
     grid, x, y = case
-    field = costs(grid, x, y)
+    field = costs(Floor(grid), x, y)
     rng = np.random.default_rng(seed)
     for _ in range(4):
         end_y, end_x = (int(rng.integers(side)) for side in grid.shape)
@@ -96,7 +95,7 @@ def test_the_frontier_found_while_flooding_is_the_frontier_of_the_reached_cells(
     grid, x, y = case
     floor = Floor(grid)
     found = reachable_frontier(floor, grid, x, y)
-    assert found.tolist() == frontier_cells(grid, reachable(floor, x, y)).tolist()
+    assert found.tolist() == frontier_cells(grid, np.isfinite(costs(floor, x, y))).tolist()
 
 
 def test_without_a_frontier_the_result_is_none() -> None:

@@ -12,8 +12,9 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from agent.planning.cost_field import DIAGONAL, Floor, costs, costs_on, costs_to, way
-from agent.planning.occupancy import P_FREE, P_OCCUPIED, Terrain, weighted_costs
+from agent.planning.cost_field import DIAGONAL, costs, costs_to, way
+from agent.planning.frontier import Floor
+from agent.planning.occupancy import P_FREE, P_OCCUPIED, entry_costs, weighted_costs
 from agent.planning.path_planner import PathPlanner
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from tests.agent.planning.planning_references import ONE, ROOT, drawn, floors, steps_from, whole_lengths
@@ -24,7 +25,7 @@ seeds = st.integers(0, 2**32 - 1)
 @given(floors())
 def test_costs_are_those_of_a_plain_search_to_the_last_bit(case: tuple[Grid, int, int]) -> None:
     grid, x, y = case
-    assert costs(grid, x, y).tobytes() == whole_lengths(grid, x, y).tobytes()
+    assert costs(Floor(grid), x, y).tobytes() == whole_lengths(grid, x, y).tobytes()
 
 
 @given(floors())
@@ -32,7 +33,7 @@ def test_exactly_the_4_connected_part_of_the_floor_can_be_reached(case: tuple[Gr
     grid, x, y = case
     grid[y, x] = FREE
     areas, _ = ndimage.label(grid == FREE)
-    assert (np.isfinite(costs(grid, x, y)) == (areas == areas[y, x]) & (grid == FREE)).all()
+    assert (np.isfinite(costs(Floor(grid), x, y)) == (areas == areas[y, x]) & (grid == FREE)).all()
 
 
 @given(floors(), seeds)
@@ -41,7 +42,7 @@ def test_a_way_back_is_as_long_as_the_way_there(case: tuple[Grid, int, int], see
     grid[y, x] = FREE
     free = np.argwhere(grid == FREE)
     other_y, other_x = free[seed % len(free)].tolist()
-    assert costs(grid, x, y)[other_y, other_x] == costs(grid, other_x, other_y)[y, x]
+    assert costs(Floor(grid), x, y)[other_y, other_x] == costs(Floor(grid), other_x, other_y)[y, x]
 
 
 @given(floors(), seeds)
@@ -65,7 +66,7 @@ def test_a_search_for_some_cells_equals_a_search_for_all_cells(
 @example((np.full((1, 1), OCCUPIED, np.uint8), 0, 0))
 def test_each_way_is_driven_step_by_step_and_is_as_long_as_it_costs(case: tuple[Grid, int, int]) -> None:
     grid, x, y = case
-    field = costs(grid, x, y)
+    field = costs(Floor(grid), x, y)
     for end_y, end_x in np.argwhere(np.isfinite(field)).tolist():
         cells = way(grid, field, end_x, end_y).tolist()
         assert ([x, y] if not cells else cells[-1]) == [end_x, end_y]
@@ -84,7 +85,7 @@ def test_on_a_large_open_floor_costs_are_octile_distances(size: int) -> None:
     dx = abs(np.arange(size + 7) - x)[None, :].astype(np.int64)
     dy = abs(np.arange(size) - y)[:, None].astype(np.int64)
     wanted = (abs(dx - dy) * ONE + np.minimum(dx, dy) * ROOT) / ONE
-    assert (costs(grid, x, y) == wanted).all()
+    assert (costs(Floor(grid), x, y) == wanted).all()
 
 
 def test_a_way_of_nearly_a_million_cells_is_not_too_long() -> None:
@@ -92,7 +93,7 @@ def test_a_way_of_nearly_a_million_cells_is_not_too_long() -> None:
     grid[1::2, :] = OCCUPIED
     grid[1::4, -1] = FREE
     grid[3::4, 0] = FREE
-    field = costs(grid, 0, 0)
+    field = costs(Floor(grid), 0, 0)
     end = field[np.isfinite(field)].max()
     assert end == 700 * 1399 + 699 * 2
     assert len(way(grid, field, 0, 1398)) == field[1398, 0]
@@ -100,15 +101,15 @@ def test_a_way_of_nearly_a_million_cells_is_not_too_long() -> None:
 
 def test_no_corner_is_cut() -> None:
     grid = drawn("..", "#.")
-    assert costs(grid, 0, 0).tolist() == [[0, 1], [np.inf, 2]]
-    assert costs(drawn(".#", "#."), 0, 0)[1, 1] == np.inf
-    assert costs(drawn(".?", ".."), 0, 0)[1, 1] == 2
-    assert costs(drawn("..", ".."), 0, 0)[1, 1] == pytest.approx(DIAGONAL)
+    assert costs(Floor(grid), 0, 0).tolist() == [[0, 1], [np.inf, 2]]
+    assert costs(Floor(drawn(".#", "#.")), 0, 0)[1, 1] == np.inf
+    assert costs(Floor(drawn(".?", "..")), 0, 0)[1, 1] == 2
+    assert costs(Floor(drawn("..", "..")), 0, 0)[1, 1] == pytest.approx(DIAGONAL)
 
 
 def test_a_robot_in_a_cell_that_is_not_free_finds_its_way_out() -> None:
     grid = drawn("...", ".#.", "...")
-    field = costs(grid, 1, 1)
+    field = costs(Floor(grid), 1, 1)
     assert field[1, 1] == 0
     assert field[0, 1] == 1
     assert field[0, 0] == pytest.approx(DIAGONAL)
@@ -116,20 +117,20 @@ def test_a_robot_in_a_cell_that_is_not_free_finds_its_way_out() -> None:
 
 
 def test_unknown_cells_are_no_floor() -> None:
-    assert costs(drawn(".?."), 0, 0).tolist() == [[0, np.inf, np.inf]]
+    assert costs(Floor(drawn(".?.")), 0, 0).tolist() == [[0, np.inf, np.inf]]
 
 
 def test_a_floor_can_be_laid_out_once_for_many_searches() -> None:
     grid = drawn("....", ".##.", "....")
     floor = Floor(grid)
     for x, y in ((0, 0), (3, 2), (1, 0)):
-        assert costs_on(floor, x, y).tobytes() == costs(grid, x, y).tobytes()
+        assert costs(floor, x, y).tobytes() == costs(Floor(grid), x, y).tobytes()
 
 
 @given(floors())
 def test_weighted_costs_are_those_of_a_plain_search(case: tuple[Grid, int, int]) -> None:
     grid, x, y = case
-    terrain = Terrain(grid, grid)
+    weights = entry_costs(grid)
     grain = 1 << 10
     lengths = {(x, y): 0}
     queue = [(0, x, y)]
@@ -138,14 +139,14 @@ def test_weighted_costs_are_those_of_a_plain_search(case: tuple[Grid, int, int])
         if base > lengths[cx, cy]:
             continue
         for nx, ny, step in steps_from(grid, cx, cy):
-            new = base + round(terrain.weights[ny, nx] * (1 if step == 1 else math.sqrt(2.0)) * grain)
+            new = base + round(weights[ny, nx] * (1 if step == 1 else math.sqrt(2.0)) * grain)
             if new < lengths.get((nx, ny), 1 << 62):
                 lengths[nx, ny] = new
                 heapq.heappush(queue, (new, nx, ny))
     wanted = np.full(grid.shape, np.inf)
     for (cx, cy), length in lengths.items():
         wanted[cy, cx] = length / grain
-    found = weighted_costs(terrain, x, y)
+    found = weighted_costs(grid, weights, x, y)
     assert (np.isfinite(found) == np.isfinite(wanted)).all()
     assert found[np.isfinite(found)] == pytest.approx(wanted[np.isfinite(found)], abs=1e-9)
 
@@ -153,12 +154,10 @@ def test_weighted_costs_are_those_of_a_plain_search(case: tuple[Grid, int, int])
 def test_weights_lie_between_free_floor_and_wall() -> None:
     rng = np.random.default_rng(3)
     grid = rng.choice(np.array([UNKNOWN, FREE, OCCUPIED], np.uint8), (30, 30))
-    weights = Terrain(grid, grid).weights
+    weights = entry_costs(grid)
     assert weights.min() >= 1
     assert weights.max() <= P_OCCUPIED / P_FREE
-    assert (
-        Terrain(np.full((20, 20), FREE, np.uint8), np.full((20, 20), FREE, np.uint8)).weights[5:15, 5:15] == 1
-    ).all()
+    assert (entry_costs(np.full((20, 20), FREE, np.uint8))[5:15, 5:15] == 1).all()
 
 
 @given(floors(), st.sampled_from(("shortest", "weighted")))

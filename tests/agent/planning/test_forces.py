@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from agent.planning.forces import SUBSTEPS, TIME_STEP, Field, attraction, closest_obstacle, glide, repulsion
+from agent.planning.forces import SUBSTEPS, TIME_STEP, Field, closest_obstacle, glide, repulsion
 from protocol.grid import FREE, OCCUPIED
 
 FIELD = Field(
@@ -20,10 +20,6 @@ def test_repulsion_is_that_of_equation_2() -> None:
     assert repulsion(0.5, 2.0, 3.0) == pytest.approx(18.0)
     assert repulsion(2.0, 2.0, 3.0) == 0.0
     assert repulsion(2.1, 2.0, 3.0) == 0.0
-
-
-def test_attraction_is_that_of_equation_6() -> None:
-    assert attraction(4.0, 0.25) == pytest.approx(1.0)
 
 
 def test_the_first_euler_step_is_the_sum_of_all_forces() -> None:

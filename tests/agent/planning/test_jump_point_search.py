@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from agent.planning.cost_field import Floor, costs, costs_on
+from agent.planning.cost_field import costs
+from agent.planning.frontier import Floor
 from agent.planning.jump_point_search import costs_among, costs_between
 from agent.planning.path_planner import PathPlanner
-from agent.planning.reachability import reachable
 from protocol.grid import FREE, OCCUPIED, Grid
 from tests.agent.planning.planning_references import drawn, floors, whole_lengths
 
@@ -70,7 +70,7 @@ def test_on_large_floors_costs_are_those_of_the_search_that_settles_all_cells(wa
         grid = np.where(rng.random(shape) < walls, OCCUPIED, FREE).astype(np.uint8)
         floor = Floor(grid)
         starts, goals = some_cells(grid, rng, 6), some_cells(grid, rng, 80)
-        fields = [costs_on(floor, x, y)[goals[:, 1], goals[:, 0]] for x, y in starts.tolist()]
+        fields = [costs(floor, x, y)[goals[:, 1], goals[:, 0]] for x, y in starts.tolist()]
         assert (costs_between(floor, starts, goals) == np.array(fields)).all()
 
 
@@ -91,7 +91,7 @@ def test_a_search_finds_the_same_whatever_was_searched_before_it() -> None:
             [0, pytest.approx(1 + 2 * math.sqrt(2))]
         ]
         assert costs_between(walled, ends[:1], ends).tolist() == [[0, math.inf]]
-    assert costs(drawn("...", "...", "..."), 0, 0)[2, 2] == pytest.approx(2 * math.sqrt(2))
+    assert costs(Floor(drawn("...", "...", "...")), 0, 0)[2, 2] == pytest.approx(2 * math.sqrt(2))
 
 
 @pytest.mark.parametrize("kind", ["shortest", "weighted"])
@@ -107,12 +107,11 @@ def test_costs_between_cells_equal_those_of_the_whole_field(kind: str) -> None:
 @given(floors())
 def test_the_reachable_cells_are_the_4_connected_part_of_the_floor(case: tuple[Grid, int, int]) -> None:
     grid, x, y = case
-    assert (reachable(Floor(grid), x, y) == np.isfinite(costs(grid, x, y))).all()
     grid[y, x] = FREE
     areas, _ = ndimage.label(grid == FREE)
-    assert (reachable(Floor(grid), x, y) == (areas == areas[y, x]) & (grid == FREE)).all()
+    assert (np.isfinite(costs(Floor(grid), x, y)) == (areas == areas[y, x]) & (grid == FREE)).all()
 
 
 def test_from_a_cell_that_is_not_free_the_floor_on_all_its_sides_can_be_reached() -> None:
-    found = reachable(Floor(drawn(".#.", "###", ".#?")), 1, 0)
+    found = np.isfinite(costs(Floor(drawn(".#.", "###", ".#?")), 1, 0))
     assert found.tolist() == [[True, True, True], [False] * 3, [False] * 3]

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from agent.memo_cache import MemoCache
 from agent.planning.cost_field import costs
-from agent.planning.occupancy import Terrain, weighted_costs
+from agent.planning.frontier import Floor
+from agent.planning.occupancy import entry_costs, weighted_costs
 from agent.planning.path_planner import PathPlanner
 from agent.planning.route import Route, corners, straighten
 from protocol.grid import FREE, OCCUPIED, Grid
@@ -28,16 +29,16 @@ def grids_with_a_cell(draw: st.DrawFn) -> tuple[Grid, int, int]:
 @given(grids_with_a_cell())
 def test_costs_are_those_of_a_plain_search(case: tuple[Grid, int, int]) -> None:
     grid, x, y = case
-    np.testing.assert_allclose(costs(grid, x, y), dijkstra(grid, x, y), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(costs(Floor(grid), x, y), dijkstra(grid, x, y), rtol=0, atol=1e-9)
 
 
 @given(grids_with_a_cell())
 def test_weighted_costs_are_those_of_a_plain_search(case: tuple[Grid, int, int]) -> None:
     grid, x, y = case
-    terrain = Terrain(grid, grid)
-    slow = dijkstra(grid, x, y, terrain.weights)
+    weights = entry_costs(grid)
+    slow = dijkstra(grid, x, y, weights)
     # Each of at most 200 steps is rounded to a 1024th of a cell.
-    np.testing.assert_allclose(weighted_costs(terrain, x, y), slow, rtol=0, atol=0.1)
+    np.testing.assert_allclose(weighted_costs(grid, weights, x, y), slow, rtol=0, atol=0.1)
 
 
 @given(grids_with_a_cell(), grids_with_a_cell(), st.sampled_from(["shortest", "weighted"]))
@@ -61,7 +62,7 @@ def test_a_way_consists_of_steps_and_has_the_computed_cost(case: tuple[Grid, int
         cells = planner.path((x, y), (int(end_x), int(end_y)))
         assert cells is not None
         total = 0.0
-        weights = Terrain(grid, grid).weights
+        weights = entry_costs(grid)
         for (ax, ay), (bx, by) in pairwise([(x, y), *cells.tolist()]):
             lengths = {(nx, ny): length for nx, ny, length in steps_from(grid, ax, ay)}
             total += lengths[bx, by] * (weights[by, bx] if kind == "weighted" else 1.0)

@@ -10,10 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from agent.planning.single_robot_tour import Numbers, single_robot_tour
+from agent.planning.single_robot_tour import single_robot_tour
+from protocol.arrays import FloatRows
 
 
-def on_a_line(goals: list[float]) -> tuple[Numbers, Numbers]:
+def on_a_line(goals: list[float]) -> tuple[FloatRows, FloatRows]:
     at = np.array(goals, np.float64)
     return np.abs(at), np.abs(at[:, None] - at)
 
@@ -28,12 +29,12 @@ def test_unreachable_goals_are_left_out(starts: list[float], tour: list[int]) ->
     assert single_robot_tour(np.array(starts), np.zeros((len(starts), len(starts)))) == tour
 
 
-def length(tour: tuple[int, ...] | list[int], starts: Numbers, between: Numbers) -> float:
+def length(tour: tuple[int, ...] | list[int], starts: FloatRows, between: FloatRows) -> float:
     return float(starts[tour[0]] + sum(between[one, other] for one, other in pairwise(tour)))
 
 
 @st.composite
-def tasks(draw: st.DrawFn) -> tuple[Numbers, Numbers]:
+def tasks(draw: st.DrawFn) -> tuple[FloatRows, FloatRows]:
     random = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     places: NDArray[np.float64] = random.uniform(0, 100, (draw(st.integers(2, 8)), 2))
     ways = np.hypot(*(places[:, None] - places).T)
@@ -41,7 +42,7 @@ def tasks(draw: st.DrawFn) -> tuple[Numbers, Numbers]:
 
 
 @given(tasks())
-def test_tours_are_hardly_longer_than_the_shortest(task: tuple[Numbers, Numbers]) -> None:
+def test_tours_are_hardly_longer_than_the_shortest(task: tuple[FloatRows, FloatRows]) -> None:
     starts, between = task
     tour = single_robot_tour(starts, between)
     assert sorted(tour) == list(range(len(starts)))

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import dijkstra as all_ways
 
 from agent.planning.cost_field import costs
+from agent.planning.frontier import Floor
 from agent.planning.visibility import FINE, MARGIN, shortest_way
 from agent.strategies.base import Situation
 from agent.strategies.registry import strategy
@@ -49,7 +50,7 @@ def test_no_way_over_corners_or_over_any_points_is_shorter_and_obstacles_are_not
     grid = random.choice(np.array([FREE, OCCUPIED], np.uint8), (5, 6), p=[0.75, 0.25])
     x, y = int(random.integers(6)), int(random.integers(5))
     grid[y, x] = FREE
-    field = costs(grid, x, y)
+    field = costs(Floor(grid), x, y)
     goals = np.argwhere(np.isfinite(field) & (field > 2))[:, ::-1].astype(np.int32)
     if not len(goals):
         return

@@ -38,7 +38,7 @@ def write(sent: list[tuple[int, int]], most: int = MOST) -> bytes:
     state, data = writer(ROOM)
     table = counts()
     for context, bit in sent:
-        code_bit(state, data, table, context, bit, most)
+        code_bit((state, data, table), context, bit, most)
     assert not state[FAILED]
     return written(state, data)
 
@@ -54,7 +54,9 @@ def plain(sent: list[tuple[int, int]], most: int = MOST) -> Writer:
 def test_decoding_returns_the_encoded_bits(sent: list[tuple[int, int]]) -> None:
     state, data = reader(write(sent))
     table = counts()
-    assert [code_bit(state, data, table, context, 0, MOST) for context, _ in sent] == [bit for _, bit in sent]
+    assert [code_bit((state, data, table), context, 0, MOST) for context, _ in sent] == [
+        bit for _, bit in sent
+    ]
     check_end(state, "test")
 
 
@@ -80,13 +82,13 @@ def test_decoding_returns_the_encoded_numbers(sent: list[int]) -> None:
     state, data = writer(ROOM)
     table = counts()
     for value in sent:
-        code_signed(state, data, table, 0, value, MOST)
-        code_number(state, data, table, NUMBER, abs(value), MOST)
+        code_signed((state, data, table), 0, value, MOST)
+        code_number((state, data, table), NUMBER, abs(value), MOST)
     state, data = reader(written(state, data))
     table = counts()
     for value in sent:
-        assert code_signed(state, data, table, 0, 0, MOST) == value
-        assert code_number(state, data, table, NUMBER, 0, MOST) == abs(value)
+        assert code_signed((state, data, table), 0, 0, MOST) == value
+        assert code_number((state, data, table), NUMBER, 0, MOST) == abs(value)
     check_end(state, "test")
 
 
@@ -102,7 +104,7 @@ def test_noise_decodes_without_reading_beyond_the_end(noise: bytes, decisions: i
     state, data = reader(noise)
     table = counts()
     for number in range(decisions):
-        assert code_bit(state, data, table, number % NUMBER, 0, MOST) in (0, 1)
+        assert code_bit((state, data, table), number % NUMBER, 0, MOST) in (0, 1)
     assert len(data) == len(noise) + AHEAD
     assert state[2] <= len(data)
 
@@ -112,7 +114,7 @@ def test_a_message_with_trailing_bytes_is_rejected(sent: list[tuple[int, int]], 
     state, data = reader(write(sent) + more)
     table = counts()
     for context, _ in sent:
-        code_bit(state, data, table, context, 0, MOST)
+        code_bit((state, data, table), context, 0, MOST)
     with pytest.raises(ProtocolError, match="does not end with"):
         check_end(state, "test")
 
@@ -122,7 +124,7 @@ def test_a_truncated_message_is_rejected() -> None:
     state, data = reader(write(sent)[: -AHEAD - 1])
     table = counts()
     for context, _ in sent:
-        code_bit(state, data, table, context, 0, MOST)
+        code_bit((state, data, table), context, 0, MOST)
     with pytest.raises(ProtocolError, match="does not end with"):
         check_end(state, "test")
 
@@ -131,5 +133,5 @@ def test_a_full_buffer_is_flagged_and_not_overrun() -> None:
     state, data = writer(8)
     table = counts()
     for bit in np.random.default_rng(1).integers(0, 2, 400).tolist():
-        code_bit(state, data, table, 0, bit, MOST)
+        code_bit((state, data, table), 0, bit, MOST)
     assert state[FAILED]

@@ -13,10 +13,15 @@ from functools import partial
 
 import numpy as np
 
+from agent.replication.base import Replication
 from agent.replication.engine import make_replication
+from agent.replication.gossip_policy import Dependencies, no_dependencies
 from agent.replication.peers import MapId
 from agent.replication.policies import DISSEMINATIONS
+from agent.replication.replica import Consume
+from agent.settings import Settings
 from protocol import packet_index
+from protocol.budget import UNLIMITED
 from protocol.errors import ProtocolError
 from protocol.messages import (
     EVERYONE,
@@ -33,6 +38,22 @@ Reach = Mapping[int, Sequence[int]]
 
 VARIANTS = [(dissemination, acks) for dissemination in DISSEMINATIONS for acks in (False, True)]
 """Disseminations, on perfect and on lossy media."""
+
+
+def make_engine(
+    robot: int,
+    robots: int,
+    consume: Consume,
+    dissemination: str = "backoff",
+    *,
+    requires_acks: bool = False,
+    incarnations: int = 1,
+    dependencies: Dependencies = no_dependencies,
+) -> Replication:
+    """A replication engine; nothing but its arguments concerns it of a robot's settings."""
+    task = (robot, robots, 1, 1, [1.0] * robots, 4, 1.0, 0, "none", "meier", dissemination, UNLIMITED, 1.0)
+    settings = Settings(*task, requires_acks=requires_acks, incarnations=incarnations)
+    return make_replication(settings, consume, dependencies)
 
 
 def entry(robot: int, number: int) -> bytes:
@@ -86,7 +107,7 @@ class Network:
         duplication: float = 0.0,
     ) -> None:
         self.engines = [
-            make_replication(robot, robots, partial(self._consume, robot), dissemination, requires_acks=acks)
+            make_engine(robot, robots, partial(self._consume, robot), dissemination, requires_acks=acks)
             for robot in range(robots)
         ]
         self.loss, self.delay, self.duplication = loss, delay, duplication

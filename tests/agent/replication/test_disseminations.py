@@ -8,7 +8,6 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from agent.replication.base import Replication
-from agent.replication.engine import make_replication
 from protocol import packet_index
 from protocol.errors import ProtocolError
 from protocol.messages import ConnectionReport, Delivery, RoundReport, SendReport
@@ -20,6 +19,7 @@ from tests.agent.replication.network import (
     entries,
     everyone,
     line,
+    make_engine,
     random_reach,
 )
 
@@ -31,7 +31,7 @@ LOSSY = [name for name, acks in VARIANTS if acks]
 def engine(dissemination: str, robots: int = 2, *, robot: int = 0, acks: bool = False) -> Replication:
     """An engine that can decode everything."""
 
-    return make_replication(
+    return make_engine(
         robot, robots, lambda *received: packet_index.ends(received[-1]), dissemination, requires_acks=acks
     )
 

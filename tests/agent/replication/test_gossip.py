@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from agent.encodings.base import Dependency
 from agent.replication.base import Replication
 from agent.replication.delivery import PATIENCE
-from agent.replication.engine import make_replication
 from agent.replication.gossip import REFRESH
 from agent.replication.gossip_policy import HELD_PER_PRIORITY, MAX_PRIORITY
 from agent.replication.neighbors import GREETING
@@ -32,7 +31,7 @@ from protocol.packets import (
     Target,
     encode,
 )
-from tests.agent.replication.network import Network, entries, entry, everyone, line, random_reach
+from tests.agent.replication.network import Network, entries, entry, everyone, line, make_engine, random_reach
 
 seeds = st.integers(0, 2**32 - 1)
 APART = {0: [1], 1: [0], 2: []}
@@ -46,7 +45,7 @@ def engine(robot: int, robots: int, *, acks: bool = False, lie: bytes = b"") -> 
             raise ProtocolError("entry", 0, "a lie")
         return list(packet_index.ends(frame))
 
-    return make_replication(robot, robots, consume, "gossip", requires_acks=acks)
+    return make_engine(robot, robots, consume, "gossip", requires_acks=acks)
 
 
 def closing(*frames: tuple[int, bytes], sent: int | None = None) -> RoundReport:
@@ -161,7 +160,7 @@ def test_entries_follow_those_that_they_depend_on(seed: int) -> None:
     rng = np.random.default_rng(seed)
     network, sizes = gossip(3, seed), (12, 9, 0)
     dependencies: dict[int, list[Dependency]] = {0: [], 1: []}
-    network.engines[0] = make_replication(
+    network.engines[0] = make_engine(
         0,
         3,
         lambda *received: packet_index.ends(received[-1]),

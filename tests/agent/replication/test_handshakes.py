@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 
 from agent.replication.base import Replication
 from agent.replication.control_packets import LEAST_HANDSHAKE
-from agent.replication.engine import make_replication
 from agent.replication.handshakes import MAX_WAIT, STUBBORN, Connection
 from agent.replication.log import Log
 from agent.replication.peers import PeerTable, map_ids
@@ -23,7 +22,7 @@ from protocol import packet_index, packets
 from protocol.errors import ProtocolError
 from protocol.messages import ConnectionReport, Delivery, OutgoingFrame, RoundReport
 from protocol.packets import BLOCKS, INDEX_WINDOW, Answer, Block, Decline, Offer, Save, encode
-from tests.agent.replication.network import Network, entries, entry, everyone, line
+from tests.agent.replication.network import Network, entries, entry, everyone, line, make_engine
 
 ROUND = BLOCKS * INDEX_WINDOW
 seeds = st.integers(0, 2**32 - 1)
@@ -32,7 +31,7 @@ policies = st.sampled_from(sorted(POLICIES))
 
 def engine(robot: int = 0, robots: int = 2) -> Replication:
     """An engine that can decode everything."""
-    return make_replication(robot, robots, lambda *received: packet_index.ends(received[-1]))
+    return make_engine(robot, robots, lambda *received: packet_index.ends(received[-1]))
 
 
 def closing(*connections: ConnectionReport, data: Sequence[Delivery] = ()) -> RoundReport:

@@ -124,10 +124,10 @@ def test_all_robots_are_neighbors_until_they_report_otherwise() -> None:
     neighbors = Neighbors(0, 4)
     assert neighbors.news([1, 2, 3]) == []
     assert np.flatnonzero(neighbors.receivers(2)).tolist() == [1, 3]
-    neighbors.reported(2, 3, here=False)
+    neighbors.near[2, 3] = False
     assert np.flatnonzero(neighbors.receivers(2)).tolist() == [1]
-    assert neighbors.are_near(3, 2)
-    assert not neighbors.are_near(2, 3)
+    assert neighbors.near[3, 2]
+    assert not neighbors.near[2, 3]
 
 
 def test_a_departure_is_news_until_all_in_range_received_it() -> None:
@@ -142,10 +142,10 @@ def test_a_departure_is_news_until_all_in_range_received_it() -> None:
 
 def test_a_robot_that_restarts_has_received_and_sent_nothing() -> None:
     neighbors = Neighbors(0, 3)
-    neighbors.reported(1, 2, here=False)
+    neighbors.near[1, 2] = False
     neighbors.inform([1], 2, here=False)
     neighbors.restarted(1)
-    assert neighbors.are_near(1, 2)
+    assert neighbors.near[1, 2]
     assert neighbors.news([1]) == [(2, False)]
 
 

@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 from agent.outline.contour import contours
 from agent.outline.polygons import Polygons
 from agent.planning.cost_field import costs
+from agent.planning.frontier import Floor
 from agent.strategies.registry import strategies
 from deploy.bench import (
     baselines,
@@ -185,7 +186,7 @@ def some_floor(seed: int) -> tuple[Grid, tuple[int, int]]:
     """Free space in one piece, with walls and pillars, and a cell of it."""
     grid = generators.make("unstructured", seed=seed, width_m=8, height_m=8).cells
     y, x = np.argwhere(grid == FREE)[seed * 97].tolist()
-    known = np.where(np.isfinite(costs(grid, x, y)), FREE, OCCUPIED).astype(np.uint8)
+    known = np.where(np.isfinite(costs(Floor(grid), x, y)), FREE, OCCUPIED).astype(np.uint8)
     return known, (x, y)
 
 
@@ -240,7 +241,7 @@ def test_skimage_finds_the_same_costs_without_cutting_corners(seed: int) -> None
     graph = pytest.importorskip("skimage.graph", reason="scikit-image is in the extra bench")
     grid, (x, y) = some_floor(seed)
     theirs = costs_by_skimage(graph, grid, (x, y))
-    assert np.allclose(costs(grid, x, y), theirs, rtol=0, atol=1e-9)
+    assert np.allclose(costs(Floor(grid), x, y), theirs, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -24,8 +24,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("recorded")
     with watching(ViewTask(small_plan(), folder)) as node:
         for sender, report in reports():
-            for watcher in node._watchers:
-                watcher.take(sender, report)
+            node.take(sender, report)
     return folder
 
 

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deploy.dashboard.explanation import explain
-from deploy.dashboard.run_events import RunEvents
+from deploy.dashboard.run_events import RunEvents, explain
 from netshaper.ledger import CAUSES, KIND_NUMBER, ROW
 from protocol.messages import End, ErrorReport, Lost, RadioReport, RobotStatus, WorldReport
 from tests.deploy.small_run import reports, small_plan

@@ -12,8 +12,15 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from PIL import Image
 
-from deploy.dashboard.grid_image import map_picture
-from deploy.dashboard.shapes import axes, extend, flip, number_strips, outline_strips, tick_values
+from deploy.dashboard.shapes import (
+    axes,
+    extend,
+    flip,
+    map_picture,
+    number_strips,
+    outline_strips,
+    tick_values,
+)
 from deploy.record.colors import CELLS, GROUPS, robot_color
 from protocol.grid import MAX_ROBOTS, Grid
 from protocol.messages import grid_from_bytes, grid_to_bytes

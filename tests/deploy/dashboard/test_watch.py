@@ -22,9 +22,7 @@ def test_a_running_run_announces_its_viewer_credential_to_its_owner_only(tmp_pat
     with socket.create_server(("127.0.0.1", 0)) as hub:
         mine = credential(hub.getsockname()[1])
         with announced(tmp_path, mine, 4711):
-            live = read_live(tmp_path)
-            assert live is not None
-            assert (live.credential, live.port) == (mine, 4711)
+            assert read_live(tmp_path) == (mine, 4711)
             assert (tmp_path / LIVE).stat().st_mode & 0o777 == 0o600
     assert read_live(tmp_path) is None
     assert not (tmp_path / LIVE).exists()

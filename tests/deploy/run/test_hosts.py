@@ -56,11 +56,11 @@ def test_hosts_file_is_read(tmp_path: Path) -> None:
         ({"host": [{"name": "a"}]}, r"host\.0\.robots is missing"),
         (
             {"host": [{"name": "a", "robots": 1, "user": "me"}]},
-            r"host\.0\.user: unknown setting; there are: name",
+            r"host\.0\.user: unknown setting; did you mean router\? There are: name",
         ),
         ({"host": [{"name": "a/b", "robots": 1}]}, r"host\.0\.name = 'a/b': must be letters"),
         ({"host": [{"name": "r1", "robots": 1}]}, r"host\.0\.name = 'r1': is the name of a process"),
-        ({"host": [{"name": "a", "robots": 1, "router": 1}]}, r"host\.0\.router = 1: .*valid boolean"),
+        ({"host": [{"name": "a", "robots": 1, "router": 1}]}, r"host\.0\.router = 1: must be true or false"),
         ({"host": [{"name": "a", "robots": 0}]}, r"host\.0\.robots = 0: must be a number of robots"),
         (
             {"host": [{"name": "a", "robots": [1, 1]}]},
@@ -70,7 +70,7 @@ def test_hosts_file_is_read(tmp_path: Path) -> None:
             {"host": [{"name": "a", "robots": 1, "ssh": "-oProxyCommand=x"}]},
             r"ssh = .*must be HOST or USER@HOST",
         ),
-        ({"host": [{"name": "a", "robots": 1, "options": ["-v"]}]}, r"'-v' must be NAME=VALUE"),
+        ({"host": [{"name": "a", "robots": 1, "options": ["-v"]}]}, r"options.0 = '-v': must be NAME=VALUE"),
         (
             {"host": [{"name": "a", "robots": 1, "command": " "}]},
             r"command = ' ': must be a command on one line",

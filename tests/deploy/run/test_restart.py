@@ -12,8 +12,8 @@ import psutil
 import pytest
 
 from deploy.record.records import Records
+from deploy.run.control import why_unrepeatable
 from deploy.run.exploration import EXPLORED, explore
-from deploy.run.repeat import why_unrepeatable
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import ScenarioError, parse
 

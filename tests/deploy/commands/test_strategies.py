@@ -12,7 +12,7 @@ from agent.strategies.catalog import COMBINING, catalog, entry
 from agent.strategies.registry import strategies
 from agent.strategies.targets import Parts
 from deploy.commands.main import app
-from deploy.commands.strategy_pages import WIDTH
+from deploy.commands.strategies import WIDTH
 
 
 def murmur(*arguments: str) -> Result:

@@ -1,0 +1,81 @@
+"""Options of the encodings `polygons` and `predictive`, and the thesis' own choice."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
+
+MAX_USE = 100
+"""Largest `medium_use`."""
+
+
+@dataclass(frozen=True)
+class PolygonOptions:
+    """Options of the `polygons` encoding; `THESIS_OPTIONS` are the rules of the thesis."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
+
+    medium_use: float = 1.0
+    """Share u of the medium that the splitting frequency plans with (Eq. 5.5). It also replaces the factor p of Eq.
+    5.6, since only the product of the two counts."""
+    bytes_per_split: float = 0.0
+    """Mean bytes d that a split causes; 0: measured during the run."""
+    splits_per_step: float = 0.0
+    """Splits s per step, also for a single robot and for an unlimited budget; 0: from Eq. 5.5."""
+    lazy: bool = True
+    """Log an edit script only when the teammates in range hold the script before, so that a vertex that changes twice
+    is sent once. Splits of the steps between lapse: s of Eq. 5.5 then counts per logged script. While no teammate is in
+    range, the logged approximation, and with it Eq. 6.1, does not change."""
+    mixed_first: bool = True
+    """Refine edges of mixed occupancy before all others: such edges draw teammates to walls that are known."""
+    free_inside_edges: bool = False
+    """Draw inside edges that are labeled free. They mark cells free that no robot has seen."""
+    unknown_pairs: bool = False
+    """Send and draw outside objects that are approximated by two vertices and no occupied edge: unseen specks between
+    beams, and small obstacles whose walls are not sent."""
+    wide_walls: bool = True
+    """Treat unknown cells beside the wall of a teammate in range as wall: coarse walls run beside the true ones."""
+    wide_seen_walls: bool = True
+    """Do so also beside walls that the robot has seen itself. Without it no small opening is taken for a wall, so maps
+    are complete, but robots visit unknown specks in walls, which takes some steps more. Scenarios with `repairmen` turn
+    it off by default."""
+    close_slivers: bool = True
+    """Treat unknown slivers between free cells of teammates as free: coarse areas meet there."""
+    exact_error: bool = False
+    """Measure in each step also the error of an exact approximation. Eq. 6.1 minus this value is the error due to
+    coarseness. It changes no result, and takes a third of a robot's time."""
+
+    def __post_init__(self) -> None:
+        if not 0 < self.medium_use <= MAX_USE:
+            raise ValueError(f"medium_use = {self.medium_use:g}: must be above 0 and at most {MAX_USE}")
+        if self.bytes_per_split and not 1 <= self.bytes_per_split < math.inf:
+            raise ValueError(
+                f"bytes_per_split = {self.bytes_per_split:g}: must be 0 (measured), or 1 or more"
+            )
+        if not 0 <= self.splits_per_step < math.inf:
+            raise ValueError(
+                f"splits_per_step = {self.splits_per_step:g}: must be 0 (from the bandwidth), or more"
+            )
+
+
+THESIS_OPTIONS = PolygonOptions(
+    medium_use=0.5,
+    lazy=False,
+    mixed_first=False,
+    free_inside_edges=True,
+    unknown_pairs=True,
+    wide_walls=False,
+    close_slivers=False,
+)
+
+
+@dataclass(frozen=True)
+class PredictiveOptions:
+    """Options of the `predictive` encoding."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
+
+    base: Literal["team", "own"] = "team"
+    """The map from which a robot predicts its scans. ``team``: its own updates and all that it has received. ``own``:
+    its own updates; each log can then be decoded alone, and takes up to three times the bytes."""
