@@ -59,7 +59,8 @@ class Records:
     and planning grids by robot. `world` has one report per step, `statuses` one list per robot, `rows` the rows of the
     ledger per step. `lost` has the cause of each unexpected failure by robot, `killed` the robots that a fault event
     killed and none restarted, `returned` step and robot of each return after an unexpected failure, `reconnected` of
-    each connection that was cut and restored. `protocol_errors` has sender and text of the first `MAX_PROTOCOL_ERROR_TEXTS` protocol errors. `carried` is the number of bytes
+    each connection that was cut and restored. `protocol_errors` has sender and text of the first
+    `MAX_PROTOCOL_ERROR_TEXTS` protocol errors. `carried` is the number of bytes
     transmitted in the last step; `wire_bytes` that of the bus (`deploy.record.wire_bytes`), None if not available.
     """
 
