@@ -27,7 +27,7 @@ PACE = 40.0
 
 
 class Proxy:
-    """Forwards TCP connections to `target` until it is told to cut them."""
+    """Forwards TCP connections to `target`, and cuts them on request."""
 
     def __init__(self, target: tuple[str, int]) -> None:
         self._target = target
