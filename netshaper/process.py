@@ -49,7 +49,7 @@ from protocol.rights import MAX_PROTOCOL_ERRORS, TOO_MANY_ERRORS
 
 ENDED = "its process ended"
 """Cause of the loss of a robot that has left the bus."""
-DISCONNECTED = "its connection was cut and not restored"
+DISCONNECTED = "its process ended, or its connection was cut and not restored"
 """Cause of the loss of a robot that has left the bus, and whose process may be alive."""
 
 MIN_FRAME, MAX_FRAME = 64, 1 << 24
