@@ -26,7 +26,7 @@ from protocol.budget import UNLIMITED, Budget
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.messages import MediumEvent, Open, OutgoingFrame, RobotFrames
 from tests.netshaper.network import Network
-from tests.netshaper.test_replies import Member, replication
+from tests.netshaper.test_connections import Member, replication
 from worldsim import generators
 from worldsim.maps import Map
 
