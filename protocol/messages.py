@@ -365,6 +365,12 @@ class Back(Record, tag=23, frozen=True):
     robot: RobotNumber
 
 
+class Reconnected(Record, tag=29, frozen=True):
+    """Relay to a robot, world and recorder: the robot's connection is restored; send your last messages again."""
+
+    robot: RobotNumber
+
+
 class Stop(Record, tag=12, frozen=True):
     """Recorder to world, by way of the relay: end after this step, for `reason`."""
 
@@ -497,7 +503,7 @@ class ErrorReport(Record, tag=18, frozen=True):
 _TYPES: tuple[type[Record], ...] = (
     Begin, Configure, Sense, Move, Positions, Open, PhaseDelivery, RobotFrames, RoundReport, Close, Lost, End, Stop,
     Shutdown, WorldReport, RobotStatus, RadioReport, MapPart, ErrorReport, Watched, Snapshot, Outlines, FaultEvent,
-    Back, Change, RelayUpdate, MapChanges, Broadcasts, RequestMaps,
+    Back, Change, RelayUpdate, MapChanges, Broadcasts, RequestMaps, Reconnected,
 )  # fmt: skip
 _HEAD = {kind: 0x90 | len(kind.__struct_fields__) + 1 for kind in _TYPES}
 """First byte of each message: the msgpack head of a list with this number of items."""
