@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import errno
 import json
+import os
+import traceback
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NoReturn
@@ -32,6 +34,8 @@ def report_result(result: Any, *, as_json: bool) -> int:
         errors.print(f"the viewer failed, the run was not affected: {result.view_fault}")
     for robot, cause in sorted(result.records.lost.items()):
         errors.print(f"robot {robot} was lost: {cause}")
+    for step, robot in result.records.reconnected:
+        errors.print(f"the connection of robot {robot} was cut in step {step} and restored")
     for fault in result.records.protocol_errors[:5]:
         errors.print(f"protocol error: {fault}")
     if as_json:
@@ -75,10 +79,15 @@ def progress(*, shown: bool, message: Callable[[], str] = lambda: "") -> Any:
 
 @contextlib.contextmanager
 def report_user_errors() -> Iterator[None]:
-    """Turn errors that the user can fix into a message: exit code 2 for bad input, 3 for work that was aborted."""
+    """Turn errors that the user can fix into a message: exit code 2 for bad input, 3 for work that was aborted.
+
+    With the environment variable ``MURMUR_TRACEBACK``, the traceback of a ValueError is printed too.
+    """
     try:
         yield
     except ValueError as error:
+        if os.environ.get("MURMUR_TRACEBACK"):
+            traceback.print_exc()
         fail(str(error), BAD_INPUT)
     except RecursionError:
         fail("input nested too deeply", BAD_INPUT)

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from agent.settings import Settings
 from deploy.record.map_collection import MapCollection
 from deploy.record.map_history import MapHistory
-from deploy.record.wire_bytes import Meter
 from netshaper.ledger import ROW
+from netshaper.process import ENDED
 from protocol import keys as names
 from protocol import rights
 from protocol.bus import Bus, Message
@@ -33,6 +33,7 @@ from protocol.messages import (
     MapPart,
     Outlines,
     RadioReport,
+    Reconnected,
     Record,
     RequestMaps,
     RobotStatus,
@@ -56,9 +57,9 @@ class Records:
     `maps` has the robots' maps over time, if the run records them; `own` and `planning` have the final self-explored
     and planning grids by robot. `world` has one report per step, `statuses` one list per robot, `rows` the rows of the
     ledger per step. `lost` has the cause of each unexpected failure by robot, `killed` the robots that a fault event
-    killed and none restarted, `returned` step and robot of each return after an unexpected failure. `protocol_errors`
-    has sender and text of the first `MAX_PROTOCOL_ERROR_TEXTS` protocol errors. `carried` is the number of bytes
-    transmitted in the last step; `wire_bytes` that of the bus (`deploy.record.wire_bytes`), None if not available.
+    killed and none restarted, `returned` step and robot of each return after an unexpected failure, `reconnected` of
+    each connection that was cut and restored. `protocol_errors` has sender and text of the first
+    `MAX_PROTOCOL_ERROR_TEXTS` protocol errors. `carried` is the number of bytes transmitted in the last step.
     """
 
     robots: int
@@ -73,11 +74,11 @@ class Records:
     changes: list[Change] = field(default_factory=list)
     killed: set[int] = field(default_factory=set)
     returned: list[tuple[int, int]] = field(default_factory=list)
+    reconnected: list[tuple[int, int]] = field(default_factory=list)
     protocol_errors: list[str] = field(default_factory=list)
     protocol_error_count: int = 0
     end: End | None = None
     carried: int = 0
-    wire_bytes: int | None = None
 
     def __post_init__(self) -> None:
         self.statuses = [[] for _ in range(self.robots)]
@@ -143,7 +144,6 @@ class RecorderNode:
         robots: int,
         shape: tuple[int, int],
         capture: BinaryIO | None = None,
-        meter: Meter | None = None,
         on_fault: Callable[[FaultEvent], object] = lambda _: None,
     ) -> None:
         self.done = False
@@ -152,7 +152,6 @@ class RecorderNode:
         self._broken_down: set[int] = set()
         """Robots that report their maps before the end."""
         self._capture = capture
-        self._meter = meter
         self._bus = bus
         self._keys = keys
         self._protocol_errors: Counter[str] = Counter()
@@ -220,6 +219,8 @@ class RecorderNode:
             case Back(robot=robot):
                 if records.lost.pop(robot, None) is not None:
                     records.returned.append((records.step, robot))
+            case Reconnected(robot=robot):
+                records.reconnected.append((records.step, robot))
             case FaultEvent():
                 self._record_fault_event(message)
             case Change():
@@ -317,14 +318,12 @@ class RecorderNode:
         """Request that the world ends the run after this step."""
         self._send(Stop(reason))
 
-    def read_meter(self) -> None:
-        """Record the number of bytes that the bus has moved."""
-        if self._meter is not None:
-            self.records.wire_bytes = self._meter.read()
+    def report_end(self, robot: int) -> None:
+        """Report to the relay that the process of a robot has ended, so that it does not wait for the robot."""
+        self._send(Lost(robot, ENDED))
 
     def shut_down(self) -> None:
         """Notify all participants that all results are recorded and that they can shut down."""
-        self.read_meter()
         self.done = True
         self._send(Shutdown())
 

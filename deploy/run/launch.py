@@ -20,7 +20,6 @@ from deploy.dashboard.process import ViewTask
 from deploy.dashboard.watch import announced
 from deploy.record.map_history import MapHistory
 from deploy.record.records import RecorderNode, Records
-from deploy.record.wire_bytes import Meter
 from deploy.run.gate import Gate
 from deploy.run.process_table import FORK_SERVER, ProcessTable
 from deploy.run.processes import (
@@ -151,6 +150,7 @@ def _relay_and_world(
             plan.scenario.reply_timeout_s,
             world.pause_s,
             captures,
+            plan.incarnations > 1,
         ),
         names.WORLD: (serve_world, rendezvous.credentials[names.WORLD], world, wrap),
     }
@@ -185,6 +185,8 @@ class _Supervisor:
         self._table = table
         self._fleet = fleet
         self._ended: set[int] = set()
+        self._reported: set[str] = set()
+        """Robots whose processes have ended, which the relay knows."""
 
     def start(self) -> None:
         """Start all processes."""
@@ -201,6 +203,13 @@ class _Supervisor:
         if event.kind == "restart":
             serve, *args = self._table[name]
             self._processes.start(name, serve, *args)
+            self._reported.discard(name)
+
+    def newly_ended(self) -> list[int]:
+        """Return the robots whose processes have ended since the last call."""
+        ended = {name for name in self._processes.ended() if names.is_robot(name)} - self._reported
+        self._reported |= ended
+        return sorted(map(names.number, ended))
 
     def check(self) -> dict[str, str]:
         """Update `deaths` and return it."""
@@ -263,14 +272,15 @@ def _record(
         return Outcome(Records(robots, MapHistory(shape)), supervisor.deaths)
     if wrap is not None:
         bus = wrap(names.RECORDER, bus)
-    meter = Meter(rendezvous.endpoint, here=True)
-    recorder = RecorderNode(bus, Keys(rendezvous.run), robots, shape, capture, meter, supervisor.apply)
+    recorder = RecorderNode(bus, Keys(rendezvous.run), robots, shape, capture, supervisor.apply)
     recorder.configure(plan.robot_settings)
 
     def poll() -> bool:
         if watch is not None:
             watch(recorder.records)
         supervisor.end_lost(recorder.records.lost)
+        for robot in supervisor.newly_ended():
+            recorder.report_end(robot)
         if supervisor.check() and not recorder.records.world:
             recorder.shut_down()  # a participant died before the first step
         return bool({names.WORLD, FORK_SERVER} & supervisor.deaths.keys())
@@ -304,7 +314,6 @@ def attend(bus: Bus, recorder: RecorderNode, heed: Heed, poll: Callable[[], bool
         if now - polled < POLL_S:
             continue
         polled = now
-        recorder.read_meter()
         failed, interrupted = poll(), heed(recorder)
         if now - received > quiet_s:
             raise BusClosed(f"no message from the relay for {quiet_s:g} s")
