@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -93,7 +94,7 @@ class ShengBid(TargetStrategy):
     name = "sheng-bid"
     summary = "takes the frontier cell of the best bid: unknown area, distance, nearness to teammates"
     source = "Sheng et al. 2006, as Al-khawaldah and Nuechter 2014 quote it, Eq. (1)"
-    options_type = Bids
+    options_type: ClassVar[type] = Bids
     clashes = (*TargetStrategy.clashes, SINGLE_CANDIDATE)
     publishes_pose = True
 
