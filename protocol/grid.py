@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Annotated
 
 import numpy as np
@@ -59,10 +59,11 @@ class RayTable:
         """Return the same offsets as index differences in a flattened grid of `width` columns; int32 of shape (n,)."""
         return _flat(self, width)
 
-    @property
+    @cached_property
     def shared(self) -> NDArray[np.int32]:
         """Number of cells that each beam shares with the beam before it, from the robot on; shape (beams,)."""
-        return _shared(self)
+        shared: NDArray[np.int32] = _count_shared(self.cells, self.start)
+        return shared
 
     @property
     def beams(self) -> int:
@@ -74,12 +75,6 @@ class RayTable:
 def _flat(beams: RayTable, width: int) -> NDArray[np.int32]:
     steps: NDArray[np.int32] = beams.cells[:, 1] * np.int32(width) + beams.cells[:, 0]
     return steps
-
-
-@lru_cache(maxsize=16)
-def _shared(beams: RayTable) -> NDArray[np.int32]:
-    shared: NDArray[np.int32] = _count_shared(beams.cells, beams.start)
-    return shared
 
 
 @kernel

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator, Sequence
-from functools import partial
 
 from protocol import keys as names
 from protocol.bus import BusClosed, Message
@@ -38,7 +37,7 @@ class MemoryHub:
         self.mail = 0
         """Bit mask of the participants whose queue is not empty."""
         self._inboxes: dict[str, _Inbox] = {}
-        self.owners: dict[str, _Inbox] = {}
+        self._owners: dict[str, _Inbox] = {}
         """The inbox of each key that has been used."""
         self._names: list[str] = []
         for name in order:
@@ -57,9 +56,9 @@ class MemoryHub:
 
     def deliver(self, key: str, payload: bytes) -> None:
         """Append a message to the inbox of its key, if its owner has joined."""
-        inbox = self.owners.get(key) or self._owner(key)
+        inbox = self._owners.get(key) or self._owner(key)
         if inbox.here:
-            inbox.messages.append(_message((key, payload)))
+            inbox.messages.append(Message(key, payload))
             self.mail |= inbox.flag
 
     def leave(self, name: str) -> None:
@@ -98,7 +97,7 @@ class MemoryHub:
     def _owner(self, key: str) -> _Inbox:
         """Return the inbox of a key."""
         _, direction, owner, _ = names.parts(key)
-        inbox = self.owners[key] = self._inbox(names.RELAY if direction == "tx" else owner)
+        inbox = self._owners[key] = self._inbox(names.RELAY if direction == "tx" else owner)
         return inbox
 
 
@@ -115,14 +114,7 @@ class MemoryBus:
         """Send `payload` to the owner of `key`."""
         if self._closed:
             raise self._refusal()
-        hub = self._hub
-        inbox = hub.owners.get(key)
-        if inbox is None:
-            hub.deliver(key, payload)
-        elif inbox.here:
-            if not inbox.messages:
-                hub.mail |= inbox.flag
-            inbox.messages.append(_message((key, payload)))
+        self._hub.deliver(key, payload)
 
     def receive(self, timeout_s: float | None = None) -> Message | None:  # noqa: ARG002
         """Return the next message, or None if there is none."""
@@ -141,7 +133,3 @@ class MemoryBus:
 
     def _refusal(self) -> BusClosed:
         return BusClosed(f"{self._inbox.name}: this end of the bus is closed")
-
-
-_message = partial(tuple.__new__, Message)
-"""Make a message of (key, payload) in half the time of the named tuple's constructor."""

@@ -1,12 +1,12 @@
 """The packets of the radio: their layouts (thesis, Table 6.1; docs/protocol.md), and how they are written and read.
 
 The layout of a packet is declared once, by the annotations of its class; `LAYOUTS` lists all of them. The code alone
-determines a packet's length, so packets need no framing: a stream of them can be cut anywhere and resumed (`Decoder`).
+determines a packet's length, so packets need no framing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from functools import lru_cache
 from typing import Annotated, ClassVar, get_type_hints
@@ -507,11 +507,24 @@ def decode(buffer: bytes) -> list[AnyPacket]:
     ProtocolError
         A packet is unknown or cut off, or a spare bit is set.
     """
-    decoder = Decoder()
-    packets = list(decoder.feed(buffer))
-    if decoder.pending:
-        raise _cut_off(buffer, len(buffer) - len(decoder.pending))
+    packets = []
+    offset = 0
+    while offset < len(buffer):
+        packet = packet_at(buffer, offset)
+        if packet is None:
+            have, wanted = len(buffer) - offset, length(buffer, offset)
+            raise ProtocolError(name(buffer, offset), offset, f"cut off after {have} of {wanted} bytes")
+        packets.append(packet)
+        offset += _SIZE[buffer[offset]] or length(buffer, offset)
     return packets
+
+
+def packet_at(buffer: bytes, offset: int) -> AnyPacket | None:
+    """Read the packet that starts at `offset`; None if the buffer ends before it does; errors as `decode`."""
+    if offset == len(buffer):
+        return None
+    size = _SIZE[buffer[offset]] or length(buffer, offset)
+    return _read(buffer, offset, size) if offset + size <= len(buffer) else None
 
 
 def handshake(frame: bytes) -> tuple[AnyPacket, ...]:
@@ -535,39 +548,6 @@ def broadcast(frame: bytes) -> tuple[AnyPacket, ...]:
 @lru_cache(maxsize=1 << 14)
 def _read_cached(frame: bytes) -> tuple[AnyPacket, ...]:
     return tuple(decode(frame))
-
-
-class Decoder:
-    """Reads packets from a stream that arrives in pieces, cut anywhere."""
-
-    def __init__(self) -> None:
-        self.pending = b""
-        """The beginning of a packet whose end has not arrived yet."""
-        self._read = 0
-
-    def feed(self, data: bytes) -> Iterator[AnyPacket]:
-        """Yield the packets that `data` completes.
-
-        Raises
-        ------
-        ProtocolError
-            The stream is malformed here; the packets before have been yielded.
-        """
-        buffer = self.pending + data
-        offset = 0
-        try:
-            while offset < len(buffer):
-                size = _SIZE[buffer[offset]] or length(buffer, offset)
-                if offset + size > len(buffer):
-                    break
-                packet = _read(buffer, offset, size)
-                offset += size
-                yield packet
-        except ProtocolError as error:
-            raise ProtocolError(error.packet, self._read + offset, error.reason) from None
-        finally:
-            self._read += offset
-            self.pending = buffer[offset:]
 
 
 def _write_fragment(packet: Fragment, offset: int) -> bytes:
@@ -624,10 +604,5 @@ def _malformed(layout: Layout, number: int, offset: int) -> ProtocolError:
 def _not_whole(packet: bytes, kind: type[Packet]) -> ProtocolError:
     """Return the error of bytes that are not one whole packet of a kind."""
     if _KIND[packet[0]] is kind:
-        return _cut_off(packet, 0)
+        return ProtocolError(kind.name, 0, f"cut off after {len(packet)} of {length(packet)} bytes")
     return ProtocolError(name(packet), 0, f"expected a packet of kind {kind.name}")
-
-
-def _cut_off(buffer: bytes, offset: int) -> ProtocolError:
-    have, wanted = len(buffer) - offset, length(buffer, offset)
-    return ProtocolError(name(buffer, offset), offset, f"cut off after {have} of {wanted} bytes")

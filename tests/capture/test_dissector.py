@@ -12,7 +12,7 @@ import pytest
 
 from agent.encodings.catalog import ENCODINGS
 from deploy.record import run_directory
-from deploy.run import in_memory
+from deploy.run.in_memory import MemoryRun
 from deploy.scenario import plan as plans
 from deploy.scenario.scenario import parse
 from netshaper import capture
@@ -177,10 +177,12 @@ def test_the_dissector_accepts_exactly_the_packets_that_the_decoder_reads(
         write(tmp_path / "bad.pcapng", payloads), ["murmur.kind", "murmur.broken", "murmur.spare"]
     )
     for payload, (kinds, broken, spare) in zip(payloads, rows, strict=True):
-        sent = []
-        error = ""
+        sent: list[str] = []
+        error, at = "", 0
         try:
-            sent = [packet.name for packet in packets.Decoder().feed(payload)]
+            while packet := packets.packet_at(payload, at):
+                sent.append(packet.name)
+                at += packets.length(payload, at)
             packets.decode(payload)
         except ProtocolError as caught:
             error = str(caught)
@@ -219,7 +221,7 @@ def test_sums_equal_those_of_the_ledger(tshark: Tshark, tmp_path: Path, map_enco
     settings = {"robots": 4, "map_encoding": map_encoding, "dissemination": "backoff", "strategy": "meier"}
     plan = plans.make(parse(settings | {"bandwidth": 700, "range": "40%", "steps": 60}))
     with run_directory.open_capture(tmp_path, plan) as file:
-        ledger = in_memory.run(plan, None, file).ledger()
+        ledger = MemoryRun(plan, file).complete().ledger()
     rows = tshark.fields(
         tmp_path / run_directory.CAPTURE,
         ["murmur.verdict", "murmur.bytes", "murmur.kind", "murmur.size", "murmur.broken"],

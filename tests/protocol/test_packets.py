@@ -27,7 +27,6 @@ from protocol.packets import (
     Change,
     Check,
     Decline,
-    Decoder,
     Delete,
     Emerge,
     Fragment,
@@ -52,6 +51,7 @@ from protocol.packets import (
     encode,
     handshake,
     length,
+    packet_at,
     update_fragment,
 )
 
@@ -260,26 +260,6 @@ def test_packets_have_the_bytes_of_the_golden_file() -> None:
     assert {type(packet) for packet in EXAMPLES} == {*LIMITS, Fragment, Update}
 
 
-@given(streams, st.lists(st.integers(0, 100), max_size=8))
-def test_a_stream_cut_anywhere_decodes_to_the_same_packets(stream: list[AnyPacket], cuts: list[int]) -> None:
-    buffer = encode(stream)
-    decoder = Decoder()
-    received: list[AnyPacket] = []
-    at = 0
-    for end in [*sorted(cuts), len(buffer)]:
-        received += decoder.feed(buffer[at:end])
-        at = max(at, end)
-        assert encode(received) + decoder.pending == buffer[:at]
-    assert received == stream
-    assert decoder.pending == b""
-
-
-@given(streams)
-def test_a_stream_that_arrives_byte_by_byte_decodes_to_the_same_packets(stream: list[AnyPacket]) -> None:
-    decoder = Decoder()
-    assert [packet for byte in encode(stream) for packet in decoder.feed(bytes([byte]))] == stream
-
-
 @given(st.binary(max_size=200))
 @example(b"\xf2")
 @example(b"\xf2\x00")
@@ -294,21 +274,6 @@ def test_random_bytes_are_packets_or_a_protocol_error(noise: bytes) -> None:
         assert error.reason
     else:
         assert encode(received) == noise
-
-
-@given(st.binary(max_size=200), st.integers(0, 200))
-def test_random_bytes_fail_at_the_same_offset_however_they_are_cut(noise: bytes, cut: int) -> None:
-    def read(pieces: list[bytes]) -> tuple[list[AnyPacket], str]:
-        decoder = Decoder()
-        received: list[AnyPacket] = []
-        try:
-            for piece in pieces:
-                received += decoder.feed(piece)
-        except ProtocolError as error:
-            return received, str(error)
-        return received, f"{len(decoder.pending)} bytes wait"
-
-    assert read([noise]) == read([noise[:cut], noise[cut:]])
 
 
 @pytest.mark.parametrize("packet", EXAMPLES, ids=repr)
@@ -338,7 +303,7 @@ def test_a_short_fragment_with_an_invalid_length_is_rejected_at_once(size: int) 
     with pytest.raises(ProtocolError, match=r"scan at byte 0: .*1 to 62"):
         length(bytes([0xF2, size]))
     with pytest.raises(ProtocolError, match=r"scan at byte 0: .*1 to 62"):
-        list(Decoder().feed(bytes([0xF2, size])))
+        packet_at(bytes([0xF2, size]), 0)
 
 
 def test_the_error_of_an_unknown_code_names_it() -> None:
@@ -363,26 +328,22 @@ def test_every_field_has_the_range_of_its_bits() -> None:
 
 @given(streams)
 def test_packets_before_a_malformed_one_are_read(stream: list[AnyPacket]) -> None:
-    decoded = Decoder().feed(encode(stream) + BROKEN)
+    buffer, offset = encode(stream) + BROKEN, 0
     for packet in stream:
-        assert next(decoded) == packet
+        assert packet_at(buffer, offset) == packet
+        offset += length(buffer, offset)
     with pytest.raises(ProtocolError, match=f"at byte {len(encode(stream))}:"):
-        next(decoded)
+        packet_at(buffer, offset)
+    with pytest.raises(ProtocolError, match=f"at byte {len(encode(stream))}:"):
+        decode(buffer)
 
 
-def test_a_malformed_stream_stays_malformed() -> None:
-    decoder = Decoder()
-    for data in (encode([Save()]) + BROKEN, encode([Save()])):
-        with pytest.raises(ProtocolError, match="at byte 1:"):
-            list(decoder.feed(data))
-
-
-def test_a_decoder_counts_bytes_over_all_pieces() -> None:
-    decoder = Decoder()
-    for _ in range(3):
-        list(decoder.feed(encode([Target(1, 2)])))
-    with pytest.raises(ProtocolError, match="packet at byte 9: no packet begins"):
-        list(decoder.feed(BROKEN))
+@given(streams.filter(bool), st.integers(1, 70))
+def test_a_packet_that_is_cut_off_is_not_read(stream: list[AnyPacket], missing: int) -> None:
+    last = encode(stream[-1:])
+    assert packet_at(last, 0) == stream[-1]
+    assert packet_at(last, len(last)) is None
+    assert len(last) <= missing or packet_at(last[: len(last) - missing], 0) is None
 
 
 def test_a_long_stream_is_read_in_linear_time() -> None:
