@@ -19,7 +19,10 @@ from protocol.messages import FaultEvent
 
 KINDS = ("death", "kill", "restart", "stop", "mute", "deaf")
 
-TEMPORARY = ("stop", "mute", "deaf")
+RADIO_KINDS = ("mute", "deaf")
+"""Kinds that affect only a robot's radio; the relay applies them, and the world all others."""
+
+TEMPORARY = ("stop", *RADIO_KINDS)
 """Kinds of fault that may end by themselves."""
 
 
@@ -61,7 +64,7 @@ def check(faults: Iterable[FaultEvent], robots: int) -> None:
             raise ValueError(f"{where}: kind must be one of {', '.join(KINDS)}")
         if fault.steps and fault.kind not in TEMPORARY:
             raise ValueError(f"{where}: steps = {fault.steps}, but only {', '.join(TEMPORARY)} are temporary")
-        if fault.kind in ("mute", "deaf"):
+        if fault.kind in RADIO_KINDS:
             continue
         before = last.get(fault.robot)
         if before is not None and before.step == fault.step:
