@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Callable
+from typing import TypeGuard
 
 from msgspec.structs import replace
 
@@ -18,6 +19,7 @@ from protocol import keys as names
 from protocol import rights
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
+from protocol.faults import RADIO_KINDS
 from protocol.fields import MAX_NAME, clip
 from protocol.keys import Keys
 from protocol.messages import (
@@ -100,8 +102,7 @@ class RelayNode:
         self._keys = keys
         self._radio = Radio(settings)
         self._captures = captures
-        robots = self._robots = [names.robot(number) for number in range(settings.robots)]
-        self._extra_bytes = max(MIN_FRAME, settings.maps * EXTRA_PER_MAP)
+        robots = [names.robot(number) for number in range(settings.robots)]
         self._keys_to_robots = [keys.radio_rx(robot, names.RELAY) for robot in robots]
         self._expected = {names.WORLD, names.RECORDER, *robots}
         self._present: set[str] = set()
@@ -118,8 +119,9 @@ class RelayNode:
     @property
     def _max_frame_bytes(self) -> int:
         """Maximum bytes of a frame; the relay rejects longer ones."""
-        limit = self._radio.settings.budget.limit
-        return MAX_FRAME if limit is None else limit + self._extra_bytes
+        settings = self._radio.settings
+        limit = settings.budget.limit
+        return MAX_FRAME if limit is None else limit + max(MIN_FRAME, settings.maps * EXTRA_PER_MAP)
 
     def missing(self) -> list[str]:
         """Participants that have not joined yet; empty once the run has begun."""
@@ -239,7 +241,7 @@ class RelayNode:
         elif isinstance(message, Positions):
             self._protocol_errors.clear()
             cells = dict(zip(message.robots, zip(message.x, message.y, strict=True), strict=True))
-            opening = self._radio.begin(message.step, cells, message.mute, message.deaf)
+            opening = self._radio.begin(message.step, cells)
             for change in self._radio.changed:
                 self._report(change)
             self._radio.changed.clear()
@@ -253,14 +255,19 @@ class RelayNode:
             self.give_up_on(message.robot, message.cause)
         elif isinstance(message, FaultEvent) and sender == names.WORLD:
             self._ending.add(message.robot)
+        elif isinstance(message, Change) or self._is_radio_fault(message):
+            self._radio.change(message)
         elif isinstance(message, Stop | FaultEvent):
             self._bus.put(self._keys.control(names.WORLD, names.RELAY), payload)
         elif isinstance(message, RequestMaps):
             self._pass_on(message, payload)
-        elif isinstance(message, Change):
-            self._radio.change(message)
         elif isinstance(message, Shutdown):
             self._shut_down()
+
+    def _is_radio_fault(self, message: object) -> TypeGuard[FaultEvent]:
+        """Return whether a message requests a fault of a robot's radio; the world takes all other faults."""
+        known = self._radio.settings.robots
+        return isinstance(message, FaultEvent) and message.kind in RADIO_KINDS and message.robot < known
 
     def break_off(self, reason: str) -> None:
         """End the run because a process that it needs is gone."""
@@ -324,7 +331,7 @@ class RelayNode:
         self._protocol_errors[name] += 1
         if self._protocol_errors[name] <= MAX_PROTOCOL_ERRORS:
             self._report(ErrorReport(name[:MAX_NAME], clip(reason)))
-        elif name in self._robots:
+        elif names.is_robot(name):
             self.give_up_on(names.number(name), TOO_MANY_ERRORS)
 
     def _report(self, message: Record) -> None:
