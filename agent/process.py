@@ -17,7 +17,6 @@ from protocol import keys as names
 from protocol import map_parts, rights
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
-from protocol.fields import clip
 from protocol.keys import Keys
 from protocol.messages import (
     Close,
@@ -33,6 +32,7 @@ from protocol.messages import (
     Sense,
     Shutdown,
     Watched,
+    clip,
     pack,
 )
 

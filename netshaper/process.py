@@ -17,9 +17,9 @@ from protocol import keys as names
 from protocol import rights
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
-from protocol.fields import MAX_NAME, clip
 from protocol.keys import Keys
 from protocol.messages import (
+    MAX_NAME,
     Back,
     Begin,
     Change,
@@ -40,6 +40,7 @@ from protocol.messages import (
     Shutdown,
     Stop,
     Watched,
+    clip,
     pack,
 )
 from protocol.packets import Held, Offer, Passed, Target

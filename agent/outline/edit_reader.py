@@ -27,7 +27,7 @@ from protocol.arrays import Int32s, Int64s, ReadOnlyUint8s, Uint8s
 from protocol.boxes import MAX_BOXES, NO_BOXES, Boxes, add_box, bounding_box
 from protocol.errors import ProtocolError
 from protocol.kernels import kernel
-from protocol.packets import ALL_KINDS, LAYOUT_BY_BYTE, MAX_VERTICES, AnyPacket, Decoder, Edit
+from protocol.packets import ALL_KINDS, LAYOUT_BY_BYTE, MAX_VERTICES, Edit, packet_at
 
 _EDITS = [ALL_KINDS.index(kind.name) for kind in get_args(Edit)]
 _SIZE = np.array([size if kind in _EDITS else 0 for kind, size, *_ in LAYOUT_BY_BYTE], np.int64)
@@ -110,7 +110,7 @@ def read(before: ReaderState, chunk: bytes) -> tuple[int, ReaderState, SavePoint
         data, *shape, numbers, objects.table, objects.pool, vertices, boxes
     )
     used = int(numbers[_READ])
-    packet = _packet_at(chunk, used)
+    packet = packet_at(chunk, used)
     if numbers[_ERROR]:
         assert packet is not None
         details = numbers[_DETAILS:].tolist()
@@ -123,14 +123,6 @@ def read(before: ReaderState, chunk: bytes) -> tuple[int, ReaderState, SavePoint
         box = bounding_box(saved_boxes.tolist()) if len(saved_boxes) else None
         saved = SavePoint(Objects(shape, saved_table, pool), saved_boxes, box, saves, end)
     return used, ReaderState(Objects(shape, table, pool), vertices, boxes, numbers), saved
-
-
-def _packet_at(chunk: bytes, offset: int) -> AnyPacket | None:
-    """Decode the packet at an offset; None if it is incomplete, ProtocolError if it is malformed."""
-    try:
-        return next(Decoder().feed(chunk[offset:]), None)
-    except ProtocolError as error:
-        raise ProtocolError(error.packet, offset + error.offset, error.reason) from None
 
 
 @kernel

@@ -27,7 +27,6 @@ from protocol.packets import (
     Change,
     Check,
     Decline,
-    Decoder,
     Delete,
     Emerge,
     Fragment,
@@ -47,12 +46,12 @@ from protocol.packets import (
     Save,
     Target,
     Update,
-    content,
     decode,
+    decode_kind,
     encode,
     handshake,
     length,
-    update_fragment,
+    packet_at,
 )
 
 GOLDEN = Path(__file__).parent / "golden" / "packets.txt"
@@ -260,24 +259,15 @@ def test_packets_have_the_bytes_of_the_golden_file() -> None:
     assert {type(packet) for packet in EXAMPLES} == {*LIMITS, Fragment, Update}
 
 
-@given(streams, st.lists(st.integers(0, 100), max_size=8))
-def test_a_stream_cut_anywhere_decodes_to_the_same_packets(stream: list[AnyPacket], cuts: list[int]) -> None:
-    buffer = encode(stream)
-    decoder = Decoder()
+@given(streams, st.integers(0, 100))
+def test_packets_are_read_one_by_one_up_to_an_incomplete_one(stream: list[AnyPacket], end: int) -> None:
+    buffer = encode(stream)[:end]
     received: list[AnyPacket] = []
-    at = 0
-    for end in [*sorted(cuts), len(buffer)]:
-        received += decoder.feed(buffer[at:end])
-        at = max(at, end)
-        assert encode(received) + decoder.pending == buffer[:at]
-    assert received == stream
-    assert decoder.pending == b""
-
-
-@given(streams)
-def test_a_stream_that_arrives_byte_by_byte_decodes_to_the_same_packets(stream: list[AnyPacket]) -> None:
-    decoder = Decoder()
-    assert [packet for byte in encode(stream) for packet in decoder.feed(bytes([byte]))] == stream
+    while (packet := packet_at(buffer, len(encode(received)))) is not None:
+        received.append(packet)
+    assert received == stream[: len(received)]
+    rest = stream[len(received) :]
+    assert (not rest) or len(encode([*received, rest[0]])) > end
 
 
 @given(st.binary(max_size=200))
@@ -294,21 +284,6 @@ def test_random_bytes_are_packets_or_a_protocol_error(noise: bytes) -> None:
         assert error.reason
     else:
         assert encode(received) == noise
-
-
-@given(st.binary(max_size=200), st.integers(0, 200))
-def test_random_bytes_fail_at_the_same_offset_however_they_are_cut(noise: bytes, cut: int) -> None:
-    def read(pieces: list[bytes]) -> tuple[list[AnyPacket], str]:
-        decoder = Decoder()
-        received: list[AnyPacket] = []
-        try:
-            for piece in pieces:
-                received += decoder.feed(piece)
-        except ProtocolError as error:
-            return received, str(error)
-        return received, f"{len(decoder.pending)} bytes wait"
-
-    assert read([noise]) == read([noise[:cut], noise[cut:]])
 
 
 @pytest.mark.parametrize("packet", EXAMPLES, ids=repr)
@@ -338,7 +313,7 @@ def test_a_short_fragment_with_an_invalid_length_is_rejected_at_once(size: int) 
     with pytest.raises(ProtocolError, match=r"scan at byte 0: .*1 to 62"):
         length(bytes([0xF2, size]))
     with pytest.raises(ProtocolError, match=r"scan at byte 0: .*1 to 62"):
-        list(Decoder().feed(bytes([0xF2, size])))
+        packet_at(bytes([0xF2, size]), 0)
 
 
 def test_the_error_of_an_unknown_code_names_it() -> None:
@@ -363,26 +338,13 @@ def test_every_field_has_the_range_of_its_bits() -> None:
 
 @given(streams)
 def test_packets_before_a_malformed_one_are_read(stream: list[AnyPacket]) -> None:
-    decoded = Decoder().feed(encode(stream) + BROKEN)
+    offset = 0
     for packet in stream:
-        assert next(decoded) == packet
-    with pytest.raises(ProtocolError, match=f"at byte {len(encode(stream))}:"):
-        next(decoded)
-
-
-def test_a_malformed_stream_stays_malformed() -> None:
-    decoder = Decoder()
-    for data in (encode([Save()]) + BROKEN, encode([Save()])):
-        with pytest.raises(ProtocolError, match="at byte 1:"):
-            list(decoder.feed(data))
-
-
-def test_a_decoder_counts_bytes_over_all_pieces() -> None:
-    decoder = Decoder()
-    for _ in range(3):
-        list(decoder.feed(encode([Target(1, 2)])))
-    with pytest.raises(ProtocolError, match="packet at byte 9: no packet begins"):
-        list(decoder.feed(BROKEN))
+        assert packet_at(encode(stream) + BROKEN, offset) == packet
+        offset += len(encode([packet]))
+    for read in (decode, lambda buffer: packet_at(buffer, offset)):
+        with pytest.raises(ProtocolError, match=f"at byte {offset}:"):
+            read(encode(stream) + BROKEN)
 
 
 def test_a_long_stream_is_read_in_linear_time() -> None:
@@ -408,17 +370,17 @@ def test_a_handshake_is_decoded_unless_it_is_too_long() -> None:
         handshake(encode([Answer(7)])[:1])
 
 
-@given(updates)
-def test_an_update_fragment_returns_its_content(packet: Update) -> None:
-    assert update_fragment(encode([packet])) == (packet.number, packet.data)
+@given(st.lists(updates))
+def test_a_frame_of_one_kind_is_decoded(frame: list[Update]) -> None:
+    assert decode_kind(encode(frame), Update) == frame
 
 
 @pytest.mark.parametrize(
     "packet", [encode([Save()]), encode([Near(3)]), b"\xff", b"\xf4short", b"\xf5\x14abc"]
 )
-def test_bytes_that_are_no_whole_update_fragment_are_rejected(packet: bytes) -> None:
+def test_bytes_that_are_no_whole_packets_of_this_kind_are_rejected(packet: bytes) -> None:
     with pytest.raises(ProtocolError):
-        update_fragment(packet)
+        decode_kind(encode([Update(None, bytes(UPDATE_DATA))]) + packet, Update)
 
 
 @pytest.mark.parametrize(
@@ -435,16 +397,3 @@ def test_bytes_that_are_no_whole_update_fragment_are_rejected(packet: bytes) -> 
 def test_an_update_with_an_unknown_layout_is_rejected(packet: Update) -> None:
     with pytest.raises(ProtocolError, match=r"update at byte 1: "):
         encode([Save(), packet])
-
-
-@given(st.binary(min_size=1, max_size=FRAGMENT_DATA))
-def test_a_fragment_returns_its_content(data: bytes) -> None:
-    assert content(encode([Fragment(data)])) == data
-
-
-@pytest.mark.parametrize(
-    "packet", [encode([Save()]), encode([Delete(3)]), b"\xff", b"\xf1short", b"\xf2\x05abc"]
-)
-def test_bytes_that_are_no_whole_fragment_are_rejected(packet: bytes) -> None:
-    with pytest.raises(ProtocolError):
-        content(packet)
