@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,7 @@ from protocol.messages import (
     FaultEvent,
     MapPart,
     MediumEvent,
+    Reconnected,
     Record,
     RelayUpdate,
     RequestMaps,
@@ -41,7 +43,7 @@ class AgentNode:
     """One robot's process; `done` once it has received `Shutdown` or a fault has `killed` it.
 
     A robot that may restart needs a journal (`agent.identity`). Robots in one process share the memory `common`
-    (`Robot.share`).
+    (`Robot.share`). After its connection was cut and restored, it calls `resend` to send its last messages again.
     """
 
     def __init__(
@@ -51,12 +53,14 @@ class AgentNode:
         number: int,
         journal: Journal | None = None,
         common: dict[str, Any] | None = None,
+        resend: Callable[[], object] = lambda: None,
     ) -> None:
         self.done = False
         self.killed = False
         """Whether the process must end at once, without sending another message."""
         self._identity = Identity(journal) if journal is not None else None
         self._common = common
+        self._resend = resend
         self._bus = bus
         self._number = number
         self._name = names.robot(number)
@@ -96,6 +100,8 @@ class AgentNode:
             self.done = True
         elif isinstance(message, FaultEvent):
             self.killed = self.done = True
+        elif isinstance(message, Reconnected):
+            self._resend()
         elif isinstance(message, Watched):
             self._viewer_feed = ViewerFeed() if message.here else None
         elif self.robot is None:

@@ -14,77 +14,52 @@ count packets. The relay trusts no robot, and accepts only these frames:
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from functools import lru_cache
+from collections.abc import Callable, Sequence
+from functools import lru_cache, partial
 from itertools import pairwise
-from typing import NamedTuple
 
-from netshaper.frame_log import Frame, index_or_none
-from netshaper.ledger import ANSWER, BROADCAST, DATA, EVERYONE, KIND_NUMBER, NEWS, OFFER
+from netshaper.frame_log import Content
+from netshaper.ledger import ANSWER, BROADCAST, DATA, KIND_NUMBER, NEWS, OFFER
 from netshaper.settings import RadioSettings
-from protocol import packet_index, packets
+from protocol import packets
 from protocol.errors import ProtocolError
-from protocol.messages import OutgoingFrame
-from protocol.packet_index import NO_PACKETS, PacketIndex
+from protocol.packet_index import NO_PACKETS, PacketIndex, index_of
 from protocol.packets import Check, From, FromEarly, Held, HeldEarly, Offer
 
 Begins = Offer | From | FromEarly
 """Packets that select the map of the packets after them."""
 
 
-class Content(NamedTuple):
-    """A parsed payload: the index of its packets, the kind of frame, its map (-1: none), and a protocol error."""
-
-    packets: PacketIndex
-    kind: int
-    map_id: int = -1
-    problem: str = ""
+Reader = Callable[[bytes], Content]
 
 
-class Admission:
-    """Reads frames by the rules of one run."""
-
-    def __init__(self, settings: RadioSettings) -> None:
-        self._gossip = settings.gossip
-        self._maps = settings.maps
-        self._tail = settings.checksum_bytes
-        self._frame_bytes = settings.options.frame_bytes
-
-    def broadcast(self, sender: int, payload: bytes, round_number: int) -> tuple[Frame, str]:
-        """Read a broadcast of pose and target; return the frame and the error text, empty if it is valid."""
-        problem = "" if not round_number and is_broadcast(payload) else NO_BROADCAST
-        return Frame(BROADCAST, sender, EVERYONE, payload, index_or_none(payload)), problem
-
-    def frame(self, sender: int, submitted: OutgoingFrame, kind: int, number: int) -> tuple[Frame, str]:
-        """Read a frame of a phase; `kind` is `NEWS` if it may be any frame of a round without connections."""
-        receiver, payload = submitted.receiver, submitted.payload
-        if kind == OFFER:
-            content = read_offer(payload, self._maps)
-        elif kind == ANSWER:
-            content = read_answer(payload)
-        elif kind == DATA:
-            content = read_data(payload)
-        else:
-            content = read_news(payload) if self._gossip else read_any(payload, self._maps)
-            wanted = receiver == EVERYONE if self._gossip else receiver != EVERYONE
-            if not wanted:
-                content = content._replace(problem=NOT_FOR_ALL if receiver == EVERYONE else NOT_FOR_ONE)
-        index, kind, map_id, problem = content
-        frame = Frame(kind, sender, receiver, payload, index, map_id, number)
-        return frame, problem or (self._too_long(index) if self._frame_bytes else "")
-
-    def _too_long(self, index: PacketIndex) -> str:
-        """Return the error text if a packet exceeds the frame limit, else nothing."""
-        size = max(index.sizes, default=0) + self._tail
-        if size <= self._frame_bytes:
-            return ""
-        tail = " with its checksum" if self._tail else ""
-        return f"a packet of {size} bytes{tail}, where a frame holds {self._frame_bytes}"
+def readers(settings: RadioSettings) -> dict[int, Reader]:
+    """Return for each kind of frame a function that reads it; `NEWS` is any frame of a round without connections."""
+    return {
+        OFFER: partial(read_handshake, OFFER, settings.maps),
+        ANSWER: partial(read_handshake, ANSWER, settings.maps),
+        DATA: _limited(read_data, settings),
+        NEWS: _limited(read_news if settings.gossip else partial(read_any, settings.maps), settings),
+    }
 
 
-NO_BROADCAST = "broadcast something other than a target or a pose, at the start of a step"
-NOT_FOR_ALL = "sent to all, where maps are offered to one robot"
-NOT_FOR_ONE = "news are a broadcast: sent to one robot"
+def _limited(read: Reader, settings: RadioSettings) -> Reader:
+    """Return a reader that refuses frames with a packet that exceeds the frame limit."""
+    most = settings.packet_bytes
+    if most is None:
+        return read
+
+    def read_limited(payload: bytes) -> Content:
+        content = read(payload)
+        size, tail = max(content.packets.sizes, default=0), settings.checksum_bytes
+        if content.problem or size <= most:
+            return content
+        noted = " with its checksum" if tail else ""
+        problem = f"a packet of {size + tail} bytes{noted}, where a frame holds {most + tail}"
+        return content._replace(problem=problem)
+
+    return read_limited
+
 
 _LETTERS = {packets.Pose: "p", packets.Target: "t", packets.Passed: "P"}
 _BROADCAST = re.compile(r"(?=.)p?t?(Pt?)*")
@@ -101,72 +76,75 @@ def is_broadcast(payload: bytes) -> bool:
     return _BROADCAST.fullmatch(kinds) is not None and all(one < other for one, other in pairwise(robots))
 
 
-@lru_cache(maxsize=1 << 12)
-def read_offer(payload: bytes, maps: int) -> Content:
-    """Read the frame of an offer."""
+def read_broadcast(payload: bytes, round_number: int) -> Content:
+    """Read a broadcast of pose and target."""
+    problem = "broadcast something other than a target or a pose, at the start of a step"
+    return refused(BROADCAST, payload, "" if not round_number and is_broadcast(payload) else problem)
+
+
+def refused(kind: int, payload: bytes, problem: str) -> Content:
+    """Return a frame with a problem; its bytes need not be packets."""
     try:
-        content = packets.handshake(payload)
-    except ProtocolError as error:
-        return Content(index_or_none(payload), OFFER, -1, str(error))
-    offer = content[0] if len(content) == 1 else None
-    if not isinstance(offer, Offer) or offer.map >= maps:
-        return Content(index_or_none(payload), OFFER, -1, "an offer frame is one offer of a known map")
-    return Content(packet_index.index_of(payload), OFFER, offer.map)
+        index = index_of(payload)
+    except ProtocolError:
+        index = NO_PACKETS
+    return Content(kind, payload, index, -1, problem)
 
 
 @lru_cache(maxsize=1 << 13)
-def read_answer(payload: bytes) -> Content:
-    """Read the frame of an answer."""
+def read_handshake(kind: int, maps: int, payload: bytes) -> Content:
+    """Read the frame of an offer or an answer."""
     try:
-        kinds = [type(packet) for packet in packets.handshake(payload)]
+        content = packets.handshake(payload)
     except ProtocolError as error:
-        return Content(index_or_none(payload), ANSWER, -1, str(error))
+        return refused(kind, payload, str(error))
+    if kind == OFFER:
+        offer = content[0] if len(content) == 1 else None
+        if isinstance(offer, Offer) and offer.map < maps:
+            return Content(OFFER, payload, index_of(payload), offer.map)
+        return refused(OFFER, payload, "an offer frame is one offer of a known map")
+    kinds = [type(packet) for packet in content]
     is_answer = kinds[-1:] == [packets.Answer] and kinds[:-1] in ([], [packets.Block], 2 * [packets.Block])
     problem = "an answer frame is an answer behind at most two blocks, or a decline"
-    return Content(
-        packet_index.index_of(payload), ANSWER, -1, "" if is_answer or kinds == [packets.Decline] else problem
-    )
+    return refused(ANSWER, payload, "" if is_answer or payload == DECLINE else problem)
 
 
-def declines(payload: bytes) -> bool:
-    """Return whether an answer frame declines the offer."""
-    return payload == _DECLINE
+DECLINE = packets.encode([packets.Decline()])
+"""The answer that declines an offer."""
 
 
-_DECLINE = packets.encode([packets.Decline()])
-
-
+@lru_cache(maxsize=64)
 def read_data(payload: bytes) -> Content:
     """Read a frame of data."""
     try:
-        index = packet_index.index_of(payload)
+        index = index_of(payload)
     except ProtocolError as error:
-        return Content(NO_PACKETS, DATA, -1, str(error))
+        return Content(DATA, payload, NO_PACKETS, -1, str(error))
     odd = _first_of(index, _NO_DATA)
     problem = f"a data frame holds no {odd}" if odd else "" if payload else "an empty data frame"
-    return Content(index, DATA, -1, problem)
+    return Content(DATA, payload, index, -1, problem)
 
 
 def read_news(payload: bytes) -> Content:
     """Read a frame of gossip: log entries and reports."""
     try:
-        index = packet_index.index_of(payload)
+        index = index_of(payload)
     except ProtocolError as error:
-        return Content(NO_PACKETS, NEWS, -1, f"{_NEWS}: {error}")
+        return Content(NEWS, payload, NO_PACKETS, -1, f"{_NEWS}: {error}")
     odd = _first_of(index, _NO_ENTRIES)
     for piece in _conn_packets(payload, index):
         if not odd and not isinstance(piece, packets.Gossip):
             odd = piece.name
     problem = f"no {odd} of this kind" if odd else "" if payload else "nothing in it"
-    return Content(index, NEWS, -1, f"{_NEWS}: {problem}" if problem else "")
+    return Content(NEWS, payload, index, -1, f"{_NEWS}: {problem}" if problem else "")
 
 
-def read_any(payload: bytes, maps: int) -> Content:
+def read_any(maps: int, payload: bytes) -> Content:
     """Read a frame of a robot that requires acknowledgments: reports and offers, then log entries."""
     try:
-        index = packet_index.index_of(payload)
+        index = index_of(payload)
     except ProtocolError as error:
-        return Content(NO_PACKETS, DATA, -1, str(error))
+        return Content(DATA, payload, NO_PACKETS, -1, str(error))
     reports = _conn_packets(payload, index)
     if len(reports) < len(index.kinds):
         kind = DATA
@@ -174,7 +152,7 @@ def read_any(payload: bytes, maps: int) -> Content:
         kind = OFFER if any(isinstance(each, Offer) for each in reports) else ANSWER
     begun = [each.map for each in reports if isinstance(each, Begins)]
     held = [each.map for each in reports if isinstance(each, Held | HeldEarly)]
-    return Content(index, kind, (begun or held or [-1])[0], _wrong_in_any(index, reports, maps))
+    return Content(kind, payload, index, (begun or held or [-1])[0], _wrong_in_any(index, reports, maps))
 
 
 def _wrong_in_any(index: PacketIndex, reports: Sequence[packets.AnyPacket], maps: int) -> str:

@@ -83,10 +83,13 @@ class Airtime:
         self._reuse = reuse
         self._can_send = send or [0] * robots
         self._can_receive = receive or [0] * robots
+        self.limits_reception = any(self._can_receive)
+        """Whether a robot's reception is limited."""
         self.set_budget(budget)
         self._saved = [HOUR * (self._earned or 0.0)] * robots
         self._neighbors: Mapping[int, Sequence[int]] = {}
-        self._left = budget
+        self.left = budget
+        """The remaining budget that the whole team shares."""
         self._used = self._sent = self._received = [0] * robots
 
     def set_budget(self, budget: Budget) -> None:
@@ -99,7 +102,7 @@ class Airtime:
         """Begin a step, with the robots in range of each."""
         self._neighbors = neighbors
         robots = len(self._used)
-        self._left = self._budget
+        self.left = self._budget
         self._used, self._sent, self._received = [0] * robots, [0] * robots, [0] * robots
         if self._earned is not None:
             self._saved = [min(saved + self._earned, HOUR * self._earned) for saved in self._saved]
@@ -107,7 +110,7 @@ class Airtime:
     def shared(self, robot: int) -> Budget:
         """Return the remaining budget that a robot shares with others."""
         if not self._reuse or self._budget.unlimited:
-            return self._left
+            return self.left
         around = (robot, *self._neighbors.get(robot, ()))
         return self._budget.minus(max(self._used[each] for each in around))
 
@@ -126,17 +129,13 @@ class Airtime:
 
     def book(self, robot: int, size: int) -> None:
         """Record that a robot has sent `size` bytes."""
-        self._left = self._left.minus(size)
+        self.left = self.left.minus(size)
         if self._reuse:
             for each in (robot, *self._neighbors.get(robot, ())):
                 self._used[each] += size
         self._sent[robot] += size
         if self._earned is not None:
             self._saved[robot] -= size
-
-    def set_left(self, left: Budget) -> None:
-        """Set the remaining budget that the whole team shares."""
-        self._left = left
 
     def receives(self, robot: int, size: int) -> bool:
         """Record that a robot receives `size` bytes; return False if they exceed its limit."""

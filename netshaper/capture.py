@@ -25,31 +25,28 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from netshaper import pcapng
 from netshaper.frame_log import (
-    BEGIN,
+    BYTES,
     COMMENT,
     CONNECTION,
-    END,
     FRAME,
     MAP,
-    PACKETS_FROM,
+    PACKETS,
     RECEIVER,
-    RECEIVERS_FROM,
-    RECEIVERS_TO,
+    RECEIVERS,
     ROUND,
     SENDER,
     VERDICT,
     Columns,
-    LoggedFrame,
-    receivers_of,
 )
 from netshaper.ledger import CAUSES, FIRST_ON_AIR, FRAMES
 from netshaper.pcapng import CaptureError
-from protocol.arrays import Int32s, Int64Rows, Int64s, ReadOnlyUint8s, Uint8s
+from protocol.arrays import Int64Rows, Int64s, ReadOnlyInt32s, ReadOnlyUint8s, Uint8s
 from protocol.kernels import kernel
 
 LINK_TYPE = 147
@@ -74,6 +71,25 @@ PART = 200_000
 VERDICTS = ("carried", *CAUSES[1:])
 
 _SECOND = 1_000_000
+
+
+class LoggedFrame(NamedTuple):
+    """One frame, or the part of it with one verdict, as readers of captures use it.
+
+    `frame` is an index in `netshaper.ledger.FRAMES`, `verdict` in `CAUSES`; `receivers` is a mask, bit r for robot r;
+    `reason`: why it was refused, or a note on its delivery.
+    """
+
+    round: int
+    connection: int
+    frame: int
+    sender: int
+    receiver: int
+    map: int
+    verdict: int
+    receivers: int
+    payload: bytes
+    reason: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +155,7 @@ _HEADS = {VERSION: HEAD, WIDE: WIDE_HEAD}
 
 def received_by(seen: LoggedFrame) -> list[int]:
     """Return the robots that received a frame."""
-    return receivers_of(seen.receivers)
+    return [robot for robot in range(seen.receivers.bit_length()) if seen.receivers >> robot & 1]
 
 
 _PACKET_HEAD = 28
@@ -203,7 +219,7 @@ def _encode(
     rows: Int64Rows,
     receivers: Int64s,
     payload: ReadOnlyUint8s,
-    sizes: Int32s,
+    sizes: ReadOnlyInt32s,
     texts: ReadOnlyUint8s,
     text_at: Int64s,
     on_air: int,
@@ -211,7 +227,7 @@ def _encode(
     """Write enhanced packet blocks (`netshaper.pcapng.packet`), each with a header, frame part and comment."""
     room = 0
     for each in range(len(rows)):
-        size = rows[each, END] - rows[each, BEGIN]
+        size = rows[each, BYTES]
         text = text_at[rows[each, COMMENT] + 1] - text_at[rows[each, COMMENT]]
         parts = 1 + size // (PART // 2)
         cut = 0 < rows[each, VERDICT] < on_air
@@ -219,13 +235,15 @@ def _encode(
     out = np.empty(room, np.uint8)
     at = 0
     blocks = 0
+    end = behind = next_packet = 0
     for each in range(len(rows)):
-        begin, end = rows[each, BEGIN], rows[each, END]
-        first, behind = rows[each, RECEIVERS_FROM], rows[each, RECEIVERS_TO]
+        begin, first, packet = end, behind, next_packet
+        end += rows[each, BYTES]
+        behind += rows[each, RECEIVERS]
+        next_packet += max(0, rows[each, PACKETS])
         wide = max(rows[each, SENDER], rows[each, RECEIVER], rows[each, MAP]) >= NARROW
         for receiver in receivers[first:behind]:
             wide = wide or receiver >= NARROW
-        packet = rows[each, PACKETS_FROM]
         part = 0
         cut = 0 < rows[each, VERDICT] < on_air
         while True:
@@ -233,7 +251,7 @@ def _encode(
             if cut:
                 kept = min(kept, KEPT)
             elif size > PART:
-                if packet >= 0:
+                if rows[each, PACKETS] > 0:
                     size = sizes[packet]
                     packet += 1
                     while size + sizes[packet] <= PART:

@@ -25,13 +25,14 @@ RECEIVED, LOSS, DAMAGED = (CAUSES.index(cause) for cause in ("", "loss", "damage
 
 
 class Reception(NamedTuple):
-    """The part of a frame sequence that one robot receives.
+    """The part of a frame sequence that robots receive.
 
     `frames`: those before the first missing one, without checksums; frames after a gap are discarded. `cause`: the
     cause of missing frames, in `CAUSES`. `delays`: for each copy, the steps until it arrives.
     """
 
-    frames: list[bytes]
+    receivers: Sequence[int]
+    frames: Sequence[bytes]
     cause: int
     delays: list[int]
 
@@ -59,10 +60,13 @@ class Channel:
         frames: Sequence[bytes],
         receivers: Sequence[int],
     ) -> list[Reception]:
-        """Carry a sequence of frames to each receiver; `number` is its position among those of the sender and round."""
+        """Carry a sequence of frames to each receiver, in their order; robots with equal receptions may share one.
+
+        `number` is the position of the sequence among those of its sender and round.
+        """
         options = self._options
         if options.lossless:
-            return [Reception(list(frames), RECEIVED, [0])] * len(receivers)
+            return [Reception(receivers, frames, RECEIVED, [0])]
         random = keyed_random(self._seed, "channel", step, round_number, sender, number)
         draws = random.random((len(self._bad), 2 * len(frames) + 2))
         receptions = []
@@ -89,7 +93,7 @@ class Channel:
                 arrived.append(received)
             delay = options.delay + int(later * (options.jitter + 1))
             delays = [delay, delay] if twice < options.duplication else [delay]
-            receptions.append(Reception(arrived, cause, delays))
+            receptions.append(Reception([receiver], arrived, cause, delays))
         return receptions
 
 

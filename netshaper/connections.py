@@ -1,83 +1,91 @@
 """Connections of a round of handshakes: each is one offer, its answer and its data, from one robot to another.
 
-The relay collects the frames phase by phase and delivers each phase's frames together. Then the medium carries the
-connections one by one (`netshaper.medium`), and both ends receive a report.
+A round of handshakes has three phases, and asking each robot in each phase costs a message to it and one from it. But
+a robot knows in advance how it answers nearly all offers, and what it sends after nearly all answers to its own. It
+sends these replies in advance (`protocol.messages.Replies`), and the relay asks it only in other cases. The frames on
+the air and their order are the same.
 """
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
+from netshaper.admission import DECLINE
+from netshaper.frame_log import Content
+from netshaper.ledger import ANSWER, OFFER
+from protocol.budget import Budget
+from protocol.messages import Replies
+from protocol.packet_index import fitting
 
-from netshaper.frame_log import Frame
-from netshaper.ledger import ANSWER, DATA
-from protocol.messages import ConnectionReport, Delivery
 
-
-class Connections:
-    """The connections of one round in the order in which they go on the air, as columns.
+@dataclass(slots=True, eq=False)
+class Connection:
+    """One connection.
 
     Attributes
     ----------
-    first : int
-        The number of the first connection.
-    senders, receivers, maps : list of int
+    number : int
+        Its number in the step, in the order in which connections go on the air.
+    sender, receiver, map_id : int
         The robot that offers a map, the robot that receives the offer, and the map.
-    frames : three lists of Frame or None
-        The offer, the answer and the data of each.
-    lost : list of int
+    position : int
+        Position of the offer among the frames that its sender submitted.
+    frames : list of Content
+        The offer, the answer and the data, as far as they have been sent.
+    lost : int
         The kind of the frame whose receiver could not receive it; -1 for none.
     """
 
-    def __init__(self, first: int = 0, offers: Sequence[Frame] = ()) -> None:
-        self.first = first
-        self.senders = [offer.sender for offer in offers]
-        self.receivers = [offer.receiver for offer in offers]
-        self.maps = [offer.map_id for offer in offers]
-        self.frames: tuple[list[Frame | None], list[Frame | None], list[Frame | None]]
-        self.frames = list(offers), [None] * len(offers), [None] * len(offers)
-        self.lost = [-1] * len(offers)
+    number: int
+    sender: int
+    receiver: int
+    map_id: int
+    position: int
+    frames: list[Content]
+    lost: int = -1
 
-    def __len__(self) -> int:
-        return len(self.senders)
+    def ends(self, kind: int) -> tuple[int, int]:
+        """Return sender and receiver of its frame of a kind."""
+        return (self.receiver, self.sender) if kind == ANSWER else (self.sender, self.receiver)
 
-    def ends(self, kind: int) -> tuple[list[int], list[int]]:
-        """Return the senders and receivers of the frames of a kind."""
-        return (self.receivers, self.senders) if kind == ANSWER else (self.senders, self.receivers)
+    def accepts(self, kind: int, sender: int, receiver: int) -> bool:
+        """Return whether a frame of a kind is its next one, and between the right robots."""
+        return self.ends(kind) == (sender, receiver) and len(self.frames) == kind and self.lost < 0
 
-    def deliveries(self, kind: int, receives: Callable[[int], bool]) -> dict[int, list[Delivery]]:
-        """Return for each receiver the frames of a phase, in order; note those that a robot cannot receive."""
-        senders, receivers = self.ends(kind)
-        arrived: defaultdict[int, list[Delivery]] = defaultdict(list)
-        for at, frame in enumerate(self.frames[kind]):
-            if frame is None:
-                continue
-            if receives(receivers[at]):
-                delivery = Delivery(senders[at], frame.payload, self.first + at, self.maps[at])
-                arrived[receivers[at]].append(delivery)
-            else:
-                self.lost[at] = kind
-        return arrived
 
-    def reports(
-        self, carried: NDArray[np.int64]
-    ) -> tuple[dict[int, list[ConnectionReport]], dict[int, list[Delivery]]]:
-        """Return for each robot the reports on its connections, and the data that arrived.
+def answers(replies: Replies, offered: Sequence[Connection]) -> list[bytes] | None:
+    """Answer offers for the robot that sent `replies`; None if the relay has to ask it."""
+    known = {reply.offer: reply.answer for reply in replies.offers}
+    taken: set[int] = set()
+    payloads = []
+    for connection in offered:
+        answer = known.get(connection.frames[OFFER].payload)
+        if answer is None:
+            return None
+        payloads.append(replies.decline if connection.map_id in taken else answer)
+        taken.add(connection.map_id)
+    return payloads
 
-        `carried`: shape (connections, 3), the bytes of each frame that were on the air.
-        """
-        reports: defaultdict[int, list[ConnectionReport]] = defaultdict(list)
-        arrived: defaultdict[int, list[Delivery]] = defaultdict(list)
-        for at, (offer, answer, data) in enumerate(carried.tolist()):
-            sender, receiver = self.senders[at], self.receivers[at]
-            report = ConnectionReport(self.first + at, offer, answer, data)
-            reports[sender].append(report)
-            reports[receiver].append(report)
-            frame = self.frames[DATA][at]
-            if frame is not None and data:
-                delivery = Delivery(sender, frame.payload[:data], self.first + at, self.maps[at])
-                arrived[receiver].append(delivery)
-        return reports, arrived
+
+def data(replies: Replies, answered: Sequence[Connection], room: Budget) -> list[bytes] | None:
+    """Return the data, at most `room` bytes, that a robot sends after answers; None if the relay has to ask it.
+
+    Empty data are not sent.
+    """
+    payloads = []
+    for connection in answered:
+        if connection.position >= len(replies.answers):
+            return None
+        reply, answer = replies.answers[connection.position], connection.frames[ANSWER].payload
+        if answer in (reply.up_to_date, DECLINE):
+            payloads.append(b"")
+            continue
+        if answer != reply.behind or reply.load < 0:
+            return None
+        payload = replies.loads[reply.load]
+        if room.limit is not None:
+            payload = payload if room.fits(len(payload)) else payload[: fitting(payload, room.limit)]
+            room = room.minus(len(payload))
+        payloads.append(payload)
+    return payloads

@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
-from array import array
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
+from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from netshaper.ledger import CAUSES, EVERYONE
-from protocol.errors import ProtocolError
-from protocol.packet_index import NO_PACKETS, PacketIndex, index_of
+from netshaper.ledger import CAUSES, EVERYONE, FIRST_ON_AIR, ROW
+from protocol.arrays import Int64Rows, Int64s, ReadOnlyInt32s, ReadOnlyUint8s
+from protocol.kernels import kernel
+from protocol.packet_index import KINDS, PacketIndex
 
-(
-    ROUND, CONNECTION, FRAME, SENDER, RECEIVER, MAP, VERDICT, COMMENT, RECEIVERS_FROM, RECEIVERS_TO, BEGIN, END,
-    PACKETS_FROM, PACKETS_TO,
-) = range(14)  # fmt: skip
-COLUMNS = 14
-"""Columns of a row, one row per frame or part of a frame with one verdict. The first seven are those of `LoggedFrame`;
-the others are positions in `Columns.texts`, `receivers`, `payload`, `kinds` and `sizes`."""
+ROUND, CONNECTION, FRAME, SENDER, RECEIVER, MAP, VERDICT, COMMENT, RECEIVERS, BYTES, PACKETS = range(11)
+COLUMNS = 11
+"""Columns of a row, one row per frame or part of a frame with one verdict: `FRAME` counts in `netshaper.ledger.FRAMES`,
+`VERDICT` in `CAUSES`, and `COMMENT` in `Columns.texts`. The last three are numbers of robots, bytes and packets."""
 
 MALFORMED = -1
-"""In `PACKETS_FROM`: the bytes do not decode as packets."""
+"""In `PACKETS`: the bytes do not decode as packets."""
 
 TEXT_OF_CAUSE = (
     "delivered", "cut by budget", "out of range", "refused", "a partner died", "the sender is mute",
@@ -31,166 +28,143 @@ TEXT_OF_CAUSE = (
 )  # fmt: skip
 """Comment text of each verdict, for a frame to one robot."""
 
-Rows = NDArray[np.int64]
 
-
-class Frame(NamedTuple):
-    """A frame that a robot sends.
+class Content(NamedTuple):
+    """The bytes of a frame, as the relay has read them (`netshaper.admission`).
 
     `kind`: as in `netshaper.ledger.FRAMES`. `packets`: their index, `NO_PACKETS` if malformed. `map_id`: -1 if it
-    belongs to no map. `number`: its position among the frames that the sender submitted, its broadcast included.
+    belongs to no map. `problem`: error text, empty if the frame is valid.
     """
 
     kind: int
-    sender: int
-    receiver: int
     payload: bytes
     packets: PacketIndex
     map_id: int = -1
-    number: int = 0
+    problem: str = ""
+
+    def part(self, first: int, last: int) -> Content:
+        """Return packets `first` to `last` - 1."""
+        payload = self.payload[self.packets.bytes_of(first, last)]
+        return Content(self.kind, payload, self.packets.part(first, last), self.map_id)
 
 
-class LoggedFrame(NamedTuple):
-    """One frame, or the part of it with one verdict, as tests and readers of captures use it.
+class Frame(NamedTuple):
+    """A frame that a robot sends; `number` counts the frames that it submitted, its broadcast included."""
 
-    `frame` is an index in `netshaper.ledger.FRAMES`, `verdict` in `CAUSES`; `receivers` is a mask, bit r for robot r;
-    `reason`: why it was refused, or a note on its delivery.
-    """
-
-    round: int
-    connection: int
-    frame: int
     sender: int
     receiver: int
-    map: int
-    verdict: int
-    receivers: int
-    payload: bytes
-    reason: str = ""
+    content: Content
+    number: int = 0
 
 
 class Columns(NamedTuple):
     """A step's frames as arrays.
 
-    `rows`: int64, shape (frames, `COLUMNS`). `receivers`: int64, robots. `payload`: uint8, all bytes. `kinds`,
-    `sizes`: uint8 and int32, one number per packet. `texts`: uint8, all comments, of which text n runs from
-    ``text_at[n]`` to ``text_at[n + 1]``.
+    `rows`: int64, shape (frames, `COLUMNS`). The others hold the items of all frames in order. `receivers`: int64,
+    robots. `payload`: uint8. `kinds`, `sizes`: uint8 and int32, one number per packet. `texts`: uint8, all comments, of
+    which text n runs from ``text_at[n]`` to ``text_at[n + 1]``.
     """
 
-    rows: Rows
-    receivers: Rows
-    payload: NDArray[np.uint8]
-    kinds: NDArray[np.uint8]
-    sizes: NDArray[np.int32]
-    texts: NDArray[np.uint8]
-    text_at: Rows
+    rows: Int64Rows
+    receivers: Int64s
+    payload: ReadOnlyUint8s
+    kinds: ReadOnlyUint8s
+    sizes: ReadOnlyInt32s
+    texts: ReadOnlyUint8s
+    text_at: Int64s
 
 
 class FrameLog:
     """Frames in the order in which the relay decided on them."""
 
     def __init__(self) -> None:
-        self._rows = array("q")
-        self._receivers = array("q")
-        self._payloads: list[bytes] = []
-        self._kinds: list[bytes] = []
-        self._sizes = array("i")
-        self._bytes = 0
-        self._texts = list(TEXT_OF_CAUSE)
-        self._number_of = {text: number for number, text in enumerate(self._texts)}
+        self._rows: list[int] = []
+        self._receivers: list[int] = []
+        self._contents: list[Content] = []
+        self._texts = {text: number for number, text in enumerate(TEXT_OF_CAUSE)}
 
     def __len__(self) -> int:
-        return len(self._rows) // COLUMNS
+        return len(self._contents)
 
     def add(
-        self, round_number: int, frame: Frame, verdict: int, receivers: Sequence[int] = (), reason: str = ""
-    ) -> None:
-        """Log a frame, or a part of one, with one verdict and without a connection."""
-        self._add(round_number, -1, frame, verdict, receivers, reason)
-
-    def _add(
         self,
         round_number: int,
-        connection: int,
-        frame: Frame,
+        sender: int,
+        receiver: int,
+        content: Content,
         verdict: int,
-        receivers: Sequence[int],
-        reason: str,
+        receivers: Sequence[int] = (),
+        map_id: int = -1,
+        connection: int = -1,
+        reason: str = "",
     ) -> None:
-        kind, sender, receiver, payload, index, map_id, _ = frame
-        text = comment(verdict, receiver, tuple(receivers), reason)
-        number = self._number_of.setdefault(text, len(self._texts))
-        if number == len(self._texts):
-            self._texts.append(text)
-        begin, first_packet, first_receiver = self._bytes, len(self._sizes), len(self._receivers)
-        self._bytes += len(payload)
-        self._payloads.append(payload)
-        self._kinds.append(index.kinds)
-        self._sizes.extend(index.sizes)
-        self._receivers.extend(receivers)
-        if payload and not index.kinds:
-            first_packet = MALFORMED
-        self._rows.extend(
-            (
-                round_number, connection, kind, sender, receiver, map_id, verdict, number, first_receiver,
-                len(self._receivers), begin, self._bytes, first_packet, len(self._sizes),
+        """Log a frame, or a part of one, with one verdict.
+
+        `receivers`: robots that received it. `reason`: why it was refused, or a note on its delivery.
+        """
+        kind, payload, packets = content[:3]
+        text = verdict
+        if reason or receiver == EVERYONE:
+            text = self._texts.setdefault(
+                comment(verdict, receiver, tuple(receivers), reason), len(self._texts)
             )
+        count = len(packets.kinds) or (MALFORMED if payload else 0)
+        self._rows += (
+            round_number, connection, kind, sender, receiver, map_id, verdict, text, len(receivers), len(payload),
+            count,
         )  # fmt: skip
-
-    def extend(
-        self, rows: Rows, receivers: Rows, payloads: Sequence[bytes], packets: Sequence[PacketIndex]
-    ) -> None:
-        """Log many frames at once; the positions in `rows` count from the beginning of these arguments."""
-        rows[:, [RECEIVERS_FROM, RECEIVERS_TO]] += len(self._receivers)
-        rows[:, [BEGIN, END]] += self._bytes
-        rows[:, [PACKETS_FROM, PACKETS_TO]] += len(self._sizes)
-        self._rows.frombytes(rows.tobytes())
-        self._receivers.frombytes(receivers.tobytes())
-        self._payloads.extend(payloads)
-        self._bytes += sum(map(len, payloads))
-        for index in packets:
-            self._kinds.append(index.kinds)
-            self._sizes.extend(index.sizes)
-
-    @classmethod
-    def of(cls, frames: Iterable[LoggedFrame]) -> FrameLog:
-        """Log the same frames."""
-        log = cls()
-        for each in frames:
-            frame = Frame(
-                each.frame, each.sender, each.receiver, each.payload, index_or_none(each.payload), each.map
-            )
-            receivers = receivers_of(each.receivers)
-            log._add(each.round, each.connection, frame, each.verdict, receivers, each.reason)
-        return log
+        self._receivers += receivers
+        self._contents.append(content)
 
     def columns(self) -> Columns:
         """Return the log as arrays."""
         texts = [text.encode() for text in self._texts]
-        text_at = np.zeros(len(texts) + 1, np.int64)
-        np.cumsum([len(text) for text in texts], out=text_at[1:])
         return Columns(
             np.array(self._rows, np.int64).reshape(-1, COLUMNS),
             np.array(self._receivers, np.int64),
-            np.frombuffer(b"".join(self._payloads), np.uint8),
-            np.frombuffer(b"".join(self._kinds), np.uint8),
-            np.array(self._sizes, np.int32),
+            np.frombuffer(b"".join([content.payload for content in self._contents]), np.uint8),
+            np.frombuffer(b"".join([content.packets.kinds for content in self._contents]), np.uint8),
+            np.frombuffer(b"".join([content.packets.sizes for content in self._contents]), np.int32),
             np.frombuffer(b"".join(texts), np.uint8),
-            text_at,
+            np.array([*accumulate(map(len, texts), initial=0)], np.int64),
         )
 
 
-def index_or_none(payload: bytes) -> PacketIndex:
-    """Return the packet index of a frame, `NO_PACKETS` if the bytes are malformed."""
-    try:
-        return index_of(payload)
-    except ProtocolError:
-        return NO_PACKETS
+def ledger_rows(step: int, columns: Columns) -> bytes:
+    """Write the ledger's rows of a step (`netshaper.ledger.ROW`), one for each frame and kind of packet in it."""
+    counted = _count(columns.rows, columns.kinds, columns.sizes, KINDS)
+    frames = columns.rows[counted[:, 0]]
+    rows = np.empty(len(counted), ROW)
+    for name, column in zip(
+        ("round", "connection", "frame", "sender", "receiver", "map", "cause"), frames.T, strict=False
+    ):
+        rows[name] = column
+    rows["step"], rows["received_by"] = step, frames[:, RECEIVERS]
+    rows["kind"], rows["packets"], rows["bytes"] = counted[:, 1:].T
+    rows["carried"] = (rows["cause"] == 0) | (rows["cause"] >= FIRST_ON_AIR)
+    return rows.tobytes()
 
 
-def receivers_of(mask: int) -> list[int]:
-    """Return the robots of a mask."""
-    return [robot for robot in range(mask.bit_length()) if mask >> robot & 1]
+@kernel
+def _count(frames: Int64Rows, kinds: ReadOnlyUint8s, sizes: ReadOnlyInt32s, most: int) -> Int64Rows:
+    """Count the packets of each frame: rows of frame, kind, packets and bytes."""
+    rows = np.empty((len(frames) + len(kinds), 4), np.int64)
+    counts = np.zeros((most, 2), np.int64)
+    written = packet = 0
+    for frame in range(len(frames)):
+        if frames[frame, PACKETS] == MALFORMED:
+            rows[written] = frame, MALFORMED, 1, frames[frame, BYTES]
+            written += 1
+        for at in range(packet, packet + frames[frame, PACKETS]):
+            counts[kinds[at], 0] += 1
+            counts[kinds[at], 1] += sizes[at]
+        packet += max(0, frames[frame, PACKETS])
+        for kind in range(most):
+            if counts[kind, 0]:
+                rows[written] = frame, kind, counts[kind, 0], counts[kind, 1]
+                written += 1
+        counts[:] = 0
+    return rows[:written]
 
 
 @lru_cache(maxsize=1 << 12)

@@ -7,6 +7,7 @@ without a robot that the relay reports as lost. A viewer may join and leave; the
 from __future__ import annotations
 
 from collections import Counter, defaultdict
+from collections.abc import Callable
 
 from msgspec.structs import replace
 
@@ -33,6 +34,7 @@ from protocol.messages import (
     PhaseDelivery,
     Positions,
     RadioReport,
+    Reconnected,
     Record,
     RelayUpdate,
     RequestMaps,
@@ -48,6 +50,8 @@ from protocol.rights import MAX_PROTOCOL_ERRORS, TOO_MANY_ERRORS
 
 ENDED = "its process ended"
 """Cause of the loss of a robot that has left the bus."""
+DISCONNECTED = "its process ended, or its connection was cut and not restored"
+"""Cause of the loss of a robot that has left the bus, and whose process may be alive."""
 
 MIN_FRAME, MAX_FRAME = 64, 1 << 24
 """Minimum bytes that a frame may exceed the budget by, and maximum bytes of a frame without a budget."""
@@ -59,11 +63,38 @@ EXTRA_PER_MAP = Held.size + Offer.size + Passed.size + Target.size
 class RelayNode:
     """The relay of one run; `done` once all participants have received `Shutdown` and have left.
 
-    With `captures` it reports the frames themselves as well as the ledger.
+    Parameters
+    ----------
+    captures : bool
+        Whether to report the frames themselves as well as the ledger.
+    resend : callable, optional
+        Sends the last messages to a robot again. With it, the relay waits for a robot that has left the bus, until
+        `give_up_on` is called: only its connection may have been cut. Without it, such a robot is lost at once.
+    may_return : bool
+        Whether a lost robot may take part again, as a new incarnation.
+
+    Attributes
+    ----------
+    away : set of int
+        Robots whose connections were cut and are not restored yet.
     """
 
-    def __init__(self, bus: Bus, keys: Keys, settings: RadioSettings, *, captures: bool = True) -> None:
+    def __init__(
+        self,
+        bus: Bus,
+        keys: Keys,
+        settings: RadioSettings,
+        *,
+        captures: bool = True,
+        resend: Callable[[str], object] | None = None,
+        may_return: bool = True,
+    ) -> None:
         self.done = False
+        self.away: set[int] = set()
+        self._resend = resend
+        self._may_return = may_return
+        self._ending: set[int] = set()
+        """Robots that a fault kills, and that have not left the bus yet."""
         self.shutting_down = False
         """Whether the relay has sent `Shutdown`; it does not wait for participants that stay."""
         self._bus = bus
@@ -122,6 +153,7 @@ class RelayNode:
     def give_up_on(self, robot: int, cause: str) -> None:
         """Continue without a robot."""
         name = names.robot(robot)
+        self.away.discard(robot)
         if name in self._present:
             self._present.discard(name)
             self._events.pop(robot, None)
@@ -135,7 +167,13 @@ class RelayNode:
             self._watched = came
             for other in sorted(self._present - {names.RECORDER}):
                 self._bus.put(self._keys.control(other, names.RELAY), pack(Watched(came)))
+        elif came and names.is_robot(name) and names.number(name) in self.away:
+            self._reconnect(names.number(name))
+        elif came and names.is_robot(name) and self._begun and not self._may_return:
+            self._refuse(name)
         elif came:
+            if self._resend is not None and not self._begun:
+                self._resend(name)
             self._present.add(name)
             if self._watched and name != names.RECORDER:
                 self._bus.put(self._keys.control(name, names.RELAY), pack(Watched(here=True)))
@@ -156,7 +194,31 @@ class RelayNode:
             self.break_off("the recorder died")
             self._shut_down()
         else:
-            self.give_up_on(names.number(name), ENDED)
+            self._leave(names.number(name))
+
+    def _leave(self, robot: int) -> None:
+        """Wait for a robot that has left the bus if it may come back, else continue without it."""
+        if self._resend is None or robot in self._ending:
+            self._ending.discard(robot)
+            self.give_up_on(robot, ENDED)
+        elif names.robot(robot) in self._present:
+            self.away.add(robot)
+
+    def _reconnect(self, robot: int) -> None:
+        """Let a robot continue whose connection was cut: all ends send their last messages again."""
+        name = names.robot(robot)
+        self.away.discard(robot)
+        if self._resend is not None:
+            self._resend(name)
+        restored = Reconnected(robot)
+        for other in (name, names.WORLD):
+            self._bus.put(self._keys.control(other, names.RELAY), pack(restored))
+        self._report(restored)
+
+    def _refuse(self, name: str) -> None:
+        """Shut a robot down that was lost: without another incarnation, it cannot take part again."""
+        self._bus.put(self._keys.control(name, names.RELAY), pack(Shutdown()))
+        self._fault(name, "joined again after it was lost; it may not start again in this run")
 
     def _configure(self, robot: int) -> None:
         """Send a robot its settings once the robot has joined and the settings have arrived."""
@@ -190,6 +252,8 @@ class RelayNode:
             self._end(message)
         elif isinstance(message, Lost):
             self.give_up_on(message.robot, message.cause)
+        elif isinstance(message, FaultEvent) and sender == names.WORLD:
+            self._ending.add(message.robot)
         elif isinstance(message, Stop | FaultEvent):
             self._bus.put(self._keys.control(names.WORLD, names.RELAY), payload)
         elif isinstance(message, RequestMaps):
@@ -224,13 +288,9 @@ class RelayNode:
     def _check_lengths(self, submitted: RobotFrames) -> None:
         """Raise ProtocolError if a frame is longer than any frame that could be carried."""
         replies = submitted.replies
-        longest = max(
-            len(submitted.broadcast),
-            len(replies.decline),
-            *[len(frame.payload) for frame in submitted.frames],
-            *[len(reply.answer) for reply in replies.offers],
-            *map(len, replies.loads),
-        )
+        payloads = [submitted.broadcast, replies.decline, *replies.loads]
+        payloads += [frame.payload for frame in submitted.frames]
+        longest = max(map(len, payloads + [reply.answer for reply in replies.offers]))
         if longest > self._max_frame_bytes:
             reason = (
                 f"a frame of {longest} bytes, where {self._max_frame_bytes} are the most that can be carried"

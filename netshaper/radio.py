@@ -19,6 +19,7 @@ left. A frame that is malformed, out of range or out of turn is logged as such a
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from operator import attrgetter
@@ -26,19 +27,18 @@ from typing import NamedTuple, TypeVar
 
 import msgspec
 
-from netshaper import replies
-from netshaper.admission import Admission
+from netshaper.admission import read_broadcast, readers, refused
 from netshaper.airtime import Shares
-from netshaper.connections import Connections
-from netshaper.frame_log import Frame, index_or_none
+from netshaper.connections import Connection, answers, data
+from netshaper.frame_log import Content, Frame
 from netshaper.ledger import ANSWER, DATA, EVERYONE, NEWS, OFFER
 from netshaper.medium import Account, Medium
-from netshaper.replies import Speculation
 from netshaper.settings import RadioSettings
 from netshaper.topology import Topology
 from protocol.budget import UNLIMITED, Budget
 from protocol.keyed_random import keyed_random
 from protocol.messages import (
+    NO_REPLIES,
     Broadcasts,
     Change,
     Close,
@@ -48,6 +48,7 @@ from protocol.messages import (
     Open,
     OutgoingFrame,
     PhaseDelivery,
+    Replies,
     RobotFrames,
     RoundReport,
     SendReport,
@@ -56,9 +57,13 @@ from protocol.messages import (
 Item = TypeVar("Item")
 
 _STEP = attrgetter("step")
-_OFFER = attrgetter("sender", "receiver", "map_id")
+_FRAME = attrgetter("frame")
 
 PHASES = ("offers", "answers", "data")
+
+NOT_FOR_ALL = "sent to all, where maps are offered to one robot"
+NOT_FOR_ONE = "news are a broadcast: sent to one robot"
+TWICE = "more than one frame, or more than one offer of a map, for a receiver in a round"
 
 
 class ToRobot(NamedTuple):
@@ -84,7 +89,8 @@ class Radio:
         self._changes = sorted(settings.changes, key=_STEP)
         """Changes of later steps."""
         self._topology = Topology()
-        self._admission = Admission(settings)
+        self._readers = readers(settings)
+        """For each kind of frame the function that reads it."""
         self._medium = Medium(settings)
         self._shares = Shares(settings.budget)
         self._step = 0
@@ -96,8 +102,11 @@ class Radio:
         """Those of them that have not answered yet."""
         self._submitted: dict[int, RobotFrames] = {}
         """The frames of the others."""
-        self._connections = Connections()
-        self._speculations: dict[int, Speculation] = {}
+        self._connections: list[Connection] = []
+        self._first = 0
+        """Number of the round's first connection; they are counted through a step."""
+        self._replies: dict[int, Replies] = {}
+        """The speculative replies of robots in this round."""
         self._budget_at_open = UNLIMITED
         """The remaining budget when the round began."""
         self._broadcast_sent: dict[int, bool] = {}
@@ -123,7 +132,7 @@ class Radio:
         self._topology.begin(self.settings, step, cells, mute, deaf)
         self._medium.begin_step(step, self._topology.in_range)
         self._shares.next_step()
-        self._connections = Connections()
+        self._connections, self._first = [], 0
         return self._open() if self.settings.robots > 1 else self._close()
 
     def change(self, change: Change) -> None:
@@ -175,9 +184,10 @@ class Radio:
 
     def _open(self) -> list[Outgoing]:
         """Begin a round."""
-        self._connections = Connections(self._connections.first + len(self._connections))
+        self._first += len(self._connections)
+        self._connections = []
         self._broadcast_sent = {}
-        self._speculations = {}
+        self._replies = {}
         self._budget_at_open = self._medium.airtime.shared(0)
         living = self._topology.living()
         self._expect("offers", living)
@@ -219,57 +229,52 @@ class Radio:
 
     # --- admission and order
 
-    def _refuse(self, frame: Frame, cause: str, reason: str = "") -> None:
-        self._medium.refuse(frame, cause, reason)
+    def _refuse(self, sender: int, receiver: int, content: Content, cause: str, reason: str = "") -> None:
+        self._medium.refuse(sender, receiver, content, cause, reason)
         if reason:
-            self.protocol_errors.append((frame.sender, reason))
+            self.protocol_errors.append((sender, reason))
 
     def _refuse_out_of_turn(self, sender: int, submitted: RobotFrames) -> None:
         error = f"sent frames in phase {submitted.phase!r} of step {self._step} out of turn"
         self.protocol_errors.append((sender, error))
         frames = [OutgoingFrame(EVERYONE, submitted.broadcast)] if submitted.broadcast else []
-        for frame in [*frames, *submitted.frames]:
-            content = frame.payload, index_or_none(frame.payload)
-            self._refuse(Frame(DATA, sender, frame.receiver, *content), "protocol", "spoke out of turn")
+        reason = "spoke out of turn"
+        for each in [*frames, *submitted.frames]:
+            self._refuse(sender, each.receiver, refused(DATA, each.payload, reason), "protocol", reason)
 
     def _admit(self, kind: int) -> tuple[list[Frame], list[Frame]]:
         """Return the admitted broadcasts of poses and targets, and the other admitted frames of the first phase."""
         broadcasts: list[Frame] = []
         frames: list[Frame] = []
+        read, receiving = self._readers[kind], self._topology.receiving()
         for sender, submitted in sorted(self._submitted.items()):
             if submitted.broadcast:
-                frame, problem = self._admission.broadcast(sender, submitted.broadcast, self._round)
-                if problem:
-                    self._refuse(frame, "protocol", problem)
+                content = read_broadcast(submitted.broadcast, self._round)
+                if content.problem:
+                    self._refuse(sender, EVERYONE, content, "protocol", content.problem)
                 else:
-                    broadcasts.append(frame)
+                    broadcasts.append(Frame(sender, EVERYONE, content))
+            reachable = {EVERYONE, *self._topology.in_range.get(sender, ())}
+            mute = sender in self._topology.mute
             sent: set[tuple[int, int]] = set()
             for number, each in enumerate(submitted.frames, bool(submitted.broadcast)):
-                frame, problem = self._admission.frame(sender, each, kind, number)
-                pair = frame.receiver, frame.map_id if kind == OFFER else -1
-                if not problem and pair in sent:
-                    problem = (
-                        "more than one frame, or more than one offer of a map, for a receiver in a round"
-                    )
-                if self._is_admitted(frame, problem, lost=kind != OFFER):
+                receiver, content = each.receiver, read(each.payload)
+                pair = receiver, content.map_id if kind == OFFER else -1
+                problem = content.problem or (TWICE if pair in sent else "")
+                if kind == NEWS and (receiver == EVERYONE) != self.settings.gossip:
+                    problem = NOT_FOR_ALL if receiver == EVERYONE else NOT_FOR_ONE
+                if receiver not in reachable:
+                    self._refuse(sender, receiver, content, "range")
+                elif problem:
+                    self._refuse(sender, receiver, content, "protocol", problem)
+                elif mute:
+                    self._refuse(sender, receiver, content, "mute")
+                elif kind != OFFER and receiver != EVERYONE and receiver not in receiving:
+                    self._refuse(sender, receiver, content, "lost")
+                else:
                     sent.add(pair)
-                    frames.append(frame)
+                    frames.append(Frame(sender, receiver, content, number))
         return broadcasts, frames
-
-    def _is_admitted(self, frame: Frame, problem: str, *, lost: bool) -> bool:
-        """Return whether a frame may go on the air; refuse it if not. `lost`: refuse it if no robot receives it."""
-        topology, receiver = self._topology, frame.receiver
-        if receiver != EVERYONE and receiver not in topology.in_range.get(frame.sender, ()):
-            self._refuse(frame, "range")
-        elif problem:
-            self._refuse(frame, "protocol", problem)
-        elif frame.sender in topology.mute:
-            self._refuse(frame, "mute")
-        elif lost and receiver != EVERYONE and not topology.receives(receiver):
-            self._refuse(frame, "lost")
-        else:
-            return True
-        return False
 
     def _position(self, frame: Frame) -> int:
         """Return the position of a frame among those that its sender submitted, without its broadcast."""
@@ -294,25 +299,26 @@ class Radio:
         if self.settings.gossip and self.settings.budget.limit is not None:
             share = Budget(self.settings.budget.limit // (len(self._asked) + 1))
         for frame in self._drawn("targets", broadcasts):
-            if frame.sender in self._topology.mute:
-                self._refuse(frame, "mute")
-            elif medium.carried and not share.fits(medium.carried + len(frame.payload)):
-                medium.refuse(frame, "budget")
-                self._broadcast_sent[frame.sender] = False
+            sender, receiver, content, _ = frame
+            if sender in self._topology.mute:
+                self._refuse(sender, receiver, content, "mute")
+            elif medium.carried and not share.fits(medium.carried + len(content.payload)):
+                self._refuse(sender, receiver, content, "budget")
+                self._broadcast_sent[sender] = False
             else:
-                receivers = self._topology.receivers_of(frame.sender)
-                self._broadcast_sent[frame.sender] = medium.broadcast(frame, receivers)
+                receivers = self._topology.receivers_of(sender)
+                self._broadcast_sent[sender] = medium.broadcast(frame, receivers)
 
     def _arrivals(self) -> tuple[list[Outgoing], dict[int, list[Delivery]]]:
         """Return events for the broadcasts that have arrived by now, and for each robot the other arrivals."""
-        poses: dict[int, list[Delivery]] = {}
-        others: dict[int, list[Delivery]] = {}
-        for arrivals, by_robot in zip(
-            self._medium.arrivals(self._topology.receives), (poses, others), strict=True
-        ):
-            for arrival in arrivals:
-                for robot in arrival.receivers:
-                    by_robot.setdefault(robot, []).append(arrival.delivery)
+        poses: defaultdict[int, list[Delivery]] = defaultdict(list)
+        others: defaultdict[int, list[Delivery]] = defaultdict(list)
+        receiving = self._topology.receiving()
+        for arrival in self._medium.arrivals():
+            by_robot = poses if arrival.is_broadcast else others
+            for robot in arrival.receivers:
+                if robot in receiving:
+                    by_robot[robot].append(arrival.delivery)
         return [ToRobot(robot, Broadcasts(self._step, poses[robot])) for robot in sorted(poses)], others
 
     # --- rounds with one phase
@@ -321,17 +327,16 @@ class Radio:
         """Put all frames on the air, deliver those that have arrived by now, and report to their senders."""
         broadcasts, frames = self._admit(NEWS)
         self._send_broadcasts(broadcasts)
-        reports: dict[int, list[SendReport]] = {}
+        reports: defaultdict[int, list[SendReport]] = defaultdict(list)
         for frame in self._by_priority(frames):
-            receivers = [frame.receiver]
-            if frame.receiver == EVERYONE:
-                receivers = self._topology.receivers_of(frame.sender)
+            sender, receiver = frame.sender, frame.receiver
+            receivers = self._topology.receivers_of(sender) if receiver == EVERYONE else [receiver]
             sent = self._medium.carry(frame, receivers)
-            self._shares.book(frame.sender, sent)
-            reports.setdefault(frame.sender, []).append(SendReport(self._position(frame), sent))
+            self._shares.book(sender, sent)
+            reports[sender].append(SendReport(self._position(frame), sent))
         out, arrived = self._arrivals()
         for robot in sorted({*reports, *arrived, *self._broadcast_sent} - self._topology.dead):
-            mine = sorted(reports.get(robot, ()), key=attrgetter("frame"))
+            mine = sorted(reports.get(robot, ()), key=_FRAME)
             out.append(self._report(robot, [], mine, arrived.get(robot, [])))
         busy = bool(arrived) or any(report.sent for mine in reports.values() for report in mine)
         return out + self._next_round(busy=busy)
@@ -343,7 +348,7 @@ class Radio:
             for sender, submitted in self._submitted.items()
         }
         order = self._drawn("back-off" if self.settings.perfect else "contention", frames)
-        return sorted(order, key=lambda frame: (frame.kind != ANSWER, ranks[frame.sender]))
+        return sorted(order, key=lambda frame: (frame.content.kind != ANSWER, ranks[frame.sender]))
 
     def _report(
         self,
@@ -362,13 +367,12 @@ class Radio:
         broadcasts, offers = self._admit(OFFER)
         self._send_broadcasts(broadcasts)
         out, _ = self._arrivals()
-        for sender, submitted in self._submitted.items():
-            self._speculations[sender] = Speculation(submitted.replies, {})
-        for offer in offers:
-            mine = self._speculations[offer.sender].offered
-            mine[offer.receiver, offer.map_id] = self._position(offer)
-        offers.sort(key=_OFFER)
-        self._connections = Connections(self._connections.first, self._drawn("contention", offers))
+        self._replies = {sender: submitted.replies for sender, submitted in self._submitted.items()}
+        offers.sort(key=lambda frame: (frame.sender, frame.receiver, frame.content.map_id))
+        self._connections = [
+            Connection(number, *frame[:2], frame.content.map_id, self._position(frame), [frame.content])
+            for number, frame in enumerate(self._drawn("contention", offers), self._first)
+        ]
         return out + self._deliver(OFFER, "answers")
 
     def _deliver(self, kind: int, phase: str) -> list[Outgoing]:
@@ -376,58 +380,87 @@ class Radio:
 
         The relay answers for robots whose speculative replies cover all of it.
         """
-        arrived = self._connections.deliveries(kind, self._topology.receives)
+        receiving = self._topology.receiving()
+        arrived: defaultdict[int, list[Connection]] = defaultdict(list)
+        for connection in self._connections:
+            if len(connection.frames) > kind:
+                receiver = connection.sender if kind == ANSWER else connection.receiver
+                if receiver in receiving:
+                    arrived[receiver].append(connection)
+                else:
+                    connection.lost = kind
         self._expect(phase, sorted(arrived))
         out: list[Outgoing] = []
-        for robot in sorted(arrived):
-            deliveries = arrived[robot]
-            frames = self._reply(robot, kind, deliveries)
-            if frames is not None:
-                self._submitted[robot] = RobotFrames(self._step, self._round, phase, b"", frames)
+        for robot, connections in sorted(arrived.items()):
+            deliveries = [
+                Delivery(
+                    each.receiver if kind == ANSWER else each.sender,
+                    each.frames[kind].payload,
+                    each.number,
+                    each.map_id,
+                )
+                for each in connections
+            ]
+            answered = self._reply(robot, kind, connections)
+            if answered:
                 self._waiting.discard(robot)
-            event = PhaseDelivery(self._step, self._round, PHASES[kind], deliveries, frames is not None)
+            event = PhaseDelivery(self._step, self._round, PHASES[kind], deliveries, answered)
             out.append(ToRobot(robot, event))
         return out
 
-    def _reply(self, robot: int, kind: int, deliveries: Sequence[Delivery]) -> list[OutgoingFrame] | None:
-        """Answer for a robot with its speculative replies; None if the relay has to ask it."""
-        speculation = self._speculations.get(robot)
-        if speculation is None:
-            return None
+    def _reply(self, robot: int, kind: int, connections: list[Connection]) -> bool:
+        """Answer for a robot with its speculative replies; return False if the relay has to ask it."""
+        speculative = self._replies.get(robot, NO_REPLIES)
         if kind == OFFER:
-            return replies.answers(speculation, deliveries)
-        return replies.data(speculation, deliveries, self._budget_at_open)
+            payloads = answers(speculative, connections)
+        else:
+            payloads = data(speculative, connections, self._budget_at_open)
+        if payloads is None:
+            return False
+        read = self._readers[kind + 1]
+        for connection, payload in zip(connections, payloads, strict=True):
+            if payload:
+                self._take(connection, read(payload))
+        return True
+
+    def _take(self, connection: Connection, content: Content) -> None:
+        """Take the next frame of a connection."""
+        if content.problem:
+            self._refuse(*connection.ends(content.kind), content, "protocol", content.problem)
+        else:
+            connection.frames.append(content)
 
     def _collect(self, kind: int) -> None:
         """Match the submitted frames to their connections; refuse those that belong to none."""
-        these, admit = self._connections, self._admission.frame
-        senders, receivers = these.ends(kind)
-        asked, sent = these.frames[kind - 1], these.frames[kind]
         for sender, submitted in sorted(self._submitted.items()):
             for each in submitted.frames:
-                frame, problem = admit(sender, each, kind, 0)
-                at = each.connection - these.first
-                belongs = (
-                    0 <= at < len(sent)
-                    and senders[at] == sender
-                    and receivers[at] == each.receiver
-                    and asked[at] is not None
-                    and sent[at] is None
+                content, at = self._readers[kind](each.payload), each.connection - self._first
+                belongs = 0 <= at < len(self._connections) and self._connections[at].accepts(
+                    kind, sender, each.receiver
                 )
-                if belongs and not problem:
-                    sent[at] = frame
+                if belongs:
+                    self._take(self._connections[at], content)
                 else:
-                    problem = problem if belongs else "a frame of no connection of its own"
-                    self._refuse(frame, "protocol", problem)
+                    reason = "a frame of no connection of its own"
+                    self._refuse(sender, each.receiver, content, "protocol", reason)
 
     def _end_data(self) -> list[Outgoing]:
         """Play the connections, and report to both ends of each."""
         self._collect(DATA)
-        these, dead = self._connections, self._topology.dead
-        for at, (receiver, frame) in enumerate(zip(these.receivers, these.frames[DATA], strict=True)):
-            if frame is not None and receiver in dead:
-                these.lost[at] = DATA
-        reports, arrived = these.reports(self._medium.play(these))
+        dead = self._topology.dead
+        for connection in self._connections:
+            if len(connection.frames) > DATA and connection.receiver in dead:
+                connection.lost = DATA
+        reports: defaultdict[int, list[ConnectionReport]] = defaultdict(list)
+        arrived: defaultdict[int, list[Delivery]] = defaultdict(list)
+        for connection, sent in zip(self._connections, self._medium.play(self._connections), strict=True):
+            report = ConnectionReport(connection.number, *sent)
+            reports[connection.sender].append(report)
+            reports[connection.receiver].append(report)
+            if sent[DATA]:
+                payload = connection.frames[DATA].payload[: sent[DATA]]
+                delivery = Delivery(connection.sender, payload, connection.number, connection.map_id)
+                arrived[connection.receiver].append(delivery)
         out: list[Outgoing] = [
             self._report(robot, reports.get(robot, []), [], arrived.get(robot, []))
             for robot in sorted({*reports, *self._broadcast_sent} - dead)

@@ -45,11 +45,12 @@ class Topology:
 
     def receivers_of(self, sender: int) -> list[int]:
         """Return the robots that receive the broadcasts of a robot."""
-        return [peer for peer in self.in_range[sender] if self.receives(peer)]
+        receiving = self.receiving()
+        return [peer for peer in self.in_range[sender] if peer in receiving]
 
-    def receives(self, robot: int) -> bool:
-        """Return whether a robot takes part in the step, is not dead, and its radio can receive."""
-        return robot in self.in_range and robot not in self.dead and robot not in self.deaf
+    def receiving(self) -> set[int]:
+        """Return the robots that take part in the step, are not dead, and whose radios can receive."""
+        return self.in_range.keys() - self.dead - self.deaf
 
 
 def links(settings: RadioSettings, step: int, cells: Mapping[int, tuple[int, int]]) -> dict[int, list[int]]:

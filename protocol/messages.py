@@ -377,6 +377,12 @@ class Back(Record, tag=23, frozen=True):
     robot: RobotNumber
 
 
+class Reconnected(Record, tag=29, frozen=True):
+    """Relay to a robot, world and recorder: the robot's connection is restored; send your last messages again."""
+
+    robot: RobotNumber
+
+
 class Stop(Record, tag=12, frozen=True):
     """Recorder to world, by way of the relay: end after this step, for `reason`."""
 

@@ -28,6 +28,7 @@ from protocol.messages import (
     Outlines,
     Positions,
     RadioReport,
+    Reconnected,
     Record,
     RelayUpdate,
     RequestMaps,
@@ -46,11 +47,11 @@ ROBOT = "robot"
 """Role of every robot in the table."""
 
 RIGHTS: dict[tuple[str, str], tuple[type[Record], ...]] = {
-    (RELAY, WORLD): (Begin, Close, Lost, Back, Stop, FaultEvent, Shutdown, Watched),
-    (RELAY, ROBOT): (Configure, RelayUpdate, RequestMaps, Shutdown, Watched),
-    (RELAY, RECORDER): (Lost, Back, End, Shutdown, RadioReport, ErrorReport, Change),
-    (RELAY, VIEW): (Lost, Back, End, Shutdown, RadioReport, ErrorReport, Change),
-    (WORLD, RELAY): (Positions, Lost, End),
+    (RELAY, WORLD): (Begin, Close, Lost, Back, Reconnected, Stop, FaultEvent, Shutdown, Watched),
+    (RELAY, ROBOT): (Configure, RelayUpdate, RequestMaps, Reconnected, Shutdown, Watched),
+    (RELAY, RECORDER): (Lost, Back, Reconnected, End, Shutdown, RadioReport, ErrorReport, Change),
+    (RELAY, VIEW): (Lost, Back, Reconnected, End, Shutdown, RadioReport, ErrorReport, Change),
+    (WORLD, RELAY): (Positions, Lost, FaultEvent, End),
     (WORLD, ROBOT): (Sense, FaultEvent),
     (WORLD, RECORDER): (WorldReport, FaultEvent, ErrorReport),
     (WORLD, VIEW): (WorldReport, FaultEvent, ErrorReport),

@@ -20,6 +20,7 @@ from typing import Any
 from protocol import keys as names
 from protocol.bus import BusClosed, Message
 from protocol.keys import Keys
+from protocol.numbering import KEPT_BY_ROBOT, KEPT_FOR_ROBOT, Incoming, Outgoing, is_numbered, new_session
 
 # One executor for most of zenoh's tasks is faster. Sending keeps its own: on a single executor, a hub that routes
 # to a client which has just been killed deadlocks (`send_along` is for processes that route nothing). Zenoh reads this
@@ -31,6 +32,8 @@ TICK_S = 0.25
 QUEUE = 1 << 16
 CONNECT_S = 10.0
 POLL_S = 0.002
+RECONNECT_S = 3.0
+"""Time limit for a robot's connection to be restored after it was cut. The robot itself waits a second longer."""
 LEASE_MS, KEEP_ALIVE_MS = 10_000, 100
 
 
@@ -115,6 +118,11 @@ class ZenohBus:
         self._name = name
         self._is_hub = name == names.RELAY
         self._publishers: dict[str, zenoh.Publisher] = {}
+        self._session_number = new_session()
+        self._outgoing: dict[str, Outgoing] = {}
+        self._incoming: dict[str, Incoming] = {}
+        self._misses = int((RECONNECT_S + 1) / TICK_S) if names.is_robot(name) else 1
+        """Consecutive ticks without a connection that a participant tolerates."""
         self._closing = threading.Event()
         self._hub_gone = False
         self._tick_key = keys.presence("tick") if self._is_hub else keys.control(name, "tick")
@@ -145,7 +153,21 @@ class ZenohBus:
             control = drop if names.may_be_dropped(key) else block
             publisher = self._session.declare_publisher(key, congestion_control=control)
             self._publishers[key] = publisher
-        publisher.put(payload)
+            if is_numbered(key):
+                kept = KEPT_BY_ROBOT if names.is_robot(self._name) else KEPT_FOR_ROBOT
+                self._outgoing[key] = Outgoing(self._session_number, kept)
+        outgoing = self._outgoing.get(key)
+        publisher.put(payload if outgoing is None else outgoing.number(payload))
+
+    def resend(self, receiver: str | None = None) -> None:
+        """Send the last messages again, to one receiver or to all; receivers ignore those that have arrived.
+
+        Relay and world call this after a robot's connection was restored, and the robot itself.
+        """
+        for key, outgoing in self._outgoing.items():
+            if receiver is None or names.parts(key)[2] == receiver:
+                for numbered in outgoing.kept:
+                    self._publishers[key].put(numbered)
 
     def receive(self, timeout_s: float | None = None) -> Message | None:
         """Wait for the next message, at most `timeout_s` seconds plus one tick; see `protocol.bus.Bus`."""
@@ -161,7 +183,10 @@ class ZenohBus:
                 return None
             key = str(sample.key_expr)
             if key != self._tick_key:
-                return Message(key, sample.payload.to_bytes())
+                payload = self._taken(key, sample.payload.to_bytes())
+                if payload is None:
+                    continue
+                return Message(key, payload)
             if self._hub_gone:
                 raise BusClosed(f"{self._name}: the connection to the hub was lost")
             if deadline is not None and time.monotonic() >= deadline:
@@ -177,6 +202,15 @@ class ZenohBus:
                     part.undeclare()
             self._session.close()  # type: ignore[no-untyped-call]
 
+    def _taken(self, key: str, payload: bytes) -> bytes | None:
+        """Return a message without its number; None if it is to be ignored."""
+        if not is_numbered(key):
+            return payload
+        incoming = self._incoming.get(key)
+        if incoming is None:
+            incoming = self._incoming[key] = Incoming()
+        return incoming.accept(payload)
+
     def _report_presence(self, sample: zenoh.Sample) -> None:
         """Put a liveliness change into the inbox as a message (runs on a thread of zenoh)."""
         if not self._closing.is_set():
@@ -189,7 +223,7 @@ class ZenohBus:
         missing = 0
         while not self._closing.wait(TICK_S):
             missing = 0 if self._is_hub or self._session.info.routers_zid() else missing + 1
-            self._hub_gone = self._hub_gone or missing > 1
+            self._hub_gone = self._hub_gone or missing > self._misses
             self._session.put(self._tick_key, b"", allowed_destination=zenoh.Locality.SESSION_LOCAL)
 
 

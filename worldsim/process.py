@@ -22,6 +22,7 @@ from protocol.messages import (
     Lost,
     Move,
     Positions,
+    Reconnected,
     Record,
     Shutdown,
     Stop,
@@ -45,7 +46,7 @@ class WorldNode:
 
     `steps` is the last step; cells are `cell_mm` wide in reports. `wait` is called before each step is opened, which it
     may delay. With `revive`, robots whose processes end unexpectedly are restarted; each robot may start `incarnations`
-    times.
+    times. `resend` sends the last messages to a robot again, after its connection was restored.
     """
 
     def __init__(
@@ -59,6 +60,7 @@ class WorldNode:
         wait: Callable[[], object] = lambda: None,
         revive: bool = False,
         incarnations: int = 1,
+        resend: Callable[[str], object] = lambda _: None,
     ) -> None:
         self.done = False
         self._bus = bus
@@ -68,6 +70,7 @@ class WorldNode:
         self._steps = steps
         self._cell_mm = cell_mm
         self._wait = wait
+        self._resend = resend
         self._restarts = Restarts(world.cells, incarnations - 1, automatic=revive)
         self._moves: dict[int, Move] = {}
         """The moves received in this step, by robot."""
@@ -128,6 +131,8 @@ class WorldNode:
         elif isinstance(note, Back):
             self._restarts.note_return(note.robot)
             self._start_awaited()
+        elif isinstance(note, Reconnected):
+            self._resend(names.robot(note.robot))
         elif isinstance(note, FaultEvent):
             self._schedule(note)
         elif isinstance(note, Stop):
@@ -207,6 +212,7 @@ class WorldNode:
         if here and fault.kind in ("kill", "restart"):
             killed = FaultEvent(step, robot, "kill")
             self._report(killed)
+            self._bus.put(self._keys.control_tx(names.WORLD), pack(killed))
             self._send(robot, killed)
             self._remove(robot)
         elif here and fault.kind != "restart":

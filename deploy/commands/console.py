@@ -32,6 +32,8 @@ def report_result(result: Any, *, as_json: bool) -> int:
         errors.print(f"the viewer failed, the run was not affected: {result.view_fault}")
     for robot, cause in sorted(result.records.lost.items()):
         errors.print(f"robot {robot} was lost: {cause}")
+    for step, robot in result.records.reconnected:
+        errors.print(f"the connection of robot {robot} was cut in step {step} and restored")
     for fault in result.records.protocol_errors[:5]:
         errors.print(f"protocol error: {fault}")
     if as_json:

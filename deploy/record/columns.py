@@ -87,6 +87,7 @@ SUMMARY = {
     "wire_bytes": "bytes on the bus, on Zenoh",
     "undelivered": "frames not delivered, by cause",
     "lost, protocol_errors": "robots that died unexpectedly; number of protocol errors",
+    "reconnected": "step and robot of each connection that was cut and restored",
     "returned": "step and robot of each restart after an unexpected death",
     "digest, versions": "hash of all results; versions of the code and its libraries, which equal digests require",
     "wall_s, steps_per_s, work_us_median": "performance; not part of the result",

@@ -15,6 +15,7 @@ from deploy.record.map_collection import MapCollection
 from deploy.record.map_history import MapHistory
 from deploy.record.wire_bytes import Meter
 from netshaper.ledger import ROW
+from netshaper.process import ENDED
 from protocol import keys as names
 from protocol import rights
 from protocol.bus import Bus, Message
@@ -33,6 +34,7 @@ from protocol.messages import (
     MapPart,
     Outlines,
     RadioReport,
+    Reconnected,
     Record,
     RequestMaps,
     RobotStatus,
@@ -56,8 +58,9 @@ class Records:
     `maps` has the robots' maps over time, if the run records them; `own` and `planning` have the final self-explored
     and planning grids by robot. `world` has one report per step, `statuses` one list per robot, `rows` the rows of the
     ledger per step. `lost` has the cause of each unexpected failure by robot, `killed` the robots that a fault event
-    killed and none restarted, `returned` step and robot of each return after an unexpected failure. `protocol_errors`
-    has sender and text of the first `MAX_PROTOCOL_ERROR_TEXTS` protocol errors. `carried` is the number of bytes
+    killed and none restarted, `returned` step and robot of each return after an unexpected failure, `reconnected` of
+    each connection that was cut and restored. `protocol_errors` has sender and text of the first
+    `MAX_PROTOCOL_ERROR_TEXTS` protocol errors. `carried` is the number of bytes
     transmitted in the last step; `wire_bytes` that of the bus (`deploy.record.wire_bytes`), None if not available.
     """
 
@@ -73,6 +76,7 @@ class Records:
     changes: list[Change] = field(default_factory=list)
     killed: set[int] = field(default_factory=set)
     returned: list[tuple[int, int]] = field(default_factory=list)
+    reconnected: list[tuple[int, int]] = field(default_factory=list)
     protocol_errors: list[str] = field(default_factory=list)
     protocol_error_count: int = 0
     end: End | None = None
@@ -220,6 +224,8 @@ class RecorderNode:
             case Back(robot=robot):
                 if records.lost.pop(robot, None) is not None:
                     records.returned.append((records.step, robot))
+            case Reconnected(robot=robot):
+                records.reconnected.append((records.step, robot))
             case FaultEvent():
                 self._record_fault_event(message)
             case Change():
@@ -316,6 +322,10 @@ class RecorderNode:
     def stop(self, reason: str) -> None:
         """Request that the world ends the run after this step."""
         self._send(Stop(reason))
+
+    def report_end(self, robot: int) -> None:
+        """Report to the relay that the process of a robot has ended, so that it does not wait for the robot."""
+        self._send(Lost(robot, ENDED))
 
     def read_meter(self) -> None:
         """Record the number of bytes that the bus has moved."""

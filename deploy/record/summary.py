@@ -71,6 +71,7 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "undelivered": _undelivered(ledger),
         "lost": {str(robot): cause for robot, cause in sorted(records.lost.items())},
         "returned": [list(each) for each in records.returned],
+        "reconnected": [list(each) for each in records.reconnected],
         "protocol_errors": records.protocol_error_count,
         "digest": digest(records),
         "wall_s": round(wall_s, 3),

@@ -151,6 +151,7 @@ def _relay_and_world(
             plan.scenario.reply_timeout_s,
             world.pause_s,
             captures,
+            plan.incarnations > 1,
         ),
         names.WORLD: (serve_world, rendezvous.credentials[names.WORLD], world, wrap),
     }
@@ -185,6 +186,8 @@ class _Supervisor:
         self._table = table
         self._fleet = fleet
         self._ended: set[int] = set()
+        self._reported: set[str] = set()
+        """Robots whose processes have ended, which the relay knows."""
 
     def start(self) -> None:
         """Start all processes."""
@@ -201,6 +204,13 @@ class _Supervisor:
         if event.kind == "restart":
             serve, *args = self._table[name]
             self._processes.start(name, serve, *args)
+            self._reported.discard(name)
+
+    def newly_ended(self) -> list[int]:
+        """Return the robots whose processes have ended since the last call."""
+        ended = {name for name in self._processes.ended() if names.is_robot(name)} - self._reported
+        self._reported |= ended
+        return sorted(map(names.number, ended))
 
     def check(self) -> dict[str, str]:
         """Update `deaths` and return it."""
@@ -271,6 +281,8 @@ def _record(
         if watch is not None:
             watch(recorder.records)
         supervisor.end_lost(recorder.records.lost)
+        for robot in supervisor.newly_ended():
+            recorder.report_end(robot)
         if supervisor.check() and not recorder.records.world:
             recorder.shut_down()  # a participant died before the first step
         return bool({names.WORLD, FORK_SERVER} & supervisor.deaths.keys())

@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import time
 from collections.abc import Callable, Mapping
 from contextlib import closing, suppress
 from dataclasses import dataclass
@@ -24,13 +25,13 @@ from deploy.run.crash_report import traceback_of
 from deploy.run.gate import LONGEST_PAUSE_S, Gate
 from deploy.run.reply_timeout import REPLY_TIMEOUT_S, ReplyTimeout
 from netshaper.hub import open_hub
-from netshaper.process import RelayNode
+from netshaper.process import DISCONNECTED, RelayNode
 from netshaper.router import Router
 from netshaper.settings import RadioSettings
 from protocol import keys as names
 from protocol.bus import Bus, BusClosed
 from protocol.keys import Keys
-from protocol.zenoh_bus import Certificate, Credential, join, send_along
+from protocol.zenoh_bus import RECONNECT_S, Certificate, Credential, ZenohBus, join, send_along
 from worldsim.pace import Pace
 from worldsim.process import WorldNode
 from worldsim.world import World
@@ -91,14 +92,24 @@ def serve_relay(
     reply_timeout_s: float = REPLY_TIMEOUT_S,
     pause_s: float = 0.0,
     captures: bool = True,
+    may_return: bool = False,
 ) -> None:
     """Serve as the hub and relay of a run until all participants have left; they must join in time."""
     with closing(open_hub(run, endpoint, credentials, certificate)) as bus:
-        relay(bus, run, settings, reply_timeout_s, pause_s, waits=False, captures=captures)
+        relay(
+            bus,
+            run,
+            settings,
+            reply_timeout_s,
+            pause_s,
+            waits=False,
+            captures=captures,
+            may_return=may_return,
+        )
 
 
 def relay(
-    bus: Bus,
+    bus: ZenohBus,
     run: str,
     settings: RadioSettings,
     reply_timeout_s: float,
@@ -107,19 +118,23 @@ def relay(
     *,
     waits: bool = True,
     captures: bool = True,
+    may_return: bool = False,
 ) -> None:
     """Serve as the relay at an open hub until all participants have left.
 
     `pause_s` is the world's maximum pause between two steps. `notify` is called with the missing participants whenever
-    they change. Unless the relay `waits`, the run ends if no participant joins within `reply_timeout_s`.
+    they change. Unless the relay `waits`, the run ends if no participant joins within `reply_timeout_s`. Lost robots
+    take part again if they `may_return`.
     """
-    node = RelayNode(bus, Keys(run), settings, captures=captures)
+    node = RelayNode(bus, Keys(run), settings, captures=captures, resend=bus.resend, may_return=may_return)
     reply_timeout = ReplyTimeout(node, reply_timeout_s)
+    away: dict[int, float] = {}
     reported: list[str] = []
     while not node.done:
         message = bus.receive(POLL_S)
         if message is not None:
             node.handle(message)
+        away = _awaited(node, away) if node.away or away else {}
         idle = reply_timeout.check()
         if node.shutting_down and idle > FAREWELL_S:
             break
@@ -133,6 +148,16 @@ def relay(
             notify(f"waiting for {', '.join(missing)}" if missing else "all participants have joined")
 
 
+def _awaited(node: RelayNode, since: Mapping[int, float]) -> dict[int, float]:
+    """Give up robots that have been away for too long; return since when the others are away."""
+    now = time.monotonic()
+    away = {robot: since.get(robot, now) for robot in node.away}
+    for robot, left in away.items():
+        if now - left > RECONNECT_S:
+            node.give_up_on(robot, DISCONNECTED)
+    return away
+
+
 def silence_s(reply_timeout_s: float, pause_s: float) -> float:
     """Return the time limit for a message of the world, in seconds; the world itself waits for robots."""
     return 2 * reply_timeout_s + pause_s
@@ -140,7 +165,8 @@ def silence_s(reply_timeout_s: float, pause_s: float) -> float:
 
 def serve_world(credential: Credential, task: WorldTask, wrap: Wrap | None = None) -> None:
     """Serve as the world of a run."""
-    bus = _joined(credential, wrap)
+    joined = _joined(credential)
+    bus = _wrapped(joined, credential, wrap)
     keys = Keys(credential.run)
     node = WorldNode(
         bus,
@@ -151,6 +177,7 @@ def serve_world(credential: Credential, task: WorldTask, wrap: Wrap | None = Non
         wait=task.wait,
         revive=task.revive,
         incarnations=task.incarnations,
+        resend=joined.resend,
     )
     _serve(bus, node, ReplyTimeout(node, task.reply_timeout_s))
 
@@ -175,8 +202,10 @@ def serve_agent(credential: Credential, journal: Path | None = None, wrap: Wrap 
     """Serve as one robot of a run; with a `journal` it can be restarted."""
     kept = Journal.open(journal) if journal is not None else None
     schedule_as_batch()
-    bus = _joined(credential, wrap)
-    node = AgentNode(bus, Keys(credential.run), names.number(credential.name), kept)
+    joined = _joined(credential)
+    bus = _wrapped(joined, credential, wrap)
+    number = names.number(credential.name)
+    node = AgentNode(bus, Keys(credential.run), number, kept, resend=joined.resend)
     try:
         _serve(bus, node)
     except JournalError as error:
@@ -190,10 +219,13 @@ def serve_view(credential: Credential, task: ViewTask, ready: Connection) -> Non
     process.serve(credential, task, lambda: ready.send(True))
 
 
-def _joined(credential: Credential, wrap: Wrap | None) -> Bus:
+def _joined(credential: Credential) -> ZenohBus:
     if credential.certificate is None:
         send_along()
-    bus = join(credential)
+    return join(credential)
+
+
+def _wrapped(bus: ZenohBus, credential: Credential, wrap: Wrap | None) -> Bus:
     return bus if wrap is None else wrap(credential.name, bus)
 
 

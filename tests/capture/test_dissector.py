@@ -16,8 +16,7 @@ from deploy.run import in_memory
 from deploy.scenario import plan as plans
 from deploy.scenario.scenario import parse
 from netshaper import capture
-from netshaper.capture import HEAD, KEPT, VERDICTS
-from netshaper.frame_log import FrameLog, LoggedFrame
+from netshaper.capture import HEAD, KEPT, VERDICTS, LoggedFrame
 from netshaper.ledger import CAUSES, EVERYONE
 from protocol import packets
 from protocol.errors import ProtocolError
@@ -64,7 +63,7 @@ def captured_frame(payload: bytes, verdict: int = 0) -> LoggedFrame:
 
 
 def encoded(step: int, seen: list[LoggedFrame]) -> bytes:
-    return capture.encode(step, FrameLog.of(seen).columns())
+    return capture.encode(step, plain_ledger.columns(seen))
 
 
 def write(file: Path, payloads: list[bytes]) -> Path:

@@ -7,13 +7,26 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 
 from netshaper import pcapng
-from netshaper.capture import HEAD, KEPT, PART, VERSION, WIDE, WIDE_HEAD
-from netshaper.frame_log import LoggedFrame, comment, receivers_of
+from netshaper.admission import refused
+from netshaper.capture import HEAD, KEPT, PART, VERSION, WIDE, WIDE_HEAD, LoggedFrame, received_by
+from netshaper.frame_log import Columns, FrameLog, comment
 from netshaper.ledger import KIND_NUMBER, MALFORMED, on_air
 from protocol import packets
 from protocol.errors import ProtocolError
 
 Row = tuple[int, ...]
+
+
+def columns(seen: Iterable[LoggedFrame]) -> Columns:
+    """A log of these frames."""
+    log = FrameLog()
+    for each in seen:
+        content, receivers = refused(each.frame, each.payload, ""), received_by(each)
+        log.add(
+            each.round, each.sender, each.receiver, content, each.verdict, receivers, each.map, each.connection,
+            each.reason,
+        )  # fmt: skip
+    return log.columns()
 
 
 def rows(step: int, seen: Iterable[LoggedFrame]) -> list[Row]:
@@ -45,7 +58,7 @@ def blocks(step: int, seen: Iterable[LoggedFrame]) -> bytes:
     """The capture."""
     written: list[bytes] = []
     for each in seen:
-        text = comment(each.verdict, each.receiver, tuple(receivers_of(each.receivers)), each.reason)
+        text = comment(each.verdict, each.receiver, tuple(received_by(each)), each.reason)
         for part, (kept, size) in enumerate(parts(each)):
             head = head_of(step, each, part)
             time = step * 1_000_000 + min(len(written), 999_999)

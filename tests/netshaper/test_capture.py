@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from netshaper import capture, pcapng
-from netshaper.capture import KEPT, MAX_PACKET, PART, VERDICTS, Captured
-from netshaper.frame_log import FrameLog, LoggedFrame, comment, receivers_of
+from netshaper.capture import KEPT, MAX_PACKET, PART, VERDICTS, Captured, LoggedFrame, received_by
+from netshaper.frame_log import comment
 from netshaper.ledger import EVERYONE
 from netshaper.pcapng import CaptureError, Reader
 from netshaper.settings import RadioSettings
@@ -48,7 +48,7 @@ def read(file: bytes) -> list[Captured]:
 
 def write(steps: list[tuple[int, list[LoggedFrame]]]) -> bytes:
     return capture.head("a test") + b"".join(
-        capture.encode(step, FrameLog.of(seen).columns()) for step, seen in steps
+        capture.encode(step, plain_ledger.columns(seen)) for step, seen in steps
     )
 
 
@@ -66,9 +66,7 @@ def test_decoding_inverts_encoding(frames_by_step: list[tuple[int, list[LoggedFr
     for (step, seen), found in zip(wanted, read(write(frames_by_step)), strict=True):
         kept = seen.payload if seen.verdict == 0 else seen.payload[:KEPT]
         assert (found.step, found.part, found.size) == (step, 0, len(seen.payload))
-        assert found.comment == comment(
-            seen.verdict, seen.receiver, tuple(receivers_of(seen.receivers)), seen.reason
-        )
+        assert found.comment == comment(seen.verdict, seen.receiver, tuple(received_by(seen)), seen.reason)
         assert found.seen == LoggedFrame(
             seen.round, seen.connection, seen.frame, seen.sender, seen.receiver, seen.map, seen.verdict,
             seen.receivers, kept,
@@ -93,7 +91,7 @@ wide_frames = st.builds(
 
 @given(st.integers(0, 2**32 - 1), st.lists(logged_frames | wide_frames, max_size=8))
 def test_the_kernel_writes_what_is_written_block_by_block(step: int, seen: list[LoggedFrame]) -> None:
-    assert capture.encode(step, FrameLog.of(seen).columns()) == plain_ledger.blocks(step, seen)
+    assert capture.encode(step, plain_ledger.columns(seen)) == plain_ledger.blocks(step, seen)
 
 
 @given(st.lists(wide_frames, max_size=5))
@@ -101,7 +99,7 @@ def test_robots_beyond_the_short_header_are_read_back(seen: list[LoggedFrame]) -
     for wanted, found in zip(seen, read(write([(1, seen)])), strict=True):
         kept = wanted.payload if wanted.verdict == 0 else wanted.payload[:KEPT]
         assert found.seen == wanted._replace(payload=kept, reason="")
-        assert capture.received_by(found.seen) == receivers_of(wanted.receivers)
+        assert received_by(found.seen) == received_by(wanted)
 
 
 @given(steps, st.integers(0, 10**6))
@@ -163,7 +161,7 @@ def test_times_are_the_step_in_seconds_and_the_position_in_it_in_microseconds() 
 def test_a_frame_too_long_for_one_packet_of_wireshark_is_several_that_hold_whole_packets() -> None:
     payload = encode([Delete(n % 4096) for n in range(PART + 1)])
     seen = [LoggedFrame(0, 0, 2, 0, 1, 0, 0, 2, payload)]
-    assert capture.encode(1, FrameLog.of(seen).columns()) == plain_ledger.blocks(1, seen)
+    assert capture.encode(1, plain_ledger.columns(seen)) == plain_ledger.blocks(1, seen)
     frames = read(write([(1, seen)]))
     assert [frame.part for frame in frames] == [0, 1, 2]
     assert b"".join(frame.seen.payload for frame in frames) == payload

@@ -6,8 +6,9 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from netshaper.connections import Connections
-from netshaper.frame_log import Frame, index_or_none
+from netshaper.admission import refused
+from netshaper.connections import Connection
+from netshaper.frame_log import Frame
 from netshaper.ledger import BROADCAST, CAUSES, EVERYONE, OFFER, ROW
 from netshaper.medium import Medium
 from netshaper.settings import RadioSettings
@@ -49,19 +50,14 @@ def a_medium(budget: Budget, step: int = 1) -> Medium:
     return medium
 
 
-def frame(kind: int, sender: int, receiver: int, payload: bytes) -> Frame:
-    return Frame(kind, sender, receiver, payload, index_or_none(payload), 0 if kind == OFFER else -1)
-
-
 def play(medium: Medium, event: object) -> None:
     frames = [encode(packets_) for _, packets_ in frames_of(event)]
     if isinstance(event, bool):
-        medium.broadcast(frame(BROADCAST, 0, EVERYONE, frames[0]), [1] if event else [])
+        frame = Frame(0, EVERYONE, refused(BROADCAST, frames[0], ""))
+        medium.broadcast(frame, [1] if event else [])
     else:
-        connections = Connections(0, [frame(OFFER, 0, 1, frames[0])])
-        for kind, payload in enumerate(frames[1:], 1):
-            connections.frames[kind][0] = frame(kind, 0, 1, payload)
-        medium.play(connections)
+        contents = [refused(kind, payload, "") for kind, payload in enumerate(frames)]
+        medium.play([Connection(0, 0, 1, 0, 0, contents)])
 
 
 def rows(medium: Medium) -> list[tuple[int, ...]]:
@@ -118,12 +114,12 @@ def test_rows_count_packets_kind_by_kind(events_: list[object], budget: Budget) 
 
 def test_a_broadcast_is_logged_with_its_number_of_receivers() -> None:
     medium = a_medium(Budget(10), step=3)
-    assert medium.broadcast(frame(BROADCAST, 2, EVERYONE, encode([Target(1, 2)])), [0, 1, 4])
+    assert medium.broadcast(Frame(2, EVERYONE, refused(BROADCAST, encode([Target(1, 2)]), "")), [0, 1, 4])
     assert rows(medium) == [(3, 0, -1, 3, 2, EVERYONE, -1, packets.ALL_KINDS.index("targ"), 1, 3, 1, 0, 3)]
 
 
 def test_a_refused_frame_costs_nothing() -> None:
     medium = a_medium(Budget(10))
-    medium.refuse(frame(OFFER, 1, 2, encode([Offer(0, 0)])), "range")
+    medium.refuse(1, 2, refused(OFFER, encode([Offer(0, 0)]), ""), "range")
     assert (medium.airtime.shared(1), medium.carried) == (Budget(10), 0)
     assert [CAUSES[row[11]] for row in rows(medium)] == ["range"]

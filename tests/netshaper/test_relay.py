@@ -29,6 +29,7 @@ from protocol.messages import (
     Delivery,
     End,
     ErrorReport,
+    FaultEvent,
     Lost,
     Move,
     OfferReply,
@@ -36,6 +37,7 @@ from protocol.messages import (
     OutgoingFrame,
     Positions,
     RadioReport,
+    Reconnected,
     RelayUpdate,
     Replies,
     RequestMaps,
@@ -55,10 +57,12 @@ WORLD, RECORDER = names.WORLD, names.RECORDER
 class Run:
     """A relay on a memory bus, and the other ends, which the test operates."""
 
-    def __init__(self, robots: int = 2, *, begun: bool = True, budget: Budget = UNLIMITED) -> None:
+    def __init__(
+        self, robots: int = 2, *, begun: bool = True, budget: Budget = UNLIMITED, **more: Any
+    ) -> None:
         self.hub = MemoryHub(KEYS.run)
         self._relay_bus = self.hub.join(names.RELAY)
-        self.relay = RelayNode(self._relay_bus, KEYS, RadioSettings(robots, 0, 100.0, budget))
+        self.relay = RelayNode(self._relay_bus, KEYS, RadioSettings(robots, 0, 100.0, budget), **more)
         self.ends: dict[str, Bus] = {}
         self.robots = [names.robot(number) for number in range(robots)]
         if begun:
@@ -191,6 +195,41 @@ def test_a_lost_robot_is_reported_once_even_if_it_leaves_later() -> None:
     run.relay.give_up_on(1, "it sent nothing")
     run.leave("r1")
     assert run.received(WORLD) == [Lost(1, "it sent nothing")]
+
+
+def test_a_robot_whose_connection_is_restored_continues_and_is_reported() -> None:
+    resent: list[str] = []
+    run = Run(resend=resent.append)
+    run.begin_step()
+    resent.clear()
+    run.leave("r1")
+    assert run.relay.away == {1}
+    assert run.received(WORLD) == run.received(RECORDER) == []
+    run.join("r1")
+    assert run.relay.away == set()
+    assert resent == ["r1"]
+    assert run.received("r1") == run.received(WORLD) == run.received(RECORDER) == [Reconnected(1)]
+
+
+def test_a_robot_whose_connection_is_not_restored_is_lost_and_may_not_start_again() -> None:
+    run = Run(resend=lambda _: None, may_return=False)
+    run.begin_step()
+    run.leave("r1")
+    run.relay.give_up_on(1, "it stays away")
+    assert run.relay.away == set()
+    assert run.received(WORLD) == run.received(RECORDER) == [Lost(1, "it stays away")]
+    run.join("r1")
+    assert run.received("r1") == [Shutdown()]
+    assert run.received(WORLD) == []
+    assert [type(message) for message in run.received(RECORDER)] == [ErrorReport]
+
+
+def test_the_relay_does_not_wait_for_a_robot_that_a_fault_kills() -> None:
+    run = Run(resend=lambda _: None)
+    run.begin_step()
+    run.send(WORLD, FaultEvent(2, 1, "kill"))
+    run.leave("r1")
+    assert run.received(WORLD) == [Lost(1, "its process ended")]
 
 
 def test_a_robot_that_dies_before_it_has_sent_its_maps_is_reported_too() -> None:

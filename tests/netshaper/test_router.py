@@ -18,6 +18,7 @@ from netshaper import access, certificates
 from netshaper.hub import open_hub
 from netshaper.router import Router
 from protocol import keys as names
+from protocol import numbering
 from protocol.bus import Bus, BusClosed, Message
 from protocol.keys import Keys
 from protocol.zenoh_bus import Credential, join, open_connected, plain_config
@@ -92,7 +93,8 @@ def test_a_rogue_with_a_router_s_certificate_represents_only_the_router_s_robots
         ):
             rogue.put(key, b"forged", congestion_control=BLOCK, allowed_destination=zenoh.Locality.REMOTE)
         own = KEYS.radio_tx("r0")
-        rogue.put(own, b"its robot's", congestion_control=BLOCK)
+        numbered = numbering.Outgoing(numbering.new_session(), 1).number(b"its robot's")
+        rogue.put(own, numbered, congestion_control=BLOCK)
         assert routed.receive(RELAY) == Message(own, b"its robot's")
         routed.relay.put(KEYS.radio_rx("r2", "r0"), b"secret")
         assert routed.receive("r2") == Message(KEYS.radio_rx("r2", "r0"), b"secret")

@@ -11,7 +11,7 @@ import pytest
 
 from deploy.run.exploration import Result, explore
 from deploy.scenario.scenario import load
-from netshaper.frame_log import BEGIN, END, VERDICT
+from netshaper.frame_log import BYTES, VERDICT
 from netshaper.ledger import CAUSES, EVERYONE, FIRST_ON_AIR, KIND_NUMBER
 from netshaper.medium import Account
 from netshaper.radio import Outgoing
@@ -152,7 +152,7 @@ def test_no_transmitted_frame_exceeds_the_frame_limit(
     frames: list[int] = []
 
     def note(rows: Any) -> None:
-        frames.extend((rows[:, END] - rows[:, BEGIN])[rows[:, VERDICT] == 0].tolist())
+        frames.extend(rows[rows[:, VERDICT] == 0, BYTES].tolist())
 
     listen(team, note)
     team.explore(60)

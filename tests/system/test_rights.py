@@ -48,6 +48,7 @@ EXAMPLES: tuple[messages.Record, ...] = (
     messages.ErrorReport("r0", "I say so"),
     messages.Watched(here=True),
     messages.Back(0),
+    messages.Reconnected(0),
     messages.FaultEvent(3, 0, "kill"),
     messages.Change(3, Budget(100), 5000),
     messages.Snapshot(3, 1, 1, b"\x00"),

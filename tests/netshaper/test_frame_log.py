@@ -6,9 +6,9 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from netshaper.frame_log import FrameLog, LoggedFrame
+from netshaper.capture import LoggedFrame
+from netshaper.frame_log import ledger_rows
 from netshaper.ledger import CAUSES, ROW
-from netshaper.ledger_rows import ledger_rows
 from protocol.packets import encode
 from tests.netshaper import plain_ledger
 from tests.protocol.test_packets import streams
@@ -31,5 +31,5 @@ logged_frames = st.builds(
 
 @given(st.integers(0, 2**31 - 1), st.lists(logged_frames, max_size=8))
 def test_rows_are_those_of_reading_every_packet(step: int, seen: list[LoggedFrame]) -> None:
-    rows = np.frombuffer(ledger_rows(step, FrameLog.of(seen).columns()), ROW)
+    rows = np.frombuffer(ledger_rows(step, plain_ledger.columns(seen)), ROW)
     assert rows.tolist() == plain_ledger.rows(step, seen)
