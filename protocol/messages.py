@@ -9,10 +9,10 @@ per cell.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from functools import partial
-from types import UnionType
-from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Union
 
 import msgspec
 import numpy as np
@@ -517,6 +517,8 @@ _TYPES = tuple(sorted(Record.__subclasses__(), key=lambda kind: int(kind.__struc
 _HEAD = {kind: 0x90 | len(kind.__struct_fields__) + 1 for kind in _TYPES}
 """First byte of each message: the msgpack head of a list with this number of items."""
 
+_NOT_DECODED = msgspec.DecodeError, RecursionError, UnicodeDecodeError
+
 _write = msgspec.msgpack.Encoder().encode
 
 
@@ -540,11 +542,11 @@ def unpacker(kinds: tuple[type[Record], ...], sender: str) -> Callable[[bytes], 
             raise ProtocolError("message", 0, f"{len(payload)} bytes; {sender} may send at most {most}")
         try:
             message = read(payload)
-        except (msgspec.DecodeError, RecursionError, UnicodeDecodeError):
-            return _read_field_by_field(payload, kinds, sender)
+        except _NOT_DECODED as error:
+            raise _malformed(payload, kinds, sender, str(error)) from None
         # Fields with a default must be present as well.
         if payload[0] != _HEAD[type(message)]:
-            return _read_field_by_field(payload, kinds, sender)
+            raise _malformed(payload, kinds, sender, "its list has not the shortest form of msgpack")
         return message
 
     return unpack_one
@@ -592,57 +594,24 @@ def _refuse_all(sender: str, _: bytes) -> Any:
     raise ProtocolError("message", 0, f"{sender} may send no message here")
 
 
-def _read_field_by_field(payload: bytes, kinds: tuple[type[Record], ...], sender: str) -> Any:
-    """Decode a message field by field, so that the ProtocolError names the malformed field."""
+def _malformed(payload: bytes, kinds: tuple[type[Record], ...], sender: str, reason: str) -> ProtocolError:
+    """Return the error of a malformed message; it names the field to which the path in msgspec's `reason` leads."""
     try:
         items = msgspec.msgpack.decode(payload)
-    except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:
-        raise ProtocolError("message", 0, f"not msgpack ({error})") from None
-    if (
-        not isinstance(items, list)
-        or not items
-        or type(items[0]) is not int
-        or not 0 <= items[0] < len(_TYPES)
-    ):
-        raise ProtocolError("message", 0, "not a list that begins with the number of a message")
-    kind = _TYPES[items[0]]
+    except _NOT_DECODED as error:
+        return ProtocolError("message", 0, f"not msgpack ({error})")
+    number = items[0] if isinstance(items, list) and items else None
+    if type(number) is not int or not 0 <= number < len(_TYPES):
+        return ProtocolError("message", 0, "not a list that begins with the number of a message")
+    kind = _TYPES[number]
     if kind not in kinds:
-        raise ProtocolError(kind.__name__, 0, f"{sender} may not send it here")
-    wanted = get_type_hints(kind, include_extras=True)
-    if len(items) != len(wanted) + 1:
-        raise ProtocolError(kind.__name__, 0, f"{len(items) - 1} fields instead of {len(wanted)}")
-    for (name, annotation), value in zip(wanted.items(), items[1:], strict=True):
-        try:
-            msgspec.msgpack.decode(msgspec.msgpack.encode(value), type=annotation)
-        except (msgspec.MsgspecError, RecursionError):
-            reason = f"{name} must be {_shown(annotation)}, not {_brief(value)}"
-            raise ProtocolError(kind.__name__, 0, reason) from None
-    try:
-        return kind(*items[1:])
-    except ValueError as error:
-        raise ProtocolError(kind.__name__, 0, str(error)) from None
-
-
-def _brief(value: Any) -> str:
-    """Abbreviate the value of a field for an error text."""
-    if isinstance(value, list | dict):
-        return f"a {type(value).__name__} of {len(value)}"
-    return repr(value[:40] if isinstance(value, str | bytes) else value)[:40]
-
-
-def _shown(annotation: Any) -> str:
-    """Describe the type of a field for an error text."""
-    if get_origin(annotation) in (Union, UnionType):
-        return " or ".join(map(_shown, get_args(annotation)))
-    if get_origin(annotation) is not Annotated:
-        return getattr(annotation, "__name__", str(annotation))
-    kind, limits = get_args(annotation)
-    if get_origin(kind) is list:
-        return f"list of {_shown(get_args(kind)[0])}, at most {limits.max_length}"
-    if limits.max_length is not None:
-        return f"{kind.__name__} of length at most {limits.max_length}"
-    most = limits.le if limits.le is not None else limits.lt - 1
-    return f"{kind.__name__} from {limits.ge} to {most}"
+        return ProtocolError(kind.__name__, 0, f"{sender} may not send it here")
+    fields = kind.__struct_fields__
+    if len(items) != len(fields) + 1:
+        return ProtocolError(kind.__name__, 0, f"{len(items) - 1} fields instead of {len(fields)}")
+    if path := re.search(r" - at `\$\[(\d+)\](.*)`$", reason):
+        reason = f"{fields[int(path[1]) - 1]}{path[2]}: {reason[: path.start()]}"
+    return ProtocolError(kind.__name__, 0, reason)
 
 
 def clip(text: str) -> str:

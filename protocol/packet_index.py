@@ -50,11 +50,6 @@ class PacketIndex(NamedTuple):
         sizes = self.sizes[first:last]
         return PacketIndex(self.kinds[first:last], sizes, array("i", accumulate(sizes)))
 
-    def followed_by(self, other: PacketIndex) -> PacketIndex:
-        """Return the index of a frame with the packets of another one behind its own."""
-        sizes = self.sizes + other.sizes
-        return PacketIndex(self.kinds + other.kinds, sizes, array("i", accumulate(sizes)))
-
 
 NO_PACKETS = PacketIndex(b"", array("i"), array("i"))
 """The index of an empty frame, and of bytes that are no packets."""

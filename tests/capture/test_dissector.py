@@ -178,10 +178,9 @@ def test_the_dissector_accepts_exactly_the_packets_that_the_decoder_reads(
     )
     for payload, (kinds, broken, spare) in zip(payloads, rows, strict=True):
         sent: list[str] = []
-        at = 0
-        error = ""
+        error, at = "", 0
         try:
-            while (packet := packets.packet_at(payload, at)) is not None:
+            while packet := packets.packet_at(payload, at):
                 sent.append(packet.name)
                 at += packets.length(payload, at)
             packets.decode(payload)

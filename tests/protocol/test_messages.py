@@ -147,7 +147,7 @@ def test_a_field_of_a_wrong_type_or_out_of_its_range_is_refused_by_name(
     at = data.draw(st.integers(1, len(items) - 1))
     right, of = list(fields_of(type(message)).items())[at - 1]
     items[at] = data.draw(wrong_for(of))
-    with pytest.raises(ProtocolError, match=f"{type(message).__name__} at byte 0: {right} must be"):
+    with pytest.raises(ProtocolError, match=rf"{type(message).__name__} at byte 0: {right}(\[|:)"):
         unpack(msgpack.packb(items))
 
 
@@ -188,7 +188,7 @@ def test_no_message_is_longer_than_its_kind_may_be(kind: type[messages.Record]) 
 def test_fields_that_do_not_fit_together_are_refused() -> None:
     with pytest.raises(ProtocolError, match="different lengths"):
         unpack(msgpack.packb([4, 1, [0, 1], [2], [2], [], []]))
-    with pytest.raises(ProtocolError, match="replies must be Replies"):
+    with pytest.raises(ProtocolError, match="replies: load 0 of 0 loads"):
         unpack(msgpack.packb([7, 1, 0, "offers", b"", [], 0, [[], b"", [[b"", b"", 0]], []]]))
     for items in (
         [3, 1, b"abc", 0, True, True, False, b""],
@@ -198,9 +198,9 @@ def test_fields_that_do_not_fit_together_are_refused() -> None:
     ):
         with pytest.raises(ProtocolError, match="bytes"):
             unpack(msgpack.packb(items))
-    with pytest.raises(ProtocolError, match="events must be list of Open or Broadcasts or PhaseDelivery or"):
+    with pytest.raises(ProtocolError, match=r"events\[0\]\[4\]\[0\]: Expected `array` of at least length 2"):
         unpack(msgpack.packb([25, [[6, 1, 0, "offers", [[0]]]]]))
-    with pytest.raises(ProtocolError, match="part must be int from 0 to 7"):
+    with pytest.raises(ProtocolError, match="part: Expected `int` <= 7"):
         unpack(msgpack.packb([17, 8, bytes(5)]))
 
 
@@ -275,14 +275,14 @@ def test_a_message_cut_off_or_followed_by_more_is_refused(message: Any, data: st
 
 def test_numbers_beyond_a_field_are_refused() -> None:
     sense = Sense(1, 2, 3, 4, b"", b"", "")
-    with pytest.raises(ProtocolError, match="x must be int from 0 to 2047, not True"):
+    with pytest.raises(ProtocolError, match="x: Expected `int`, got `bool`"):
         unpack(pack(Sense(1, True, 3, 4, b"", b"", "")))
     assert unpack(pack(sense)) == sense
 
 
 def test_a_list_of_other_items_than_frames_is_refused() -> None:
     for wrong in ([1], [b"frame"], [OutgoingFrame(1.0, b"")], [OutgoingFrame(1, "text")], [None]):  # type: ignore[arg-type]
-        with pytest.raises(ProtocolError, match=r"frames must be list of OutgoingFrame"):
+        with pytest.raises(ProtocolError, match=r"frames\[0\]"):
             unpack(pack(RobotFrames(1, 0, "offers", b"", wrong)))  # type: ignore[arg-type]
 
 

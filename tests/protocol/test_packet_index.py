@@ -71,4 +71,3 @@ def test_a_part_of_an_index_is_the_index_of_that_part(stream: list[AnyPacket], d
     last = data.draw(st.integers(first, len(stream)))
     assert index.part(first, last) == index_of(encode(stream[first:last]))
     assert frame[index.bytes_of(first, last)] == encode(stream[first:last])
-    assert index.part(0, first).followed_by(index.part(first, len(stream))) == index

@@ -338,13 +338,22 @@ def test_every_field_has_the_range_of_its_bits() -> None:
 
 @given(streams)
 def test_packets_before_a_malformed_one_are_read(stream: list[AnyPacket]) -> None:
-    offset = 0
+    buffer, offset = encode(stream) + BROKEN, 0
     for packet in stream:
-        assert packet_at(encode(stream) + BROKEN, offset) == packet
-        offset += len(encode([packet]))
-    for read in (decode, lambda buffer: packet_at(buffer, offset)):
-        with pytest.raises(ProtocolError, match=f"at byte {offset}:"):
-            read(encode(stream) + BROKEN)
+        assert packet_at(buffer, offset) == packet
+        offset += length(buffer, offset)
+    with pytest.raises(ProtocolError, match=f"at byte {len(encode(stream))}:"):
+        packet_at(buffer, offset)
+    with pytest.raises(ProtocolError, match=f"at byte {len(encode(stream))}:"):
+        decode(buffer)
+
+
+@given(streams.filter(bool), st.integers(1, 70))
+def test_a_packet_that_is_cut_off_is_not_read(stream: list[AnyPacket], missing: int) -> None:
+    last = encode(stream[-1:])
+    assert packet_at(last, 0) == stream[-1]
+    assert packet_at(last, len(last)) is None
+    assert len(last) <= missing or packet_at(last[: len(last) - missing], 0) is None
 
 
 def test_a_long_stream_is_read_in_linear_time() -> None:
