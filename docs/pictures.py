@@ -20,7 +20,7 @@ from agent.outline.polygons import SIDE_X, SIDE_Y, Polygons
 from agent.strategies.registry import strategies
 from deploy.record.colors import ALARM, CELLS, GROUPS, Color, robot_color
 from deploy.record.map_pictures import draw_paths, show_grid
-from deploy.run import in_memory
+from deploy.run.in_memory import MemoryRun
 from deploy.scenario import plan
 from deploy.scenario.scenario import parse
 from murmur import Step, steps
@@ -115,7 +115,7 @@ def gallery(path: Path) -> None:
         rows, 4, figsize=(14.4, 4 * rows), sharex=True, sharey=True, layout="constrained"
     )
     for axes, (name, made) in zip(panels.flat, plans.items(), strict=False):
-        records = in_memory.run(made)
+        records = MemoryRun(made).complete()
         show_grid(axes, made.map, made.map.cells)
         draw_paths(axes, made, records)
         end = records.end

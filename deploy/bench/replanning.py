@@ -21,7 +21,7 @@ from agent.strategies.targets import TargetStrategy
 from deploy.bench.baselines import optional_module, skimage_costs_ms
 from deploy.bench.explorations import office
 from deploy.bench.measurement import Measurement, timed
-from deploy.run import in_memory
+from deploy.run.in_memory import MemoryRun
 from deploy.scenario import plan as plans
 from deploy.scenario.scenario import Scenario
 from protocol.grid import Grid
@@ -46,7 +46,7 @@ def replanning() -> Iterator[Measurement]:
         )  # fmt: skip
         timer = DecisionTimer()
         with timer.attached_to(strategy):
-            in_memory.run(plans.make(scenario, world))
+            MemoryRun(plans.make(scenario, world)).complete()
         field_ms = float(np.median([skimage_costs_ms(graph, *timer.last) for _ in range(REPEATS)]))
         mean, late = float(np.mean(timer.spent_ms)), float(np.percentile(timer.spent_ms, 95))
         yield Measurement(f"{name}, mean", "ms", mean, baseline, mean / field_ms)

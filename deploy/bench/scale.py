@@ -16,7 +16,8 @@ from deploy.bench.explorations import office_plan
 from deploy.bench.measurement import Measurement
 from deploy.bench.observer import Observer
 from deploy.record.records import RecorderNode
-from deploy.run import in_memory, launch
+from deploy.run import launch
+from deploy.run.in_memory import MemoryRun
 from protocol.packets import MAX_MAPS
 
 ROBOTS = (2, 4, 8, 16, 32, 64, 128, 256)
@@ -45,7 +46,7 @@ def scale(robots: Sequence[int] = ROBOTS) -> Iterator[Measurement]:
         for content in (maps, "predictive"):
             observer = Observer()
             plan = office_plan(robots=size, bus="memory", **SETTINGS, **CONTENTS[content])
-            records = in_memory.run(plan, observer.observe, io.BytesIO(), heed=_stop_after(observer))
+            records = MemoryRun(plan, io.BytesIO()).complete(observer.observe, heed=_stop_after(observer))
             name = f"{size} robots, {content}, memory"
             step_ms = observer.processor_ms_per_step
             work = step_ms / size
@@ -68,9 +69,6 @@ def _processes(size: int, content: str) -> Iterator[Measurement]:
     yield Measurement(f"{name}: {SPEED}", "steps/s", observer.steps_per_s)
     if observer.memory_mb:
         yield Measurement(f"{name}: {MEMORY}", "MB", observer.memory_mb)
-    moved = outcome.records.wire_bytes
-    if moved is not None:
-        yield Measurement(f"{name}: moved by the bus per step", "bytes", moved / max(1, outcome.records.step))
 
 
 def draw(measurements: Sequence[dict[str, Any]], file: Path) -> None:

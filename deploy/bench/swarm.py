@@ -1,4 +1,4 @@
-"""Benchmark of whole swarms: 8 robots on 300 x 300 cells, compared with the replay of their messages."""
+"""Benchmark of whole swarms: 8 robots on 300 x 300 cells, compared with the same run in one process."""
 
 from __future__ import annotations
 
@@ -10,16 +10,15 @@ import numpy as np
 from deploy.bench.explorations import office_plan
 from deploy.bench.measurement import Measurement, compare
 from deploy.bench.observer import Observer
-from deploy.bench.transcript import record, replay
 from deploy.record.records import Records
 from deploy.run import launch
+from deploy.run.in_memory import MemoryRun
 
 ROBOTS = 8
 STEPS = 150
 REPEATS = 3
 
-REPLAY = "replay of its messages"
-
+IN_MEMORY = "the same run in one process"
 
 CASES: tuple[dict[str, Any], ...] = (
     {"map_encoding": "scans", "bandwidth": "unlimited"},
@@ -30,20 +29,21 @@ CASES: tuple[dict[str, Any], ...] = (
 
 
 def swarm() -> Iterator[Measurement]:
-    """Alternate swarm and replay; measure speed, computing time, memory and start-up."""
+    """Alternate runs in one process and as processes; measure speed, computing time, memory and start-up."""
     for case in CASES:
         plan = office_plan(robots=ROBOTS, steps=STEPS, **case)
-        scripts, records = record(plan)
-        replays, runs = [], []
+        in_one, runs = [], []
         for _ in range(REPEATS):
-            replays.append(records.step / replay(plan, scripts))
+            in_one.append(Observer())
+            records = MemoryRun(plan).complete(in_one[-1].observe)
             runs.append(Observer())
             outcome = launch.run(plan, None, runs[-1].observe)
             if outcome.deaths:
                 raise ConnectionError(f"the benchmark's swarm failed: {outcome.deaths}")
         name = f"swarm of {ROBOTS}, {case['map_encoding']}"
-        yield Measurement(f"{name}: {REPLAY}", "steps/s", float(np.median(replays)))
-        yield compare(name, "steps/s", [run.steps_per_s for run in runs], REPLAY, replays)
+        references = [run.steps_per_s for run in in_one]
+        yield Measurement(f"{name}: {IN_MEMORY}", "steps/s", float(np.median(references)))
+        yield compare(name, "steps/s", [run.steps_per_s for run in runs], IN_MEMORY, references)
         yield Measurement(f"{name}: work per robot and step", "ms", _median_work_ms(records))
         start = float(np.median([run.first_step_s for run in runs]))
         yield Measurement(f"{name}: start to first step", "s", start)

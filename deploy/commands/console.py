@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import errno
 import json
+import os
+import traceback
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NoReturn
@@ -77,10 +79,15 @@ def progress(*, shown: bool, message: Callable[[], str] = lambda: "") -> Any:
 
 @contextlib.contextmanager
 def report_user_errors() -> Iterator[None]:
-    """Turn errors that the user can fix into a message: exit code 2 for bad input, 3 for work that was aborted."""
+    """Turn errors that the user can fix into a message: exit code 2 for bad input, 3 for work that was aborted.
+
+    With the environment variable ``MURMUR_TRACEBACK``, the traceback of a ValueError is printed too.
+    """
     try:
         yield
     except ValueError as error:
+        if os.environ.get("MURMUR_TRACEBACK"):
+            traceback.print_exc()
         fail(str(error), BAD_INPUT)
     except RecursionError:
         fail("input nested too deeply", BAD_INPUT)

@@ -25,8 +25,8 @@ from deploy.commands.flags import (
     named_values,
     setting_flags,
 )
-from deploy.scenario.scenario import Scenario, load
-from deploy.scenario.thesis import load_by_thesis
+from deploy.scenario.scenario import SHIPPED, Scenario, load, read_toml
+from deploy.scenario.thesis import STRATEGY, thesis_settings
 from netshaper.presets import PRESETS
 
 app = command_family()
@@ -96,7 +96,11 @@ def explore(
     overrides = {name: value for name, value in overrides.items() if value is not None}
     if option:
         overrides["options"] = named_values(option, "option", "beta=0.5")
-    chosen = (load_by_thesis if thesis else load)(scenario, overrides)
+    if thesis:
+        in_file = {} if scenario is None else read_toml(scenario, "scenario", SHIPPED)[1]
+        overrides = {"strategy": in_file.get("strategy", STRATEGY)} | overrides
+        overrides |= thesis_settings(overrides)
+    chosen = load(scenario, overrides)
     choices = {"out": out, "pace": pace, "restart": restart}
     view_type = view_as or ("auto" if view else None)
     raise typer.Exit(_explore(chosen, view_type, hosts, choices, pictures=pictures, as_json=as_json))

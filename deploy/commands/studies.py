@@ -29,7 +29,6 @@ SetOption = Annotated[
     ),
 ]
 RetryFlag = Annotated[bool, typer.Option("--retry", help="repeat failed runs of the table")]
-AnyCodeFlag = Annotated[bool, typer.Option("--any-code", help="reuse runs of other versions of the code")]
 
 
 @app.command()
@@ -70,13 +69,13 @@ def sweep(
         ),
     ] = None,
     retry: RetryFlag = False,
-    any_code: AnyCodeFlag = False,
 ) -> None:
     """Run a scenario over a grid of settings, on the memory bus, and print the table defined in the file."""
-    from deploy.run.workers import workers  # noqa: PLC0415
     from deploy.study import experiment as experiments  # noqa: PLC0415
     from deploy.study import plots  # noqa: PLC0415
-    from deploy.study.results import Results  # noqa: PLC0415
+    from deploy.study.results import Results, write_table  # noqa: PLC0415
+    from deploy.study.runs import cases  # noqa: PLC0415
+    from deploy.study.sweep import Sweep  # noqa: PLC0415
 
     settings = named_values(set_ or [], "set", "seed=[0,1]")
     if seeds is not None:
@@ -85,43 +84,18 @@ def sweep(
     read = experiments.quickened(read) if quick else read
     read = experiments.override(experiments.choose(read, variant or []), settings)
     with Results(out) as results:
-        done = _run_sweep(read, results, workers(jobs, scheduler), out, table, any_code=any_code, retry=retry)
-        for number, each in enumerate(read.plots if plot is not None and done else (), 1):
+        done = Sweep(read, cases(read), results)
+        try:
+            with stopping(out):
+                done.make(jobs=jobs, scheduler=scheduler, retry=retry)
+        finally:
+            report_sweep(done)
+            if table is not None and done.rows:
+                write_table(done.table, table)
+        for number in range(len(read.plots) if plot is not None else 0):
             assert plot is not None
-            file = plot if number == 1 else plot.with_stem(f"{plot.stem}-{number}")
-            plots.save(plots.draw(each, done, results), file)
-
-
-def _run_sweep(
-    read: Any,
-    results: Any,
-    workers: Any,
-    out: Path | None,
-    table: Path | None,
-    *,
-    any_code: bool,
-    retry: bool,
-) -> Any:
-    """Run the cases of an experiment and print its table, also after Ctrl-C; return the runs."""
-    from deploy.commands import terminal  # noqa: PLC0415
-    from deploy.study.results import write_table  # noqa: PLC0415
-    from deploy.study.runs import cases, failures, looked_up, make  # noqa: PLC0415
-    from deploy.study.tables import described, tabulate  # noqa: PLC0415
-
-    todo = cases(read)
-    try:
-        with running(read.name, out) as progress:
-            make(todo, results, workers, progress, any_code=any_code, retry=retry)
-    finally:
-        done = looked_up(todo, results)
-        report_failures(failures(todo, results))
-        if done:
-            of = f" of {len(todo)}" if len(done) < len(todo) else ""
-            screen.print(f"{read.name}: {' '.join(read.table.values)}, means of {len(done)}{of} runs")
-            print_table(terminal.table(tabulate(read.table, done)))
-            if table is not None:
-                write_table(described(read.table, done), table)
-    return done
+            file = plot.with_stem(f"{plot.stem}-{number + 1}") if number else plot
+            plots.save(done.plot(number), file)
 
 
 @app.command()
@@ -140,12 +114,12 @@ def reproduce(
         ),
     ] = Path("reproduction"),
     retry: RetryFlag = False,
-    any_code: AnyCodeFlag = False,
 ) -> None:
     """Repeat the experiments of the papers, and judge each of their claims (exit code 1: not all hold)."""
     from deploy.commands import terminal  # noqa: PLC0415
     from deploy.run.workers import workers  # noqa: PLC0415
     from deploy.study import reproduction  # noqa: PLC0415
+    from deploy.study.progress import counting  # noqa: PLC0415
     from deploy.study.results import Results, make_folder  # noqa: PLC0415
 
     settings = {"seed": list(range(seeds))} if seeds is not None else {}
@@ -153,9 +127,9 @@ def reproduce(
     make_folder(out)
     runs = out / reproduction.RUNS
     with Results(runs) as results:
-        with running("reproduce", runs) as tell:
+        with stopping(runs), counting(errors, "reproduce") as report:
             done = reproduction.reproduce(
-                found, results, workers(jobs, scheduler), tell, quick=quick, any_code=any_code, retry=retry
+                found, results, workers(jobs, scheduler), report, quick=quick, retry=retry
             )
         command = ["murmur reproduce", *(claim or []), *(["--quick"] if quick else [])]
         command += [f"--seeds {seeds}"] if seeds is not None else []
@@ -305,11 +279,14 @@ def report_sweep(sweep: Any) -> None:
     from deploy.study.tables import tabulate  # noqa: PLC0415
 
     report_failures(sweep.failures)
-    if not sweep.rows:
+    table, runs = sweep.experiment.table, len(sweep.rows)
+    if not runs and sweep.failures:
         fail("all runs failed", 3)
-    columns = " ".join(sweep.experiment.table.values)
-    screen.print(f"{columns}, means of {len(sweep.rows)} runs with 95 % intervals")
-    print_table(terminal.table(tabulate(sweep.experiment.table, sweep.rows)))
+    if runs:
+        of = f" of {len(sweep.cases)}" if runs < len(sweep.cases) else ""
+        intervals = " with 95 % intervals" if table.interval else ""
+        screen.print(f"{' '.join(table.values)}, means of {runs}{of} runs{intervals}")
+        print_table(terminal.table(tabulate(table, sweep.rows)))
 
 
 @contextmanager
@@ -319,15 +296,6 @@ def stopping(out: Path | None) -> Iterator[None]:
         yield
     except KeyboardInterrupt:
         fail("stopped" + (f"; the same command continues from {out}" if out is not None else ""), 130)
-
-
-@contextmanager
-def running(name: str, out: Path | None) -> Iterator[Any]:
-    """Show the progress of many runs; on Ctrl-C, print how to continue."""
-    from deploy.study.progress import counting  # noqa: PLC0415
-
-    with stopping(out), counting(errors, name) as tell:
-        yield tell
 
 
 def print_table(table: Any) -> None:

@@ -84,7 +84,6 @@ SUMMARY = {
     "approximation_error": "Eq. 6.1, of the first robot: mean over its steps, as a share of the cells to explore",
     "approximation_error_net": "the same minus that of an exact approximation; null without `polygons.exact_error`",
     "over_budget_steps": "steps that exceeded the budget: 0",
-    "wire_bytes": "bytes on the bus, on Zenoh",
     "undelivered": "frames not delivered, by cause",
     "lost, protocol_errors": "robots that died unexpectedly; number of protocol errors",
     "reconnected": "step and robot of each connection that was cut and restored",

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from agent.settings import Settings
 from deploy.record.map_collection import MapCollection
 from deploy.record.map_history import MapHistory
-from deploy.record.wire_bytes import Meter
 from netshaper.ledger import ROW
 from netshaper.process import ENDED
 from protocol import keys as names
@@ -60,8 +59,7 @@ class Records:
     ledger per step. `lost` has the cause of each unexpected failure by robot, `killed` the robots that a fault event
     killed and none restarted, `returned` step and robot of each return after an unexpected failure, `reconnected` of
     each connection that was cut and restored. `protocol_errors` has sender and text of the first
-    `MAX_PROTOCOL_ERROR_TEXTS` protocol errors. `carried` is the number of bytes
-    transmitted in the last step; `wire_bytes` that of the bus (`deploy.record.wire_bytes`), None if not available.
+    `MAX_PROTOCOL_ERROR_TEXTS` protocol errors. `carried` is the number of bytes transmitted in the last step.
     """
 
     robots: int
@@ -81,7 +79,6 @@ class Records:
     protocol_error_count: int = 0
     end: End | None = None
     carried: int = 0
-    wire_bytes: int | None = None
 
     def __post_init__(self) -> None:
         self.statuses = [[] for _ in range(self.robots)]
@@ -147,7 +144,6 @@ class RecorderNode:
         robots: int,
         shape: tuple[int, int],
         capture: BinaryIO | None = None,
-        meter: Meter | None = None,
         on_fault: Callable[[FaultEvent], object] = lambda _: None,
     ) -> None:
         self.done = False
@@ -156,7 +152,6 @@ class RecorderNode:
         self._broken_down: set[int] = set()
         """Robots that report their maps before the end."""
         self._capture = capture
-        self._meter = meter
         self._bus = bus
         self._keys = keys
         self._protocol_errors: Counter[str] = Counter()
@@ -327,14 +322,8 @@ class RecorderNode:
         """Report to the relay that the process of a robot has ended, so that it does not wait for the robot."""
         self._send(Lost(robot, ENDED))
 
-    def read_meter(self) -> None:
-        """Record the number of bytes that the bus has moved."""
-        if self._meter is not None:
-            self.records.wire_bytes = self._meter.read()
-
     def shut_down(self) -> None:
         """Notify all participants that all results are recorded and that they can shut down."""
-        self.read_meter()
         self.done = True
         self._send(Shutdown())
 

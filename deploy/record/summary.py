@@ -67,7 +67,6 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "packets": _per_kind(ledger, "packets"),
         **_approximation_error(records, first, int(reachable.sum())),
         "over_budget_steps": _over_budget(ledger, allowed, each=scenario.radio.reuse),
-        "wire_bytes": records.wire_bytes,
         "undelivered": _undelivered(ledger),
         "lost": {str(robot): cause for robot, cause in sorted(records.lost.items())},
         "returned": [list(each) for each in records.returned],

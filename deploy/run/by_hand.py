@@ -19,7 +19,6 @@ from deploy.dashboard.process import ViewTask, serve
 from deploy.dashboard.windows import Window, free_port
 from deploy.record import run_directory
 from deploy.record.records import RecorderNode, Records
-from deploy.record.wire_bytes import Meter
 from deploy.run import preload  # noqa: F401  before the process joins, since others wait for it then
 from deploy.run.exploration import Result, conclude
 from deploy.run.hosts import MOST_PORT
@@ -171,9 +170,7 @@ def serve_recorder(
             directory = run_directory.create(out, plan)
             began = time.perf_counter()
             with run_directory.open_capture(directory, plan) as capture:
-                recorder = RecorderNode(
-                    bus, Keys(read.run), scenario.robots, plan.map.cells.shape, capture, Meter(read.hub)
-                )
+                recorder = RecorderNode(bus, Keys(read.run), scenario.robots, plan.map.cells.shape, capture)
                 recorder.configure(plan.robot_settings)
 
                 def poll() -> bool:

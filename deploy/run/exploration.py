@@ -21,10 +21,11 @@ from deploy.dashboard.windows import Window, optimize
 from deploy.record import run_directory
 from deploy.record.records import RecorderNode, Records
 from deploy.record.summary import summarize
-from deploy.run import in_memory, launch
+from deploy.run import launch
 from deploy.run.control import Control, as_it_went
 from deploy.run.crash_report import traceback_of
 from deploy.run.hosts import Hosts
+from deploy.run.in_memory import MemoryRun
 from deploy.run.interrupt import Interrupt
 from deploy.run.ssh import Fleet
 from deploy.scenario import plan as plans
@@ -279,16 +280,9 @@ class _Execution:
 
         with watching(task) if task is not None else contextlib.nullcontext() as view:
             ready()
-            records = in_memory.run(
-                plan,
-                self._observer(plan),
-                capture,
-                heed=self._heed,
-                view=view,
-                wait=wait,
-                on_crash=note_crash,
-                journals=self._journals,
-            )
+            records = MemoryRun(
+                plan, capture, view=view, wait=wait, on_crash=note_crash, journals=self._journals
+            ).complete(self._observer(plan), heed=self._heed)
         return launch.Outcome(records, deaths)
 
     def _run_processes(self, plan: Plan, capture: BinaryIO | None, done: int) -> launch.Outcome:

@@ -9,7 +9,6 @@ from typing import Any, BinaryIO, Protocol
 
 from agent.journal import Journal, journal_name
 from agent.process import AgentNode
-from agent.robot import Robot
 from deploy.record.records import RecorderNode, Records
 from deploy.scenario.plan import Plan
 from netshaper.process import RelayNode
@@ -131,6 +130,19 @@ class MemoryRun:
             if not received and not self._is_done():
                 self._time_out()
 
+    def complete(
+        self,
+        watch: Callable[[Records], object] | None = None,
+        heed: Callable[[RecorderNode], object] = lambda _: None,
+    ) -> Records:
+        """Run to the end, and return the records; `watch` is called whenever a step has been opened."""
+        opened = 0
+        for _ in self.steps(heed):
+            if watch is not None and self.records.step > opened:
+                opened = self.records.step
+                watch(self.records)
+        return self.records
+
     def _time_out(self) -> None:
         """Give up on the robots that others wait for: no messages are left, so that none of them will answer."""
         overdue = {robot: node for node in (self._relay, self._world) for robot in node.waiting_for()}
@@ -190,35 +202,6 @@ class MemoryRun:
 
     def _is_done(self) -> bool:
         return all(node.done for node in self._nodes.values())
-
-
-def run(
-    plan: Plan,
-    watch: Callable[[Records], object] | None = None,
-    capture: BinaryIO | None = None,
-    *,
-    heed: Callable[[RecorderNode], object] = lambda _: None,
-    wrap: Callable[[str, Bus], Bus] = lambda _, bus: bus,
-    view: Node | None = None,
-    wait: Callable[[], object] = lambda: None,
-    on_crash: OnCrash | None = None,
-    journals: Path | None = None,
-    leave: Callable[[list[Robot]], object] = lambda _: None,
-) -> Records:
-    """Run a plan to its end; parameters as for `MemoryRun`.
-
-    `watch` is called whenever a step has been opened, and `leave` with the robots after the end.
-    """
-    memory_run = MemoryRun(
-        plan, capture, wrap=wrap, view=view, wait=wait, on_crash=on_crash, journals=journals
-    )
-    opened = 0
-    for _ in memory_run.steps(heed):
-        if watch is not None and memory_run.records.step > opened:
-            opened = memory_run.records.step
-            watch(memory_run.records)
-    leave([agent.robot for agent in memory_run.agents if agent.robot is not None])
-    return memory_run.records
 
 
 def _note_restarts(due: list[int]) -> Callable[[FaultEvent], object]:

@@ -31,15 +31,11 @@ class Interrupt:
     def __init__(
         self, notify: Callable[[str], object] = lambda _: None, then: Callable[[], object] = lambda: None
     ) -> None:
+        self.came = False
+        """Whether the end was requested."""
         self._then = then
-        self._came = False
         self._heeded = False
         self._notify = notify
-
-    @property
-    def came(self) -> bool:
-        """Whether the end was requested."""
-        return self._came
 
     @contextlib.contextmanager
     def caught(self) -> Iterator[None]:
@@ -58,12 +54,12 @@ class Interrupt:
 
     def heed(self, recorder: RecorderNode) -> bool:
         """Ask the world to end after this step if that was requested; return whether it was."""
-        if self._came and not self._heeded and not recorder.done:
+        if self.came and not self._heeded and not recorder.done:
             self._heeded = True
             self._notify("ending after this step; writing the run directory")
             recorder.stop(REASON)
-        return self._came
+        return self.came
 
     def _come(self, *_: object) -> None:
-        self._came = True
+        self.came = True
         self._then()

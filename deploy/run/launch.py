@@ -20,7 +20,6 @@ from deploy.dashboard.process import ViewTask
 from deploy.dashboard.watch import announced
 from deploy.record.map_history import MapHistory
 from deploy.record.records import RecorderNode, Records
-from deploy.record.wire_bytes import Meter
 from deploy.run.gate import Gate
 from deploy.run.process_table import FORK_SERVER, ProcessTable
 from deploy.run.processes import (
@@ -273,8 +272,7 @@ def _record(
         return Outcome(Records(robots, MapHistory(shape)), supervisor.deaths)
     if wrap is not None:
         bus = wrap(names.RECORDER, bus)
-    meter = Meter(rendezvous.endpoint, here=True)
-    recorder = RecorderNode(bus, Keys(rendezvous.run), robots, shape, capture, meter, supervisor.apply)
+    recorder = RecorderNode(bus, Keys(rendezvous.run), robots, shape, capture, supervisor.apply)
     recorder.configure(plan.robot_settings)
 
     def poll() -> bool:
@@ -316,7 +314,6 @@ def attend(bus: Bus, recorder: RecorderNode, heed: Heed, poll: Callable[[], bool
         if now - polled < POLL_S:
             continue
         polled = now
-        recorder.read_meter()
         failed, interrupted = poll(), heed(recorder)
         if now - received > quiet_s:
             raise BusClosed(f"no message from the relay for {quiet_s:g} s")

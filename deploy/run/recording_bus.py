@@ -1,4 +1,4 @@
-"""Record the messages that participants of a run receive and send."""
+"""Record the messages that participants of a run receive."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Collection
 from dataclasses import dataclass, field
 
 from deploy.record.records import Records
-from deploy.run import in_memory
+from deploy.run.in_memory import MemoryRun
 from deploy.scenario.plan import Plan
 from protocol import keys as names
 from protocol.bus import Bus, Message
@@ -15,18 +15,15 @@ from protocol.messages import Sense, unpack
 
 @dataclass
 class RecordingBus:
-    """One end of a bus that records its traffic."""
+    """One end of a bus that records the received messages."""
 
     inner: Bus | None = None
-    """The bus; without one, sent messages are only recorded."""
+    """The bus; without one, sent messages are discarded."""
     received: list[Message] = field(default_factory=list)
     """Received messages in their order."""
-    sent: list[tuple[int, Message]] = field(default_factory=list)
-    """Each sent message, and the number of messages received before it."""
 
     def put(self, key: str, payload: bytes) -> None:
-        """Record a message and send it."""
-        self.sent.append((len(self.received), Message(key, payload)))
+        """Send a message."""
         if self.inner is not None:
             self.inner.put(key, payload)
 
@@ -61,5 +58,5 @@ def record_run(
         buses[name] = RecordingBus(bus)
         return buses[name]
 
-    records = in_memory.run(plan, wrap=wrap)
+    records = MemoryRun(plan, wrap=wrap).complete()
     return buses, records

@@ -296,8 +296,8 @@ def load(path: Path | None, overrides: dict[str, Any]) -> Scenario:
             data["map"] = beside(path, data["map"])
     if overrides.get("radio.preset"):
         _remove_preset_keys(data)
-    _apply_overrides(data, overrides)
     where = f"scenario {path}" if path is not None else "scenario"
+    lay(data, {key: value for key, value in overrides.items() if value is not None}, where)
     return parse(data, where)
 
 
@@ -309,15 +309,20 @@ def _remove_preset_keys(data: dict[str, Any]) -> None:
         data["radio"] = {key: value for key, value in data["radio"].items() if key != "frame_bytes"}
 
 
-def _apply_overrides(data: dict[str, Any], overrides: dict[str, Any]) -> None:
-    """Replace the settings that the overrides give; ``table.key`` replaces one key of a table."""
-    for key, value in overrides.items():
-        table, _, inner = key.partition(".")
-        if value is None:
-            continue
-        if inner and isinstance(data.get(table, {}), dict):
-            data[table] = dict(data.get(table, {}))
-            _apply_overrides(data[table], {inner: value})
+def lay(data: dict[str, Any], settings: dict[str, Any], where: str) -> None:
+    """Lay settings over others; a dotted name (``options.beta``) sets one key of a table.
+
+    Raises ScenarioError, which begins with `where`, if a dotted name refers to a key of something else than a table.
+    """
+    for key, value in settings.items():
+        table, dot, inner = key.partition(".")
+        if dot:
+            keys = data.get(table, {})
+            if not isinstance(keys, dict):
+                raise ScenarioError(
+                    f"{where}: {table} = {keys!r}: must be a table, for {key!r} sets a key of it"
+                )
+            data[table] = {**keys, inner: value}
         else:
             data[key] = value
 

@@ -25,7 +25,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from deploy.scenario.scenario import SHIPPED as SCENARIOS
-from deploy.scenario.scenario import ScenarioError, beside, explain, read_toml
+from deploy.scenario.scenario import ScenarioError, beside, explain, lay, read_toml
 from deploy.scenario.tables import Table as Keys
 from deploy.scenario.tables import Whole
 from deploy.study.claims import Claim, Rule, check_claim
@@ -188,24 +188,8 @@ def _with_scenario(path: Path, scenario: str | None, base: dict[str, Any]) -> di
     named, data = read_toml(beside_it if beside_it.exists() else Path(scenario), "scenario", SCENARIOS)
     if "map" in data:
         data["map"] = beside(named, data["map"])
-    lay(data, base)
+    lay(data, base, f"scenario {named}")
     return data
-
-
-def lay(data: dict[str, Any], settings: dict[str, Any]) -> None:
-    """Lay settings over others; a dotted name (``options.beta``) sets one key of a table.
-
-    ValueError if a dotted name refers to a key of something else than a table.
-    """
-    for key, value in settings.items():
-        table, dot, inner = key.partition(".")
-        if dot:
-            keys = data.get(table, {})
-            if not isinstance(keys, dict):
-                raise ValueError(f"{table} = {keys!r}: must be a table, for {key!r} sets a key of it")
-            data[table] = {**keys, inner: value}
-        else:
-            data[key] = value
 
 
 def quickened(experiment: Experiment) -> Experiment:

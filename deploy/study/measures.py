@@ -21,7 +21,7 @@ from agent.planning.assignment import Assignment, best_of_all, in_turn, total_va
 from agent.planning.frontier import frontier_cells
 from deploy.record.records import Records
 from deploy.record.summary import summarize
-from deploy.run import in_memory
+from deploy.run.in_memory import MemoryRun
 from deploy.scenario.plan import Plan
 from deploy.study.recovery import recovery
 from netshaper.ledger import KIND_NUMBER
@@ -47,7 +47,7 @@ SERIES = ("explored", "carried")
 def exploration(plan: Plan) -> Metrics:
     """Run the plan's scenario; return its summary with dotted names for nested values, series, and channel load."""
     began = time.perf_counter()
-    records = in_memory.run(plan)
+    records = MemoryRun(plan).complete()
     metrics: Metrics = {}
     for name, value in summarize(plan, records, time.perf_counter() - began).items():
         if name in ("lost", "returned", "reconnected", "versions"):

@@ -143,13 +143,12 @@ def reproduce(
     report: Report | None = None,
     *,
     quick: bool = False,
-    any_code: bool = False,
     retry: bool = False,
 ) -> Reproduction:
     """Make the runs that the table lacks, and judge each claim; `quick` says whether `found` was reduced."""
     todo = {name: [(each, cases(each)) for each in listed] for name, listed in found.items()}
     every = [case for listed in todo.values() for _, some in listed for case in some]
-    make(every, results, workers, report, any_code=any_code, retry=retry)
+    make(every, results, workers, report, retry=retry)
     judged = []
     for listed in todo.values():
         parts = [Part(each, some, looked_up(some, results), failures(some, results)) for each, some in listed]

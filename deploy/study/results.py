@@ -99,11 +99,9 @@ class Results:
             if self._lock is not None:
                 os.close(self._lock)
 
-    def knows(self, key: str, code: str | None, *, retry: bool = False) -> bool:
-        """Return whether the table has a run, made by `code` (None: by any); with `retry`, failed runs do not count."""
-        if key not in self._known or (retry and key in self._failed):
-            return False
-        return code is None or self._known[key] == code
+    def knows(self, key: str, code: str, *, retry: bool = False) -> bool:
+        """Return whether the table has a run made by `code`; with `retry`, failed runs do not count."""
+        return self._known.get(key) == code and not (retry and key in self._failed)
 
     def add(self, row: Row) -> None:
         """Add a run, or replace the run with the same key; the file is written now or soon."""

@@ -12,7 +12,7 @@ import json
 import sys
 import zlib
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -26,9 +26,9 @@ from deploy.record.versions import versions
 from deploy.run.workers import Workers
 from deploy.scenario import plan as plans
 from deploy.scenario.finding_maps import FILES
-from deploy.scenario.scenario import Scenario, ScenarioError, parse
-from deploy.scenario.thesis import with_thesis
-from deploy.study.experiment import Experiment, lay, settings_of
+from deploy.scenario.scenario import Scenario, ScenarioError, lay, parse
+from deploy.scenario.thesis import thesis_settings
+from deploy.study.experiment import Experiment, settings_of
 from deploy.study.measures import MEASURES
 from deploy.study.progress import Report
 from deploy.study.results import CODE, ERROR, KEY, Results, Row
@@ -42,9 +42,6 @@ PLACE = "place"
 
 MOST_STEPS = "most_steps"
 """Column of the setting `steps`; the column ``steps`` is the exploration time."""
-
-SPOT_CHECKS = 3
-"""Number of runs by other versions of the code that are repeated before any of them is accepted."""
 
 SOURCES = (
     "agent", "netshaper", "protocol", "worldsim", "deploy/scenario", "deploy/record", "deploy/run",
@@ -119,13 +116,14 @@ def cases(experiment: Experiment) -> list[Case]:
 def _scenario(experiment: Experiment, layers: Sequence[dict[str, Any]], where: str) -> Scenario:
     """The scenario of some layers of settings; ScenarioError if it is invalid."""
     data: dict[str, Any] = {"bus": MEMORY}
-    try:
-        for layer in layers:
-            lay(data, layer)
-    except ValueError as error:
-        raise ScenarioError(f"{where}: {error}") from None
+    for layer in layers:
+        lay(data, layer, where)
     data |= {key: data[leader] for key, leader in experiment.follow.items() if leader in data}
-    data = with_thesis(data, where)
+    by_thesis = data.pop("thesis", False)
+    if not isinstance(by_thesis, bool):
+        raise ScenarioError(f"{where}: thesis = {by_thesis!r}: must be true or false")
+    if by_thesis:
+        lay(data, thesis_settings(data), where)
     if data["bus"] != MEMORY:
         raise ScenarioError(f"{where}: bus = {data['bus']!r}: sweeps run on the memory bus; leave it out")
     return parse(data, where)
@@ -137,33 +135,14 @@ def make(
     workers: Workers,
     report: Report | None = None,
     *,
-    any_code: bool = False,
     retry: bool = False,
 ) -> None:
     """Execute all runs that the table lacks, equal runs once; each run enters the table as soon as it ends.
 
-    Parameters
-    ----------
-    report : callable, optional
-        Called with the number of finished runs, and the total.
-    any_code : bool
-        Whether to accept runs by other versions of the code, if some repeated runs have the same digests.
-    retry : bool
-        Whether to repeat failed runs.
-
-    Raises
-    ------
-    ValueError
-        With `any_code`: a repeated run has a different digest.
+    `report` is called with the number of finished runs, and the total. `retry` repeats failed runs.
     """
     distinct = {case.key: case for case in todo}
-    if any_code:
-        _check_digests(distinct, results)
-    missing = [
-        case
-        for key, case in distinct.items()
-        if not results.knows(key, None if any_code else case.code, retry=retry)
-    ]
+    missing = [case for key, case in distinct.items() if not results.knows(key, case.code, retry=retry)]
     done = len(distinct) - len(missing)
     report = report or (lambda *_: None)
     report(done, len(distinct))
@@ -171,23 +150,6 @@ def make(
         results.add(row if isinstance(row, dict) else _failed(case, row))
         done += 1
         report(done, len(distinct))
-
-
-def _check_digests(distinct: Mapping[str, Case], results: Results) -> None:
-    """Repeat some runs by other versions of the code; ValueError if a digest differs."""
-    foreign = [
-        case
-        for key, case in sorted(distinct.items())
-        if results.knows(key, None) and not results.knows(key, case.code)
-    ]
-    rows = results.rows(case.key for case in foreign)
-    checked = [case for case in foreign if rows[case.key].get("digest") is not None][:SPOT_CHECKS]
-    for case in checked:
-        digest = run_case(case).get("digest")
-        if digest != rows[case.key]["digest"]:
-            raise ValueError(
-                f"--any-code: the run with {case.place} has a different digest now; leave --any-code out"
-            )
 
 
 def looked_up(todo: Sequence[Case], results: Results) -> list[Row]:

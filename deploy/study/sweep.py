@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,19 +34,30 @@ class Sweep:
     experiment : Experiment
     cases : list of Case
         All cases in the order of the grid.
-    rows : list of dict
-        The successful runs, each with its ``place`` in the grid.
     results : Results
         The table of runs, which includes their series.
-    failures : dict
-        Error messages and their counts.
     """
 
     experiment: Experiment
     cases: list[Case]
-    rows: list[Row]
     results: Results
-    failures: dict[str, int]
+
+    def make(
+        self, *, jobs: int | None, scheduler: str | None, progress: bool = True, retry: bool = False
+    ) -> None:
+        """Execute all runs that the table lacks; parameters as for `sweep`. `retry` repeats failed runs."""
+        with counting(Console(stderr=True, quiet=not progress), self.experiment.name) as report:
+            make(self.cases, self.results, workers(jobs, scheduler), report, retry=retry)
+
+    @cached_property
+    def rows(self) -> list[Row]:
+        """The successful runs, each with its ``place`` in the grid."""
+        return looked_up(self.cases, self.results)
+
+    @cached_property
+    def failures(self) -> dict[str, int]:
+        """Error messages and their counts."""
+        return failures(self.cases, self.results)
 
     @property
     def runs(self) -> pl.DataFrame:
@@ -140,9 +152,9 @@ def run(
     if out is not None:
         make_folder(out.parent)
     with Results(out) as results:
-        with counting(Console(stderr=True, quiet=not progress), experiment.name) as report:
-            make(todo, results, workers(jobs, scheduler), report)
-        return Sweep(experiment, todo, looked_up(todo, results), results, failures(todo, results))
+        done = Sweep(experiment, todo, results)
+        done.make(jobs=jobs, scheduler=scheduler, progress=progress)
+    return done
 
 
 def of_settings(

@@ -68,13 +68,9 @@ def test_the_file_is_the_same_on_both_buses(on_both: list[Result]) -> None:
     assert len(read(memory)[0]) > 100
 
 
-def test_wire_bytes_are_known_only_with_processes_and_change_no_digest(on_both: list[Result]) -> None:
+def test_the_digest_is_the_same_on_both_buses(on_both: list[Result]) -> None:
     memory, zenoh = (result.summary for result in on_both)
-    assert memory["wire_bytes"] is None
     assert memory["digest"] == zenoh["digest"]
-    if zenoh["wire_bytes"] is None:
-        pytest.skip("this kernel does not report other processes' sockets (sock_diag)")
-    assert zenoh["wire_bytes"] > 2 * zenoh["bytes"]["total"], "each byte crosses the wire twice"
 
 
 def test_a_run_ended_by_sigterm_leaves_a_whole_capture(

@@ -12,7 +12,7 @@ import pytest
 
 from agent.encodings.catalog import ENCODINGS
 from deploy.record import run_directory
-from deploy.run import in_memory
+from deploy.run.in_memory import MemoryRun
 from deploy.scenario import plan as plans
 from deploy.scenario.scenario import parse
 from netshaper import capture
@@ -221,7 +221,7 @@ def test_sums_equal_those_of_the_ledger(tshark: Tshark, tmp_path: Path, map_enco
     settings = {"robots": 4, "map_encoding": map_encoding, "dissemination": "backoff", "strategy": "meier"}
     plan = plans.make(parse(settings | {"bandwidth": 700, "range": "40%", "steps": 60}))
     with run_directory.open_capture(tmp_path, plan) as file:
-        ledger = in_memory.run(plan, None, file).ledger()
+        ledger = MemoryRun(plan, file).complete().ledger()
     rows = tshark.fields(
         tmp_path / run_directory.CAPTURE,
         ["murmur.verdict", "murmur.bytes", "murmur.kind", "murmur.size", "murmur.broken"],

@@ -10,8 +10,8 @@ from deploy.after.archive import read
 from deploy.after.figures import write_figures
 from deploy.dashboard.process import ViewNode
 from deploy.record import run_directory
-from deploy.run import in_memory
 from deploy.run.exploration import Result, explore
+from deploy.run.in_memory import MemoryRun
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import parse
@@ -41,7 +41,7 @@ class Listener:
 def reports(**more: object) -> list[tuple[str, object]]:
     """All that a viewer of the small run is reports."""
     listener = Listener()
-    in_memory.run(small_plan(**more), view=ViewNode(listener.take))
+    MemoryRun(small_plan(**more), view=ViewNode(listener.take)).complete()
     return listener.reports
 
 

@@ -28,7 +28,7 @@ from agent.replication.policies import DISSEMINATIONS
 from agent.settings import Settings
 from deploy.record.columns import SUMMARY
 from deploy.run.exploration import explore
-from deploy.run.in_memory import run as run_in_memory
+from deploy.run.in_memory import MemoryRun
 from deploy.scenario.plan import make
 from deploy.scenario.scenario import SHIPPED, Scenario, ScenarioError, load
 from docs import code_tables, made_pages, packet_tables
@@ -385,7 +385,7 @@ def test_a_shipped_scenario_contains_the_command_that_runs_it(name: str) -> None
 
 @pytest.mark.parametrize("name", ["breakdown.toml", "mixed-team.toml"])
 def test_a_shipped_scenario_runs(name: str) -> None:
-    records = run_in_memory(make(load(Path(name), {"steps": 70})))
+    records = MemoryRun(make(load(Path(name), {"steps": 70}))).complete()
     assert records.end is not None
     assert records.end.step == 70
     assert not records.lost

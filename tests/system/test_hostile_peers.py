@@ -14,7 +14,7 @@ from agent.encodings.polygons import PolygonEncoding
 from agent.process import AgentNode
 from agent.robot import Robot
 from agent.settings import Settings
-from deploy.run import in_memory
+from deploy.run.in_memory import MemoryRun
 from deploy.scenario.plan import Plan
 from protocol import keys as names
 from protocol import map_parts, messages, packet_index, packets
@@ -148,7 +148,7 @@ def test_a_byzantine_robot_is_named_in_the_records() -> None:
     def wrap(name: str, bus: Bus) -> Bus:
         return _Forger(bus) if name == names.robot(BYZANTINE) else bus
 
-    records = in_memory.run(small_plan(robots=3, steps=30), wrap=wrap)
+    records = MemoryRun(small_plan(robots=3, steps=30), wrap=wrap).complete()
     assert set(records.protocol_errors) >= {
         f"{names.robot(honest)}: malformed message from {names.robot(BYZANTINE)}: "
         "save at byte 0: nothing has changed since the last save point"

@@ -101,9 +101,7 @@ def test_delay_and_loss_change_no_result_and_no_secret_is_on_a_command_line(
     assert live["hub"].startswith("tls/10.213.77.1:" if address == NEAR else f"tls/[{address}]:")
     assert not any("PRIVATE KEY" in line or live["certificate"]["key"].split()[4] in line for line in seen)
     here = explore(load(tmp_path / "team.toml", {"bus": "memory"}), keep=False)
-    summary = json.loads(output)
-    assert summary["digest"] == here.summary["digest"]
-    assert summary["wire_bytes"] > summary["bytes"]["total"]
+    assert json.loads(output)["digest"] == here.summary["digest"]
     assert not (tmp_path / "run" / "logs").exists()
     assert far.processes() == []
 

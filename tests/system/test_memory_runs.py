@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from deploy.record.records import Records
 from deploy.record.summary import digest
-from deploy.run import in_memory
+from deploy.run.in_memory import MemoryRun
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import parse
@@ -26,7 +26,7 @@ from protocol.budget import UNLIMITED, Budget
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.messages import MediumEvent, Open, OutgoingFrame, RobotFrames
 from tests.netshaper.network import Network
-from tests.netshaper.test_replies import Member, replication
+from tests.netshaper.test_connections import Member, replication
 from worldsim import generators
 from worldsim.maps import Map
 
@@ -49,7 +49,7 @@ def small_plan(**more: Any) -> Plan:
 @cache
 def small_run(**more: Any) -> tuple[Plan, Records]:
     plan = small_plan(**more)
-    return plan, in_memory.run(plan)
+    return plan, MemoryRun(plan).complete()
 
 
 def poses(records: Records) -> list[NDArray[np.int32]]:
@@ -129,7 +129,7 @@ def test_robots_with_different_sensors_and_speeds_explore_together() -> None:
         SMALL | {"robot": [{"robot": 1, "speed": 1.0, "sensor_range": 1.0}, {"robot": 2, "speed": 0.2}]}
     )
     plan = plans.make(scenario, plan.map)
-    records = in_memory.run(plan)
+    records = MemoryRun(plan).complete()
     check_finished(plan, records)
     check_bodies(plan, records)
     slow, fast = records.world[-1].driven[2], records.world[-1].driven[1]
@@ -170,7 +170,7 @@ def test_without_reach_or_bandwidth_nothing_arrives() -> None:
 def test_two_runs_of_one_scenario_differ_only_in_computing_time() -> None:
     more = {"robots": 4, "bandwidth": 1000}
     _, first = small_run(**more)
-    second = in_memory.run(small_plan(**more))
+    second = MemoryRun(small_plan(**more)).complete()
     assert first.rows == second.rows
     assert first.world == second.world
     assert first.end == second.end
@@ -187,7 +187,7 @@ def test_two_runs_of_one_scenario_differ_only_in_computing_time() -> None:
 def test_watching_a_run_does_not_change_it() -> None:
     steps: list[int] = []
     more = {"robots": 2, "map": "leader-rooms", "sensor_range": 1.5}
-    watched = in_memory.run(small_plan(**more), watch=lambda records: steps.append(records.step))
+    watched = MemoryRun(small_plan(**more)).complete(lambda records: steps.append(records.step))
     assert digest(watched) == digest(small_run(**more)[1])
     assert steps == list(range(1, watched.step + 1))
 
@@ -195,7 +195,7 @@ def test_watching_a_run_does_not_change_it() -> None:
 def test_the_others_explore_the_rest_after_a_robot_breaks_down() -> None:
     deaths = [{"robot": robot, "step": step, "kind": "death"} for robot, step in ((0, 5), (2, 1))]
     plan = plans.make(parse(SMALL | {"fault": deaths}), small_map("leader-rooms"))
-    records = in_memory.run(plan)
+    records = MemoryRun(plan).complete()
     check_bodies(plan, records)
     check_books(plan, records)
     assert records.end is not None
@@ -211,7 +211,7 @@ def test_a_run_ends_when_all_robots_have_broken_down() -> None:
     plan = plans.make(
         parse(SMALL | {"robots": 1, "fault": [{"robot": 0, "step": 5, "kind": "death"}]}), small_map("office")
     )
-    records = in_memory.run(plan)
+    records = MemoryRun(plan).complete()
     assert records.end is not None
     assert (records.end.reason, records.end.first) == ("all robots are lost", -1)
 
@@ -251,14 +251,14 @@ def test_any_floor_is_explored_by_any_team(
     if reachable < 9 + robots:
         return
     plan = plans.make(scenario, floor)
-    records = in_memory.run(plan)
+    records = MemoryRun(plan).complete()
     check_finished(plan, records)
     check_bodies(plan, records)
     check_books(plan, records)
 
 
 def test_a_team_with_more_robots_than_map_ids_runs_without_sharing_maps() -> None:
-    records = in_memory.run(small_plan(robots=66, steps=3, map_encoding="none"))
+    records = MemoryRun(small_plan(robots=66, steps=3, map_encoding="none")).complete()
     assert records.step == 3
     assert not records.lost
 

@@ -17,7 +17,7 @@ from agent.outline.merge import rendered
 from agent.robot import SURE_AFTER
 from deploy.record.records import Records
 from deploy.record.summary import summarize
-from deploy.run import in_memory
+from deploy.run.in_memory import MemoryRun
 from deploy.scenario import plan as plans
 from deploy.scenario.scenario import parse
 from netshaper.ledger import DATA, EVERYONE, balance, sort_rows
@@ -44,7 +44,7 @@ class Options(dict[str, Any]):
 def run(rules: str, name: str = "unstructured", **settings: Any) -> tuple[Records, dict[str, Any]]:
     """A whole run in memory, and its summary."""
     plan = small_plan(name, **(RULES[rules] | settings))
-    records = in_memory.run(plan)
+    records = MemoryRun(plan).complete()
     return records, summarize(plan, records, 1.0)
 
 
@@ -55,7 +55,7 @@ def test_a_team_in_one_thread_equals_a_run_over_the_bus() -> None:
     plan = small_plan(robots=3)
     team = Team(plan)
     team.explore(1000)
-    records = in_memory.run(plan)
+    records = MemoryRun(plan).complete()
     assert team.step == records.step
     assert (sort_rows(team.ledger()) == sort_rows(records.ledger())).all()
     for number, robot in enumerate(team.robots):
@@ -207,7 +207,7 @@ def test_an_opening_that_appears_closed_at_first_does_not_end_a_run(
             | {"bus": "memory", "sensor_range": 5.0}
         )
     )
-    summary = summarize(plan, in_memory.run(plan), 1.0)
+    summary = summarize(plan, MemoryRun(plan).complete(), 1.0)
     assert summary["finished"]
     assert summary["coverage"] > 0.99
 
@@ -320,7 +320,7 @@ def test_a_robot_keeps_the_maps_that_a_dead_robot_forwarded_and_receives_no_more
 
 def test_a_robot_that_a_scenario_kills_sends_and_receives_no_more_and_the_others_finish() -> None:
     plan = small_plan("office", robots=3, fault=[{"robot": 1, "step": 12, "kind": "death"}])
-    records = in_memory.run(plan)
+    records = MemoryRun(plan).complete()
     summary = summarize(plan, records, 1.0)
     ledger = records.ledger()
     assert ledger["step"][(ledger["sender"] == 1) | (ledger["receiver"] == 1)].max() == 11

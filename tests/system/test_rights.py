@@ -12,7 +12,8 @@ import pytest
 
 from deploy.record.records import Records
 from deploy.record.summary import digest
-from deploy.run import in_memory, launch
+from deploy.run import launch
+from deploy.run.in_memory import MemoryRun
 from deploy.scenario.plan import Plan
 from protocol import keys as names
 from protocol import messages, packets, rights
@@ -135,7 +136,7 @@ def play(rogue: str = "") -> Records:
     def wrap(name: str, bus: Bus) -> Bus:
         return Rogue(bus, name) if name == rogue else bus
 
-    return in_memory.run(plan(), wrap=wrap, view=Listener() if rogue == names.VIEW else None)
+    return MemoryRun(plan(), wrap=wrap, view=Listener() if rogue == names.VIEW else None).complete()
 
 
 @cache
@@ -223,7 +224,9 @@ class NoiseSender(Rogue):
 def test_noise_on_the_radio_in_every_phase_stops_no_robot(map_encoding: str, dissemination: str) -> None:
     noisy = small_plan(robots=3, steps=STEPS, map_encoding=map_encoding, dissemination=dissemination)
     truth = noisy.map.cells
-    records = in_memory.run(noisy, wrap=lambda name, bus: NoiseSender(bus, name) if name == "r1" else bus)
+    records = MemoryRun(
+        noisy, wrap=lambda name, bus: NoiseSender(bus, name) if name == "r1" else bus
+    ).complete()
     assert records.end is not None
     assert records.end.step == STEPS
     assert records.lost.keys() <= {1}
@@ -257,7 +260,7 @@ def test_a_robot_that_omits_an_expected_message_is_given_up_and_the_others_conti
     def wrap(name: str, bus: Bus) -> Bus:
         return Silent(bus, kind, after) if name == "r1" else bus
 
-    records = in_memory.run(plan(), wrap=wrap)
+    records = MemoryRun(plan(), wrap=wrap).complete()
     assert records.end is not None
     assert records.end.step == STEPS
     lost = "it did not send its maps" if kind is messages.MapPart else "timed out"

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from agent.encodings.catalog import ENCODINGS
-from deploy.run import in_memory
 from deploy.run.exploration import EXPLORED, NOT_FINISHED, Result
+from deploy.run.in_memory import MemoryRun
 from deploy.scenario import plan
 from deploy.scenario.scenario import ScenarioError, parse
 from murmur import explore
@@ -72,7 +72,7 @@ def test_when_the_leader_breaks_down_another_leads_and_the_team_finishes() -> No
             "bandwidth": "unlimited", "sensor_range": 2.5, "speed": 1.0, "seed": 0, "steps": 500,
             "fault": [{"robot": 0, "step": 5, "kind": "death"}], "options": {"dynamic": dynamic},
         }  # fmt: skip
-        records = in_memory.run(plan.make(parse(scenario)))
+        records = MemoryRun(plan.make(parse(scenario))).complete()
         assert records.end is not None
         ends[dynamic] = records.end.reason, records.explored > 0.99
     assert ends == {True: (EXPLORED_ALL, True), False: (STALLED, False)}
@@ -127,7 +127,7 @@ def test_a_disc_with_a_narrow_field_of_view_detects_walls_beside_its_path(name: 
         "map": "office-obstacles", "robots": 1, "strategy": name, "bus": "memory", "map_encoding": "none",
         "field_of_view": 90.0, "radius": 0.15, "sensor_range": 3.0, "speed": 0.3, "seed": 3, "steps": 2000,
     }  # fmt: skip
-    records = in_memory.run(plan.make(parse(scenario), office))
+    records = MemoryRun(plan.make(parse(scenario), office)).complete()
     assert records.end is not None
     assert records.end.reason == EXPLORED_ALL
     assert records.explored > 0.99
@@ -140,7 +140,7 @@ def test_a_disc_must_see_all_walls_that_its_next_step_touches(sensor_range: floa
     scenario = {"map": "office-obstacles", "robots": 1, "radius": 0.15, "speed": 0.15, "map_encoding": "none"}
     disc = parse(scenario | {"bus": "memory", "sensor_range": sensor_range, "steps": 10000, "seed": 1})
     if sees:
-        assert in_memory.run(plan.make(disc, office)).explored > 0.99
+        assert MemoryRun(plan.make(disc, office)).complete().explored > 0.99
         return
     with pytest.raises(ScenarioError, match=r"sensor_range = 0.42 m of robot 0 is less than 0.424 m: a disc"):
         plan.make(disc, office)
@@ -154,6 +154,6 @@ def test_robots_in_a_doorway_do_not_block_each_other_forever() -> None:
         "map": "office-plain", "robots": 5, "strategy": "stop-scan-replan", "bus": "memory", "map_encoding": "scans",
         "bandwidth": "unlimited", "sensor_range": 5.0, "speed": 0.25, "scanner_turn": 18, "seed": 1, "steps": 600,
     }  # fmt: skip
-    records = in_memory.run(plan.make(parse(scenario), office))
+    records = MemoryRun(plan.make(parse(scenario), office)).complete()
     assert records.end is not None
     assert records.end.reason == EXPLORED_ALL

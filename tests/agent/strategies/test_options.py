@@ -147,7 +147,7 @@ class Farthest(TargetStrategy):
 def test_a_strategy_from_outside_the_tree_is_one_class_and_explores(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from deploy.run import in_memory
+    from deploy.run.in_memory import MemoryRun
     from deploy.scenario import plan
     from deploy.scenario.scenario import parse
 
@@ -156,7 +156,7 @@ def test_a_strategy_from_outside_the_tree_is_one_class_and_explores(
     scenario = parse(
         {"map": "leader-rooms", "strategy": "my_swarm:Farthest", "bandwidth": "unlimited", "robots": 2}
     )
-    records = in_memory.run(plan.make(scenario))
+    records = MemoryRun(plan.make(scenario)).complete()
     assert records.end is not None
     assert records.end.reason == "explored"
     assert records.explored > 0.99

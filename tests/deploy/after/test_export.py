@@ -15,7 +15,7 @@ from deploy.after import archive
 from deploy.after.export import ExportError, export_mcap, occupancy, ranges_of
 from deploy.after.recast_scans import Lasers
 from deploy.record.colors import GROUPS
-from deploy.run import in_memory
+from deploy.run.in_memory import MemoryRun
 from protocol.grid import ray_table
 from protocol.messages import Sense, unpack
 from protocol.scans import HIT, NONE
@@ -195,7 +195,7 @@ def test_recomputed_scans_equal_those_of_the_run_bit_for_bit() -> None:
         bus.receive = tapped
         return bus
 
-    in_memory.run(small_plan(), wrap=wrap)
+    MemoryRun(small_plan(), wrap=wrap).complete()
     compared = 0
     for step, scans in Lasers(archive.read(small_directory())).scans():
         for scan in scans:

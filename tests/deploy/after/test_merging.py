@@ -16,7 +16,7 @@ from tests.deploy.small_run import SETTINGS, small_directory
 
 
 def test_the_last_stage_is_the_planning_map_of_the_thesis_rules(tmp_path: Path) -> None:
-    explore(load(None, SETTINGS | thesis_settings("meier")), out=tmp_path / "run")
+    explore(load(None, SETTINGS | thesis_settings({})), out=tmp_path / "run")
     archive = read(tmp_path / "run")
     planning = archive.maps.planning(1, 20)
     assert planning is not None

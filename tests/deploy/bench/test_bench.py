@@ -25,8 +25,6 @@ from deploy.bench import (
     relay,
     replanning,
     scale,
-    swarm,
-    transcript,
 )
 from deploy.bench.explorations import Cell
 from deploy.bench.measurement import Measurement, compare
@@ -252,12 +250,3 @@ def test_numpy_draws_the_same_scan(seed: int) -> None:
     draw(mine, beams, *cell, cast(grid, no_robots, beams, *cell))
     baselines.scan_in_numpy(grid, beams, cell, theirs)
     assert (mine == theirs).all()
-
-
-def test_the_messages_of_a_run_are_replayed_by_processes(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(explorations, "SIDE_M", 10.0)
-    plan = explorations.office_plan(robots=2, steps=20, **swarm.CASES[1])
-    scripts, records = transcript.record(plan)
-    assert records.step == 20
-    assert sum(len(script.sends) for script in scripts.values()) > 20 * len(scripts)
-    assert 0 < transcript.replay(plan, scripts) < 60

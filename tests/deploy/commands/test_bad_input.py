@@ -291,6 +291,16 @@ def test_errors_do_not_go_to_standard_output(desk: Path) -> None:
         assert (result.exit_code, result.stdout) == (BAD_INPUT, "")
 
 
+def test_the_traceback_of_an_input_error_is_printed_on_request(
+    desk: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MURMUR_TRACEBACK", "1")
+    result = murmur("explore", "missing.toml")
+    assert result.exit_code == BAD_INPUT
+    assert result.stderr.startswith("Traceback")
+    assert "murmur: scenario missing.toml: no such file" in result.stderr
+
+
 def test_bad_input_ends_the_installed_command(desk: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "deploy.commands.main", "explore", "--range", "-3"],

@@ -7,8 +7,8 @@ from msgspec.structs import replace
 
 from deploy.record.records import Records
 from deploy.record.summary import summarize
-from deploy.run import in_memory
 from deploy.run.exploration import NOT_FINISHED, conclude
+from deploy.run.in_memory import MemoryRun
 from deploy.run.launch import Outcome
 from deploy.scenario.plan import Plan
 from protocol import keys as names
@@ -34,7 +34,7 @@ class Boaster:
 
 def boasted(**settings: object) -> tuple[Plan, Records]:
     plan = small_plan(robots=2, **settings)
-    return plan, in_memory.run(plan, wrap=lambda name, bus: Boaster(bus) if name == "r1" else bus)
+    return plan, MemoryRun(plan, wrap=lambda name, bus: Boaster(bus) if name == "r1" else bus).complete()
 
 
 @pytest.mark.parametrize("least", [0.0, 0.9])
@@ -77,5 +77,5 @@ class FrameRepeater:
 
 def test_equal_frames_that_were_not_delivered_are_counted_one_by_one() -> None:
     plan = small_plan(robots=2, steps=3)
-    records = in_memory.run(plan, wrap=lambda name, bus: FrameRepeater(bus) if name == "r1" else bus)
+    records = MemoryRun(plan, wrap=lambda name, bus: FrameRepeater(bus) if name == "r1" else bus).complete()
     assert summarize(plan, records, 1.0)["undelivered"]["protocol"] >= 20

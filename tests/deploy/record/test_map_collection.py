@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from deploy.record.map_collection import IN_TURN, MapCollection
-from deploy.run import in_memory
+from deploy.run.in_memory import MemoryRun
 from protocol import keys as names
 from protocol import map_parts
 from protocol.bus import Bus, Message
@@ -61,7 +61,7 @@ class Counted:
 def test_robots_never_have_large_maps_on_the_way_at_the_same_time() -> None:
     congestion = Congestion()
     plan = small_plan(side_m=100.0, robots=6, steps=1, strategy="greedy", map_encoding="scans")
-    records = in_memory.run(plan, wrap=congestion.wrap)
+    records = MemoryRun(plan, wrap=congestion.wrap).complete()
     assert sorted(records.own) == sorted(records.planning) == list(range(6))
     assert sum(grid.size for grid in records.own.values()) > ON_THE_WAY
     assert 0 < congestion.most < ON_THE_WAY

@@ -27,7 +27,7 @@ from deploy.record.map_errors import (
 from deploy.record.map_pictures import PAGE_SHAPE, maps_figure, mark_steps
 from deploy.record.records import Records
 from deploy.record.summary import summarize
-from deploy.run import in_memory
+from deploy.run.in_memory import MemoryRun
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from tests.deploy.small_run import small_plan, small_run
 
@@ -54,7 +54,7 @@ def test_each_cell_of_a_map_has_exactly_one_class(
 
 def drawn(robots: int) -> tuple[Figure, Records]:
     plan = small_plan(robots=robots, map_encoding="none", steps=4)
-    records = in_memory.run(plan)
+    records = MemoryRun(plan).complete()
     return maps_figure(plan, records, summarize(plan, records, 1.0)), records
 
 

@@ -82,7 +82,7 @@ thesis = false
 """
     plain, ours = (case.scenario for case in runs.cases(experiments.read(write(tmp_path, text))))
     assert plain.dissemination == "thesis" and plain.options == {"herding": False}
-    wanted = load(None, {**thesis_settings("meier"), "polygons.lazy": True, "polygons.exact_error": True})
+    wanted = load(None, {**thesis_settings({}), "polygons.lazy": True, "polygons.exact_error": True})
     assert plain.polygons == wanted.polygons
     assert (ours.dissemination, ours.options, ours.polygons.mixed_first) == ("gossip", {}, True)
     with pytest.raises(ScenarioError, match="thesis = 1: must be true or false"):

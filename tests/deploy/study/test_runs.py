@@ -91,16 +91,12 @@ def test_a_run_that_fails_is_a_row_with_its_error_and_the_others_go_on(
         assert len(us.made) == 6 and not runs.failures(todo, results)
 
 
-def test_runs_of_other_code_are_repeated_unless_accepted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_runs_of_other_code_are_repeated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     us = Ourselves()
     with Results(None) as results:
         runs.make(small(tmp_path, robots=1, seed=0), results, us)
         monkeypatch.setattr(runs, "_sources", lambda: "other")
         todo = small(tmp_path, robots=1, seed=0)
-        runs.make(todo, results, us, any_code=True)
-        assert len(us.made) == 2
         runs.make(todo, results, us)
         assert len(us.made) == 4 and len(results.frame) == 2
 
