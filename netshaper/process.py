@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Callable
+from typing import TypeGuard
 
 from msgspec.structs import replace
 
@@ -18,6 +19,7 @@ from protocol import keys as names
 from protocol import rights
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
+from protocol.faults import RADIO_KINDS
 from protocol.keys import Keys
 from protocol.messages import (
     MAX_NAME,
@@ -240,7 +242,7 @@ class RelayNode:
         elif isinstance(message, Positions):
             self._protocol_errors.clear()
             cells = dict(zip(message.robots, zip(message.x, message.y, strict=True), strict=True))
-            opening = self._radio.begin(message.step, cells, message.mute, message.deaf)
+            opening = self._radio.begin(message.step, cells)
             for change in self._radio.changed:
                 self._report(change)
             self._radio.changed.clear()
@@ -254,14 +256,19 @@ class RelayNode:
             self.give_up_on(message.robot, message.cause)
         elif isinstance(message, FaultEvent) and sender == names.WORLD:
             self._ending.add(message.robot)
+        elif isinstance(message, Change) or self._is_radio_fault(message):
+            self._radio.change(message)
         elif isinstance(message, Stop | FaultEvent):
             self._bus.put(self._keys.control(names.WORLD, names.RELAY), payload)
         elif isinstance(message, RequestMaps):
             self._pass_on(message, payload)
-        elif isinstance(message, Change):
-            self._radio.change(message)
         elif isinstance(message, Shutdown):
             self._shut_down()
+
+    def _is_radio_fault(self, message: object) -> TypeGuard[FaultEvent]:
+        """Return whether a message requests a fault of a robot's radio; the world takes all other faults."""
+        known = len(self._robots)
+        return isinstance(message, FaultEvent) and message.kind in RADIO_KINDS and message.robot < known
 
     def break_off(self, reason: str) -> None:
         """End the run because a process that it needs is gone."""

@@ -36,6 +36,7 @@ from netshaper.medium import Account, Medium
 from netshaper.settings import RadioSettings
 from netshaper.topology import Topology
 from protocol.budget import UNLIMITED, Budget
+from protocol.faults import RADIO_KINDS, FaultSchedule
 from protocol.keyed_random import keyed_random
 from protocol.messages import (
     NO_REPLIES,
@@ -44,6 +45,7 @@ from protocol.messages import (
     Close,
     ConnectionReport,
     Delivery,
+    FaultEvent,
     MediumEvent,
     Open,
     OutgoingFrame,
@@ -84,10 +86,11 @@ class Radio:
         self.settings = settings
         self.protocol_errors: list[tuple[int, str]] = []
         """Robots that broke the protocol, and how, since this list was last emptied."""
-        self.changed: list[Change] = []
-        """Changes that apply from this step on, since this list was last emptied."""
+        self.changed: list[Change | FaultEvent] = []
+        """Changes and faults of radios that apply from this step on, since this list was last emptied."""
         self._changes = sorted(settings.changes, key=_STEP)
         """Changes of later steps."""
+        self._faults = FaultSchedule(settings.faults)
         self._topology = Topology()
         self._readers = readers(settings)
         """For each kind of frame the function that reads it."""
@@ -114,31 +117,32 @@ class Radio:
 
     # --- events from outside
 
-    def begin(
-        self,
-        step: int,
-        cells: Mapping[int, tuple[int, int]],
-        mute: Sequence[int] = (),
-        deaf: Sequence[int] = (),
-    ) -> list[Outgoing]:
+    def begin(self, step: int, cells: Mapping[int, tuple[int, int]]) -> list[Outgoing]:
         """Open the medium for a step, with the true cell (x, y) of each living robot.
 
-        Radios of `mute` robots cannot send in it, those of `deaf` robots cannot receive. The account of this step
-        includes the frames that robots sent while the medium was closed. A single robot's medium closes at once.
+        The account of this step includes the frames that robots sent while the medium was closed. A single robot's
+        medium closes at once.
         """
         self._step, self._round = step, 0
         while self._changes and self._changes[0].step <= step:
             self._apply(msgspec.structs.replace(self._changes.pop(0), step=step))
-        self._topology.begin(self.settings, step, cells, mute, deaf)
+        self.changed += [
+            msgspec.structs.replace(fault, step=step)
+            for fault in self._faults.due(step, range(self.settings.robots))
+        ]
+        self._topology.begin(self.settings, step, cells, *(self._faults.active[kind] for kind in RADIO_KINDS))
         self._medium.begin_step(step, self._topology.in_range)
         self._shares.next_step()
         self._connections, self._first = [], 0
         return self._open() if self.settings.robots > 1 else self._close()
 
-    def change(self, change: Change) -> None:
-        """Schedule a change of budget or range, for a step that has not begun."""
+    def change(self, change: Change | FaultEvent) -> None:
+        """Schedule a change of budget or range, or a radio's fault, for a step that has not begun."""
         coming = msgspec.structs.replace(change, step=max(change.step, self._step + 1))
-        self._changes = sorted([*self._changes, coming], key=_STEP)
+        if isinstance(coming, FaultEvent):
+            self._faults.add(coming)
+        else:
+            self._changes = sorted([*self._changes, coming], key=_STEP)
 
     def submit(self, sender: int, submitted: RobotFrames) -> list[Outgoing]:
         """Take all frames that a robot sends in this phase."""

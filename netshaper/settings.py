@@ -8,7 +8,7 @@ from netshaper.radio_options import RadioOptions
 from protocol import packets
 from protocol.budget import UNLIMITED, Budget
 from protocol.grid import Grid
-from protocol.messages import Change
+from protocol.messages import Change, FaultEvent
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +38,8 @@ class RadioSettings:
         Bytes per step that each robot can send and receive, 0 for no limit; empty if no robot has a limit.
     changes : tuple of Change
         Scheduled changes of budget and range.
+    faults : tuple of FaultEvent
+        Scheduled faults of radios (`protocol.faults.RADIO_KINDS`).
     """
 
     robots: int
@@ -53,6 +55,7 @@ class RadioSettings:
     send: tuple[int, ...] = ()
     receive: tuple[int, ...] = ()
     changes: tuple[Change, ...] = ()
+    faults: tuple[FaultEvent, ...] = ()
 
     @property
     def maps(self) -> int:

@@ -143,14 +143,12 @@ class Move(Record, tag=3, frozen=True):
 
 
 class Positions(Record, tag=4, frozen=True):
-    """World to relay, once per step: true cells of robots, and robots whose radios cannot send or receive."""
+    """World to relay, once per step: the true cells of robots."""
 
     step: Step
     robots: RobotNumbers
     x: Coordinates
     y: Coordinates
-    mute: RobotNumbers = []
-    deaf: RobotNumbers = []
 
     def __post_init__(self) -> None:
         if not len(self.robots) == len(self.x) == len(self.y):
@@ -345,12 +343,12 @@ class End(Record, tag=11, frozen=True):
 
 
 class FaultEvent(Record, tag=22, frozen=True, order=True):
-    """A fault of one robot (`worldsim.faults`). Recorder to world, by way of the relay: inject it.
+    """A fault of one robot (`protocol.faults`). Recorder to relay: inject it; the relay forwards it to the world.
 
-    World to recorder: it has occurred. World to robot: end immediately.
+    World or relay to recorder: it has occurred. World to robot: end immediately.
 
     `step`: the fault occurs at the start of this step; from the recorder, 0 means the next step. `kind`: one of
-    `worldsim.faults.KINDS`. `steps`: duration of a temporary fault, 0 if permanent.
+    `protocol.faults.KINDS`. `steps`: duration of a temporary fault, 0 if permanent.
     """
 
     step: Step

@@ -49,8 +49,8 @@ ROBOT = "robot"
 RIGHTS: dict[tuple[str, str], tuple[type[Record], ...]] = {
     (RELAY, WORLD): (Begin, Close, Lost, Back, Reconnected, Stop, FaultEvent, Shutdown, Watched),
     (RELAY, ROBOT): (Configure, RelayUpdate, RequestMaps, Reconnected, Shutdown, Watched),
-    (RELAY, RECORDER): (Lost, Back, Reconnected, End, Shutdown, RadioReport, ErrorReport, Change),
-    (RELAY, VIEW): (Lost, Back, Reconnected, End, Shutdown, RadioReport, ErrorReport, Change),
+    (RELAY, RECORDER): (Lost, Back, Reconnected, End, Shutdown, RadioReport, ErrorReport, FaultEvent, Change),
+    (RELAY, VIEW): (Lost, Back, Reconnected, End, Shutdown, RadioReport, ErrorReport, FaultEvent, Change),
     (WORLD, RELAY): (Positions, Lost, FaultEvent, End),
     (WORLD, ROBOT): (Sense, FaultEvent),
     (WORLD, RECORDER): (WorldReport, FaultEvent, ErrorReport),

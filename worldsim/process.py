@@ -11,6 +11,7 @@ from protocol import keys as names
 from protocol import messages, rights
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
+from protocol.faults import KINDS
 from protocol.keys import Keys
 from protocol.messages import (
     MAX_NAME,
@@ -33,7 +34,6 @@ from protocol.messages import (
 )
 from protocol.rights import MAX_PROTOCOL_ERRORS, TOO_MANY_ERRORS
 from worldsim.continuous_motion import FINE
-from worldsim.faults import KINDS
 from worldsim.restarts import Restarts
 from worldsim.world import World
 
@@ -250,8 +250,7 @@ class WorldNode:
         senses = world.move_robots(moves)
         robots = world.active_robots()
         x, y = ([world.cells[robot][axis] for robot in robots] for axis in range(2))
-        mute, deaf = (sorted(world.faults.active[kind]) for kind in ("mute", "deaf"))
-        positions = Positions(world.step, robots, x, y, mute, deaf)
+        positions = Positions(world.step, robots, x, y)
         self._bus.put(self._keys.control_tx(names.WORLD), pack(positions))
         for robot, sense in senses:
             self._send(robot, sense)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.arrays import BoolRows
+from protocol.faults import FaultSchedule
 from protocol.grid import FREE, Grid, disc, enlarge, ray_table
 from protocol.kernels import kernel
 from protocol.keyed_random import keyed_random
@@ -19,7 +20,6 @@ from protocol.messages import FaultEvent, Move, Sense, cells_from_bytes, cells_t
 from protocol.scans import NONE, draw
 from worldsim.cell_motion import DIAGONAL, INTERFERENCE, NOT_BLOCKED, drive, heading_of, swept
 from worldsim.continuous_motion import FINE, cell_of, glide
-from worldsim.faults import FaultSchedule
 from worldsim.laser import FULL_TURN, HEADINGS, cast
 
 MOVES_AS_PLANNED = 0.7
@@ -57,7 +57,7 @@ class WorldSettings:
     interference_cells: float = 0.0
     """Robots closer to each other than this hinder each other; 0: never."""
     faults: tuple[FaultEvent, ...] = ()
-    """Scheduled faults, from the scenario."""
+    """Scheduled faults, from the scenario; not those of radios."""
     ends_with_all: bool = False
     """Whether the run ends when all robots report that they are done, instead of the first."""
     cell_steps: bool = False

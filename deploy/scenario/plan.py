@@ -14,9 +14,9 @@ from deploy.scenario.finding_maps import find_map
 from deploy.scenario.scenario import Scenario, ScenarioError
 from deploy.scenario.tables import RobotOverride
 from netshaper.settings import RadioSettings
+from protocol import faults
 from protocol.budget import Budget
 from protocol.grid import MAX_SIDE, disc, enlarge
-from worldsim import faults
 from worldsim.map_error import MapError
 from worldsim.maps import Map, to_cell
 from worldsim.starts import Cell, check_free, jittered, start_cells
@@ -71,7 +71,7 @@ def make(
         beams=scenario.beams,
         seed=scenario.seed,
         interference_cells=scenario.interference / cell,
-        faults=scenario.faults,
+        faults=tuple(fault for fault in scenario.faults if fault.kind not in faults.RADIO_KINDS),
         ends_with_all=chosen.returns(scenario.options),
         cell_steps=scenario.motion == "cells",
         robots_collide=scenario.robots_collide,
@@ -118,6 +118,7 @@ def _radio_settings(scenario: Scenario, world_map: Map, range_m: float, incarnat
         tuple(robot.send_bytes or 0 for robot in hardware),
         tuple(robot.receive_bytes or 0 for robot in hardware),
         scenario.changes(world_map.diagonal_m),
+        tuple(fault for fault in scenario.faults if fault.kind in faults.RADIO_KINDS),
     )
 
 

@@ -32,12 +32,12 @@ from deploy.scenario.tables import (
 )
 from netshaper.presets import PRESETS
 from netshaper.radio_options import Partition, RadioOptions
+from protocol import faults
 from protocol.budget import WORD_FOR_UNLIMITED, Budget
 from protocol.errors import there_are
 from protocol.grid import MAX_ROBOTS
 from protocol.messages import Change, FaultEvent
 from protocol.packets import MAX_GOSSIP_MAPS, MAX_MAPS
-from worldsim import faults
 
 SHIPPED = Path(__file__).with_name("shipped")
 """Directory of the scenarios that are installed with the code; a file name alone can refer to one."""

@@ -87,7 +87,7 @@ class RobotOverride(Table):
 
 
 class FaultTable(Table):
-    """A fault of one robot at one step; `event` is its form in messages (`worldsim.faults`)."""
+    """A fault of one robot at one step; `event` is its form in messages (`protocol.faults`)."""
 
     step: Whole = Field(ge=1, le=MAX_INTEGER, description="the fault occurs at the start of this step")
     robot: Whole = Field(ge=0, description="the robot's number, from 0")

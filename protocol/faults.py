@@ -18,7 +18,10 @@ from protocol.messages import FaultEvent
 
 KINDS = ("death", "kill", "restart", "stop", "mute", "deaf")
 
-TEMPORARY = ("stop", "mute", "deaf")
+RADIO_KINDS = ("mute", "deaf")
+"""Kinds that affect only a robot's radio; the relay applies them, and the world all others."""
+
+TEMPORARY = ("stop", *RADIO_KINDS)
 """Kinds of fault that may end by themselves."""
 
 
@@ -64,10 +67,10 @@ def check(faults: Iterable[FaultEvent], robots: int) -> None:
         if (
             before is not None
             and before.step == fault.step
-            and not {before.kind, fault.kind} & {"mute", "deaf"}
+            and not {before.kind, fault.kind} & set(RADIO_KINDS)
         ):
             raise ValueError(f"{where}: it has {before.kind} in the same step")
-        if fault.kind in ("mute", "deaf"):
+        if fault.kind in RADIO_KINDS:
             continue
         last[fault.robot] = fault
         how = gone.get(fault.robot)
