@@ -103,8 +103,7 @@ class RelayNode:
         self._keys = keys
         self._radio = Radio(settings)
         self._captures = captures
-        robots = self._robots = [names.robot(number) for number in range(settings.robots)]
-        self._extra_bytes = max(MIN_FRAME, settings.maps * EXTRA_PER_MAP)
+        robots = [names.robot(number) for number in range(settings.robots)]
         self._keys_to_robots = [keys.radio_rx(robot, names.RELAY) for robot in robots]
         self._expected = {names.WORLD, names.RECORDER, *robots}
         self._present: set[str] = set()
@@ -121,8 +120,9 @@ class RelayNode:
     @property
     def _max_frame_bytes(self) -> int:
         """Maximum bytes of a frame; the relay rejects longer ones."""
-        limit = self._radio.settings.budget.limit
-        return MAX_FRAME if limit is None else limit + self._extra_bytes
+        settings = self._radio.settings
+        limit = settings.budget.limit
+        return MAX_FRAME if limit is None else limit + max(MIN_FRAME, settings.maps * EXTRA_PER_MAP)
 
     def missing(self) -> list[str]:
         """Participants that have not joined yet; empty once the run has begun."""
@@ -267,7 +267,7 @@ class RelayNode:
 
     def _is_radio_fault(self, message: object) -> TypeGuard[FaultEvent]:
         """Return whether a message requests a fault of a robot's radio; the world takes all other faults."""
-        known = len(self._robots)
+        known = self._radio.settings.robots
         return isinstance(message, FaultEvent) and message.kind in RADIO_KINDS and message.robot < known
 
     def break_off(self, reason: str) -> None:
@@ -332,7 +332,7 @@ class RelayNode:
         self._protocol_errors[name] += 1
         if self._protocol_errors[name] <= MAX_PROTOCOL_ERRORS:
             self._report(ErrorReport(name[:MAX_NAME], clip(reason)))
-        elif name in self._robots:
+        elif names.is_robot(name):
             self.give_up_on(names.number(name), TOO_MANY_ERRORS)
 
     def _report(self, message: Record) -> None:

@@ -9,12 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import jinja2
-import polars as pl
 import tomli_w
 
 from deploy.record.versions import versions
@@ -25,9 +23,10 @@ from deploy.study import plots
 from deploy.study.claims import HOLDS, Claim, Finding, Verdict, judge
 from deploy.study.experiment import SHIPPED, Experiment
 from deploy.study.progress import Report
-from deploy.study.results import Results, Row, write_table
-from deploy.study.runs import Case, cases, failures, looked_up, make
-from deploy.study.tables import described, short
+from deploy.study.results import Results, write_table
+from deploy.study.runs import cases, make
+from deploy.study.sweep import Sweep
+from deploy.study.tables import short
 from protocol.errors import there_are
 from worldsim.atomic_files import write_whole
 
@@ -42,50 +41,12 @@ RUNS = "runs.parquet"
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
-    """An experiment of a claim, with its cases and runs."""
-
-    experiment: Experiment
-    cases: list[Case]
-    rows: list[Row]
-    failures: dict[str, int]
-
-    @property
-    def name(self) -> str:
-        """The experiment's name."""
-        return self.experiment.name
-
-    @cached_property
-    def settings(self) -> str:
-        """The settings of the experiment as TOML, with map files without their folders."""
-        grid = self.experiment.grid
-        if "map" in grid:
-            grid = grid | {
-                "map": [Path(each).name if isinstance(each, str) else each for each in grid["map"]]
-            }
-        tables: dict[str, Any] = {
-            "base": self.experiment.base,
-            "grid": grid,
-            "follow": self.experiment.follow,
-        }
-        variants = [{"name": name, **keys} for name, keys in self.experiment.variants.items()]
-        if len(variants) > 1 or len(variants[0]) > 1:
-            tables |= {"variant": variants}
-        return tomli_w.dumps({name: table for name, table in tables.items() if table})
-
-    @cached_property
-    def table(self) -> pl.DataFrame:
-        """Statistics of each cell of the experiment's table."""
-        return described(self.experiment.table, self.rows)
-
-
-@dataclass(frozen=True, eq=False)
 class Judged:
     """A claim, its verdict, and its experiments."""
 
     claim: Claim
     verdict: Verdict
-    parts: list[Part]
+    parts: list[Sweep]
 
     @property
     def runs(self) -> int:
@@ -100,11 +61,10 @@ class Judged:
 
 @dataclass(frozen=True, eq=False)
 class Reproduction:
-    """The requested claims in the papers' order, and the table of their runs."""
+    """The requested claims in the papers' order."""
 
     claims: list[Judged]
     quick: bool
-    results: Results
     without_experiment: list[str]
 
     @property
@@ -151,12 +111,12 @@ def reproduce(
     make(every, results, workers, report, retry=retry)
     judged = []
     for listed in todo.values():
-        parts = [Part(each, some, looked_up(some, results), failures(some, results)) for each, some in listed]
+        parts = [Sweep(each, some, results) for each, some in listed]
         claims = [part.experiment.claim for part in parts if part.experiment.claim is not None]
         if claims:
             rules = ((claim.rule, part.rows) for claim, part in zip(claims, parts, strict=True))
             judged.append(Judged(claims[0], judge(rules), parts))
-    return Reproduction(judged, quick, results, [name for name, listed in todo.items() if not listed])
+    return Reproduction(judged, quick, [name for name, listed in todo.items() if not listed])
 
 
 def write(reproduction: Reproduction, out: Path, command: str) -> list[Path]:
@@ -165,13 +125,14 @@ def write(reproduction: Reproduction, out: Path, command: str) -> list[Path]:
     pictures: dict[str, list[str]] = {}
     for judged in reproduction.claims:
         for part in judged.parts:
+            name = part.experiment.name
             for ending in (".csv", ".parquet") if part.rows else ():
-                write_table(part.table, out / f"{part.name}{ending}")
-            pictures[part.name] = []
-            for number, plot in enumerate(part.experiment.plots if part.rows else (), 1):
-                file = out / f"{part.name}-{number}.png"
-                plots.save(plots.draw(plot, part.rows, reproduction.results), file)
-                pictures[part.name].append(f"{out.name}/{file.name}")
+                write_table(part.table, out / f"{name}{ending}")
+            pictures[name] = []
+            for number in range(len(part.experiment.plots) if part.rows else 0):
+                file = out / f"{name}-{number + 1}.png"
+                plots.save(part.plot(number), file)
+                pictures[name].append(f"{out.name}/{file.name}")
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(TEMPLATES),
         autoescape=lambda name: "html" in (name or ""),
@@ -179,7 +140,7 @@ def write(reproduction: Reproduction, out: Path, command: str) -> list[Path]:
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    environment.filters |= {"effect": _effect, "p": _p, "cell": _cell}
+    environment.filters |= {"effect": _effect, "p": _p, "cell": _cell, "settings": _settings}
     pages = []
     for name in ("reproduction.md.jinja", "reproduction.html.jinja"):
         page = out.with_name(f"{out.name}.{name.split('.')[1]}")
@@ -189,6 +150,18 @@ def write(reproduction: Reproduction, out: Path, command: str) -> list[Path]:
         write_whole(page, lambda file, text=text: file.write(text.encode()))  # type: ignore[misc]
         pages.append(page)
     return pages
+
+
+def _settings(experiment: Experiment) -> str:
+    """The settings of an experiment as TOML, with map files without their folders."""
+    grid = experiment.grid
+    if "map" in grid:
+        grid = grid | {"map": [Path(each).name if isinstance(each, str) else each for each in grid["map"]]}
+    tables: dict[str, Any] = {"base": experiment.base, "grid": grid, "follow": experiment.follow}
+    variants = [{"name": name, **keys} for name, keys in experiment.variants.items()]
+    if len(variants) > 1 or len(variants[0]) > 1:
+        tables |= {"variant": variants}
+    return tomli_w.dumps({name: table for name, table in tables.items() if table})
 
 
 def _effect(finding: Finding) -> str:
