@@ -18,7 +18,6 @@ from protocol import keys as names
 from protocol import map_parts, rights
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
-from protocol.fields import clip
 from protocol.keys import Keys
 from protocol.messages import (
     Close,
@@ -35,6 +34,7 @@ from protocol.messages import (
     Sense,
     Shutdown,
     Watched,
+    clip,
     pack,
 )
 

@@ -25,9 +25,16 @@ from agent.strategies.base import Cell, Decision
 from agent.strategies.registry import strategy
 from agent.team_state import TeamState
 from protocol import packet_index, packets
-from protocol.fields import MAX_WAY_CELLS
 from protocol.grid import UNKNOWN, Grid, ray_table
-from protocol.messages import Move, RoundReport, Sense, cells_from_bytes, cells_to_bytes, points_to_bytes
+from protocol.messages import (
+    MAX_WAY_CELLS,
+    Move,
+    RoundReport,
+    Sense,
+    cells_from_bytes,
+    cells_to_bytes,
+    points_to_bytes,
+)
 from protocol.scans import Scan, check_readings, draw
 
 SURE_AFTER = 10

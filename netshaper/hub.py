@@ -12,8 +12,8 @@ import zenoh
 
 from netshaper import access
 from protocol import keys as names
-from protocol.fields import MAX_FRAMES
 from protocol.keys import Keys
+from protocol.messages import MAX_FRAMES
 from protocol.zenoh_bus import Certificate, Credential, ZenohBus, insert, plain_config, receive_apart, use_tls
 
 MAX_MESSAGE_BYTES = MAX_FRAMES + (1 << 20)

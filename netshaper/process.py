@@ -20,9 +20,9 @@ from protocol import rights
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
 from protocol.faults import RADIO_KINDS
-from protocol.fields import MAX_NAME, clip
 from protocol.keys import Keys
 from protocol.messages import (
+    MAX_NAME,
     Back,
     Begin,
     Change,
@@ -44,6 +44,7 @@ from protocol.messages import (
     Shutdown,
     Stop,
     Watched,
+    clip,
     pack,
 )
 from protocol.packets import Held, Offer, Passed, Target

@@ -11,25 +11,14 @@ WORD_FOR_UNLIMITED = "unlimited"
 
 
 class Budget(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True, gc=False):
-    """Bytes that may be sent; also a field of messages.
-
-    Attributes
-    ----------
-    limit : int or None
-        How many bytes; None if there is no limit.
-    """
+    """Bytes that may be sent; also a field of messages."""
 
     limit: Annotated[int, msgspec.Meta(ge=0, lt=2**53)] | None
+    """Number of bytes; None if there is no limit."""
 
     @classmethod
     def parse(cls, value: int | str) -> Budget:
-        """Read a budget as scenarios and options write it: a number of bytes, or ``unlimited``.
-
-        Raises
-        ------
-        ValueError
-            It is neither.
-        """
+        """Read a budget as scenarios write it: a number of bytes, or ``unlimited``; ValueError if it is neither."""
         if value == WORD_FOR_UNLIMITED:
             return UNLIMITED
         if isinstance(value, str) or value < 0:

@@ -25,21 +25,13 @@ class Bus(Protocol):
     """
 
     def put(self, key: str, payload: bytes) -> None:
-        """Send `payload` to the participant whose inbox contains `key`.
-
-        Raises
-        ------
-        BusClosed
-            This end was closed.
-        """
+        """Send `payload` to the participant whose inbox contains `key`; BusClosed if this end was closed."""
 
     def receive(self, timeout_s: float | None = None) -> Message | None:
         """Wait for the next message, at most `timeout_s` seconds; return None after the timeout.
 
-        Raises
-        ------
-        BusClosed
-            No further message can arrive: this end was closed, or the hub is gone and its last messages are read.
+        Raises BusClosed if no further message can arrive: this end was closed, or the hub is gone and its last messages
+        are read.
         """
 
     def close(self) -> None:

@@ -7,23 +7,16 @@ from collections.abc import Iterable
 
 
 class ProtocolError(ValueError):
-    """Malformed bytes.
-
-    Attributes
-    ----------
-    packet : str
-        Kind of the packet or name of the message.
-    offset : int
-        Its first byte in the buffer.
-    reason : str
-        The mistake, and what would be correct.
-    """
+    """Malformed bytes."""
 
     def __init__(self, packet: str, offset: int, reason: str) -> None:
         super().__init__(f"{packet} at byte {offset}: {reason}")
         self.packet = packet
+        """Kind of the packet or name of the message."""
         self.offset = offset
+        """Its first byte in the buffer."""
         self.reason = reason
+        """The mistake, and what would be correct."""
 
 
 def there_are(known: Iterable[str], name: str = "") -> str:

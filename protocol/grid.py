@@ -42,18 +42,12 @@ _DIRECTION_UNIT = 1 << 20
 
 @dataclass(frozen=True, eq=False)
 class RayTable:
-    """The cells that each beam crosses, nearest first, relative to the robot's cell.
-
-    Attributes
-    ----------
-    cells : int32 array of shape (n, 2)
-        Offsets (dx, dy) in cells, all beams concatenated, without the robot's cell.
-    start : int32 array of shape (beams + 1,)
-        Beam ``b`` crosses ``cells[start[b]:start[b + 1]]``.
-    """
+    """The cells that each beam crosses, nearest first, relative to the robot's cell."""
 
     cells: NDArray[np.int32]
+    """Offsets (dx, dy) in cells, shape (n, 2): all beams concatenated, without the robot's cell."""
     start: NDArray[np.int32]
+    """Shape (beams + 1,): beam ``b`` crosses ``cells[start[b]:start[b + 1]]``."""
 
     def flat(self, width: int) -> NDArray[np.int32]:
         """Return the same offsets as index differences in a flattened grid of `width` columns; int32 of shape (n,)."""
@@ -95,20 +89,12 @@ def _count_shared(cells: Int32Rows, start: Int32s) -> Int32s:
 
 @lru_cache(maxsize=16)
 def ray_table(range_cells: float, beams: int = 360) -> RayTable:
-    """Compute the cells of `beams` beams over the grid.
+    """Compute the cells of `beams` beams, evenly spaced over a full turn, over the grid.
 
-    Parameters
-    ----------
-    range_cells : float
-        Sensor range in cells; a beam ends before the first cell whose center lies beyond it, or at a distance of
-        the diagonal of the largest grid.
-    beams : int
-        Beams per full turn. Beam 0 points along +x, angles grow towards +y (clockwise on a picture).
-
-    Notes
-    -----
-    A beam moves between 4-neighbors only, so it does not pass between two cells that touch at a corner. A beam
-    exactly through a corner crosses the neighbor in x first.
+    Beam 0 points along +x, angles grow towards +y (clockwise on a picture). A beam ends before the first cell whose
+    center lies beyond `range_cells`, the sensor range in cells, or at a distance of the diagonal of the largest grid.
+    It moves between 4-neighbors only, so it does not pass between two cells that touch at a corner; exactly through a
+    corner it crosses the neighbor in x first.
 
     Raises ValueError for a range below one cell, or a number of beams that is no positive multiple of 4.
     """

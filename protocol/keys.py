@@ -15,7 +15,6 @@ RELAY = "relay"
 WORLD = "world"
 RECORDER = "recorder"
 VIEW = "view"
-ALL = "all"
 
 
 def robot(number: int) -> str:
@@ -32,20 +31,16 @@ def router(host: str) -> str:
 
 
 @lru_cache(maxsize=1024)
-def number(name: str) -> int:
-    """Return the number of the robot called `name`; ValueError for any other name."""
-    if not re.fullmatch("r(0|[1-9][0-9]{0,8})", name):
-        raise ValueError(f"{name!r} is not the name of a robot, such as r0")
-    return int(name[1:])
-
-
 def is_robot(name: str) -> bool:
     """Whether a name is that of a robot."""
-    try:
-        number(name)
-    except ValueError:
-        return False
-    return True
+    return re.fullmatch("r(0|[1-9][0-9]{0,8})", name) is not None
+
+
+def number(name: str) -> int:
+    """Return the number of the robot called `name`; ValueError for any other name."""
+    if not is_robot(name):
+        raise ValueError(f"{name!r} is not the name of a robot, such as r0")
+    return int(name[1:])
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.errors import ProtocolError
-from protocol.fields import PART_CELLS
 from protocol.grid import OCCUPIED, Grid
+from protocol.messages import PART_CELLS
 
 LEVEL = 1
 """Compression level of zlib: maps consist of long runs, which the fastest level compresses well."""

@@ -1,7 +1,7 @@
 """Messages of the bus: frozen records in msgpack.
 
 A message is a msgpack list: its number, then its fields in order. The type of each field limits its range and length
-(`protocol.fields`), so a receiver rejects all other bytes. `protocol.rights` has the senders and receivers of each.
+(`Step` and so on), so a receiver rejects all other bytes. `protocol.rights` has the senders and receivers of each.
 
 Cells are little-endian int16 pairs (`cells_to_bytes`), readings little-endian uint16 (`protocol.scans`), grids two bits
 per cell.
@@ -16,54 +16,66 @@ from typing import Annotated, Any, Union
 
 import msgspec
 import numpy as np
-from msgspec import inspect
+from msgspec import Meta, inspect
 from numpy.typing import NDArray
 
 from protocol.budget import Budget
 from protocol.errors import ProtocolError
-from protocol.fields import (
-    MAX_CONNECTIONS,
-    MAX_FRAME,
-    MAX_FRAMES,
-    Blocks,
-    CellCount,
-    CellCountOrNone,
-    CellIndices,
-    Cells,
-    Connection,
-    Coordinate,
-    CoordinateOrNone,
-    Coordinates,
-    Count,
-    Distances,
-    Eighths,
-    EncodedSettings,
-    Frame,
-    FrameNumber,
-    Frames,
-    Name,
-    PartBytes,
-    PartNumber,
-    Poses,
-    Priority,
-    Readings,
-    RobotNumber,
-    RobotNumbers,
-    RobotOrNone,
-    Round,
-    SideLength,
-    Step,
-    StepOrNone,
-    Text,
-    Thousandths,
-    Vertices,
-    WayCells,
-    WayPoints,
-)
-from protocol.grid import Grid
+from protocol.grid import MAX_ROBOTS, MAX_SIDE, Grid
 
+MAX_STEPS = 2**31 - 1
+MAX_CELLS = MAX_SIDE * MAX_SIDE
+MAX_BEAMS = 3600
+MAX_WAY_CELLS = 1 << 16
+"""Maximum number of cells, or way points, of a move."""
+MAX_CONNECTIONS = 1 << 13
+"""Connections of one robot in a round: each of 63 teammates offers it 64 maps, and it offers each of them 64."""
+MAX_FRAME, MAX_FRAMES = 1 << 24, 1 << 28
+"""Maximum bytes of a frame, and of all frames of a list in a message."""
+PART_CELLS = 1 << 19
+"""Maximum number of cells of a part of a robot's maps (`protocol.map_parts`)."""
 MAX_EVENTS = 8
 """Maximum number of events in one `RelayUpdate`."""
+MAX_NAME, MAX_TEXT = 16, 1000
+"""Maximum length in characters."""
+
+Step = Annotated[int, Meta(ge=0, le=MAX_STEPS)]
+StepOrNone = Annotated[int, Meta(ge=-1, le=MAX_STEPS)]
+Round = Annotated[int, Meta(ge=0, lt=16)]
+RobotNumber = Annotated[int, Meta(ge=0, lt=MAX_ROBOTS)]
+RobotOrNone = Annotated[int, Meta(ge=-1, lt=MAX_ROBOTS)]
+Coordinate = Annotated[int, Meta(ge=0, lt=MAX_SIDE)]
+CoordinateOrNone = Annotated[int, Meta(ge=-1, lt=MAX_SIDE)]
+SideLength = Annotated[int, Meta(ge=1, le=MAX_SIDE)]
+Eighths = Annotated[int, Meta(ge=0, lt=8)]
+Thousandths = Annotated[int, Meta(ge=-1000, le=1000)]
+CellCount = Annotated[int, Meta(ge=0, le=MAX_CELLS)]
+CellCountOrNone = Annotated[int, Meta(ge=-1, le=MAX_CELLS)]
+Count = Annotated[int, Meta(ge=0, lt=2**53)]
+Connection = Annotated[int, Meta(ge=-1, lt=2**31)]
+Priority = Annotated[int, Meta(ge=0, le=255)]
+
+Name = Annotated[str, Meta(max_length=MAX_NAME)]
+Text = Annotated[str, Meta(max_length=MAX_TEXT)]
+
+RobotNumbers = Annotated[list[RobotNumber], Meta(max_length=MAX_ROBOTS)]
+Coordinates = Annotated[list[Coordinate], Meta(max_length=MAX_ROBOTS)]
+Distances = Annotated[list[Count], Meta(max_length=MAX_ROBOTS)]
+FrameNumber = Annotated[int, Meta(ge=0, lt=MAX_CONNECTIONS)]
+Frame = Annotated[bytes, Meta(max_length=MAX_FRAME)]
+Frames = Annotated[list[Frame], Meta(max_length=MAX_CONNECTIONS)]
+
+WayCells = Annotated[bytes, Meta(max_length=4 * MAX_WAY_CELLS)]
+WayPoints = Annotated[bytes, Meta(max_length=8 * MAX_WAY_CELLS)]
+Readings = Annotated[bytes, Meta(max_length=2 * MAX_BEAMS)]
+EncodedSettings = Annotated[bytes, Meta(max_length=1 << 20)]
+Poses = Annotated[bytes, Meta(max_length=16 * MAX_ROBOTS)]
+Cells = Annotated[bytes, Meta(max_length=MAX_CELLS)]
+PartNumber = Annotated[int, Meta(ge=0, lt=-(-MAX_CELLS // PART_CELLS))]
+PartBytes = Annotated[bytes, Meta(max_length=PART_CELLS + (PART_CELLS >> 8))]
+CellIndices = Annotated[bytes, Meta(max_length=4 * MAX_CELLS)]
+Vertices = Annotated[bytes, Meta(max_length=1 << 24)]
+Blocks = Annotated[bytes, Meta(max_length=1 << 30)]
 
 EVERYONE = -1
 """The receiver of a broadcast."""
@@ -202,12 +214,12 @@ class AnswerReply(Part, frozen=True):
     load: Connection
 
 
-OutgoingFrames = Annotated[list[OutgoingFrame], msgspec.Meta(max_length=MAX_CONNECTIONS)]
-Deliveries = Annotated[list[Delivery], msgspec.Meta(max_length=MAX_CONNECTIONS)]
-ConnectionReports = Annotated[list[ConnectionReport], msgspec.Meta(max_length=MAX_CONNECTIONS)]
-SendReports = Annotated[list[SendReport], msgspec.Meta(max_length=MAX_CONNECTIONS)]
-OfferReplies = Annotated[list[OfferReply], msgspec.Meta(max_length=MAX_CONNECTIONS)]
-AnswerReplies = Annotated[list[AnswerReply], msgspec.Meta(max_length=MAX_CONNECTIONS)]
+OutgoingFrames = Annotated[list[OutgoingFrame], Meta(max_length=MAX_CONNECTIONS)]
+Deliveries = Annotated[list[Delivery], Meta(max_length=MAX_CONNECTIONS)]
+ConnectionReports = Annotated[list[ConnectionReport], Meta(max_length=MAX_CONNECTIONS)]
+SendReports = Annotated[list[SendReport], Meta(max_length=MAX_CONNECTIONS)]
+OfferReplies = Annotated[list[OfferReply], Meta(max_length=MAX_CONNECTIONS)]
+AnswerReplies = Annotated[list[AnswerReply], Meta(max_length=MAX_CONNECTIONS)]
 
 
 class Replies(Part, frozen=True):
@@ -309,7 +321,7 @@ MediumEvent = Open | Broadcasts | PhaseDelivery | RoundReport | Close
 class RelayUpdate(Record, tag=25, frozen=True):
     """Relay to robot: events in the order in which they happened, each with its own deliveries."""
 
-    events: Annotated[list[MediumEvent], msgspec.Meta(max_length=MAX_EVENTS)]
+    events: Annotated[list[MediumEvent], Meta(max_length=MAX_EVENTS)]
 
 
 class Lost(Record, tag=10, frozen=True):
@@ -498,11 +510,8 @@ class ErrorReport(Record, tag=18, frozen=True):
     reason: Text
 
 
-_TYPES: tuple[type[Record], ...] = (
-    Begin, Configure, Sense, Move, Positions, Open, PhaseDelivery, RobotFrames, RoundReport, Close, Lost, End, Stop,
-    Shutdown, WorldReport, RobotStatus, RadioReport, MapPart, ErrorReport, Watched, Snapshot, Outlines, FaultEvent,
-    Back, Change, RelayUpdate, MapChanges, Broadcasts, RequestMaps, Reconnected,
-)  # fmt: skip
+_TYPES = tuple(sorted(Record.__subclasses__(), key=lambda kind: int(kind.__struct_config__.tag or 0)))
+"""All messages, by their number."""
 _HEAD = {kind: 0x90 | len(kind.__struct_fields__) + 1 for kind in _TYPES}
 """First byte of each message: the msgpack head of a list with this number of items."""
 
@@ -524,7 +533,7 @@ def unpacker(kinds: tuple[type[Record], ...], sender: str) -> Callable[[bytes], 
     if not kinds:
         return partial(_refuse_all, sender)
     read: Callable[[bytes], Any] = msgspec.msgpack.Decoder(Union[kinds]).decode  # noqa: UP007  a union of a tuple
-    most = max(map(max_bytes, kinds))
+    most = max(max_bytes(inspect.type_info(kind)) for kind in kinds)
 
     def unpack_one(payload: bytes) -> Any:
         if len(payload) > most:
@@ -541,16 +550,12 @@ def unpacker(kinds: tuple[type[Record], ...], sender: str) -> Callable[[bytes], 
     return unpack_one
 
 
-def max_bytes(kind: type[Record]) -> int:
-    """Bytes of the longest message of a kind: its fields at their maximum, each with the longest head of msgpack."""
-    return _max_bytes(inspect.type_info(kind))
-
-
 HEAD_BYTES = 9
 """Maximum size of a number, or of a length field, in msgpack."""
 
 
-def _max_bytes(kind: inspect.Type) -> int:
+def max_bytes(kind: inspect.Type) -> int:
+    """Bytes of the longest message of a kind: its fields at their maximum, each with the longest head of msgpack."""
     match kind:
         case inspect.BytesType(max_length=int(most)):
             return HEAD_BYTES + most
@@ -558,12 +563,12 @@ def _max_bytes(kind: inspect.Type) -> int:
             return HEAD_BYTES + 4 * most
         case inspect.ListType(item_type=item, max_length=int(most)):
             frames = _frames_in(item)
-            item_bytes = _max_bytes(item) - frames * MAX_FRAME
+            item_bytes = max_bytes(item) - frames * MAX_FRAME
             return HEAD_BYTES + most * item_bytes + (MAX_FRAMES if frames else 0)
         case inspect.UnionType(types=kinds):
-            return max(map(_max_bytes, kinds))
+            return max(map(max_bytes, kinds))
         case inspect.StructType(fields=parts):
-            return HEAD_BYTES + sum(_max_bytes(part.type) for part in parts)
+            return HEAD_BYTES + sum(max_bytes(part.type) for part in parts)
         case inspect.IntType() | inspect.BoolType() | inspect.NoneType():
             return HEAD_BYTES
     raise TypeError(f"{kind} has no maximum size")
@@ -607,15 +612,18 @@ def _malformed(payload: bytes, kinds: tuple[type[Record], ...], sender: str, rea
     return ProtocolError(kind.__name__, 0, reason)
 
 
+def clip(text: str) -> str:
+    """Cut a text to the maximum length of a field."""
+    return text if len(text) <= MAX_TEXT else text[: MAX_TEXT - 1] + "…"
+
+
 def cells_to_bytes(cells: NDArray[np.int32]) -> bytes:
     """Write cells, shape (n, 2), as little-endian int16 pairs x, y."""
     return cells.astype("<i2").tobytes()
 
 
 def cells_from_bytes(data: bytes) -> NDArray[np.int32]:
-    """Read the output of `cells_to_bytes`; ProtocolError if the length does not fit."""
-    if len(data) % 4:
-        raise ProtocolError("cells", 0, f"{len(data)} bytes are not pairs of int16")
+    """Read the output of `cells_to_bytes`."""
     return np.frombuffer(data, "<i2").astype(np.int32).reshape(-1, 2)
 
 
@@ -642,7 +650,5 @@ def points_to_bytes(points: NDArray[np.int32]) -> bytes:
 
 
 def points_from_bytes(data: bytes) -> NDArray[np.int32]:
-    """Read the output of `points_to_bytes`; ProtocolError if the length does not fit."""
-    if len(data) % 8:
-        raise ProtocolError("points", 0, f"{len(data)} bytes are not pairs of int32")
+    """Read the output of `points_to_bytes`."""
     return np.frombuffer(data, "<i4").astype(np.int32).reshape(-1, 2)

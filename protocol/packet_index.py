@@ -9,42 +9,30 @@ from array import array
 from bisect import bisect_right
 from collections.abc import Sequence
 from functools import lru_cache
-from itertools import accumulate
+from itertools import accumulate, pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from protocol.arrays import Int32Rows, Int64Rows, ReadOnlyUint8s, Uint8s
-from protocol.errors import ProtocolError
 from protocol.kernels import kernel
-from protocol.packets import ALL_KINDS, LAYOUT_BY_BYTE, SHORT_HEAD, Fragment, content, decode
+from protocol.packets import ALL_KINDS, LAYOUT_BY_BYTE, SHORT_HEAD, decode
 
-Bytes = NDArray[np.uint8]
-Table = NDArray[np.int64]
-
-TABLE: Table = np.array(LAYOUT_BY_BYTE, np.int64)
+TABLE: Int64Rows = np.array(LAYOUT_BY_BYTE, np.int64)
 """Layout of the packets that start with each byte, shape (256, 7); columns as in `LAYOUT_BY_BYTE`."""
 
 KINDS = len(ALL_KINDS)
 
-_FRAGMENT = ALL_KINDS.index(Fragment.name)
-
 
 class PacketIndex(NamedTuple):
-    """The packets of a frame.
-
-    Attributes
-    ----------
-    kinds : bytes
-        The number in `ALL_KINDS` of each packet.
-    sizes, ends : array of int
-        The bytes of each packet, and where in the frame it ends.
-    """
+    """The packets of a frame."""
 
     kinds: bytes
+    """Number in `ALL_KINDS` of each packet."""
     sizes: array[int]
+    """Bytes of each packet."""
     ends: array[int]
+    """Offset in the frame behind each packet."""
 
     def count_fitting(self, room: int, first: int = 0) -> int:
         """Return how many packets fit into `room` bytes that begin with packet `first`, those before it included."""
@@ -66,32 +54,13 @@ class PacketIndex(NamedTuple):
 NO_PACKETS = PacketIndex(b"", array("i"), array("i"))
 """The index of an empty frame, and of bytes that are no packets."""
 
-SHORT_FRAME = 16
-"""Bytes of a frame of which the index is kept longest: few such frames differ."""
 
-
+@lru_cache(maxsize=512)
 def index_of(frame: bytes) -> PacketIndex:
     """Find the packets of a frame; several callers that hold the same frame get the same index.
 
-    Raises
-    ------
-    ProtocolError
-        As `protocol.packets.decode`.
+    Raises ProtocolError as `protocol.packets.decode`.
     """
-    return _index_of_short(frame) if len(frame) <= SHORT_FRAME else _index_of_long(frame)
-
-
-@lru_cache(maxsize=1 << 13)
-def _index_of_short(frame: bytes) -> PacketIndex:
-    return _find_packets(frame)
-
-
-@lru_cache(maxsize=64)
-def _index_of_long(frame: bytes) -> PacketIndex:
-    return _find_packets(frame)
-
-
-def _find_packets(frame: bytes) -> PacketIndex:
     kinds = np.empty(len(frame), np.uint8)
     places = np.empty((2, len(frame)), np.int32)
     count = int(_packets(np.frombuffer(frame, np.uint8), TABLE, kinds, places))
@@ -115,39 +84,7 @@ def fitting(frame: bytes, room: int) -> int:
 
 def split(frame: bytes) -> list[bytes]:
     """Split a frame into its packets; ProtocolError as `ends`."""
-    begin = 0
-    pieces = []
-    for end in ends(frame):
-        pieces.append(frame[begin:end])
-        begin = end
-    return pieces
-
-
-def contents(frame: bytes, size: int = 0, held: int = 0) -> bytes:
-    """Return the joined content of a frame of fragments.
-
-    Parameters
-    ----------
-    frame : bytes
-        Whole packets.
-    size : int
-        Bytes of each message that was split into fragments; 0: not known.
-    held : int
-        Bytes of the first message that have arrived before this frame.
-
-    Raises
-    ------
-    ProtocolError
-        The frame holds another packet, or a fragment extends beyond the end of its message.
-    """
-    joined = np.empty(len(frame), np.uint8)
-    count = int(_contents(np.frombuffer(frame, np.uint8), TABLE, size, held, joined))
-    if count == _NO_FRAGMENT:
-        for piece in split(frame):
-            content(piece)
-    if count == _TOO_LONG:
-        raise ProtocolError(Fragment.name, 0, f"a fragment extends beyond the {size} bytes of its message")
-    return joined[:count].tobytes()
+    return [frame[begin:end] for begin, end in pairwise((0, *ends(frame)))]
 
 
 @kernel
@@ -189,30 +126,4 @@ def _packets(data: ReadOnlyUint8s, table: Int64Rows, kinds: Uint8s, places: Int3
         places[0, count], places[1, count] = end - at, end
         at = end
         count += 1
-    return count
-
-
-_NO_FRAGMENT, _TOO_LONG = -1, -2
-
-
-@kernel
-def _contents(data: ReadOnlyUint8s, table: Int64Rows, size: int, held: int, joined: Uint8s) -> int:
-    """Write the content of all fragments to `joined`, and return its size; or `_NO_FRAGMENT` or `_TOO_LONG`."""
-    at = count = 0
-    while at < len(data):
-        if table[data[at], 0] != _FRAGMENT:
-            return _NO_FRAGMENT
-        head = 1 if table[data[at], 1] else SHORT_HEAD
-        end = packet_end(data, at, len(data), table)
-        if end < 0:
-            return _NO_FRAGMENT
-        for byte in range(at + head, end):
-            joined[count] = data[byte]
-            count += 1
-        held += end - at - head
-        if 0 < size < held:
-            return _TOO_LONG
-        if held == size:
-            held = 0
-        at = end
     return count

@@ -16,52 +16,34 @@ LENGTH = "length"
 
 @dataclass(frozen=True, slots=True)
 class Bits:
-    """Encoding of a field: an unsigned integer.
-
-    Attributes
-    ----------
-    width : int
-        Bits.
-    letter : str
-        Stands for these bits in drawings of the layout.
-    meaning : str
-        Value of the field, for the documentation.
-    bias : int
-        Number that is added to the value before it is sent.
-    """
+    """Encoding of a field: an unsigned integer."""
 
     width: int
+    """Number of bits."""
     letter: str
+    """Stands for these bits in drawings of the layout."""
     meaning: str
+    """Value of the field, for the documentation."""
     bias: int = 0
+    """Number that is added to the value before it is sent."""
 
 
 @dataclass(frozen=True)
 class Layout:
-    """One form in which a packet is sent.
-
-    Attributes
-    ----------
-    packet : str
-        Name of the packet's class.
-    kind : str
-        Kind by which ledger and reports count it.
-    size : int
-        Bytes; of a layout with a length field the bytes without content.
-    code : str
-        Binary digits with which the packet starts.
-    fields : tuple of (str, Bits)
-        Names and encodings of the fields, in the order in which they are sent.
-    content : (int, int), optional
-        The least and the most bytes of content; None: the packet has none.
-    """
+    """One form in which a packet is sent."""
 
     packet: str
+    """Name of the packet's class."""
     kind: str
+    """Kind by which ledger and reports count it."""
     size: int
+    """Bytes; of a layout with a length field the bytes without content."""
     code: str
+    """Binary digits with which the packet starts."""
     fields: tuple[tuple[str, Bits], ...]
+    """Names and encodings of the fields, in the order in which they are sent."""
     content: tuple[int, int] | None = None
+    """The least and the most bytes of content; None: the packet has none."""
 
     @property
     def has_length(self) -> bool:

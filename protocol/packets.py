@@ -1,15 +1,15 @@
 """The packets of the radio: their layouts (thesis, Table 6.1; docs/protocol.md), and how they are written and read.
 
 The layout of a packet is declared once, by the annotations of its class; `LAYOUTS` lists all of them. The code alone
-determines a packet's length, so packets need no framing.
+determines a packet's length, so packets need no framing: a stream of them can be cut anywhere and resumed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from functools import lru_cache
-from typing import Annotated, ClassVar, get_type_hints
+from typing import Annotated, Any, ClassVar, TypeVar, cast, get_type_hints
 
 from protocol.errors import ProtocolError
 from protocol.packet_layout import LENGTH, Bits, Layout
@@ -324,6 +324,8 @@ Handshake = Offer | Answer | Block | Decline
 Gossip = From | FromEarly | Held | HeldEarly | Near | Gone
 AnyPacket = Edit | Handshake | Gossip | Check | Target | Pose | Passed | Fragment | Update
 
+KindOfPacket = TypeVar("KindOfPacket", bound=Packet)
+
 _FIXED_KINDS: tuple[type[Packet], ...] = (
     Insert, Replace, Delete, Emerge, Change, Remove, Offer, Answer, Block, Decline, Target, Save, Pose,
     From, FromEarly, Held, HeldEarly, Near, Gone, Check, Passed,
@@ -385,14 +387,12 @@ _PACKETS: dict[str, type[Packet]] = {kind.__name__: kind for kind in (*_FIXED_KI
 _BY_FIRST_BYTE = [
     next((layout for layout in LAYOUTS if layout.starts_with(byte)), None) for byte in range(256)
 ]
-_KIND = [None if layout is None else _PACKETS[layout.packet] for layout in _BY_FIRST_BYTE]
-"""For each first byte the class of the packet; None: no packet starts with it."""
 _SIZE = [0 if layout is None or layout.has_length else layout.size for layout in _BY_FIRST_BYTE]
 """For each first byte the bytes of the packet; 0: the second byte has its length, or there is no such packet."""
 _FORM = {kind: (*layout.fixed, layout.places) for kind, layout in _LAYOUT.items()}
 """For each packet without content: mask and value of its fixed bits, and the places of its fields."""
-_FORMS = [None if kind is None else (kind, *_FORM.get(kind, (0, 0, ()))) for kind in _KIND]
-"""For each first byte the class of the packet, and the same."""
+_CLASS: list[Any] = [None if layout is None else _PACKETS[layout.packet] for layout in _BY_FIRST_BYTE]
+"""For each first byte the class of the packet; None: no packet starts with it."""
 
 _FULL, _SHORT = int(Fragment.code, 2), int(_SHORT_FRAGMENT.code, 2)
 _UPDATE, _LAST = int(Update.code, 2), int(_LAST_UPDATE.code, 2)
@@ -417,13 +417,7 @@ byte, and the least and the most bytes of content (`protocol.packet_index`)."""
 
 
 def encode(packets: Iterable[Packet]) -> bytes:
-    """Write packets one after the other.
-
-    Raises
-    ------
-    ProtocolError
-        The value of a field does not fit its bits.
-    """
+    """Write packets one after the other; ProtocolError if the value of a field does not fit its bits."""
     out = bytearray()
     for packet in packets:
         if isinstance(packet, Fragment):
@@ -432,8 +426,7 @@ def encode(packets: Iterable[Packet]) -> bytes:
         if isinstance(packet, Update):
             out += _write_update(packet, len(out))
             continue
-        kind = type(packet)
-        _, number, places = _FORM[kind]
+        _, number, places = _FORM[type(packet)]
         for name, shift, mask, bias in places:
             value = getattr(packet, name) + bias
             if not 0 <= value <= mask:
@@ -442,112 +435,6 @@ def encode(packets: Iterable[Packet]) -> bytes:
             number |= value << shift
         out += number.to_bytes(packet.size, "big")
     return bytes(out)
-
-
-def length(buffer: bytes, offset: int = 0) -> int:
-    """Return the bytes of the packet that starts at `offset`.
-
-    Raises
-    ------
-    ProtocolError
-        No packet starts with that byte, or its length field is out of range.
-    """
-    layout = _layout(buffer, offset)
-    if not layout.has_length or layout.content is None:
-        return layout.size
-    if offset + 1 == len(buffer):
-        return SHORT_HEAD
-    least, most = layout.content
-    size = buffer[offset + 1] >> layout.places[0][1]
-    if not least <= size <= most:
-        raise ProtocolError(layout.kind, offset, f"{size} bytes of content are outside {least} to {most}")
-    return SHORT_HEAD + size
-
-
-def name(buffer: bytes, offset: int = 0) -> str:
-    """Return the kind of the packet that starts at `offset`."""
-    return _layout(buffer, offset).kind
-
-
-def content(packet: bytes) -> bytes:
-    """Return the content of a `Fragment`.
-
-    Raises
-    ------
-    ProtocolError
-        It is another packet, or it is cut off.
-    """
-    if packet[0] == _FULL and len(packet) == Fragment.size:
-        return packet[1:]
-    if packet[0] == _SHORT and len(packet) == length(packet):
-        return packet[SHORT_HEAD:]
-    raise _not_whole(packet, Fragment)
-
-
-def update_fragment(packet: bytes) -> tuple[int | None, bytes]:
-    """Return `number` and `data` of an `Update`.
-
-    Raises
-    ------
-    ProtocolError
-        It is another packet, or it is cut off.
-    """
-    if packet[0] == _UPDATE and len(packet) == Update.size:
-        return None, packet[1:]
-    if packet[0] == _LAST and len(packet) == length(packet):
-        return packet[1] & UPDATE_NUMBERS - 1, packet[SHORT_HEAD:]
-    raise _not_whole(packet, Update)
-
-
-def decode(buffer: bytes) -> list[AnyPacket]:
-    """Read a buffer of whole packets.
-
-    Raises
-    ------
-    ProtocolError
-        A packet is unknown or cut off, or a spare bit is set.
-    """
-    packets = []
-    offset = 0
-    while offset < len(buffer):
-        packet = packet_at(buffer, offset)
-        if packet is None:
-            have, wanted = len(buffer) - offset, length(buffer, offset)
-            raise ProtocolError(name(buffer, offset), offset, f"cut off after {have} of {wanted} bytes")
-        packets.append(packet)
-        offset += _SIZE[buffer[offset]] or length(buffer, offset)
-    return packets
-
-
-def packet_at(buffer: bytes, offset: int) -> AnyPacket | None:
-    """Read the packet that starts at `offset`; None if the buffer ends before it does; errors as `decode`."""
-    if offset == len(buffer):
-        return None
-    size = _SIZE[buffer[offset]] or length(buffer, offset)
-    return _read(buffer, offset, size) if offset + size <= len(buffer) else None
-
-
-def handshake(frame: bytes) -> tuple[AnyPacket, ...]:
-    """Read a frame of `conn` packets; cached, because few different ones are sent.
-
-    Raises
-    ------
-    ProtocolError
-        As `decode`, or the frame is longer than any handshake.
-    """
-    if len(frame) > HANDSHAKE_SIZE:
-        raise ProtocolError(Offer.name, 0, f"{len(frame)} bytes instead of {HANDSHAKE_SIZE} at most")
-    return _read_cached(frame)
-
-
-def broadcast(frame: bytes) -> tuple[AnyPacket, ...]:
-    """Read a frame with many receivers, as `decode` does; cached, unless poses of other robots make it longer."""
-    return _read_cached(frame) if len(frame) <= Pose.size + Target.size else tuple(decode(frame))
-
-
-@lru_cache(maxsize=1 << 14)
-def _read_cached(frame: bytes) -> tuple[AnyPacket, ...]:
-    return tuple(decode(frame))
 
 
 def _write_fragment(packet: Fragment, offset: int) -> bytes:
@@ -571,6 +458,28 @@ def _write_update(packet: Update, offset: int) -> bytes:
     return bytes([_LAST, size << _NUMBER_BITS | number]) + packet.data
 
 
+def length(buffer: bytes, offset: int = 0) -> int:
+    """Return the bytes of the packet that starts at `offset`.
+
+    Raises ProtocolError if no packet starts with that byte, or its length field is out of range.
+    """
+    layout = _layout(buffer, offset)
+    if not layout.has_length or layout.content is None:
+        return layout.size
+    if offset + 1 == len(buffer):
+        return SHORT_HEAD
+    least, most = layout.content
+    size = buffer[offset + 1] >> layout.places[0][1]
+    if not least <= size <= most:
+        raise ProtocolError(layout.kind, offset, f"{size} bytes of content are outside {least} to {most}")
+    return SHORT_HEAD + size
+
+
+def name(buffer: bytes, offset: int = 0) -> str:
+    """Return the kind of the packet that starts at `offset`."""
+    return _layout(buffer, offset).kind
+
+
 def _layout(buffer: bytes, offset: int) -> Layout:
     layout = _BY_FIRST_BYTE[buffer[offset]]
     if layout is None:
@@ -578,18 +487,70 @@ def _layout(buffer: bytes, offset: int) -> Layout:
     return layout
 
 
+def decode(buffer: bytes) -> list[AnyPacket]:
+    """Read a buffer of whole packets; ProtocolError if one is unknown or cut off, or a spare bit is set."""
+    packets = []
+    offset = 0
+    while offset < len(buffer):
+        size = _SIZE[buffer[offset]] or length(buffer, offset)
+        if offset + size > len(buffer):
+            reason = f"cut off after {len(buffer) - offset} of {size} bytes"
+            raise ProtocolError(name(buffer, offset), offset, reason)
+        packets.append(_read(buffer, offset, size))
+        offset += size
+    return packets
+
+
+def decode_kind(frame: bytes, kind: type[KindOfPacket]) -> list[KindOfPacket]:
+    """Read a frame whose packets are all of one class; ProtocolError as `decode`, or if one is of another class."""
+    packets = decode(frame)
+    for packet in packets:
+        if not isinstance(packet, kind):
+            raise ProtocolError(packet.name, 0, f"expected a packet of kind {kind.name}")
+    return cast("list[KindOfPacket]", packets)
+
+
+def packet_at(buffer: bytes, offset: int) -> AnyPacket | None:
+    """Read the packet that starts at `offset`; None if it is incomplete, ProtocolError if it is malformed."""
+    if offset == len(buffer):
+        return None
+    size = length(buffer, offset)
+    return _read(buffer, offset, size) if offset + size <= len(buffer) else None
+
+
+def handshake(frame: bytes) -> list[AnyPacket]:
+    """Read a frame of `conn` packets; ProtocolError as `decode`, or if it is longer than any handshake."""
+    if len(frame) > HANDSHAKE_SIZE:
+        raise ProtocolError(Offer.name, 0, f"{len(frame)} bytes instead of {HANDSHAKE_SIZE} at most")
+    return decode(frame)
+
+
+def broadcast(frame: bytes) -> Sequence[AnyPacket]:
+    """Read a frame with many receivers, as `decode` does; cached, unless poses of other robots make it longer."""
+    return _decode_cached(frame) if len(frame) <= Pose.size + Target.size else decode(frame)
+
+
+@lru_cache(maxsize=1 << 14)
+def _decode_cached(frame: bytes) -> tuple[AnyPacket, ...]:
+    return tuple(decode(frame))
+
+
 def _read(buffer: bytes, offset: int, size: int) -> AnyPacket:
     """Read the whole packet of `size` bytes that starts at `offset`."""
-    kind, fixed_mask, fixed, places = _FORMS[buffer[offset]]  # type: ignore[misc]
-    packet = buffer[offset : offset + size]
+    first, packet = buffer[offset], buffer[offset : offset + size]
+    kind = _CLASS[first]
     if kind is Fragment:
-        return Fragment(content(packet))
+        return Fragment(packet[1 if first == _FULL else SHORT_HEAD :])
+    if kind is Update and first == _UPDATE:
+        return Update(None, packet[1:])
     if kind is Update:
-        return Update(*update_fragment(packet))
+        return Update(packet[1] & UPDATE_NUMBERS - 1, packet[SHORT_HEAD:])
+    fixed_mask, fixed, places = _FORM[kind]
     number = int.from_bytes(packet, "big")
     if number & fixed_mask != fixed:
         raise _malformed(_LAYOUT[kind], number, offset)
-    return kind(*[(number >> shift & mask) - bias for _, shift, mask, bias in places])  # type: ignore[return-value]
+    read: AnyPacket = kind(*[(number >> shift & mask) - bias for _, shift, mask, bias in places])
+    return read
 
 
 def _malformed(layout: Layout, number: int, offset: int) -> ProtocolError:
@@ -599,10 +560,3 @@ def _malformed(layout: Layout, number: int, offset: int) -> ProtocolError:
         begin = number >> 8 * layout.size - 16
         return ProtocolError("packet", offset, f"no packet begins with {begin:#06x}")
     return ProtocolError(layout.kind, offset, f"the last {layout.spare} bits must be zero")
-
-
-def _not_whole(packet: bytes, kind: type[Packet]) -> ProtocolError:
-    """Return the error of bytes that are not one whole packet of a kind."""
-    if _KIND[packet[0]] is kind:
-        return ProtocolError(kind.name, 0, f"cut off after {len(packet)} of {length(packet)} bytes")
-    return ProtocolError(name(packet), 0, f"expected a packet of kind {kind.name}")

@@ -24,7 +24,7 @@ from protocol.boxes import NO_BOXES, Box, Boxes
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, MAX_SIDE, OCCUPIED, UNKNOWN, Grid, RayTable
 from protocol.kernels import kernel
-from protocol.packets import FRAGMENT_DATA, SHORT_HEAD, Fragment, encode
+from protocol.packets import FRAGMENT_DATA, SHORT_HEAD, Fragment, decode_kind, encode
 
 HIT = 0x8000
 NONE = 0x7FFF
@@ -54,10 +54,7 @@ def encode_scan(scan: Scan) -> bytes:
 def decode_scan(data: bytes, ray_table: RayTable) -> Scan:
     """Decode a scan.
 
-    Raises
-    ------
-    ProtocolError
-        Wrong length, a cell outside any grid, or a reading that is longer than its beam.
+    Raises ProtocolError for a wrong length, a cell outside any grid, or a reading that is longer than its beam.
     """
     if len(data) != scan_size(ray_table.beams):
         raise ProtocolError("scan", 0, f"{len(data)} bytes instead of {scan_size(ray_table.beams)}")
@@ -73,21 +70,12 @@ def check_readings(readings: Readings, ray_table: RayTable) -> None:
     """Raise ProtocolError if a reading has more cells than its beam."""
     if len(readings) != ray_table.beams:
         raise ProtocolError("scan", 0, f"{len(readings)} readings for {ray_table.beams} beams")
-    beam = int(_first_too_long(readings, ray_table.start))
-    if beam < ray_table.beams:
-        touched, length = (readings[beam] & NONE) + (readings[beam] >> 15), np.diff(ray_table.start)[beam]
-        reason = f"beam {beam} touches {touched} cells, but its range is {length}"
+    touched, most = (readings & NONE) + (readings >> 15), np.diff(ray_table.start)
+    too_long = (readings != NONE) & (touched > most)
+    if too_long.any():
+        beam = int(too_long.argmax())
+        reason = f"beam {beam} touches {touched[beam]} cells, but its range is {most[beam]}"
         raise ProtocolError("scan", 4 + 2 * beam, reason)
-
-
-@kernel
-def _first_too_long(readings: Readings, start: Int32s) -> int:
-    """Return the first beam whose reading has more cells than the beam; the number of beams if there is none."""
-    for beam in range(len(readings)):
-        reading = readings[beam]
-        if reading != NONE and (reading & NONE) + (reading >> 15) > start[beam + 1] - start[beam]:
-            return beam
-    return len(readings)
 
 
 def fragments(data: bytes, most: int = Fragment.size) -> list[bytes]:
@@ -95,6 +83,22 @@ def fragments(data: bytes, most: int = Fragment.size) -> list[bytes]:
     size = FRAGMENT_DATA if most >= Fragment.size else most - SHORT_HEAD
     pieces = (data[at : at + size] for at in range(0, len(data), size))
     return [encode([Fragment(piece)]) for piece in pieces]
+
+
+def contents(frame: bytes, size: int = 0, held: int = 0) -> bytes:
+    """Return the joined content of a frame of fragments, which are parts of messages of `size` bytes (0: unknown).
+
+    `held` bytes of the first message have arrived before this frame. Raises ProtocolError if the frame holds another
+    packet, or a fragment extends beyond the end of its message.
+    """
+    pieces = [packet.data for packet in decode_kind(frame, Fragment)]
+    for piece in pieces if size else ():
+        held += len(piece)
+        if held > size:
+            reason = f"a fragment extends beyond the {size} bytes of its message"
+            raise ProtocolError(Fragment.name, 0, reason)
+        held %= size
+    return b"".join(pieces)
 
 
 class Change(NamedTuple):
@@ -123,21 +127,11 @@ def draw(
     cells change, because the lasers of one world do not contradict each other. Cells outside the grid are ignored, as
     is a scan taken there. The readings must be valid (`check_readings`).
     """
-    out = np.empty(5, np.int32)
-    _draw(
-        grid,
-        ray_table.cells,
-        ray_table.flat(grid.shape[1]),
-        ray_table.start,
-        ray_table.shared,
-        x,
-        y,
-        readings,
-        driven,
-        out,
+    cells, flat = ray_table.cells, ray_table.flat(grid.shape[1])
+    changed, x0, y0, x1, y1 = _draw(
+        grid, cells, flat, ray_table.start, ray_table.shared, x, y, readings, driven
     )
-    cells, x0, y0, x1, y1 = out.tolist()
-    return Change(cells, (x0, y0, x1, y1))
+    return Change(changed, (x0, y0, x1, y1))
 
 
 @kernel
@@ -151,8 +145,7 @@ def _draw(
     y: int,
     readings: Readings,
     driven: Int32Rows,
-    out: Int32s,
-) -> None:
+) -> tuple[int, int, int, int, int]:
     # As an unsigned number, a cell beyond the left or upper border is very large; and indexing is twice as fast.
     height, width = np.uint64(grid.shape[0]), np.uint64(grid.shape[1])
     lying = grid.reshape(grid.size)
@@ -195,8 +188,4 @@ def _draw(
                 changed += 1
                 x0, x1 = min(x0, x + cells[at, 0]), max(x1, x + cells[at, 0] + 1)
                 y0, y1 = min(y0, y + cells[at, 1]), max(y1, y + cells[at, 1] + 1)
-    out[0] = changed
-    out[1] = x0
-    out[2] = y0
-    out[3] = x1
-    out[4] = y1
+    return changed, x0, y0, x1, y1

@@ -12,9 +12,9 @@ from protocol import messages, rights
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
 from protocol.faults import KINDS
-from protocol.fields import MAX_NAME, clip
 from protocol.keys import Keys
 from protocol.messages import (
+    MAX_NAME,
     Back,
     Begin,
     Close,
@@ -29,6 +29,7 @@ from protocol.messages import (
     Stop,
     Watched,
     WorldReport,
+    clip,
     pack,
 )
 from protocol.rights import MAX_PROTOCOL_ERRORS, TOO_MANY_ERRORS

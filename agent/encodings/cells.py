@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from agent.encodings.received_grid import GridEncoding
 from agent.settings import Settings
-from protocol import packet_index, packets
+from protocol import packets
 from protocol.boxes import NO_BOXES, union
 from protocol.errors import ProtocolError
 from protocol.grid import OCCUPIED, Grid
-from protocol.scans import Change, Scan, fragments
+from protocol.scans import Change, Scan, contents, fragments
 
 if sys.version_info >= (3, 14):
     from compression import zstd
@@ -86,7 +86,7 @@ class CellEncoding(GridEncoding):
 
     def apply(self, map_id: int, frame: bytes, *, step: int, sender: int) -> None:
         """Reassemble fragments, and apply the patches that are complete."""
-        data = self._partial.get(map_id, b"") + packet_index.contents(frame)
+        data = self._partial.get(map_id, b"") + contents(frame)
         patches = []
         while (read := unpack(data, self.received.shape)) is not None:
             x0, y0, patch, data = read

@@ -27,7 +27,6 @@ from agent.predictive.scan_updates import REPORTED
 from agent.predictive.shared_decoder import CachedReader, SharedDecoderCache
 from agent.predictive.stream import Stream
 from agent.settings import Settings
-from protocol import packet_index
 from protocol.arrays import Int32s, Uint8s, Uint16Rows
 from protocol.boxes import Box, bounding_box
 from protocol.errors import ProtocolError
@@ -39,8 +38,8 @@ from protocol.packets import (
     UPDATE_DATA,
     UPDATE_NUMBERS,
     Update,
+    decode_kind,
     encode,
-    update_fragment,
 )
 from protocol.scans import Change, Scan
 
@@ -237,12 +236,11 @@ class PredictiveEncoding(GridEncoding):
         incoming = self._incoming[map_id]
         if incoming.error:
             raise ProtocolError(Update.name, 0, incoming.error)
-        packets = packet_index.split(frame)
+        packets = decode_kind(frame, Update)
         rest, complete = incoming.fragments, []
         ends: list[int] = []
         for count, packet in enumerate(packets, incoming.packets + 1):
-            number, data = update_fragment(packet)
-            rest += data
+            number, rest = packet.number, rest + packet.data
             if number is not None:
                 expected = (len(incoming.ends) + len(ends)) % UPDATE_NUMBERS
                 if number != expected:

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from agent.encodings.received_grid import GridEncoding
 from agent.settings import Settings
-from protocol import packet_index, packets
+from protocol import packets
 from protocol.errors import ProtocolError
 from protocol.grid import Grid, RayTable, ray_table
-from protocol.scans import NONE, Change, Scan, decode_scan, draw, encode_scan, fragments, scan_size
+from protocol.scans import NONE, Change, Scan, contents, decode_scan, draw, encode_scan, fragments, scan_size
 
 
 class ScanEncoding(GridEncoding):
@@ -40,7 +40,7 @@ class ScanEncoding(GridEncoding):
     def apply(self, map_id: int, frame: bytes, *, step: int, sender: int) -> None:
         """Reassemble fragments, and draw the scans that are complete."""
         partial, size = self._partial.get(map_id, b""), self._size
-        data = partial + packet_index.contents(frame, size, len(partial))
+        data = partial + contents(frame, size, len(partial))
         end = len(data) - len(data) % size
         scans = [self._read(map_id, data[at : at + size]) for at in range(0, end, size)]
         if scans:

@@ -18,8 +18,7 @@ from protocol import keys as names
 from protocol import rights
 from protocol.bus import BusClosed, Message
 from protocol.errors import ProtocolError
-from protocol.fields import clip
-from protocol.messages import ErrorReport, Shutdown
+from protocol.messages import ErrorReport, Shutdown, clip
 from protocol.zenoh_bus import Credential, join
 
 RECORDING = "run.rrd"

@@ -18,11 +18,11 @@ from netshaper.settings import RadioSettings
 from protocol import keys as names
 from protocol.budget import UNLIMITED, Budget
 from protocol.bus import Bus
-from protocol.fields import MAX_CONNECTIONS
 from protocol.grid import MAX_ROBOTS
 from protocol.keys import RELAY, Keys
 from protocol.memory_bus import MemoryHub
 from protocol.messages import (
+    MAX_CONNECTIONS,
     AnswerReply,
     Begin,
     Broadcasts,

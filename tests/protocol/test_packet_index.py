@@ -10,8 +10,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from protocol.errors import ProtocolError
-from protocol.packet_index import contents, ends, fitting, index_of, split
-from protocol.packets import ALL_KINDS, AnyPacket, Fragment, decode, encode
+from protocol.packet_index import ends, fitting, index_of, split
+from protocol.packets import ALL_KINDS, AnyPacket, decode, encode
 from tests.protocol.test_packets import EXAMPLES, streams
 
 noisy = st.binary(max_size=100) | st.builds(
@@ -41,32 +41,6 @@ def test_the_index_accepts_what_the_decoder_accepts_and_raises_its_errors(noise:
         assert [ALL_KINDS[kind] for kind in index.kinds] == [packet.name for packet in decoded]
         assert list(index.sizes) == [len(encode([packet])) for packet in decoded]
         assert list(ends(noise)) == list(accumulate(index.sizes))
-
-
-sizes = st.lists(st.integers(1, 63), max_size=6)
-
-
-@given(sizes, st.integers(1, 70), st.integers(0, 70), streams)
-def test_joined_fragments_are_the_message_and_end_with_it(
-    parts: list[int], size: int, held: int, others: list[AnyPacket]
-) -> None:
-    held %= size
-    pieces = [bytes([number]) * part for number, part in enumerate(parts)]
-    frame = encode(map(Fragment, pieces))
-    assert contents(frame) == b"".join(pieces)
-    at, fits = held, True
-    for part in parts:
-        at += part
-        fits = fits and at <= size
-        at %= size
-    if fits:
-        assert contents(frame, size, held) == b"".join(pieces)
-    else:
-        with pytest.raises(ProtocolError, match=f"the {size} bytes"):
-            contents(frame, size, held)
-    if not all(isinstance(other, Fragment) for other in others):
-        with pytest.raises(ProtocolError, match="expected a packet of kind scan"):
-            contents(frame + encode(others))
 
 
 @pytest.mark.parametrize("packet", EXAMPLES, ids=repr)

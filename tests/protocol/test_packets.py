@@ -46,13 +46,12 @@ from protocol.packets import (
     Save,
     Target,
     Update,
-    content,
     decode,
+    decode_kind,
     encode,
     handshake,
     length,
     packet_at,
-    update_fragment,
 )
 
 GOLDEN = Path(__file__).parent / "golden" / "packets.txt"
@@ -260,6 +259,17 @@ def test_packets_have_the_bytes_of_the_golden_file() -> None:
     assert {type(packet) for packet in EXAMPLES} == {*LIMITS, Fragment, Update}
 
 
+@given(streams, st.integers(0, 100))
+def test_packets_are_read_one_by_one_up_to_an_incomplete_one(stream: list[AnyPacket], end: int) -> None:
+    buffer = encode(stream)[:end]
+    received: list[AnyPacket] = []
+    while (packet := packet_at(buffer, len(encode(received)))) is not None:
+        received.append(packet)
+    assert received == stream[: len(received)]
+    rest = stream[len(received) :]
+    assert (not rest) or len(encode([*received, rest[0]])) > end
+
+
 @given(st.binary(max_size=200))
 @example(b"\xf2")
 @example(b"\xf2\x00")
@@ -369,17 +379,17 @@ def test_a_handshake_is_decoded_unless_it_is_too_long() -> None:
         handshake(encode([Answer(7)])[:1])
 
 
-@given(updates)
-def test_an_update_fragment_returns_its_content(packet: Update) -> None:
-    assert update_fragment(encode([packet])) == (packet.number, packet.data)
+@given(st.lists(updates))
+def test_a_frame_of_one_kind_is_decoded(frame: list[Update]) -> None:
+    assert decode_kind(encode(frame), Update) == frame
 
 
 @pytest.mark.parametrize(
     "packet", [encode([Save()]), encode([Near(3)]), b"\xff", b"\xf4short", b"\xf5\x14abc"]
 )
-def test_bytes_that_are_no_whole_update_fragment_are_rejected(packet: bytes) -> None:
+def test_bytes_that_are_no_whole_packets_of_this_kind_are_rejected(packet: bytes) -> None:
     with pytest.raises(ProtocolError):
-        update_fragment(packet)
+        decode_kind(encode([Update(None, bytes(UPDATE_DATA))]) + packet, Update)
 
 
 @pytest.mark.parametrize(
@@ -396,16 +406,3 @@ def test_bytes_that_are_no_whole_update_fragment_are_rejected(packet: bytes) -> 
 def test_an_update_with_an_unknown_layout_is_rejected(packet: Update) -> None:
     with pytest.raises(ProtocolError, match=r"update at byte 1: "):
         encode([Save(), packet])
-
-
-@given(st.binary(min_size=1, max_size=FRAGMENT_DATA))
-def test_a_fragment_returns_its_content(data: bytes) -> None:
-    assert content(encode([Fragment(data)])) == data
-
-
-@pytest.mark.parametrize(
-    "packet", [encode([Save()]), encode([Delete(3)]), b"\xff", b"\xf1short", b"\xf2\x05abc"]
-)
-def test_bytes_that_are_no_whole_fragment_are_rejected(packet: bytes) -> None:
-    with pytest.raises(ProtocolError):
-        content(packet)

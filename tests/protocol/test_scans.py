@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, MAX_SIDE, OCCUPIED, UNKNOWN, Grid, RayTable, ray_table
-from protocol.packets import Fragment, decode
+from protocol.packets import AnyPacket, Fragment, decode, encode
 from protocol.scans import (
     HIT,
     NONE,
@@ -20,12 +20,14 @@ from protocol.scans import (
     Readings,
     Scan,
     check_readings,
+    contents,
     decode_scan,
     draw,
     encode_scan,
     fragments,
     scan_size,
 )
+from tests.protocol.test_packets import streams
 
 FAN = ray_table(6.0, 40)
 seeds = st.integers(0, 2**32 - 1)
@@ -217,3 +219,29 @@ def test_cells_driven_over_become_free_and_no_known_cell_changes() -> None:
     assert grid.tolist() == [[0, 1, 0, 0], [0, 1, 2, 0], [0, 0, 0, 1]]
     assert change == Change(2, (1, 0, 4, 3))
     assert draw(grid, FAN, 1, 1, blind, driven).cells == 0
+
+
+sizes = st.lists(st.integers(1, 63), max_size=6)
+
+
+@given(sizes, st.integers(1, 70), st.integers(0, 70), streams)
+def test_joined_fragments_are_the_message_and_end_with_it(
+    parts: list[int], size: int, held: int, others: list[AnyPacket]
+) -> None:
+    held %= size
+    pieces = [bytes([number]) * part for number, part in enumerate(parts)]
+    frame = encode(map(Fragment, pieces))
+    assert contents(frame) == b"".join(pieces)
+    at, fits = held, True
+    for part in parts:
+        at += part
+        fits = fits and at <= size
+        at %= size
+    if fits:
+        assert contents(frame, size, held) == b"".join(pieces)
+    else:
+        with pytest.raises(ProtocolError, match=f"the {size} bytes"):
+            contents(frame, size, held)
+    if not all(isinstance(other, Fragment) for other in others):
+        with pytest.raises(ProtocolError, match="expected a packet of kind scan"):
+            contents(frame + encode(others))

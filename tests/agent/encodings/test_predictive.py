@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from agent.settings import Settings
 from protocol.budget import UNLIMITED, Budget
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, ray_table
-from protocol.packets import LAST_UPDATE_DATA, UPDATE_DATA, Delete, Fragment, Update, encode, update_fragment
+from protocol.packets import LAST_UPDATE_DATA, UPDATE_DATA, Delete, Fragment, Update, decode_kind, encode
 from protocol.scans import Change, Scan, draw
 from tests.agent.encodings.arrival import LATE
 from worldsim.laser import cast
@@ -141,7 +142,7 @@ def test_changes_that_wait_are_sent_in_one_update_later(seed: int) -> None:
     for _ in range(5):
         assert author.scan(truth, delivered=False) == []
     packets = author.scan(truth)
-    assert sum(update_fragment(update)[0] is not None for update in packets) == 1
+    assert sum(update.number is not None for update in decode_kind(b"".join(packets), Update)) == 1
     receiver.apply(0, b"".join(packets), **LATE)
     assert (receiver.merge(unknown()) == author.own).all()
 
@@ -155,7 +156,7 @@ def test_a_small_budget_splits_changes_into_one_update_per_step(seed: int) -> No
     packets = 0
     while sent := flush(author):
         receiver.apply(0, b"".join(sent), **LATE)
-        packets += sum(update_fragment(update)[0] is not None for update in sent)
+        packets += sum(update.number is not None for update in decode_kind(b"".join(sent), Update))
     assert (receiver.merge(unknown()) == author.own).all()
     assert packets > 1 or np.count_nonzero(author.own) < 100
 
@@ -257,8 +258,8 @@ def test_shared_decoding_gives_each_robot_the_result_of_decoding_alone(
             continue
         reported[receiver][map_id] += len(received)
         if forged and map_id == 2 and wrong:
-            number, data = update_fragment(received[0])
-            received[0] = encode([Update(number, bytes(byte ^ receiver + 1 for byte in data))])
+            (update,) = decode_kind(received[0], Update)
+            received[0] = encode([replace(update, data=bytes(byte ^ receiver + 1 for byte in update.data))])
         sent = []
         for team in teams:
             try:
@@ -296,7 +297,7 @@ WRONG = {
 def test_malformed_data_is_rejected_and_changes_nothing(wrong: str, behind: bool) -> None:
     receiver = PredictiveEncoding(settings_of(1))
     packets = units_of(5)
-    head = packets[:1] if behind and update_fragment(packets[0])[0] is None else []
+    head = packets[:1] if behind and decode_kind(packets[0], Update)[0].number is None else []
     receiver.apply(0, b"".join(head), **LATE)
     before = receiver.merge(unknown())
     with pytest.raises(ProtocolError):
@@ -330,10 +331,10 @@ def test_a_byzantine_robot_changes_no_map_but_its_own(forged: list[tuple[int, by
 
 @given(st.binary(max_size=300), st.integers(0, 100), st.integers(UPDATE_DATA, LAST_UPDATE_DATA))
 def test_fragments_reassemble_to_the_update(message: bytes, number: int, most: int) -> None:
-    cut = [update_fragment(piece) for piece in fragments(message, number, most)]
-    assert b"".join(data for _, data in cut) == message
-    assert [sent for sent, _ in cut] == [None] * (len(cut) - 1) + [number % 4]
-    assert len(cut[-1][1]) <= most
+    cut = decode_kind(b"".join(fragments(message, number, most)), Update)
+    assert b"".join(piece.data for piece in cut) == message
+    assert [piece.number for piece in cut] == [None] * (len(cut) - 1) + [number % 4]
+    assert len(cut[-1].data) <= most
 
 
 @given(seeds, st.booleans())

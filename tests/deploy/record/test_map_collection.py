@@ -13,8 +13,7 @@ from protocol import keys as names
 from protocol import map_parts
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
-from protocol.fields import PART_CELLS
-from protocol.messages import MapPart
+from protocol.messages import PART_CELLS, MapPart
 from tests.system.team import small_plan
 
 SHAPE = (1000, 900)
