@@ -17,6 +17,7 @@ from netshaper.ledger import EVERYONE, FRAMES
 from netshaper.pcapng import Reader
 from protocol import keys
 from protocol.messages import RobotFrames, unpack
+from protocol.numbering import HEAD
 from tests.capture.sniffer import Segment, Strangers, Stream, segments
 from tests.capture.zenoh_wire import Session
 
@@ -58,7 +59,9 @@ class Connection:
 
     def radio(self, way: int) -> list[tuple[str, bytes]]:
         """The frames of messages under radio keys: (robot at the other end, payload)."""
-        messages = [unpack(payload) for key, payload in self.puts[way] if key.startswith("radio/")]
+        messages = [
+            unpack(payload[HEAD.size :]) for key, payload in self.puts[way] if key.startswith("radio/")
+        ]
         if way == UP:
             return [frame for message in messages for frame in frames_of(message)]
         return [
@@ -70,7 +73,9 @@ class Connection:
 
     def submitted(self) -> dict[tuple[int, int, str], RobotFrames]:
         """All frames that a robot sent to the relay, by step, round and phase."""
-        messages = (unpack(payload) for key, payload in self.puts[UP] if key.startswith("radio/"))
+        messages = (
+            unpack(payload[HEAD.size :]) for key, payload in self.puts[UP] if key.startswith("radio/")
+        )
         return {(each.step, each.round, each.phase): each for each in messages}
 
     @property

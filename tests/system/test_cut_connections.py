@@ -127,7 +127,7 @@ def check_undisturbed(plan: Plan, records: Records, cuts: int) -> None:
     assert records.lost == {}
     assert records.returned == []
     assert records.protocol_errors == []
-    assert digest(records) == digest(in_memory.run(plan))
+    assert digest(records) == digest(in_memory.MemoryRun(plan).complete())
 
 
 @pytest.mark.parametrize("cuts", [[12], [8, 20, 30]])
