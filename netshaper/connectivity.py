@@ -25,12 +25,6 @@ Places = NDArray[np.int64]
 """Cells (x, y) of robots, shape (robots, 2)."""
 
 
-def in_range(cells: Mapping[int, Cell], range_cells: float) -> dict[int, list[int]]:
-    """Return for each robot the teammates at most `range_cells` away (cell centers), in ascending order."""
-    robots = sorted(cells)
-    return named(robots, disc(places_of(cells), range_cells))
-
-
 def places_of(cells: Mapping[int, Cell]) -> Places:
     """Return the cells of robots, by ascending number."""
     return np.array([cells[robot] for robot in sorted(cells)], np.int64).reshape(-1, 2)

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 Uint8 = Annotated[int, "uint8"]
 Uint8s = Annotated[NDArray[np.uint8], "uint8[::1]"]
-Uint8Rows = Annotated[NDArray[np.uint8], "uint8[:,::1]"]
 ReadOnlyUint8s = Annotated[NDArray[np.uint8], "Array(uint8, 1, 'C', readonly=True)"]
 Uint16s = Annotated[NDArray[np.uint16], "uint16[::1]"]
 Uint16Rows = Annotated[NDArray[np.uint16], "uint16[:,::1]"]

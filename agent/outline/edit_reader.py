@@ -39,8 +39,9 @@ SMALL = 3
 _OPEN, _COUNT, _INSIDE, _EDITED, _VERTICES, _GAP, _BOXES, _INSIDES, _USED, _READ, _ERROR, _DETAILS = range(12)
 """Indices into `ReaderState.numbers`: number of the object being edited (-1: none), its announced vertices, and whether
 it is inside; whether a packet followed the last save point; current vertices of the object, and index of the gap in
-their buffer; number of boxes, of inside objects, and of used symbols in the pool; bytes read of the chunk. If a packet
-is rejected, the last one is its offset; then follow the index of the reason in `_REASONS` and three details."""
+their buffer; number of boxes, of inside objects, and of used symbols in the pool; bytes read of the chunk. If a
+packet is rejected, the bytes read end before it; the remaining numbers are the reason, an index into `_REASONS`, and
+three details for its text."""
 
 _MALFORMED, _CLOSED, _NO_INDEX, _FULL, _OUTSIDE, _UNFINISHED = range(1, 7)
 _MISSING, _PRESENT, _BAD_SIZE, _BAD_INSIDES, _UNCHANGED = range(7, 12)

@@ -1,7 +1,8 @@
 """The interface of replication: frames in, frames out, rejections as events. It does no I/O and reads no clock.
 
-A round: `open_round` returns frames; on a perfect medium `answer` and `send_data` continue a handshake; `close_round`
-takes what was on the air and what arrived. Entries that arrived go to the `consume` callback (`replica.Consume`).
+A round begins with `open_round`, which returns frames. On a perfect medium, `answer` and `send_data` continue a
+handshake. `close_round` takes the report of the medium: which bytes were on the air, and which frames arrived. Entries
+that arrived go to the `consume` callback (`replica.Consume`).
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ class Replication(ABC):
     def open_round(self, number: int, in_range: list[int], budget: int | None) -> list[OutgoingFrame]:
         """Return the frames to send in round `number` of a step.
 
-        `in_range` are the peers in radio range; `budget` is what is left of the step's bytes, None for no limit.
+        `in_range` are the peers in radio range. `budget` is the number of bytes left in the step; None: no limit.
         """
 
     def speculative(self) -> Replies:
@@ -47,7 +48,7 @@ class Replication(ABC):
         return NO_REPLIES
 
     def answer(self, offers: Sequence[Delivery]) -> list[OutgoingFrame]:
-        """Answer the offers of a round; ProtocolError if one is malformed, or this dissemination has no offers."""
+        """Answer the offers of a round. Raises ProtocolError if one is malformed, or if no offers are used."""
         raise ProtocolError("conn", 0, f"{len(offers)} offers, but maps travel without handshakes")
 
     def send_data(self, answers: Sequence[Delivery]) -> list[OutgoingFrame]:
@@ -56,7 +57,10 @@ class Replication(ABC):
 
     @abstractmethod
     def close_round(self, report: RoundReport) -> list[Rejected]:
-        """Take what was on the air of this robot's frames, and the frames that arrived; return rejections."""
+        """End a round: note which parts of this robot's frames were on the air, and decode the frames that arrived.
+
+        Returns the rejections of peers' entries.
+        """
 
     def undelivered(self) -> int:
         """Count the entries of this robot's log that peers have not acknowledged, over all peers."""

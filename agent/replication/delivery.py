@@ -47,7 +47,10 @@ NEVER = -1
 
 
 class MediumAcks:
-    """The medium acknowledges: what was on the air has arrived at all peers in range. So most events mean nothing."""
+    """Acknowledgment by a medium without loss: a frame on the air has arrived at all peers in range.
+
+    Most methods do nothing, since the send report is the only acknowledgment.
+    """
 
     reliable = True
     """Whether all peers in range receive what is on the air."""
@@ -148,7 +151,7 @@ class PeerAcks(MediumAcks):
         expected[peer, number] = max(int(expected[peer, number]), length)
 
     def entries_received(self, peer: int, number: int, end: int, length: int) -> None:
-        """A peer holds what it sends."""
+        """Note that a peer sent entries up to offset `end`, and so holds them; this robot holds `length`."""
         self._peers.acked[peer, number] = max(int(self._peers.acked[peer, number]), end)
         if end <= length:
             self._repeated.add(number)

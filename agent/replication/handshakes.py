@@ -151,8 +151,8 @@ class Handshakes(Replication):
     def send_data(self, answers: Sequence[Delivery]) -> list[OutgoingFrame]:
         """Send the entries that answers ask for, in all no more than the budget.
 
-        The medium plays connections by their numbers, so it could not carry what is beyond. ProtocolError: a frame is
-        no answer, or not to an offer of this robot.
+        The medium carries connections in the order of their numbers, so bytes beyond the budget would not be on the
+        air. Raises ProtocolError if a frame is no answer, or answers no offer of this robot.
         """
         frames = []
         left = self._rounds.budget

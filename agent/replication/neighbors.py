@@ -1,4 +1,4 @@
-"""Robots in range, as gossip sees them: who receives whom, who is meeting, and who knows where broadcasts go on.
+"""Gossip's table of the robots in range: links, meetings, and where each robot's next broadcast begins.
 
 Robots that meet report the log lengths that the other may not know. Until a newcomer has reported, or `GREETING` steps
 have passed, this robot does not send it old entries: it may hold them already.

@@ -6,15 +6,35 @@ import struct
 from collections import Counter
 from collections.abc import Iterable, Iterator
 
+from hypothesis import strategies as st
+
 from netshaper import pcapng
 from netshaper.admission import refused
 from netshaper.capture import HEAD, KEPT, PART, VERSION, WIDE, WIDE_HEAD, LoggedFrame, received_by
 from netshaper.frame_log import Columns, FrameLog, comment
-from netshaper.ledger import KIND_NUMBER, MALFORMED, on_air
+from netshaper.ledger import CAUSES, KIND_NUMBER, MALFORMED, on_air
 from protocol import packets
 from protocol.errors import ProtocolError
 
 Row = tuple[int, ...]
+
+
+def logged_frames(payloads: st.SearchStrategy[bytes]) -> st.SearchStrategy[LoggedFrame]:
+    """Arbitrary frames of a team of up to 256 robots."""
+    robot = st.integers(-1, 255)
+    return st.builds(
+        LoggedFrame,
+        round=st.integers(0, 15),
+        connection=st.integers(-1, 2**31 - 1),
+        frame=st.integers(0, 3),
+        sender=robot,
+        receiver=robot | st.just(-99),
+        map=robot,
+        verdict=st.integers(0, len(CAUSES) - 1),
+        receivers=st.integers(0, 2**256 - 1) | st.integers(0, 2**64),
+        payload=payloads,
+        reason=st.text(max_size=30),
+    )
 
 
 def columns(seen: Iterable[LoggedFrame]) -> Columns:

@@ -73,20 +73,7 @@ def test_decoding_inverts_encoding(frames_by_step: list[tuple[int, list[LoggedFr
         )  # fmt: skip
 
 
-large = st.integers(-1, 255)
-wide_frames = st.builds(
-    LoggedFrame,
-    round=st.integers(0, 15),
-    connection=st.integers(-1, 2**31 - 1),
-    frame=st.integers(0, 3),
-    sender=large,
-    receiver=large | st.just(-99),
-    map=large,
-    verdict=st.integers(0, len(VERDICTS) - 1),
-    receivers=st.integers(0, 2**256 - 1) | st.integers(0, 2**64),
-    payload=st.binary(max_size=200),
-    reason=st.text(max_size=30),
-)
+wide_frames = plain_ledger.logged_frames(st.binary(max_size=200))
 
 
 @given(st.integers(0, 2**32 - 1), st.lists(logged_frames | wide_frames, max_size=8))

@@ -14,16 +14,21 @@ from hypothesis import strategies as st
 from netshaper.connectivity import (
     Cell,
     disc,
-    in_range,
     line_of_sight,
     log_distance,
     named,
     parted,
+    places_of,
     shadowing,
     walls_crossed,
 )
 from netshaper.radio_options import Partition
 from protocol.grid import FREE, OCCUPIED, Grid
+
+
+def in_range(cells: dict[int, Cell], range_cells: float) -> dict[int, list[int]]:
+    return named(sorted(cells), disc(places_of(cells), range_cells))
+
 
 places = st.dictionaries(
     st.integers(0, 20), st.tuples(st.integers(0, 30), st.integers(0, 30)), min_size=1, max_size=12

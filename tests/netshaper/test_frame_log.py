@@ -8,25 +8,12 @@ from hypothesis import strategies as st
 
 from netshaper.capture import LoggedFrame
 from netshaper.frame_log import ledger_rows
-from netshaper.ledger import CAUSES, ROW
+from netshaper.ledger import ROW
 from protocol.packets import encode
 from tests.netshaper import plain_ledger
 from tests.protocol.test_packets import streams
 
-small = st.integers(-1, 255)
-logged_frames = st.builds(
-    LoggedFrame,
-    round=st.integers(0, 15),
-    connection=st.integers(-1, 2**31 - 1),
-    frame=st.integers(0, 3),
-    sender=small,
-    receiver=small | st.just(-99),
-    map=small,
-    verdict=st.integers(0, len(CAUSES) - 1),
-    receivers=st.integers(0, 2**256 - 1),
-    payload=streams.map(encode) | st.binary(max_size=40),
-    reason=st.text(max_size=30),
-)
+logged_frames = plain_ledger.logged_frames(streams.map(encode) | st.binary(max_size=40))
 
 
 @given(st.integers(0, 2**31 - 1), st.lists(logged_frames, max_size=8))
