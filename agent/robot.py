@@ -7,6 +7,7 @@ decide     lines 15 to 21: merge into the planning grid; the strategy chooses a 
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -20,11 +21,13 @@ from agent.encodings.catalog import ENCODINGS, make_encoding
 from agent.outline.polygons import Polygons
 from agent.replication.engine import make_replication
 from agent.replication.peers import MapId
+from agent.replication.replica import Rejected
 from agent.settings import Settings
 from agent.strategies.base import Cell, Decision
 from agent.strategies.registry import strategy
 from agent.team_state import TeamState
 from protocol import packet_index, packets
+from protocol.errors import ProtocolError
 from protocol.grid import UNKNOWN, Grid, ray_table
 from protocol.messages import (
     MAX_WAY_CELLS,
@@ -35,6 +38,7 @@ from protocol.messages import (
     cells_to_bytes,
     points_to_bytes,
 )
+from protocol.packets import Held, HeldEarly, LogDigest
 from protocol.scans import Scan, check_readings, draw
 
 SURE_AFTER = 10
@@ -72,7 +76,7 @@ class Robot:
         self._encoding = make_encoding(settings)
         self._team = TeamState(settings)
         consume = partial(_consume, self._encoding, self._team)
-        self.replication = make_replication(settings, consume, self._encoding.dependencies)
+        self.replication = make_replication(settings, consume, self._encoding.dependencies, self._rebuild)
         self.target: Cell | None = None
         self.status = ""
         """Its current activity, as text."""
@@ -100,7 +104,7 @@ class Robot:
 
     @property
     def distrusted(self) -> set[int]:
-        """Teammates whose map updates are no longer accepted, since some were malformed or inconsistent."""
+        """Teammates that sent map updates which were malformed or not their author's, several times."""
         return self.replication.replica.distrusted
 
     def error(self) -> int:
@@ -136,27 +140,41 @@ class Robot:
     def announce(self, in_range: Sequence[int]) -> bytes | None:
         """Return the packets to broadcast to the teammates in range; None if there are none.
 
-        They are this robot's pose, the target of the last decision, and relayed state of other teammates.
+        They are this robot's pose, the target of the last decision, relayed state of other teammates, the digest of
+        this robot's log, and requests for entries.
         """
         team, relays = self._team, self._strategy.forwards_state
         before, team.in_range = team.in_range, tuple(in_range)
         announced = self._announcements.next_packets(team.step, in_range, relays=relays)
         if relays:
             announced += team.relayed.forward(team.step, before, in_range, team.poses, team.targets)
-        return packets.encode(announced) if announced else None
+        salt = (
+            zlib.crc32(self._sense.readings) & 255
+            if self._sense is not None and self.settings.digests
+            else None
+        )
+        return packets.encode(announced) + self.replication.announcements(salt) or None
 
     def receive_broadcast(self, peer: int, payload: bytes) -> None:
-        """Process a teammate's broadcast of poses and targets."""
+        """Process a teammate's broadcast of poses, targets and digests."""
         team = self._team
-        self.faults += [Fault(peer, reason) for reason in team.receive_broadcast(peer, payload)]
+        try:
+            received = packets.broadcast(payload)
+        except ProtocolError as error:
+            self.faults.append(Fault(peer, str(error)))
+            return
+        about_logs = [each for each in received if isinstance(each, LogDigest | Held | HeldEarly)]
+        about_team = received[: len(received) - len(about_logs)]
+        self.faults += [Fault(peer, reason) for reason in team.receive_broadcast(peer, about_team)]
+        for each in about_logs:
+            self._report(self.replication.receive_announcement(peer, each))
         pose = team.broadcast_pose(peer)
         if pose is not None and self._sense is not None:
             self._encoding.note_pose(peer, team.step, pose.x, pose.y)
 
     def close_round(self, report: RoundReport) -> None:
         """Process the end of a round: what was on the air, and the frames that arrived."""
-        rejections = self.replication.close_round(report)
-        self.faults += [Fault(rejected.peer, rejected.reason) for rejected in rejections]
+        self._report(self.replication.close_round(report))
         if report.broadcast_sent:
             self._announcements.sent(report.step, self._team.in_range)
 
@@ -165,7 +183,6 @@ class Robot:
         sense = self._sense
         if sense is None:
             raise RuntimeError("decide before the first perceive")
-        self.replication.truncate()
         self.planning = self._encoding.merge(self.own, self._team.in_range)
         decision = self._strategy.decide(self._team.situation(sense, self.planning))
         self._apply(decision)
@@ -188,6 +205,14 @@ class Robot:
         self.status = decision.status
         if decision.publish:
             self._publish()
+
+    def _rebuild(self, logs: Sequence[bytes]) -> None:
+        """Decode all logs again."""
+        self._encoding.rebuild(logs, self._team.step)
+
+    def _report(self, rejections: list[Rejected]) -> None:
+        """Note rejected map updates as faults of their senders."""
+        self.faults += [Fault(rejected.peer, rejected.reason) for rejected in rejections]
 
     def _publish(self) -> None:
         """Append all withheld entries to the log."""

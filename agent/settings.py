@@ -69,6 +69,8 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Start cell of the first incarnation; None: the start cell of this one."""
     fastest_cells: float = 0.0
     """Distance that the fastest robot of the team can drive in a step, in cells."""
+    digests: bool = False
+    """Whether the robot broadcasts digests of its log (`agent.replication.digests`)."""
     record_maps: bool = False
     """Whether to report map changes to the recorder."""
 

@@ -11,13 +11,12 @@ from a robot that is no longer connected, so robots drop it; this also ends its 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import TypeVar
 
 from agent.settings import Settings
 from agent.strategies.base import Cell, Pose, Situation
 from protocol import packets
-from protocol.errors import ProtocolError
 from protocol.grid import Grid
 from protocol.messages import Sense
 
@@ -59,12 +58,8 @@ class TeamState:
             self._travel(self._robot, self._here, here)
         self.step, self._here = sense.step, here
 
-    def receive_broadcast(self, peer: int, payload: bytes) -> list[str]:
+    def receive_broadcast(self, peer: int, received: Sequence[packets.AnyPacket]) -> list[str]:
         """Note the poses and targets in a teammate's broadcast; return what is wrong with it."""
-        try:
-            received = packets.broadcast(payload)
-        except ProtocolError as error:
-            return [str(error)]
         errors = []
         subject: int | None = peer
         """The robot that the next target belongs to; None: it is not needed."""

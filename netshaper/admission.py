@@ -3,7 +3,7 @@
 The packet index found here travels with the frame: the medium uses it to cut frames at the budget, and the ledger to
 count packets. The relay trusts no robot, and accepts only these frames:
 
-    broadcast   a pose, a target, or both, then those of other robots, in the first round of a step
+    broadcast   a pose and a target, those of other robots, a log digest and lengths of logs, in the first round of a step
     offer       one offer of an existing map, for one robot, once per round
     answer      an answer after at most two blocks, or a decline
     data        whole packets, no offers, broadcasts or checksums
@@ -24,7 +24,7 @@ from netshaper.settings import RadioSettings
 from protocol import packets
 from protocol.errors import ProtocolError
 from protocol.packet_index import NO_PACKETS, PacketIndex, index_of
-from protocol.packets import Check, From, FromEarly, Held, HeldEarly, Offer
+from protocol.packets import Check, From, FromEarly, Held, HeldEarly, LogDigest, Offer
 
 Begins = Offer | From | FromEarly
 """Packets that select the map of the packets after them."""
@@ -61,12 +61,19 @@ def _limited(read: Reader, settings: RadioSettings) -> Reader:
     return read_limited
 
 
-_LETTERS = {packets.Pose: "p", packets.Target: "t", packets.Passed: "P"}
-_BROADCAST = re.compile(r"(?=.)p?t?(Pt?)*")
+_LETTERS = {
+    packets.Pose: "p",
+    packets.Target: "t",
+    packets.Passed: "P",
+    LogDigest: "d",
+    Held: "h",
+    HeldEarly: "h",
+}
+_BROADCAST = re.compile(r"(?=.)p?t?(Pt?)*d?h*")
 
 
 def is_broadcast(payload: bytes) -> bool:
-    """Return whether a frame is a pose, a target or both, and then those of other robots, each once and ascending."""
+    """Return whether a frame is a broadcast: all packets are optional, but robots come once and ascending."""
     try:
         content = packets.broadcast(payload)
     except ProtocolError:
@@ -78,7 +85,9 @@ def is_broadcast(payload: bytes) -> bool:
 
 def read_broadcast(payload: bytes, round_number: int) -> Content:
     """Read a broadcast of pose and target."""
-    problem = "broadcast something other than a target or a pose, at the start of a step"
+    problem = (
+        "broadcast something other than poses, targets, a digest and log lengths, at the start of a step"
+    )
     return refused(BROADCAST, payload, "" if not round_number and is_broadcast(payload) else problem)
 
 
@@ -109,7 +118,7 @@ def read_handshake(kind: int, maps: int, payload: bytes) -> Content:
     return refused(ANSWER, payload, "" if is_answer or payload == DECLINE else problem)
 
 
-DECLINE = packets.encode([packets.Decline()])
+DECLINE = packets.encode([packets.Block(packets.DECLINED)])
 """The answer that declines an offer."""
 
 
@@ -187,6 +196,6 @@ def _conn_packets(payload: bytes, index: PacketIndex) -> list[packets.AnyPacket]
 
 
 _CONN = KIND_NUMBER[Offer.name]
-_NO_ENTRIES = (packets.Target.name, packets.Pose.name, Check.name)
+_NO_ENTRIES = (packets.Target.name, packets.Pose.name, LogDigest.name, Check.name)
 _NO_DATA = (Offer.name, *_NO_ENTRIES)
 _NEWS = "news are one broadcast of log entries"

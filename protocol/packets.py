@@ -35,6 +35,11 @@ MAX_MAPS = 64
 
 BLOCKS = 64
 """Blocks in a round; in a longer log, `Offer` and `Block` count again from block 0."""
+DECLINED = BLOCKS
+"""The number in a `Block` that declines an offer."""
+
+DIGEST_WINDOW = 1 << 16
+"""Lengths of logs in `LogDigest` are modulo this number."""
 
 VertexIndex = Annotated[int, Bits(12, "i", "position of the vertex in its object, from 0")]
 VertexX = Annotated[
@@ -60,6 +65,7 @@ GossipMap = Annotated[
     int, Bits(8, "m", "number of the map's robot, plus the team size times the robot's incarnation")
 ]
 BlockNumber = Annotated[int, Bits(6, "b", "block of 4096 log entries, modulo 64")]
+AnswerBlock = Annotated[int, Bits(7, "b", "block of 4096 log entries, modulo 64; 64: the offer is declined")]
 BlockOffset = Annotated[int, Bits(12, "i", "number of log entries held, within the block")]
 Offset = Annotated[int, Bits(24, "i", "offset of a log entry, modulo 16777216")]
 EarlyOffset = Annotated[int, Bits(8, "i", "offset of a log entry, below 256")]
@@ -69,6 +75,9 @@ CellY = Annotated[int, Bits(11, "y", "row of a cell")]
 Leads = Annotated[int, Bits(1, "l", "1: the sender leads a sub-team")]
 Age = Annotated[int, Bits(6, "a", "steps since the robot was in that cell")]
 Checksum = Annotated[int, Bits(16, "q", "checksum of all preceding bytes of the frame")]
+DigestLength = Annotated[int, Bits(16, "i", "number of log entries, modulo 65536")]
+Salt = Annotated[int, Bits(8, "k", "byte that nobody can predict, hashed behind the entries")]
+Hash = Annotated[int, Bits(16, "h", "hash of the entries and the salt")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,18 +176,12 @@ class Answer(Packet):
 class Block(Packet):
     """Handshake: the answer that follows refers to `block` instead of the block of the offer.
 
-    Before another `Block` it gives the round, which counts `BLOCKS` blocks.
+    Before another `Block` it gives the round, which counts `BLOCKS` blocks. Alone, `DECLINED` declines the offer:
+    another robot sends this map in the same round, or this robot wants no entries of it from the sender.
     """
 
-    name, size, code = "conn", 2, "1111100000"
-    block: BlockNumber
-
-
-@dataclass(frozen=True, slots=True)
-class Decline(Packet):
-    """Handshake: decline an offer, because another robot sends this map in the same round."""
-
-    name, size, code = "conn", 2, "1111110000000000"
+    name, size, code = "conn", 2, "111110000"
+    block: AnswerBlock
 
 
 @dataclass(frozen=True, slots=True)
@@ -278,6 +281,16 @@ class Passed(Packet):
 
 
 @dataclass(frozen=True, slots=True)
+class LogDigest(Packet):
+    """Broadcast: hash of the first `length` entries of the sender's own log (`agent.replication.digests`)."""
+
+    name, size, code = "digest", 6, "11111100"
+    length: DigestLength
+    salt: Salt
+    hash: Hash
+
+
+@dataclass(frozen=True, slots=True)
 class Save(Packet):
     """Save point: a step's edits are complete, and receivers may draw them."""
 
@@ -297,7 +310,8 @@ class Update(Packet):
     """Fragment of a map update of the predictive scan encoding (`agent.predictive`).
 
     Fragments of `UPDATE_DATA` bytes, and a last one of up to `LAST_UPDATE_DATA`, make up an update. The last one has
-    the update's `number` in its map's log, modulo `UPDATE_NUMBERS`; in the others `number` is None.
+    the update's `number` in its map's log, modulo `UPDATE_NUMBERS`; in the others `number` is None. An update without
+    content withdraws the last update that has not been withdrawn.
     """
 
     name, size, code = "update", 9, "11110100"
@@ -320,15 +334,15 @@ UPDATE_NUMBERS = 4
 _NUMBER_BITS = 2
 
 Edit = Insert | Replace | Delete | Emerge | Change | Remove | Save
-Handshake = Offer | Answer | Block | Decline
+Handshake = Offer | Answer | Block
 Gossip = From | FromEarly | Held | HeldEarly | Near | Gone
-AnyPacket = Edit | Handshake | Gossip | Check | Target | Pose | Passed | Fragment | Update
+AnyPacket = Edit | Handshake | Gossip | Check | Target | Pose | Passed | LogDigest | Fragment | Update
 
 KindOfPacket = TypeVar("KindOfPacket", bound=Packet)
 
 _FIXED_KINDS: tuple[type[Packet], ...] = (
-    Insert, Replace, Delete, Emerge, Change, Remove, Offer, Answer, Block, Decline, Target, Save, Pose,
-    From, FromEarly, Held, HeldEarly, Near, Gone, Check, Passed,
+    Insert, Replace, Delete, Emerge, Change, Remove, Offer, Answer, Block, Target, Save, Pose,
+    From, FromEarly, Held, HeldEarly, Near, Gone, Check, Passed, LogDigest,
 )  # fmt: skip
 
 
@@ -379,7 +393,7 @@ HANDSHAKE_SIZE = 3 * Answer.size
 KINDS = ("ins", "rep", "del", "em", "chg", "rm", "conn", "targ", "save")
 """The nine kinds of Table 6.1."""
 
-ALL_KINDS = (*KINDS, Fragment.name, Pose.name, Update.name, Check.name)
+ALL_KINDS = (*KINDS, Fragment.name, Pose.name, Update.name, Check.name, LogDigest.name)
 """All kinds of packets, in the order of reports."""
 
 _PACKETS: dict[str, type[Packet]] = {kind.__name__: kind for kind in (*_FIXED_KINDS, Fragment, Update)}

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from typing import Any, ClassVar, NamedTuple
 
 from agent.encodings.reachability_check import ReachabilityCheck
 from agent.outline.polygons import Polygons
 from agent.settings import Settings
+from protocol.errors import ProtocolError
 from protocol.grid import Grid
 from protocol.scans import Change, Scan
+
+
+NOBODY = -1
+"""The sender of entries that this robot decodes again."""
 
 
 class Dependency(NamedTuple):
@@ -101,6 +107,22 @@ class MapEncoding(ABC):
             The packets are malformed, or report more than the author can have observed
             (`agent.encodings.reachability_check`); nothing has changed.
         """
+
+    def rebuild(self, logs: Sequence[bytes], step: int) -> None:
+        """Decode the logs of all maps again, by map ID, after entries at the end of some were dropped.
+
+        A log that others depend on may lack entries, so a log may be decoded in part only.
+        """
+        self._reachability.forget()
+        self._forget_received()
+        for map_id, log in enumerate(logs):
+            if map_id != self.settings.own_map and log:
+                with suppress(ProtocolError):
+                    self.apply(map_id, log, step=step, sender=NOBODY)
+
+    @abstractmethod
+    def _forget_received(self) -> None:
+        """Forget everything decoded from the logs of others."""
 
     def note_pose(self, robot: int, step: int, x: int, y: int) -> None:
         """Take a pose that a robot itself broadcast: its map must lie around it."""

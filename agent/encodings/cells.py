@@ -84,6 +84,10 @@ class CellEncoding(GridEncoding):
         before[:] = now
         return fragments(pack(x0, y0, patch), self._most) if patch.any() else []
 
+    def _forget_received(self) -> None:
+        super()._forget_received()
+        self._partial.clear()
+
     def apply(self, map_id: int, frame: bytes, *, step: int, sender: int) -> None:
         """Reassemble fragments, and apply the patches that are complete."""
         data = self._partial.get(map_id, b"") + contents(frame)

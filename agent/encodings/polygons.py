@@ -54,6 +54,8 @@ class PolygonEncoding(MapEncoding):
         self._outdated = True
         self._updated: set[int] = set()
         """Maps with a save point received since the last merge."""
+        self._replaced: set[int] = set()
+        """Maps that were decoded again since then, so that all of their drawing may have changed."""
         self._without_inference = replace(self._drawing, wide_walls=False, close_slivers=False)
         self._scan_cell = 0, 0
         self._tracer = Tracer(shape)
@@ -63,6 +65,7 @@ class PolygonEncoding(MapEncoding):
     def _make_receivers(self, cache: MemoCache) -> None:
         """Make a receiver for each map; this robot's own log is decoded as well, as teammates decode it."""
         settings, shape = self.settings, (self.settings.height, self.settings.width)
+        self._cache = cache
         self._held = Receiver(shape, cache)
         self._receivers = {
             map_id: Receiver(shape, cache) for map_id in range(settings.maps) if map_id != settings.own_map
@@ -74,6 +77,13 @@ class PolygonEncoding(MapEncoding):
         """Decode and draw each log once for all robots of this process."""
         if self.settings.robots > 1:
             self._make_receivers(cache.setdefault(self.name, MemoCache()))
+
+    def _forget_received(self) -> None:
+        for map_id, receiver in self._receivers.items():
+            if receiver.held.polygons.objects:
+                self._updated.add(map_id)
+                self._replaced.add(map_id)
+            self._receivers[map_id] = Receiver((self.settings.height, self.settings.width), self._cache)
 
     @classmethod
     def infers_cells(cls, settings: Settings) -> bool:
@@ -135,8 +145,10 @@ class PolygonEncoding(MapEncoding):
         """Merge all approximations with the self-explored grid (Algorithm 9); redraw those that have changed."""
         for map_id in sorted(self._updated):
             receiver = self._receivers[map_id]
-            self._team.update(map_id, receiver.objects, receiver.changed())
+            changed = receiver.changed()
+            self._team.update(map_id, receiver.objects, None if map_id in self._replaced else changed)
         self._updated.clear()
+        self._replaced.clear()
         near = [map_id for map_id in self._receivers if self.settings.author_of(map_id) in peers]
         return self._team.merged(own, near, self._unmerged.take(own))
 

@@ -7,19 +7,23 @@ A robot collects changes until there are a few new cells, or a few steps have pa
 cells that its log does not contain yet, or with base `team` no log that it has received. If no teammate has received
 the last update by the next step, the robot retracts it and encodes a new one: meanwhile, teammates may have reported
 some of its cells.
+
+If entries of another log were dropped because their author did not write them (`agent.replication.replica`), updates
+that depend on them are wrong. The robot then withdraws those of its own: an update without content withdraws the last
+one that has not been withdrawn. Teammates decode the remaining updates again.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.encodings.base import Dependency
+from agent.encodings.base import NOBODY, Dependency
 from agent.encodings.options import PredictiveOptions
 from agent.encodings.received_grid import GridEncoding
 from agent.predictive.history import DecodedUpdate, History
@@ -52,6 +56,9 @@ ENOUGH_STEPS = 4
 FAIR_SHARE = 28
 """Bytes per robot and step for which they wait one step; with half of it they wait two steps, and so on."""
 
+PATIENCE = 8
+"""Steps for which a robot waits until updates on which its own ones depend have arrived again."""
+
 PACKETS_A_STEP = 3
 """Packets are short enough that the budget of one step holds this many: a packet that does not fit into the rest of
 a budget leaves that rest unused."""
@@ -67,14 +74,17 @@ class _Pending:
 
 
 @dataclass
-class _Incoming:
-    """Updates of one log as they arrive: fragments of the next one, and complete ones that await decoding."""
+class _LogState:
+    """The updates of one log: fragments of the next one, and complete ones that have not been withdrawn."""
 
     fragments: bytes = b""
-    complete: list[bytes] = field(default_factory=list)
+    messages: list[bytes] = field(default_factory=list)
+    """The complete updates; the last ones may await decoding. Of this robot's own log it is not used."""
     ends: list[int] = field(default_factory=list)
     """Packets up to the end of each complete update, from the beginning of the log."""
     packets: int = 0
+    updates: int = 0
+    """Number of complete updates, with those withdrawn and those that withdraw them."""
     error: str = ""
     """Why an update could not be decoded; none behind it can be decoded then."""
 
@@ -120,8 +130,6 @@ class PredictiveEncoding(GridEncoding):
         """Encoder or decoder of each log of which an update exists."""
         self._caches: dict[int, SharedDecoderCache] | None = None
         """Decoders by map ID, if the robots of this process share them."""
-        self._needed = np.zeros((settings.maps, settings.maps), np.int64)
-        """`needed[a, b]`: first update of log b that log a may still depend on."""
         self._votes: NDArray[np.uint16] = np.zeros((2, *shape), np.uint16)
         """How many logs report each cell as free, and as a wall."""
         self._limits = _Limits.of(settings)
@@ -129,11 +137,13 @@ class PredictiveEncoding(GridEncoding):
         self._encoded = _Pending()
         """Input of the last update, to restore `_pending` if the update is retracted."""
         self._last: DecodedUpdate | None = None
-        self._logged = 0
-        """Packets of this robot's log."""
-        self._incoming = [_Incoming() for _ in range(settings.maps)]
-        """By map ID; for this robot's own map only `ends` is used."""
+        self._states = [_LogState() for _ in range(settings.maps)]
+        """By map ID."""
+        self._bases_changed = 0
+        """Steps since updates on which this robot's own ones may depend were dropped; 0: none, or all are there."""
         self._dependencies: list[list[Dependency]] = [[] for _ in range(settings.maps)]
+        self._step = 0
+        """The step in which entries arrived last."""
         self._undecoded: set[int] = set()
         """Maps with complete updates that await decoding."""
 
@@ -165,8 +175,16 @@ class PredictiveEncoding(GridEncoding):
         return self._streams[map_id]
 
     def encode_changes(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
-        """Encode an update, if teammates hold the last one and enough cells have changed."""
+        """Encode an update, if teammates hold the last one and enough cells have changed.
+
+        Before, withdraw updates that depend on other updates than those that their authors wrote.
+        """
         self.own_changes.add(own, change)
+        withdrawing = self._withdraw_invalid()
+        return withdrawing + self._encode_new(own, scan, change, delivered=delivered)
+
+    def _encode_new(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
+        """Encode an update, if there is anything to report."""
         pending = self._pending
         if change.cells:
             pending.poses.append((scan.x, scan.y))
@@ -175,7 +193,7 @@ class PredictiveEncoding(GridEncoding):
             return []
         pending.steps += 1
         self.retractable = 0
-        if not delivered:
+        if not delivered or self._bases_changed:
             return []
         new_cells = int(_unreported(self.received, self._own.grid, own, *bounding_box(pending.boxes)))
         if 0 < new_cells < ENOUGH_CELLS and pending.steps < self._limits.wait_steps:
@@ -188,11 +206,11 @@ class PredictiveEncoding(GridEncoding):
     def _encode_pending(self, own: Grid) -> list[bytes]:
         """Encode updates up to the budget of a step; the rest stays pending."""
         map_id = self.settings.own_map
-        stream, history = self._own, self._histories[map_id]
+        stream, log = self._own, self._states[map_id]
         packets: list[bytes] = []
         size = updates = 0
         while self._pending.poses and size < self._limits.step_bytes:
-            pending, number = self._pending, len(history)
+            pending = self._pending
             box = bounding_box(pending.boxes)
             update = stream.encode(own, pending.poses, box, most=self._limits.step_bytes - size)
             self._pending = _Pending()
@@ -203,12 +221,13 @@ class PredictiveEncoding(GridEncoding):
             if scans < len(pending.poses):
                 self._pending = _Pending(pending.poses[scans:], [box], pending.steps)
             self._count_votes(self._last)
-            packets += fragments(message, number, self._limits.packet_bytes)
-            self._incoming[map_id].ends.append(self._logged + len(packets))
+            packets += fragments(message, log.updates, self._limits.packet_bytes)
+            log.ends.append(log.packets + len(packets))
+            log.updates += 1
             self._note_dependency(map_id, self._last)
             updates += 1
             size += len(message)
-        self._logged += len(packets)
+        log.packets += len(packets)
         self.retractable = len(packets) if updates == 1 else 0
         return packets
 
@@ -218,9 +237,10 @@ class PredictiveEncoding(GridEncoding):
         map_id = self.settings.own_map
         self._own.rollback()
         self._histories[map_id].pop()
-        self._logged -= self.retractable
-        ends, dependencies = self._incoming[map_id].ends, self._dependencies[map_id]
-        end = ends.pop()
+        log, dependencies = self._states[map_id], self._dependencies[map_id]
+        log.packets -= self.retractable
+        log.updates -= 1
+        end = log.ends.pop()
         if dependencies and dependencies[-1].end == end:
             dependencies.pop()
         self._count_votes(replace(self._last, states=self._last.before, before=self._last.states))
@@ -231,40 +251,123 @@ class PredictiveEncoding(GridEncoding):
         self._last = None
         super().retract_last()
 
+    def _withdraw_invalid(self) -> list[bytes]:
+        """Withdraw this robot's updates from the first one on whose bases are not there; return the packets for that.
+
+        Dropped updates usually arrive again within `PATIENCE` steps, and then nothing is wrong.
+        """
+        if not self._bases_changed:
+            return []
+        map_id, log = self.settings.own_map, self._states[self.settings.own_map]
+        updates = self._histories[map_id].between(0, len(self._histories[map_id]))
+        valid = next((at for at, each in enumerate(updates) if not self._has_bases(each)), len(updates))
+        if valid < len(updates) and self._bases_changed < PATIENCE:
+            self._bases_changed += 1
+            return []
+        self._bases_changed = 0
+        if valid == len(updates):
+            return []
+        withdrawn = updates[valid:]
+        self._histories[map_id] = History()
+        self._own = self._streams[map_id] = self._stream(map_id, self._histories)
+        for update in updates[:valid]:
+            self._own.decode(update.message)
+            self._own.commit()
+        del log.ends[valid:]
+        end = log.ends[-1] if log.ends else 0
+        self._dependencies[map_id] = [each for each in self._dependencies[map_id] if each.end <= end]
+        height, width = self.received.shape
+        poses = [each.pose for each in withdrawn if each.pose is not None]
+        self._pending = _Pending(poses + self._pending.poses, [(0, 0, width, height)], self._pending.steps)
+        self._last, self.retractable = None, 0
+        packets = [
+            encode([Update((log.updates + each) % UPDATE_NUMBERS, b"")]) for each in range(len(withdrawn))
+        ]
+        log.updates += len(packets)
+        log.packets += len(packets)
+        self._decode_again()
+        self._decode_waiting(self._step, NOBODY)
+        self._bases_changed = 0
+        return packets
+
+    def _has_bases(self, update: DecodedUpdate) -> bool:
+        """Return whether all updates on which one depends are decoded, and are those that its author had."""
+        histories = self._histories
+        return all(
+            len(histories[base.map_id]) >= base.end
+            and histories[base.map_id].between(base.end - 1, base.end)[0].key == base.key
+            for base in update.bases
+        )
+
     def apply(self, map_id: int, frame: bytes, *, step: int, sender: int) -> None:
         """Reassemble updates, and decode those of all logs whose dependencies are there."""
-        incoming = self._incoming[map_id]
-        if incoming.error:
-            raise ProtocolError(Update.name, 0, incoming.error)
+        log, history = self._states[map_id], self._histories[map_id]
+        if log.error:
+            raise ProtocolError(Update.name, 0, log.error)
+        self._step = step
         packets = decode_kind(frame, Update)
-        rest, complete = incoming.fragments, []
-        ends: list[int] = []
-        for count, packet in enumerate(packets, incoming.packets + 1):
-            number, rest = packet.number, rest + packet.data
-            if number is not None:
-                expected = (len(incoming.ends) + len(ends)) % UPDATE_NUMBERS
-                if number != expected:
-                    raise ProtocolError(Update.name, 0, f"update {number}, expected {expected}")
-                complete.append(rest)
-                ends.append(count)
-                rest = b""
-        before = len(incoming.ends)
-        incoming.ends += ends
-        if complete and not incoming.complete:
+        fragments, updates, withdrawn = log.fragments, log.updates, 0
+        new: list[tuple[bytes, int]] = []
+        for count, packet in enumerate(packets, log.packets + 1):
+            fragments += packet.data
+            if packet.number is None:
+                continue
+            if packet.number != updates % UPDATE_NUMBERS:
+                reason = f"update {packet.number}, expected {updates % UPDATE_NUMBERS}"
+                raise ProtocolError(Update.name, 0, reason)
+            updates += 1
+            if fragments:
+                new.append((fragments, count))
+            elif new:
+                new.pop()
+            else:
+                withdrawn += 1
+            fragments = b""
+        kept = len(log.messages) - withdrawn
+        if kept < 0:
+            raise ProtocolError(Update.name, 0, "withdraws an update of an empty log")
+        decodable = sender != NOBODY and len(history) == kept and not withdrawn
+        del log.messages[kept:], log.ends[kept:]
+        log.messages += [message for message, _ in new]
+        log.ends += [end for _, end in new]
+        if decodable:
             try:
-                first = self._decode(map_id, complete[0], step, sender)
+                self._decode_next(map_id, step, sender)
             except ProtocolError:
-                del incoming.ends[before:]
+                del log.messages[kept:], log.ends[kept:]
                 raise
-            if first is not None:
-                self._count_votes(first)
-                complete = complete[1:]
-        incoming.fragments, incoming.packets = rest, incoming.packets + len(packets)
-        incoming.complete += complete
-        if incoming.complete:
+        log.fragments, log.packets, log.updates = fragments, log.packets + len(packets), updates
+        if withdrawn and len(history) > kept:
+            self._decode_again()
+        elif len(log.messages) > len(history):
             self._undecoded.add(map_id)
         if self._undecoded:
             self._decode_waiting(step, sender)
+
+    def _forget_received(self) -> None:
+        self._states = [
+            state if map_id == self.settings.own_map else _LogState()
+            for map_id, state in enumerate(self._states)
+        ]
+        self._decode_again()
+
+    def _decode_again(self) -> None:
+        """Forget everything decoded from the logs of others, and let their updates await decoding."""
+        own = self.settings.own_map
+        self._reachability.forget()
+        super()._forget_received()
+        self._votes[:] = 0
+        for map_id, log in enumerate(self._states):
+            if map_id != own:
+                self._histories[map_id] = History()
+                self._streams.pop(map_id, None)
+                self._dependencies[map_id] = []
+                log.error = ""
+                if log.messages:
+                    self._undecoded.add(map_id)
+        for update in self._histories[own].between(0, len(self._histories[own])):
+            self._count_votes(update)
+        self._bases_changed = 1
 
     def _decode_waiting(self, step: int, sender: int) -> None:
         """Decode all updates whose dependencies are there; a malformed update ends its log."""
@@ -272,21 +375,22 @@ class PredictiveEncoding(GridEncoding):
         while progress:
             progress = False
             for map_id in sorted(self._undecoded):
-                incoming = self._incoming[map_id]
-                while incoming.complete:
-                    try:
-                        update = self._decode(map_id, incoming.complete[0], step, sender)
-                    except ProtocolError as error:
-                        incoming.error = error.reason
-                        incoming.complete.clear()
-                        break
-                    if update is None:
-                        break
-                    self._count_votes(update)
-                    del incoming.complete[0]
-                    progress = True
-                if not incoming.complete:
+                try:
+                    while self._decode_next(map_id, step, sender):
+                        progress = True
+                except ProtocolError as error:
+                    self._states[map_id].error = error.reason
                     self._undecoded.discard(map_id)
+                if len(self._histories[map_id]) == len(self._states[map_id].messages):
+                    self._undecoded.discard(map_id)
+
+    def _decode_next(self, map_id: int, step: int, sender: int) -> bool:
+        """Decode the next update of a log; return whether there was one, and its dependencies are there."""
+        messages, number = self._states[map_id].messages, len(self._histories[map_id])
+        update = self._decode(map_id, messages[number], step, sender) if number < len(messages) else None
+        if update is not None:
+            self._count_votes(update)
+        return update is not None
 
     def _decode(self, map_id: int, message: bytes, step: int, sender: int) -> DecodedUpdate | None:
         """Decode an update and check its area; None if a dependency is missing."""
@@ -302,8 +406,6 @@ class PredictiveEncoding(GridEncoding):
             raise
         self._note_dependency(map_id, update)
         stream.commit()
-        if isinstance(stream, Stream):
-            self._needed[map_id] = stream.first_needed()
         return update
 
     def _note_dependency(self, map_id: int, update: DecodedUpdate) -> None:
@@ -312,28 +414,17 @@ class PredictiveEncoding(GridEncoding):
         An update of this robot is final as soon as a received update claims to depend on it, be the claim true or
         forged: retracting it would remove a state on which the decoder of that log relies.
         """
-        ends, number = self._incoming[map_id].ends, len(self._histories[map_id]) - 1
-        requires = tuple(
-            (base.map_id, self._incoming[base.map_id].ends[base.end - 1]) for base in update.bases
-        )
+        ends, number = self._states[map_id].ends, len(self._histories[map_id]) - 1
+        requires = tuple((base.map_id, self._states[base.map_id].ends[base.end - 1]) for base in update.bases)
         if requires:
             first = ends[number - 1] if number else 0
             self._dependencies[map_id].append(Dependency(first, ends[number], requires))
-        if (self.settings.own_map, self._logged) in requires:
+        if (self.settings.own_map, self._states[self.settings.own_map].packets) in requires:
             self.retractable = 0
 
     def dependencies(self, map_id: int) -> Sequence[Dependency]:
         """Dependencies of the decoded updates of a log, where they exceed those of the update before."""
         return self._dependencies[map_id]
-
-    def merge(self, own: Grid, peers: Collection[int] = ()) -> Grid:
-        """Return the planning grid as `GridEncoding`; forget updates on which no log can depend any more."""
-        if self._caches is None and len(self._histories) > 1:
-            self._needed[self.settings.own_map] = self._own.first_needed()
-            np.fill_diagonal(self._needed, np.iinfo(np.int64).max)
-            for history, needed in zip(self._histories, self._needed.min(axis=0).tolist(), strict=True):
-                history.forget(needed)
-        return super().merge(own, peers)
 
     def scan_cell(self, map_id: int) -> tuple[int, int] | None:
         """Cell (x, y) of the last scan in a log."""

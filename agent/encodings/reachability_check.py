@@ -36,6 +36,11 @@ class ReachabilityCheck:
         if self._perfect:
             self._poses[robot] = step, x, y
 
+    def forget(self) -> None:
+        """Forget what the maps have reported: they are decoded again."""
+        self._reported.clear()
+        self._entries.clear()
+
     def check(self, map_id: int, box: Box, entries: int = 1, *, step: int, sender: int) -> None:
         """Accept `entries` further entries of a map, which report cells in `box`, from robot `sender` in a step.
 

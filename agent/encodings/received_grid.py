@@ -57,6 +57,10 @@ class GridEncoding(MapEncoding):
         """Note that received cells were written in a box (x0, y0, x1, y1)."""
         self._boxes.append(box)
 
+    def _forget_received(self) -> None:
+        self.received[:] = UNKNOWN
+        self.received_changed((0, 0, self.received.shape[1], self.received.shape[0]))
+
     def merge(self, own: Grid, peers: Collection[int] = ()) -> Grid:
         """Return the planning grid: the self-explored grid where it is known, else the received one."""
         del peers

@@ -37,6 +37,10 @@ class ScanEncoding(GridEncoding):
         self._last = data
         return fragments(data, self._most)
 
+    def _forget_received(self) -> None:
+        super()._forget_received()
+        self._partial.clear()
+
     def apply(self, map_id: int, frame: bytes, *, step: int, sender: int) -> None:
         """Reassemble fragments, and draw the scans that are complete."""
         partial, size = self._partial.get(map_id, b""), self._size

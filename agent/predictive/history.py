@@ -55,20 +55,19 @@ def key_of(before: bytes, message: bytes, bases: Sequence[Base]) -> bytes:
 
 
 class History:
-    """The decoded updates of a map, numbered from 0; updates that no log can depend on any more are dropped."""
+    """The decoded updates of a map, numbered from 0."""
 
     def __init__(self) -> None:
         self._updates: list[DecodedUpdate] = []
-        self._dropped = 0
         self._boxes = np.empty((16, 4), np.int32)
 
     def __len__(self) -> int:
-        """Return the number of updates decoded so far, dropped ones included."""
-        return self._dropped + len(self._updates)
+        """Return the number of updates decoded so far."""
+        return len(self._updates)
 
     @property
     def last(self) -> DecodedUpdate | None:
-        """The last update; None if there is none, or it has been dropped."""
+        """The last update; None if there is none."""
         return self._updates[-1] if self._updates else None
 
     def append(self, update: DecodedUpdate) -> None:
@@ -83,21 +82,12 @@ class History:
         self._updates.pop()
 
     def between(self, first: int, end: int) -> list[DecodedUpdate]:
-        """Return updates `first` to `end` - 1, none of them dropped."""
-        return self._updates[first - self._dropped : end - self._dropped]
+        """Return updates `first` to `end` - 1."""
+        return self._updates[first:end]
 
     def last_near(self, first: int, end: int, near: Box) -> int:
         """Return the last of updates `first` to `end` - 1 whose box meets `near`; -1 if there is none."""
-        found = _last_meeting(self._boxes, first - self._dropped, end - self._dropped, *near)
-        return int(found) + self._dropped if found >= 0 else -1
-
-    def forget(self, before: int) -> None:
-        """Drop the updates before number `before`."""
-        if before > self._dropped:
-            drop = before - self._dropped
-            del self._updates[:drop]
-            self._boxes[: len(self._updates)] = self._boxes[drop : drop + len(self._updates)].copy()
-            self._dropped = before
+        return int(_last_meeting(self._boxes, first, end, *near))
 
 
 @kernel

@@ -70,7 +70,7 @@ class SharedDecoderCache:
 
 
 class CachedReader:
-    """One robot's view of a `SharedDecoderCache`, with the decoding interface of a `Stream`; it forgets no update."""
+    """One robot's view of a `SharedDecoderCache`, with the decoding interface of a `Stream`."""
 
     def __init__(self, cache: SharedDecoderCache, map_id: int, histories: Sequence[History]) -> None:
         self._cache = cache

@@ -196,10 +196,6 @@ class Stream:
         """Make the last update final, so that it cannot be rolled back."""
         self._before, self._overwritten = None, []
 
-    def first_needed(self) -> NDArray[np.int64]:
-        """Return for each map its first update that a later update of this map may depend on, even after `rollback`."""
-        return self.depends_on if self._before is None else self._before.depends_on
-
     def rollback(self) -> None:
         """Restore the state before the last update; the caller removes the update from the history."""
         before = self._before

@@ -121,9 +121,8 @@ class AckedFrames(Replication):
                 builder.add(offer(each.number, each.first), partial(self._transmitted, peer, each.number))
         for each in answered:
             number, log = each.number, self.logs[each.number]
-            first = max(each.first, log.start)
             on_sent = partial(self._entries_sent, peer, number)
-            builder.add_entries(log, first, len(log), header(number, first), on_sent)
+            builder.add_entries(log, each.first, len(log), header(number, each.first), on_sent)
 
     def _entries_sent(self, peer: int, number: int, _first: int, end: int) -> None:
         """Entries of a map, before offset `end`, were on the air."""
@@ -149,7 +148,7 @@ class AckedFrames(Replication):
         try:
             parsed = parse(frame)
         except ProtocolError as error:
-            self.replica.reject(peer, peer, error)
+            self.replica.reject(peer, self.peers.current[peer], str(error))
             return
         for control in parsed.controls:
             match control:
@@ -166,6 +165,8 @@ class AckedFrames(Replication):
             number, length = head.map, len(logs[head.map])
             first = offset(head, length)
             end = first + len(entries)
+            if number == self.peers.own:
+                self.replica.check_own(peer, first, entries)
             self._owe_report(peer, number)
             self._learn(peer, number, end)
             if first <= length < end and not self.peers.is_own(number):
@@ -173,8 +174,14 @@ class AckedFrames(Replication):
 
     def _owe_report(self, peer: int, number: int) -> None:
         """A peer must be sent a report, unless its entries of that map are not accepted."""
-        if not self.peers.is_own(number) and (peer, number) not in self.replica.refused:
+        if not self.peers.is_own(number) and not self.replica.refuses(peer, number):
             self._reports_due.add((peer, number))
+
+    def _dropped(self, peer: int, number: int, length: int) -> None:
+        """A peer dropped entries: offer them at once."""
+        super()._dropped(peer, number, length)
+        self._rounds.due[peer, number] = self._rounds.now
+        self._timers.pop((peer, number), None)
 
     def _note_restart(self, peer: int, number: int) -> None:
         """A peer that offers or sends a map of a new incarnation of its own lost all: none of its reports holds."""

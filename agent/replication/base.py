@@ -10,9 +10,13 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
-from agent.replication.replica import Rejected, Replica
+from agent.replication.control_packets import offset, report
+from agent.replication.digests import INTERVAL
+from agent.replication.replica import LONGEST, Rejected, Replica
+from protocol import packets
 from protocol.errors import ProtocolError
 from protocol.messages import NO_REPLIES, Delivery, OutgoingFrame, Replies, RoundReport
+from protocol.packets import Held, HeldEarly, LogDigest
 
 
 class Replication(ABC):
@@ -27,6 +31,8 @@ class Replication(ABC):
         self.replica = replica
         self.peers = replica.peers
         self.logs = replica.logs
+        self._asked: dict[tuple[int, int], tuple[int, int]] = {}
+        """(peer, map number): before which step a peer's next request is not answered, and the steps after that."""
 
     def append(self, entries: list[bytes]) -> None:
         """Append entries to this robot's log."""
@@ -67,11 +73,37 @@ class Replication(ABC):
         length, acked = len(self.replica.own_log), self.peers.acked[:, self.peers.own]
         return length * (self.peers.robots - 1) - int(acked.sum())
 
-    def truncate(self) -> None:
-        """Drop the entries that all robots acknowledged; a robot that may restart needs them again, so none then."""
-        if len(self.logs) == self.peers.robots and any(self.logs):
-            for log, before in zip(self.logs, self.peers.held_by_all().tolist(), strict=True):
-                log.truncate(before)
+    def announcements(self, salt: int | None) -> bytes:
+        """Return what to broadcast about logs in this step: the digest that is due, and requests for dropped entries.
+
+        `salt` is a byte that nobody can predict; None: no digests.
+        """
+        replica, robots, own = self.replica, self.peers.robots, self.peers.own
+        announced: list[packets.Packet] = []
+        due = (replica.step + INTERVAL * self.peers.robot) % (INTERVAL * robots) == 0
+        if salt is not None and self.shared and (due or replica.forged):
+            announced.append(replica.verifiers[own].digest(self.shared, salt))
+            replica.verifiers[own].confirm(self.shared)
+            replica.forged = False
+        requests = [report(number, length) for number, length in replica.lengths_to_report()]
+        return packets.encode(announced) + b"".join(requests)
+
+    def receive_announcement(self, peer: int, packet: LogDigest | Held | HeldEarly) -> list[Rejected]:
+        """Take what a peer broadcasts about logs; return the rejections of entries that do not match its digest."""
+        if isinstance(packet, LogDigest):
+            self.replica.receive_digest(peer, packet)
+        elif packet.map < len(self.logs):
+            number, length = packet.map, offset(packet, len(self.logs[packet.map]))
+            step, wait = self._asked.get((peer, number), (0, 2))
+            if length < self.peers.expected.item(peer, number) and self.replica.step >= step:
+                self._asked[peer, number] = self.replica.step + wait, min(2 * wait, LONGEST)
+                self._dropped(peer, number, length)
+        return self.replica.take_rejected()
+
+    def _dropped(self, peer: int, number: int, length: int) -> None:
+        """A peer dropped the entries of a map from offset `length` on."""
+        self.peers.expected[peer, number] = length
+        self.peers.acked[peer, number] = min(self.peers.acked.item(peer, number), length)
 
     @abstractmethod
     def delivered(self) -> bool:

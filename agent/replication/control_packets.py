@@ -23,7 +23,7 @@ ROUND = BLOCKS * INDEX_WINDOW
 LEAST_HANDSHAKE = packets.Offer.size + packets.Answer.size
 """Bytes of an offer and the shortest answer."""
 
-DECLINE = packets.encode([packets.Decline()])
+DECLINE = packets.encode([packets.Block(packets.DECLINED)])
 
 Header = From | FromEarly
 """Packet in front of entries: it names their log and their first offset."""
@@ -65,13 +65,15 @@ def answer(length: int, offered_block: int) -> bytes:
 def read_answer(payload: bytes, offered_block: int) -> int | None:
     """Decode the peer's log length; None if it declines; ProtocolError if the frame is no answer."""
     match packets.handshake(payload):
-        case (packets.Decline(),):
+        case (packets.Block(packets.DECLINED),):
             return None
         case (packets.Answer(index),):
             return offered_block * INDEX_WINDOW + index
-        case (packets.Block(block), packets.Answer(index)):
+        case (packets.Block(block), packets.Answer(index)) if block < BLOCKS:
             return block * INDEX_WINDOW + index
-        case (packets.Block(rounds), packets.Block(block), packets.Answer(index)):
+        case (packets.Block(rounds), packets.Block(block), packets.Answer(index)) if (
+            max(rounds, block) < BLOCKS
+        ):
             return rounds * ROUND + block * INDEX_WINDOW + index
         case _:
             raise ProtocolError("conn", 0, "expected an answer behind at most two blocks, or a decline")
@@ -96,9 +98,16 @@ def report(number: int, length: int) -> bytes:
 
 def offset(packet: Header | Held | HeldEarly, length: int) -> int:
     """Return the offset that a packet means, for a robot whose log has `length` entries."""
-    if isinstance(packet, FromEarly | HeldEarly):
-        return packet.index
-    return max(0, length + (packet.index - length + GOSSIP_WINDOW // 2) % GOSSIP_WINDOW - GOSSIP_WINDOW // 2)
+    return (
+        packet.index
+        if isinstance(packet, FromEarly | HeldEarly)
+        else nearest(packet.index, length, GOSSIP_WINDOW)
+    )
+
+
+def nearest(number: int, length: int, window: int) -> int:
+    """Return the offset nearest to `length` that equals `number` modulo `window`."""
+    return max(0, length + (number - length + window // 2) % window - window // 2)
 
 
 class ParsedFrame(NamedTuple):

@@ -88,6 +88,9 @@ class MediumAcks:
     def restarted(self, peer: int) -> None:
         """Expect nothing of a peer that lost its state."""
 
+    def dropped(self, peer: int, number: int) -> None:
+        """Expect nothing of entries that a peer dropped."""
+
 
 class PeerAcks(MediumAcks):
     """Peers acknowledge."""
@@ -170,3 +173,7 @@ class PeerAcks(MediumAcks):
     def restarted(self, peer: int) -> None:
         """Expect nothing of a peer that lost its state."""
         self._expected_since[peer] = NEVER
+
+    def dropped(self, peer: int, number: int) -> None:
+        """Expect nothing of entries that a peer dropped."""
+        self._expected_since[peer, number] = NEVER

@@ -21,19 +21,23 @@ from agent.replication.gossip_policy import Dependencies, no_dependencies
 from agent.replication.handshakes import Handshakes
 from agent.replication.peers import map_ids
 from agent.replication.policies import DISSEMINATIONS, GOSSIP, POLICIES
-from agent.replication.replica import Consume, Replica
+from agent.replication.replica import Consume, Rebuild, Replica
 from agent.settings import Settings
 
 
 def make_replication(
-    settings: Settings, consume: Consume, dependencies: Dependencies = no_dependencies
+    settings: Settings,
+    consume: Consume,
+    dependencies: Dependencies = no_dependencies,
+    rebuild: Rebuild = lambda _logs: None,
 ) -> Replication:
     """Return a robot's end of the replication, by its settings; ValueError if there is no such dissemination.
 
-    `consume` decodes received entries; `dependencies` returns log ranges that depend on other logs, by map number.
+    `consume` decodes received entries; `dependencies` returns log ranges that depend on other logs, by map number;
+    `rebuild` decodes all logs again after entries were dropped.
     """
     maps = map_ids(settings.robots, settings.incarnations)
-    replica = Replica(maps[settings.own_map], maps, consume)
+    replica = Replica(maps[settings.own_map], maps, consume, rebuild)
     if settings.dissemination == GOSSIP:
         acks = PeerAcks(replica.peers) if settings.requires_acks else MediumAcks(replica.peers)
         return Gossip(replica, acks, dependencies)

@@ -68,11 +68,13 @@ class Gossip(Replication):
         self._idle_since = 0
         """The last step in which this robot had nothing to send, or sent something."""
         self._builder = FrameBuilder()
+        replica.on_drop = self._entries_dropped
 
     def open_round(self, number: int, in_range: list[int], budget: int | None) -> list[OutgoingFrame]:
         """Return the broadcast of this round, if there is anything to send."""
         if number == 0:
             self._step += 1
+            self.replica.step = self._step
             self._meetings.begin_step(self._step, in_range)
             self._cursors.begin_step(in_range)
             self._in_range = in_range
@@ -102,7 +104,7 @@ class Gossip(Replication):
             try:
                 frames.append((delivery.sender, parse(delivery.payload)))
             except ProtocolError as error:
-                self.replica.reject(delivery.sender, delivery.sender, error)
+                self._reject_frame(delivery.sender, str(error))
         for peer, frame in frames:
             self._note_restart(peer, frame)
         for peer, frame in frames:  # reports describe the state before this round
@@ -187,6 +189,22 @@ class Gossip(Replication):
 
     # --- receiving
 
+    def _reject_frame(self, peer: int, reason: str) -> None:
+        """Reject a frame that is malformed; where the peer's next broadcast begins is no longer known."""
+        self._cursors.missed(peer)
+        self.replica.reject(peer, self.peers.current[peer], reason)
+
+    def _entries_dropped(self, number: int) -> None:
+        """This robot dropped entries of a map, so peers know that it holds more than it does."""
+        length = len(self.logs[number])
+        self._informed[:, number] = np.minimum(self._informed[:, number], length)
+        self._delivery.report_sent(number, length)
+
+    def _dropped(self, peer: int, number: int, length: int) -> None:
+        """A peer dropped entries, so it lacks them."""
+        super()._dropped(peer, number, length)
+        self._delivery.dropped(peer, number)
+
     def _note_restart(self, peer: int, frame: ParsedFrame) -> None:
         """A peer that broadcasts a map of a new incarnation of its own lost its state."""
         for control in frame.controls:
@@ -214,7 +232,7 @@ class Gossip(Replication):
                     pass
                 case other:
                     reason = f"{other} is not valid in gossip of {robots} robots"
-                    self.replica.reject(peer, peer, ProtocolError(other.name, 0, reason))
+                    self._reject_frame(peer, reason)
 
     def _read_entries(self, peer: int, head: Header | None, entries: list[bytes]) -> None:
         """Accept new entries of a map, and note which peers received them and know that this robot did."""
@@ -226,6 +244,8 @@ class Gossip(Replication):
         if first is None:
             self._gaps.add(number)
             return
+        if number == self.peers.own:
+            replica.check_own(peer, first, entries)
         end = max(first, self._possible(number, first + len(entries)))
         if end == first:
             return
@@ -236,7 +256,7 @@ class Gossip(Replication):
         self.peers.expected[peer, number] = max(self.peers.expected.item(peer, number), end)
         if first > len(log):
             self._gaps.add(number)
-            if (peer, number) not in replica.refused:
+            if not replica.refuses(peer, number):
                 self._delivery.store(peer, number, first, entries)
         else:
             self._gaps.discard(number)

@@ -126,7 +126,7 @@ class GossipPolicy:
         else:
             end = min(end, low)
         if first < end and (number == self._peers.own or self._is_forwarder(peer, number)):
-            first, end = max(first, self._logs[number].start), min(end, len(self._logs[number]))
+            end = min(end, len(self._logs[number]))
             end = broadcast(number, first, end)
             if end > first:
                 low, high = self._sent.get(number, (first, end))

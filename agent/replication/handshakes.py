@@ -110,7 +110,7 @@ class Handshakes(Replication):
         lengths = [len(log) for log in self.logs]
         if not rounds.in_range or not self._speculates or not any(lengths):
             return NO_REPLIES
-        declined = self._unwanted.union(number for _, number in self.replica.refused)
+        declined = self._unwanted | self.replica.refused_maps()
         offers = [
             OfferReply(offer(number, length), answer(length, block_of(length)))
             for number, length in enumerate(lengths)
@@ -138,7 +138,7 @@ class Handshakes(Replication):
             if number >= len(self.logs):
                 raise ProtocolError(offered.name, 0, f"map {number} of {len(self.logs)} robots")
             connection = self._received[delivery.connection] = Connection(sender, number)
-            if number in self._unwanted or (sender, number) in self.replica.refused:
+            if number in self._unwanted or self.replica.refuses(sender, number):
                 connection.on("unwanted offer")
                 reply = DECLINE
             else:
@@ -224,6 +224,12 @@ class Handshakes(Replication):
         """A peer holds at least so many entries of a map."""
         if length > self.peers.expected.item(pair):
             self.peers.expected[pair] = length
+
+    def _dropped(self, peer: int, number: int, length: int) -> None:
+        """A peer dropped entries: offer them at once."""
+        super()._dropped(peer, number, length)
+        self._rounds.due[peer, number] = 0
+        self._waits.pop((peer, number), None)
 
     def _note_restart(self, peer: int, number: int) -> None:
         """A peer that offers a map of a new incarnation of its own lost all entries that it was sent."""

@@ -163,7 +163,11 @@ class BroadcastCursors:
         if self._reliable:
             self._others[peer] = end
 
+    def missed(self, peer: int) -> None:
+        """Note that a broadcast of a peer could not be read."""
+        self._others.pop(peer, None)
+
     def restarted(self, peer: int) -> None:
         """Note that a peer began a new log and knows no cursors."""
-        self._others.pop(peer, None)
+        self.missed(peer)
         self._aware.discard(peer)

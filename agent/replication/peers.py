@@ -68,11 +68,3 @@ class PeerTable:
         self.current[peer] = number
         self.expected[peer] = self.acked[peer] = 0
         return True
-
-    def held_by_all(self) -> Table:
-        """Return for each map of a first incarnation how many entries all robots hold that need them."""
-        held = self.acked[:, : self.robots].copy()
-        np.fill_diagonal(held, np.iinfo(np.int64).max)
-        held[self.robot] = np.iinfo(np.int64).max
-        least: Table = held.min(axis=0)
-        return least

@@ -58,6 +58,7 @@ class Rounds:
     def open(self, number: int, in_range: list[int], budget: int | None) -> list[Offer]:
         """Begin the next round; return its offers."""
         self.now += 1
+        self._replica.step += number == 0
         self.number = number
         self.single = self.single and number == 0
         self.in_range = in_range

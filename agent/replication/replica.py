@@ -1,20 +1,32 @@
-"""This robot's replica of all maps: the logs, the peer table, and the peers whose entries are no longer accepted.
+"""This robot's replica of all maps: the logs, the peer table, and the check of what arrives.
 
-A log entry is attributed to the robot that forwarded it. If a peer sends entries that cannot be decoded, the replica
-rejects everything from that peer, unless others forwarded entries of the same map before: theirs may be the false ones,
-so only this map is then rejected.
+A robot forwards the logs of others, so an entry can be forged by a forwarder or damaged on the air. Entries are decoded
+as they arrive, and verified later by digests, which only the author can send (`agent.replication.digests`):
+
+    event                                              reaction
+    an author's digest matches                         the entries are verified; their forwarders are trusted again
+    it does not match                                  drop all entries that are not verified; suspect the forwarders
+    entries cannot be decoded                          drop them; suspect the sender
+    entries at the same offset fail again              drop all entries that are not verified: they may be wrong
+
+A robot that dropped entries broadcasts the length of its log (`packets.Held`), and peers send the entries again. From a
+suspected sender it accepts no entries of that map for a while, which doubles with every suspicion. After `MANY` of them
+the sender counts as distrusted.
 """
 
 from __future__ import annotations
 
+from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from agent.replication.digests import LogVerifier
 from agent.replication.log import Log
 from agent.replication.peers import MapId, PeerTable, Table
 from protocol.errors import ProtocolError
+from protocol.packets import LogDigest
 
 Consume = Callable[[int, MapId, bytes], Sequence[int]]
 """Decodes the next entries of a map, given the sender and a frame; returns where in the frame each entry ends.
@@ -22,9 +34,21 @@ Consume = Callable[[int, MapId, bytes], Sequence[int]]
 Raises ProtocolError, and changes nothing, if they are malformed or impossible.
 """
 
+Rebuild = Callable[[Sequence[bytes]], object]
+"""Decodes all logs, by map number, again from their beginnings: entries that were decoded have been dropped."""
+
+MANY = 5
+"""Suspicions after which a sender counts as distrusted."""
+
+LONGEST = 64
+"""The most steps for which a suspected sender's entries are not accepted, and until a robot asks again."""
+
+ASK_AGAIN = 4
+"""Steps until a robot asks again for entries for the first time; then it waits twice as long each time."""
+
 
 class Rejected(NamedTuple):
-    """Event: entries that a peer sent were malformed or impossible."""
+    """Event: entries that a peer sent were malformed, impossible, or not written by their author."""
 
     peer: int
     map: MapId
@@ -32,22 +56,42 @@ class Rejected(NamedTuple):
 
 
 class Replica:
-    """Logs by map number, and what peers hold of them."""
+    """Logs by map number, and what peers hold of them; `rebuild` is called after decoded entries were dropped."""
 
-    def __init__(self, own: MapId, maps: list[MapId], consume: Consume) -> None:
+    def __init__(
+        self, own: MapId, maps: list[MapId], consume: Consume, rebuild: Rebuild = lambda _logs: None
+    ) -> None:
         self.peers = PeerTable(own, maps)
         self.logs = [Log() for _ in maps]
         self.own_log = self.logs[own.number]
+        self.verifiers = [LogVerifier(log) for log in self.logs]
+        self.step = 0
+        """Steps so far."""
+        self.forged = False
+        """Whether a peer sent entries of this robot's log that it did not write, since its last digest."""
         self.last_append = 0
         """Offset in this robot's log of the entries that were appended last."""
-        self.refused: set[tuple[int, int]] = set()
-        """(peer, map number): entries that are no longer accepted."""
-        self.distrusted: set[int] = set()
-        """Peers from which no entries are accepted at all."""
-        self._senders: dict[int, set[int]] = {}
-        """Peers that sent entries of each map."""
+        self._lacking: dict[int, tuple[int, int, int]] = {}
+        """By number of a map of which entries were dropped: the length to reach, the step in which to ask for them, and
+        the steps until this robot asks again."""
+        self._suspicions: Counter[tuple[int, int]] = Counter()
+        """How often entries of a (peer, map number) were wrong."""
+        self._until: dict[tuple[int, int], int] = {}
+        """(peer, map number): the step before which no entries are accepted."""
+        self._senders: defaultdict[int, set[int]] = defaultdict(set)
+        """Peers that sent entries of each map which are not verified."""
+        self._failed: dict[int, int] = {}
+        """Length of a log when entries could not be decoded."""
+        self.on_drop: Callable[[int], object] = lambda _number: None
+        """Called with the number of a map of which entries were dropped."""
         self._consume = consume
+        self._rebuild = rebuild
         self._rejected: list[Rejected] = []
+
+    @property
+    def distrusted(self) -> set[int]:
+        """Peers that sent wrong entries `MANY` times."""
+        return {peer for (peer, _), count in self._suspicions.items() if count >= MANY}
 
     def append(self, entries: list[bytes]) -> None:
         """Append to this robot's log."""
@@ -59,30 +103,111 @@ class Replica:
         """Return the number of entries of each log."""
         return np.array([len(log) for log in self.logs], np.int64)
 
+    def refuses(self, peer: int, number: int) -> bool:
+        """Return whether a peer's entries of a map are not accepted in this step."""
+        return self.step < self._until.get((peer, number), 0)
+
+    def refused_maps(self) -> set[int]:
+        """Return the maps of which entries of some peer are not accepted in this step."""
+        return {number for (_, number), until in self._until.items() if self.step < until}
+
     def accept(self, peer: int, number: int, frame: bytes) -> bool:
         """Decode and append the next entries of a map that a peer sent; return whether they were accepted."""
-        if (peer, number) in self.refused:
+        if self.refuses(peer, number):
             return False
+        log = self.logs[number]
         try:
             ends = self._consume(peer, self.peers.maps[number], frame)
         except ProtocolError as error:
-            self.reject(peer, number, error)
+            self.reject(peer, number, str(error))
             return False
-        self.logs[number].extend(frame, ends)
-        self._senders.setdefault(number, set()).add(peer)
+        log.extend(frame, ends)
+        self._senders[number].add(peer)
+        self._verify(number)
         return True
 
-    def reject(self, peer: int, number: int, error: ProtocolError) -> None:
-        """Accept no more entries of a map from a peer, or none at all if no other peer sent entries of that map."""
-        if (peer, number) in self.refused:
+    def receive_digest(self, peer: int, digest: LogDigest) -> None:
+        """Take the digest that a peer broadcasts of its own log."""
+        number = self.peers.current[peer]
+        self.verifiers[number].receive(digest)
+        self._verify(number)
+
+    def reject(self, peer: int, number: int, reason: str) -> None:
+        """Suspect a peer of wrong entries of a map, which were not appended."""
+        if self.refuses(peer, number):
             return
-        self._rejected.append(Rejected(peer, self.peers.maps[number], str(error)))
-        self.refused.add((peer, number))
-        if self._senders.get(number, set()) <= {peer}:
-            self.distrusted.add(peer)
-            self.refused.update((peer, each.number) for each in self.peers.maps)
+        self._suspect(peer, number, reason)
+        length, verified = len(self.logs[number]), self.verifiers[number].length
+        if self._failed.get(number) == length > verified:
+            self._drop(number)
+        else:
+            self._failed[number] = length
+            self._ask(number, length + 1)
 
     def take_rejected(self) -> list[Rejected]:
         """Return the rejections since the last call."""
         rejected, self._rejected = self._rejected, []
         return rejected
+
+    def check_own(self, peer: int, first: int, entries: list[bytes]) -> None:
+        """Compare entries of this robot's log that a peer sent, from offset `first` on; report forged ones."""
+        if self.own_log.read(min(first, len(self.own_log)), None, first + len(entries)) != b"".join(entries):
+            self.forged = True
+            self._report(
+                peer, self.peers.own, "sent entries of this robot's map that this robot did not write"
+            )
+
+    def _report(self, peer: int, number: int, reason: str) -> None:
+        """Report that a peer sent wrong entries of a map."""
+        self._rejected.append(Rejected(peer, self.peers.maps[number], reason))
+
+    def lengths_to_report(self) -> list[tuple[int, int]]:
+        """Return (map number, log length) of the maps to ask for in this step; the next time comes later."""
+        due = []
+        for number, (length, step, wait) in list(self._lacking.items()):
+            if len(self.logs[number]) >= length:
+                del self._lacking[number]
+            elif self.step >= step:
+                due.append((number, len(self.logs[number])))
+                self._lacking[number] = length, self.step + wait, min(2 * wait, LONGEST)
+        return due
+
+    def _verify(self, number: int) -> None:
+        """Check the digests of a log whose entries have arrived."""
+        verified = self.verifiers[number].check()
+        if verified:
+            self._failed.pop(number, None)
+            self._lacking.pop(number, None)
+            for peer in self._senders.pop(number, ()):
+                self._suspicions.pop((peer, number), None)
+        elif verified is False:
+            author = self.peers.maps[number].robot
+            senders = self._senders[number]
+            for peer in sorted(senders - {author}) or sorted(senders):
+                forwarded = "forwarded entries that their author did not write, or they were damaged"
+                reason = forwarded if peer != author else "entries were damaged on the air"
+                self._suspect(peer, number, reason)
+            self._drop(number)
+
+    def _suspect(self, peer: int, number: int, reason: str) -> None:
+        """Accept no entries of a map from a peer for a while; the author may send them again at once the first time."""
+        self._report(peer, number, reason)
+        self._suspicions[peer, number] += 1
+        wait = 1 << self._suspicions[peer, number]
+        author = self.peers.maps[number].robot
+        self._until[peer, number] = self.step + min(wait - 2 if peer == author else 2 * wait, LONGEST)
+
+    def _drop(self, number: int) -> None:
+        """Drop all entries of a log that are not verified."""
+        before = len(self.logs[number])
+        self.logs[number].cut(self.verifiers[number].length)
+        self._senders.pop(number, None)
+        self._failed.pop(number, None)
+        self._ask(number, before)
+        self.on_drop(number)
+        self._rebuild([log.read(0) for log in self.logs])
+
+    def _ask(self, number: int, length: int) -> None:
+        """Ask for entries from the next step on."""
+        length = max(length, self._lacking.get(number, (0, 0, 0))[0])
+        self._lacking[number] = length, self.step + 1, ASK_AGAIN

@@ -21,7 +21,20 @@ from protocol.bus import Bus
 from protocol.errors import ProtocolError
 from protocol.keyed_random import keyed_random
 from protocol.messages import pack, unpack
-from protocol.packets import Answer, Block, Decline, From, Gone, Held, Near, Offer, Pose, Remove, Save, Target
+from protocol.packets import (
+    DECLINED,
+    Answer,
+    Block,
+    From,
+    Gone,
+    Held,
+    Near,
+    Offer,
+    Pose,
+    Remove,
+    Save,
+    Target,
+)
 
 REPLACED = 0.25
 """Probability that a frame is replaced."""
@@ -102,7 +115,7 @@ def _packet(draw: np.random.Generator) -> packets.Packet:
     number, index = int(draw.integers(64)), int(draw.integers(4096))
     small = int(draw.integers(6))
     types: list[packets.Packet] = [
-        Offer(small, number), Answer(index), Block(number), Decline(), From(small, index), Held(small, index),
+        Offer(small, number), Answer(index), Block(number), Block(DECLINED), From(small, index), Held(small, index),
         Near(small), Gone(small), Pose(index % 2048, small, small % 2), Save(), Remove(index),
         Target(index % 2048, number),
     ]  # fmt: skip

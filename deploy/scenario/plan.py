@@ -148,6 +148,7 @@ def _robot_settings(
             field_of_view=body.field_of_view,
             scanner_turn=body.scanner_turn,
             forward_maps=scenario.forward_maps,
+            digests=scenario.digests,
             requires_acks=not radio.perfect or (radio.gossip and faults.deafen(scenario.faults)),
             fastest_cells=max(body.speed for body in bodies),
             frame_bytes=radio.packet_bytes,

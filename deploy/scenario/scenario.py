@@ -113,6 +113,11 @@ class Scenario(Table):
         default_factory=lambda given: "gossip" if given.get("map_encoding") == "predictive" else "backoff",
         description="when maps are offered (default gossip with predictive, else backoff): backoff, thesis, gossip",
     )
+    digests: bool = Field(
+        False,
+        description="whether robots broadcast digests of their logs, which expose forged entries",
+        strict=True,
+    )
     forward_maps: bool = Field(True, description="whether robots also offer the maps of others", strict=True)
     interference: NotNegative = Field(0.0, description="robots closer than this hinder each other, meters")
     polygons: PolygonOptions = Field(

@@ -1,0 +1,71 @@
+"""Digests of logs: a robot finds out whether the entries that it holds are those that their author wrote.
+
+Every `INTERVAL` steps per robot of the team, a robot broadcasts the hash of its log so far (`packets.LogDigest`): less
+than a byte per step for the whole team. A receiver hashes as many entries of its copy. Equal hashes verify these
+entries. Otherwise a forwarder forged some of them, or a frame was damaged; the receiver drops all entries that have not
+been verified and asks for them again (`agent.replication.replica`).
+
+The salt, which the author draws from its sensor readings, is hashed behind the entries. A forger cannot know it in
+advance, so a forgery of the same length passes with a probability of 2**-16. A digest proves that its sender wrote the
+entries: it counts only for the sender's own log, and only if it comes from the author. The medium vouches for senders.
+"""
+
+from __future__ import annotations
+
+from hashlib import blake2b
+
+from agent.replication.control_packets import nearest
+from agent.replication.log import Log
+from protocol.packets import DIGEST_WINDOW, LogDigest
+
+INTERVAL = 6
+"""Steps between two digests of a robot, divided by the size of the team."""
+
+MAX_OPEN = 8
+"""Digests of a log kept until as many entries have arrived."""
+
+
+class LogVerifier:
+    """The verified prefix of one log, and digests of entries that have not arrived yet."""
+
+    def __init__(self, log: Log) -> None:
+        self.length = 0
+        """Number of verified entries."""
+        self._log = log
+        self._hash = blake2b(digest_size=2)
+        """Hash of the verified entries."""
+        self._open: list[tuple[int, LogDigest]] = []
+
+    def digest(self, length: int, salt: int) -> LogDigest:
+        """Return the digest of the first `length` entries, no fewer than are verified; `salt` is a byte."""
+        digest = self._hash.copy()
+        digest.update(self._log.read(self.length, None, length) + bytes([salt]))
+        return LogDigest(length % DIGEST_WINDOW, salt, int.from_bytes(digest.digest(), "big"))
+
+    def receive(self, digest: LogDigest) -> None:
+        """Keep a digest of the author until it can be checked."""
+        length = nearest(digest.length, len(self._log), DIGEST_WINDOW)
+        if length > self.length:
+            self._open = sorted([*self._open, (length, digest)], key=lambda each: each[0])[:MAX_OPEN]
+
+    def check(self) -> bool | None:
+        """Check the digests of entries that have arrived.
+
+        Returns True if more entries are verified now, False if an entry behind the verified ones is not the author's,
+        and None if no digest could be checked.
+        """
+        result = None
+        while self._open and self._open[0][0] <= len(self._log):
+            length, digest = self._open.pop(0)
+            if length <= self.length:
+                continue
+            if self.digest(length, digest.salt) != digest:
+                return False
+            self.confirm(length)
+            result = True
+        return result
+
+    def confirm(self, length: int) -> None:
+        """Note that the first `length` entries are the author's."""
+        self._hash.update(self._log.read(self.length, None, length))
+        self.length = length
