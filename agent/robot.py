@@ -177,6 +177,7 @@ class Robot:
         self._report(self.replication.close_round(report))
         if report.broadcast_sent:
             self._announcements.sent(report.step, self._team.in_range)
+            self.replication.announced()
 
     def decide(self) -> Move:
         """End a step: merge, and let the strategy choose a target and a path."""

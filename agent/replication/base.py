@@ -78,15 +78,20 @@ class Replication(ABC):
 
         `salt` is a byte that nobody can predict; None: no digests.
         """
-        replica, robots, own = self.replica, self.peers.robots, self.peers.own
-        announced: list[packets.Packet] = []
-        due = (replica.step + INTERVAL * self.peers.robot) % (INTERVAL * robots) == 0
-        if salt is not None and self.shared and (due or replica.forged):
-            announced.append(replica.verifiers[own].digest(self.shared, salt))
-            replica.verifiers[own].confirm(self.shared)
-            replica.forged = False
-        requests = [report(number, length) for number, length in replica.lengths_to_report()]
-        return packets.encode(announced) + b"".join(requests)
+        replica, robots, verifier = self.replica, self.peers.robots, self.replica.verifiers[self.peers.own]
+        if (replica.step + INTERVAL * self.peers.robot) % (INTERVAL * robots) == 0:
+            replica.digest_due = True
+        digests: list[packets.Packet] = []
+        if salt is not None and replica.digest_due and self.shared:
+            digests.append(verifier.digest(self.shared, salt))
+            verifier.confirm(self.shared)
+        requests = [report(number, len(self.logs[number])) for number in replica.maps_to_ask_for()]
+        return packets.encode(digests) + b"".join(requests)
+
+    def announced(self) -> None:
+        """Note that this step's broadcast was on the air."""
+        self.replica.digest_due = False
+        self.replica.asked()
 
     def receive_announcement(self, peer: int, packet: LogDigest | Held | HeldEarly) -> list[Rejected]:
         """Take what a peer broadcasts about logs; return the rejections of entries that do not match its digest."""
@@ -98,6 +103,7 @@ class Replication(ABC):
             if length < self.peers.expected.item(peer, number) and self.replica.step >= step:
                 self._asked[peer, number] = self.replica.step + wait, min(2 * wait, LONGEST)
                 self._dropped(peer, number, length)
+                self.replica.digest_due |= number == self.peers.own
         return self.replica.take_rejected()
 
     def _dropped(self, peer: int, number: int, length: int) -> None:

@@ -7,11 +7,11 @@ as they arrive, and verified later by digests, which only the author can send (`
     an author's digest matches                         the entries are verified; their forwarders are trusted again
     it does not match                                  drop all entries that are not verified; suspect the forwarders
     entries cannot be decoded                          drop them; suspect the sender
-    entries at the same offset fail again              drop all entries that are not verified: they may be wrong
+    entries at the same offset fail `TRIES` times      drop all entries that are not verified: they may be wrong
 
-A robot that dropped entries broadcasts the length of its log (`packets.Held`), and peers send the entries again. From a
-suspected sender it accepts no entries of that map for a while, which doubles with every suspicion. After `MANY` of them
-the sender counts as distrusted.
+A robot that dropped entries broadcasts the length of its log (`packets.Held`). Peers then send the entries again, and
+the author sends a digest. From a suspected sender the robot accepts no entries of that map for a while, which doubles
+with every suspicion. After `MANY` of them the sender counts as distrusted.
 """
 
 from __future__ import annotations
@@ -37,6 +37,9 @@ Raises ProtocolError, and changes nothing, if they are malformed or impossible.
 Rebuild = Callable[[Sequence[bytes]], object]
 """Decodes all logs, by map number, again from their beginnings: entries that were decoded have been dropped."""
 
+TRIES = 3
+"""Times that entries at the same offset fail before those in front of them are dropped without a digest."""
+
 MANY = 5
 """Suspicions after which a sender counts as distrusted."""
 
@@ -55,6 +58,17 @@ class Rejected(NamedTuple):
     reason: str
 
 
+class _Request(NamedTuple):
+    """Entries of a map that were dropped."""
+
+    length: int
+    """The length of the log that ends the request."""
+    step: int
+    """When to ask."""
+    wait: int
+    """Steps until this robot asks again."""
+
+
 class Replica:
     """Logs by map number, and what peers hold of them; `rebuild` is called after decoded entries were dropped."""
 
@@ -67,21 +81,20 @@ class Replica:
         self.verifiers = [LogVerifier(log) for log in self.logs]
         self.step = 0
         """Steps so far."""
-        self.forged = False
-        """Whether a peer sent entries of this robot's log that it did not write, since its last digest."""
+        self.digest_due = False
+        """Whether to broadcast a digest of this robot's log: it is time to, or a peer holds other entries."""
         self.last_append = 0
         """Offset in this robot's log of the entries that were appended last."""
-        self._lacking: dict[int, tuple[int, int, int]] = {}
-        """By number of a map of which entries were dropped: the length to reach, the step in which to ask for them, and
-        the steps until this robot asks again."""
+        self._requests: dict[int, _Request] = {}
+        """By number of a map of which entries were dropped."""
         self._suspicions: Counter[tuple[int, int]] = Counter()
         """How often entries of a (peer, map number) were wrong."""
         self._until: dict[tuple[int, int], int] = {}
         """(peer, map number): the step before which no entries are accepted."""
         self._senders: defaultdict[int, set[int]] = defaultdict(set)
         """Peers that sent entries of each map which are not verified."""
-        self._failed: dict[int, int] = {}
-        """Length of a log when entries could not be decoded."""
+        self._failed: dict[int, tuple[int, int]] = {}
+        """Length of a log at which entries could not be decoded, and how often."""
         self.on_drop: Callable[[int], object] = lambda _number: None
         """Called with the number of a map of which entries were dropped."""
         self._consume = consume
@@ -137,11 +150,12 @@ class Replica:
         if self.refuses(peer, number):
             return
         self._suspect(peer, number, reason)
-        length, verified = len(self.logs[number]), self.verifiers[number].length
-        if self._failed.get(number) == length > verified:
+        length = len(self.logs[number])
+        before, tries = self._failed.get(number, (length, 0))
+        self._failed[number] = length, tries + 1 if before == length else 1
+        if tries >= TRIES and length > self.verifiers[number].length:
             self._drop(number)
         else:
-            self._failed[number] = length
             self._ask(number, length + 1)
 
     def take_rejected(self) -> list[Rejected]:
@@ -152,7 +166,32 @@ class Replica:
     def check_own(self, peer: int, first: int, entries: list[bytes]) -> None:
         """Compare entries of this robot's log that a peer sent, from offset `first` on; report forged ones."""
         if self.own_log.read(min(first, len(self.own_log)), None, first + len(entries)) != b"".join(entries):
-            self.forged = True
+            self.digest_due = True
+            self._report(
+                peer, self.peers.own, "sent entries of this robot's map that this robot did not write"
+            )
+
+    def _report(self, peer: int, number: int, reason: str) -> None:
+        """Report that a peer sent wrong entries of a map."""
+        self._rejected.append(Rejected(peer, self.peers.maps[number], reason))
+
+    def maps_to_ask_for(self) -> list[int]:
+        """Return the numbers of the maps to ask for in this step: entries of them were dropped, and have not come."""
+        for number, request in list(self._requests.items()):
+            if len(self.logs[number]) >= request.length:
+                del self._requests[number]
+        return [number for number, request in self._requests.items() if self.step >= request.step]
+
+    def asked(self) -> None:
+        """Note that peers received this step's requests."""
+        for number in self.maps_to_ask_for():
+            length, _, wait = self._requests[number]
+            self._requests[number] = _Request(length, self.step + wait, min(2 * wait, LONGEST))
+
+    def check_own(self, peer: int, first: int, entries: list[bytes]) -> None:
+        """Compare entries of this robot's log that a peer sent, from offset `first` on; report forged ones."""
+        if self.own_log.read(min(first, len(self.own_log)), None, first + len(entries)) != b"".join(entries):
+            self.digest_due = True
             self._report(
                 peer, self.peers.own, "sent entries of this robot's map that this robot did not write"
             )
@@ -177,7 +216,7 @@ class Replica:
         verified = self.verifiers[number].check()
         if verified:
             self._failed.pop(number, None)
-            self._lacking.pop(number, None)
+            self._requests.pop(number, None)
             for peer in self._senders.pop(number, ()):
                 self._suspicions.pop((peer, number), None)
         elif verified is False:
@@ -209,5 +248,6 @@ class Replica:
 
     def _ask(self, number: int, length: int) -> None:
         """Ask for entries from the next step on."""
-        length = max(length, self._lacking.get(number, (0, 0, 0))[0])
-        self._lacking[number] = length, self.step + 1, ASK_AGAIN
+        if number in self._requests:
+            length = max(length, self._requests[number].length)
+        self._requests[number] = _Request(length, self.step + 1, ASK_AGAIN)
