@@ -124,6 +124,8 @@ class Robot:
         self.known_cells += change.cells
         self._sense = sense
         self._team.perceive(sense)
+        if self.settings.digests:
+            self.replication.salt = zlib.crc32(sense.readings) & 255
         encoding, replication = self._encoding, self.replication
         if encoding.retractable and not self._withheld and replication.retract(encoding.retractable):
             encoding.retract_last()
@@ -148,12 +150,7 @@ class Robot:
         announced = self._announcements.next_packets(team.step, in_range, relays=relays)
         if relays:
             announced += team.relayed.forward(team.step, before, in_range, team.poses, team.targets)
-        salt = (
-            zlib.crc32(self._sense.readings) & 255
-            if self._sense is not None and self.settings.digests
-            else None
-        )
-        return packets.encode(announced) + self.replication.announcements(salt) or None
+        return packets.encode(announced) + self.replication.announcements() or None
 
     def receive_broadcast(self, peer: int, payload: bytes) -> None:
         """Process a teammate's broadcast of poses, targets and digests."""

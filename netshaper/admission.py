@@ -3,7 +3,7 @@
 The packet index found here travels with the frame: the medium uses it to cut frames at the budget, and the ledger to
 count packets. The relay trusts no robot, and accepts only these frames:
 
-    broadcast   a pose and a target, those of other robots, a log digest and lengths of logs, in the first round of a step
+    broadcast   pose and target, those of other robots, a digest, lengths of logs, in the first round of a step
     offer       one offer of an existing map, for one robot, once per round
     answer      an answer after at most two blocks, or a decline
     data        whole packets, no offers, broadcasts or checksums
@@ -196,6 +196,6 @@ def _conn_packets(payload: bytes, index: PacketIndex) -> list[packets.AnyPacket]
 
 
 _CONN = KIND_NUMBER[Offer.name]
-_NO_ENTRIES = (packets.Target.name, packets.Pose.name, LogDigest.name, Check.name)
+_NO_ENTRIES = (packets.Target.name, packets.Pose.name, Check.name)
 _NO_DATA = (Offer.name, *_NO_ENTRIES)
 _NEWS = "news are one broadcast of log entries"

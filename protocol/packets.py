@@ -282,9 +282,9 @@ class Passed(Packet):
 
 @dataclass(frozen=True, slots=True)
 class LogDigest(Packet):
-    """Broadcast: hash of the first `length` entries of the sender's own log (`agent.replication.digests`)."""
+    """Hash of the first `length` entries of the sender's own log (`agent.replication.digests`)."""
 
-    name, size, code = "digest", 6, "11111100"
+    name, size, code = "conn", 6, "11111100"
     length: DigestLength
     salt: Salt
     hash: Hash
@@ -335,8 +335,8 @@ _NUMBER_BITS = 2
 
 Edit = Insert | Replace | Delete | Emerge | Change | Remove | Save
 Handshake = Offer | Answer | Block
-Gossip = From | FromEarly | Held | HeldEarly | Near | Gone
-AnyPacket = Edit | Handshake | Gossip | Check | Target | Pose | Passed | LogDigest | Fragment | Update
+Gossip = From | FromEarly | Held | HeldEarly | Near | Gone | LogDigest
+AnyPacket = Edit | Handshake | Gossip | Check | Target | Pose | Passed | Fragment | Update
 
 KindOfPacket = TypeVar("KindOfPacket", bound=Packet)
 
@@ -393,7 +393,7 @@ HANDSHAKE_SIZE = 3 * Answer.size
 KINDS = ("ins", "rep", "del", "em", "chg", "rm", "conn", "targ", "save")
 """The nine kinds of Table 6.1."""
 
-ALL_KINDS = (*KINDS, Fragment.name, Pose.name, Update.name, Check.name, LogDigest.name)
+ALL_KINDS = (*KINDS, Fragment.name, Pose.name, Update.name, Check.name)
 """All kinds of packets, in the order of reports."""
 
 _PACKETS: dict[str, type[Packet]] = {kind.__name__: kind for kind in (*_FIXED_KINDS, Fragment, Update)}

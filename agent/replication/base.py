@@ -31,6 +31,10 @@ class Replication(ABC):
         self.replica = replica
         self.peers = replica.peers
         self.logs = replica.logs
+        self.salt: int | None = None
+        """Byte for the next digest, which no other robot can predict; None: this robot sends no digests."""
+        self._digest_step = INTERVAL * (self.peers.robots - self.peers.robot)
+        """The step in which to send the next regular digest; robots take turns."""
         self._asked: dict[tuple[int, int], tuple[int, int]] = {}
         """(peer, map number): before which step a peer's next request is not answered, and the steps after that."""
 
@@ -73,25 +77,15 @@ class Replication(ABC):
         length, acked = len(self.replica.own_log), self.peers.acked[:, self.peers.own]
         return length * (self.peers.robots - 1) - int(acked.sum())
 
-    def announcements(self, salt: int | None) -> bytes:
-        """Return what to broadcast about logs in this step: the digest that is due, and requests for dropped entries.
-
-        `salt` is a byte that nobody can predict; None: no digests.
-        """
-        replica, robots, verifier = self.replica, self.peers.robots, self.replica.verifiers[self.peers.own]
-        if (replica.step + INTERVAL * self.peers.robot) % (INTERVAL * robots) == 0:
-            replica.digest_due = True
-        digests: list[packets.Packet] = []
-        if salt is not None and replica.digest_due and self.shared:
-            digests.append(verifier.digest(self.shared, salt))
-            verifier.confirm(self.shared)
-        requests = [report(number, len(self.logs[number])) for number in replica.maps_to_ask_for()]
-        return packets.encode(digests) + b"".join(requests)
+    def announcements(self) -> bytes:
+        """Return what to broadcast about logs in this step: the digest that is due, and requests for lost entries."""
+        digest = self._next_digest()
+        return (packets.encode([digest]) if digest is not None else b"") + self._requests()
 
     def announced(self) -> None:
         """Note that this step's broadcast was on the air."""
-        self.replica.digest_due = False
-        self.replica.asked()
+        self.replica.digest_length = None
+        self._requests_sent()
 
     def receive_announcement(self, peer: int, packet: LogDigest | Held | HeldEarly) -> list[Rejected]:
         """Take what a peer broadcasts about logs; return the rejections of entries that do not match its digest."""
@@ -103,11 +97,33 @@ class Replication(ABC):
             if length < self.peers.expected.item(peer, number) and self.replica.step >= step:
                 self._asked[peer, number] = self.replica.step + wait, min(2 * wait, LONGEST)
                 self._dropped(peer, number, length)
-                self.replica.digest_due |= number == self.peers.own
         return self.replica.take_rejected()
+
+    def _next_digest(self) -> LogDigest | None:
+        """Return the digest of this robot's log if it is time to send one, or a peer may hold other entries."""
+        replica, robots = self.replica, self.peers.robots
+        if replica.step >= self._digest_step:
+            replica.request_digest(len(replica.own_log))
+            wait = INTERVAL * robots
+            self._digest_step = replica.step + wait - (replica.step + INTERVAL * self.peers.robot) % wait
+        length = 0 if replica.digest_length is None else min(replica.digest_length, self.shared)
+        if self.salt is None or not length:
+            return None
+        return replica.verifiers[self.peers.own].digest(length, self.salt)
+
+    def _requests(self) -> bytes:
+        """Return the log lengths of the maps to ask for."""
+        return b"".join(report(number, len(self.logs[number])) for number in self.replica.maps_to_ask_for())
+
+    def _requests_sent(self) -> None:
+        """Note that peers received the requests."""
+        for number in self.replica.maps_to_ask_for():
+            self.replica.asked(number)
 
     def _dropped(self, peer: int, number: int, length: int) -> None:
         """A peer dropped the entries of a map from offset `length` on."""
+        if number == self.peers.own:
+            self.replica.request_digest(length)
         self.peers.expected[peer, number] = length
         self.peers.acked[peer, number] = min(self.peers.acked.item(peer, number), length)
 

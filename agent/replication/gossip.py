@@ -7,6 +7,8 @@ the same forwarder (`gossip_policy`). A frame holds, in this order:
 
     event                                                     part of the frame
     this robot's range has changed                            near, gone: the robots that came and left
+    a digest of this robot's log is due                       digest (`digests`)
+    entries were dropped (`replica`)                          held: the length of that log
     a meeting owes reports (`neighbors`)                      held: each map of which the peer may know less
     entries arrived behind a gap                              held: this robot's log length, until the gap is filled
     some robot has been out of range before                   held: one map, in turn, every `REFRESH` steps
@@ -35,7 +37,7 @@ from agent.replication.replica import Rejected, Replica
 from protocol import packets
 from protocol.errors import ProtocolError
 from protocol.messages import EVERYONE, OutgoingFrame, RoundReport
-from protocol.packets import From, FromEarly, Gone, Held, HeldEarly, Near
+from protocol.packets import From, FromEarly, Gone, Held, HeldEarly, LogDigest, Near
 
 REFRESH = 16
 """Steps after which a robot that has not always had all others in range reports one more map."""
@@ -97,6 +99,15 @@ class Gossip(Replication):
         )
         return [OutgoingFrame(EVERYONE, payload)] if payload else []
 
+    def announcements(self) -> bytes:
+        """Return the requests for dropped entries, unless frames of gossip have them: a late report is no request."""
+        return b"" if self._delivery.reliable else self._requests()
+
+    def announced(self) -> None:
+        """Note that this step's broadcast was on the air."""
+        if not self._delivery.reliable:
+            self._requests_sent()
+
     def close_round(self, report: RoundReport) -> list[Rejected]:
         """Update the tables by what was on the air, and accept the entries that arrived."""
         frames: list[tuple[int, ParsedFrame]] = []
@@ -133,6 +144,9 @@ class Gossip(Replication):
             near = packets.encode([Near(robot) if here else Gone(robot)])
             if builder.fits(near):
                 builder.add(near, partial(self._neighbors.inform, self._in_range, robot, here))
+        digest = self._next_digest()
+        if digest is not None and builder.fits(packet := packets.encode([digest])):
+            builder.add(packet, self._digest_sent)
         end = 0
         for number in np.flatnonzero(self._reports_due(lengths, owed)).tolist():
             held = report(number, len(self.logs[number]))
@@ -144,6 +158,8 @@ class Gossip(Replication):
         """Return the mask of maps of which some peer should know how much this robot holds."""
         robots, step = self.peers.robots, self._step
         due: Mask = np.logical_or.reduce(self._informed[owed] < lengths)
+        if self._delivery.reliable:
+            due[self.replica.maps_to_ask_for()] = True
         for number in self._gaps:
             due[number] |= step >= self._reported[number] + self._delivery.gap_interval
         if self._parted and step % REFRESH == self.peers.robot % REFRESH:
@@ -164,8 +180,13 @@ class Gossip(Replication):
 
     # --- what was on the air
 
+    def _digest_sent(self) -> None:
+        """The digest of this robot's log was on the air."""
+        self.replica.digest_length = None
+
     def _report_sent(self, number: int) -> None:
         """This robot's report of a map was on the air."""
+        self.replica.asked(number)
         length = len(self.logs[number])
         self._reported[number] = self._step
         self._gaps.discard(number)
@@ -225,9 +246,13 @@ class Gossip(Replication):
                     number != peer or len(logs) > robots
                 ):
                     length = self._possible(number, offset(held, len(logs[number])))
+                    if number == self.peers.own and length < self.peers.expected.item(peer, number):
+                        self.replica.request_digest(length)
                     self._delivery.report_received(peer, number, length, self._step)
                     self._meetings.on(peer, "reported")
                     self._neighbors.near[peer, self.peers.robot] = True
+                case LogDigest():
+                    self.replica.receive_digest(peer, control)
                 case From(number, _) | FromEarly(number, _) if number < len(logs):
                     pass
                 case other:

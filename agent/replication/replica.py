@@ -81,8 +81,8 @@ class Replica:
         self.verifiers = [LogVerifier(log) for log in self.logs]
         self.step = 0
         """Steps so far."""
-        self.digest_due = False
-        """Whether to broadcast a digest of this robot's log: it is time to, or a peer holds other entries."""
+        self.digest_length: int | None = None
+        """Entries of this robot's log of which to send a digest: it is time to, or a peer may hold other entries."""
         self.last_append = 0
         """Offset in this robot's log of the entries that were appended last."""
         self._requests: dict[int, _Request] = {}
@@ -163,18 +163,6 @@ class Replica:
         rejected, self._rejected = self._rejected, []
         return rejected
 
-    def check_own(self, peer: int, first: int, entries: list[bytes]) -> None:
-        """Compare entries of this robot's log that a peer sent, from offset `first` on; report forged ones."""
-        if self.own_log.read(min(first, len(self.own_log)), None, first + len(entries)) != b"".join(entries):
-            self.digest_due = True
-            self._report(
-                peer, self.peers.own, "sent entries of this robot's map that this robot did not write"
-            )
-
-    def _report(self, peer: int, number: int, reason: str) -> None:
-        """Report that a peer sent wrong entries of a map."""
-        self._rejected.append(Rejected(peer, self.peers.maps[number], reason))
-
     def maps_to_ask_for(self) -> list[int]:
         """Return the numbers of the maps to ask for in this step: entries of them were dropped, and have not come."""
         for number, request in list(self._requests.items()):
@@ -182,34 +170,26 @@ class Replica:
                 del self._requests[number]
         return [number for number, request in self._requests.items() if self.step >= request.step]
 
-    def asked(self) -> None:
-        """Note that peers received this step's requests."""
-        for number in self.maps_to_ask_for():
+    def asked(self, number: int) -> None:
+        """Note that peers received a request for entries of a map."""
+        if number in self._requests:
             length, _, wait = self._requests[number]
             self._requests[number] = _Request(length, self.step + wait, min(2 * wait, LONGEST))
+
+    def request_digest(self, length: int) -> None:
+        """Send a digest of this robot's first `length` entries, or of fewer if that is requested already."""
+        self.digest_length = length if self.digest_length is None else min(length, self.digest_length)
 
     def check_own(self, peer: int, first: int, entries: list[bytes]) -> None:
         """Compare entries of this robot's log that a peer sent, from offset `first` on; report forged ones."""
         if self.own_log.read(min(first, len(self.own_log)), None, first + len(entries)) != b"".join(entries):
-            self.digest_due = True
-            self._report(
-                peer, self.peers.own, "sent entries of this robot's map that this robot did not write"
-            )
+            self.request_digest(first + len(entries))
+            reason = "sent entries of this robot's map that this robot did not write"
+            self._report(peer, self.peers.own, reason)
 
     def _report(self, peer: int, number: int, reason: str) -> None:
         """Report that a peer sent wrong entries of a map."""
         self._rejected.append(Rejected(peer, self.peers.maps[number], reason))
-
-    def lengths_to_report(self) -> list[tuple[int, int]]:
-        """Return (map number, log length) of the maps to ask for in this step; the next time comes later."""
-        due = []
-        for number, (length, step, wait) in list(self._lacking.items()):
-            if len(self.logs[number]) >= length:
-                del self._lacking[number]
-            elif self.step >= step:
-                due.append((number, len(self.logs[number])))
-                self._lacking[number] = length, self.step + wait, min(2 * wait, LONGEST)
-        return due
 
     def _verify(self, number: int) -> None:
         """Check the digests of a log whose entries have arrived."""
