@@ -1,11 +1,9 @@
-"""Byzantine robots: their radios send hostile frames, although they hold valid credentials.
+"""Hostile and damaged frames: byzantine robots, and bits that flip on the way to a robot although the checksum holds.
 
-The control logic of a byzantine robot is that of any other robot. Its radio sometimes sends a different frame: random
-bytes, flipped bits, a truncated or repeated frame, or a well-formed packet with false content. All are drawn from the
-robot's number and its count of frames, so that they are the same on both buses.
-
-A byzantine robot does not forge map updates. No receiver could detect a well-formed, plausible forgery except by
-visiting the place; access control, not the replication protocol, protects from that.
+The control logic of a byzantine robot is that of any other robot, and it holds valid credentials. Its radio sometimes
+sends a different frame: random bytes, flipped bits, a truncated or repeated frame, a well-formed packet with false
+content, or entries that it attributes to another robot. All are drawn from the robot's number and its count of frames,
+so that they are the same on both buses.
 """
 
 from __future__ import annotations
@@ -16,16 +14,18 @@ import numpy as np
 from msgspec.structs import replace
 
 from protocol import keys as names
-from protocol import packet_index, packets
-from protocol.bus import Bus
-from protocol.errors import ProtocolError
+from protocol import packets
+from protocol.bus import Bus, Message
 from protocol.keyed_random import keyed_random
-from protocol.messages import pack, unpack
+from protocol.messages import RelayUpdate, RoundReport, pack, unpack
 from protocol.packets import (
     DECLINED,
+    EARLY,
+    UPDATE_NUMBERS,
     Answer,
     Block,
     From,
+    FromEarly,
     Gone,
     Held,
     Near,
@@ -34,26 +34,73 @@ from protocol.packets import (
     Remove,
     Save,
     Target,
+    Update,
 )
 
 REPLACED = 0.25
 """Probability that a frame is replaced."""
 
-NOT_LOGGED = {Offer.name, Target.name, Pose.name}
-"""Packet types that are not part of a log."""
+FLIPPED = 0.02
+"""Probability that a bit of a received frame flips, in robots whose radios receive damaged frames."""
 
 
 @dataclass(frozen=True)
-class ByzantineRadios:
-    """A wrapper for the buses of participants: the robots in `robots` get a `ByzantineBus`, drawn from `seed`."""
+class HostileRadios:
+    """A wrapper for the buses of participants, drawn from `seed`.
+
+    Robots in `byzantine` get a `ByzantineBus`, those in `flipped` a `FlippingBus`.
+    """
 
     seed: int
-    robots: tuple[int, ...]
+    byzantine: tuple[int, ...] = ()
+    flipped: tuple[int, ...] = ()
 
     def __call__(self, name: str, bus: Bus) -> Bus:
-        """Wrap the bus of the participant `name`, if it is a byzantine robot."""
-        byzantine = name in map(names.robot, self.robots)
+        """Wrap the bus of the participant `name`, if its radio is hostile or damages frames."""
+        if name in map(names.robot, self.flipped):
+            bus = FlippingBus(bus, self.seed, names.number(name))
+        byzantine = name in map(names.robot, self.byzantine)
         return ByzantineBus(bus, self.seed, names.number(name)) if byzantine else bus
+
+
+class FlippingBus:
+    """An end of the bus that flips a bit of some log entries which its robot receives."""
+
+    def __init__(self, bus: Bus, seed: int, robot: int) -> None:
+        self.put, self.close = bus.put, bus.close
+        self._bus = bus
+        self._seed = seed
+        self._robot = robot
+        self._count = 0
+
+    def receive(self, timeout_s: float | None = None) -> Message | None:
+        """Receive a message, possibly with damaged frames."""
+        message = self._bus.receive(timeout_s)
+        if message is None or names.parts(message.key)[0] != "radio":
+            return message
+        update = unpack(message.payload)
+        if not isinstance(update, RelayUpdate):
+            return message
+        events = [
+            replace(
+                event,
+                deliveries=[replace(each, payload=self._damaged(each.payload)) for each in event.deliveries],
+            )
+            if isinstance(event, RoundReport)
+            else event
+            for event in update.events
+        ]
+        return message._replace(payload=pack(RelayUpdate(events)))
+
+    def _damaged(self, frame: bytes) -> bytes:
+        """The frame, or the frame with another value of one bit."""
+        self._count += 1
+        draw = keyed_random(self._seed, "flip", self._robot, self._count)
+        if draw.random() >= FLIPPED:
+            return frame
+        flipped = bytearray(frame)
+        flipped[int(draw.integers(len(flipped)))] ^= 1 << int(draw.integers(8))
+        return bytes(flipped)
 
 
 class ByzantineBus:
@@ -81,13 +128,11 @@ class ByzantineBus:
         self._count += 1
         draw = keyed_random(self._seed, "lie", self._robot, self._count)
         sent = self._replacement(draw, frame) if draw.random() < REPLACED else frame
-        if sent != frame and not frame.startswith(sent) and _has_log_entries(sent):
-            sent = bytes(draw.bytes(20))
         self._last = frame
         return sent
 
     def _replacement(self, draw: np.random.Generator, frame: bytes) -> bytes:
-        kind = int(draw.integers(6))
+        kind = int(draw.integers(7))
         if kind == 0:
             return bytes(draw.bytes(int(draw.integers(1, 80))))
         if kind == 1:
@@ -99,15 +144,10 @@ class ByzantineBus:
             return frame[: int(draw.integers(len(frame) + 1))]
         if kind == 5:
             return packets.encode([_packet(draw) for _ in range(int(draw.integers(1, 4)))])
+        if kind == 6:
+            begin = packets.encode([FromEarly(int(draw.integers(6)), int(draw.integers(EARLY)))])
+            return begin + packets.encode([Update(int(draw.integers(UPDATE_NUMBERS)), bytes(draw.bytes(20)))])
         return frame + frame if kind == 3 else self._last
-
-
-def _has_log_entries(frame: bytes) -> bool:
-    """Whether a frame is well formed and contains log entries."""
-    try:
-        return any(packets.name(piece) not in NOT_LOGGED for piece in packet_index.split(frame))
-    except ProtocolError:
-        return False
 
 
 def _packet(draw: np.random.Generator) -> packets.Packet:

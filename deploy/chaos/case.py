@@ -34,11 +34,15 @@ LASTING = ("stop", "mute", "deaf")
 
 @dataclass(frozen=True)
 class ChaosCase:
-    """One run under random faults; the radios of the robots in `byzantine` send hostile frames."""
+    """One run under random faults; the radios of the robots in `byzantine` send hostile frames.
+
+    Robots in `flipped` receive frames in which bits have flipped although the checksum holds.
+    """
 
     seed: int
     scenario: Scenario
     byzantine: tuple[int, ...] = ()
+    flipped: tuple[int, ...] = ()
 
     def smaller(self) -> list[ChaosCase]:
         """Cases with one fault less each, for shrinking a failing case."""
@@ -48,6 +52,7 @@ class ChaosCase:
         changes = [{"fault": fault} for fault in kept]
         changes += [{key: _DEFAULTS[key]} for key in ("radio", "change") if base[key] != _DEFAULTS[key]]
         cases = [replace(self, byzantine=())] if self.byzantine else []
+        cases += [replace(self, flipped=())] if self.flipped else []
         for change in changes:
             with contextlib.suppress(ValueError):  # a restart may be invalid without the kill before it
                 cases.append(replace(self, scenario=parse(base | change)))
@@ -78,7 +83,9 @@ def case(seed: int) -> ChaosCase:
     if draw.random() < 0.25:
         step, bandwidth = int(draw.integers(1, CALM)), bandwidths[int(draw.integers(len(bandwidths)))]
         settings["change"] = [{"step": step, "bandwidth": bandwidth, "range": str(draw.choice(RANGES))}]
-    return ChaosCase(seed, parse(settings), byzantine)
+    flipped = (int(draw.integers(robots)),) if draw.random() < 0.3 else ()
+    settings["digests"] = bool(byzantine or flipped)
+    return ChaosCase(seed, parse(settings), byzantine, flipped)
 
 
 def _faults(draw: np.random.Generator, robots: int) -> list[dict[str, Any]]:

@@ -4,7 +4,7 @@ In each step, for each honest robot in its current incarnation:
 
 - Its own grid agrees with the world in every known cell.
 - It never loses a known cell of its own grid, and its planning grid agrees with its own grid in these cells.
-- The logs of its teammates' maps never become shorter.
+- The logs of its teammates' maps never become shorter, unless it may have dropped forged or damaged entries.
 
 At the end:
 
@@ -12,7 +12,8 @@ At the end:
 - The living robots together know at least `MIN_KNOWN` of the reachable cells.
 - No step has carried more than its budget. Each transmitted byte was delivered or truncated, and each delivered unicast
   byte was received once.
-- Without byzantine robots, each log that a robot holds of another incarnation agrees with the log written there.
+- Without byzantine robots and damaged frames, each log that a robot holds of another incarnation agrees with the log
+  written there.
 """
 
 from __future__ import annotations
@@ -42,6 +43,8 @@ class InvariantChecker:
     plan : Plan
     byzantine : tuple of int
         Robots without any guarantee.
+    damaged : bool
+        Whether robots may receive damaged frames.
 
     Attributes
     ----------
@@ -49,10 +52,11 @@ class InvariantChecker:
         Share of the reachable free cells that the living robots know at the end.
     """
 
-    def __init__(self, plan: Plan, byzantine: tuple[int, ...]) -> None:
+    def __init__(self, plan: Plan, byzantine: tuple[int, ...], *, damaged: bool = False) -> None:
         self.known = 0.0
         self._plan = plan
         self._byzantine = byzantine
+        self._logs_are_true = not byzantine and not damaged
         self._truth: Grid = np.where(plan.map.cells == FREE, FREE, OCCUPIED).astype(np.uint8)
         self._incarnations: dict[tuple[int, int], Robot] = {}
         self._checked: dict[int, tuple[Robot, int]] = {}
@@ -85,7 +89,7 @@ class InvariantChecker:
             if (robot.own == UNKNOWN)[self._own[number] != UNKNOWN].any():
                 raise InvariantError(f"{name}: a known cell has become unknown")
             for map_id, (before, now) in enumerate(zip(self._lengths[number], lengths, strict=True)):
-                if now < before and map_id != robot.settings.own_map:
+                if now < before and map_id != robot.settings.own_map and self._logs_are_true:
                     raise InvariantError(f"{name}: log of map {map_id} shrank from {before} to {now} entries")
         self._own[number], self._lengths[number] = robot.own.copy(), lengths
 
@@ -106,7 +110,7 @@ class InvariantChecker:
             self.known = float(known.sum() / reachable.sum())
             if self.known < MIN_KNOWN:
                 raise InvariantError(f"the living robots know {self.known:.3f} of the world, not {MIN_KNOWN}")
-        if not self._byzantine:
+        if self._logs_are_true:
             self._check_logs()
 
     def _check_accounting(self, records: Records) -> None:
@@ -129,9 +133,8 @@ class InvariantChecker:
                 if author is None or author is robot:
                     continue
                 written = author.replication.logs[map_id]
-                first = max(log.start, written.start)
-                held = log.read(first, None) if first < len(log) else b""
-                if held != written.read(first, None)[: len(held)]:
+                held = log.read(0)
+                if held != written.read(0)[: len(held)]:
                     raise InvariantError(
                         f"robot {number}, incarnation {incarnation}: log of map {map_id} differs from its author's"
                     )

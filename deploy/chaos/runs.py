@@ -7,7 +7,7 @@ import traceback
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from deploy.chaos.byzantine import ByzantineRadios
+from deploy.chaos.byzantine import HostileRadios
 from deploy.chaos.case import ChaosCase, case
 from deploy.chaos.invariants import InvariantChecker, InvariantError
 from deploy.record.summary import digest
@@ -49,6 +49,7 @@ class Verdict:
         """Case and result in one line of text."""
         case, scenario = self.case, self.case.scenario
         byzantine = f", byzantine robots {list(case.byzantine)}" if case.byzantine else ""
+        byzantine += f", damaged frames to robots {list(case.flipped)}" if case.flipped else ""
         return (
             f"seed {case.seed}: {scenario.robots} robots on {scenario.map}, {scenario.strategy}, "
             f"{scenario.map_encoding}, {scenario.dissemination}, {len(scenario.fault)} faults{byzantine}: "
@@ -59,8 +60,8 @@ class Verdict:
 def run_case(drawn: ChaosCase, *, as_processes: bool = False) -> Verdict:
     """Run a case in memory with all checks; with `as_processes` repeat it and compare the digests."""
     plan = plans.make(drawn.scenario)
-    checker = InvariantChecker(plan, drawn.byzantine)
-    radios = ByzantineRadios(drawn.seed, drawn.byzantine)
+    checker = InvariantChecker(plan, drawn.byzantine, damaged=bool(drawn.flipped))
+    radios = HostileRadios(drawn.seed, drawn.byzantine, drawn.flipped)
     began = time.perf_counter()
     try:
         run = MemoryRun(plan, wrap=radios)
@@ -94,7 +95,7 @@ def shrink(verdict: Verdict) -> Verdict:
     return verdict
 
 
-def _run_as_processes(plan: Plan, radios: ByzantineRadios, expected: str) -> str:
+def _run_as_processes(plan: Plan, radios: HostileRadios, expected: str) -> str:
     outcome = launch.run(plan, None, wrap=radios)
     if outcome.deaths:
         return f"as processes: {outcome.deaths}"
