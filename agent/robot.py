@@ -38,12 +38,15 @@ from protocol.messages import (
     cells_to_bytes,
     points_to_bytes,
 )
-from protocol.packets import Held, HeldEarly, LogDigest
+from protocol.packets import SALTS, Held, HeldEarly, LogDigest
 from protocol.scans import Scan, check_readings, draw
 
 SURE_AFTER = 10
 """Steps for which a map with assumptions must have nothing left to explore before a robot reports that it is done:
 by then teammates have sent more of areas that looked insignificant when they first saw them."""
+
+VERIFY_STEPS = 3
+"""Steps in which the authors of forged entries, which receive them as well, send digests and true entries."""
 
 
 def sure_after(settings: Settings) -> int:
@@ -125,7 +128,7 @@ class Robot:
         self._sense = sense
         self._team.perceive(sense)
         if self.settings.digests:
-            self.replication.salt = zlib.crc32(sense.readings) & 255
+            self.replication.salt = zlib.crc32(sense.readings) % SALTS
         encoding, replication = self._encoding, self.replication
         if encoding.retractable and not self._withheld and replication.retract(encoding.retractable):
             encoding.retract_last()
@@ -189,11 +192,15 @@ class Robot:
             sense.step,
             cells_to_bytes(decision.path[:MAX_WAY_CELLS]),
             decision.heading,
-            self._idle_steps > self._sure_after,
+            self._idle_steps > self._sure_after + self._verifying_steps(),
             decision.look,
             decision.stalled,
             points_to_bytes(decision.points[:MAX_WAY_CELLS]),
         )
+
+    def _verifying_steps(self) -> int:
+        """Return for how many further steps it waits for digests, which may show that forwarded entries are forged."""
+        return VERIFY_STEPS if self.settings.digests and self.replication.replica.has_forwarded() else 0
 
     def _apply(self, decision: Decision) -> None:
         """Take over a decision, and prepare what teammates are sent of it."""

@@ -38,6 +38,8 @@ BLOCKS = 64
 DECLINED = BLOCKS
 """The number in a `Block` that declines an offer."""
 
+SALTS = 1 << 7
+"""Number of different salts of a `LogDigest`."""
 DIGEST_WINDOW = 1 << 16
 """Lengths of logs in `LogDigest` are modulo this number."""
 
@@ -76,7 +78,8 @@ Leads = Annotated[int, Bits(1, "l", "1: the sender leads a sub-team")]
 Age = Annotated[int, Bits(6, "a", "steps since the robot was in that cell")]
 Checksum = Annotated[int, Bits(16, "q", "checksum of all preceding bytes of the frame")]
 DigestLength = Annotated[int, Bits(16, "i", "number of log entries, modulo 65536")]
-Salt = Annotated[int, Bits(8, "k", "byte that nobody can predict, hashed behind the entries")]
+Complete = Annotated[int, Bits(1, "c", "1: the sender has sent no further entries of its log")]
+Salt = Annotated[int, Bits(7, "k", "number that nobody can predict, hashed behind the entries")]
 Hash = Annotated[int, Bits(16, "h", "hash of the entries and the salt")]
 
 
@@ -286,6 +289,7 @@ class LogDigest(Packet):
 
     name, size, code = "conn", 6, "11111100"
     length: DigestLength
+    complete: Complete
     salt: Salt
     hash: Hash
 

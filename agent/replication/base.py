@@ -32,7 +32,7 @@ class Replication(ABC):
         self.peers = replica.peers
         self.logs = replica.logs
         self.salt: int | None = None
-        """Byte for the next digest, which no other robot can predict; None: this robot sends no digests."""
+        """Salt of the next digest, below 2**7, which no other robot can predict; None: this robot sends no digests."""
         self._digest_step = INTERVAL * (self.peers.robots - self.peers.robot)
         """The step in which to send the next regular digest; robots take turns."""
         self._asked: dict[tuple[int, int], tuple[int, int]] = {}
@@ -109,7 +109,7 @@ class Replication(ABC):
         length = 0 if replica.digest_length is None else min(replica.digest_length, self.shared)
         if self.salt is None or not length:
             return None
-        return replica.verifiers[self.peers.own].digest(length, self.salt)
+        return replica.verifiers[self.peers.own].digest(length, self.salt, complete=length == self.shared)
 
     def _requests(self) -> bytes:
         """Return the log lengths of the maps to ask for."""

@@ -5,6 +5,8 @@ than a byte per step for the whole team. A receiver hashes as many entries of it
 entries. Otherwise a forwarder forged some of them, or a frame was damaged; the receiver drops all entries that have not
 been verified and asks for them again (`agent.replication.replica`).
 
+A digest also tells whether the author has sent further entries; if not, those that a receiver holds are forged.
+
 The salt, which the author draws from its sensor readings, is hashed behind the entries. A forger cannot know it in
 advance, so a forgery of the same length passes with a probability of 2**-16. A digest proves that its sender wrote the
 entries: it counts only for the sender's own log, and only if it comes from the author. The medium vouches for senders.
@@ -26,46 +28,61 @@ MAX_OPEN = 8
 
 
 class LogVerifier:
-    """The verified prefix of one log, and digests of entries that have not arrived yet."""
+    """The verified prefix of one log, and digests of entries that have not arrived yet.
 
-    def __init__(self, log: Log) -> None:
+    `ordered`: no digest arrives after entries that its author sent later.
+    """
+
+    def __init__(self, log: Log, *, ordered: bool = True) -> None:
         self.length = 0
         """Number of verified entries."""
         self._log = log
+        self._ordered = ordered
         self._hash = blake2b(digest_size=2)
         """Hash of the verified entries."""
         self._open: list[tuple[int, LogDigest]] = []
+        self._end: tuple[int, int] | None = None
+        """Length and salt of the last digest of a complete log that was shorter than this one."""
 
-    def digest(self, length: int, salt: int) -> LogDigest:
-        """Return the digest of the first `length` entries, no fewer than are verified; `salt` is a byte."""
+    def digest(self, length: int, salt: int, *, complete: bool) -> LogDigest:
+        """Return the digest of the first `length` entries, no fewer than are verified.
+
+        `salt` is below 2**7; `complete` tells that the author has sent no further entries.
+        """
         digest = self._hash.copy()
         digest.update(self._log.read(self.length, None, length) + bytes([salt]))
-        return LogDigest(length % DIGEST_WINDOW, salt, int.from_bytes(digest.digest(), "big"))
+        return LogDigest(length % DIGEST_WINDOW, complete, salt, int.from_bytes(digest.digest(), "big"))
 
     def receive(self, digest: LogDigest) -> None:
         """Keep a digest of the author until it can be checked."""
         length = nearest(digest.length, len(self._log), DIGEST_WINDOW)
-        if length > self.length:
+        if length >= self.length:
             self._open = sorted([*self._open, (length, digest)], key=lambda each: each[0])[:MAX_OPEN]
 
     def check(self) -> bool | None:
         """Check the digests of entries that have arrived.
 
-        Returns True if more entries are verified now, False if an entry behind the verified ones is not the author's,
-        and None if no digest could be checked.
+        Returns True if more entries are verified now, or the log is complete, False if an entry behind the verified ones
+        is not the author's, and None if no digest could be checked.
         """
-        result = None
+        verified, complete = self.length, False
         while self._open and self._open[0][0] <= len(self._log):
             length, digest = self._open.pop(0)
-            if length <= self.length:
+            if length < self.length:
                 continue
-            if self.digest(length, digest.salt) != digest:
+            if self.digest(length, digest.salt, complete=bool(digest.complete)) != digest:
                 return False
-            self.confirm(length)
-            result = True
-        return result
+            self._hash.update(self._log.read(self.length, None, length))
+            self.length = length
+            complete = bool(digest.complete) and length == len(self._log)
+            if digest.complete and not complete and self._ends(length, digest.salt):
+                return False
+        return True if complete or self.length > verified else None
 
-    def confirm(self, length: int) -> None:
-        """Note that the first `length` entries are the author's."""
-        self._hash.update(self._log.read(self.length, None, length))
-        self.length = length
+    def _ends(self, length: int, salt: int) -> bool:
+        """Return whether a digest of a complete log of that length shows that entries behind it are not the author's.
+
+        If digests may be late, a second one must say the same.
+        """
+        before, self._end = self._end, (length, salt)
+        return self._ordered or (before is not None and before[0] == length and before[1] != salt)

@@ -37,7 +37,8 @@ def make_replication(
     `rebuild` decodes all logs again after entries were dropped.
     """
     maps = map_ids(settings.robots, settings.incarnations)
-    replica = Replica(maps[settings.own_map], maps, consume, rebuild)
+    own = maps[settings.own_map]
+    replica = Replica(own, maps, consume, rebuild, ordered=not settings.requires_acks)
     if settings.dissemination == GOSSIP:
         acks = PeerAcks(replica.peers) if settings.requires_acks else MediumAcks(replica.peers)
         return Gossip(replica, acks, dependencies)

@@ -70,15 +70,24 @@ class _Request(NamedTuple):
 
 
 class Replica:
-    """Logs by map number, and what peers hold of them; `rebuild` is called after decoded entries were dropped."""
+    """Logs by map number, and what peers hold of them.
+
+    `rebuild` is called after decoded entries were dropped; `ordered`: frames of a robot arrive in their order.
+    """
 
     def __init__(
-        self, own: MapId, maps: list[MapId], consume: Consume, rebuild: Rebuild = lambda _logs: None
+        self,
+        own: MapId,
+        maps: list[MapId],
+        consume: Consume,
+        rebuild: Rebuild = lambda _logs: None,
+        *,
+        ordered: bool = True,
     ) -> None:
         self.peers = PeerTable(own, maps)
         self.logs = [Log() for _ in maps]
         self.own_log = self.logs[own.number]
-        self.verifiers = [LogVerifier(log) for log in self.logs]
+        self.verifiers = [LogVerifier(log, ordered=ordered) for log in self.logs]
         self.step = 0
         """Steps so far."""
         self.digest_length: int | None = None
@@ -111,6 +120,10 @@ class Replica:
         if entries:
             self.last_append = len(self.own_log)
         self.own_log.append(entries)
+
+    def has_forwarded(self) -> bool:
+        """Return whether entries that are not verified may come from a peer that is not their author."""
+        return any(senders - {self.peers.maps[number].robot} for number, senders in self._senders.items())
 
     def lengths(self) -> Table:
         """Return the number of entries of each log."""
