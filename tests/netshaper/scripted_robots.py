@@ -73,11 +73,11 @@ class Robot:
 
     def answer(self, rng: np.random.Generator) -> bytes:
         index, block = packets.Answer(int(rng.integers(4096))), packets.Block(int(rng.integers(64)))
-        choices: list[list[packets.Packet]] = [[index], [block, index], [packets.Decline()]]
+        choices: list[list[packets.Packet]] = [[index], [block, index], [packets.Block(packets.DECLINED)]]
         return packets.encode(choices[rng.integers(3)])
 
     def data(self, rng: np.random.Generator, answer: bytes) -> bytes:
-        if answer == packets.encode([packets.Decline()]) or rng.random() < 0.2:
+        if answer == packets.encode([packets.Block(packets.DECLINED)]) or rng.random() < 0.2:
             return b""
         kinds = [
             packets.Save(),

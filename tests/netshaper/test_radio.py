@@ -40,7 +40,7 @@ from protocol.messages import (
     RobotFrames,
     RoundReport,
 )
-from protocol.packets import Answer, Decline, Delete, Offer, Save, Target, encode
+from protocol.packets import DECLINED, Answer, Block, Delete, Offer, Save, Target, encode
 from tests.netshaper.network import Network, Step
 from tests.netshaper.scenes import gossip, play, scenes, seeds
 from tests.netshaper.scripted_robots import ByzantineRobot, Mute, Robot
@@ -217,7 +217,7 @@ class Quiet(Robot):
         return [RobotFrames(event.step, event.round, "offers")]
 
     def answer(self, _rng: np.random.Generator) -> bytes:
-        return encode([Decline()])
+        return encode([Block(DECLINED)])
 
 
 def _among(step: Step, without: set[int]) -> list[Any]:

@@ -15,6 +15,7 @@ from protocol import packets
 from protocol.errors import ProtocolError
 from protocol.packets import (
     ALL_KINDS,
+    DECLINED,
     FRAGMENT_DATA,
     KINDS,
     LAST_UPDATE_DATA,
@@ -26,7 +27,6 @@ from protocol.packets import (
     Block,
     Change,
     Check,
-    Decline,
     Delete,
     Emerge,
     Fragment,
@@ -36,6 +36,7 @@ from protocol.packets import (
     Held,
     HeldEarly,
     Insert,
+    LogDigest,
     Near,
     Offer,
     Packet,
@@ -70,8 +71,7 @@ LIMITS: dict[type[Packet], dict[str, tuple[int, int]]] = {
     Remove: {"object": (0, 4095)},
     Offer: {"map": (0, 63), "block": (0, 63)},
     Answer: {"index": (0, 4095)},
-    Block: {"block": (0, 63)},
-    Decline: {},
+    Block: {"block": (0, 127)},
     Target: {"x": (0, 2047), "y": (0, 2047)},
     Pose: {"x": (0, 2047), "y": (0, 2047), "leads": (0, 1)},
     Passed: {"robot": (0, 255), "age": (0, 63), "x": (0, 2047), "y": (0, 2047)},
@@ -83,6 +83,7 @@ LIMITS: dict[type[Packet], dict[str, tuple[int, int]]] = {
     Near: {"robot": (0, 255)},
     Gone: {"robot": (0, 255)},
     Check: {"sum": (0, 2**16 - 1)},
+    LogDigest: {"length": (0, 2**16 - 1), "complete": (0, 1), "salt": (0, 127), "hash": (0, 2**16 - 1)},
 }
 """First and last value of each field of each packet."""
 
@@ -96,7 +97,7 @@ EXAMPLES: list[AnyPacket] = [
     Offer(5, 63),
     Answer(4094),
     Block(33),
-    Decline(),
+    Block(DECLINED),
     Target(2047, 1000),
     Pose(1000, 2047, 1),
     Passed(17, 2, 1000, 2047),
@@ -110,6 +111,7 @@ EXAMPLES: list[AnyPacket] = [
     Near(7),
     Gone(130),
     Check(0x29B1),
+    LogDigest(513, 1, 100, 0xBEEF),
     Update(None, bytes(range(8))),
     Update(2, b"residual"),
     Update(3, b""),
@@ -155,9 +157,7 @@ def documented_bits(packet: AnyPacket) -> str:
         case Answer():
             expected = f"1011{packet.index:012b}"
         case Block():
-            expected = f"1111100000{packet.block:06b}"
-        case Decline():
-            expected = "1111110000000000"
+            expected = f"111110000{packet.block:07b}"
         case Target():
             expected = f"00{packet.x:011b}{packet.y:011b}"
         case Pose():
@@ -181,13 +181,15 @@ def documented_bits(packet: AnyPacket) -> str:
             expected = f"{'11111001' if isinstance(packet, Near) else '11111110'}{packet.robot:08b}"
         case Check():
             expected = f"11111010{packet.sum:016b}"
+        case LogDigest():
+            expected = f"11111100{packet.length:016b}{packet.complete:b}{packet.salt:07b}{packet.hash:016b}"
     return expected
 
 
 @pytest.mark.parametrize("kind", LIMITS, ids=lambda kind: kind.__name__)
 def test_packet_sizes_are_those_of_table_6_1(kind: type[Packet]) -> None:
     packet = kind(*(low for low, _ in LIMITS[kind].values()))
-    longer = {Pose: 4, Passed: 6, From: 5, FromEarly: 3, Held: 5, HeldEarly: 3, Check: 3}
+    longer = {Pose: 4, Passed: 6, From: 5, FromEarly: 3, Held: 5, HeldEarly: 3, Check: 3, LogDigest: 6}
     assert len(encode([packet])) == kind.size == (longer[kind] if kind in longer else SIZES[kind.name])
 
 
@@ -371,7 +373,7 @@ def test_limits_of_grids_and_teams_fit_the_layouts() -> None:
 
 
 def test_a_handshake_is_decoded_unless_it_is_too_long() -> None:
-    for stream in ([Answer(7)], [Block(3), Answer(4095)], [Block(1), Block(2), Answer(3)], [Decline()]):
+    for stream in ([Answer(7)], [Block(3), Answer(4095)], [Block(1), Block(2), Answer(3)], [Block(DECLINED)]):
         assert list(handshake(encode(stream))) == stream
     with pytest.raises(ProtocolError, match="conn at byte 0: 8 bytes instead of 6"):
         handshake(encode([Block(1), Block(2), Block(2), Answer(3)]))

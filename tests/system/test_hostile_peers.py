@@ -45,10 +45,10 @@ from protocol.messages import (
     unpack,
 )
 from protocol.packets import (
+    DECLINED,
     Answer,
     Block,
     Change,
-    Decline,
     Delete,
     Emerge,
     Fragment,
@@ -176,7 +176,7 @@ others = st.one_of(
     st.builds(Offer, st.integers(0, 5), st.integers(0, 63)),
     st.builds(Answer, st.integers(0, 4095)),
     st.builds(Block, st.integers(0, 63)),
-    st.just(Decline()),
+    st.just(Block(DECLINED)),
     st.builds(Target, st.integers(0, 40) | st.just(2047), st.integers(0, 10)),
     st.builds(Pose, st.integers(0, 40) | st.just(2047), st.integers(0, 10), bit),
 )
@@ -415,7 +415,7 @@ class Decliner(Member):
     def take(self, event: MediumEvent) -> RobotFrames | None:
         frames = super().take(event)
         if frames is not None and frames.phase == "answers":
-            declined = [replace(frame, payload=encode([Decline()])) for frame in frames.frames]
+            declined = [replace(frame, payload=encode([Block(DECLINED)])) for frame in frames.frames]
             return replace(frames, frames=declined)
         return frames
 

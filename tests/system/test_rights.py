@@ -190,7 +190,7 @@ NOISE = (
             packets.Offer(1, 0),
             packets.Answer(4095),
             packets.Block(63),
-            packets.Decline(),
+            packets.Block(packets.DECLINED),
             packets.Emerge(4000, 5, 1),
             packets.Insert(9, 4000, 4000, 0, 1),
             packets.Fragment(b"noise"),

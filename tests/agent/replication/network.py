@@ -134,9 +134,8 @@ class Network:
         return entries(robot, 0, self.appended[robot])
 
     def held(self, robot: int, of: int) -> list[bytes]:
-        """The entries that a robot holds of another's log; those that it truncated are made up."""
-        log = self.engines[robot].logs[of]
-        return entries(of, 0, log.start) + packet_index.split(log.read(log.start, None))
+        """The entries that a robot holds of another's log."""
+        return packet_index.split(self.engines[robot].logs[of].read(0))
 
     def length(self, robot: int, of: int) -> int:
         """How many entries a robot holds of another's log."""

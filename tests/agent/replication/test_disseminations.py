@@ -48,9 +48,6 @@ def test_with_any_encounters_logs_are_never_wrong_and_complete_in_the_end(
             network.append(robot, int(rng.integers(0, 5)))
         network.step(random_reach(rng, robots, 0.4), budget, rounds)
         network.check()
-        if rng.random() < 0.3:
-            for each in network.engines:
-                each.truncate()
     order = rng.permutation(robots).tolist()
     reach = {order[robot]: [order[peer] for peer in peers] for robot, peers in line(robots).items()}
     network.settle(reach, budget and max(budget, 100), rounds, most=4000)
@@ -93,16 +90,12 @@ def test_lost_entries_do_not_count_as_delivered(name: str) -> None:
     network.append(0, 30)
     for _ in range(40):
         network.step(everyone(2))
-        network.engines[0].truncate()
-    assert network.engines[0].logs[0].start == 0
     assert network.engines[0].undelivered() == 30
     network.loss = 0.0
     for _ in range(80):
         network.step(everyone(2))
-        network.engines[0].truncate()
     assert network.complete()
     assert network.engines[0].undelivered() == 0
-    assert network.engines[0].logs[0].start == 30
 
 
 @pytest.mark.parametrize(("name", "acks"), VARIANTS)
@@ -175,7 +168,6 @@ def test_a_peer_that_claims_entries_which_were_never_sent_cannot_make_the_log_in
         each.open_round(0, [1], 9)
         claim = Delivery(1, encode([HeldEarly(0, 5)]))
         each.close_round(RoundReport(1, 0, [], [], [claim], False))
-        each.truncate()
         assert each.retract(2)
         assert len(each.logs[0]) == 3
     each = engine("backoff")
@@ -183,7 +175,6 @@ def test_a_peer_that_claims_entries_which_were_never_sent_cannot_make_the_log_in
     each.open_round(0, [1], None)
     each.send_data([Delivery(1, encode([Answer(5)]), 0, 0)])
     each.close_round(RoundReport(1, 0, [ConnectionReport(0, 2, 2, 0)], [], [], False))
-    each.truncate()
     assert not each.retract(2), "the log is as the peer claims to hold it"
     assert len(each.logs[0]) == 5
 
@@ -200,15 +191,6 @@ def test_without_handshakes_there_are_no_answers(name: str, acks: bool) -> None:
 def test_an_unknown_dissemination_is_refused_with_those_that_exist() -> None:
     with pytest.raises(ValueError, match="'often'; choose from: backoff, thesis, gossip"):
         engine("often")
-
-
-@pytest.mark.parametrize(("name", "acks"), VARIANTS)
-def test_a_robot_alone_truncates_its_log(name: str, acks: bool) -> None:
-    each = engine(name, 1, acks=acks)
-    for length in (5, 10):
-        each.append(entries(0, length - 5, length))
-        each.truncate()
-        assert (len(each.logs[0]), each.logs[0].start) == (length, length)
 
 
 @pytest.mark.parametrize(("name", "acks"), VARIANTS)

@@ -61,8 +61,6 @@ def broadcasts(network: Network) -> dict[int, bytes]:
 def step(network: Network, reach: object, budget: int | None = None, rounds: int = 1) -> None:
     network.step(reach, budget, rounds)  # type: ignore[arg-type]
     network.check()
-    for each in network.engines:
-        each.truncate()
 
 
 def gossip(robots: int, seed: int = 0) -> Network:
@@ -273,7 +271,6 @@ def test_offsets_modulo_the_window_mean_the_value_nearest_to_the_receiver_s_log(
     each = engine(1, 2)
     for _ in range(16):
         each.logs[0].append([encode([Save()])] * (GOSSIP_WINDOW // 16))
-        each.logs[0].truncate(len(each.logs[0]))
     each.logs[0].append([encode([Save()])] * 5)
     each.open_round(0, [0], None)
     assert not each.close_round(closing((0, encode([From(0, 5), Delete(1), Save()]))))
@@ -346,7 +343,7 @@ def test_entries_that_were_kept_are_dropped_if_their_sender_is_rejected_meanwhil
     each = engine(2, 3, acks=True)
     each.open_round(0, [0, 1], None)
     each.close_round(closing((1, encode([FromEarly(0, 1)]) + entry(0, 1))))
-    each.replica.refused.add((1, 0))
+    each.replica.reject(1, 0, "malformed")
     each.close_round(closing((0, encode([FromEarly(0, 0)]) + entry(0, 0))))
     assert packet_index.split(each.logs[0].read(0, None)) == entries(0, 0, 1)
 

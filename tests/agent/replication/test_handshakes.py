@@ -15,13 +15,13 @@ from agent.replication.base import Replication
 from agent.replication.control_packets import LEAST_HANDSHAKE
 from agent.replication.handshakes import MAX_WAIT, STUBBORN, Connection
 from agent.replication.log import Log
-from agent.replication.peers import PeerTable, map_ids
+from agent.replication.peers import map_ids
 from agent.replication.policies import CROWD, POLICIES, Rounds, backoff
 from agent.replication.replica import Replica
 from protocol import packet_index, packets
 from protocol.errors import ProtocolError
 from protocol.messages import ConnectionReport, Delivery, OutgoingFrame, RoundReport
-from protocol.packets import BLOCKS, INDEX_WINDOW, Answer, Block, Decline, Offer, Save, encode
+from protocol.packets import BLOCKS, DECLINED, INDEX_WINDOW, Answer, Block, Offer, Save, encode
 from tests.agent.replication.network import Network, entries, entry, everyone, line, make_engine
 
 ROUND = BLOCKS * INDEX_WINDOW
@@ -39,7 +39,7 @@ def closing(*connections: ConnectionReport, data: Sequence[Delivery] = ()) -> Ro
 
 
 def declines(offers: Sequence[Delivery]) -> list[OutgoingFrame]:
-    return [OutgoingFrame(each.sender, encode([Decline()]), each.connection) for each in offers]
+    return [OutgoingFrame(each.sender, encode([Block(DECLINED)]), each.connection) for each in offers]
 
 
 def expected(network: Network, robot: int, peer: int, of: int) -> int:
@@ -228,16 +228,16 @@ def test_a_length_in_another_block_is_understood(mine: int, theirs: int, table: 
     assert network.held(1, of=2)[-3:] == entries(2, 0, max(mine, theirs))[-3:]
 
 
-def truncated_log(length: int) -> Log:
+def long_log(length: int) -> Log:
     log = Log()
-    log.start = length
+    log.append(length * [encode([Save()])])
     return log
 
 
 @pytest.mark.parametrize(("length", "count"), [(0, 1), (INDEX_WINDOW - 1, 1), (INDEX_WINDOW, 2), (ROUND, 3)])
 def test_an_answer_is_as_short_as_it_can_be(length: int, count: int) -> None:
     each = engine(1)
-    each.logs[0] = truncated_log(length)
+    each.logs[0] = long_log(length)
     (reply,) = each.answer([Delivery(0, encode([Offer(0, 0)]), 0)])
     assert len(packets.decode(reply.payload)) == count
     assert len(reply.payload) == 2 * count
@@ -271,39 +271,6 @@ def test_a_peer_that_got_far_ahead_of_the_table_goes_on_where_it_is(
     assert sent == min(mine - theirs, 1000)
     offerer.close_round(closing(ConnectionReport(0, 2, len(answer.payload), sent)))
     assert offerer.peers.expected[1, 2] == theirs + sent
-
-
-# Truncation.
-
-
-def truncate(network: Network) -> list[list[int]]:
-    for each in network.engines:
-        each.truncate()
-    return [[log.start for log in each.logs] for each in network.engines]
-
-
-def test_only_entries_that_all_robots_hold_are_truncated() -> None:
-    network = Network(3, "thesis")
-    for robot in range(3):
-        network.append(robot, 10)
-    for _ in range(6):
-        network.step(everyone(3))
-        truncate(network)
-        network.check()
-    assert truncate(network) == 3 * [[10, 10, 10]]
-    network.append(0, 3)
-    network.settle(everyone(3))
-
-
-def test_entries_that_one_robot_lacks_are_kept_and_its_author_needs_none_back() -> None:
-    network = Network(3, "thesis")
-    network.append(0, 10)
-    for _ in range(5):
-        network.step({0: [1], 1: [0], 2: []})
-        assert [starts[0] for starts in truncate(network)] == [0, 0, 0]
-    assert network.settle({0: [], 1: [2], 2: [1]}) < 5
-    network.step({0: [], 1: [2], 2: [1]})
-    assert [starts[0] for starts in truncate(network)[1:]] == [10, 10]
 
 
 # Policies against their rules.
@@ -354,19 +321,6 @@ def test_backoff_offers_by_its_rule(team: Any, number: int, now: int, single: bo
     assert rounds.open(number, peers, None) == [
         (peer, of, held[peer, of]) for peer, of in by_the_rule if of >= 0
     ]
-
-
-@given(tables())
-def test_all_robots_hold_the_least_that_any_other_holds(team: Any) -> None:
-    robots, rng, held, _, _ = team
-    robot = int(rng.integers(robots))
-    maps = map_ids(robots)
-    table = PeerTable(maps[robot], maps)
-    table.acked = held
-    least = table.held_by_all()
-    for of in range(robots):
-        others = [held[peer][of] for peer in range(robots) if peer not in (robot, of)]
-        assert least[of] == min(others, default=np.iinfo(np.int64).max)
 
 
 # Crowds: handshakes grow with the square of the team, the medium does not.
@@ -424,7 +378,7 @@ def make_byzantine(network: Network, robot: int, seed: int) -> None:
 
     def answers(arrived: Sequence[Delivery]) -> list[OutgoingFrame]:
         index, block = Answer(int(rng.integers(INDEX_WINDOW))), Block(int(rng.integers(BLOCKS)))
-        choices: list[list[packets.Packet]] = [[index], [block, index], [block, block, index], [Decline()]]
+        choices: list[list[packets.Packet]] = [[index], [block, index], [block, block, index], [Block(DECLINED)]]
         return [
             OutgoingFrame(offer.sender, encode(choices[rng.integers(4)]), offer.connection)
             for offer in arrived
@@ -460,7 +414,6 @@ def test_a_byzantine_robot_neither_spoils_a_log_nor_keeps_others_from_theirs(
                 network.append(robot, 1)
         network.step(everyone(robots), 500)
         for robot in honest:
-            network.engines[robot].truncate()
             for of in honest:
                 assert network.held(robot, of) == network.written(of)[: network.length(robot, of)]
             assert network.held(robot, robot) == network.written(robot)
@@ -473,7 +426,7 @@ def test_no_robot_accepts_entries_of_its_own_map() -> None:
     each = engine(0, 3)
     each.append(entries(0, 0, 2))
     (answer,) = each.answer([Delivery(1, encode([Offer(0, 0)]), 5)])
-    assert packets.decode(answer.payload) == [Decline()]
+    assert packets.decode(answer.payload) == [Block(DECLINED)]
     each.close_round(closing(ConnectionReport(5, 2, 2, 9), data=[Delivery(1, entry(0, 2), 5)]))
     assert packet_index.split(each.logs[0].read(0, None)) == entries(0, 0, 2)
 
@@ -482,7 +435,7 @@ def test_data_on_a_connection_that_was_declined_or_never_offered_is_dropped() ->
     each = engine(0, 3)
     offer = encode([Offer(2, 0)])
     answers = each.answer([Delivery(1, offer, 5), Delivery(2, offer, 6)])
-    assert [packets.decode(frame.payload) for frame in answers] == [[Answer(0)], [Decline()]]
+    assert [packets.decode(frame.payload) for frame in answers] == [[Answer(0)], [Block(DECLINED)]]
     data = [Delivery(sender, entry(2, 0), connection) for sender, connection in ((1, 5), (2, 6), (2, 99))]
     each.close_round(closing(ConnectionReport(5, 2, 2, 7), ConnectionReport(6, 2, 2, 7), data=data))
     assert packet_index.split(each.logs[2].read(0, None)) == entries(2, 0, 1)
@@ -506,7 +459,7 @@ def test_a_malformed_offer_is_an_error(frame: bytes) -> None:
         encode([Answer(0), Block(0)]),
         2 * encode([Answer(0)]),
         3 * encode([Block(0)]),
-        encode([Block(0), Decline()]),
+        encode([Block(0), Block(DECLINED)]),
         encode([Save()]),
     ],
 )
@@ -570,7 +523,7 @@ def test_offers_of_a_rejected_peer_leave_the_place_to_others() -> None:
     network = Network(3)
     network.append(2, 1)
     network.round(1, {0: [2], 2: [0]})
-    network.engines[1].replica.refused.add((0, 2))
+    network.engines[1].replica.reject(0, 2, "malformed")
     for _ in range(4):
         network.round(1, {0: [1], 1: [0]})
     assert network.length(1, 2) == 0

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.replication.control_packets import parse
+from agent.replication.digests import MAX_OPEN, LogVerifier
 from agent.replication.frame_builder import FrameBuilder
 from agent.replication.log import Log
 from agent.replication.neighbors import BroadcastCursors, Neighbors
 from agent.replication.peers import map_ids
-from agent.replication.replica import Replica
+from agent.replication.replica import ASK_AGAIN, LONGEST, MANY, TRIES, Replica
+from protocol import packet_index
 from protocol.errors import ProtocolError
-from protocol.packets import FromEarly, Held, Near, encode
+from protocol.packets import DIGEST_WINDOW, FromEarly, Held, Near, encode
 from tests.agent.replication.network import entries, entry
 
 sizes = st.lists(st.integers(1, 30), max_size=12)
@@ -29,8 +33,7 @@ def log_of(*lengths: int) -> tuple[Log, list[bytes]]:
 @given(sizes, st.data())
 def test_a_log_returns_the_entries_that_fit_from_an_offset(lengths: list[int], data: st.DataObject) -> None:
     log, units = log_of(*lengths)
-    log.truncate(data.draw(st.integers(0, len(units) + 3)))
-    first = data.draw(st.integers(log.start, len(units)))
+    first = data.draw(st.integers(0, len(units)))
     budget = data.draw(st.none() | st.integers(0, 200))
     got = log.read(first, budget)
     after = log.offset_after(first, len(got))
@@ -46,17 +49,14 @@ def test_a_log_returns_the_entries_that_fit_from_an_offset(lengths: list[int], d
 
 
 @given(sizes, st.data())
-def test_entries_are_retracted_unless_they_are_shared_or_truncated(
-    lengths: list[int], data: st.DataObject
-) -> None:
+def test_entries_are_retracted_unless_they_are_shared(lengths: list[int], data: st.DataObject) -> None:
     log, units = log_of(*lengths)
-    log.truncate(data.draw(st.integers(0, len(units))))
     count, shared = data.draw(st.integers(0, len(units))), data.draw(st.integers(0, len(units)))
-    possible = len(units) - count >= max(shared, log.start)
+    possible = len(units) - count >= shared
     assert log.retract(count, shared) == possible
     left = len(units) - count if possible else len(units)
     log.append(units)
-    assert log.read(log.start, None) == b"".join(units[log.start : left] + units)
+    assert log.read(0) == b"".join(units[:left] + units)
     assert len(log) == left + len(units)
 
 
@@ -164,23 +164,201 @@ def test_cursors_are_known_to_robots_that_were_in_range_ever_since() -> None:
     assert not unreliable.known(5, [1])
 
 
-def test_a_peer_is_distrusted_unless_others_sent_entries_of_the_map_that_it_got_wrong() -> None:
-    wrong = {b"lie"}
+class _Judge:
+    """A replica of four robots that decodes all entries but `malformed` ones."""
 
-    def consume(peer: int, map_id: object, frame: bytes) -> list[int]:
-        if frame in wrong:
+    malformed = b"lie"
+
+    def __init__(self) -> None:
+        maps = map_ids(4)
+        self.replica = Replica(maps[0], maps, self._consume)
+
+    def _consume(self, peer: int, map_id: object, frame: bytes) -> list[int]:
+        if frame == self.malformed:
             raise ProtocolError("entry", 0, "a lie")
         return [len(frame)]
 
-    maps = map_ids(4)
-    replica = Replica(maps[0], maps, consume)
+    def steps_refused(self, peer: int, number: int) -> int:
+        """Steps from this one on in which a peer's entries of a map are not accepted."""
+        replica, first = self.replica, self.replica.step
+        while replica.refuses(peer, number):
+            replica.step += 1
+        steps, replica.step = replica.step - first, first
+        return steps
+
+
+def test_a_malformed_entry_is_rejected_and_its_sender_suspected_for_that_map_alone() -> None:
+    judge = _Judge()
+    replica = judge.replica
     assert replica.accept(1, 2, entry(2, 0))
     assert not replica.accept(3, 2, b"lie")
-    assert [(each.peer, each.map) for each in replica.take_rejected()] == [(3, maps[2])]
-    assert replica.distrusted == set(), "robot 1 may have been the one that lied"
+    assert [(each.peer, each.map.number, each.reason) for each in replica.take_rejected()] == [
+        (3, 2, "entry at byte 0: a lie")
+    ]
+    assert replica.distrusted == set(), "robot 1 may have sent the wrong entry"
+    assert replica.refused_maps() == {2}
     assert replica.accept(3, 3, entry(3, 0))
     assert not replica.accept(3, 2, entry(2, 1)), "of this map nothing is accepted from robot 3"
-    assert not replica.accept(3, 3, b"lie")
-    assert replica.distrusted == {3}
-    assert not replica.accept(3, 1, entry(1, 0))
-    assert len(replica.take_rejected()) == 1
+    assert replica.take_rejected() == [], "what a suspected robot sends is dropped unread"
+    assert replica.accept(1, 2, entry(2, 1))
+
+
+def test_a_suspicion_lasts_twice_as_long_each_time_and_the_fifth_is_distrust() -> None:
+    judge = _Judge()
+    replica, lasted = judge.replica, []
+    for _ in range(MANY + 2):
+        assert replica.distrusted == ({3} if len(lasted) >= MANY else set())
+        assert not replica.accept(3, 2, b"lie")
+        lasted.append(judge.steps_refused(3, 2))
+        replica.step += lasted[-1]
+    assert lasted == [4, 8, 16, 32, 64, LONGEST, LONGEST]
+    assert replica.accept(3, 2, entry(2, 0)), "what it sends later is accepted all the same"
+
+
+def test_an_author_may_repeat_at_once_an_entry_that_was_damaged() -> None:
+    judge = _Judge()
+    replica = judge.replica
+    assert not replica.accept(2, 2, b"lie")
+    assert not replica.refuses(2, 2)
+    assert not replica.accept(2, 2, b"lie")
+    assert judge.steps_refused(2, 2) == 2
+
+
+def test_a_digest_that_matches_clears_its_forwarders_and_one_that_does_not_drops_their_entries() -> None:
+    judge = _Judge()
+    replica, author = judge.replica, LogVerifier(log := Log())
+    log.append(entries(2, 0, 4))
+    dropped: list[int] = []
+    replica.on_drop = dropped.append
+    assert not replica.accept(3, 2, b"lie")
+    replica.step += 4
+    assert replica.accept(3, 2, entry(2, 0))
+    replica.receive_digest(2, author.digest(1, 5, complete=False))
+    assert replica.verifiers[2].length == 1
+    assert not replica.accept(3, 2, b"lie")
+    assert judge.steps_refused(3, 2) == 4, "robot 3 was trusted again"
+    assert replica.accept(1, 2, entry(9, 9))
+    assert replica.accept(2, 2, entry(2, 2))
+    replica.take_rejected()
+    replica.receive_digest(1, author.digest(2, 6, complete=False))
+    assert dropped == [], "robot 1 can vouch for its own log alone"
+    replica.receive_digest(2, author.digest(2, 6, complete=False))
+    assert dropped == [2]
+    assert packet_index.split(replica.logs[2].read(0)) == entries(2, 0, 1)
+    assert [each.peer for each in replica.take_rejected()] == [1], "the author is not suspected"
+    assert replica.maps_to_ask_for() == []
+    replica.step += 1
+    assert replica.maps_to_ask_for() == [2]
+    replica.asked(2)
+    assert replica.maps_to_ask_for() == []
+    replica.step += ASK_AGAIN
+    assert replica.maps_to_ask_for() == [2]
+    assert replica.accept(2, 2, entry(2, 1))
+    assert replica.accept(2, 2, entry(2, 2))
+    assert replica.accept(2, 2, entry(2, 3))
+    assert replica.maps_to_ask_for() == []
+
+
+def test_entries_behind_wrong_ones_that_fail_again_and_again_take_those_with_them() -> None:
+    judge = _Judge()
+    replica = judge.replica
+    assert replica.accept(1, 2, entry(9, 9))
+    for attempt in range(TRIES + 1):
+        assert len(replica.logs[2]) == 1, attempt
+        assert not replica.accept(2, 2, b"lie")
+        replica.step += judge.steps_refused(2, 2)
+    assert len(replica.logs[2]) == 0
+    assert replica.accept(2, 2, entry(2, 0))
+
+
+@given(st.lists(st.binary(min_size=1, max_size=4), min_size=1, max_size=9), st.integers(0, 127))
+def test_a_digest_verifies_entries_whether_it_arrives_before_or_after_them(
+    units: list[bytes], salt: int
+) -> None:
+    written, before, after = Log(), Log(), Log()
+    written.append(units)
+    after.append(units)
+    digest = LogVerifier(written).digest(len(units), salt, complete=True)
+    early, late = LogVerifier(before), LogVerifier(after)
+    early.receive(digest)
+    for number, unit in enumerate(units):
+        assert early.check() is None
+        assert early.length == 0, number
+        before.append([unit])
+    late.receive(digest)
+    assert (early.check(), late.check()) == (True, True)
+    assert early.length == late.length == len(units)
+
+
+@given(st.integers(1, 6), st.integers(0, 5), st.integers(0, 127), st.data())
+def test_a_digest_of_other_entries_another_salt_or_another_hash_does_not_verify(
+    count: int, changed: int, salt: int, data: st.DataObject
+) -> None:
+    changed %= count
+    units, written, held = entries(1, 0, count), Log(), Log()
+    written.append(units)
+    held.append([*units[:changed], entry(2, changed), *units[changed + 1 :]])
+    verifier, author = LogVerifier(held), LogVerifier(written)
+    digest = author.digest(count, salt, complete=True)
+    if changed:
+        verifier.receive(author.digest(changed, salt, complete=False))
+        assert verifier.check() is True
+    verifier.receive(digest)
+    assert verifier.check() is False
+    assert verifier.length == changed, "the entries before the changed one stay verified"
+    wrong = data.draw(
+        st.sampled_from(
+            [replace(digest, hash=digest.hash ^ 1), replace(digest, salt=digest.salt ^ 1)]
+        )
+    )
+    verifier = LogVerifier(written)
+    verifier.receive(wrong)
+    assert verifier.check() is False
+
+
+def test_digests_are_checked_in_the_order_of_their_lengths_and_many_are_not_kept() -> None:
+    written, held = Log(), Log()
+    written.append(entries(1, 0, 2 * MAX_OPEN))
+    verifier = LogVerifier(held)
+    for length in range(2 * MAX_OPEN, 0, -1):
+        verifier.receive(LogVerifier(written).digest(length, length, complete=False))
+    held.append(entries(1, 0, 2 * MAX_OPEN))
+    assert verifier.check() is True
+    assert verifier.length == MAX_OPEN
+    verifier.receive(LogVerifier(written).digest(3, 3, complete=False))
+    assert verifier.check() is None, "a digest of verified entries is ignored"
+
+
+@pytest.mark.parametrize("ordered", [True, False])
+def test_a_digest_of_a_complete_log_exposes_entries_behind_its_end(*, ordered: bool) -> None:
+    written, held = Log(), Log()
+    written.append(entries(1, 0, 3))
+    held.append(entries(1, 0, 4))
+    verifier, author = LogVerifier(held, ordered=ordered), LogVerifier(written)
+    verifier.receive(author.digest(3, 1, complete=False))
+    assert verifier.check() is True
+    verifier.receive(author.digest(3, 2, complete=True))
+    assert verifier.check() is (False if ordered else None), "late digests must say it twice"
+    if not ordered:
+        verifier.receive(author.digest(3, 2, complete=True))
+        assert verifier.check() is None, "the same digest, delivered twice"
+        verifier.receive(author.digest(3, 3, complete=True))
+        assert verifier.check() is False
+
+
+@pytest.mark.parametrize("held", [0, 5, DIGEST_WINDOW // 2 + 10, DIGEST_WINDOW - 3, DIGEST_WINDOW + 20])
+def test_lengths_modulo_the_window_mean_the_value_nearest_to_the_receiver_s_log(held: int) -> None:
+    length = DIGEST_WINDOW + 20
+    units = [bytes([number % 251]) for number in range(length)]
+    written, copy = Log(), Log()
+    written.append(units)
+    copy.append(units[:held])
+    digest = LogVerifier(written).digest(length, 9, complete=True)
+    assert digest.length == 20
+    verifier = LogVerifier(copy)
+    verifier.receive(digest)
+    if held > DIGEST_WINDOW // 2 + 20:
+        assert verifier.check() is (True if held == length else None)
+        copy.append(units[held:])
+        assert held == length or verifier.check() is True
+        assert verifier.length == length

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from agent.replication.log import Log
 from deploy.chaos import runs
-from deploy.chaos.byzantine import ByzantineRadios
+from deploy.chaos.byzantine import HostileRadios
 from deploy.chaos.case import CALM, ChaosCase, case
 from deploy.chaos.invariants import InvariantChecker, InvariantError
 from deploy.chaos.runs import Verdict, run_case, shrink
@@ -100,7 +100,7 @@ def test_shrinking_keeps_only_the_faults_that_a_failure_needs(monkeypatch: pytes
 def test_byzantine_robots_change_only_radio_frames_and_follow_their_seed() -> None:
     def received(seed: int) -> list[bytes]:
         hub = MemoryHub("run")
-        relay, bus = hub.join("relay"), ByzantineRadios(seed, (1,))("r1", hub.join("r1"))
+        relay, bus = hub.join("relay"), HostileRadios(seed, (1,))("r1", hub.join("r1"))
         relay.receive()
         for number in range(99):
             message = RobotFrames(1, 0, "offers", frames=[OutgoingFrame(0, bytes([0xF0, number]))])
