@@ -191,7 +191,8 @@ class Replica:
 
     def request_digest(self, length: int) -> None:
         """Send a digest of this robot's first `length` entries, or of fewer if that is requested already."""
-        self.digest_length = length if self.digest_length is None else min(length, self.digest_length)
+        if length:
+            self.digest_length = min(length, length if self.digest_length is None else self.digest_length)
 
     def check_own(self, peer: int, first: int, entries: list[bytes]) -> None:
         """Compare entries of this robot's log that a peer sent, from offset `first` on; report forged ones."""
