@@ -6,12 +6,16 @@ which the scan differs from the last one.
 
 from __future__ import annotations
 
+import numpy as np
+
 from agent.encodings.received_grid import GridEncoding
 from agent.settings import Settings
 from protocol import packets
+from protocol.arrays import Int32Rows, Int32s, Uint8s, Uint16s
 from protocol.errors import ProtocolError
-from protocol.grid import Grid, RayTable, ray_table
-from protocol.scans import NONE, Change, Scan, contents, decode_scan, draw, encode_scan, fragments, scan_size
+from protocol.grid import FREE, OCCUPIED, Grid, RayTable, ray_table
+from protocol.kernels import kernel
+from protocol.scans import NONE, Change, Scan, contents, decode_scan, encode_scan, fragments, scan_size
 
 
 class ScanEncoding(GridEncoding):
@@ -48,10 +52,12 @@ class ScanEncoding(GridEncoding):
             box = min(x), min(y), max(x) + 1, max(y) + 1
             self._reachability.check(map_id, box, len(scans), step=step, sender=sender)
         self._partial[map_id] = data[end:]
+        beams = self._ray_table_of(map_id)
+        table, shape = (beams.cells, beams.start, beams.shared), self.received.shape
         for scan in scans:
-            change = draw(self.received, self._ray_table_of(map_id), scan.x, scan.y, scan.readings)
-            if change.cells:
-                self.received_changed(change.box)
+            places, states, seen = _observed(*table, scan.x, scan.y, scan.readings, *shape)
+            self.votes.count(self.settings.author_of(map_id), places, states)
+            self.received_changed(seen)
 
     def _ray_table_of(self, map_id: int) -> RayTable:
         """The ray table of the map's author."""
@@ -64,3 +70,27 @@ class ScanEncoding(GridEncoding):
             reason = f"cell ({scan.x}, {scan.y}) is outside the {width} x {height} grid"
             raise ProtocolError("scan", 0, reason)
         return scan
+
+
+@kernel
+def _observed(
+    cells: Int32Rows, start: Int32s, shared: Int32s, x: int, y: int, readings: Uint16s, height: int, width: int
+) -> tuple[Int32s, Uint8s, tuple[int, int, int, int]]:
+    """Return the cells that a scan from (x, y) shows, as indices of the flat grid, their states, and a box of them."""
+    places, states = np.empty(len(cells) + 1, np.int32), np.empty(len(cells) + 1, np.uint8)
+    places[0], states[0], count = y * width + x, FREE, 1
+    x0, y0, x1, y1 = x, y, x + 1, y + 1
+    before = 0
+    for beam in range(len(readings)):
+        crossed = 0 if readings[beam] == NONE else np.int64(readings[beam] & NONE)
+        touched = 0 if readings[beam] == NONE else crossed + np.int64(readings[beam] >> 15)
+        for at in range(min(np.int64(shared[beam]), before, touched), touched):
+            column, row = x + cells[start[beam] + at, 0], y + cells[start[beam] + at, 1]
+            if not (0 <= column < width and 0 <= row < height):
+                touched = at
+                break
+            x0, x1, y0, y1 = min(x0, column), max(x1, column + 1), min(y0, row), max(y1, row + 1)
+            places[count], states[count] = row * width + column, FREE if at < crossed else OCCUPIED
+            count += 1
+        before = touched
+    return places[:count].copy(), states[:count].copy(), (x0, y0, x1, y1)
