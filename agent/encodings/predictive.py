@@ -184,7 +184,9 @@ class PredictiveEncoding(GridEncoding):
         """Encode updates up to the budget of a step; the rest stays pending."""
         map_id = self.settings.own_map
         stream, history = self._own, self._histories[map_id]
-        stream.avoided = {each for each in range(self.settings.maps) if self.settings.author_of(each) in self.doubted}
+        stream.avoided = {
+            each for each in range(self.settings.maps) if self.settings.author_of(each) in self.doubted
+        }
         packets: list[bytes] = []
         size = updates = 0
         while self._pending.poses and size < self._limits.step_bytes:

@@ -56,7 +56,7 @@ class ScanEncoding(GridEncoding):
         table, shape = (beams.cells, beams.start, beams.shared), self.received.shape
         for scan in scans:
             places, states, seen = _observed(*table, scan.x, scan.y, scan.readings, *shape)
-            self.votes.count(self.settings.author_of(map_id), places, states)
+            self.votes.count(self.settings.author_of(map_id), places, states, revises=False)
             self.received_changed(seen)
 
     def _ray_table_of(self, map_id: int) -> RayTable:
@@ -74,7 +74,14 @@ class ScanEncoding(GridEncoding):
 
 @kernel
 def _observed(
-    cells: Int32Rows, start: Int32s, shared: Int32s, x: int, y: int, readings: Uint16s, height: int, width: int
+    cells: Int32Rows,
+    start: Int32s,
+    shared: Int32s,
+    x: int,
+    y: int,
+    readings: Uint16s,
+    height: int,
+    width: int,
 ) -> tuple[Int32s, Uint8s, tuple[int, int, int, int]]:
     """Return the cells that a scan from (x, y) shows, as indices of the flat grid, their states, and a box of them."""
     places, states = np.empty(len(cells) + 1, np.int32), np.empty(len(cells) + 1, np.uint8)
@@ -82,9 +89,11 @@ def _observed(
     x0, y0, x1, y1 = x, y, x + 1, y + 1
     before = 0
     for beam in range(len(readings)):
-        crossed = 0 if readings[beam] == NONE else np.int64(readings[beam] & NONE)
-        touched = 0 if readings[beam] == NONE else crossed + np.int64(readings[beam] >> 15)
-        for at in range(min(np.int64(shared[beam]), before, touched), touched):
+        crossed, touched = 0, 0
+        if readings[beam] != NONE:
+            crossed = int(readings[beam] & NONE)
+            touched = crossed + int(readings[beam] >> 15)
+        for at in range(min(int(shared[beam]), before, touched), touched):
             column, row = x + cells[start[beam] + at, 0], y + cells[start[beam] + at, 1]
             if not (0 <= column < width and 0 <= row < height):
                 touched = at

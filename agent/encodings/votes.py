@@ -1,11 +1,11 @@
 """Contradict false maps by what other robots report.
 
-Two voters at most are kept per cell and state. A cell is a wall if any robot reports a wall, unless two others report
-it as free. Maps of exact encodings contradict neither each other nor this robot's own sight, as long as all robots are
-honest. So a robot is *doubted*, and its reports do not count any more, if
+A cell is a wall if any robot reports a wall, unless two others report it as free. Maps of exact encodings contradict
+neither each other nor this robot's own sight, as long as all robots are honest. So a robot is *doubted*, and its
+reports do not count any more, if
 
 - this robot sees `MANY` of its cells otherwise; or
-- each of at least two others reports `MANY` of its cells otherwise, and fewer robots contradict those two.
+- at least two others report `MANY` of its cells otherwise, each of which fewer robots contradict.
 
 All maps of a robot, one per incarnation, count as one voter. A doubt ends only with the votes: if entries turn out not
 to be their author's, all logs are decoded and counted again.
@@ -17,16 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.settings import Settings
-from protocol.arrays import Bools, Int64Rows, Int64s, Uint8, Uint8s, Uint16Rows
-from protocol.arrays import Int32s as Places
+from protocol.arrays import Int32s, Int64Rows, Int64s, Uint8, Uint8s
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.kernels import kernel
 
 MANY = 40
 """Cells in which two maps must differ before one of them is doubted; the maps of honest robots never differ."""
 
-Voters = Uint16Rows
-"""Per cell two robots that report it as free, and two that report a wall: each its number plus 1, or 0 for none."""
+VOTERS = 63
+"""Robots with a bit of their own; in larger teams, robots share bits, count as one voter, and are never doubted."""
 
 
 class Votes:
@@ -39,43 +38,49 @@ class Votes:
     doubted : dict
         Why each doubted robot is doubted, by its number.
     contested : bool
-        Whether reports may have been contradicted since the last call of `judge`; a reader that finds a contradiction
-        to its own sight sets it.
+        Whether robots have contradicted each other since the last call of `judge`.
     """
 
     def __init__(self, settings: Settings) -> None:
         self.received: Grid = np.full((settings.height, settings.width), UNKNOWN, np.uint8)
         self._robot, self._robots = settings.robot, settings.robots
-        self._voters: NDArray[np.uint16] = np.zeros((self.received.size, 4), np.uint16)
+        self._voters = np.zeros((self.received.size, 2), np.int64)
+        """The robots that report each cell as free, and those that report a wall, as bits."""
         self.reset()
 
     def reset(self) -> None:
         """Forget all votes, and all doubts."""
         self.received[:] = UNKNOWN
         self._voters[:] = 0
-        self._ignored = np.zeros(self._robots + 1, np.bool_)
+        self._believed = (1 << VOTERS) - 1
         self.doubted: dict[int, str] = {}
         self.contested = False
 
-    def count(self, robot: int, places: Places, states: Uint8s) -> None:
-        """Take a robot's reports: the new state of each of some cells, given as indices of the flat grid."""
-        if _count(places, states, robot + 1, self._ignored, self._voters, self.received.reshape(-1)):
+    def count(self, robot: int, places: Int32s, states: Uint8s, *, revises: bool = True) -> None:
+        """Take a robot's reports: the states of cells, given as indices of the flat grid.
+
+        They replace its earlier ones of these cells; without `revises`, the earlier ones stand.
+        """
+        votes = self._voters, self.received.reshape(-1)
+        if _count(places, states, robot % VOTERS, revises, self._believed, *votes):
             self.contested = True
 
     def judge(self, own: Grid) -> bool:
         """Doubt the robots that this robot's own grid and others contradict; return whether there are new ones."""
         self.contested = False
+        if self._robots > VOTERS:
+            return False
         differ = np.zeros((self._robots, self._robots), np.int64)
         by_sight = np.zeros(self._robots, np.int64)
-        _compare(own.reshape(-1), self._voters, self._ignored, differ, by_sight)
-        before = len(self.doubted)
+        _compare(own.reshape(-1), self._voters, self._believed, differ, by_sight)
         by_sight[self._robot] = 0
+        before = len(self.doubted)
         for robot in np.flatnonzero(by_sight >= MANY).tolist():
             self._doubt(robot, f"this robot sees {by_sight[robot]} of its cells otherwise")
         while (outvoted := self._outvoted(differ >= MANY)) is not None:
-            self._doubt(outvoted, "two other robots report many of its cells otherwise")
+            self._doubt(outvoted, f"two others report {MANY} or more of its cells otherwise")
         if len(self.doubted) > before:
-            _resolve_all(self._voters, self._ignored, self.received.reshape(-1))
+            _resolve_all(self._voters, self._believed, self.received.reshape(-1))
         return len(self.doubted) > before
 
     def _outvoted(self, opposed: NDArray[np.bool_]) -> int | None:
@@ -89,71 +94,61 @@ class Votes:
         return None
 
     def _doubt(self, robot: int, reason: str) -> None:
-        self._ignored[robot + 1] = True
+        self._believed &= ~(1 << robot)
         self.doubted[robot] = reason
 
 
 @kernel
-def _resolve(voters: Voters, place: int, ignored: Bools) -> Uint8:
-    """Return the state of a cell by the reports that count."""
-    free = walls = 0
-    for slot in range(2):
-        voter, other = voters[place, slot], voters[place, 2 + slot]
-        free += voter > 0 and not ignored[voter]
-        walls += other > 0 and not ignored[other]
-    if walls and not (walls == 1 and free == 2):
-        return OCCUPIED
-    return FREE if free else UNKNOWN
+def _resolve(free: int, walls: int) -> Uint8:
+    """Return the state of a cell that these robots report as free, and those as a wall."""
+    if not walls:
+        return FREE if free else UNKNOWN
+    one_wall, several_free = walls & (walls - 1) == 0, free & (free - 1) != 0
+    return FREE if one_wall and several_free else OCCUPIED
 
 
 @kernel
 def _count(
-    places: Places, states: Uint8s, voter: int, ignored: Bools, voters: Voters, received: Uint8s
+    places: Int32s,
+    states: Uint8s,
+    robot: int,
+    revises: bool,
+    believed: int,
+    voters: Int64Rows,
+    received: Uint8s,
 ) -> int:
-    """Replace a voter's reports of cells, and the received states; return the number of contested cells."""
+    """Take a robot's reports, and update the received states; return the number of contested cells."""
     contested = 0
     for index in range(len(places)):
-        place, state = np.int64(places[index]), states[index]
-        for other in (FREE, OCCUPIED):
-            slot = 2 * (other - FREE)
-            first, second = voters[place, slot], voters[place, slot + 1]
-            if other != state:
-                if first == voter:
-                    voters[place, slot], voters[place, slot + 1] = second, 0
-                elif second == voter:
-                    voters[place, slot + 1] = 0
-            elif voter not in (first, second):
-                if first == 0:
-                    voters[place, slot] = voter
-                elif second == 0 or ignored[second]:
-                    voters[place, slot + 1] = voter
-                elif ignored[first]:
-                    voters[place, slot] = voter
-        received[place] = _resolve(voters, place, ignored)
-        contested += voters[place, 0] > 0 and voters[place, 2] > 0 and not ignored[voter]
+        votes, state = voters[places[index]], states[index]
+        if not revises and votes[OCCUPIED - state] >> robot & 1:
+            continue
+        votes[0] &= ~(1 << robot)
+        votes[1] &= ~(1 << robot)
+        if state != UNKNOWN:
+            votes[state - FREE] |= 1 << robot
+        free, walls = votes[0] & believed, votes[1] & believed
+        contested += free != 0 and walls != 0
+        received[places[index]] = _resolve(free, walls)
     return contested
 
 
 @kernel
-def _resolve_all(voters: Voters, ignored: Bools, received: Uint8s) -> None:
+def _resolve_all(voters: Int64Rows, believed: int, received: Uint8s) -> None:
     """Resolve all cells again."""
     for place in range(len(received)):
-        received[place] = _resolve(voters, place, ignored)
+        received[place] = _resolve(voters[place, 0] & believed, voters[place, 1] & believed)
 
 
 @kernel
-def _compare(own: Uint8s, voters: Voters, ignored: Bools, differ: Int64Rows, by_sight: Int64s) -> None:
+def _compare(own: Uint8s, voters: Int64Rows, believed: int, differ: Int64Rows, by_sight: Int64s) -> None:
     """Count the cells in which each pair of robots differ, and those in which each robot differs from `own`."""
     for place in range(len(own)):
-        known = own[place]
-        for slot in range(4):
-            voter = voters[place, slot]
-            if voter == 0 or ignored[voter]:
-                continue
-            if known != UNKNOWN and known != FREE + (slot >> 1):
-                by_sight[voter - 1] += 1
-            for against in range(2, 4):
-                other = voters[place, against]
-                if slot < 2 and other > 0 and not ignored[other]:
-                    differ[voter - 1, other - 1] += 1
-                    differ[other - 1, voter - 1] += 1
+        free, walls = voters[place, 0] & believed, voters[place, 1] & believed
+        wrong = walls if own[place] == FREE else free if own[place] == OCCUPIED else 0
+        for robot in range(len(by_sight) if wrong else 0):
+            by_sight[robot] += wrong >> robot & 1
+        for robot in range(len(by_sight) if free and walls else 0):
+            for other in range(len(by_sight) if free >> robot & 1 else 0):
+                differ[robot, other] += walls >> other & 1
+                differ[other, robot] += walls >> other & 1

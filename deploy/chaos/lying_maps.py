@@ -50,7 +50,7 @@ LIES: dict[str, Callable[[Grid, Grid], Grid]] = {"walls": _walls, "free": _free,
 """False grids by name, from the self-explored grid and the cells within the laser's range of any scan so far."""
 
 
-def liar(plan: Plan, robot: int, lie: str) -> Plan:
+def lying(plan: Plan, robot: int, lie: str) -> Plan:
     """Return a plan in which one robot tells this lie about its map in each step."""
     settings = plan.robot_settings[robot]
     name = f"{__name__}:{settings.map_encoding}_{lie}"
@@ -58,7 +58,7 @@ def liar(plan: Plan, robot: int, lie: str) -> Plan:
     return dataclasses.replace(plan, robot_settings=plan.robot_settings | {robot: lying})
 
 
-def _lying(encoding: Any, lie: Callable[[Grid, Grid], Grid]) -> type[MapEncoding]:
+def _make(encoding: Any, lie: Callable[[Grid, Grid], Grid]) -> type[MapEncoding]:
     """Return an encoding that encodes a false grid; what it decodes of teammates' maps is as in `encoding`."""
 
     class Lying(encoding):  # type: ignore[misc]
@@ -97,8 +97,10 @@ def _lying(encoding: Any, lie: Callable[[Grid, Grid], Grid]) -> type[MapEncoding
     return Lying
 
 
-globals().update({
-    f"{name}_{lie}": _lying(encoding, false)
-    for name, encoding in ENCODINGS.items()
-    for lie, false in LIES.items()
-})
+globals().update(
+    {
+        f"{name}_{lie}": _make(encoding, false)
+        for name, encoding in ENCODINGS.items()
+        for lie, false in LIES.items()
+    }
+)
