@@ -1,9 +1,9 @@
-"""A chaos case: a scenario, faults, byzantine and lying robots, all drawn from one seed.
+"""A chaos case: a scenario, faults and byzantine robots, all drawn from one seed.
 
 A run begins with a safety phase: robots are killed, restarted and stopped, their radios fail to send or to receive, and
 teams are partitioned. By the step `CALM` all faults have healed, except for robots that stay dead; at least one robot
 lives. In the following liveness phase the remaining robots must finish. Loss, delay, duplication and bit errors of the
-medium, changes of its bandwidth, byzantine and lying robots last for the whole run.
+medium, changes of its bandwidth, and byzantine robots last for the whole run.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from deploy.chaos.lying_maps import LIES
+from deploy.chaos.false_maps import LIES
 from deploy.scenario.scenario import Scenario, parse
 from protocol.keyed_random import keyed_random
 
@@ -37,13 +37,13 @@ LASTING = ("stop", "mute", "deaf")
 class ChaosCase:
     """One run under random faults; the radios of the robots in `byzantine` send hostile frames.
 
-    `liar` is a robot that lies about its own map, and its lie (`deploy.chaos.lying_maps`).
+    `false_map` is a robot whose map is false, and how (`deploy.chaos.false_maps`).
     """
 
     seed: int
     scenario: Scenario
     byzantine: tuple[int, ...] = ()
-    liar: tuple[int, str] | None = None
+    false_map: tuple[int, str] | None = None
 
     def smaller(self) -> list[ChaosCase]:
         """Cases with one fault less each, for shrinking a failing case."""
@@ -52,7 +52,7 @@ class ChaosCase:
         kept = [faults[:at] + faults[at + 1 :] for at in range(len(faults))]
         changes = [{"fault": fault} for fault in kept]
         changes += [{key: _DEFAULTS[key]} for key in ("radio", "change") if base[key] != _DEFAULTS[key]]
-        cases = [replace(self, byzantine=(), liar=None)] if self.byzantine or self.liar else []
+        cases = [replace(self, byzantine=(), false_map=None)] if self.byzantine or self.false_map else []
         for change in changes:
             with contextlib.suppress(ValueError):  # a restart may be invalid without the kill before it
                 cases.append(replace(self, scenario=parse(base | change)))
@@ -83,10 +83,10 @@ def case(seed: int) -> ChaosCase:
     if draw.random() < 0.25:
         step, bandwidth = int(draw.integers(1, CALM)), bandwidths[int(draw.integers(len(bandwidths)))]
         settings["change"] = [{"step": step, "bandwidth": bandwidth, "range": str(draw.choice(RANGES))}]
-    lies = keyed_random(seed, "liar")
-    liar = (int(lies.integers(robots)), str(lies.choice(list(LIES))))
+    lies = keyed_random(seed, "false map")
+    false_map = (int(lies.integers(robots)), str(lies.choice(list(LIES))))
     can_lie = robots > 2 and not byzantine and map_encoding != "polygons" and lies.random() < 0.3
-    return ChaosCase(seed, parse(settings), byzantine, liar if can_lie else None)
+    return ChaosCase(seed, parse(settings), byzantine, false_map if can_lie else None)
 
 
 def _faults(draw: np.random.Generator, robots: int) -> list[dict[str, Any]]:

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 from deploy.chaos.byzantine import ByzantineRadios
 from deploy.chaos.case import ChaosCase, case
+from deploy.chaos.false_maps import with_false_map
 from deploy.chaos.invariants import InvariantChecker, InvariantError
-from deploy.chaos.lying_maps import lying
 from deploy.record.summary import digest
 from deploy.run import launch
 from deploy.run.in_memory import MemoryRun
@@ -50,7 +50,7 @@ class Verdict:
         """Case and result in one line of text."""
         case, scenario = self.case, self.case.scenario
         byzantine = f", byzantine robots {list(case.byzantine)}" if case.byzantine else ""
-        byzantine += ", robot {} lies about its map: {}".format(*case.liar) if case.liar else ""
+        byzantine += ", a false map of robot {}: {}".format(*case.false_map) if case.false_map else ""
         return (
             f"seed {case.seed}: {scenario.robots} robots on {scenario.map}, {scenario.strategy}, "
             f"{scenario.map_encoding}, {scenario.dissemination}, {len(scenario.fault)} faults{byzantine}: "
@@ -61,9 +61,11 @@ class Verdict:
 def run_case(drawn: ChaosCase, *, as_processes: bool = False) -> Verdict:
     """Run a case in memory with all checks; with `as_processes` repeat it and compare the digests."""
     plan = plans.make(drawn.scenario)
-    if drawn.liar is not None:
-        plan = lying(plan, *drawn.liar)
-    checker = InvariantChecker(plan, drawn.byzantine, drawn.liar[0] if drawn.liar is not None else None)
+    if drawn.false_map is not None:
+        plan = with_false_map(plan, *drawn.false_map)
+    checker = InvariantChecker(
+        plan, drawn.byzantine, drawn.false_map[0] if drawn.false_map is not None else None
+    )
     radios = ByzantineRadios(drawn.seed, drawn.byzantine)
     began = time.perf_counter()
     try:

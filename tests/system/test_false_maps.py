@@ -9,7 +9,7 @@ import pytest
 
 from agent.encodings.votes import MANY, Votes
 from agent.process import AgentNode
-from deploy.chaos.lying_maps import LIES, lying
+from deploy.chaos.false_maps import LIES, with_false_map
 from deploy.record.records import Records
 from deploy.record.summary import summarize
 from deploy.run.in_memory import MemoryRun
@@ -19,13 +19,13 @@ from deploy.scenario.scenario import parse
 from protocol.grid import FREE, OCCUPIED, UNKNOWN
 from tests.system.team import small_plan
 
-LIAR = 1
+LYING = 1
 
 
 def wrong_cells(plan: Plan, records: Records) -> int:
     """Wrong cells in the honest robots' maps where honest robots have been."""
     truth = np.where(plan.map.cells == FREE, FREE, OCCUPIED)
-    honest = records.planning.keys() - {LIAR}
+    honest = records.planning.keys() - {LYING}
     seen = np.logical_or.reduce([records.own[robot] != UNKNOWN for robot in honest])
     maps = [records.planning[robot] for robot in honest]
     return sum(np.count_nonzero(seen & (each != UNKNOWN) & (each != truth)) for each in maps)
@@ -46,16 +46,16 @@ def test_a_lying_robot_is_reported_and_deceives_no_honest_one(
     lie: str, map_encoding: str, bandwidth: int
 ) -> None:
     plan = small_plan(robots=4, map_encoding=map_encoding, bandwidth=bandwidth, steps=1000, seed=3)
-    summary, records, agents = explored(lying(plan, LIAR, lie))
+    summary, records, agents = explored(with_false_map(plan, LYING, lie))
     assert summary["finished"]
     assert summary["coverage"] > 0.97
     assert wrong_cells(plan, records) <= 20
     for agent in agents:
         assert agent.robot is not None
-        assert agent.robot.disbelieved == (set() if agent.robot.settings.robot == LIAR else {LIAR})
+        assert agent.robot.disbelieved == (set() if agent.robot.settings.robot == LYING else {LYING})
     reports = [error for error in records.protocol_errors if "false map" in error]
     assert {error.partition(":")[0] for error in reports} == {"r0", "r2", "r3"}
-    assert all(f"from r{LIAR}: this robot sees" in error for error in reports)
+    assert all(f"from r{LYING}: this robot sees" in error for error in reports)
 
 
 @pytest.mark.parametrize("map_encoding", ["predictive", "scans", "cells", "polygons"])
@@ -109,10 +109,10 @@ def test_a_robot_that_two_others_contradict_often_is_doubted(cells: int) -> None
     assert not counted.received.any()
 
 
-def test_this_robots_own_sight_is_enough_to_doubt_a_robot_but_two_liars_are_not() -> None:
+def test_this_robots_own_sight_is_enough_to_doubt_two_robots_that_agree() -> None:
     counted = votes(5)
-    for liar in (1, 2):
-        counted.count(liar, *reports(FREE))
+    for byzantine in (1, 2):
+        counted.count(byzantine, *reports(FREE))
     for honest in (3, 4):
         counted.count(honest, *reports(OCCUPIED))
     own = np.zeros_like(counted.received)
@@ -127,12 +127,12 @@ def test_this_robots_own_sight_is_enough_to_doubt_a_robot_but_two_liars_are_not(
 @pytest.mark.parametrize("lie", LIES)
 @pytest.mark.parametrize("bandwidth", [50, 1000])
 @pytest.mark.parametrize("seed", range(10))
-def test_four_robots_in_an_office_finish_with_a_liar_among_them(lie: str, bandwidth: int, seed: int) -> None:
+def test_four_robots_in_an_office_finish_although_one_lies(lie: str, bandwidth: int, seed: int) -> None:
     scenario = parse({
         "map": "office", "map_seed": seed, "robots": 4, "bandwidth": bandwidth, "seed": seed, "bus": "memory",
         "steps": 3000,
     })  # fmt: skip
-    plan = lying(plans.make(scenario), LIAR, lie)
+    plan = with_false_map(plans.make(scenario), LYING, lie)
     summary, records, _ = explored(plan)
     assert summary["finished"]
     assert summary["coverage"] > 0.97
