@@ -21,7 +21,7 @@ from protocol.grid import UNKNOWN
 from protocol.memory_bus import MemoryHub
 from protocol.messages import OutgoingFrame, RobotFrames, pack, unpack
 
-SMALL = [6, 11, 15, 149]
+SMALL = [6, 11, 15, 75]
 """Seeds of small and short cases."""
 
 
