@@ -17,8 +17,9 @@ import numpy as np
 
 from agent.announcements import Announcements
 from agent.encodings.base import MapEncoding
-from agent.encodings.catalog import ENCODINGS, make_encoding
+from agent.encodings.catalog import encoding_class, make_encoding
 from agent.outline.polygons import Polygons
+from agent.replication.digests import INTERVAL
 from agent.replication.engine import make_replication
 from agent.replication.peers import MapId
 from agent.replication.replica import Rejected
@@ -54,17 +55,18 @@ def sure_after(settings: Settings) -> int:
 
     Twice as many on a medium that may lose or delay frames.
     """
-    if not ENCODINGS[settings.map_encoding].infers_cells(settings):
+    if not encoding_class(settings.map_encoding).infers_cells(settings):
         return 0
     return 2 * SURE_AFTER if settings.requires_acks else SURE_AFTER
 
 
 @dataclass(frozen=True)
 class Fault:
-    """A malformed or inconsistent message from a teammate."""
+    """A malformed or inconsistent message from a teammate, or a map that others contradict."""
 
     peer: int
     reason: str
+    kind: str = "malformed message"
 
 
 class Robot:
@@ -84,6 +86,10 @@ class Robot:
         self.status = ""
         """Its current activity, as text."""
         self.faults: list[Fault] = []
+        self.disbelieved: set[int] = set()
+        """Teammates whose maps were so often contradicted that they were left out of the planning grid."""
+        self._doubted_steps: dict[int, int] = {}
+        """Steps for which each teammate's map has been left out."""
         self.known_cells = 0
         """Cells of the self-explored grid that are known."""
         self._announcements = Announcements(settings)
@@ -185,6 +191,7 @@ class Robot:
         if sense is None:
             raise RuntimeError("decide before the first perceive")
         self.planning = self._encoding.merge(self.own, self._team.in_range)
+        self._report_false_maps()
         decision = self._strategy.decide(self._team.situation(sense, self.planning))
         self._apply(decision)
         self._idle_steps = self._idle_steps + 1 if decision.explored else 0
@@ -197,6 +204,15 @@ class Robot:
             decision.stalled,
             points_to_bytes(decision.points[:MAX_WAY_CELLS]),
         )
+
+    def _report_false_maps(self) -> None:
+        """Report robots whose maps others contradict; with digests only after their authors could disown the entries."""
+        doubted = self._encoding.doubted
+        self._doubted_steps = {peer: self._doubted_steps.get(peer, 0) + 1 for peer in doubted}
+        wait = INTERVAL * self.settings.robots if self.settings.digests else 0
+        new = {peer for peer, steps in self._doubted_steps.items() if steps > wait} - self.disbelieved
+        self.faults += [Fault(peer, doubted[peer], "false map") for peer in sorted(new)]
+        self.disbelieved |= new
 
     def _verifying_steps(self) -> int:
         """Return for how many further steps it waits for digests, which may show that forwarded entries are forged."""

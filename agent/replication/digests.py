@@ -62,8 +62,8 @@ class LogVerifier:
     def check(self) -> bool | None:
         """Check the digests of entries that have arrived.
 
-        Returns True if more entries are verified now, or the log is complete; False if an entry behind the verified ones
-        is not the author's; None if no digest could be checked.
+        Returns True if more entries are verified now, or the log is complete; False if an entry behind the verified
+        ones is not the author's; None if no digest could be checked.
         """
         verified, complete = self.length, False
         while self._open and self._open[0][0] <= len(self._log):

@@ -4,6 +4,8 @@ The control logic of a byzantine robot is that of any other robot, and it holds 
 sends a different frame: random bytes, flipped bits, a truncated or repeated frame, a well-formed packet with false
 content, or entries that it attributes to another robot. All are drawn from the robot's number and its count of frames,
 so that they are the same on both buses.
+
+Byzantine robots with false maps of their own: `deploy.chaos.false_maps`.
 """
 
 from __future__ import annotations

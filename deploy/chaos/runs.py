@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 from deploy.chaos.byzantine import HostileRadios
 from deploy.chaos.case import ChaosCase, case
+from deploy.chaos.false_maps import with_false_map
 from deploy.chaos.invariants import InvariantChecker, InvariantError
 from deploy.record.summary import digest
 from deploy.run import launch
@@ -50,6 +51,7 @@ class Verdict:
         case, scenario = self.case, self.case.scenario
         byzantine = f", byzantine robots {list(case.byzantine)}" if case.byzantine else ""
         byzantine += f", damaged frames to robots {list(case.flipped)}" if case.flipped else ""
+        byzantine += ", a false map of robot {}: {}".format(*case.false_map) if case.false_map else ""
         return (
             f"seed {case.seed}: {scenario.robots} robots on {scenario.map}, {scenario.strategy}, "
             f"{scenario.map_encoding}, {scenario.dissemination}, {len(scenario.fault)} faults{byzantine}: "
@@ -60,7 +62,10 @@ class Verdict:
 def run_case(drawn: ChaosCase, *, as_processes: bool = False) -> Verdict:
     """Run a case in memory with all checks; with `as_processes` repeat it and compare the digests."""
     plan = plans.make(drawn.scenario)
-    checker = InvariantChecker(plan, drawn.byzantine, damaged=bool(drawn.flipped))
+    if drawn.false_map is not None:
+        plan = with_false_map(plan, *drawn.false_map)
+    lying = drawn.false_map[0] if drawn.false_map is not None else None
+    checker = InvariantChecker(plan, drawn.byzantine, lying, damaged=bool(drawn.flipped))
     radios = HostileRadios(drawn.seed, drawn.byzantine, drawn.flipped)
     began = time.perf_counter()
     try:

@@ -127,7 +127,12 @@ class Forger:
 
     def put(self, key: str, payload: bytes) -> None:
         robot, sent = self._robot(), unpack(payload) if not self.done else None
-        if isinstance(sent, RobotFrames) and sent.round == 0 and sent.step >= self._first and robot is not None:
+        if (
+            isinstance(sent, RobotFrames)
+            and sent.round == 0
+            and sent.step >= self._first
+            and robot is not None
+        ):
             forged = self._forge(robot, self._rng)
             if forged:
                 self.done = True
@@ -150,10 +155,17 @@ class Flipper:
         received = unpack(message.payload) if message is not None and not self.done else None
         if message is None or not isinstance(received, RelayUpdate):
             return message
-        return message._replace(payload=pack(RelayUpdate([self._damaged(event) for event in received.events])))
+        return message._replace(
+            payload=pack(RelayUpdate([self._damaged(event) for event in received.events]))
+        )
 
     def _damaged(self, event: Any) -> Any:
-        if self.done or not isinstance(event, RoundReport) or event.step < self._first or not event.deliveries:
+        if (
+            self.done
+            or not isinstance(event, RoundReport)
+            or event.step < self._first
+            or not event.deliveries
+        ):
             return event
         self.done = True
         first, *others = event.deliveries
@@ -178,7 +190,14 @@ class Outcome(NamedTuple):
 
 def play(seed: int, bandwidth: int, disturbance: str = "", **settings: Any) -> Outcome:
     """Explore the office with four robots, disturbed once."""
-    given = {"map": "office", "robots": 4, "bandwidth": bandwidth, "seed": seed, "bus": "memory", "digests": True}
+    given = {
+        "map": "office",
+        "robots": 4,
+        "bandwidth": bandwidth,
+        "seed": seed,
+        "bus": "memory",
+        "digests": True,
+    }
     plan = plans.make(parse(given | settings))
     ends: list[Forger | Flipper] = []
 
@@ -200,7 +219,9 @@ def play(seed: int, bandwidth: int, disturbance: str = "", **settings: Any) -> O
     wrong = sum(int(((robot.planning != truth) & (robot.planning != UNKNOWN)).sum()) for robot in honest)
     distrusted = set().union(*(robot.distrusted for robot in honest))
     happened = all(end.done for end in ends)
-    return Outcome(summary["steps"], summary["bytes"]["total"], wrong, distrusted, summary["finished"], happened)
+    return Outcome(
+        summary["steps"], summary["bytes"]["total"], wrong, distrusted, summary["finished"], happened
+    )
 
 
 undisturbed = cache(play)

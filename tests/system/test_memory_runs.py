@@ -288,9 +288,7 @@ class Pair:
     def holds(self, robot: int, map_id: int) -> int:
         """The length of a robot's copy of a log; checks its entries."""
         log = self.engines[robot].logs[map_id]
-        assert log.read(0) == b"".join(
-            self.entry(map_id, n) for n in range(len(log))
-        )
+        assert log.read(0) == b"".join(self.entry(map_id, n) for n in range(len(log)))
         return len(log)
 
 

@@ -378,7 +378,12 @@ def make_byzantine(network: Network, robot: int, seed: int) -> None:
 
     def answers(arrived: Sequence[Delivery]) -> list[OutgoingFrame]:
         index, block = Answer(int(rng.integers(INDEX_WINDOW))), Block(int(rng.integers(BLOCKS)))
-        choices: list[list[packets.Packet]] = [[index], [block, index], [block, block, index], [Block(DECLINED)]]
+        choices: list[list[packets.Packet]] = [
+            [index],
+            [block, index],
+            [block, block, index],
+            [Block(DECLINED)],
+        ]
         return [
             OutgoingFrame(offer.sender, encode(choices[rng.integers(4)]), offer.connection)
             for offer in arrived

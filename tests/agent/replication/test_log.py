@@ -307,9 +307,7 @@ def test_a_digest_of_other_entries_another_salt_or_another_hash_does_not_verify(
     assert verifier.check() is False
     assert verifier.length == changed, "the entries before the changed one stay verified"
     wrong = data.draw(
-        st.sampled_from(
-            [replace(digest, hash=digest.hash ^ 1), replace(digest, salt=digest.salt ^ 1)]
-        )
+        st.sampled_from([replace(digest, hash=digest.hash ^ 1), replace(digest, salt=digest.salt ^ 1)])
     )
     verifier = LogVerifier(written)
     verifier.receive(wrong)
