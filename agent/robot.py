@@ -206,7 +206,7 @@ class Robot:
         )
 
     def _report_false_maps(self) -> None:
-        """Report robots whose maps others contradict; with digests only after their authors could disown the entries."""
+        """Report robots whose maps others contradict; with digests, only once their authors could disown entries."""
         doubted = self._encoding.doubted
         self._doubted_steps = {peer: self._doubted_steps.get(peer, 0) + 1 for peer in doubted}
         wait = INTERVAL * self.settings.robots if self.settings.digests else 0
