@@ -7,7 +7,6 @@ origin at the lower left corner of the picture. Murmur's frame is in cells, with
 
 from __future__ import annotations
 
-import errno
 import io
 import math
 import os
@@ -20,6 +19,7 @@ import yaml
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
+from protocol.files import read_file
 from protocol.grid import FREE, MAX_SIDE, OCCUPIED, UNKNOWN, Grid
 from worldsim.atomic_files import write_whole
 from worldsim.map_error import MapError
@@ -202,7 +202,7 @@ def save(map_: Map, yaml_path: str | os.PathLike[str], image: str | None = None)
 
 def _read_yaml(path: Path) -> dict[str, Any]:
     try:
-        entries = yaml.safe_load(_bytes_of(path))
+        entries = yaml.safe_load(read_file(path))
     except RecursionError:
         raise MapError(
             f"{path}: is nested too deeply; a map_server YAML file has `key: value` lines"
@@ -219,13 +219,6 @@ def _read_yaml(path: Path) -> dict[str, Any]:
         if key not in entries:
             raise MapError(f"{path}: {key} is missing")
     return entries
-
-
-def _bytes_of(path: Path) -> bytes:
-    """Read a file; raise OSError for a device, whose content may be endless."""
-    if path.is_char_device() or path.is_block_device():
-        raise OSError(errno.EINVAL, "it is a device")
-    return path.read_bytes()
 
 
 def _number(path: Path, key: str, value: Any) -> float:
@@ -255,7 +248,7 @@ def _origin(path: Path, value: Any) -> tuple[float, float, float]:
 def _read_picture(path: Path) -> tuple[NDArray[np.float64], int]:
     """Read a picture's gray values, of shape (height, width), and the value of white."""
     try:
-        data = _bytes_of(path)
+        data = read_file(path)
     except OSError as error:
         raise MapError(
             f"{path}: cannot be read ({error.strerror}); a map's picture must be a PGM or PNG file"
@@ -271,8 +264,8 @@ def _read_picture(path: Path) -> tuple[NDArray[np.float64], int]:
         reason = f"has more than {MAX_SIDE} x {MAX_SIDE} cells; crop it or use larger cells"
     except UnidentifiedImageError:
         reason = "is not a complete PGM or PNG picture" if data else "is empty; give a PGM or PNG picture"
-    except (OSError, ValueError, SyntaxError) as error:
-        reason = f"is not a complete PGM or PNG picture ({error})"
+    except Exception as error:  # Pillow raises errors of many types for damaged pictures
+        reason = f"is not a complete PGM or PNG picture ({error or type(error).__name__})"
     raise MapError(f"{path}: {reason}")
 
 

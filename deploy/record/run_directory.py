@@ -8,6 +8,7 @@ the tables, because the threads of polars do not survive in forked processes.
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 from collections.abc import Iterator
 from itertools import count
@@ -17,13 +18,16 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.plugins import without_import
+from deploy.record.columns import FILES, schema
 from deploy.record.columns import STEPS as STEP_COLUMNS
-from deploy.record.columns import schema
 from deploy.record.records import Records
+from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import Scenario, ScenarioError, load, parse
 from netshaper import capture
 from netshaper.ledger import CAUSES, MALFORMED
+from protocol.files import open_file, read_file
 from protocol.packets import ALL_KINDS
 from worldsim import maps
 from worldsim.atomic_files import write_whole
@@ -113,17 +117,29 @@ def open_capture(directory: Path | None, plan: Plan) -> Iterator[BinaryIO | None
         yield file
 
 
-def read_scenario(directory: Path) -> Scenario:
-    """Read the scenario of a run directory, with the map in it; ScenarioError if it is not a run directory."""
+def read_scenario(directory: Path, **overrides: Any) -> Scenario:
+    """Read the scenario of a run directory, with the map in it, without importing strategies of other packages.
+
+    `overrides` replace settings, if they are not None.
+
+    Raises ScenarioError if it is not a run directory.
+    """
     if not (directory / SCENARIO).is_file():
         raise ScenarioError(f"{directory}: not a run directory: {SCENARIO} is missing")
-    return load(directory / SCENARIO, {})
+    with without_import():
+        return load(directory / SCENARIO, overrides)
+
+
+def read_plan(directory: Path) -> Plan:
+    """Derive the plan of a run from its directory, without importing strategies of other packages."""
+    with without_import():
+        return plans.make(read_scenario(directory))
 
 
 def read_summary(directory: Path) -> dict[str, Any]:
     """Read the summary of a run directory; ScenarioError if it has none."""
     try:
-        summary = json.loads((directory / SUMMARY).read_text(encoding="utf-8"))
+        summary = json.loads(read_file(directory / SUMMARY))
     except (OSError, ValueError, RecursionError) as error:
         raise ScenarioError(f"{directory}: no readable {SUMMARY} ({error})") from None
     missing = [key for key in REQUIRED_KEYS if not isinstance(summary, dict) or key not in summary]
@@ -136,16 +152,17 @@ def read_summary(directory: Path) -> dict[str, Any]:
 
 
 def write_results(out: Path, plan: Plan, records: Records, summary: dict[str, Any]) -> None:
-    """Write summary, tables, maps and their changes."""
+    """Write tables, maps and their changes, and the summary, to which it adds the digests of the tables."""
     from pyarrow import parquet  # noqa: PLC0415  takes half a second to import
 
     from deploy.record.map_pictures import maps_figure, save  # noqa: PLC0415
 
-    text = json.dumps(summary, indent=2) + "\n"
-    write_whole(out / SUMMARY, lambda file: file.write(text.encode()))
     write_whole(out / STEPS, lambda file: parquet.write_table(steps_table(plan, records), file))
     write_whole(out / LEDGER, lambda file: parquet.write_table(ledger_table(records.ledger()), file))
     records.maps.write(out)
+    summary["tables"] = {name: sha256(out / name) for name in FILES if (out / name).is_file()}
+    text = json.dumps(summary, indent=2) + "\n"
+    write_whole(out / SUMMARY, lambda file: file.write(text.encode()))
     if records.own:
         team = np.maximum.reduce([records.own[robot] for robot in sorted(records.own)])
         named = {"team": team} | {f"planning-r{robot}": grid for robot, grid in records.planning.items()}
@@ -153,6 +170,12 @@ def write_results(out: Path, plan: Plan, records: Records, summary: dict[str, An
             if (grid == 1).any():
                 maps.save(Map(name, grid, plan.map.resolution, plan.map.origin), out / f"{name}.yaml")
         save(out / PICTURE, maps_figure(plan, records, summary), dpi=110)
+
+
+def sha256(path: Path) -> str:
+    """Return the SHA-256 of a file."""
+    with open_file(path) as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def steps_table(plan: Plan, records: Records) -> Any:

@@ -35,6 +35,7 @@ from netshaper.radio_options import Partition, RadioOptions
 from protocol import faults
 from protocol.budget import WORD_FOR_UNLIMITED, Budget
 from protocol.errors import there_are
+from protocol.files import read_file
 from protocol.grid import MAX_ROBOTS
 from protocol.messages import Change, FaultEvent
 from protocol.packets import MAX_GOSSIP_MAPS, MAX_MAPS
@@ -142,9 +143,9 @@ class Scenario(Table):
         radio = data.get("radio") if isinstance(data, dict) else None
         if not isinstance(radio, dict) or not radio.get("preset"):
             return data
-        name = radio["preset"]
+        name = str(radio["preset"])
         if name not in PRESETS:
-            raise ValueError(f"radio.preset = {name!r}: {there_are(PRESETS, str(name))}")
+            raise ValueError(f"radio.preset = {radio['preset']!r}: {there_are(PRESETS, name)}")
         preset = PRESETS[name]
         taken = {"bandwidth": preset.bandwidth, "range": str(preset.range_m)} | data
         return taken | {"radio": {"frame_bytes": preset.frame_bytes} | radio}
@@ -337,9 +338,7 @@ def read_toml(path: Path, kind: str, shipped: Path | None = None) -> tuple[Path,
     if shipped and len(path.parts) == 1 and not path.exists() and (shipped / path.name).exists():
         path = shipped / path.name
     try:
-        if path.is_char_device() or path.is_block_device():
-            raise ScenarioError(f"{kind} {path}: is a device, not a file")
-        return path, tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        return path, tomllib.loads(read_file(path).decode("utf-8-sig"))
     except RecursionError:
         raise ScenarioError(f"{kind} {path}: is nested too deeply") from None
     except FileNotFoundError:

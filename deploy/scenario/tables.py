@@ -16,6 +16,9 @@ MAX_INTEGER = 2**31 - 1
 
 MAX_METERS = 1e6
 
+MAX_RUNS = 100_000
+"""Maximum number of runs, and of seeds, of a study."""
+
 Whole = Annotated[int, Field(strict=True)]
 Meters = Annotated[float, Field(strict=True, ge=-MAX_METERS, le=MAX_METERS)]
 Positive = Annotated[float, Field(strict=True, gt=0, le=MAX_METERS)]
@@ -37,9 +40,10 @@ def _parse_range(text: str) -> tuple[float, bool]:
         number = float(text.strip().removesuffix("%"))
     except ValueError:
         number = math.nan
-    if not (number >= 0 and math.isfinite(number)):
+    if not 0 <= number <= MAX_METERS:
         raise ValueError(
-            "must be a distance of 0 or more: meters, as 12.5, or a share of the diagonal, as 30%"
+            "must be a distance of 0 or more: meters, as 12.5, or a share of the diagonal, as 30%; "
+            f"at most {MAX_METERS:.0f}"
         )
     return number, share
 

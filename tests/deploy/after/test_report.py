@@ -16,7 +16,7 @@ from deploy.after import archive, report
 from deploy.after.figures import channel_load
 from deploy.after.frames import Frames
 from deploy.after.report import write_report
-from deploy.commands.main import app
+from deploy.commands.app import app
 from deploy.record import run_directory
 from deploy.record.map_history import MAP_CHANGES
 from deploy.run.exploration import explore

@@ -11,7 +11,7 @@ import pytest
 import typer
 from typer.core import TyperOption
 
-from deploy.commands.main import COMMANDS, app
+from deploy.commands.app import COMMANDS, app
 from tests.deploy.commands.office_floor import murmur
 
 
@@ -83,7 +83,7 @@ def test_the_list_of_commands_agrees_with_their_help() -> None:
 
 def test_help_and_version_import_no_heavy_modules() -> None:
     for words in ("--help", "--version"):
-        code = f"import sys; from deploy.commands.main import app; app({[words]!r}, standalone_mode=False); "
+        code = f"import sys; from deploy.commands.app import app; app({[words]!r}, standalone_mode=False); "
         code += "print('heavy:', sorted({'numpy', 'numba', 'zenoh', 'pydantic'} & set(sys.modules)))"
         done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
         assert done.stdout.endswith("heavy: []\n")
@@ -94,7 +94,7 @@ def test_help_and_version_import_no_heavy_modules() -> None:
 )
 def test_light_commands_import_no_compiler(words: tuple[str, ...], allowed: set[str]) -> None:
     heavy = {"numba", "scipy", "zenoh", "pyarrow", "polars"} - allowed
-    code = f"import sys; from deploy.commands.main import app; app({list(words)!r}, standalone_mode=False); "
+    code = f"import sys; from deploy.commands.app import app; app({list(words)!r}, standalone_mode=False); "
     code += f"print('heavy:', sorted({heavy!r} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.endswith("heavy: []\n")
