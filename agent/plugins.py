@@ -23,9 +23,12 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, Generic, TypeVar, cast
 
-from protocol.errors import there_are
+from protocol.errors import shown, there_are
 
 Base = TypeVar("Base")
+
+MAX_NAME = 200
+"""Maximum length of the name of a file with a plugin."""
 
 
 @dataclass(frozen=True)
@@ -54,13 +57,13 @@ class Plugins(Generic[Base]):
             return self._imported(name)
         installed = self.installed()
         if name not in installed:
-            module = Path(name.replace("-", "_")).stem
+            module = Path(name.replace("-", "_")).stem[:MAX_NAME]
             if name.endswith(".py") or Path(f"{module}.py").is_file():
                 raise ValueError(
                     f"{module}.py is a file: give the {self.kind} in it as {module}:Class, from its folder"
                 )
             raise ValueError(
-                f"no {self.kind} is called {name!r}; {there_are([*known, *installed], name)}; or give one as "
+                f"no {self.kind} is called {shown(name)}; {there_are([*known, *installed], name)}; or give one as "
                 "package.module:Class"
             )
         return self.load(installed[name])

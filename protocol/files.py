@@ -1,4 +1,4 @@
-"""Input files: only regular files of a bounded size are read, since pipes and devices may be endless or never answer."""
+"""Input files: regular files of a bounded size. Pipes and devices may be endless, or never answer."""
 
 from __future__ import annotations
 
@@ -10,12 +10,20 @@ from typing import BinaryIO
 MAX_BYTES = 2**26
 """Maximum size of a file that is read whole."""
 
-_KINDS = ((stat.S_ISFIFO, "pipe"), (stat.S_ISSOCK, "socket"), (stat.S_ISCHR, "device"), (stat.S_ISBLK, "device"))
+_KINDS = (
+    (stat.S_ISFIFO, "pipe"),
+    (stat.S_ISSOCK, "socket"),
+    (stat.S_ISCHR, "device"),
+    (stat.S_ISBLK, "device"),
+)
 
 
 def check_regular(path: Path) -> None:
     """Raise OSError if `path` does not exist, or is a pipe, socket or device."""
-    mode = path.stat().st_mode
+    try:
+        mode = path.stat().st_mode
+    except ValueError as error:  # a null character
+        raise OSError(errno.EINVAL, str(error), str(path)) from None
     for is_kind, kind in _KINDS:
         if is_kind(mode):
             raise OSError(errno.EINVAL, f"is a {kind}, not a file", str(path))

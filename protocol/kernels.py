@@ -104,7 +104,9 @@ def _numba_type(hint: Any) -> str:
 def check_compiler() -> None:
     """Raise ValueError if the environment forbids numba to compile."""
     if os.environ.get("NUMBA_DISABLE_JIT", "0").strip() not in ("", "0"):
-        raise ValueError("NUMBA_DISABLE_JIT is set, but kernels must be compiled: unset this environment variable")
+        raise ValueError(
+            "NUMBA_DISABLE_JIT is set, but kernels must be compiled: unset this environment variable"
+        )
 
 
 def load_all() -> None:

@@ -19,6 +19,7 @@ import yaml
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
+from protocol.errors import shown
 from protocol.files import read_file
 from protocol.grid import FREE, MAX_SIDE, OCCUPIED, UNKNOWN, Grid
 from worldsim.atomic_files import write_whole
@@ -121,7 +122,7 @@ def load(path: str | os.PathLike[str]) -> Map:
     entries = _read_yaml(path)
     image = entries["image"]
     if not isinstance(image, str) or not image:
-        raise MapError(f"{path}: image is {image!r}, not the name of a file")
+        raise MapError(f"{path}: image is {shown(image)}, not the name of a file")
     resolution = _number(path, "resolution", entries["resolution"])
     origin = _origin(path, entries["origin"])
     occupied, free = (_share(path, key, entries[key]) for key in ("occupied_thresh", "free_thresh"))
@@ -131,10 +132,10 @@ def load(path: str | os.PathLike[str]) -> Map:
         )
     negate = entries["negate"]
     if negate not in (0, 1):
-        raise MapError(f"{path}: negate is {negate!r}; give 0 (white is free) or 1 (black is free)")
+        raise MapError(f"{path}: negate is {shown(negate)}; give 0 (white is free) or 1 (black is free)")
     mode = entries.get("mode", "trinary")
     if mode != "trinary":
-        raise MapError(f"{path}: mode is {mode!r}; only trinary is supported (free, occupied, unknown)")
+        raise MapError(f"{path}: mode is {shown(mode)}; only trinary is supported (free, occupied, unknown)")
 
     return _from_picture(path, path.parent / image, resolution, origin, (free, occupied), negate=bool(negate))
 
@@ -209,7 +210,7 @@ def _read_yaml(path: Path) -> dict[str, Any]:
         ) from None
     except OSError as error:
         raise MapError(f"{path}: cannot be read ({error.strerror}); give a map_server YAML file") from None
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, ValueError) as error:
         raise MapError(f"{path}: is not YAML ({' '.join(str(error).split())})") from None
     if not isinstance(entries, dict):
         raise MapError(
@@ -228,7 +229,7 @@ def _number(path: Path, key: str, value: Any) -> float:
             return float(value)
     except (ValueError, OverflowError):
         pass
-    raise MapError(f"{path}: {key} is {value!r}, not a number")
+    raise MapError(f"{path}: {key} is {shown(value)}, not a number")
 
 
 def _share(path: Path, key: str, value: Any) -> float:
@@ -240,7 +241,7 @@ def _share(path: Path, key: str, value: Any) -> float:
 
 def _origin(path: Path, value: Any) -> tuple[float, float, float]:
     if not isinstance(value, list) or len(value) != 3:
-        raise MapError(f"{path}: origin is {value!r}, not [x in meters, y in meters, yaw in radians]")
+        raise MapError(f"{path}: origin is {shown(value)}, not [x in meters, y in meters, yaw in radians]")
     x, y, yaw = (_number(path, "origin", part) for part in value)
     return x, y, yaw
 

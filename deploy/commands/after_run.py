@@ -109,7 +109,8 @@ def replay(
         str | None, typer.Option(help="bus to use (default: the run's own)", metavar="zenoh|memory")
     ] = None,
     trust: Annotated[
-        bool, typer.Option("--trust", help="run a strategy or map encoding that is not of an installed package")
+        bool,
+        typer.Option("--trust", help="run a strategy or map encoding that is not of an installed package"),
     ] = False,
     as_json: JsonFlag = False,
 ) -> None:
@@ -155,7 +156,9 @@ def _confirm_local_code(directory: Path, scenario: Scenario) -> None:
             raise ScenarioError(
                 f"{directory}: would run {code}, which is no installed package: read it, then use --trust"
             )
-        typer.confirm(f"{directory} runs {code}, which is no installed package. Run it?", abort=True, err=True)
+        typer.confirm(
+            f"{directory} runs {code}, which is no installed package. Run it?", abort=True, err=True
+        )
 
 
 @app.command("capture")

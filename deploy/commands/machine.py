@@ -55,7 +55,7 @@ def bench(
         list[str] | None,
         typer.Option("--strategy", metavar="NAME", help="strategy to compare (default: all); repeatable"),
     ] = None,
-    seeds: Annotated[int, typer.Option(min=1, max=MAX_RUNS, metavar="N", help="seeds per map and team for strategies")] = 3,
+    seeds: Annotated[int, typer.Option(min=1, max=MAX_RUNS, metavar="N", help="seeds per map and team")] = 3,
     settings: Annotated[
         list[str] | None,
         typer.Option(

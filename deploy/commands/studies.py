@@ -23,7 +23,9 @@ SchedulerOption = Annotated[
     str | None,
     typer.Option(metavar="ADDRESS", help="run on the workers of a Dask scheduler, as tcp://10.0.0.1:8786"),
 ]
-SeedsOption = Annotated[int | None, typer.Option(min=1, max=MAX_RUNS, metavar="N", help="run the seeds 0 to N - 1")]
+SeedsOption = Annotated[
+    int | None, typer.Option(min=1, max=MAX_RUNS, metavar="N", help="run the seeds 0 to N - 1")
+]
 SetOption = Annotated[
     list[str] | None,
     typer.Option(
@@ -161,7 +163,9 @@ def compare(
     map_: Annotated[
         list[str] | None, typer.Option("--map", metavar="FILE|NAME", help="on this map; repeatable")
     ] = None,
-    seeds: Annotated[int, typer.Option(min=2, max=MAX_RUNS, metavar="N", help="run the seeds 0 to N - 1")] = 10,
+    seeds: Annotated[
+        int, typer.Option(min=2, max=MAX_RUNS, metavar="N", help="run the seeds 0 to N - 1")
+    ] = 10,
     metric: Annotated[
         str, typer.Option(metavar="NAME", help="what is compared (docs/experiments.md)")
     ] = "steps",
@@ -216,7 +220,9 @@ def size(
     min_map_accuracy: Annotated[
         float, typer.Option(min=0, max=1, metavar="SHARE", help="of the building that a map must have right")
     ] = 0.95,
-    seeds: Annotated[int, typer.Option(min=1, max=MAX_RUNS, metavar="N", help="runs of each combination")] = 5,
+    seeds: Annotated[
+        int, typer.Option(min=1, max=MAX_RUNS, metavar="N", help="runs of each combination")
+    ] = 5,
     set_: SetOption = None,
     jobs: JobsOption = None,
     scheduler: SchedulerOption = None,

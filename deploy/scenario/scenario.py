@@ -28,13 +28,14 @@ from deploy.scenario.tables import (
     RobotOverride,
     Table,
     Whole,
+    check_types,
     range_in_meters,
 )
 from netshaper.presets import PRESETS
 from netshaper.radio_options import Partition, RadioOptions
 from protocol import faults
 from protocol.budget import WORD_FOR_UNLIMITED, Budget
-from protocol.errors import there_are
+from protocol.errors import shown, there_are
 from protocol.files import read_file
 from protocol.grid import MAX_ROBOTS
 from protocol.messages import Change, FaultEvent
@@ -128,7 +129,11 @@ class Scenario(Table):
         60.0, description="time limit for a robot's reply or move, seconds of wall clock"
     )
     min_coverage: float = Field(
-        0.9, ge=0, le=1, description="fraction of the reachable area that a finished run must have seen"
+        0.9,
+        strict=True,
+        ge=0,
+        le=1,
+        description="fraction of the reachable area that a finished run must have seen",
     )
     robot: tuple[RobotOverride, ...] = Field((), description="robots with different hardware")
     fault: tuple[FaultTable, ...] = Field(
@@ -145,7 +150,7 @@ class Scenario(Table):
             return data
         name = str(radio["preset"])
         if name not in PRESETS:
-            raise ValueError(f"radio.preset = {radio['preset']!r}: {there_are(PRESETS, name)}")
+            raise ValueError(f"radio.preset = {shown(radio['preset'])}: {there_are(PRESETS, name)}")
         preset = PRESETS[name]
         taken = {"bandwidth": preset.bandwidth, "range": str(preset.range_m)} | data
         return taken | {"radio": {"frame_bytes": preset.frame_bytes} | radio}
@@ -178,6 +183,12 @@ class Scenario(Table):
         kind = kinds[str(info.field_name)]
         hint = "; number of robots is `robots`" if info.field_name == "robot" else ""
         raise ValueError(f"must be tables, [[{info.field_name}]], of {', '.join(kind.model_fields)}{hint}")
+
+    @field_validator("polygons", "predictive", "radio", mode="before")
+    @classmethod
+    def _types_are_exact(cls, value: object, info: ValidationInfo) -> object:
+        check_types(cls.model_fields[str(info.field_name)].annotation, value)
+        return value
 
     @field_validator("map_encoding")
     @classmethod
@@ -348,7 +359,7 @@ def read_toml(path: Path, kind: str, shipped: Path | None = None) -> tuple[Path,
         raise ScenarioError(f"{kind} {path}: no such file{others}{setting}") from None
     except OSError as error:
         raise ScenarioError(f"{kind} {path}: {error.strerror or error}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except ValueError as error:
         raise ScenarioError(f"{kind} {path}: not TOML: {error}") from None
 
 
@@ -415,7 +426,7 @@ def explain(item: Any, keys: Mapping[str, Iterable[str]]) -> str:
         return f"{key}: unknown setting; {there_are(keys[table], str(item['loc'][-1]))}"
     if item["type"] == "missing":
         return f"{key} is missing"
-    return f"{key} = {item['input']!r}: {message}" if key else message
+    return f"{key} = {shown(item['input'])}: {message}" if key else message
 
 
 _KINDS = ("int", "tuple", "tuple[int, ...]", "literal['unlimited']")

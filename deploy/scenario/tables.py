@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal, Self
+from dataclasses import is_dataclass
+from typing import Annotated, Any, Literal, Self, get_args, get_origin, get_type_hints
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from netshaper.radio_options import MIN_FRAME
 from protocol.budget import WORD_FOR_UNLIMITED
+from protocol.errors import shown
 from protocol.messages import FaultEvent
 
 MAX_INTEGER = 2**31 - 1
@@ -63,6 +65,27 @@ def _check_bandwidth(value: object) -> object:
     if value != WORD_FOR_UNLIMITED and (type(value) is not int or not 0 <= value <= MAX_INTEGER):
         raise ValueError(f"must be a whole number of bytes per step, 0 to {MAX_INTEGER}, or 'unlimited'")
     return value
+
+
+_EXACT = {bool: (bool, "true or false"), int: (int, "a whole number"), float: ((int, float), "a number")}
+
+
+def check_types(hint: Any, value: object, name: str = "") -> None:
+    """Raise ValueError if a truth value or a number within a table of a dataclass has another type.
+
+    Pydantic converts these: without this check, ``"yes"`` would be true.
+    """
+    if is_dataclass(hint) and isinstance(value, dict):
+        for key, inner in get_type_hints(hint).items():
+            if key in value:
+                check_types(inner, value[key], key)
+    elif get_origin(hint) is tuple and isinstance(value, list | tuple):
+        for each in value:
+            check_types(get_args(hint)[0], each, name)
+    elif hint in _EXACT:
+        kind, wording = _EXACT[hint]
+        if not isinstance(value, kind) or isinstance(value, bool) != (hint is bool):
+            raise ValueError(f"{name} = {shown(value)}: must be {wording}")
 
 
 Range = Annotated[str, BeforeValidator(_as_text), AfterValidator(_check_range)]

@@ -170,7 +170,7 @@ EXPLORE = {
     "deep.toml": "scenario deep.toml: is nested too deeply",
     "/dev/zero": "scenario /dev/zero: is a device, not a file",
     "--map deep.yaml": "deep.yaml: is nested too deeply; a map_server YAML file has `key: value` lines",
-    "--map endless.yaml": "/dev/zero: cannot be read (is a device, not a file); a map's picture must be a PGM or PNG file",
+    "--map endless.yaml": "/dev/zero: cannot be read (is a device, not a file); a map's picture must be a PGM",
     "--map coarse.yaml": "resolution is 900000.0, not a number of meters per cell above 0, 1000 at most",
     "--map afar.yaml": "origin is [1e+308, 0.0, 0.0], not three numbers of 1e+08 at most",
     f"--set options={5000 * '[' + 5000 * ']'}": "set = 'options=...': nested too deeply",

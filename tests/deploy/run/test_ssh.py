@@ -120,7 +120,10 @@ def liar(tmp_path: Path, code: str) -> Hosts:
 @pytest.mark.parametrize(
     ("code", "message"),
     [
-        ("""send('{"murmur": "1", "code": "a", "versions": []}\\n')""", "sent a malformed message: Expected `object`"),
+        (
+            """send('{"murmur": "1", "code": "a", "versions": []}\\n')""",
+            "sent a malformed message: Expected `object`",
+        ),
         ("""send('{"murmur": "1", "code": 5}\\n')""", "sent a malformed message: Expected `str`, got `int`"),
         ("""send('{"murmur": ' + 100_000 * '[' + '\\n')""", "sent a malformed message: "),
         ("""send('{"murmur": "1", "x": ' + 100_000 * '[' + '\\n')""", "sent a malformed message: "),
@@ -142,7 +145,10 @@ def test_a_host_that_breaks_the_protocol_is_named(
     ("code", "message"),
     [
         ("""send('{"robot": "r0", "exit": "x"}\\n')""", "sent a malformed message: "),
-        ("""send('{"robot": "r0", "exit": 3, "report": ' + 90_000 * '[' + '\\n')""", "sent a malformed message: "),
+        (
+            """send('{"robot": "r0", "exit": 3, "report": ' + 90_000 * '[' + '\\n')""",
+            "sent a malformed message: ",
+        ),
         ("while True: send(10_000 * 'x')", "sent a line of more than"),
         ("while True: send(1000 * 'x' + '\\n')", "sent more than 1 MiB"),
         ("while True: sys.stderr.write(1000 * 'x' + '\\n')", "sent more than 1 MiB"),
@@ -152,10 +158,12 @@ def test_a_host_that_breaks_the_protocol_during_the_run_is_lost(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: str, message: str
 ) -> None:
     monkeypatch.setattr("deploy.run.ssh.MAX_OUTPUT", 2**19, raising=False)
-    with Fleet(liar(tmp_path, ACCEPTED + "sys.stdin.readline()\n" + code), 1) as fleet:
-        with fleet.running(fleet.rendezvous.credentials, tmp_path / "logs"):
-            deaths: dict[str, str] = {}
-            wait_until(lambda: fleet.check(deaths) or deaths)
+    deaths: dict[str, str] = {}
+    with (
+        Fleet(liar(tmp_path, ACCEPTED + "sys.stdin.readline()\n" + code), 1) as fleet,
+        fleet.running(fleet.rendezvous.credentials, tmp_path / "logs"),
+    ):
+        wait_until(lambda: fleet.check(deaths) or deaths)
     assert list(deaths) == ["h0"]
     assert re.match(f"{message}.*; with it r0$", deaths["h0"])
 
@@ -169,10 +177,12 @@ send(json.dumps({"robot": "r0", "exit": 1, "report": "no " + chr(27) + "[2Jmemor
 sys.exit()
 """
     (tmp_path / "logs").mkdir()
-    with Fleet(liar(tmp_path, ACCEPTED + "sys.stdin.readline()\n" + code), 1) as fleet:
-        with fleet.running(fleet.rendezvous.credentials, tmp_path / "logs"):
-            deaths: dict[str, str] = {}
-            wait_until(lambda: fleet.check(deaths) or deaths)
+    deaths: dict[str, str] = {}
+    with (
+        Fleet(liar(tmp_path, ACCEPTED + "sys.stdin.readline()\n" + code), 1) as fleet,
+        fleet.running(fleet.rendezvous.credentials, tmp_path / "logs"),
+    ):
+        wait_until(lambda: fleet.check(deaths) or deaths)
     assert deaths == {"r0": "on h0: no [2Jmemory"}
     log = (tmp_path / "logs" / "r0.log").read_text()
     assert log == 2**20 * "x" + "\n[host h0: output beyond 1 MiB is dropped]\n"
