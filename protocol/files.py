@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 import stat
 from pathlib import Path
 from typing import BinaryIO
@@ -19,11 +20,13 @@ _KINDS = (
 
 
 def check_regular(path: Path) -> None:
-    """Raise OSError if `path` does not exist, or is a pipe, socket or device."""
+    """Raise OSError if `path` does not exist, or is a directory, pipe, socket or device."""
     try:
         mode = path.stat().st_mode
     except ValueError as error:  # a null character
         raise OSError(errno.EINVAL, str(error), str(path)) from None
+    if stat.S_ISDIR(mode):
+        raise OSError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     for is_kind, kind in _KINDS:
         if is_kind(mode):
             raise OSError(errno.EINVAL, f"is a {kind}, not a file", str(path))

@@ -188,7 +188,7 @@ def compare(
         raise ValueError("give either scenario files, --strategies or --map-encodings")
     if twice := [key for key, _ in given if key in settings]:
         raise ValueError(f"{twice[0]} = {settings[twice[0]]!r}: is compared; remove this flag")
-    compared: Any = [{key: name} for key, names in given for name in names] or scenario
+    compared: Any = [{key: name} for key, names in given for name in names] or scenario or []
     if map_:
         settings["map"] = map_ if len(map_) > 1 else map_[0]
     runs = out / "runs.parquet"

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import subprocess
 import sys
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -98,6 +101,26 @@ def test_light_commands_import_no_compiler(words: tuple[str, ...], allowed: set[
     code += f"print('heavy:', sorted({heavy!r} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.endswith("heavy: []\n")
+
+
+@pytest.mark.parametrize("module", ["typer", "rich.console", "pydantic", "numpy"])
+def test_ctrl_c_during_an_import_ends_the_command_without_a_traceback(tmp_path: Path, module: str) -> None:
+    path = tmp_path / (module.replace(".", "/") + ".py")
+    path.parent.mkdir(exist_ok=True)
+    path.write_text("import time; print('importing', flush=True); time.sleep(60)")
+    with subprocess.Popen(
+        [sys.executable, "-m", "deploy.commands.main", "explore", "--steps", "1"],
+        env=os.environ | {"PYTHONPATH": f"{tmp_path}:{Path(__file__).parents[3]}"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        cwd=tmp_path,
+        text=True,
+    ) as started:
+        assert started.stdout is not None
+        assert started.stdout.readline() == "importing\n"
+        started.send_signal(signal.SIGINT)
+        _, output = started.communicate(timeout=60)
+    assert (started.returncode, output) == (130, "")
 
 
 def test_the_version_is_the_version_of_the_distribution() -> None:
