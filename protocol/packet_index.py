@@ -10,8 +10,8 @@ from bisect import bisect_right
 from collections.abc import Sequence
 from functools import lru_cache
 from itertools import accumulate, pairwise
-from typing import NamedTuple
 
+import msgspec
 import numpy as np
 
 from protocol.arrays import Int32Rows, Int64Rows, ReadOnlyUint8s, Uint8s
@@ -24,7 +24,7 @@ TABLE: Int64Rows = np.array(LAYOUT_BY_BYTE, np.int64)
 KINDS = len(ALL_KINDS)
 
 
-class PacketIndex(NamedTuple):
+class PacketIndex(msgspec.Struct, frozen=True, gc=False):
     """The packets of a frame."""
 
     kinds: bytes

@@ -8,12 +8,16 @@ the tables, because the threads of polars do not survive in forked processes.
 from __future__ import annotations
 
 import contextlib
+import errno
 import hashlib
+import io
 import json
-from collections.abc import Iterator
+import os
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from itertools import count
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +25,7 @@ from numpy.typing import NDArray
 from agent.plugins import without_import
 from deploy.record.columns import FILES, schema
 from deploy.record.columns import STEPS as STEP_COLUMNS
+from deploy.record.map_history import MAP_CHANGES
 from deploy.record.records import Records
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
@@ -33,8 +38,11 @@ from worldsim import maps
 from worldsim.atomic_files import write_whole
 from worldsim.maps import Map, to_world
 
+if TYPE_CHECKING:
+    from _typeshed import ReadableBuffer
+
 SCENARIO, SUMMARY, STEPS, LEDGER = "scenario.toml", "summary.json", "steps.parquet", "ledger.parquet"
-CAPTURE = "radio.pcapng"
+CAPTURE, NEW_CAPTURE = "radio.pcapng", ".radio.pcapng"
 MAP = "map.yaml"
 PICTURE = "maps.png"
 PICTURES = "pictures"
@@ -102,8 +110,8 @@ def write_inputs(out: Path, plan: Plan) -> None:
 
 
 @contextlib.contextmanager
-def open_capture(directory: Path | None, plan: Plan) -> Iterator[BinaryIO | None]:
-    """Start ``radio.pcapng``; writes go to the disk immediately."""
+def open_capture(directory: Path | None, plan: Plan, *, again: bool = False) -> Iterator[CaptureFile | None]:
+    """Start ``radio.pcapng``, or the file that `settle_capture` renames to it; writes go to the disk immediately."""
     if directory is None:
         yield None
         return
@@ -112,9 +120,38 @@ def open_capture(directory: Path | None, plan: Plan) -> Iterator[BinaryIO | None
         f"{scenario.robots} robots on {plan.map.name}, map encoding {scenario.map_encoding}, "
         f"bandwidth {scenario.bandwidth}, range {plan.range_m:.1f} m, seed {scenario.seed}"
     )
-    with (directory / CAPTURE).open("wb", buffering=0) as file:
+    with CaptureFile(directory / (NEW_CAPTURE if again else CAPTURE), "wb") as file:
         file.write(capture.head(comment))
         yield file
+
+
+class CaptureFile(io.FileIO):
+    """A capture; if a write fails, it ends with its last whole block, and further ones are discarded."""
+
+    failure: OSError | None = None
+    """Why the capture has ended early."""
+
+    def write(self, blocks: ReadableBuffer) -> int:
+        """Append whole blocks."""
+        rest = memoryview(blocks).cast("B")
+        length, end = len(rest), self.tell()
+        try:
+            while rest and self.failure is None:
+                rest = rest[super().write(rest) or 0 :]
+        except OSError as error:
+            self.failure = OSError(error.errno, error.strerror, str(self.name))
+            with contextlib.suppress(OSError):
+                self.truncate(end)
+        return length
+
+
+def settle_capture(directory: Path | None, *, accept: bool) -> None:
+    """Replace the capture by that of the repeated run, if there is one; discard it unless it is accepted."""
+    if directory is not None and (directory / NEW_CAPTURE).exists():
+        if accept:
+            (directory / NEW_CAPTURE).replace(directory / CAPTURE)
+        else:
+            (directory / NEW_CAPTURE).unlink()
 
 
 def read_scenario(directory: Path, **overrides: Any) -> Scenario:
@@ -151,25 +188,63 @@ def read_summary(directory: Path) -> dict[str, Any]:
     return found
 
 
-def write_results(out: Path, plan: Plan, records: Records, summary: dict[str, Any]) -> None:
-    """Write tables, maps and their changes, and the summary, to which it adds the digests of the tables."""
-    from pyarrow import parquet  # noqa: PLC0415  takes half a second to import
+def load_writers() -> None:
+    """Import what `write_results` needs: at the end of a run, an import could fail and lose the run."""
+    from pyarrow import parquet  # noqa: F401, PLC0415
+
+    from deploy.record import map_pictures  # noqa: F401, PLC0415  half a second, as is pyarrow
+
+
+def write_results(
+    out: Path, plan: Plan, records: Records, summary: dict[str, Any], failures: Sequence[OSError] = ()
+) -> None:
+    """Write summary, tables, maps and their changes: each file that can be written.
+
+    If all of them are, the digests of the tables are added to the summary.
+
+    Raises OSError at the end if one cannot be written, or if `failures` has a file that could not be written before;
+    the error names all such files.
+    """
+    from pyarrow import parquet  # noqa: PLC0415
 
     from deploy.record.map_pictures import maps_figure, save  # noqa: PLC0415
 
-    write_whole(out / STEPS, lambda file: parquet.write_table(steps_table(plan, records), file))
-    write_whole(out / LEDGER, lambda file: parquet.write_table(ledger_table(records.ledger()), file))
-    records.maps.write(out)
-    summary["tables"] = {name: sha256(out / name) for name in FILES if (out / name).is_file()}
-    text = json.dumps(summary, indent=2) + "\n"
-    write_whole(out / SUMMARY, lambda file: file.write(text.encode()))
+    def write_summary() -> None:
+        text = json.dumps(summary, indent=2) + "\n"
+        write_whole(out / SUMMARY, lambda file: file.write(text.encode()))
+
+    grids = {f"planning-r{robot}": grid for robot, grid in records.planning.items()}
     if records.own:
-        team = np.maximum.reduce([records.own[robot] for robot in sorted(records.own)])
-        named = {"team": team} | {f"planning-r{robot}": grid for robot, grid in records.planning.items()}
-        for name, grid in named.items():
-            if (grid == 1).any():
-                maps.save(Map(name, grid, plan.map.resolution, plan.map.origin), out / f"{name}.yaml")
-        save(out / PICTURE, maps_figure(plan, records, summary), dpi=110)
+        grids = {"team": np.maximum.reduce([records.own[robot] for robot in sorted(records.own)])} | grids
+    found = {name: Map(name, grid, plan.map.resolution, plan.map.origin) for name, grid in grids.items()}
+    writers: dict[str, Callable[[], object]] = {
+        SUMMARY: write_summary,
+        STEPS: lambda: write_whole(
+            out / STEPS, lambda file: parquet.write_table(steps_table(plan, records), file)
+        ),
+        LEDGER: lambda: write_whole(
+            out / LEDGER, lambda file: parquet.write_table(ledger_table(records.ledger()), file)
+        ),
+        MAP_CHANGES: lambda: records.maps.write(out),
+    }
+    for name, each in found.items():
+        if (each.cells == 1).any():
+            writers[f"{name}.yaml"] = partial(maps.save, each, out / f"{name}.yaml")
+    if records.own:
+        writers[PICTURE] = lambda: save(out / PICTURE, maps_figure(plan, records, summary), dpi=110)
+    failed = [*failures]
+    for name, write in writers.items():
+        try:
+            write()
+        except OSError as error:
+            failed.append(error)
+        except MemoryError:
+            failed.append(OSError(errno.ENOMEM, os.strerror(errno.ENOMEM), str(out / name)))
+    if failed:
+        unwritten = ", ".join(dict.fromkeys(str(error.filename) for error in failed))
+        raise OSError(failed[0].errno, failed[0].strerror, unwritten)
+    summary["tables"] = {name: sha256(out / name) for name in FILES if (out / name).is_file()}
+    write_summary()
 
 
 def sha256(path: Path) -> str:

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from html import escape
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -21,7 +22,7 @@ from deploy.dashboard.windows import Window, optimize
 from deploy.record import run_directory
 from deploy.record.records import RecorderNode, Records
 from deploy.record.summary import summarize
-from deploy.run import launch
+from deploy.run import launch, limits
 from deploy.run.control import Control, as_it_went
 from deploy.run.crash_report import traceback_of
 from deploy.run.hosts import Hosts
@@ -45,6 +46,9 @@ EXPLORED, NOT_FINISHED, BAD_INPUT, BROKEN_OFF = range(4)
 
 INCARNATIONS = 4
 """How often each robot may start with `restart`, if packets can address so many maps."""
+
+MOST_REPEATS = 2
+"""How often a run that breaks off is repeated without getting further."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -188,13 +192,19 @@ def explore(
     OSError
         A file cannot be written; the error names it.
     ValueError
-        The pace is too slow, or arguments contradict each other.
+        The pace is too slow, arguments contradict each other, or the system's limits on memory or open files are too
+        low.
     """
     _check_output(out, window, keep=keep)
+    limits.check_memory()
     scenario = scenario_of(scenario, settings)
     incarnations = _incarnations(scenario, hosts) if restart else 1
     plan = plans.make(scenario, incarnations=incarnations, record_maps=keep)
     _check_pace_and_hosts(pace, hosts, scenario)
+    limits.check_files(scenario.robots if scenario.bus == "zenoh" else 0)
+    if keep:
+        with limits.importing():
+            run_directory.load_writers()
     if radio := effective_radio(plan):
         notify(radio)
     interrupt = Interrupt(notify, control.resume if control is not None else (lambda: None))
@@ -236,23 +246,34 @@ class _Execution:
     def _run(self, plan: Plan) -> tuple[Plan, launch.Outcome]:
         """Run a plan; return it with the events of the run, and the outcome.
 
-        If relay or world crash, and `restart` is set, run it again: unpaced up to the step that it had reached.
+        If it breaks off, and `restart` is set, run it again: unpaced up to the step that it had reached. The outcome is
+        that of the attempt with the most steps.
         """
-        done = 0
+        run = self._run_in_memory if plan.scenario.bus == "memory" else self._run_processes
+        best = plan, launch.Outcome(launch.no_records(plan), {})
+        done = repeats = 0
+        attempts = count()
         while True:
-            with run_directory.open_capture(self.directory, plan) as capture:
-                in_one_process = plan.scenario.bus == "memory"
-                run = self._run_in_memory if in_one_process else self._run_processes
+            with run_directory.open_capture(self.directory, plan, again=next(attempts) > 0) as capture:
                 outcome = run(plan, capture, done)
-            dead = sorted({names.RELAY, names.WORLD} & outcome.deaths.keys())
-            if not (self.restart and dead and outcome.records.step > done) or self.interrupt.came:
-                return plan, outcome
-            done = outcome.records.step
-            actual = as_it_went(plan, outcome.records)
-            if actual is not plan:
+            if capture is not None and capture.failure is not None:
+                outcome.failures.append(capture.failure)
+            step = outcome.records.step
+            if step >= done:
+                best = plan, outcome
+            run_directory.settle_capture(self.directory, accept=step >= done)
+            repeats = repeats + 1 if step <= done else 0
+            done = max(step, done)
+            cause = _break_off(outcome) if self.restart and not self.interrupt.came else ""
+            if not cause or repeats > MOST_REPEATS:
+                return best
+            actual = as_it_went(best[0], best[1].records)
+            if actual is not best[0]:
                 keep = self.directory is not None
                 plan = plans.make(actual.scenario, plan.map, incarnations=plan.incarnations, record_maps=keep)
-            self.notify(f"{' and '.join(dead)} died at step {done}: repeating the run up to this step")
+            self.notify(
+                f"{cause} at step {step}: repeating the run" + (f" up to step {done}" if done else "")
+            )
             if self._journals is not None:
                 shutil.rmtree(self._journals, ignore_errors=True)
 
@@ -320,6 +341,15 @@ class _Execution:
         return self.interrupt.heed(recorder)
 
 
+def _break_off(outcome: launch.Outcome) -> str:
+    """Return why a run broke off before its end; empty if it did not."""
+    end, deaths = outcome.records.end, outcome.deaths
+    dead = sorted({names.RELAY, names.WORLD} & deaths.keys())
+    if dead or end is None:
+        return f"{' and '.join(dead or sorted(deaths)) or 'the run'} died"
+    return end.reason if end.step < 0 or end.reason == launch.FORK_SERVER_DIED else ""
+
+
 def _check_output(out: Path | str | None, window: Window | None, *, keep: bool) -> None:
     """Raise ValueError if the arguments need a run directory and forbid it."""
     if not keep and window is not None:
@@ -376,7 +406,7 @@ def conclude(plan: Plan, outcome: launch.Outcome, directory: Path | None, wall_s
         run_directory.write_inputs(directory, done)
     plan = done
     if directory is not None:
-        run_directory.write_results(directory, plan, outcome.records, summary)
+        run_directory.write_results(directory, plan, outcome.records, summary, outcome.failures)
     code = _exit_code(outcome, summary)
     return Result(summary, code, directory, outcome.records, outcome.deaths, plan, outcome.view_fault)
 

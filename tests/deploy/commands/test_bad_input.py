@@ -289,7 +289,7 @@ OTHERS = {
     "run netshaper --credentials file": "credentials = file: it exists already; name a new directory",
     "sweep seeds.toml": "experiment seeds.toml: seeds = 1000000000000: must be less than or equal to 100000",
     "sweep runs.toml": "experiment runs.toml: 400000 runs: must be at most 100000",
-    "sweep lossy.toml --seeds 1000000000000": "Invalid value for '--seeds': Input should be less than or equal to 100000",
+    "sweep lossy.toml --seeds 1000000000000": "Invalid value for '--seeds': Input should be less than or equal to 1",
     "size --robots 1..100000": "robots = '1..100000': must be whole numbers of at most 256, as 2..8 or 2,4,8",
     "size --robots 1..1000000000000": "must be whole numbers of at most 256",
     "fly": "no such command: 'fly'; there are: explore",
