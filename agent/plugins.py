@@ -173,9 +173,15 @@ def _import_from_here() -> None:
 def _is_installed(place: str) -> bool:
     """Return whether a file or folder belongs to this package, or to Python or its installed packages."""
     names = ("stdlib", "platstdlib", "purelib", "platlib")
-    folders = [*map(sysconfig.get_path, names), *site.getsitepackages(), site.getusersitepackages()]
+    folders = [
+        *(sysconfig.get_path(name) for name in names),
+        *site.getsitepackages(),
+        site.getusersitepackages(),
+    ]
     path = Path(place).resolve()
-    return any(path.is_relative_to(Path(folder).resolve()) for folder in [*folders, Path(__file__).parent])
+    return any(
+        path.is_relative_to(Path(folder).resolve()) for folder in [*folders, str(Path(__file__).parent)]
+    )
 
 
 def package(point: EntryPoint) -> str:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import errno
 import os
 import stat
+from io import BufferedReader
 from pathlib import Path
-from typing import BinaryIO
 
 MAX_BYTES = 2**26
 """Maximum size of a file that is read whole."""
@@ -32,7 +32,7 @@ def check_regular(path: Path) -> None:
             raise OSError(errno.EINVAL, f"is a {kind}, not a file", str(path))
 
 
-def open_file(path: Path) -> BinaryIO:
+def open_file(path: Path) -> BufferedReader:
     """Open a regular file for reading; OSError for anything else."""
     check_regular(path)
     return path.open("rb")

@@ -67,7 +67,11 @@ def _check_bandwidth(value: object) -> object:
     return value
 
 
-_EXACT = {bool: (bool, "true or false"), int: (int, "a whole number"), float: ((int, float), "a number")}
+_EXACT: dict[object, tuple[tuple[type, ...], str]] = {
+    bool: ((bool,), "true or false"),
+    int: ((int,), "a whole number"),
+    float: ((int, float), "a number"),
+}
 
 
 def check_types(hint: Any, value: object, name: str = "") -> None:
@@ -83,8 +87,8 @@ def check_types(hint: Any, value: object, name: str = "") -> None:
         for each in value:
             check_types(get_args(hint)[0], each, name)
     elif hint in _EXACT:
-        kind, wording = _EXACT[hint]
-        if not isinstance(value, kind) or isinstance(value, bool) != (hint is bool):
+        kinds, wording = _EXACT[hint]
+        if not isinstance(value, kinds) or isinstance(value, bool) != (hint is bool):
             raise ValueError(f"{name} = {shown(value)}: must be {wording}")
 
 

@@ -103,11 +103,9 @@ def test_light_commands_import_no_compiler(words: tuple[str, ...], allowed: set[
     assert done.stdout.endswith("heavy: []\n")
 
 
-@pytest.mark.parametrize("module", ["typer", "rich.console", "pydantic", "numpy"])
+@pytest.mark.parametrize("module", ["typer", "rich", "pydantic", "numpy"])
 def test_ctrl_c_during_an_import_ends_the_command_without_a_traceback(tmp_path: Path, module: str) -> None:
-    path = tmp_path / (module.replace(".", "/") + ".py")
-    path.parent.mkdir(exist_ok=True)
-    path.write_text("import time; print('importing', flush=True); time.sleep(60)")
+    (tmp_path / f"{module}.py").write_text("import time; print('importing', flush=True); time.sleep(60)")
     with subprocess.Popen(
         [sys.executable, "-m", "deploy.commands.main", "explore", "--steps", "1"],
         env=os.environ | {"PYTHONPATH": f"{tmp_path}:{Path(__file__).parents[3]}"},

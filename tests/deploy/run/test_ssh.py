@@ -100,7 +100,7 @@ def test_other_versions_of_packages_cause_a_warning_only() -> None:
     assert warnings[0].startswith("host h0: has numpy 1.0, this host has ")
 
 
-LIAR = """
+FAKE_HOST = """
 import sys
 def send(*parts):
     for part in parts:
@@ -110,10 +110,10 @@ def send(*parts):
 ACCEPTED = "import json; from deploy.run.remote_agents import hello; send(json.dumps(hello()) + chr(10))\n"
 
 
-def liar(tmp_path: Path, code: str) -> Hosts:
+def fake_host(tmp_path: Path, code: str) -> Hosts:
     """A host that runs `code` instead of Murmur, then waits for the end of its input."""
-    script = tmp_path / "liar.py"
-    script.write_text(LIAR + code + "\nsys.stdin.read()\n")
+    script = tmp_path / "fake.py"
+    script.write_text(FAKE_HOST + code + "\nsys.stdin.read()\n")
     return hosts(f"exec env PYTHONPATH={ROOT} {sys.executable} {script};")
 
 
@@ -137,7 +137,7 @@ def test_a_host_that_breaks_the_protocol_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: str, message: str
 ) -> None:
     monkeypatch.setattr("deploy.run.ssh.END_S", 0.2)
-    with pytest.raises(HostError, match=f"^host h0: .*{message}"), Fleet(liar(tmp_path, code), 3):
+    with pytest.raises(HostError, match=f"^host h0: .*{message}"), Fleet(fake_host(tmp_path, code), 3):
         pytest.fail("the host was accepted")
 
 
@@ -160,7 +160,7 @@ def test_a_host_that_breaks_the_protocol_during_the_run_is_lost(
     monkeypatch.setattr("deploy.run.ssh.MAX_OUTPUT", 2**19, raising=False)
     deaths: dict[str, str] = {}
     with (
-        Fleet(liar(tmp_path, ACCEPTED + "sys.stdin.readline()\n" + code), 1) as fleet,
+        Fleet(fake_host(tmp_path, ACCEPTED + "sys.stdin.readline()\n" + code), 1) as fleet,
         fleet.running(fleet.rendezvous.credentials, tmp_path / "logs"),
     ):
         wait_until(lambda: fleet.check(deaths) or deaths)
@@ -179,7 +179,7 @@ sys.exit()
     (tmp_path / "logs").mkdir()
     deaths: dict[str, str] = {}
     with (
-        Fleet(liar(tmp_path, ACCEPTED + "sys.stdin.readline()\n" + code), 1) as fleet,
+        Fleet(fake_host(tmp_path, ACCEPTED + "sys.stdin.readline()\n" + code), 1) as fleet,
         fleet.running(fleet.rendezvous.credentials, tmp_path / "logs"),
     ):
         wait_until(lambda: fleet.check(deaths) or deaths)
