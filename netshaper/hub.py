@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import re
-import tempfile
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 
 import zenoh
 
@@ -14,6 +12,7 @@ from netshaper import access
 from protocol import keys as names
 from protocol.keys import Keys
 from protocol.messages import MAX_FRAMES
+from protocol.temporary import temporary_folder
 from protocol.zenoh_bus import Certificate, Credential, ZenohBus, insert, plain_config, receive_apart, use_tls
 
 MAX_MESSAGE_BYTES = MAX_FRAMES + (1 << 20)
@@ -59,9 +58,9 @@ def listening(endpoint: str) -> zenoh.Config:
 @contextlib.contextmanager
 def password_check(config: zenoh.Config, credentials: Mapping[str, Credential]) -> Iterator[None]:
     """Make a session that is opened in this context check the passwords of `credentials`, if there are any."""
-    with tempfile.TemporaryDirectory() as folder:
+    with temporary_folder() as folder:
         if credentials:
-            dictionary = Path(folder) / "passwords"
+            dictionary = folder / "passwords"
             dictionary.touch(mode=0o600)
             dictionary.write_text("".join(f"{c.name}:{c.password}\n" for c in credentials.values()))
             insert(config, "transport/auth/usrpwd/dictionary_file", str(dictionary))
