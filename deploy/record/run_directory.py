@@ -147,7 +147,7 @@ def write_results(out: Path, plan: Plan, records: Records, summary: dict[str, An
     write_whole(out / LEDGER, lambda file: parquet.write_table(ledger_table(records.ledger()), file))
     records.maps.write(out)
     if records.own:
-        team = np.maximum.reduce([records.own[robot] for robot in sorted(records.own)])
+        team = records.team_map(summary["refuted_maps"])
         named = {"team": team} | {f"planning-r{robot}": grid for robot, grid in records.planning.items()}
         for name, grid in named.items():
             if (grid == 1).any():
