@@ -18,6 +18,8 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import pairwise
 
+from msgspec.structs import replace
+
 from netshaper.frame_log import Content
 from netshaper.ledger import ANSWER, BROADCAST, DATA, KIND_NUMBER, NEWS, OFFER
 from netshaper.settings import RadioSettings
@@ -59,7 +61,7 @@ def _limited(read: Reader, settings: RadioSettings) -> Reader:
             return content
         noted = " with its checksum" if tail else ""
         problem = f"a packet of {size + tail} bytes{noted}, where a frame holds {most + tail}"
-        return content._replace(problem=problem)
+        return replace(content, problem=problem)
 
     return read_limited
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import binascii
 from collections.abc import Sequence
-from typing import NamedTuple
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,7 +24,7 @@ from protocol.packets import Check
 RECEIVED, LOSS, DAMAGED = (CAUSES.index(cause) for cause in ("", "loss", "damaged"))
 
 
-class Reception(NamedTuple):
+class Reception(msgspec.Struct, frozen=True, gc=False):
     """The part of a frame sequence that robots receive.
 
     `frames`: those before the first missing one, without checksums; frames after a gap are discarded. `cause`: the

@@ -8,19 +8,19 @@ the air and their order are the same.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+
+import msgspec
 
 from netshaper.admission import DECLINE
 from netshaper.frame_log import Content
 from netshaper.ledger import ANSWER, OFFER
 from protocol.budget import Budget
-from protocol.messages import Replies
+from protocol.messages import NO_LOAD
 from protocol.packet_index import fitting
 
 
-@dataclass(slots=True, eq=False)
-class Connection:
+class Connection(msgspec.Struct, eq=False, gc=False):
     """One connection.
 
     Attributes
@@ -29,10 +29,10 @@ class Connection:
         Its number in the step, in the order in which connections go on the air.
     sender, receiver, map_id : int
         The robot that offers a map, the robot that receives the offer, and the map.
-    position : int
-        Position of the offer among the frames that its sender submitted.
     frames : list of Content
         The offer, the answer and the data, as far as they have been sent.
+    loads : mapping of bytes to int
+        Which load the sender sends after each answer (`Replies.data`).
     lost : int
         The kind of the frame whose receiver could not receive it; -1 for none.
     """
@@ -41,8 +41,8 @@ class Connection:
     sender: int
     receiver: int
     map_id: int
-    position: int
     frames: list[Content]
+    loads: Mapping[bytes, int]
     lost: int = -1
 
     def ends(self, kind: int) -> tuple[int, int]:
@@ -54,37 +54,32 @@ class Connection:
         return self.ends(kind) == (sender, receiver) and len(self.frames) == kind and self.lost < 0
 
 
-def answers(replies: Replies, offered: Sequence[Connection]) -> list[bytes] | None:
-    """Answer offers for the robot that sent `replies`; None if the relay has to ask it."""
-    known = {reply.offer: reply.answer for reply in replies.offers}
+def answers(replies: Mapping[bytes, bytes], offered: Sequence[Connection]) -> list[bytes] | None:
+    """Answer offers by `Replies.answers` of their receiver; None if the relay has to ask it."""
     taken: set[int] = set()
     payloads = []
     for connection in offered:
-        answer = known.get(connection.frames[OFFER].payload)
+        answer = replies.get(connection.frames[OFFER].payload)
         if answer is None:
             return None
-        payloads.append(replies.decline if connection.map_id in taken else answer)
+        payloads.append(DECLINE if connection.map_id in taken else answer)
         taken.add(connection.map_id)
     return payloads
 
 
-def data(replies: Replies, answered: Sequence[Connection], room: Budget) -> list[bytes] | None:
-    """Return the data, at most `room` bytes, that a robot sends after answers; None if the relay has to ask it.
+def data(loads: Sequence[bytes], answered: Sequence[Connection], room: Budget) -> list[bytes] | None:
+    """Return the data, at most `room` bytes, that a robot with these `Replies.loads` sends after answers.
 
-    Empty data are not sent.
+    Empty data are not sent. None if the relay has to ask the robot.
     """
     payloads = []
     for connection in answered:
-        if connection.position >= len(replies.answers):
+        answer = connection.frames[ANSWER].payload
+        load = NO_LOAD if answer == DECLINE else connection.loads.get(answer)
+        if load is None or not connection.loads:
             return None
-        reply, answer = replies.answers[connection.position], connection.frames[ANSWER].payload
-        if answer in (reply.up_to_date, DECLINE):
-            payloads.append(b"")
-            continue
-        if answer != reply.behind or reply.load < 0:
-            return None
-        payload = replies.loads[reply.load]
-        if room.limit is not None:
+        payload = b"" if load == NO_LOAD else loads[load]
+        if room.limit is not None and payload:
             payload = payload if room.fits(len(payload)) else payload[: fitting(payload, room.limit)]
             room = room.minus(len(payload))
         payloads.append(payload)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
+from itertools import compress
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,9 +33,9 @@ def places_of(cells: Mapping[int, Cell]) -> Places:
 
 def named(robots: Sequence[int], links: Links) -> dict[int, list[int]]:
     """Return for each robot the others that it receives, in ascending order."""
+    others = links & ~np.eye(len(robots), dtype=np.bool_)
     return {
-        one: [other for other, linked in zip(robots, row, strict=True) if linked and other != one]
-        for one, row in zip(robots, links.tolist(), strict=True)
+        robot: list(compress(robots, linked)) for robot, linked in zip(robots, others.tolist(), strict=True)
     }
 
 

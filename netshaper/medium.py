@@ -8,7 +8,9 @@ the medium for the rest of the step; in other rounds a shorter frame may still u
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+
+import msgspec
+from msgspec.structs import replace
 
 from netshaper import capture
 from netshaper.airtime import Airtime, cut_into_frames
@@ -25,10 +27,16 @@ _CARRIED, _BUDGET, _LOST, _LIMIT, _FULL = map(CAUSES.index, ("", "budget", "lost
 
 _NO_LIMIT = 1 << 62
 
+
+def _limit(budget: Budget) -> int:
+    """Return the bytes of a budget, a number beyond all sizes if it has no limit."""
+    return _NO_LIMIT if budget.limit is None else budget.limit
+
+
 _MISSED = {LOSS: "lost to", DAMAGED: "damaged at", _FULL: "too much for"}
 
 
-class Account(NamedTuple):
+class Account(msgspec.Struct, frozen=True, gc=False):
     """All frames of a step, for ledger and capture."""
 
     step: int
@@ -44,7 +52,7 @@ class Account(NamedTuple):
         return RadioReport(self.step, ledger_rows(self.step, frames), self.carried, written)
 
 
-class Arrival(NamedTuple):
+class Arrival(msgspec.Struct, frozen=True, gc=False):
     """A frame that reaches its receivers at the beginning of step `due`."""
 
     due: int
@@ -94,7 +102,7 @@ class Medium:
 
     def refuse(self, sender: int, receiver: int, content: Content, cause: str, reason: str = "") -> None:
         """Log a frame that does not go on the air, and why."""
-        self._log.add(self._round, sender, receiver, content, CAUSES.index(cause), reason=reason)
+        self._log.add(self._round, content, CAUSES.index(cause), sender, receiver, reason=reason)
 
     def broadcast(self, frame: Frame, receivers: Sequence[int]) -> bool:
         """Put a pose and target on the air, whole or not at all; return whether they were carried."""
@@ -108,7 +116,7 @@ class Medium:
 
         Data and news are cut at a packet boundary; other frames are sent whole or not at all.
         """
-        sender, receiver, content, _ = frame
+        sender, receiver, content = frame.sender, frame.receiver, frame.content
         shared = self.airtime.shared(sender)
         room = shared.least(self.airtime.own(sender))
         pieces, rest = self._cut(content, room)
@@ -117,7 +125,7 @@ class Medium:
         if rest is None:
             return len(content.payload)
         cause = _BUDGET if room == shared else _LIMIT
-        self._log.add(self._round, sender, receiver, rest, cause, map_id=content.map_id)
+        self._log.add(self._round, rest, cause, sender, receiver, content.map_id)
         return len(content.payload) - len(rest.payload)
 
     def play(self, connections: Sequence[Connection]) -> list[list[int]]:
@@ -126,39 +134,44 @@ class Medium:
         A frame that is lost is the last of its connection. Return the bytes of each connection's offer, answer and data
         that went on the air.
         """
-        left, most = (
-            _NO_LIMIT if budget.limit is None else budget.limit
-            for budget in (self.airtime.left, self._frame_limit)
-        )
+        left, most = _limit(self.airtime.left), _limit(self._frame_limit)
         played: list[list[int]] = []
-        log, round_number = self._log.add, self._round
         for connection in connections:
-            carried = [0, 0, 0]
-            number, map_id = connection.number, connection.map_id
-            for kind, content in enumerate(connection.frames):
-                size = len(content.payload)
-                sender, receiver = connection.ends(kind)
-                if connection.lost == kind:
-                    log(round_number, sender, receiver, content, _LOST, (), map_id, number)
-                elif size <= left and size <= most:
-                    log(round_number, sender, receiver, content, _CARRIED, (receiver,), map_id, number)
-                    left -= size
-                    carried[kind] = size
-                else:
-                    parts, rest = self._cut(content, Budget(left))
-                    for part in parts:
-                        log(round_number, sender, receiver, part, _CARRIED, (receiver,), map_id, number)
-                    left -= size
-                    if rest is not None:
-                        log(round_number, sender, receiver, rest, _BUDGET, (), map_id, number)
-                        size -= len(rest.payload)
-                        left = 0  # the remaining budget is too small for the next packet: the medium closes
-                    carried[kind] = size
-            played.append(carried)
+            frames = connection.frames
+            sizes = [len(content.payload) for content in frames]
+            size = sum(sizes)
+            if connection.lost < 0 and size <= left and max(sizes) <= most:
+                self._log.add_connection(
+                    self._round, connection.number, connection.sender, connection.receiver, connection.map_id, frames
+                )  # fmt: skip
+                left -= size
+            else:
+                sizes, left = self._play_in_part(connection, left)
+            played.append(sizes + [0] * (3 - len(sizes)))
         self.carried += sum(map(sum, played))
         if not self.airtime.left.unlimited:
             self.airtime.left = Budget(left)
         return played
+
+    def _play_in_part(self, connection: Connection, left: int) -> tuple[list[int], int]:
+        """Put a connection on the air that is lost or has to be cut, with `left` bytes of the budget.
+
+        Return the bytes of each of its frames that were on the air, and the remaining budget.
+        """
+        played: list[int] = []
+        for kind, content in enumerate(connection.frames):
+            sender, receiver = connection.ends(kind)
+            ends = sender, receiver, connection.map_id, connection.number
+            lost = connection.lost == kind
+            pieces, rest = ([], content) if lost else self._cut(content, Budget(left))
+            for piece in pieces:
+                self._log.add(self._round, piece, _CARRIED, *ends, receivers=(receiver,))
+            played.append(sum(len(piece.payload) for piece in pieces))
+            left -= played[-1]
+            if rest is not None:
+                self._log.add(self._round, rest, _LOST if lost else _BUDGET, *ends)
+                left = left if lost else 0  # too small for the next packet: the medium closes
+        return played, left
 
     def arrivals(self) -> list[Arrival]:
         """Remove and return the frames that have arrived by now."""
@@ -185,7 +198,7 @@ class Medium:
         """Put the pieces of a frame on the air."""
         if self._tail:
             payloads = [with_checksum(piece.payload) for piece in pieces]
-            pieces = [frame.content._replace(payload=each, packets=index_of(each)) for each in payloads]
+            pieces = [replace(frame.content, payload=each, packets=index_of(each)) for each in payloads]
         payloads = [piece.payload for piece in pieces]
         size = sum(map(len, payloads))
         self.airtime.book(frame.sender, size)
@@ -209,19 +222,20 @@ class Medium:
         for number, payload in enumerate(reception.frames):
             if not self.airtime.receives(receiver, len(payload) + self._tail):
                 return Reception([receiver], reception.frames[:number], _FULL, reception.delays)
-        return reception._replace(receivers=[receiver])
+        return replace(reception, receivers=[receiver])
 
     def _log_piece(self, frame: Frame, number: int, piece: Content, receptions: Sequence[Reception]) -> None:
         """Log piece `number` of a frame, its receivers, and why others missed it."""
         received: list[int] = []
         missed: list[tuple[int, int]] = []
         late: list[str] = []
-        for receivers, frames, cause, (delay, *again) in receptions:
-            if number >= len(frames):
-                missed += [(cause, robot) for robot in receivers]
+        for reception in receptions:
+            if number >= len(reception.frames):
+                missed += [(reception.cause, robot) for robot in reception.receivers]
                 continue
-            received += receivers
-            for robot in receivers if delay or again else ():
+            received += reception.receivers
+            delay, *again = reception.delays
+            for robot in reception.receivers if delay or again else ():
                 late += [f"heard by r{robot} in step {self._step + delay}"] if delay else []
                 late += [f"twice by r{robot}"] if again else []
         verdict, reason = _CARRIED, ""
@@ -229,13 +243,5 @@ class Medium:
             reason = ", ".join([f"{_MISSED[cause]} r{robot}" for cause, robot in missed] + late)
         elif missed:
             verdict = max(missed)[0]
-        self._log.add(
-            self._round,
-            frame.sender,
-            frame.receiver,
-            piece,
-            verdict,
-            received,
-            frame.content.map_id,
-            reason=reason,
-        )
+        ends = frame.sender, frame.receiver, frame.content.map_id
+        self._log.add(self._round, piece, verdict, *ends, receivers=received, reason=reason)

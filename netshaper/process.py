@@ -301,10 +301,8 @@ class RelayNode:
 
     def _check_lengths(self, submitted: RobotFrames) -> None:
         """Raise ProtocolError if a frame is longer than any frame that could be carried."""
-        replies = submitted.replies
-        payloads = [submitted.broadcast, replies.decline, *replies.loads]
-        payloads += [frame.payload for frame in submitted.frames]
-        longest = max(map(len, payloads + [reply.answer for reply in replies.offers]))
+        payloads = [frame.payload for frame in submitted.frames]
+        longest = max(map(len, [submitted.broadcast, *submitted.replies.loads, *payloads]))
         if longest > self._max_frame_bytes:
             reason = (
                 f"a frame of {longest} bytes, where {self._max_frame_bytes} are the most that can be carried"

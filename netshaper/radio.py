@@ -20,10 +20,10 @@ left. A frame that is malformed, out of range or out of turn is logged as such a
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from operator import attrgetter
-from typing import NamedTuple, TypeVar
+from typing import TypeVar
 
 import msgspec
 
@@ -68,7 +68,7 @@ NOT_FOR_ONE = "news are a broadcast: sent to one robot"
 TWICE = "more than one frame, or more than one offer of a map, for a receiver in a round"
 
 
-class ToRobot(NamedTuple):
+class ToRobot(msgspec.Struct, frozen=True, gc=False):
     """An event for a robot."""
 
     robot: int
@@ -260,9 +260,9 @@ class Radio:
                 else:
                     broadcasts.append(Frame(sender, EVERYONE, content))
             reachable = {EVERYONE, *self._topology.in_range.get(sender, ())}
-            mute = sender in self._topology.mute
+            mute, first = sender in self._topology.mute, int(bool(submitted.broadcast))
             sent: set[tuple[int, int]] = set()
-            for number, each in enumerate(submitted.frames, bool(submitted.broadcast)):
+            for position, each in enumerate(submitted.frames):
                 receiver, content = each.receiver, read(each.payload)
                 pair = receiver, content.map_id if kind == OFFER else -1
                 problem = content.problem or (TWICE if pair in sent else "")
@@ -278,12 +278,8 @@ class Radio:
                     self._refuse(sender, receiver, content, "lost")
                 else:
                     sent.add(pair)
-                    frames.append(Frame(sender, receiver, content, number))
+                    frames.append(Frame(sender, receiver, content, position, first + position))
         return broadcasts, frames
-
-    def _position(self, frame: Frame) -> int:
-        """Return the position of a frame among those that its sender submitted, without its broadcast."""
-        return frame.number - bool(self._submitted[frame.sender].broadcast)
 
     def _drawn(self, purpose: str, items: list[Item]) -> list[Item]:
         """Put items into an order that is drawn for this round."""
@@ -304,7 +300,7 @@ class Radio:
         if self.settings.gossip and self.settings.budget.limit is not None:
             share = Budget(self.settings.budget.limit // (len(self._asked) + 1))
         for frame in self._drawn("targets", broadcasts):
-            sender, receiver, content, _ = frame
+            sender, receiver, content = frame.sender, frame.receiver, frame.content
             if sender in self._topology.mute:
                 self._refuse(sender, receiver, content, "mute")
             elif medium.carried and not share.fits(medium.carried + len(content.payload)):
@@ -338,7 +334,7 @@ class Radio:
             receivers = self._topology.receivers_of(sender) if receiver == EVERYONE else [receiver]
             sent = self._medium.carry(frame, receivers)
             self._shares.book(sender, sent)
-            reports[sender].append(SendReport(self._position(frame), sent))
+            reports[sender].append(SendReport(frame.position, sent))
         out, arrived = self._arrivals()
         for robot in sorted({*reports, *arrived, *self._broadcast_sent} - self._topology.dead):
             mine = sorted(reports.get(robot, ()), key=_FRAME)
@@ -374,10 +370,11 @@ class Radio:
         out, _ = self._arrivals()
         self._replies = {sender: submitted.replies for sender, submitted in self._submitted.items()}
         offers.sort(key=lambda frame: (frame.sender, frame.receiver, frame.content.map_id))
-        self._connections = [
-            Connection(number, *frame[:2], frame.content.map_id, self._position(frame), [frame.content])
-            for number, frame in enumerate(self._drawn("contention", offers), self._first)
-        ]
+        expected = {sender: replies.data for sender, replies in self._replies.items()}
+        for number, frame in enumerate(self._drawn("contention", offers), self._first):
+            sender, receiver, content, at = frame.sender, frame.receiver, frame.content, frame.position
+            loads = expected[sender][at] if at < len(expected[sender]) else {}
+            self._connections.append(Connection(number, sender, receiver, content.map_id, [content], loads))
         return out + self._deliver(OFFER, "answers")
 
     def _deliver(self, kind: int, phase: str) -> list[Outgoing]:
@@ -417,23 +414,24 @@ class Radio:
         """Answer for a robot with its speculative replies; return False if the relay has to ask it."""
         speculative = self._replies.get(robot, NO_REPLIES)
         if kind == OFFER:
-            payloads = answers(speculative, connections)
+            payloads = answers(speculative.answers, connections)
         else:
-            payloads = data(speculative, connections, self._budget_at_open)
+            payloads = data(speculative.loads, connections, self._budget_at_open)
         if payloads is None:
             return False
         read = self._readers[kind + 1]
-        for connection, payload in zip(connections, payloads, strict=True):
-            if payload:
-                self._take(connection, read(payload))
+        self._take(
+            (each, read(payload)) for each, payload in zip(connections, payloads, strict=True) if payload
+        )
         return True
 
-    def _take(self, connection: Connection, content: Content) -> None:
-        """Take the next frame of a connection."""
-        if content.problem:
-            self._refuse(*connection.ends(content.kind), content, "protocol", content.problem)
-        else:
-            connection.frames.append(content)
+    def _take(self, frames: Iterable[tuple[Connection, Content]]) -> None:
+        """Take the next frames of connections."""
+        for connection, content in frames:
+            if content.problem:
+                self._refuse(*connection.ends(content.kind), content, "protocol", content.problem)
+            else:
+                connection.frames.append(content)
 
     def _collect(self, kind: int) -> None:
         """Match the submitted frames to their connections; refuse those that belong to none."""
@@ -444,7 +442,7 @@ class Radio:
                     kind, sender, each.receiver
                 )
                 if belongs:
-                    self._take(self._connections[at], content)
+                    self._take([(self._connections[at], content)])
                 else:
                     reason = "a frame of no connection of its own"
                     self._refuse(sender, each.receiver, content, "protocol", reason)

@@ -68,6 +68,10 @@ Distances = Annotated[list[Count], Meta(max_length=MAX_ROBOTS)]
 FrameNumber = Annotated[int, Meta(ge=0, lt=MAX_CONNECTIONS)]
 Frame = Annotated[bytes, Meta(max_length=MAX_FRAME)]
 Frames = Annotated[list[Frame], Meta(max_length=MAX_CONNECTIONS)]
+Handshake = Annotated[bytes, Meta(max_length=16)]
+"""The frame of an offer or an answer."""
+NO_LOAD = -1
+LoadNumber = Annotated[int, Meta(ge=NO_LOAD, lt=MAX_CONNECTIONS)]
 
 WayCells = Annotated[bytes, Meta(max_length=4 * MAX_WAY_CELLS)]
 WayPoints = Annotated[bytes, Meta(max_length=8 * MAX_WAY_CELLS)]
@@ -199,52 +203,33 @@ class SendReport(Part, frozen=True):
     sent: Count
 
 
-class OfferReply(Part, frozen=True):
-    """In `Replies`: the answer of a robot to the first offer with the bytes `offer`."""
-
-    offer: Frame
-    answer: Frame
-
-
-class AnswerReply(Part, frozen=True):
-    """In `Replies`: the reply of a robot to the answer to one of its offers.
-
-    After the answer `up_to_date` it sends nothing. After the answer `behind` it sends frame `load` of `Replies.loads`,
-    cut at the budget; the relay has to ask it if `load` is -1.
-    """
-
-    up_to_date: Frame
-    behind: Frame
-    load: Connection
-
-
 OutgoingFrames = Annotated[list[OutgoingFrame], Meta(max_length=MAX_CONNECTIONS)]
 Deliveries = Annotated[list[Delivery], Meta(max_length=MAX_CONNECTIONS)]
 ConnectionReports = Annotated[list[ConnectionReport], Meta(max_length=MAX_CONNECTIONS)]
 SendReports = Annotated[list[SendReport], Meta(max_length=MAX_CONNECTIONS)]
-OfferReplies = Annotated[list[OfferReply], Meta(max_length=MAX_CONNECTIONS)]
-AnswerReplies = Annotated[list[AnswerReply], Meta(max_length=MAX_CONNECTIONS)]
+RepliesToOffers = Annotated[dict[Handshake, Handshake], Meta(max_length=MAX_CONNECTIONS)]
+RepliesToAnswers = Annotated[dict[Handshake, LoadNumber], Meta(max_length=4)]
 
 
 class Replies(Part, frozen=True):
     """In `RobotFrames`, with offers: speculative replies of this round, by which the relay answers for the robot.
 
-    `offers`: its answer to the first offer of each map; `decline`: its answer to further ones of that map.
-    `answers`: its reply to the answer to each of its own offers, in their order.
+    `answers`: the answer to each offer; the relay declines further offers of the same map. `data`: for each of the
+    robot's own offers, in their order, which of the `loads` it sends after each answer, `NO_LOAD` for none. Loads are
+    cut at the budget. The relay asks the robot about offers and answers that are not listed.
     """
 
-    offers: OfferReplies
-    decline: Frame
-    answers: AnswerReplies
+    answers: RepliesToOffers
+    data: Annotated[list[RepliesToAnswers], Meta(max_length=MAX_CONNECTIONS)]
     loads: Frames
 
     def __post_init__(self) -> None:
-        load = max([reply.load for reply in self.answers], default=-1)
+        load = max([load for replies in self.data for load in replies.values()], default=NO_LOAD)
         if load >= len(self.loads):
             raise ValueError(f"load {load} of {len(self.loads)} loads")
 
 
-NO_REPLIES = Replies([], b"", [], [])
+NO_REPLIES = Replies({}, [], [])
 """The relay has to ask for each reply."""
 
 
@@ -573,6 +558,8 @@ def max_bytes(kind: inspect.Type) -> int:
             frames = _frames_in(item)
             item_bytes = max_bytes(item) - frames * MAX_FRAME
             return HEAD_BYTES + most * item_bytes + (MAX_FRAMES if frames else 0)
+        case inspect.DictType(key_type=key, value_type=value, max_length=int(most)):
+            return HEAD_BYTES + most * (max_bytes(key) + max_bytes(value))
         case inspect.UnionType(types=kinds):
             return max(map(max_bytes, kinds))
         case inspect.StructType(fields=parts):
@@ -585,8 +572,8 @@ def max_bytes(kind: inspect.Type) -> int:
 def _frames_in(kind: inspect.Type) -> int:
     """Count the frames in an item of a list; all frames of a list have at most `MAX_FRAMES` bytes."""
     match kind:
-        case inspect.BytesType():
-            return 1
+        case inspect.BytesType(max_length=most):
+            return int(most == MAX_FRAME)
         case inspect.StructType(fields=parts):
             return sum(_frames_in(part.type) for part in parts)
     return 0

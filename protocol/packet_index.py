@@ -10,8 +10,9 @@ from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from functools import lru_cache, wraps
 from itertools import accumulate, pairwise
-from typing import NamedTuple, ParamSpec, TypeVar
+from typing import Any, TypeVar
 
+import msgspec
 import numpy as np
 
 from protocol.arrays import Int32Rows, Int64Rows, ReadOnlyUint8s, Uint8s
@@ -25,11 +26,10 @@ KINDS = len(ALL_KINDS)
 MAX_CACHED_BYTES = 1 << 16
 """Maximum size of a frame in caches, so that the frames of a sender cannot fill the memory."""
 
-Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
 
 
-class PacketIndex(NamedTuple):
+class PacketIndex(msgspec.Struct, frozen=True, gc=False):
     """The packets of a frame."""
 
     kinds: bytes
@@ -62,15 +62,15 @@ NO_PACKETS = PacketIndex(b"", array("i"), array("i"))
 
 def cache_short(
     frames: int, most: int = MAX_CACHED_BYTES
-) -> Callable[[Callable[Arguments, Result]], Callable[Arguments, Result]]:
+) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
     """Cache the results of a function whose last argument is a frame, for `frames` frames of at most `most` bytes."""
 
-    def decorate(read: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+    def decorate(read: Callable[..., Result]) -> Callable[..., Result]:
         cached = lru_cache(frames)(read)
 
         @wraps(read)
-        def read_frame(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
-            return (cached if len(args[-1]) <= most else read)(*args, **kwargs)  # type: ignore[arg-type]
+        def read_frame(*args: Any) -> Result:
+            return (cached if len(args[-1]) <= most else read)(*args)
 
         return read_frame
 

@@ -18,15 +18,7 @@ from agent.replication.frame_builder import limited
 from agent.replication.policies import Policy, Rounds, backoff
 from agent.replication.replica import Rejected, Replica
 from protocol.errors import ProtocolError
-from protocol.messages import (
-    NO_REPLIES,
-    AnswerReply,
-    Delivery,
-    OfferReply,
-    OutgoingFrame,
-    Replies,
-    RoundReport,
-)
+from protocol.messages import NO_LOAD, NO_REPLIES, Delivery, OutgoingFrame, Replies, RoundReport
 
 MAX_WAIT = 64
 """Rounds that an offer is postponed at most."""
@@ -112,23 +104,26 @@ class Handshakes(Replication):
         if not rounds.in_range or not self._speculates or not any(lengths):
             return NO_REPLIES
         declined = self._unwanted.union(number for _, number in self.replica.refused)
-        offers = [
-            OfferReply(offer(number, length), answer(length, block_of(length)))
+        answers = {
+            offer(number, length): answer(length, block_of(length))
             for number, length in enumerate(lengths)
             if number not in declined
-        ]
+        }
         loads = {each.length: b"" for each in self._offered.values() if each.number == own}
         for first in loads:
             loads[first] = self.logs[own].read(first, rounds.budget)
         if sum(map(len, loads.values())) > MAX_SPECULATIVE:
             loads.clear()
         places = {first: place for place, first in enumerate(loads)}
-        replies = []
+        data = []
         for each in self._offered.values():
             block = block_of(each.length)
-            load = places.get(each.length, -1) if each.number == own else -1
-            replies.append(AnswerReply(answer(lengths[each.number], block), answer(each.length, block), load))
-        return Replies(offers, DECLINE, replies, list(loads.values()))
+            after = {}
+            if each.number == own and each.length in places:
+                after[answer(each.length, block)] = places[each.length]
+            after[answer(lengths[each.number], block)] = NO_LOAD
+            data.append(after)
+        return Replies(answers, data, list(loads.values()))
 
     def answer(self, offers: Sequence[Delivery]) -> list[OutgoingFrame]:
         """Answer offers; ProtocolError if a frame is no offer."""

@@ -114,9 +114,9 @@ def watch(
     """View a run in progress, or the recording of one (docs/dashboard.md)."""
     from deploy.dashboard import watch as watching  # noqa: PLC0415
     from deploy.dashboard.windows import Window  # noqa: PLC0415
-    from deploy.run.interrupt import sigterm_as_ctrl_c  # noqa: PLC0415
+    from deploy.run.interrupt import signals_as_ctrl_c  # noqa: PLC0415
 
-    with sigterm_as_ctrl_c(), closing(Window(view_as, errors.print)) as window:
+    with signals_as_ctrl_c(), closing(Window(view_as, errors.print)) as window:
         watching.watch(directory, window)
 
 
@@ -144,7 +144,7 @@ def _explore(
     from deploy.run import exploration  # noqa: PLC0415
     from deploy.run.control import Control  # noqa: PLC0415
     from deploy.run.hosts import load as load_hosts  # noqa: PLC0415
-    from deploy.run.interrupt import sigterm_as_ctrl_c  # noqa: PLC0415
+    from deploy.run.interrupt import signals_as_ctrl_c  # noqa: PLC0415
 
     hosts = load_hosts(hosts_file) if hosts_file is not None else None
     control = Control() if at_terminal() and not as_json else None
@@ -163,7 +163,7 @@ def _explore(
             _draw(result.directory)
         code = report_result(result, as_json=as_json)
         if window is not None and result.directory is not None and sys.stdout.isatty():
-            with sigterm_as_ctrl_c():
+            with signals_as_ctrl_c():
                 keep_showing(result.directory, window)
     return code
 

@@ -103,7 +103,8 @@ def controlled(control: Control | None) -> Iterator[Callable[[], str]]:
         reader.join()
         os.close(over)
         os.close(over_in)
-        termios.tcsetattr(stdin, termios.TCSADRAIN, before)
+        with contextlib.suppress(termios.error):  # the terminal may be gone
+            termios.tcsetattr(stdin, termios.TCSADRAIN, before)
 
 
 def at_terminal() -> bool:

@@ -72,7 +72,7 @@ def watching(task: ViewTask) -> Iterator[ViewNode]:
 
 
 def serve(credential: Credential, task: ViewTask, ready: Callable[[], object] = lambda: None) -> bool:
-    """View a run until it is over, the hub is gone, or SIGTERM or Ctrl-C; call `ready` once on the bus.
+    """View a run until it is over, the hub is gone, SIGTERM, SIGHUP or Ctrl-C; call `ready` once on the bus.
 
     Return whether the run ended by itself.
     """
@@ -96,11 +96,11 @@ def serve(credential: Credential, task: ViewTask, ready: Callable[[], object] = 
 
 @contextlib.contextmanager
 def _requests() -> Iterator[list[int]]:
-    """Collect SIGTERM and Ctrl-C instead of terminating; a child of the launcher keeps ignoring Ctrl-C."""
+    """Collect ending signals instead of terminating; a child of the launcher keeps ignoring Ctrl-C and SIGHUP."""
     asked: list[int] = []
     before = {
         number: signal.signal(number, lambda signum, _: asked.append(signum))
-        for number in (signal.SIGTERM, signal.SIGINT)
+        for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGINT)
         if signal.getsignal(number) != signal.SIG_IGN
     }
     try:

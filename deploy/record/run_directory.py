@@ -30,7 +30,7 @@ from worldsim.atomic_files import write_whole
 from worldsim.maps import Map, to_world
 
 SCENARIO, SUMMARY, STEPS, LEDGER = "scenario.toml", "summary.json", "steps.parquet", "ledger.parquet"
-CAPTURE = "radio.pcapng"
+CAPTURE, NEW_CAPTURE = "radio.pcapng", ".radio.pcapng"
 MAP = "map.yaml"
 PICTURE = "maps.png"
 PICTURES = "pictures"
@@ -98,8 +98,8 @@ def write_inputs(out: Path, plan: Plan) -> None:
 
 
 @contextlib.contextmanager
-def open_capture(directory: Path | None, plan: Plan) -> Iterator[BinaryIO | None]:
-    """Start ``radio.pcapng``; writes go to the disk immediately."""
+def open_capture(directory: Path | None, plan: Plan, *, again: bool = False) -> Iterator[BinaryIO | None]:
+    """Start ``radio.pcapng``, or the file that `settle_capture` renames to it; writes go to the disk immediately."""
     if directory is None:
         yield None
         return
@@ -108,9 +108,18 @@ def open_capture(directory: Path | None, plan: Plan) -> Iterator[BinaryIO | None
         f"{scenario.robots} robots on {plan.map.name}, map encoding {scenario.map_encoding}, "
         f"bandwidth {scenario.bandwidth}, range {plan.range_m:.1f} m, seed {scenario.seed}"
     )
-    with (directory / CAPTURE).open("wb", buffering=0) as file:
+    with (directory / (NEW_CAPTURE if again else CAPTURE)).open("wb", buffering=0) as file:
         file.write(capture.head(comment))
         yield file
+
+
+def settle_capture(directory: Path | None, *, accept: bool) -> None:
+    """Replace the capture by that of the repeated run, if there is one; discard it unless it is accepted."""
+    if directory is not None and (directory / NEW_CAPTURE).exists():
+        if accept:
+            (directory / NEW_CAPTURE).replace(directory / CAPTURE)
+        else:
+            (directory / NEW_CAPTURE).unlink()
 
 
 def read_scenario(directory: Path) -> Scenario:

@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from html import escape
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -45,6 +46,9 @@ EXPLORED, NOT_FINISHED, BAD_INPUT, BROKEN_OFF = range(4)
 
 INCARNATIONS = 4
 """How often each robot may start with `restart`, if packets can address so many maps."""
+
+MOST_REPEATS = 2
+"""How often a run that breaks off is repeated without getting further."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -236,23 +240,32 @@ class _Execution:
     def _run(self, plan: Plan) -> tuple[Plan, launch.Outcome]:
         """Run a plan; return it with the events of the run, and the outcome.
 
-        If relay or world crash, and `restart` is set, run it again: unpaced up to the step that it had reached.
+        If it breaks off, and `restart` is set, run it again: unpaced up to the step that it had reached. The outcome is
+        that of the attempt with the most steps.
         """
-        done = 0
+        run = self._run_in_memory if plan.scenario.bus == "memory" else self._run_processes
+        best = plan, launch.Outcome(launch.no_records(plan), {})
+        done = repeats = 0
+        attempts = count()
         while True:
-            with run_directory.open_capture(self.directory, plan) as capture:
-                in_one_process = plan.scenario.bus == "memory"
-                run = self._run_in_memory if in_one_process else self._run_processes
+            with run_directory.open_capture(self.directory, plan, again=next(attempts) > 0) as capture:
                 outcome = run(plan, capture, done)
-            dead = sorted({names.RELAY, names.WORLD} & outcome.deaths.keys())
-            if not (self.restart and dead and outcome.records.step > done) or self.interrupt.came:
-                return plan, outcome
-            done = outcome.records.step
-            actual = as_it_went(plan, outcome.records)
-            if actual is not plan:
+            step = outcome.records.step
+            if step >= done:
+                best = plan, outcome
+            run_directory.settle_capture(self.directory, accept=step >= done)
+            repeats = repeats + 1 if step <= done else 0
+            done = max(step, done)
+            cause = _break_off(outcome) if self.restart and not self.interrupt.came else ""
+            if not cause or repeats > MOST_REPEATS:
+                return best
+            actual = as_it_went(best[0], best[1].records)
+            if actual is not best[0]:
                 keep = self.directory is not None
                 plan = plans.make(actual.scenario, plan.map, incarnations=plan.incarnations, record_maps=keep)
-            self.notify(f"{' and '.join(dead)} died at step {done}: repeating the run up to this step")
+            self.notify(
+                f"{cause} at step {step}: repeating the run" + (f" up to step {done}" if done else "")
+            )
             if self._journals is not None:
                 shutil.rmtree(self._journals, ignore_errors=True)
 
@@ -318,6 +331,15 @@ class _Execution:
         if self.control is not None:
             self.control.heed(recorder)
         return self.interrupt.heed(recorder)
+
+
+def _break_off(outcome: launch.Outcome) -> str:
+    """Return why a run broke off before its end; empty if it did not."""
+    end, deaths = outcome.records.end, outcome.deaths
+    dead = sorted({names.RELAY, names.WORLD} & deaths.keys())
+    if dead or end is None:
+        return f"{' and '.join(dead or sorted(deaths)) or 'the run'} died"
+    return end.reason if end.step < 0 or end.reason == launch.FORK_SERVER_DIED else ""
 
 
 def _check_output(out: Path | str | None, window: Window | None, *, keep: bool) -> None:

@@ -1,9 +1,11 @@
-"""Ctrl-C and SIGTERM end a run early without losing data."""
+"""Ctrl-C, SIGTERM, and the loss of the terminal (SIGHUP) end a run early without losing data."""
 
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
+import stat
 from collections.abc import Callable, Iterator
 
 from deploy.record.records import RecorderNode
@@ -11,14 +13,37 @@ from deploy.record.records import RecorderNode
 REASON = "interrupted"
 
 
+def _ending_signals() -> list[signal.Signals]:
+    """Return the signals that end a run, without SIGHUP if the user has it ignored (nohup)."""
+    ignored = signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+    return [signal.SIGINT, signal.SIGTERM, *([] if ignored else [signal.SIGHUP])]
+
+
+def _leave_lost_terminal() -> None:
+    """Discard input and output of a terminal that is gone: writing to it would raise errors."""
+    for file in range(3):
+        with contextlib.suppress(OSError):
+            if stat.S_ISCHR(os.fstat(file).st_mode) and not os.isatty(file):
+                null = os.open(os.devnull, os.O_RDWR)
+                os.dup2(null, file)
+                os.close(null)
+
+
 @contextlib.contextmanager
-def sigterm_as_ctrl_c() -> Iterator[None]:
-    """Make SIGTERM raise KeyboardInterrupt, so that resources are released (main thread only)."""
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+def signals_as_ctrl_c() -> Iterator[None]:
+    """Make SIGTERM and SIGHUP raise KeyboardInterrupt, so that resources are released (main thread only)."""
+
+    def interrupt(*_: object) -> None:
+        _leave_lost_terminal()
+        raise KeyboardInterrupt
+
+    numbers = [number for number in _ending_signals() if number != signal.SIGINT]
+    before = {number: signal.signal(number, interrupt) for number in numbers}
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 class Interrupt:
@@ -39,10 +64,10 @@ class Interrupt:
 
     @contextlib.contextmanager
     def caught(self) -> Iterator[None]:
-        """Treat Ctrl-C and SIGTERM as requests to end the run (main thread only)."""
+        """Treat Ctrl-C, SIGTERM and SIGHUP as requests to end the run (main thread only)."""
         before = {}
         try:
-            for number in (signal.SIGINT, signal.SIGTERM):
+            for number in _ending_signals():
                 before[number] = signal.signal(number, self._come)
         except ValueError:
             before = {}  # only the main thread handles signals
@@ -62,4 +87,5 @@ class Interrupt:
 
     def _come(self, *_: object) -> None:
         self.came = True
+        _leave_lost_terminal()
         self._then()

@@ -21,7 +21,7 @@ from deploy.dashboard.watch import announced
 from deploy.record.map_history import MapHistory
 from deploy.record.records import RecorderNode, Records
 from deploy.run.gate import Gate
-from deploy.run.process_table import FORK_SERVER, ProcessTable
+from deploy.run.process_table import FORK_SERVER, UNKNOWN, ProcessTable
 from deploy.run.processes import (
     WorldTask,
     Wrap,
@@ -33,6 +33,7 @@ from deploy.run.processes import (
     silence_s,
 )
 from deploy.run.rendezvous import Rendezvous, behind, on_loopback
+from deploy.run.reply_timeout import RunningClock
 from deploy.run.ssh import Fleet
 from deploy.scenario.plan import Plan
 from netshaper.process import ENDED
@@ -51,6 +52,7 @@ VIEWER_END_S = 5.0
 """Time limit for the viewer to finish its recording."""
 WRAP_UP_S = 3.0
 """Time limit for the end of the run after it was interrupted or has failed."""
+FORK_SERVER_DIED = f"{FORK_SERVER} died"
 MAPS_S = 15.0
 """Time limit for robots to send the requested parts of their maps, without any progress."""
 
@@ -115,16 +117,19 @@ def run(
         rendezvous = (
             fleet.rendezvous if fleet is not None else rendezvous or on_loopback(plan.scenario.robots)
         )
-        processes = stack.enter_context(ProcessTable(folder))
+        processes = stack.enter_context(ProcessTable(folder, plan.scenario.reply_timeout_s))
         if fleet is not None:
             stack.enter_context(fleet.running(rendezvous.credentials, folder))
         table = _relay_and_world(plan, rendezvous, world, wrap, captures=capture is not None)
         table |= _robots(plan, rendezvous, fleet.robots if fleet is not None else set(), journals, wrap)
         supervisor = _Supervisor(processes, table, fleet)
         stack.enter_context(announced(live, rendezvous.credentials[names.VIEW], port))
-        supervisor.start()
-        if show is not None:
-            _start_viewer(processes, rendezvous, show)
+        try:
+            supervisor.start()
+            if show is not None:
+                _start_viewer(processes, rendezvous, show)
+        except ConnectionError as error:
+            return Outcome(no_records(plan), {FORK_SERVER: str(error)})
         outcome = _record(supervisor, rendezvous, plan, world.pause_s, heed, watch, capture, wrap)
         if show is not None:
             outcome.view_fault = processes.await_end(names.VIEW, VIEWER_END_S)
@@ -189,7 +194,7 @@ class _Supervisor:
         """Robots whose processes have ended, which the relay knows."""
 
     def start(self) -> None:
-        """Start all processes."""
+        """Start all processes; ConnectionError if that fails."""
         for name, (serve, *args) in self._table.items():
             self._processes.start(name, serve, *args)
 
@@ -202,12 +207,16 @@ class _Supervisor:
             self._processes.excuse(name)
         if event.kind == "restart":
             serve, *args = self._table[name]
-            self._processes.start(name, serve, *args)
+            try:
+                self._processes.start(name, serve, *args)
+            except ConnectionError as error:
+                self.deaths[FORK_SERVER] = str(error)
             self._reported.discard(name)
 
     def newly_ended(self) -> list[int]:
-        """Return the robots whose processes have ended since the last call."""
-        ended = {name for name in self._processes.ended() if names.is_robot(name)} - self._reported
+        """Return the robots whose processes are known to have ended since the last call."""
+        codes = self._processes.ended()
+        ended = {name for name in codes if names.is_robot(name) and codes[name] != UNKNOWN} - self._reported
         self._reported |= ended
         return sorted(map(names.number, ended))
 
@@ -264,15 +273,15 @@ def _record(
     wrap: Wrap | None,
 ) -> Outcome:
     """Serve as the recorder until the run is over."""
-    robots, shape = plan.scenario.robots, plan.map.cells.shape
     try:
         bus: Bus = join(rendezvous.credentials[names.RECORDER])
     except ConnectionError as error:
         supervisor.check().setdefault(names.RELAY, str(error))
-        return Outcome(Records(robots, MapHistory(shape)), supervisor.deaths)
+        return Outcome(no_records(plan), supervisor.deaths)
     if wrap is not None:
         bus = wrap(names.RECORDER, bus)
-    recorder = RecorderNode(bus, Keys(rendezvous.run), robots, shape, capture, supervisor.apply)
+    keys, robots, shape = Keys(rendezvous.run), plan.scenario.robots, plan.map.cells.shape
+    recorder = RecorderNode(bus, keys, robots, shape, capture, supervisor.apply)
     recorder.configure(plan.robot_settings)
 
     def poll() -> bool:
@@ -283,6 +292,8 @@ def _record(
             recorder.report_end(robot)
         if supervisor.check() and not recorder.records.world:
             recorder.shut_down()  # a participant died before the first step
+        elif FORK_SERVER in supervisor.deaths:
+            recorder.stop(FORK_SERVER_DIED)
         return bool({names.WORLD, FORK_SERVER} & supervisor.deaths.keys())
 
     with contextlib.closing(bus):
@@ -295,6 +306,11 @@ def _record(
     return Outcome(recorder.records, supervisor.deaths)
 
 
+def no_records(plan: Plan) -> Records:
+    """Return the records of a run that has not begun."""
+    return Records(plan.scenario.robots, MapHistory(plan.map.cells.shape))
+
+
 def attend(bus: Bus, recorder: RecorderNode, heed: Heed, poll: Callable[[], bool], quiet_s: float) -> None:
     """Serve as the recorder until all data are recorded, or no more arrive.
 
@@ -304,10 +320,11 @@ def attend(bus: Bus, recorder: RecorderNode, heed: Heed, poll: Callable[[], bool
     """
     ending: float | None = None
     progress: object = None
-    received = polled = time.monotonic()
+    clock = RunningClock()
+    received = polled = clock()
     while not recorder.done:
         message = bus.receive(POLL_S)
-        now = time.monotonic()
+        now = clock()
         if message is not None:
             received = now
             recorder.handle(message)

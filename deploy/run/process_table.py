@@ -11,10 +11,12 @@ import multiprocessing
 import os
 import signal
 import sys
+import threading
 import time
 import types
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from multiprocessing import forkserver
 from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 from typing import Self
@@ -22,10 +24,13 @@ from typing import Self
 from deploy.run import parent_watchdog
 from deploy.run.crash_report import crash_report
 from deploy.run.processes import BROKEN_OFF, in_background
+from deploy.run.reply_timeout import CHECK_S, REPLY_TIMEOUT_S, RunningClock
+from protocol import keys as names
 
 FORK_SERVER = "the fork server"
 UNKNOWN = 255
 """Exit code of a child whose fork server has died."""
+_AWAITED = (names.RELAY, names.WORLD)
 GRACE_S = 1.0
 """Time limit for a child to end by itself before it is terminated, and then killed."""
 
@@ -56,25 +61,37 @@ class Child:
 
 
 class ProcessTable:
-    """A run's children; a context manager that leaves none behind."""
+    """A run's children; a context manager that leaves none behind.
 
-    def __init__(self, logs: Path) -> None:
+    Relay, world or fork server, for which all others wait, are killed if they are stopped (SIGSTOP) for half of
+    `reply_timeout_s`: before the relay or the world would hold their silence against the robots.
+    """
+
+    def __init__(self, logs: Path, reply_timeout_s: float = REPLY_TIMEOUT_S) -> None:
         self.deaths: dict[str, str] = {}
         """Children that ended prematurely, each with its crash report; `check` updates it."""
         self._logs = logs
+        self._stopped_s = reply_timeout_s / 2
+        self._killed: dict[str, str] = {}
+        """Why processes were killed that did not answer, by name."""
+        self._ended = threading.Event()
         self._children: list[Child] = []
         self._context = multiprocessing.get_context("forkserver")
         self._context.set_forkserver_preload(["deploy.run.parent_watchdog", "deploy.run.preload"])
 
     def __enter__(self) -> Self:
         self._logs.mkdir(parents=True, exist_ok=True)
+        threading.Thread(target=self._watch, name="stopped processes", daemon=True).start()
         return self
 
     def __exit__(self, *_: object) -> None:
         self.end()
 
     def start(self, name: str, serve: Callable[..., None], *args: object, needed: bool = True) -> None:
-        """Start a child that runs ``serve(*args)``; its output goes to ``NAME.log``."""
+        """Start a child that runs ``serve(*args)``; its output goes to ``NAME.log``.
+
+        Raises ConnectionError if the fork server dies, or cannot start another process.
+        """
         log = self._logs / f"{name}.log"
         with _blank_main():
             process = self._context.Process(target=in_background, args=(name, log, serve, *args), name=name)
@@ -82,7 +99,10 @@ class ProcessTable:
             try:
                 process.start()
             except (EOFError, ConnectionError):
-                raise ConnectionError(f"{FORK_SERVER} died before it had started {name}") from None
+                why = self._killed.get(FORK_SERVER, "it ended")
+                raise ConnectionError(f"{why}, before it had started {name}") from None
+            except OSError as error:
+                raise ConnectionError(f"cannot start {name}: {error.strerror}") from None
             finally:
                 del os.environ[parent_watchdog.FOLDER]
         self._children.append(Child(name, process, log, needed))
@@ -104,12 +124,15 @@ class ProcessTable:
     def check(self) -> dict[str, str]:
         """Check the children; return all premature ends so far."""
         dead = [child for child in self._children if child.needed and child.process.exitcode not in (None, 0)]
+        if FORK_SERVER in self._killed:
+            self.deaths.setdefault(FORK_SERVER, self._killed[FORK_SERVER])
+            return self.deaths
         if dead and all(child.process.exitcode == UNKNOWN and not child.has_output for child in dead):
             self.deaths.setdefault(FORK_SERVER, "the exit codes of its processes are unknown")
             return self.deaths
         for child in dead:
             if child.name not in self.deaths:
-                self.deaths[child.name] = child.crash_report()
+                self.deaths[child.name] = self._killed.get(child.name) or child.crash_report()
         return self.deaths
 
     def forget_disconnected(self) -> None:
@@ -142,11 +165,54 @@ class ProcessTable:
                     act(child.process)
             for child in self._children:
                 child.process.join(max(0.0, deadline - time.monotonic()))
+        self._ended.set()
+        if any(child.process.is_alive() for child in self._children):
+            self._kill(FORK_SERVER, _fork_server_pid(), "it did not report the ends of its processes")
+            self.check()
+        for child in self._children:
+            if child.process.exitcode == UNKNOWN and child.process.pid is not None:
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(child.process.pid, signal.SIGKILL)
         for child in self._children:
             if child.log.exists() and not child.log.stat().st_size:
                 child.log.unlink()
         if self._logs.exists() and not any(self._logs.iterdir()):
             self._logs.rmdir()
+
+    def _watch(self) -> None:
+        """Kill the fork server, the relay or the world once it has been stopped for too long (a thread)."""
+        clock = RunningClock()
+        since: dict[str, float] = {}
+        while not self._ended.wait(min(CHECK_S, self._stopped_s / 4)):
+            now = clock()
+            pids = {FORK_SERVER: _fork_server_pid()}
+            pids |= {child.name: child.process.pid for child in self._children if child.name in _AWAITED}
+            for name, pid in pids.items():
+                if name in self._killed or not _is_stopped(pid):
+                    since.pop(name, None)
+                elif now - since.setdefault(name, now) > self._stopped_s:
+                    self._kill(name, pid, f"it was stopped for {self._stopped_s:g} s, and was killed")
+
+    def _kill(self, name: str, pid: int | None, reason: str) -> None:
+        """Kill a process that does not answer, so that nothing waits for it."""
+        self._killed[name] = reason
+        if pid is not None:
+            os.kill(pid, signal.SIGKILL)
+
+
+def _fork_server_pid() -> int | None:
+    """Return the process of the fork server, which all runs of this process share; None before it has started."""
+    pid: int | None = forkserver._forkserver._forkserver_pid  # type: ignore[attr-defined]
+    return pid
+
+
+def _is_stopped(pid: int | None) -> bool:
+    """Return whether a process is stopped, by SIGSTOP or a debugger; False where the system does not tell."""
+    try:
+        status = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return False
+    return status.rpartition(")")[2].split()[0] in ("T", "t")
 
 
 @contextlib.contextmanager

@@ -244,10 +244,11 @@ def _serve(bus: Bus, node: WorldNode | AgentNode, reply_timeout: ReplyTimeout | 
 
 
 def in_background(name: str, log: Path, serve: Callable[..., None], *args: object) -> None:
-    """Run `serve` as a child of the launcher: its output goes to `log`; the launcher handles Ctrl-C."""
+    """Run `serve` as a child of the launcher: its output goes to `log`; the launcher handles Ctrl-C and SIGHUP."""
     setproctitle(f"murmur {name}")
     parent_watchdog.end_with_launcher()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
     try:
         file = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
     except FileNotFoundError:

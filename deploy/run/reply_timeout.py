@@ -1,6 +1,7 @@
 """A time limit in wall clock for each robot and phase; a robot that exceeds it is removed from the run.
 
-Only progress of the phase resets the limit, not other messages.
+Only progress of the phase resets the limit, not other messages. The limit counts the time during which the waiting
+process runs: a relay that was stopped and continued does not hold that time against the robots.
 """
 
 from __future__ import annotations
@@ -11,6 +12,24 @@ from typing import Protocol
 REPLY_TIMEOUT_S = 60.0
 """Default time limit for a robot's reply in a phase of the medium, or for its move."""
 CHECK_S = 0.25
+GAP_S = 0.5
+"""Longest time between two readings of a `RunningClock` that counts."""
+
+
+class RunningClock:
+    """A clock that does not advance while this process is stopped; it must be read several times per second."""
+
+    def __init__(self) -> None:
+        self._read = time.monotonic()
+        self._stopped_s = 0.0
+
+    def __call__(self) -> float:
+        """Return the time in seconds."""
+        now = time.monotonic()
+        if now - self._read > GAP_S:
+            self._stopped_s += now - self._read
+        self._read = now
+        return now - self._stopped_s
 
 
 class Waiting(Protocol):
@@ -34,11 +53,12 @@ class ReplyTimeout:
         self._node = node
         self._limit_s = reply_timeout_s
         self._phase = node.phase
-        self._since = self._checked = time.monotonic()
+        self._clock = RunningClock()
+        self._since = self._checked = self._clock()
 
     def check(self) -> float:
         """Give up on robots that exceed the limit; return the seconds since the last progress."""
-        now = time.monotonic()
+        now = self._clock()
         if now - self._checked < CHECK_S:
             return 0.0
         self._checked = now

@@ -19,6 +19,7 @@ import pyarrow.parquet
 import pytest
 
 from deploy.record import run_directory
+from netshaper.admission import DECLINE
 from netshaper.ledger import FRAMES
 from protocol.messages import Replies
 from tests.capture.sniffer import BUFFER, SO_RCVBUFFORCE
@@ -176,7 +177,7 @@ def _content(frame: CapturedFrame) -> tuple[str, bytes]:
 def _is_speculative(frame: CapturedFrame, replies: Replies) -> bool:
     """Whether a robot handed the frame over with its offers; data may be cut to the room that was left."""
     if FRAMES[frame.frame] == "answer":
-        return frame.known in (*(reply.answer for reply in replies.offers), replies.decline)
+        return frame.known in (*replies.answers.values(), DECLINE)
     return any(frame.size <= len(load) and load.startswith(frame.known) for load in replies.loads)
 
 

@@ -144,7 +144,7 @@ class Network:
         for item in outgoing:
             if isinstance(item, ToRobot):
                 assert item.robot not in self.dead, "the relay sends nothing to the dead"
-                step.events.append(item)
+                step.events.append((item.robot, item.event))
                 self._queues[item.robot].extend(self._robots[item.robot](item.event))
             else:
                 assert step.carried < 0, "one account per step"

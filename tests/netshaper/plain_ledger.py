@@ -43,8 +43,8 @@ def columns(seen: Iterable[LoggedFrame]) -> Columns:
     for each in seen:
         content, receivers = refused(each.frame, each.payload, ""), received_by(each)
         log.add(
-            each.round, each.sender, each.receiver, content, each.verdict, receivers, each.map, each.connection,
-            each.reason,
+            each.round, content, each.verdict, each.sender, each.receiver, each.map, each.connection,
+            receivers=receivers, reason=each.reason,
         )  # fmt: skip
     return log.columns()
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import astuple
 
 from netshaper.channel import (
     DAMAGED,
@@ -38,7 +39,7 @@ def rate(options: RadioOptions, cause: int, size: int = 20) -> float:
 
 def test_a_perfect_channel_delivers_all_at_once() -> None:
     got = Channel(RadioOptions(), 0, 3).carry(1, 0, 0, 0, [b"a", b"b"], [1, 2])
-    assert [tuple(each) for each in got] == [([1, 2], [b"a", b"b"], RECEIVED, [0])]
+    assert [astuple(each) for each in got] == [([1, 2], [b"a", b"b"], RECEIVED, [0])]
 
 
 def test_frames_are_lost_at_the_given_rate() -> None:

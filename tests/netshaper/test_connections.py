@@ -20,9 +20,7 @@ from protocol.budget import UNLIMITED, Budget
 from protocol.errors import ProtocolError
 from protocol.messages import (
     NO_REPLIES,
-    AnswerReply,
     MediumEvent,
-    OfferReply,
     Open,
     OutgoingFrame,
     PhaseDelivery,
@@ -121,30 +119,31 @@ def test_wrong_speculative_replies_are_refused_like_wrong_frames() -> None:
     radio = Radio(RadioSettings(2, 0, 10.0))
     radio.begin(1, {0: (0, 0), 1: (1, 0)})
     offer, answer = (packets.encode([packet]) for packet in (packets.Offer(0, 0), packets.Answer(0)))
-    sends = Replies([], b"", [AnswerReply(b"", answer, 0)], [b"\xff\xff no entries"])
+    sends = Replies({}, [{answer: 0}], [b"\xff\xff no entries"])
     radio.submit(0, RobotFrames(1, 0, "offers", b"", [OutgoingFrame(1, offer)], 0, sends))
     wrong = packets.encode([packets.Answer(0), packets.Save()])
-    radio.submit(1, RobotFrames(1, 0, "offers", replies=Replies([OfferReply(offer, wrong)], b"", [], [])))
+    radio.submit(1, RobotFrames(1, 0, "offers", replies=Replies({offer: wrong}, [], [])))
     assert [sender for sender, _ in radio.protocol_errors] == [1]
     assert "an answer frame is" in radio.protocol_errors[0][1]
     radio.protocol_errors.clear()
     radio.begin(2, {0: (0, 0), 1: (1, 0)})
     radio.submit(0, RobotFrames(2, 0, "offers", b"", [OutgoingFrame(1, offer)], 0, sends))
-    radio.submit(1, RobotFrames(2, 0, "offers", replies=Replies([OfferReply(offer, answer)], b"", [], [])))
+    radio.submit(1, RobotFrames(2, 0, "offers", replies=Replies({offer: answer}, [], [])))
     assert [sender for sender, _ in radio.protocol_errors] == [0]
 
 
 @pytest.mark.parametrize(
     "replies",
     [
-        [[[b"a"]], b"", [], []],
-        [[], b"", [[b"a", b"b", 1]], [b"c"]],
-        [[], b"", []],
+        [[b"a"], [], []],
+        [{}, [{b"a": 1}], [b"c"]],
+        [{}, [{b"a": -2}], []],
+        [{}, []],
     ],
 )
 def test_inconsistent_replies_are_refused(replies: list[Any]) -> None:
     with pytest.raises(ProtocolError, match=r"replies(:|\[)"):
         unpack(msgspec.msgpack.encode([7, 1, 0, "offers", b"", [], 0, replies]))
-    fitting = Replies([OfferReply(b"a", b"b")], b"f", [AnswerReply(b"c", b"d", 0)], [b"e"])
+    fitting = Replies({b"a": b"b"}, [{b"c": 0, b"d": -1}], [b"e"])
     whole = RobotFrames(1, 0, "offers", replies=fitting)
     assert unpack(pack(whole)) == whole

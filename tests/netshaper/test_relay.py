@@ -23,7 +23,6 @@ from protocol.keys import RELAY, Keys
 from protocol.memory_bus import MemoryHub
 from protocol.messages import (
     MAX_CONNECTIONS,
-    AnswerReply,
     Begin,
     Broadcasts,
     Close,
@@ -33,7 +32,6 @@ from protocol.messages import (
     FaultEvent,
     Lost,
     Move,
-    OfferReply,
     Open,
     OutgoingFrame,
     Positions,
@@ -413,17 +411,16 @@ def test_a_frame_longer_than_the_limit_is_reported_and_not_decoded() -> None:
     assert report.rows == b""
 
 
-@pytest.mark.parametrize("replies", [
-    Replies([OfferReply(b"", bytes(1065))], b"", [], []),
-    Replies([], bytes(1065), [], []),
-    Replies([], b"", [AnswerReply(b"", b"", 0)], [bytes(1065)]),
-], ids=["answer", "decline", "data"])  # fmt: skip
-def test_a_reply_longer_than_the_limit_is_reported_and_not_decoded(replies: Replies) -> None:
+@pytest.mark.parametrize(("replies", "reason"), [
+    (Replies({b"": bytes(1065)}, [], []), "replies[0][...]: Expected `bytes` of length <= 16"),
+    (Replies({}, [{b"": 0}], [bytes(1065)]), "a frame of 1065 bytes, where 1064 are the most"),
+], ids=["answer", "data"])  # fmt: skip
+def test_a_reply_longer_than_the_limit_is_reported_and_not_decoded(replies: Replies, reason: str) -> None:
     run = Run(budget=Budget(1000))
     run.begin_step()
     run.send("r1", RobotFrames(1, 0, "offers", replies=replies))
     (fault,) = run.received(RECORDER)
-    assert "a frame of 1065 bytes, where 1064 are the most" in fault.reason
+    assert reason in fault.reason
     assert run.relay.waiting_for() == [0, 1]
 
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import os
+import pty
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import psutil
@@ -117,7 +118,8 @@ def test_a_relay_or_world_that_hangs_ends_the_run_and_is_named(tmp_path: Path, n
         child(process, name).suspend()
         code, output, _ = finish(process, 30)
     assert code == 3
-    assert f"no message from the {name} for" in output
+    assert f"{name} died: it was stopped for 0.25 s, and was killed" in output
+    assert summary(tmp_path / "run")["lost"] == {}
     assert not psutil.wait_procs(family, timeout=3)[1]
 
 
@@ -139,7 +141,22 @@ def test_a_killed_relay_or_world_ends_the_run_and_is_named(tmp_path: Path, name:
     assert (tmp_path / "run" / "steps.parquet").exists()
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_relay_that_is_stopped_and_continued_costs_no_robot(tmp_path: Path) -> None:
+    with swarm(tmp_path / "run", *SLOW, "--set", "reply_timeout_s=1.0") as process:
+        wait_for_steps(process)
+        relay = child(process, "relay")
+        relay.suspend()
+        time.sleep(2.5)
+        with suppress(psutil.NoSuchProcess):
+            relay.resume()
+        code, output, _ = finish(process, 30)
+    assert code == 3
+    assert "relay died: it was stopped for 0.5 s, and was killed" in output
+    assert "was lost" not in output
+    assert summary(tmp_path / "run")["lost"] == {}
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_an_interrupt_ends_all_children_and_writes_the_results_so_far(tmp_path: Path, number: int) -> None:
     with swarm(tmp_path / "run", *SLOW) as process:
         wait_for_steps(process)
@@ -157,6 +174,24 @@ def test_an_interrupt_ends_all_children_and_writes_the_results_so_far(tmp_path: 
     assert result["reason"] == "interrupted"
     assert 0 < result["coverage"] < 1
     assert (tmp_path / "run" / "maps.png").exists()
+
+
+def test_a_lost_terminal_ends_the_run_and_the_results_are_written(tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    pid, terminal = pty.fork()
+    if pid == 0:
+        os.execv(sys.executable, [*MURMUR, *SWARM, *SLOW, "--out", str(out)])
+    try:
+        deadline = time.monotonic() + 30
+        while not (out / "live.json").exists() and time.monotonic() < deadline:
+            os.read(terminal, 1 << 16)
+        time.sleep(1.5)
+    finally:
+        os.close(terminal)
+    _, status = os.waitpid(pid, 0)
+    assert os.waitstatus_to_exitcode(status) == 1
+    assert summary(out)["reason"] == "interrupted"
+    assert (out / "maps.png").exists()
 
 
 def test_ctrl_c_to_all_processes_ends_a_run_with_a_viewer_after_a_whole_step(
@@ -211,18 +246,25 @@ def test_a_launcher_that_is_killed_leaves_no_process_and_no_folder_behind(
     assert not [each for each in folders if each.exists()]
 
 
-def test_a_fork_server_that_is_killed_is_named_once(tmp_path: Path) -> None:
-    with swarm(tmp_path / "run", *SLOW) as process:
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_fork_server_that_dies_or_hangs_is_named_once_and_all_is_written(
+    tmp_path: Path, number: int
+) -> None:
+    with swarm(tmp_path / "run", *SLOW, "--set", "reply_timeout_s=1.0") as process:
         wait_for_steps(process)
         family = descendants(process)
         parents = {found.ppid() for found in family}
         (server,) = [found for found in family if found.pid in parents]
-        server.kill()
-        code, output, _ = finish(process, 60)
+        server.send_signal(number)
+        code, output, _ = finish(process, 30)
     assert code == 3
     assert output.count(" died: ") == 1
     assert "the fork server died: " in output
     assert not psutil.wait_procs(family, timeout=20)[1]
+    result = summary(tmp_path / "run")
+    assert result["lost"] == {}
+    assert result["steps"] > 0
+    assert (tmp_path / "run" / "maps.png").exists()
 
 
 def test_replay_repeats_a_run_from_its_directory_alone(tmp_path: Path) -> None:

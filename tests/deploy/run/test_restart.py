@@ -12,8 +12,9 @@ import psutil
 import pytest
 
 from deploy.record.records import Records
+from deploy.run import launch
 from deploy.run.control import why_unrepeatable
-from deploy.run.exploration import EXPLORED, explore
+from deploy.run.exploration import BROKEN_OFF, EXPLORED, explore
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import ScenarioError, parse
 
@@ -37,14 +38,20 @@ def killing(name: str, step: int, number: signal.Signals = signal.SIGKILL) -> Ca
     return watch
 
 
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
 @pytest.mark.parametrize("name", ["world", "relay"])
-def test_run_whose_world_or_relay_dies_reaches_the_digest_of_an_undisturbed_run(
-    tmp_path: Path, name: str
+def test_run_whose_world_or_relay_dies_or_hangs_reaches_the_digest_of_an_undisturbed_run(
+    tmp_path: Path, name: str, number: signal.Signals
 ) -> None:
     plain = explore(scenario(bus="memory"), keep=False)
     notes: list[str] = []
     result = explore(
-        scenario(), out=tmp_path / "run", watch=killing(name, 10), notify=notes.append, pace=20, restart=True
+        scenario(reply_timeout_s=2.0),
+        out=tmp_path / "run",
+        watch=killing(name, 10, number),
+        notify=notes.append,
+        pace=20,
+        restart=True,
     )
     assert len(notes) == 1, result.summary
     assert name in notes[0]
@@ -62,6 +69,45 @@ def test_killed_robot_rejoins_and_the_run_ends_explored(tmp_path: Path) -> None:
     assert "robot 1 was lost at step" in why_unrepeatable(result.summary)
     assert sorted(result.records.own) == [0, 1]
     assert {report.step for report in result.records.statuses[1]} >= {1, result.summary["steps"]}
+
+
+def test_run_continues_if_a_robot_dies_while_the_run_is_repeated(tmp_path: Path) -> None:
+    first = killing("relay", 10)
+    again: list[Callable[[Plan, Records], None]] = []
+
+    def watch(plan: Plan, records: Records) -> None:
+        (again[-1] if again else first)(plan, records)
+
+    result = explore(
+        scenario(),
+        out=tmp_path / "run",
+        watch=watch,
+        notify=lambda _: again.append(killing("r1", 0)),
+        pace=20,
+        restart=True,
+    )
+    assert (result.exit_code, result.deaths, result.summary["lost"]) == (EXPLORED, {}, {})
+
+
+def test_run_that_cannot_be_repeated_keeps_what_it_has_recorded(tmp_path: Path) -> None:
+    watch = killing("relay", 10)
+    notes: list[str] = []
+
+    def break_again(note: str) -> None:
+        notes.append(note)
+        monkeypatch.setattr(launch, "join", refuse)
+
+    def refuse(_: object) -> None:
+        raise ConnectionError("no hub answers")
+
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        result = explore(
+            scenario(), out=tmp_path / "run", watch=watch, notify=break_again, pace=20, restart=True
+        )
+    assert result.exit_code == BROKEN_OFF
+    assert result.summary["steps"] >= 10
+    assert len(notes) == 3
+    assert (tmp_path / "run" / "radio.pcapng").stat().st_size > 1000
 
 
 def test_run_waits_for_its_only_robot(tmp_path: Path) -> None:
