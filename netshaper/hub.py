@@ -18,7 +18,7 @@ from protocol.messages import MAX_FRAMES, MAX_ROBOT_PAYLOAD
 from protocol.zenoh_bus import Certificate, Credential, ZenohBus, insert, plain_config, receive_apart, use_tls
 
 MAX_MESSAGE_BYTES = MAX_ROBOT_PAYLOAD + (1 << 16)
-"""Maximum size of a message to the hub; the hub disconnects the sender of a longer one."""
+"""Maximum size of a message to the hub; it drops a longer one, and its sender times out."""
 MAX_FILES, FILES_OF_PARTICIPANTS = 1 << 16, 1 << 11
 """Maximum number of open files of the hub, and those of them that half-open connections leave to others."""
 ACCEPT_TIMEOUT_MS = 5000

@@ -130,7 +130,7 @@ class Scenario(Table):
         0.97,
         ge=0,
         le=1,
-        description="fraction of the reachable area that the team must have seen for a robot's report to end the run",
+        description="fraction of the reachable area that the team must have seen when a robot ends the run",
     )
     robot: tuple[RobotOverride, ...] = Field((), description="robots with different hardware")
     fault: tuple[FaultTable, ...] = Field(
