@@ -24,9 +24,8 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import NamedTuple
 
+import msgspec
 import numpy as np
 
 from netshaper import pcapng
@@ -73,42 +72,31 @@ VERDICTS = ("carried", *CAUSES[1:])
 _SECOND = 1_000_000
 
 
-class LoggedFrame(NamedTuple):
-    """One frame, or the part of it with one verdict, as readers of captures use it.
+class Captured(msgspec.Struct, frozen=True):
+    """One packet of a capture, read back: a frame, or a part of it.
 
-    `frame` is an index in `netshaper.ledger.FRAMES`, `verdict` in `CAUSES`; `receivers` is a mask, bit r for robot r;
-    `reason`: why it was refused, or a note on its delivery.
+    `comment`: the fate of the frame. `size`: bytes of this part, of which the file has `payload`. `frame`: its kind, as
+    in `netshaper.ledger.FRAMES`; `cause`: why it was not carried, as in `CAUSES`; `receivers`: robots that received it.
     """
 
+    step: int
     round: int
     connection: int
     frame: int
     sender: int
     receiver: int
     map: int
-    verdict: int
-    receivers: int
-    payload: bytes
-    reason: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Captured:
-    """One packet of a capture, read back.
-
-    `seen` has the stored bytes of a frame's `part`, `size` is the size of that part.
-    """
-
-    step: int
+    cause: int
+    receivers: list[int]
     part: int
     size: int
+    payload: bytes
     comment: str
-    seen: LoggedFrame
 
     @property
     def verdict(self) -> str:
         """One of `VERDICTS`."""
-        return VERDICTS[self.seen.verdict]
+        return VERDICTS[self.cause]
 
 
 def head(description: str) -> bytes:
@@ -139,24 +127,20 @@ def read(reader: pcapng.Reader) -> Iterator[Captured]:
         if head is None or len(packet.data) < head.size:
             found = packet.data[: HEAD.size].hex()
             raise CaptureError(f"a packet without a header of version {VERSION} or {WIDE}: {found}")
-        _, frame, verdict, round_number, sender, receiver, map_id, part, step, connection, received = (
+        _, frame, cause, round_number, sender, receiver, map_id, part, step, connection, received = (
             head.unpack_from(packet.data)
         )
-        if frame >= len(FRAMES) or verdict >= len(VERDICTS):
-            raise CaptureError(f"a packet with frame {frame} and verdict {verdict}, which are unknown")
-        kept = packet.data[head.size :]
+        if frame >= len(FRAMES) or cause >= len(VERDICTS):
+            raise CaptureError(f"a packet with frame {frame} and verdict {cause}, which are unknown")
         mask = received if isinstance(received, int) else int.from_bytes(received, "big")
-        seen = LoggedFrame(round_number, connection, frame, sender, receiver, map_id, verdict, mask, kept)
-        yield Captured(step, part, packet.size - head.size, packet.comment, seen)
+        receivers = [robot for robot in range(mask.bit_length()) if mask >> robot & 1]
+        yield Captured(
+            step, round_number, connection, frame, sender, receiver, map_id, cause, receivers, part,
+            packet.size - head.size, packet.data[head.size :], packet.comment,
+        )  # fmt: skip
 
 
 _HEADS = {VERSION: HEAD, WIDE: WIDE_HEAD}
-
-
-def received_by(seen: LoggedFrame) -> list[int]:
-    """Return the robots that received a frame."""
-    return [robot for robot in range(seen.receivers.bit_length()) if seen.receivers >> robot & 1]
-
 
 _PACKET_HEAD = 28
 """Bytes before the data in an enhanced packet block."""

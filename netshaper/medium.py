@@ -20,7 +20,7 @@ from netshaper.frame_log import Content, Frame, FrameLog, ledger_rows
 from netshaper.ledger import BROADCAST, CAUSES, DATA, NEWS
 from netshaper.settings import RadioSettings
 from protocol.budget import Budget
-from protocol.messages import Delivery, RadioReport
+from protocol.messages import ConnectionReport, Delivery, RadioReport
 from protocol.packet_index import index_of
 
 _CARRIED, _BUDGET, _LOST, _LIMIT, _FULL = map(CAUSES.index, ("", "budget", "lost", "limit", "full"))
@@ -128,27 +128,27 @@ class Medium:
         self._log.add(self._round, rest, cause, sender, receiver, content.map_id)
         return len(content.payload) - len(rest.payload)
 
-    def play(self, connections: Sequence[Connection]) -> list[list[int]]:
+    def play(self, connections: Sequence[Connection]) -> list[ConnectionReport]:
         """Put connections on the air one by one, frame by frame, as far as the budget allows.
 
-        A frame that is lost is the last of its connection. Return the bytes of each connection's offer, answer and data
-        that went on the air.
+        A frame that is lost is the last of its connection. Return for each connection what went on the air.
         """
         left, most = _limit(self.airtime.left), _limit(self._frame_limit)
-        played: list[list[int]] = []
+        played: list[ConnectionReport] = []
         for connection in connections:
             frames = connection.frames
             sizes = [len(content.payload) for content in frames]
             size = sum(sizes)
-            if connection.lost < 0 and size <= left and max(sizes) <= most:
+            if connection.lost < 0 and size <= left and (size <= most or max(sizes) <= most):
                 self._log.add_connection(
                     self._round, connection.number, connection.sender, connection.receiver, connection.map_id, frames
                 )  # fmt: skip
                 left -= size
+                self.carried += size
             else:
                 sizes, left = self._play_in_part(connection, left)
-            played.append(sizes + [0] * (3 - len(sizes)))
-        self.carried += sum(map(sum, played))
+                self.carried += sum(sizes)
+            played.append(ConnectionReport(connection.number, *sizes, *[0] * (3 - len(sizes))))
         if not self.airtime.left.unlimited:
             self.airtime.left = Budget(left)
         return played

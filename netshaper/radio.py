@@ -456,12 +456,11 @@ class Radio:
                 connection.lost = DATA
         reports: defaultdict[int, list[ConnectionReport]] = defaultdict(list)
         arrived: defaultdict[int, list[Delivery]] = defaultdict(list)
-        for connection, sent in zip(self._connections, self._medium.play(self._connections), strict=True):
-            report = ConnectionReport(connection.number, *sent)
+        for connection, report in zip(self._connections, self._medium.play(self._connections), strict=True):
             reports[connection.sender].append(report)
             reports[connection.receiver].append(report)
-            if sent[DATA]:
-                payload = connection.frames[DATA].payload[: sent[DATA]]
+            if report.data:
+                payload = connection.frames[DATA].payload[: report.data]
                 delivery = Delivery(connection.sender, payload, connection.number, connection.map_id)
                 arrived[connection.receiver].append(delivery)
         out: list[Outgoing] = [

@@ -38,7 +38,11 @@ class Kernel:
 
         dispatcher = numba.njit(cache=True, error_model="numpy")(self.function)
         with _before_compiling(dispatcher, self._prepare):
-            dispatcher.compile(self._signature)
+            try:
+                dispatcher.compile(self._signature)
+            except OSError:
+                if not dispatcher.signatures:  # else it is compiled, and only the cache cannot be written
+                    raise
         dispatcher.disable_compile()
         self.was_cached = bool(dispatcher.stats.cache_hits)
         self._replace(self.function.__name__, dispatcher)

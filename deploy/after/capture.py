@@ -40,12 +40,11 @@ class Filter:
 
     def takes(self, frame: Captured, kinds: Iterable[str]) -> bool:
         """Whether a frame with packets of these kinds matches."""
-        seen = frame.seen
         return (
-            (self.robot is None or self.robot in (seen.sender, seen.receiver, *capture.received_by(seen)))
+            (self.robot is None or self.robot in (frame.sender, frame.receiver, *frame.receivers))
             and (self.kind is None or self.kind in kinds)
             and (self.steps is None or self.steps[0] <= frame.step <= self.steps[1])
-            and (not self.refused or seen.verdict != CARRIED)
+            and (not self.refused or frame.cause != CARRIED)
         )
 
 
@@ -64,11 +63,11 @@ class Totals:
     def add(self, frame: Captured, counts: dict[str, tuple[int, int]]) -> None:
         """Add a frame, with the counts of its packets."""
         self.frames += 1
-        if on_air(frame.seen.verdict):
+        if on_air(frame.cause):
             for kind, (number, size) in counts.items():
                 before = self.carried.get(kind, (0, 0))
                 self.carried[kind] = (before[0] + number, before[1] + size)
-        if frame.seen.verdict != CARRIED:
+        if frame.cause != CARRIED:
             frames, size = self.refused.get(frame.verdict, (0, 0))
             self.refused[frame.verdict] = (frames + 1, size + frame.size)
 
@@ -100,7 +99,7 @@ def opened(path: Path) -> Iterator[Reader]:
 def select(reader: Reader, wanted: Filter, totals: Totals) -> Iterator[Captured]:
     """Yield the frames of a capture that match, and count them."""
     for frame in capture.read(reader):
-        counts = count(frame.seen.payload)
+        counts = count(frame.payload)
         if wanted.takes(frame, counts):
             totals.add(frame, {k: n for k, n in counts.items() if wanted.kind in (None, k)})
             yield frame
@@ -125,7 +124,7 @@ def lines(path: Path, wanted: Filter, *, every_packet: bool) -> Iterator[str]:
         for frame in frames:
             yield _row(frame)
             if every_packet:
-                for piece, packet in _decoded(frame.seen.payload):
+                for piece, packet in _decoded(frame.payload):
                     yield f"{'':42}{packet.name:<7}{_describe(piece, packet)}"
         yield from _total_lines(totals)
         if reader.torn:
@@ -182,20 +181,19 @@ def _begun(frames: Iterator[Captured]) -> Iterator[Captured]:
 
 
 def _row(frame: Captured) -> str:
-    seen = frame.seen
-    counts = count(seen.payload)
+    counts = count(frame.payload)
     contents = [f"{number} {kind}" for kind, (number, _) in counts.items()]
     rest = frame.size - sum(size for _, size in counts.values())
     if rest:
-        contents.append(f"{rest} bytes not {'kept' if frame.size > len(seen.payload) else 'readable'}")
+        contents.append(f"{rest} bytes not {'kept' if frame.size > len(frame.payload) else 'readable'}")
     return _COLUMNS.format(
         frame.step,
-        seen.round,
-        _or_dash(seen.connection),
-        _name(seen.sender),
-        _name(seen.receiver),
-        _or_dash(seen.map),
-        FRAMES[seen.frame],
+        frame.round,
+        _or_dash(frame.connection),
+        _name(frame.sender),
+        _name(frame.receiver),
+        _or_dash(frame.map),
+        FRAMES[frame.frame],
         frame.size,
         ", ".join(contents),
         frame.comment,
@@ -217,25 +215,24 @@ def _total_lines(totals: Totals) -> Iterator[str]:
 
 
 def _to_json(frame: Captured) -> dict[str, Any]:
-    seen = frame.seen
     decoded = [
         {"kind": packet.name, "packet": type(packet).__name__} | _fields(packet)
-        for _, packet in _decoded(seen.payload)
+        for _, packet in _decoded(frame.payload)
     ]
     return {
         "step": frame.step,
-        "round": seen.round,
-        "connection": seen.connection,
-        "sender": seen.sender,
-        "receiver": seen.receiver,
-        "map": seen.map,
-        "frame": FRAMES[seen.frame],
+        "round": frame.round,
+        "connection": frame.connection,
+        "sender": frame.sender,
+        "receiver": frame.receiver,
+        "map": frame.map,
+        "frame": FRAMES[frame.frame],
         "part": frame.part,
         "verdict": frame.verdict,
         "words": frame.comment,
-        "hearers": capture.received_by(seen),
+        "hearers": frame.receivers,
         "bytes": frame.size,
-        "kept": len(seen.payload),
+        "kept": len(frame.payload),
         "packets": decoded,
     }
 

@@ -91,6 +91,10 @@ def report_user_errors() -> Iterator[None]:
         fail(str(error), BAD_INPUT)
     except RecursionError:
         fail("input nested too deeply", BAD_INPUT)
+    except MemoryError:
+        from deploy.run.limits import out_of_memory  # noqa: PLC0415
+
+        fail(out_of_memory(), BROKEN_OFF)
     except BrokenPipeError:
         raise
     except OSError as error:
@@ -101,7 +105,7 @@ def _explain(error: OSError) -> tuple[str, int]:
     """The system's error and the exit code: bad input if another file name would help, else aborted."""
     if error.filename is None:
         return error.strerror or str(error), BROKEN_OFF
-    is_bad_name = error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+    is_bad_name = error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.ENOMEM)
     return f"{error.filename}: {error.strerror}", BAD_INPUT if is_bad_name else BROKEN_OFF
 
 

@@ -64,8 +64,10 @@ class Commands(TyperGroup):
     def invoke(self, ctx: Any) -> Any:
         """Run a command; report errors that the user can fix."""
         from deploy.commands.console import report_user_errors  # noqa: PLC0415  imports Rich, which help does not need
+        from deploy.run.limits import check_memory  # noqa: PLC0415
 
         with report_user_errors():
+            check_memory()
             return super().invoke(ctx)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:

@@ -21,6 +21,7 @@ from deploy.record import run_directory
 from deploy.scenario import plan as plans
 from deploy.scenario.scenario import ScenarioError
 from protocol.zenoh_bus import Credential
+from worldsim.atomic_files import naming
 
 LIVE = "live.json"
 POLL_S = 0.5
@@ -33,10 +34,11 @@ def announced(directory: Path | None, credential: Credential, port: int | None) 
         yield
         return
     path = directory / LIVE
-    handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
-    with os.fdopen(handle, "w", encoding="utf-8") as file:
-        json.dump(asdict(credential) | {"port": port}, file, indent=2)
     try:
+        with naming(path):
+            handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+            with os.fdopen(handle, "w", encoding="utf-8") as file:
+                json.dump(asdict(credential) | {"port": port}, file, indent=2)
         yield
     finally:
         path.unlink(missing_ok=True)

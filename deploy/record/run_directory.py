@@ -8,17 +8,22 @@ the tables, because the threads of polars do not survive in forked processes.
 from __future__ import annotations
 
 import contextlib
+import errno
+import io
 import json
-from collections.abc import Iterator
+import os
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from itertools import count
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deploy.record.columns import STEPS as STEP_COLUMNS
 from deploy.record.columns import schema
+from deploy.record.map_history import MAP_CHANGES
 from deploy.record.records import Records
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import Scenario, ScenarioError, load, parse
@@ -28,6 +33,9 @@ from protocol.packets import ALL_KINDS
 from worldsim import maps
 from worldsim.atomic_files import write_whole
 from worldsim.maps import Map, to_world
+
+if TYPE_CHECKING:
+    from _typeshed import ReadableBuffer
 
 SCENARIO, SUMMARY, STEPS, LEDGER = "scenario.toml", "summary.json", "steps.parquet", "ledger.parquet"
 CAPTURE, NEW_CAPTURE = "radio.pcapng", ".radio.pcapng"
@@ -98,7 +106,7 @@ def write_inputs(out: Path, plan: Plan) -> None:
 
 
 @contextlib.contextmanager
-def open_capture(directory: Path | None, plan: Plan, *, again: bool = False) -> Iterator[BinaryIO | None]:
+def open_capture(directory: Path | None, plan: Plan, *, again: bool = False) -> Iterator[CaptureFile | None]:
     """Start ``radio.pcapng``, or the file that `settle_capture` renames to it; writes go to the disk immediately."""
     if directory is None:
         yield None
@@ -108,9 +116,29 @@ def open_capture(directory: Path | None, plan: Plan, *, again: bool = False) -> 
         f"{scenario.robots} robots on {plan.map.name}, map encoding {scenario.map_encoding}, "
         f"bandwidth {scenario.bandwidth}, range {plan.range_m:.1f} m, seed {scenario.seed}"
     )
-    with (directory / (NEW_CAPTURE if again else CAPTURE)).open("wb", buffering=0) as file:
+    with CaptureFile(directory / (NEW_CAPTURE if again else CAPTURE), "wb") as file:
         file.write(capture.head(comment))
         yield file
+
+
+class CaptureFile(io.FileIO):
+    """A capture; if a write fails, it ends with its last whole block, and further ones are discarded."""
+
+    failure: OSError | None = None
+    """Why the capture has ended early."""
+
+    def write(self, blocks: ReadableBuffer) -> int:
+        """Append whole blocks."""
+        rest = memoryview(blocks).cast("B")
+        length, end = len(rest), self.tell()
+        try:
+            while rest and self.failure is None:
+                rest = rest[super().write(rest) or 0 :]
+        except OSError as error:
+            self.failure = OSError(error.errno, error.strerror, str(self.name))
+            with contextlib.suppress(OSError):
+                self.truncate(end)
+        return length
 
 
 def settle_capture(directory: Path | None, *, accept: bool) -> None:
@@ -144,24 +172,56 @@ def read_summary(directory: Path) -> dict[str, Any]:
     return found
 
 
-def write_results(out: Path, plan: Plan, records: Records, summary: dict[str, Any]) -> None:
-    """Write summary, tables, maps and their changes."""
-    from pyarrow import parquet  # noqa: PLC0415  takes half a second to import
+def load_writers() -> None:
+    """Import what `write_results` needs: at the end of a run, an import could fail and lose the run."""
+    from pyarrow import parquet  # noqa: F401, PLC0415
+
+    from deploy.record import map_pictures  # noqa: F401, PLC0415  half a second, as is pyarrow
+
+
+def write_results(
+    out: Path, plan: Plan, records: Records, summary: dict[str, Any], failures: Sequence[OSError] = ()
+) -> None:
+    """Write summary, tables, maps and their changes: each file that can be written.
+
+    Raises OSError at the end if one cannot be written, or if `failures` has a file that could not be written before;
+    the error names all such files.
+    """
+    from pyarrow import parquet  # noqa: PLC0415
 
     from deploy.record.map_pictures import maps_figure, save  # noqa: PLC0415
 
     text = json.dumps(summary, indent=2) + "\n"
-    write_whole(out / SUMMARY, lambda file: file.write(text.encode()))
-    write_whole(out / STEPS, lambda file: parquet.write_table(steps_table(plan, records), file))
-    write_whole(out / LEDGER, lambda file: parquet.write_table(ledger_table(records.ledger()), file))
-    records.maps.write(out)
+    grids = {f"planning-r{robot}": grid for robot, grid in records.planning.items()}
     if records.own:
-        team = records.team_map(summary["refuted_maps"])
-        named = {"team": team} | {f"planning-r{robot}": grid for robot, grid in records.planning.items()}
-        for name, grid in named.items():
-            if (grid == 1).any():
-                maps.save(Map(name, grid, plan.map.resolution, plan.map.origin), out / f"{name}.yaml")
-        save(out / PICTURE, maps_figure(plan, records, summary), dpi=110)
+        grids = {"team": records.team_map(summary["refuted_maps"])} | grids
+    found = {name: Map(name, grid, plan.map.resolution, plan.map.origin) for name, grid in grids.items()}
+    writers: dict[str, Callable[[], object]] = {
+        SUMMARY: lambda: write_whole(out / SUMMARY, lambda file: file.write(text.encode())),
+        STEPS: lambda: write_whole(
+            out / STEPS, lambda file: parquet.write_table(steps_table(plan, records), file)
+        ),
+        LEDGER: lambda: write_whole(
+            out / LEDGER, lambda file: parquet.write_table(ledger_table(records.ledger()), file)
+        ),
+        MAP_CHANGES: lambda: records.maps.write(out),
+    }
+    for name, each in found.items():
+        if (each.cells == 1).any():
+            writers[f"{name}.yaml"] = partial(maps.save, each, out / f"{name}.yaml")
+    if records.own:
+        writers[PICTURE] = lambda: save(out / PICTURE, maps_figure(plan, records, summary), dpi=110)
+    failed = [*failures]
+    for name, write in writers.items():
+        try:
+            write()
+        except OSError as error:
+            failed.append(error)
+        except MemoryError:
+            failed.append(OSError(errno.ENOMEM, os.strerror(errno.ENOMEM), str(out / name)))
+    if failed:
+        unwritten = ", ".join(dict.fromkeys(str(error.filename) for error in failed))
+        raise OSError(failed[0].errno, failed[0].strerror, unwritten)
 
 
 def steps_table(plan: Plan, records: Records) -> Any:

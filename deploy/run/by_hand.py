@@ -182,7 +182,10 @@ def serve_recorder(
                     attend(bus, recorder, interrupt.heed, poll, quiet_s=math.inf)
                 except BusClosed as error:
                     deaths[names.RELAY] = str(error)
-        return conclude(plan, Outcome(recorder.records, deaths), directory, time.perf_counter() - began)
+        outcome = Outcome(recorder.records, deaths)
+        if capture is not None and capture.failure is not None:
+            outcome.failures.append(capture.failure)
+        return conclude(plan, outcome, directory, time.perf_counter() - began)
 
 
 def serve_viewer(scenario: Scenario, credential: Path, out: Path, window: Window) -> None:

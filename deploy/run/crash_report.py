@@ -7,6 +7,8 @@ import traceback
 from pathlib import Path
 from types import TracebackType
 
+from deploy.run.limits import out_of_memory
+
 HEAD = "Traceback (most recent call last):"
 
 _HERE = Path(__file__).parents[2]
@@ -18,8 +20,10 @@ _PACKAGES = ("/site-packages/", "/dist-packages/")
 def traceback_of(error: BaseException) -> str:
     """Return the traceback of an exception, from the first frame outside Murmur and the standard library.
 
-    Without such a frame, the traceback is complete.
+    Without such a frame, the traceback is complete. Without memory, there is only a line that says so.
     """
+    if isinstance(error, MemoryError):
+        return out_of_memory()
     frames: TracebackType | None = error.__traceback__
     while frames is not None and not _is_foreign(frames.tb_frame.f_code.co_filename):
         frames = frames.tb_next

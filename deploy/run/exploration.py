@@ -22,7 +22,7 @@ from deploy.dashboard.windows import Window, optimize
 from deploy.record import run_directory
 from deploy.record.records import RecorderNode, Records
 from deploy.record.summary import summarize
-from deploy.run import launch
+from deploy.run import launch, limits
 from deploy.run.control import Control, as_it_went
 from deploy.run.crash_report import traceback_of
 from deploy.run.hosts import Hosts
@@ -192,13 +192,19 @@ def explore(
     OSError
         A file cannot be written; the error names it.
     ValueError
-        The pace is too slow, or arguments contradict each other.
+        The pace is too slow, arguments contradict each other, or the system's limits on memory or open files are too
+        low.
     """
     _check_output(out, window, keep=keep)
+    limits.check_memory()
     scenario = scenario_of(scenario, settings)
     incarnations = _incarnations(scenario, hosts) if restart else 1
     plan = plans.make(scenario, incarnations=incarnations, record_maps=keep)
     _check_pace_and_hosts(pace, hosts, scenario)
+    limits.check_files(scenario.robots if scenario.bus == "zenoh" else 0)
+    if keep:
+        with limits.importing():
+            run_directory.load_writers()
     if radio := effective_radio(plan):
         notify(radio)
     interrupt = Interrupt(notify, control.resume if control is not None else (lambda: None))
@@ -250,6 +256,8 @@ class _Execution:
         while True:
             with run_directory.open_capture(self.directory, plan, again=next(attempts) > 0) as capture:
                 outcome = run(plan, capture, done)
+            if capture is not None and capture.failure is not None:
+                outcome.failures.append(capture.failure)
             step = outcome.records.step
             if step >= done:
                 best = plan, outcome
@@ -398,7 +406,7 @@ def conclude(plan: Plan, outcome: launch.Outcome, directory: Path | None, wall_s
         run_directory.write_inputs(directory, done)
     plan = done
     if directory is not None:
-        run_directory.write_results(directory, plan, outcome.records, summary)
+        run_directory.write_results(directory, plan, outcome.records, summary, outcome.failures)
     code = _exit_code(outcome, summary)
     return Result(summary, code, directory, outcome.records, outcome.deaths, plan, outcome.view_fault)
 

@@ -11,7 +11,7 @@ import multiprocessing
 import tempfile
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
 
@@ -21,6 +21,7 @@ from deploy.dashboard.watch import announced
 from deploy.record.map_history import MapHistory
 from deploy.record.records import RecorderNode, Records
 from deploy.run.gate import Gate
+from deploy.run.limits import out_of_memory
 from deploy.run.process_table import FORK_SERVER, UNKNOWN, ProcessTable
 from deploy.run.processes import (
     WorldTask,
@@ -68,6 +69,8 @@ class Outcome:
     deaths: dict[str, str]
     view_fault: str = ""
     """Error of the viewer, without which the run continued; empty if there was none."""
+    failures: list[OSError] = field(default_factory=list)
+    """Errors of files that could not be written during the run; each names its file."""
 
 
 @dataclass(frozen=True)
@@ -302,6 +305,8 @@ def _record(
         except BusClosed as error:
             time.sleep(POLL_S)  # the process ends a moment after it has left the bus
             supervisor.check().setdefault(names.RELAY, str(error))
+        except MemoryError:
+            supervisor.deaths[names.RECORDER] = out_of_memory()
     supervisor.conclude(recorder.records)
     return Outcome(recorder.records, supervisor.deaths)
 

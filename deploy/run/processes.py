@@ -200,16 +200,17 @@ def schedule_as_batch() -> None:
 
 def serve_agent(credential: Credential, journal: Path | None = None, wrap: Wrap | None = None) -> None:
     """Serve as one robot of a run; with a `journal` it can be restarted."""
-    kept = Journal.open(journal) if journal is not None else None
-    schedule_as_batch()
-    joined = _joined(credential)
-    bus = _wrapped(joined, credential, wrap)
     number = names.number(credential.name)
-    node = AgentNode(bus, Keys(credential.run), number, kept, resend=joined.resend)
     try:
-        _serve(bus, node)
-    except JournalError as error:
-        sys.exit(f"{journal}: {error}")
+        kept = Journal.open(journal) if journal is not None else None
+        schedule_as_batch()
+        joined = _joined(credential)
+        bus = _wrapped(joined, credential, wrap)
+        _serve(bus, AgentNode(bus, Keys(credential.run), number, kept, resend=joined.resend))
+    except (JournalError, OSError) as error:
+        if isinstance(error, ConnectionError):
+            raise
+        sys.exit(f"{journal}: {getattr(error, 'strerror', None) or error}")
 
 
 def serve_view(credential: Credential, task: ViewTask, ready: Connection) -> None:
@@ -251,10 +252,12 @@ def in_background(name: str, log: Path, serve: Callable[..., None], *args: objec
         signal.signal(number, signal.SIG_IGN)
     try:
         file = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+        os.dup2(file, 1)
+        os.dup2(file, 2)
     except FileNotFoundError:
         sys.exit(BROKEN_OFF)  # the launcher has ended and removed the directory
-    os.dup2(file, 1)
-    os.dup2(file, 2)
+    except OSError as error:
+        print(f"{log}: {error.strerror}", file=sys.stderr)  # the run continues without this file
     try:
         serve(*args)
     except (BusClosed, ConnectionError) as error:

@@ -16,7 +16,7 @@ from deploy.run.in_memory import MemoryRun
 from deploy.scenario import plan as plans
 from deploy.scenario.scenario import parse
 from netshaper import capture
-from netshaper.capture import HEAD, KEPT, VERDICTS, LoggedFrame
+from netshaper.capture import HEAD, KEPT, VERDICTS
 from netshaper.ledger import CAUSES, EVERYONE
 from protocol import packets
 from protocol.errors import ProtocolError
@@ -24,6 +24,7 @@ from protocol.packets import ALL_KINDS, Fragment, Packet, Update
 from tests.capture import tshark as tsharks
 from tests.capture.tshark import Tshark
 from tests.netshaper import plain_ledger
+from tests.netshaper.plain_ledger import LoggedFrame
 
 GOLDEN = Path(__file__).parents[1] / "protocol" / "golden" / "packets.txt"
 VALUES = ("index", "x", "y", "side", "occupied", "object", "count", "inside", "block", "leads", "data",

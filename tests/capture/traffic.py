@@ -165,25 +165,24 @@ def _identity(captured: list[Captured]) -> Any:
     number = {id(item): at for at, item in enumerate(captured)}
 
     def key(item: Captured) -> tuple[int, ...]:
-        seen = item.seen
-        own = number[id(item)] if seen.connection < 0 else -1
-        return item.step, seen.round, seen.connection, seen.frame, own
+        own = number[id(item)] if item.connection < 0 else -1
+        return item.step, item.round, item.connection, item.frame, own
 
     return key
 
 
 def _together(parts: list[Captured]) -> CapturedFrame:
     first = parts[0]
-    received = {robot for part in parts for robot in capture.received_by(part.seen)}
+    received = {robot for part in parts for robot in part.receivers}
     return CapturedFrame(
         first.step,
-        first.seen.round,
-        first.seen.frame,
-        first.seen.sender,
-        first.seen.receiver,
+        first.round,
+        first.frame,
+        first.sender,
+        first.receiver,
         sum(part.size for part in parts),
         sum(part.size for part in parts if part.verdict == "carried"),
-        b"".join(part.seen.payload for part in parts),
+        b"".join(part.payload for part in parts),
         tuple(sorted(received)),
     )
 

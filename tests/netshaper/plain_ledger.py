@@ -5,18 +5,39 @@ from __future__ import annotations
 import struct
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from typing import NamedTuple
 
 from hypothesis import strategies as st
 
 from netshaper import pcapng
 from netshaper.admission import refused
-from netshaper.capture import HEAD, KEPT, PART, VERSION, WIDE, WIDE_HEAD, LoggedFrame, received_by
+from netshaper.capture import HEAD, KEPT, PART, VERSION, WIDE, WIDE_HEAD
 from netshaper.frame_log import Columns, FrameLog, comment
 from netshaper.ledger import CAUSES, KIND_NUMBER, MALFORMED, on_air
 from protocol import packets
 from protocol.errors import ProtocolError
 
 Row = tuple[int, ...]
+
+
+class LoggedFrame(NamedTuple):
+    """One frame, or the part of it with one verdict; `receivers` is a mask, bit r for robot r."""
+
+    round: int
+    connection: int
+    frame: int
+    sender: int
+    receiver: int
+    map: int
+    verdict: int
+    receivers: int
+    payload: bytes
+    reason: str = ""
+
+
+def received_by(seen: LoggedFrame) -> list[int]:
+    """The robots that received a frame."""
+    return [robot for robot in range(seen.receivers.bit_length()) if seen.receivers >> robot & 1]
 
 
 def logged_frames(payloads: st.SearchStrategy[bytes]) -> st.SearchStrategy[LoggedFrame]:

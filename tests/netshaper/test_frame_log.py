@@ -6,11 +6,11 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from netshaper.capture import LoggedFrame
 from netshaper.frame_log import ledger_rows
 from netshaper.ledger import ROW
 from protocol.packets import encode
 from tests.netshaper import plain_ledger
+from tests.netshaper.plain_ledger import LoggedFrame
 from tests.protocol.test_packets import streams
 
 logged_frames = plain_ledger.logged_frames(streams.map(encode) | st.binary(max_size=40))

@@ -1,0 +1,91 @@
+"""Figures show all their data: every point lies within the limits of its axes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from deploy.after import archive, figures
+from deploy.after.archive import Archive
+from deploy.run.exploration import explore
+from deploy.scenario.scenario import parse
+from deploy.study import plots
+from deploy.study.plots import Plot
+from deploy.study.results import Results
+
+
+def points(axes: Axes) -> Iterator[tuple[str, NDArray[np.float64]]]:
+    """The finite data of lines and areas, with their axis."""
+    for line in axes.lines:
+        for axis, in_data, values in zip(
+            "xy",
+            line.get_transform().contains_branch_seperately(axes.transData),
+            line.get_data(),
+            strict=True,
+        ):
+            if in_data:
+                yield axis, np.asarray(values, float)
+    for area in axes.collections:
+        for path in area.get_paths() if area.get_label()[:1] != "_" else ():
+            yield from zip("xy", path.vertices.T, strict=True)
+
+
+def assert_shows_all(figure: Figure) -> None:
+    """Fail if a point of a figure is outside its axes."""
+    figure.draw_without_rendering()
+    for axes in figure.axes:
+        limits = {"x": sorted(axes.get_xlim()), "y": sorted(axes.get_ylim())}
+        for axis, values in points(axes):
+            low, high = limits[axis]
+            slack = 1e-9 * (high - low)
+            shown = values[np.isfinite(values)]
+            assert ((shown >= low - slack) & (shown <= high + slack)).all(), (axes.get_title(), axis, limits)
+
+
+def rows(metric: str, scales: dict[str, float]) -> list[dict[str, Any]]:
+    """Five runs per panel, team size and strategy, whose metric has another scale in each panel."""
+    return [
+        {"key": f"{panel}{robots}{line}{run}", "place": {"map": panel, "robots": robots, "variant": line},
+         "finished": True, "coverage": 1.0, metric: scale / robots * (1 + run / 10)}
+        for panel, scale in scales.items() for robots in (1, 2, 4) for line in ("a", "b") for run in range(5)
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "scales", [{"small": 100.0, "large": 2000.0}, {"large": 2000.0, "small": 100.0}], ids=str
+)
+@pytest.mark.parametrize("log", [False, True])
+@pytest.mark.parametrize("kind", ["lines", "boxes"])
+def test_panels_of_different_scales_show_all_points(kind: Any, log: bool, scales: dict[str, float]) -> None:
+    plot = Plot("steps", "robots", kind, panels="map", log=log)
+    assert_shows_all(plots.draw(plot, rows("steps", scales), Results(None)))
+
+
+def test_shares_up_to_the_whole_are_shown() -> None:
+    assert_shows_all(plots.draw(Plot("coverage", "robots"), rows("other", {"one": 1.0}), Results(None)))
+
+
+def test_curves_of_runs_of_different_lengths_are_shown(monkeypatch: pytest.MonkeyPatch) -> None:
+    results, runs = Results(None), rows("steps", {"small": 10.0, "large": 200.0})
+    series = {row["key"]: np.linspace(0, 1, int(row["steps"])).tolist() for row in runs}
+    monkeypatch.setattr(results, "series", lambda _, keys: {key: series[key] for key in keys})
+    assert_shows_all(plots.draw(Plot("explored", kind="curves", panels="map"), runs, results))
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Archive:
+    out = tmp_path_factory.mktemp("run") / "one"
+    settings = {"robots": 3, "bandwidth": 60, "steps": 40, "seed": 2, "bus": "memory", "map": "office"}
+    explore(parse(settings), out=out)
+    return archive.read(out)
+
+
+def test_figures_of_a_run_show_all_points(run: Archive) -> None:
+    for figure in (figures.channel_load(run), figures.compared({"one": run, "other": run})):
+        assert_shows_all(figure)
