@@ -65,10 +65,11 @@ def listening(endpoint: str, most_bytes: int = MAX_FRAMES + (1 << 20)) -> zenoh.
 
 def _allow_half_open() -> int:
     """Raise the process's limit of open files; return the number of half-open connections that the hub admits."""
-    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
-    files = MAX_FILES if most == resource.RLIM_INFINITY else min(most, MAX_FILES)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (files, most))
-    return max(files - FILES_OF_PARTICIPANTS, files // 2)
+    files, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    allowed = MAX_FILES if most == resource.RLIM_INFINITY else min(most, MAX_FILES)
+    if 0 <= files < allowed:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (allowed, most))
+    return max(allowed - FILES_OF_PARTICIPANTS, allowed // 2)
 
 
 @contextlib.contextmanager
