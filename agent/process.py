@@ -155,7 +155,7 @@ class AgentNode:
         work = round(1e6 * (self._work + time.perf_counter() - began))
         self._bus.put(self._to_world, pack(move))
         for fault in robot.faults:
-            self._report_error(f"malformed message from {names.robot(fault.peer)}: {fault.reason}")
+            self._report_error(f"{fault.kind} from {names.robot(fault.peer)}: {fault.reason}")
         robot.faults.clear()
         x, y = robot.target or (-1, -1)
         backlog = robot.replication.undelivered()

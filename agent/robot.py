@@ -16,7 +16,7 @@ import numpy as np
 
 from agent.announcements import Announcements
 from agent.encodings.base import MapEncoding
-from agent.encodings.catalog import ENCODINGS, make_encoding
+from agent.encodings.catalog import encoding_class, make_encoding
 from agent.outline.polygons import Polygons
 from agent.replication.engine import make_replication
 from agent.replication.peers import MapId
@@ -47,17 +47,18 @@ def sure_after(settings: Settings) -> int:
 
     Twice as many on a medium that may lose or delay frames.
     """
-    if not ENCODINGS[settings.map_encoding].infers_cells(settings):
+    if not encoding_class(settings.map_encoding).infers_cells(settings):
         return 0
     return 2 * SURE_AFTER if settings.requires_acks else SURE_AFTER
 
 
 @dataclass(frozen=True)
 class Fault:
-    """A malformed or inconsistent message from a teammate."""
+    """A malformed or inconsistent message from a teammate, or a map that others contradict."""
 
     peer: int
     reason: str
+    kind: str = "malformed message"
 
 
 class Robot:
@@ -77,6 +78,8 @@ class Robot:
         self.status = ""
         """Its current activity, as text."""
         self.faults: list[Fault] = []
+        self.disbelieved: set[int] = set()
+        """Teammates whose maps were so often contradicted that they were left out of the planning grid."""
         self.known_cells = 0
         """Cells of the self-explored grid that are known."""
         self._announcements = Announcements(settings)
@@ -167,6 +170,9 @@ class Robot:
             raise RuntimeError("decide before the first perceive")
         self.replication.truncate()
         self.planning = self._encoding.merge(self.own, self._team.in_range)
+        new = self._encoding.doubted.keys() - self.disbelieved
+        self.faults += [Fault(peer, self._encoding.doubted[peer], "false map") for peer in sorted(new)]
+        self.disbelieved |= new
         decision = self._strategy.decide(self._team.situation(sense, self.planning))
         self._apply(decision)
         self._idle_steps = self._idle_steps + 1 if decision.explored else 0

@@ -53,6 +53,11 @@ class MapEncoding(ABC):
         """The polygons of each map, by map ID, this robot's included; a new object after each change."""
         return {}
 
+    @property
+    def doubted(self) -> Mapping[int, str]:
+        """Why each robot is doubted whose map others contradict, by its number: its map does not count any more."""
+        return {}
+
     def use_shared_cache(self, cache: dict[str, Any]) -> None:
         """Share decoded state with the other robots of this process; results do not change.
 

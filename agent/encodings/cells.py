@@ -97,8 +97,10 @@ class CellEncoding(GridEncoding):
         self._partial[map_id] = data
         for x0, y0, patch in patches:
             height, width = patch.shape
-            area = self.received[y0 : y0 + height, x0 : x0 + width]
-            area[patch != SAME] = patch[patch != SAME] - 1
+            rows, columns = np.nonzero(patch != SAME)
+            places = (rows + y0) * self.received.shape[1] + columns + x0
+            states = patch[rows, columns] - np.uint8(1)
+            self.votes.count(self.settings.author_of(map_id), places.astype(np.int32), states)
             self.received_changed((x0, y0, x0 + width, y0 + height))
 
 

@@ -17,7 +17,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.encodings.base import Dependency
 from agent.encodings.options import PredictiveOptions
@@ -27,10 +26,9 @@ from agent.predictive.scan_updates import REPORTED
 from agent.predictive.shared_decoder import CachedReader, SharedDecoderCache
 from agent.predictive.stream import Stream
 from agent.settings import Settings
-from protocol.arrays import Int32s, Uint8s, Uint16Rows
 from protocol.boxes import Box, bounding_box
 from protocol.errors import ProtocolError
-from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, ray_table
+from protocol.grid import UNKNOWN, Grid, ray_table
 from protocol.kernels import kernel
 from protocol.packets import (
     LAST_UPDATE_DATA,
@@ -111,7 +109,6 @@ class PredictiveEncoding(GridEncoding):
 
     def __init__(self, settings: Settings) -> None:
         super().__init__(settings)
-        shape = settings.height, settings.width
         self._options = PredictiveOptions(**settings.predictive)
         self._histories = [History() for _ in range(settings.maps)]
         self._scratch = np.empty((2 * settings.height * settings.width, 2), np.int32)
@@ -122,8 +119,6 @@ class PredictiveEncoding(GridEncoding):
         """Decoders by map ID, if the robots of this process share them."""
         self._needed = np.zeros((settings.maps, settings.maps), np.int64)
         """`needed[a, b]`: first update of log b that log a may still depend on."""
-        self._votes: NDArray[np.uint16] = np.zeros((2, *shape), np.uint16)
-        """How many logs report each cell as free, and as a wall."""
         self._limits = _Limits.of(settings)
         self._pending = _Pending()
         self._encoded = _Pending()
@@ -189,6 +184,9 @@ class PredictiveEncoding(GridEncoding):
         """Encode updates up to the budget of a step; the rest stays pending."""
         map_id = self.settings.own_map
         stream, history = self._own, self._histories[map_id]
+        stream.avoided = {
+            each for each in range(self.settings.maps) if self.settings.author_of(each) in self.doubted
+        }
         packets: list[bytes] = []
         size = updates = 0
         while self._pending.poses and size < self._limits.step_bytes:
@@ -223,7 +221,7 @@ class PredictiveEncoding(GridEncoding):
         end = ends.pop()
         if dependencies and dependencies[-1].end == end:
             dependencies.pop()
-        self._count_votes(replace(self._last, states=self._last.before, before=self._last.states))
+        self._count_votes(replace(self._last, states=self._last.before))
         encoded, pending = self._encoded, self._pending
         self._pending = _Pending(
             encoded.poses + pending.poses, encoded.boxes + pending.boxes, encoded.steps + pending.steps
@@ -257,7 +255,7 @@ class PredictiveEncoding(GridEncoding):
                 del incoming.ends[before:]
                 raise
             if first is not None:
-                self._count_votes(first)
+                self._count_votes(first, map_id)
                 complete = complete[1:]
         incoming.fragments, incoming.packets = rest, incoming.packets + len(packets)
         incoming.complete += complete
@@ -282,7 +280,7 @@ class PredictiveEncoding(GridEncoding):
                         break
                     if update is None:
                         break
-                    self._count_votes(update)
+                    self._count_votes(update, map_id)
                     del incoming.complete[0]
                     progress = True
                 if not incoming.complete:
@@ -339,10 +337,10 @@ class PredictiveEncoding(GridEncoding):
         """Cell (x, y) of the last scan in a log."""
         return self._streams[map_id].pose if map_id in self._streams else None
 
-    def _count_votes(self, update: DecodedUpdate) -> None:
-        """Apply an update to the received grid: a cell is a wall if any log reports a wall, else free if any does."""
-        grid = self.received.reshape(-1)
-        _count_votes(self._votes.reshape(2, -1), update.places, update.before, update.states, grid)
+    def _count_votes(self, update: DecodedUpdate, map_id: int | None = None) -> None:
+        """Count the reports of an update of a map; default: this robot's."""
+        robot = self.settings.robot if map_id is None else self.settings.author_of(map_id)
+        self.votes.count(robot, update.places, update.states)
         if len(update.places):
             self.received_changed(update.box)
 
@@ -368,19 +366,3 @@ def _unreported(received: Grid, logged: Grid, own: Grid, x0: int, y0: int, x1: i
             else:
                 count += received[y, x] != truth and logged[y, x] != truth | REPORTED
     return count
-
-
-@kernel
-def _count_votes(votes: Uint16Rows, places: Int32s, before: Uint8s, states: Uint8s, received: Uint8s) -> None:
-    """A log replaces its `before` states of cells by `states`: update the votes, and the received grid from them."""
-    for index in range(len(places)):
-        place = places[index]
-        if before[index] != UNKNOWN:
-            votes[before[index] - FREE, place] -= 1
-        if states[index] != UNKNOWN:
-            votes[states[index] - FREE, place] += 1
-        free, wall = votes[0, place], votes[1, place]
-        received[place] = OCCUPIED if wall else FREE if free else UNKNOWN
-
-
-assert FREE + 1 == OCCUPIED

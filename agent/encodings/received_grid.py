@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 
 import numpy as np
 
 from agent.encodings.base import MapEncoding
+from agent.encodings.votes import Votes
 from agent.settings import Settings
 from protocol.boxes import NO_BOXES, Box, Boxes, union, whole_grid
-from protocol.grid import UNKNOWN, Grid
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.kernels import kernel
 from protocol.scans import Change
 
@@ -42,16 +43,23 @@ class GridEncoding(MapEncoding):
     Attributes
     ----------
     received : uint8 array, shape (h, w)
-        The received state of each cell. A subclass that writes to it reports where (`received_changed`).
+        The received state of each cell. A subclass that counts votes reports where (`received_changed`).
     """
 
     def __init__(self, settings: Settings) -> None:
         super().__init__(settings)
-        self.received: Grid = np.zeros((settings.height, settings.width), np.uint8)
+        self.votes = Votes(settings)
+        """The reports from which `received` follows."""
+        self.received = self.votes.received
         self.own_changes = ChangedCells()
         """Changes of the self-explored grid, which a subclass reports."""
         self._boxes: list[Box] = []
         self._planning: Grid | None = None
+
+    @property
+    def doubted(self) -> Mapping[int, str]:
+        """Why each doubted robot is doubted (`agent.encodings.votes`), by its number."""
+        return self.votes.doubted
 
     def received_changed(self, box: Box) -> None:
         """Note that received cells were written in a box (x0, y0, x1, y1)."""
@@ -64,17 +72,25 @@ class GridEncoding(MapEncoding):
         if self._planning is None or changed is None:
             self._planning, changed = np.empty_like(own), whole_grid(own.shape)
         boxes = np.array([*changed.tolist(), *self._boxes], np.int32).reshape(-1, 4)
-        overlay(self.received, own, boxes, self._planning)
         self._boxes.clear()
+        contradicted = overlay(self.received, own, boxes, self._planning)
+        if (contradicted or self.votes.contested) and self.votes.judge(own):
+            overlay(self.received, own, whole_grid(own.shape), self._planning)
         return self._planning
 
 
 @kernel
-def overlay(below: Grid, above: Grid, boxes: Boxes, both: Grid) -> None:
-    """Write to `both`, inside the boxes, the cells of `above` that are known, else those of `below`."""
+def overlay(below: Grid, above: Grid, boxes: Boxes, both: Grid) -> int:
+    """Write to `both`, inside the boxes, the cells of `above` that are known, else those of `below`.
+
+    Returns the number of cells that are free in one and occupied in the other, where boxes overlap more than once.
+    """
+    contradicted = 0
     for box in boxes:
         for y in range(box[1], box[3]):
             low, high = below[y, box[0] : box[2]], above[y, box[0] : box[2]]
             out = both[y, box[0] : box[2]]
             for x in range(len(out)):
                 out[x] = low[x] if high[x] == UNKNOWN else high[x]
+                contradicted += low[x] ^ high[x] == FREE ^ OCCUPIED
+    return contradicted

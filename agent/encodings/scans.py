@@ -6,12 +6,16 @@ which the scan differs from the last one.
 
 from __future__ import annotations
 
+import numpy as np
+
 from agent.encodings.received_grid import GridEncoding
 from agent.settings import Settings
 from protocol import packets
+from protocol.arrays import Int32Rows, Int32s, Uint8s, Uint16s
 from protocol.errors import ProtocolError
-from protocol.grid import Grid, RayTable, ray_table
-from protocol.scans import NONE, Change, Scan, contents, decode_scan, draw, encode_scan, fragments, scan_size
+from protocol.grid import FREE, OCCUPIED, Grid, RayTable, ray_table
+from protocol.kernels import kernel
+from protocol.scans import NONE, Change, Scan, contents, decode_scan, encode_scan, fragments, scan_size
 
 
 class ScanEncoding(GridEncoding):
@@ -48,10 +52,13 @@ class ScanEncoding(GridEncoding):
             box = min(x), min(y), max(x) + 1, max(y) + 1
             self._reachability.check(map_id, box, len(scans), step=step, sender=sender)
         self._partial[map_id] = data[end:]
+        beams, robot = self._ray_table_of(map_id), self.settings.author_of(map_id)
+        table = beams.cells, beams.flat(self.received.shape[1]), beams.start, beams.shared
         for scan in scans:
-            change = draw(self.received, self._ray_table_of(map_id), scan.x, scan.y, scan.readings)
-            if change.cells:
-                self.received_changed(change.box)
+            places, states, box = _news(self.received, *table, scan.x, scan.y, scan.readings)
+            if len(places):
+                self.votes.count(robot, places, states, revises=False)
+                self.received_changed(box)
 
     def _ray_table_of(self, map_id: int) -> RayTable:
         """The ray table of the map's author."""
@@ -64,3 +71,48 @@ class ScanEncoding(GridEncoding):
             reason = f"cell ({scan.x}, {scan.y}) is outside the {width} x {height} grid"
             raise ProtocolError("scan", 0, reason)
         return scan
+
+
+@kernel
+def _news(
+    received: Grid,
+    cells: Int32Rows,
+    flat: Int32s,
+    start: Int32s,
+    shared: Int32s,
+    x: int,
+    y: int,
+    readings: Uint16s,
+) -> tuple[Int32s, Uint8s, tuple[int, int, int, int]]:
+    """Return the cells in which a scan from (x, y) differs from the received ones.
+
+    They are indices of the flat grid; their states and a box that contains them follow.
+    """
+    # Unsigned, a cell beyond the left or upper border is a very large number (as in `protocol.scans.draw`).
+    height, width = np.uint64(received.shape[0]), np.uint64(received.shape[1])
+    lying, here = received.reshape(received.size), y * received.shape[1] + x
+    places, states = np.empty(len(cells) + 1, np.int32), np.empty(len(cells) + 1, np.uint8)
+    count, x0, y0, x1, y1 = 0, x, y, x + 1, y + 1
+    if lying[here] != FREE:
+        places[0], states[0], count = here, FREE, 1
+    touched = np.uint64(0)
+    for beam in range(len(readings)):
+        reading, before, first = readings[beam], touched, np.uint64(start[beam])
+        touched = np.uint64(0)
+        if reading == NONE:
+            continue
+        hit = first + np.uint64(reading & NONE)
+        end = hit + np.uint64(reading >> 15)
+        while end > first:
+            last = end - np.uint64(1)
+            if np.uint64(x + cells[last, 0]) < width and np.uint64(y + cells[last, 1]) < height:
+                break
+            end = last
+        touched = end - first
+        for at in range(first + min(np.uint64(shared[beam]), before, touched), end):
+            cell, state = np.uint64(here + flat[at]), FREE if at < hit else OCCUPIED
+            if lying[cell] != state:
+                places[count], states[count], count = cell, state, count + 1
+                x0, x1 = min(x0, x + cells[at, 0]), max(x1, x + cells[at, 0] + 1)
+                y0, y1 = min(y0, y + cells[at, 1]), max(y1, y + cells[at, 1] + 1)
+    return places[:count].copy(), states[:count].copy(), (x0, y0, x1, y1)

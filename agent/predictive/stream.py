@@ -10,7 +10,7 @@ other map. A receiver decodes it after it has decoded those. Scans and correctio
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -112,6 +112,8 @@ class Stream:
         """Number of updates of each map on which the last update depends."""
         self.key = b""
         """Key of the last update (`agent.predictive.history.key_of`)."""
+        self.avoided: Set[int] = frozenset()
+        """Maps on which no further updates shall depend."""
         self._ray_table = ray_table
         self._scratch = scratch
         bases = range(len(histories) if base_maps is None else base_maps) if team else ()
@@ -307,6 +309,8 @@ class Stream:
         contradicted = []
         more = np.zeros(len(self.depends_on), np.int64)
         for other in self._others.tolist():
+            if other in self.avoided:
+                continue
             history, first = self.histories[other], int(self.depends_on[other])
             end = len(history)
             while (number := history.last_near(first, end, near)) >= 0:

@@ -4,8 +4,7 @@ The control logic of a byzantine robot is that of any other robot. Its radio som
 bytes, flipped bits, a truncated or repeated frame, or a well-formed packet with false content. All are drawn from the
 robot's number and its count of frames, so that they are the same on both buses.
 
-A byzantine robot does not forge map updates. No receiver could detect a well-formed, plausible forgery except by
-visiting the place; access control, not the replication protocol, protects from that.
+Byzantine robots with false maps of their own: `deploy.chaos.false_maps`.
 """
 
 from __future__ import annotations

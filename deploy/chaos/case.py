@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from deploy.chaos.false_maps import LIES
 from deploy.scenario.scenario import Scenario, parse
 from protocol.keyed_random import keyed_random
 
@@ -34,11 +35,15 @@ LASTING = ("stop", "mute", "deaf")
 
 @dataclass(frozen=True)
 class ChaosCase:
-    """One run under random faults; the radios of the robots in `byzantine` send hostile frames."""
+    """One run under random faults; the radios of the robots in `byzantine` send hostile frames.
+
+    `false_map` is a robot whose map is false, and how (`deploy.chaos.false_maps`).
+    """
 
     seed: int
     scenario: Scenario
     byzantine: tuple[int, ...] = ()
+    false_map: tuple[int, str] | None = None
 
     def smaller(self) -> list[ChaosCase]:
         """Cases with one fault less each, for shrinking a failing case."""
@@ -47,7 +52,7 @@ class ChaosCase:
         kept = [faults[:at] + faults[at + 1 :] for at in range(len(faults))]
         changes = [{"fault": fault} for fault in kept]
         changes += [{key: _DEFAULTS[key]} for key in ("radio", "change") if base[key] != _DEFAULTS[key]]
-        cases = [replace(self, byzantine=())] if self.byzantine else []
+        cases = [replace(self, byzantine=(), false_map=None)] if self.byzantine or self.false_map else []
         for change in changes:
             with contextlib.suppress(ValueError):  # a restart may be invalid without the kill before it
                 cases.append(replace(self, scenario=parse(base | change)))
@@ -78,7 +83,10 @@ def case(seed: int) -> ChaosCase:
     if draw.random() < 0.25:
         step, bandwidth = int(draw.integers(1, CALM)), bandwidths[int(draw.integers(len(bandwidths)))]
         settings["change"] = [{"step": step, "bandwidth": bandwidth, "range": str(draw.choice(RANGES))}]
-    return ChaosCase(seed, parse(settings), byzantine)
+    lies = keyed_random(seed, "false map")
+    false_map = (int(lies.integers(robots)), str(lies.choice(list(LIES))))
+    can_lie = robots > 2 and not byzantine and map_encoding != "polygons" and lies.random() < 0.3
+    return ChaosCase(seed, parse(settings), byzantine, false_map if can_lie else None)
 
 
 def _faults(draw: np.random.Generator, robots: int) -> list[dict[str, Any]]:

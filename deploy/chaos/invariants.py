@@ -12,6 +12,7 @@ At the end:
 - The living robots together know at least `MIN_KNOWN` of the reachable cells.
 - No step has carried more than its budget. Each transmitted byte was delivered or truncated, and each delivered unicast
   byte was received once.
+- If a robot's map is false, the maps of others have at most `MAX_WRONG` wrong cells where honest robots were.
 - Without byzantine robots, each log that a robot holds of another incarnation agrees with the log written there.
 """
 
@@ -29,6 +30,9 @@ from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 MIN_KNOWN = 0.97
 """Share of the reachable free cells that the living robots must know at the end."""
 
+MAX_WRONG = 100
+"""Wrong cells in a robot's planning grid at the end that a false map may cause, where honest robots have been."""
+
 
 class InvariantError(AssertionError):
     """An invariant is violated; the message names the robot, the step and the values."""
@@ -42,6 +46,8 @@ class InvariantChecker:
     plan : Plan
     byzantine : tuple of int
         Robots without any guarantee.
+    lying : int, optional
+        A robot whose map is false.
 
     Attributes
     ----------
@@ -49,10 +55,11 @@ class InvariantChecker:
         Share of the reachable free cells that the living robots know at the end.
     """
 
-    def __init__(self, plan: Plan, byzantine: tuple[int, ...]) -> None:
+    def __init__(self, plan: Plan, byzantine: tuple[int, ...], lying: int | None = None) -> None:
         self.known = 0.0
         self._plan = plan
         self._byzantine = byzantine
+        self._lying = lying
         self._truth: Grid = np.where(plan.map.cells == FREE, FREE, OCCUPIED).astype(np.uint8)
         self._incarnations: dict[tuple[int, int], Robot] = {}
         self._checked: dict[int, tuple[Robot, int]] = {}
@@ -106,8 +113,20 @@ class InvariantChecker:
             self.known = float(known.sum() / reachable.sum())
             if self.known < MIN_KNOWN:
                 raise InvariantError(f"the living robots know {self.known:.3f} of the world, not {MIN_KNOWN}")
+        if self._lying is not None:
+            self._check_lies(records)
         if not self._byzantine:
             self._check_logs()
+
+    def _check_lies(self, records: Records) -> None:
+        """Check that honest robots believe few lies about cells that one of them knows."""
+        honest = records.planning.keys() - {self._lying}
+        seen = np.logical_or.reduce([records.own[robot] != UNKNOWN for robot in honest])
+        for robot in honest:
+            grid = records.planning[robot]
+            wrong = np.count_nonzero(seen & (grid != UNKNOWN) & (grid != self._truth))
+            if wrong > MAX_WRONG:
+                raise InvariantError(f"robot {robot} believes robot {self._lying} in {wrong} wrong cells")
 
     def _check_accounting(self, records: Records) -> None:
         rows = records.ledger()

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 from deploy.chaos.byzantine import ByzantineRadios
 from deploy.chaos.case import ChaosCase, case
+from deploy.chaos.false_maps import with_false_map
 from deploy.chaos.invariants import InvariantChecker, InvariantError
 from deploy.record.summary import digest
 from deploy.run import launch
@@ -49,6 +50,7 @@ class Verdict:
         """Case and result in one line of text."""
         case, scenario = self.case, self.case.scenario
         byzantine = f", byzantine robots {list(case.byzantine)}" if case.byzantine else ""
+        byzantine += ", a false map of robot {}: {}".format(*case.false_map) if case.false_map else ""
         return (
             f"seed {case.seed}: {scenario.robots} robots on {scenario.map}, {scenario.strategy}, "
             f"{scenario.map_encoding}, {scenario.dissemination}, {len(scenario.fault)} faults{byzantine}: "
@@ -59,7 +61,11 @@ class Verdict:
 def run_case(drawn: ChaosCase, *, as_processes: bool = False) -> Verdict:
     """Run a case in memory with all checks; with `as_processes` repeat it and compare the digests."""
     plan = plans.make(drawn.scenario)
-    checker = InvariantChecker(plan, drawn.byzantine)
+    if drawn.false_map is not None:
+        plan = with_false_map(plan, *drawn.false_map)
+    checker = InvariantChecker(
+        plan, drawn.byzantine, drawn.false_map[0] if drawn.false_map is not None else None
+    )
     radios = ByzantineRadios(drawn.seed, drawn.byzantine)
     began = time.perf_counter()
     try:

@@ -14,6 +14,7 @@ from msgspec.structs import replace
 from agent.encodings.catalog import ENCODINGS, make_encoding
 from agent.encodings.none import NoEncoding
 from agent.encodings.scans import ScanEncoding
+from agent.encodings.votes import MANY
 from agent.settings import Settings
 from protocol.budget import UNLIMITED
 from protocol.errors import ProtocolError
@@ -132,6 +133,7 @@ def test_the_self_explored_grid_takes_precedence_over_received_cells(seed: int) 
         receiver.apply(0, b"".join(record(maker, scan)), **LATE)
     rng = np.random.default_rng(seed)
     own = rng.choice(np.array([UNKNOWN, FREE, OCCUPIED], np.uint8), (HEIGHT, WIDTH))
+    own[MANY // WIDTH :] = UNKNOWN  # it contradicts the map in too few cells to doubt it
     received, before = receiver.merge(empty()), own.copy()
     merged = receiver.merge(own)
     assert (merged[own != UNKNOWN] == own[own != UNKNOWN]).all()

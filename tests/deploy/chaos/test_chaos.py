@@ -21,7 +21,7 @@ from protocol.grid import UNKNOWN
 from protocol.memory_bus import MemoryHub
 from protocol.messages import OutgoingFrame, RobotFrames, pack, unpack
 
-SMALL = [6, 11, 15]
+SMALL = [6, 11, 15, 75]
 """Seeds of small and short cases."""
 
 
@@ -32,6 +32,8 @@ def test_a_case_follows_from_its_seed() -> None:
     kinds = {fault.kind for each in drawn for fault in each.scenario.fault}
     assert kinds == {"kill", "restart", "stop", "mute", "deaf"}
     assert any(each.byzantine for each in drawn)
+    assert any(each.false_map for each in drawn)
+    assert not any(each.false_map and each.scenario.map_encoding == "polygons" for each in drawn)
     assert any(each.scenario.change for each in drawn)
     for each in drawn:
         assert all(fault.step + fault.steps <= CALM for fault in each.scenario.fault)

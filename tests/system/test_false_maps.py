@@ -1,0 +1,139 @@
+"""A robot that lies about its own map is contradicted, reported, and no longer believed; honest robots never are."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from agent.encodings.votes import MANY, Votes
+from agent.process import AgentNode
+from deploy.chaos.false_maps import LIES, with_false_map
+from deploy.record.records import Records
+from deploy.record.summary import summarize
+from deploy.run.in_memory import MemoryRun
+from deploy.scenario import plan as plans
+from deploy.scenario.plan import Plan
+from deploy.scenario.scenario import parse
+from protocol.grid import FREE, OCCUPIED, UNKNOWN
+from tests.system.team import small_plan
+
+LYING = 1
+
+
+def wrong_cells(plan: Plan, records: Records) -> int:
+    """Wrong cells in the honest robots' maps where honest robots have been."""
+    truth = np.where(plan.map.cells == FREE, FREE, OCCUPIED)
+    honest = records.planning.keys() - {LYING}
+    seen = np.logical_or.reduce([records.own[robot] != UNKNOWN for robot in honest])
+    maps = [records.planning[robot] for robot in honest]
+    return sum(np.count_nonzero(seen & (each != UNKNOWN) & (each != truth)) for each in maps)
+
+
+def explored(plan: Plan) -> tuple[dict[str, Any], Records, list[AgentNode]]:
+    """The summary and the records of a run, and the robots at its end."""
+    run = MemoryRun(plan)
+    records = run.complete()
+    return summarize(plan, records, 1.0), records, run.agents
+
+
+@pytest.mark.parametrize(
+    ("lie", "map_encoding", "bandwidth"),
+    [*((lie, "predictive", 50) for lie in LIES), ("walls", "scans", 20000), ("inverted", "cells", 2000)],
+)
+def test_a_lying_robot_is_reported_and_deceives_no_honest_one(
+    lie: str, map_encoding: str, bandwidth: int
+) -> None:
+    plan = small_plan(robots=4, map_encoding=map_encoding, bandwidth=bandwidth, steps=1000, seed=3)
+    summary, records, agents = explored(with_false_map(plan, LYING, lie))
+    assert summary["finished"]
+    assert summary["coverage"] > 0.97
+    assert wrong_cells(plan, records) <= 20
+    for agent in agents:
+        assert agent.robot is not None
+        assert agent.robot.disbelieved == (set() if agent.robot.settings.robot == LYING else {LYING})
+    reports = [error for error in records.protocol_errors if "false map" in error]
+    assert {error.partition(":")[0] for error in reports} == {"r0", "r2", "r3"}
+    assert all(f"from r{LYING}: this robot sees" in error for error in reports)
+
+
+@pytest.mark.parametrize("map_encoding", ["predictive", "scans", "cells", "polygons"])
+def test_honest_robots_are_believed_although_they_restart_and_frames_are_lost(map_encoding: str) -> None:
+    restarts = [{"step": step, "robot": 2, "kind": "restart"} for step in (10, 20)]
+    radio = {"loss": 0.2, "delay": 1}
+    plan = small_plan(
+        robots=3, map_encoding=map_encoding, bandwidth=2000, steps=60, seed=4, fault=restarts, radio=radio
+    )
+    _, records, agents = explored(plan)
+    assert not records.protocol_errors
+    assert not any(agent.robot.disbelieved for agent in agents if agent.robot is not None)
+
+
+def votes(robots: int = 4) -> Votes:
+    return Votes(small_plan(robots=robots).robot_settings[0])
+
+
+def reports(state: int, cells: int = MANY) -> tuple[Any, Any]:
+    """The same report of the first cells of a map."""
+    return np.arange(cells, dtype=np.int32), np.full(cells, state, np.uint8)
+
+
+def test_a_cell_that_two_others_report_otherwise_does_not_count() -> None:
+    counted = votes()
+    counted.count(1, *reports(OCCUPIED))
+    counted.count(2, *reports(FREE))
+    assert counted.received[0, 0] == OCCUPIED, "one against one"
+    counted.count(2, *reports(FREE))
+    assert counted.received[0, 0] == OCCUPIED, "all maps of a robot are one voter"
+    counted.count(3, *reports(FREE))
+    assert counted.received[0, 0] == FREE
+    counted.count(3, *reports(UNKNOWN))
+    assert counted.received[0, 0] == OCCUPIED, "robot 3 has withdrawn its report"
+
+
+@pytest.mark.parametrize("cells", [MANY - 1, MANY])
+def test_a_robot_that_two_others_contradict_often_is_doubted(cells: int) -> None:
+    counted = votes()
+    nothing_seen = np.zeros_like(counted.received)
+    counted.count(1, *reports(OCCUPIED, 2 * MANY))
+    counted.count(2, *reports(FREE, cells))
+    assert not counted.judge(nothing_seen), "one against one"
+    counted.count(3, *(each[-cells:] for each in reports(FREE, 2 * MANY)))
+    assert counted.judge(nothing_seen) == (cells == MANY)
+    assert set(counted.doubted) == ({1} if cells == MANY else set())
+    assert (counted.received[0, 0] == FREE) == (cells == MANY)
+    assert counted.received[0, MANY] == (FREE if cells == MANY else OCCUPIED)
+    counted.reset()
+    assert not counted.doubted
+    assert not counted.received.any()
+
+
+def test_this_robots_own_sight_is_enough_to_doubt_two_robots_that_agree() -> None:
+    counted = votes(5)
+    for byzantine in (1, 2):
+        counted.count(byzantine, *reports(FREE))
+    for honest in (3, 4):
+        counted.count(honest, *reports(OCCUPIED))
+    own = np.zeros_like(counted.received)
+    assert not counted.judge(own), "two against two"
+    own[0, :MANY] = OCCUPIED
+    assert counted.judge(own)
+    assert set(counted.doubted) == {1, 2}
+    assert counted.received[0, 0] == OCCUPIED
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("lie", LIES)
+@pytest.mark.parametrize("bandwidth", [50, 1000])
+@pytest.mark.parametrize("seed", range(10))
+def test_four_robots_in_an_office_finish_although_one_lies(lie: str, bandwidth: int, seed: int) -> None:
+    scenario = parse({
+        "map": "office", "map_seed": seed, "robots": 4, "bandwidth": bandwidth, "seed": seed, "bus": "memory",
+        "steps": 3000,
+    })  # fmt: skip
+    plan = with_false_map(plans.make(scenario), LYING, lie)
+    summary, records, _ = explored(plan)
+    assert summary["finished"]
+    assert summary["coverage"] > 0.97
+    assert wrong_cells(plan, records) <= 100
