@@ -8,20 +8,27 @@ A package registers its classes under the names that scenarios use::
 
 from __future__ import annotations
 
-import importlib
+import contextlib
+import importlib.util
 import inspect
+import site
 import sys
+import sysconfig
 import traceback
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, Generic, TypeVar, cast
 
-from protocol.errors import there_are
+from protocol.errors import shown, there_are
 
 Base = TypeVar("Base")
+
+MAX_NAME = 200
+"""Maximum length of the name of a file with a plugin."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +41,8 @@ class Plugins(Generic[Base]):
     """The group of entry points."""
     base: type[Base]
     """The base class; each subclass defines a ``name``."""
+    stand_in: type[Base]
+    """The class that `find` returns instead of one outside this package, inside `without_import`."""
 
     def find(self, name: str, known: Mapping[str, type[Base]]) -> type[Base]:
         """Return the class with this name: a `known` or an installed one, or ``package.module:Class``.
@@ -42,17 +51,19 @@ class Plugins(Generic[Base]):
         """
         if name in known:
             return known[name]
+        if not _may_import.get():
+            return self.stand_in
         if ":" in name:
             return self._imported(name)
         installed = self.installed()
         if name not in installed:
-            module = Path(name.replace("-", "_")).stem
+            module = Path(name.replace("-", "_")).stem[:MAX_NAME]
             if name.endswith(".py") or Path(f"{module}.py").is_file():
                 raise ValueError(
                     f"{module}.py is a file: give the {self.kind} in it as {module}:Class, from its folder"
                 )
             raise ValueError(
-                f"no {self.kind} is called {name!r}; {there_are([*known, *installed], name)}; or give one as "
+                f"no {self.kind} is called {shown(name)}; {there_are([*known, *installed], name)}; or give one as "
                 "package.module:Class"
             )
         return self.load(installed[name])
@@ -68,6 +79,26 @@ class Plugins(Generic[Base]):
                     "uninstall one of them"
                 )
         return found
+
+    def local_code(self, name: str, known: Mapping[str, type[Base]]) -> str:
+        """Return the module and the place of a class outside the installed packages, else an empty text.
+
+        Nothing is imported.
+        """
+        point = None if name in known else self.installed().get(name)
+        if name in known or (point is None and ":" not in name):
+            return ""
+        if point is not None and point.dist is not None and _is_installed(str(point.dist.locate_file(""))):
+            return ""
+        _import_from_here()
+        module = (point.value if point is not None else name).partition(":")[0]
+        try:
+            spec = importlib.util.find_spec(module.partition(".")[0])
+        except ValueError:
+            return f"module {module}"
+        places = [] if spec is None else [*(spec.submodule_search_locations or ()), spec.origin or ""]
+        outside = [place for place in places if place and not _is_installed(place)]
+        return f"module {module} ({outside[-1]})" if outside else ""
 
     def load(self, point: EntryPoint) -> type[Base]:
         """Import the class of an entry point; ValueError if the import fails, or the class has the wrong base."""
@@ -89,9 +120,7 @@ class Plugins(Generic[Base]):
         where = f"{self.kind} {name!r}"
         if not module_name or not class_name:
             raise ValueError(f"{where}: must be package.module:Class")
-        here = str(Path.cwd())
-        if here not in sys.path:
-            sys.path.append(here)  # last: a local file must not hide a module of this package
+        _import_from_here()
         try:
             module = importlib.import_module(module_name)
         except (Exception, SystemExit) as error:
@@ -119,6 +148,40 @@ class Plugins(Generic[Base]):
         if lacks:
             raise ValueError(f"{where}: {named} does not define the abstract methods {', '.join(lacks)}")
         return cast("type[Base]", loaded)
+
+
+_may_import: ContextVar[bool] = ContextVar("may_import", default=True)
+
+
+@contextlib.contextmanager
+def without_import() -> Iterator[None]:
+    """Import no code of other packages: a scenario that has run is read, but not run again."""
+    before = _may_import.set(False)
+    try:
+        yield
+    finally:
+        _may_import.reset(before)
+
+
+def _import_from_here() -> None:
+    """Let imports find modules of the current folder, last: a local file must not hide a module of this package."""
+    here = str(Path.cwd())
+    if here not in sys.path:
+        sys.path.append(here)
+
+
+def _is_installed(place: str) -> bool:
+    """Return whether a file or folder belongs to this package, or to Python or its installed packages."""
+    names = ("stdlib", "platstdlib", "purelib", "platlib")
+    folders = [
+        *(sysconfig.get_path(name) for name in names),
+        *site.getsitepackages(),
+        site.getusersitepackages(),
+    ]
+    path = Path(place).resolve()
+    return any(
+        path.is_relative_to(Path(folder).resolve()) for folder in [*folders, str(Path(__file__).parent)]
+    )
 
 
 def package(point: EntryPoint) -> str:

@@ -22,6 +22,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from netshaper import access
 from protocol import keys as names
+from protocol.files import read_file
 from protocol.zenoh_bus import Certificate, Credential
 
 AUTHORITY = "authority.pem"
@@ -140,7 +141,7 @@ def read(folder: Path, robots: int) -> dict[str, Certificate]:
     def text(name: str) -> str:
         path = folder / name
         try:
-            found = path.read_text(encoding="ascii")
+            found = read_file(path).decode("ascii")
         except OSError as error:
             raise ValueError(f"keys {path}: {error.strerror}; murmur keys creates the files") from None
         except ValueError:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import reprlib
 from collections.abc import Iterable
 
 
@@ -17,6 +18,17 @@ class ProtocolError(ValueError):
         """Its first byte in the buffer."""
         self.reason = reason
         """The mistake, and what would be correct."""
+
+
+_SHORT = reprlib.Repr()
+_SHORT.maxstring = _SHORT.maxother = 200
+_SHORT.maxlist = _SHORT.maxtuple = _SHORT.maxdict = 20
+_SHORT.maxlong = 100
+
+
+def shown(value: object) -> str:
+    """Return the `repr` of a wrong value, shortened where it is long or deep."""
+    return _SHORT.repr(value)
 
 
 def there_are(known: Iterable[str], name: str = "") -> str:

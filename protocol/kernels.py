@@ -9,6 +9,7 @@ Fastmath is off: equal versions of the libraries give equal bits on every machin
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -36,6 +37,7 @@ class Kernel:
         """The compiled function. It replaces this object in its module, so that later calls are direct."""
         import numba  # noqa: PLC0415  takes half a second, which only computing commands need
 
+        check_compiler()
         dispatcher = numba.njit(cache=True, error_model="numpy")(self.function)
         with _before_compiling(dispatcher, self._prepare):
             try:
@@ -101,6 +103,14 @@ def _numba_type(hint: Any) -> str:
     if get_origin(hint) is tuple:
         return f"Tuple(({', '.join(map(_numba_type, get_args(hint)))},))"
     return _SCALARS[hint]
+
+
+def check_compiler() -> None:
+    """Raise ValueError if the environment forbids numba to compile."""
+    if os.environ.get("NUMBA_DISABLE_JIT", "0").strip() not in ("", "0"):
+        raise ValueError(
+            "NUMBA_DISABLE_JIT is set, but kernels must be compiled: unset this environment variable"
+        )
 
 
 def load_all() -> None:

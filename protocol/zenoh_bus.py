@@ -19,6 +19,7 @@ from typing import Any
 
 from protocol import keys as names
 from protocol.bus import BusClosed, Message
+from protocol.files import read_file
 from protocol.keys import Keys
 from protocol.numbering import KEPT_BY_ROBOT, KEPT_FOR_ROBOT, Incoming, Outgoing, is_numbered, new_session
 
@@ -73,7 +74,7 @@ class Credential:
     def read(cls, path: Path) -> Credential:
         """Read a credential file; ValueError if it is unreadable or malformed."""
         try:
-            text = path.read_text(encoding="utf-8")
+            text = read_file(path).decode()
         except OSError as error:
             raise ValueError(f"credential {path}: {error.strerror}") from None
         except ValueError as error:

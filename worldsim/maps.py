@@ -7,7 +7,6 @@ origin at the lower left corner of the picture. Murmur's frame is in cells, with
 
 from __future__ import annotations
 
-import errno
 import io
 import math
 import os
@@ -20,6 +19,8 @@ import yaml
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
+from protocol.errors import shown
+from protocol.files import read_file
 from protocol.grid import FREE, MAX_SIDE, OCCUPIED, UNKNOWN, Grid
 from worldsim.atomic_files import write_whole
 from worldsim.map_error import MapError
@@ -121,7 +122,7 @@ def load(path: str | os.PathLike[str]) -> Map:
     entries = _read_yaml(path)
     image = entries["image"]
     if not isinstance(image, str) or not image:
-        raise MapError(f"{path}: image is {image!r}, not the name of a file")
+        raise MapError(f"{path}: image is {shown(image)}, not the name of a file")
     resolution = _number(path, "resolution", entries["resolution"])
     origin = _origin(path, entries["origin"])
     occupied, free = (_share(path, key, entries[key]) for key in ("occupied_thresh", "free_thresh"))
@@ -131,10 +132,10 @@ def load(path: str | os.PathLike[str]) -> Map:
         )
     negate = entries["negate"]
     if negate not in (0, 1):
-        raise MapError(f"{path}: negate is {negate!r}; give 0 (white is free) or 1 (black is free)")
+        raise MapError(f"{path}: negate is {shown(negate)}; give 0 (white is free) or 1 (black is free)")
     mode = entries.get("mode", "trinary")
     if mode != "trinary":
-        raise MapError(f"{path}: mode is {mode!r}; only trinary is supported (free, occupied, unknown)")
+        raise MapError(f"{path}: mode is {shown(mode)}; only trinary is supported (free, occupied, unknown)")
 
     return _from_picture(path, path.parent / image, resolution, origin, (free, occupied), negate=bool(negate))
 
@@ -202,14 +203,14 @@ def save(map_: Map, yaml_path: str | os.PathLike[str], image: str | None = None)
 
 def _read_yaml(path: Path) -> dict[str, Any]:
     try:
-        entries = yaml.safe_load(_bytes_of(path))
+        entries = yaml.safe_load(read_file(path))
     except RecursionError:
         raise MapError(
             f"{path}: is nested too deeply; a map_server YAML file has `key: value` lines"
         ) from None
     except OSError as error:
         raise MapError(f"{path}: cannot be read ({error.strerror}); give a map_server YAML file") from None
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, ValueError) as error:
         raise MapError(f"{path}: is not YAML ({' '.join(str(error).split())})") from None
     if not isinstance(entries, dict):
         raise MapError(
@@ -221,13 +222,6 @@ def _read_yaml(path: Path) -> dict[str, Any]:
     return entries
 
 
-def _bytes_of(path: Path) -> bytes:
-    """Read a file; raise OSError for a device, whose content may be endless."""
-    if path.is_char_device() or path.is_block_device():
-        raise OSError(errno.EINVAL, "it is a device")
-    return path.read_bytes()
-
-
 def _number(path: Path, key: str, value: Any) -> float:
     """Parse a number as ROS does, which accepts 1e-1; for YAML that is a text."""
     try:
@@ -235,7 +229,7 @@ def _number(path: Path, key: str, value: Any) -> float:
             return float(value)
     except (ValueError, OverflowError):
         pass
-    raise MapError(f"{path}: {key} is {value!r}, not a number")
+    raise MapError(f"{path}: {key} is {shown(value)}, not a number")
 
 
 def _share(path: Path, key: str, value: Any) -> float:
@@ -247,7 +241,7 @@ def _share(path: Path, key: str, value: Any) -> float:
 
 def _origin(path: Path, value: Any) -> tuple[float, float, float]:
     if not isinstance(value, list) or len(value) != 3:
-        raise MapError(f"{path}: origin is {value!r}, not [x in meters, y in meters, yaw in radians]")
+        raise MapError(f"{path}: origin is {shown(value)}, not [x in meters, y in meters, yaw in radians]")
     x, y, yaw = (_number(path, "origin", part) for part in value)
     return x, y, yaw
 
@@ -255,7 +249,7 @@ def _origin(path: Path, value: Any) -> tuple[float, float, float]:
 def _read_picture(path: Path) -> tuple[NDArray[np.float64], int]:
     """Read a picture's gray values, of shape (height, width), and the value of white."""
     try:
-        data = _bytes_of(path)
+        data = read_file(path)
     except OSError as error:
         raise MapError(
             f"{path}: cannot be read ({error.strerror}); a map's picture must be a PGM or PNG file"
@@ -271,8 +265,8 @@ def _read_picture(path: Path) -> tuple[NDArray[np.float64], int]:
         reason = f"has more than {MAX_SIDE} x {MAX_SIDE} cells; crop it or use larger cells"
     except UnidentifiedImageError:
         reason = "is not a complete PGM or PNG picture" if data else "is empty; give a PGM or PNG picture"
-    except (OSError, ValueError, SyntaxError) as error:
-        reason = f"is not a complete PGM or PNG picture ({error})"
+    except Exception as error:  # Pillow raises errors of many types for damaged pictures
+        reason = f"is not a complete PGM or PNG picture ({str(error) or type(error).__name__})"
     raise MapError(f"{path}: {reason}")
 
 

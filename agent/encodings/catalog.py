@@ -16,7 +16,7 @@ ENCODINGS: dict[str, type[MapEncoding]] = {
 }
 """The encodings of this package."""
 
-PLUGINS: Plugins[MapEncoding] = Plugins("map encoding", "murmur.map_encodings", MapEncoding)  # type: ignore[type-abstract]
+PLUGINS: Plugins[MapEncoding] = Plugins("map encoding", "murmur.map_encodings", MapEncoding, MapEncoding)  # type: ignore[type-abstract]
 """The encodings of installed packages."""
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
+from collections.abc import Mapping
 from inspect import isabstract
 from typing import Any
 
@@ -28,7 +29,15 @@ def strategies() -> dict[str, type[Strategy]]:
     return dict(sorted(found.items()))
 
 
-PLUGINS: Plugins[Strategy] = Plugins("strategy", "murmur.strategies", Strategy)  # type: ignore[type-abstract]
+class _Unloaded(Strategy):
+    """Any strategy of another package, where a run is read without importing its code."""
+
+    @classmethod
+    def check(cls, options: Mapping[str, Any]) -> Any:
+        return options
+
+
+PLUGINS: Plugins[Strategy] = Plugins("strategy", "murmur.strategies", Strategy, _Unloaded)  # type: ignore[type-abstract]
 """The strategies of installed packages."""
 
 

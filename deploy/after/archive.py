@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from deploy.record import run_directory
 from deploy.record.columns import FILES
-from deploy.record.map_history import MAP_CHANGES, MapHistory
+from deploy.record.map_history import MAP_CHANGES, OUTLINES, MapHistory
 from deploy.record.summary import budgets
-from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import ScenarioError
 
@@ -78,26 +77,33 @@ def read(directory: Path) -> Archive:
 
     Raises ScenarioError if it is not a run directory, or a table is missing or damaged.
     """
-    plan = plans.make(run_directory.read_scenario(directory))
+    plan = run_directory.read_plan(directory)
     summary = run_directory.read_summary(directory)
-    for name in (run_directory.STEPS, run_directory.LEDGER, MAP_CHANGES):
-        if not (directory / name).is_file():
+    digests = summary.get("tables")
+    for name in (run_directory.STEPS, run_directory.LEDGER, MAP_CHANGES, OUTLINES):
+        if (directory / name).is_file():
+            _check_table(directory / name, digests.get(name) if isinstance(digests, dict) else None)
+        elif name != OUTLINES:
             raise ScenarioError(f"{directory}: {name} is missing: the run did not write its results")
-        _check_columns(directory / name)
     return Archive(directory, plan, summary)
 
 
-def _check_columns(path: Path) -> None:
-    """Raise ScenarioError if a table cannot be read, or lacks a column of such tables."""
-    from pyarrow import ArrowInvalid, parquet  # noqa: PLC0415  takes half a second to import
+def _check_table(path: Path, digest: str | None) -> None:
+    """Raise ScenarioError if a table cannot be read, lacks a column, or has another SHA-256 than `digest`.
+
+    A table whose digest the summary does not have is read to find damage.
+    """
+    from pyarrow import ArrowException, parquet  # noqa: PLC0415  takes half a second to import
 
     try:
-        present = parquet.read_schema(path).names
-    except ArrowInvalid as error:
-        raise ScenarioError(f"{path}: damaged table ({error})") from None
+        present = (parquet.read_schema(path) if digest else parquet.read_table(path).schema).names
+    except (ArrowException, OSError, ValueError, MemoryError) as error:
+        raise ScenarioError(f"{path}: damaged table ({' '.join(str(error).split())})") from None
     missing = [column.name for column in FILES[path.name] if column.name not in present]
     if missing:
         raise ScenarioError(f"{path}: not the table of a run: columns missing: {', '.join(missing)}")
+    if digest and run_directory.sha256(path) != digest:
+        raise ScenarioError(f"{path}: damaged table: its SHA-256 is not that in {run_directory.SUMMARY}")
 
 
 def _read_table(path: Path) -> Table:

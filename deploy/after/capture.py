@@ -17,6 +17,7 @@ from netshaper.ledger import EVERYONE, FRAMES, on_air
 from netshaper.pcapng import CaptureError, Reader
 from protocol import packets
 from protocol.errors import ProtocolError
+from protocol.files import open_file
 from protocol.packets import ALL_KINDS, AnyPacket, Fragment, Update
 
 CARRIED = 0
@@ -88,7 +89,7 @@ def opened(path: Path) -> Iterator[Reader]:
     """Open the capture of a run directory, or a capture file; CaptureError if it cannot be read."""
     file = path / CAPTURE if path.is_dir() else path
     try:
-        with file.open("rb") as stream:
+        with open_file(file) as stream:
             yield Reader(stream)
     except OSError as error:
         raise CaptureError(f"{file}: {error.strerror}") from None

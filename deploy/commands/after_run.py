@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -10,7 +11,7 @@ import typer
 
 from deploy.commands.console import errors, explain_difference, progress, report_deaths, screen
 from deploy.commands.flags import JsonFlag, command_family
-from deploy.scenario.scenario import ScenarioError, load
+from deploy.scenario.scenario import Scenario, ScenarioError, load
 
 app = command_family()
 
@@ -107,6 +108,10 @@ def replay(
     bus: Annotated[
         str | None, typer.Option(help="bus to use (default: the run's own)", metavar="zenoh|memory")
     ] = None,
+    trust: Annotated[
+        bool,
+        typer.Option("--trust", help="run a strategy or map encoding that is not of an installed package"),
+    ] = False,
     as_json: JsonFlag = False,
 ) -> None:
     """Repeat a run from its directory, and check that its digest is the same."""
@@ -114,12 +119,13 @@ def replay(
     from deploy.run import exploration  # noqa: PLC0415
     from deploy.run.control import why_unrepeatable  # noqa: PLC0415
 
-    scenario = run_directory.read_scenario(directory)
-    if bus is not None:
-        scenario = load(directory / run_directory.SCENARIO, {"bus": bus})
+    recorded = run_directory.read_scenario(directory, bus=bus)
     before = run_directory.read_summary(directory)
     if reason := why_unrepeatable(before):
         raise ScenarioError(f"{directory}: cannot be repeated: {reason}")
+    if not trust:
+        _confirm_local_code(directory, recorded)
+    scenario = load(directory / run_directory.SCENARIO, {"bus": bus})
     with progress(shown=not as_json) as watch:
         result = exploration.explore(scenario, keep=False, watch=watch)
     report_deaths(result.deaths)
@@ -133,6 +139,26 @@ def replay(
     else:
         explain_difference(before, result.summary)
     raise typer.Exit(0 if same else 1)
+
+
+def _confirm_local_code(directory: Path, scenario: Scenario) -> None:
+    """Ask at a terminal whether to run code that the scenario names outside the installed packages, else refuse."""
+    from agent.encodings.catalog import ENCODINGS  # noqa: PLC0415
+    from agent.encodings.catalog import PLUGINS as ENCODING_PLUGINS  # noqa: PLC0415
+    from agent.strategies.registry import PLUGINS, strategies  # noqa: PLC0415
+
+    codes = (
+        PLUGINS.local_code(scenario.strategy, strategies()),
+        ENCODING_PLUGINS.local_code(scenario.map_encoding, ENCODINGS),
+    )
+    for code in filter(None, codes):
+        if not (sys.stdin.isatty() and sys.stderr.isatty()):
+            raise ScenarioError(
+                f"{directory}: would run {code}, which is no installed package: read it, then use --trust"
+            )
+        typer.confirm(
+            f"{directory} runs {code}, which is no installed package. Run it?", abort=True, err=True
+        )
 
 
 @app.command("capture")

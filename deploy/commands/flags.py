@@ -84,7 +84,7 @@ def _flag(name: str, metavar: str, group: str) -> Any:
 
 
 def command_family() -> typer.Typer:
-    """The commands of one module, for `deploy.commands.main` to find by name."""
+    """The commands of one module, for `deploy.commands.app` to find by name."""
     return typer.Typer(rich_markup_mode=None)
 
 

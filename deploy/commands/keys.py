@@ -12,6 +12,7 @@ from deploy.commands.console import screen
 from deploy.commands.flags import command_family
 from deploy.scenario.scenario import ScenarioError
 from protocol import keys as names
+from protocol.grid import MAX_ROBOTS
 
 app = command_family()
 
@@ -21,7 +22,7 @@ def keys(
     directory: Annotated[
         Path, typer.Argument(metavar="DIR", help="output folder; existing files are kept")
     ] = Path("keys"),
-    robots: Annotated[int, typer.Option(metavar="N", min=1, help="number of robots")] = 3,
+    robots: Annotated[int, typer.Option(metavar="N", min=1, max=MAX_ROBOTS, help="number of robots")] = 3,
     address: Annotated[
         list[str] | None,
         typer.Option(metavar="HOST", help="address of the hub; repeatable (default 127.0.0.1)"),

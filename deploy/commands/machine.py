@@ -15,6 +15,7 @@ from rich.text import Text
 
 from deploy.commands.console import errors, screen
 from deploy.commands.flags import JsonFlag, command_family, named_values, output_file
+from deploy.scenario.tables import MAX_RUNS
 
 app = command_family()
 
@@ -54,7 +55,7 @@ def bench(
         list[str] | None,
         typer.Option("--strategy", metavar="NAME", help="strategy to compare (default: all); repeatable"),
     ] = None,
-    seeds: Annotated[int, typer.Option(min=1, metavar="N", help="seeds per map and team for strategies")] = 3,
+    seeds: Annotated[int, typer.Option(min=1, max=MAX_RUNS, metavar="N", help="seeds per map and team")] = 3,
     settings: Annotated[
         list[str] | None,
         typer.Option(

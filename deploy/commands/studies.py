@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,6 +13,8 @@ from rich.console import Console
 
 from deploy.commands.console import FILE_WIDTH, errors, fail, screen
 from deploy.commands.flags import GroupedCommand, command_family, named_values, output_file, setting_flags
+from deploy.scenario.tables import MAX_RUNS
+from protocol.grid import MAX_ROBOTS
 
 app = command_family()
 
@@ -21,7 +23,9 @@ SchedulerOption = Annotated[
     str | None,
     typer.Option(metavar="ADDRESS", help="run on the workers of a Dask scheduler, as tcp://10.0.0.1:8786"),
 ]
-SeedsOption = Annotated[int | None, typer.Option(min=1, metavar="N", help="run the seeds 0 to N - 1")]
+SeedsOption = Annotated[
+    int | None, typer.Option(min=1, max=MAX_RUNS, metavar="N", help="run the seeds 0 to N - 1")
+]
 SetOption = Annotated[
     list[str] | None,
     typer.Option(
@@ -159,7 +163,9 @@ def compare(
     map_: Annotated[
         list[str] | None, typer.Option("--map", metavar="FILE|NAME", help="on this map; repeatable")
     ] = None,
-    seeds: Annotated[int, typer.Option(min=2, metavar="N", help="run the seeds 0 to N - 1")] = 10,
+    seeds: Annotated[
+        int, typer.Option(min=2, max=MAX_RUNS, metavar="N", help="run the seeds 0 to N - 1")
+    ] = 10,
     metric: Annotated[
         str, typer.Option(metavar="NAME", help="what is compared (docs/experiments.md)")
     ] = "steps",
@@ -182,7 +188,7 @@ def compare(
         raise ValueError("give either scenario files, --strategies or --map-encodings")
     if twice := [key for key, _ in given if key in settings]:
         raise ValueError(f"{twice[0]} = {settings[twice[0]]!r}: is compared; remove this flag")
-    compared: Any = [{key: name} for key, names in given for name in names] or scenario
+    compared: Any = [{key: name} for key, names in given for name in names] or scenario or []
     if map_:
         settings["map"] = map_ if len(map_) > 1 else map_[0]
     runs = out / "runs.parquet"
@@ -214,7 +220,9 @@ def size(
     min_map_accuracy: Annotated[
         float, typer.Option(min=0, max=1, metavar="SHARE", help="of the building that a map must have right")
     ] = 0.95,
-    seeds: Annotated[int, typer.Option(min=1, metavar="N", help="runs of each combination")] = 5,
+    seeds: Annotated[
+        int, typer.Option(min=1, max=MAX_RUNS, metavar="N", help="runs of each combination")
+    ] = 5,
     set_: SetOption = None,
     jobs: JobsOption = None,
     scheduler: SchedulerOption = None,
@@ -232,7 +240,7 @@ def size(
     with stopping(runs):
         done = sizing.size(
             map_,
-            robots=whole_numbers(robots, "robots"),
+            robots=whole_numbers(robots, "robots", MAX_ROBOTS),
             bandwidth=[int(item) if item.isdecimal() else item for item in items(bandwidth)],
             range=items(range_),
             deadline=deadline, min_map_accuracy=min_map_accuracy,
@@ -261,16 +269,18 @@ def items(text: str) -> list[str]:
     return [item.strip() for item in text.split(",") if item.strip()]
 
 
-def whole_numbers(text: str, flag: str) -> list[int]:
-    """Parse ``2..8`` or ``2,4,8``; ValueError if it is neither."""
+def whole_numbers(text: str, flag: str, most: int) -> list[int]:
+    """Parse ``2..8`` or ``2,4,8``; ValueError if it is neither, or a number exceeds `most`."""
     first, dots, last = text.partition("..")
     try:
-        numbers = list(range(int(first), int(last) + 1)) if dots else [int(item) for item in items(text)]
+        numbers: Sequence[int] = (
+            range(int(first), int(last) + 1) if dots else [int(item) for item in items(text)]
+        )
     except ValueError:
         numbers = []
-    if not numbers:
-        raise ValueError(f"{flag} = {text!r}: must be whole numbers, as 2..8 or 2,4,8")
-    return numbers
+    if not numbers or max(numbers[0], numbers[-1]) > most:
+        raise ValueError(f"{flag} = {text!r}: must be whole numbers of at most {most}, as 2..8 or 2,4,8")
+    return list(numbers)
 
 
 def report_sweep(sweep: Any) -> None:

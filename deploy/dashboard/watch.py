@@ -18,8 +18,8 @@ from pathlib import Path
 from deploy.dashboard.process import RECORDING, ViewTask, serve
 from deploy.dashboard.windows import Window
 from deploy.record import run_directory
-from deploy.scenario import plan as plans
 from deploy.scenario.scenario import ScenarioError
+from protocol.files import read_file
 from protocol.zenoh_bus import Credential
 from worldsim.atomic_files import naming
 
@@ -60,7 +60,7 @@ def read_live(directory: Path) -> tuple[Credential, int | None] | None:
         socket.create_connection((host, int(hub_port)), timeout=1.0).close()
     except OSError:
         return None
-    return credential, json.loads(path.read_text(encoding="utf-8"))["port"]
+    return credential, json.loads(read_file(path)).get("port")
 
 
 def watch(directory: Path, window: Window) -> None:
@@ -83,7 +83,7 @@ def watch(directory: Path, window: Window) -> None:
                 time.sleep(POLL_S)
             _show(recording_of(directory), window)
     else:
-        task = ViewTask(plans.make(run_directory.read_scenario(directory)), directory, port=window.port)
+        task = ViewTask(run_directory.read_plan(directory), directory, port=window.port)
         ended = serve(credential, task, window.open)
         if ended and window.mode != "native":
             _show(recording_of(directory), window)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import hashlib
 import io
 import json
 import os
@@ -21,14 +22,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.plugins import without_import
+from deploy.record.columns import FILES, schema
 from deploy.record.columns import STEPS as STEP_COLUMNS
-from deploy.record.columns import schema
 from deploy.record.map_history import MAP_CHANGES
 from deploy.record.records import Records
+from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import Scenario, ScenarioError, load, parse
 from netshaper import capture
 from netshaper.ledger import CAUSES, MALFORMED
+from protocol.files import open_file, read_file
 from protocol.packets import ALL_KINDS
 from worldsim import maps
 from worldsim.atomic_files import write_whole
@@ -150,17 +154,29 @@ def settle_capture(directory: Path | None, *, accept: bool) -> None:
             (directory / NEW_CAPTURE).unlink()
 
 
-def read_scenario(directory: Path) -> Scenario:
-    """Read the scenario of a run directory, with the map in it; ScenarioError if it is not a run directory."""
+def read_scenario(directory: Path, **overrides: Any) -> Scenario:
+    """Read the scenario of a run directory, with the map in it, without importing strategies of other packages.
+
+    `overrides` replace settings, if they are not None.
+
+    Raises ScenarioError if it is not a run directory.
+    """
     if not (directory / SCENARIO).is_file():
         raise ScenarioError(f"{directory}: not a run directory: {SCENARIO} is missing")
-    return load(directory / SCENARIO, {})
+    with without_import():
+        return load(directory / SCENARIO, overrides)
+
+
+def read_plan(directory: Path) -> Plan:
+    """Derive the plan of a run from its directory, without importing strategies of other packages."""
+    with without_import():
+        return plans.make(read_scenario(directory))
 
 
 def read_summary(directory: Path) -> dict[str, Any]:
     """Read the summary of a run directory; ScenarioError if it has none."""
     try:
-        summary = json.loads((directory / SUMMARY).read_text(encoding="utf-8"))
+        summary = json.loads(read_file(directory / SUMMARY))
     except (OSError, ValueError, RecursionError) as error:
         raise ScenarioError(f"{directory}: no readable {SUMMARY} ({error})") from None
     missing = [key for key in REQUIRED_KEYS if not isinstance(summary, dict) or key not in summary]
@@ -184,6 +200,8 @@ def write_results(
 ) -> None:
     """Write summary, tables, maps and their changes: each file that can be written.
 
+    If all of them are, the digests of the tables are added to the summary.
+
     Raises OSError at the end if one cannot be written, or if `failures` has a file that could not be written before;
     the error names all such files.
     """
@@ -191,13 +209,16 @@ def write_results(
 
     from deploy.record.map_pictures import maps_figure, save  # noqa: PLC0415
 
-    text = json.dumps(summary, indent=2) + "\n"
+    def write_summary() -> None:
+        text = json.dumps(summary, indent=2) + "\n"
+        write_whole(out / SUMMARY, lambda file: file.write(text.encode()))
+
     grids = {f"planning-r{robot}": grid for robot, grid in records.planning.items()}
     if records.own:
         grids = {"team": records.team_map(summary["refuted_maps"])} | grids
     found = {name: Map(name, grid, plan.map.resolution, plan.map.origin) for name, grid in grids.items()}
     writers: dict[str, Callable[[], object]] = {
-        SUMMARY: lambda: write_whole(out / SUMMARY, lambda file: file.write(text.encode())),
+        SUMMARY: write_summary,
         STEPS: lambda: write_whole(
             out / STEPS, lambda file: parquet.write_table(steps_table(plan, records), file)
         ),
@@ -222,6 +243,14 @@ def write_results(
     if failed:
         unwritten = ", ".join(dict.fromkeys(str(error.filename) for error in failed))
         raise OSError(failed[0].errno, failed[0].strerror, unwritten)
+    summary["tables"] = {name: sha256(out / name) for name in FILES if (out / name).is_file()}
+    write_summary()
+
+
+def sha256(path: Path) -> str:
+    """Return the SHA-256 of a file."""
+    with open_file(path) as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def steps_table(plan: Plan, records: Records) -> Any:

@@ -89,7 +89,7 @@ class Host(_Table):
     @field_validator("robots")
     @classmethod
     def _robots_are_valid(cls, value: int | tuple[int, ...]) -> int | tuple[int, ...]:
-        numbers = value if isinstance(value, tuple) else range(value)
+        numbers = value if isinstance(value, tuple) else range(min(value, MAX_ROBOTS + 1))
         if not 1 <= len(numbers) <= MAX_ROBOTS or len(set(numbers)) < len(numbers) or min(numbers) < 0:
             raise ValueError("must be a number of robots, 1 or more, or a list of different numbers, from 0")
         return value

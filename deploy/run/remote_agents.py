@@ -18,7 +18,7 @@ import select
 import signal
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache
 from io import RawIOBase
 from pathlib import Path
@@ -31,6 +31,12 @@ from protocol import keys as names
 from protocol.zenoh_bus import Credential
 
 POLL_S = 0.2
+MAX_LINE = 2**19
+"""Maximum bytes of a message to the launcher."""
+MAX_LOG = 2**22
+"""Maximum bytes of a robot's output that are forwarded."""
+_PIECE = MAX_LINE // 8
+"""Bytes of output per message; as JSON, a byte may take six."""
 PACKAGES = ("agent", "protocol")
 """Packages that determine the behavior of a robot."""
 STARTERS = (
@@ -123,9 +129,7 @@ def _run(credentials: list[Credential], orders: RawIOBase, channel: _Channel) ->
         running = list(table)
 
         def forward_log(name: str) -> None:
-            log = logs / f"{name}.log"
-            text = log.read_bytes()[read[name] :] if log.exists() else b""
-            if text:
+            for text in _new_output(logs / f"{name}.log", read[name]):
                 read[name] += len(text)
                 channel.send(robot=name, log=text.decode(errors="replace"))
 
@@ -142,10 +146,19 @@ def _run(credentials: list[Credential], orders: RawIOBase, channel: _Channel) ->
                 for name in running:
                     forward_log(name)
                     if name in ended:
-                        channel.send(robot=name, exit=ended[name], report=deaths.get(name, ""))
+                        channel.send(robot=name, exit=ended[name], report=deaths.get(name, "")[-_PIECE:])
                 running = [name for name in running if name not in ended]
                 if is_over:
                     break
+
+
+def _new_output(log: Path, start: int) -> Iterator[bytes]:
+    """Read a log from byte `start` to byte `MAX_LOG`, in pieces."""
+    if log.exists():
+        with log.open("rb") as file:
+            file.seek(start)
+            while text := file.read(max(0, min(_PIECE, MAX_LOG - file.tell()))):
+                yield text
 
 
 def _credentials(order: bytes) -> list[Credential]:

@@ -9,20 +9,20 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import queue
 import subprocess
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Self
+from typing import IO, Annotated, Any, Self
+
+import msgspec
 
 from deploy.run.hosts import Host, Hosts
 from deploy.run.processes import BROKEN_OFF
-from deploy.run.remote_agents import hello
+from deploy.run.remote_agents import MAX_LINE, MAX_LOG, hello
 from deploy.run.rendezvous import by_certificates
 from deploy.scenario.scenario import ScenarioError
 from protocol import keys as names
@@ -42,6 +42,29 @@ NO_COMMAND = (126, 127)
 """Exit codes of a shell that cannot run the command."""
 UNREACHED = 255
 """Exit code of ssh if the connection fails."""
+
+
+MAX_OUTPUT = 8 * MAX_LOG
+"""Maximum bytes that a host sends, per robot: JSON and UTF-8 may lengthen its output."""
+MAX_ERRORS, MAX_TEXT = 2**16, 2000
+"""Bytes that are kept of a host's last error output, and characters of a line or a report from it."""
+
+
+class _Hello(msgspec.Struct):
+    """First message of a remote process: the versions of Murmur, its code and its dependencies."""
+
+    murmur: str
+    code: str
+    versions: dict[str, str] = {}
+
+
+class _Event(msgspec.Struct):
+    """Output of a robot, or its end: the exit code and the report of a crash."""
+
+    robot: str
+    log: str = ""
+    exit: Annotated[int, msgspec.Meta(ge=-255, le=255)] | None = None
+    report: str = ""
 
 
 class HostError(ScenarioError):
@@ -155,8 +178,13 @@ class _Link:
         self.broken_off: set[str] = set()
         """The participants that ended because they had lost the hub."""
         self._host = host
-        self._stderr = tempfile.TemporaryFile()  # noqa: SIM115  closed by `close`
-        self._hello: queue.Queue[dict[str, Any] | None] = queue.Queue()
+        self._stderr = b""
+        self._fault = ""
+        """Why the connection was ended: the host broke the protocol."""
+        self._left = MAX_OUTPUT * (1 + len(robots))
+        """Bytes that the host may still send."""
+        self._logged = dict.fromkeys([*robots, *self.clients], 0)
+        self._hello: queue.Queue[_Hello | None] = queue.Queue()
         self._other_output: list[str] = []
         self._ended: dict[str, str] = {}
         self._lost_router = ""
@@ -166,15 +194,19 @@ class _Link:
                 command_line(host),
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
-                stderr=self._stderr,
+                stderr=subprocess.PIPE,
                 start_new_session=True,
             )
         except FileNotFoundError:
             raise HostError("ssh is not installed; robots on other hosts are started with it") from None
-        assert self._ssh.stdin is not None and self._ssh.stdout is not None
+        assert self._ssh.stdin and self._ssh.stdout and self._ssh.stderr
         self._orders, self._output = self._ssh.stdin, self._ssh.stdout
         self._reader = threading.Thread(target=self._read_output, name=f"ssh {host.name}", daemon=True)
         self._reader.start()
+        self._error_reader = threading.Thread(
+            target=self._read_errors, args=(self._ssh.stderr,), name=f"ssh {host.name} errors", daemon=True
+        )
+        self._error_reader.start()
 
     def differences(self, deadline: float) -> Iterable[str]:
         """Wait for the host's first message; yield a warning for each package whose version differs.
@@ -189,15 +221,15 @@ class _Link:
         if there is None:
             raise HostError(f"{where}: {self._why_silent()}")
         here = hello()
-        if there.get("code") != here["code"]:
+        if there.code != here["code"]:
             raise HostError(
-                f"{where}: has different code, Murmur {there.get('murmur')} ({there.get('code')}; "
+                f"{where}: has different code, Murmur {_printable(there.murmur)} ({_printable(there.code)}; "
                 f"here {here['murmur']}, {here['code']}): install the same version on both"
             )
-        theirs = there.get("versions", {})
         for package, ours in here["versions"].items():
-            if theirs.get(package) != ours:
-                yield f"{where}: has {package} {theirs.get(package)}, this host has {ours}; the digest may differ"
+            theirs = _printable(there.versions.get(package, "None"))
+            if theirs != ours:
+                yield f"{where}: has {package} {theirs}, this host has {ours}; the digest may differ"
 
     def start(self, credentials: list[Credential], logs: Path) -> None:
         self._logs = logs
@@ -242,35 +274,62 @@ class _Link:
                 _await_all([self], 1.0)
         self._reader.join()
         self._output.close()
+        self._error_reader.join(1.0)
         errors = self._errors()
         if errors and self._logs is not None:
             self._logs.mkdir(parents=True, exist_ok=True)
             (self._logs / f"{self._host.name}.log").write_text(errors, encoding="utf-8")
-        self._stderr.close()
 
     def _read_output(self) -> None:
         """Process the messages of the remote process, line by line, until it ends (runs on a thread)."""
         greeted = False
-        for line in self._output:
-            message = _parse(line)
-            if not greeted and "murmur" in message:
-                greeted = True
-                self._hello.put(message)
-            elif greeted and message.get("robot") in {*self.robots, *self.clients}:
-                self._process(message)
+        while not self._fault and (line := self._output.readline(MAX_LINE + 1)):
+            if len(line) > MAX_LINE:
+                self._refuse(f"sent a line of more than {MAX_LINE} bytes")
+                break
+            self._count(line)
+            try:
+                if not greeted:
+                    self._hello.put(msgspec.json.decode(line, type=_Hello))
+                    greeted = True
+                    continue
+                event = msgspec.json.decode(line, type=_Event)
+            except (msgspec.MsgspecError, RecursionError) as error:
+                if line.startswith(b"{") and (greeted or b'"murmur"' in line):
+                    self._refuse(f"sent a malformed message: {str(error)[:MAX_TEXT]}")
+                    break
             else:
-                self._other_output = [*self._other_output[-9:], line.decode(errors="replace").strip()]
+                if event.robot in self._logged:
+                    self._process(event)
+                    continue
+            self._other_output = [*self._other_output[-9:], _printable(line.decode(errors="replace"))]
         self._hello.put(None)
 
-    def _process(self, message: Mapping[str, Any]) -> None:
+    def _read_errors(self, stream: IO[bytes]) -> None:
+        """Keep the last error output, until it ends (runs on a thread)."""
+        with stream:
+            while not self._fault and (piece := stream.read1(MAX_ERRORS)):  # type: ignore[attr-defined]
+                self._stderr = (self._stderr + piece)[-MAX_ERRORS:]
+                self._count(piece)
+
+    def _count(self, data: bytes) -> None:
+        """Count received bytes against the limit."""
+        self._left -= len(data)
+        if self._left < 0:
+            self._refuse(f"sent more than {MAX_OUTPUT * (1 + len(self.robots)) >> 20} MiB")
+
+    def _refuse(self, fault: str) -> None:
+        """End the connection to a host that breaks the protocol."""
+        self._fault = self._fault or fault
+        self._ssh.kill()
+
+    def _process(self, event: _Event) -> None:
         """Write a robot's output to its log, or note its end."""
-        name = message["robot"]
-        if "log" in message and self._logs is not None:
-            with (self._logs / f"{name}.log").open("a", encoding="utf-8") as file:
-                file.write(str(message["log"]))
-        elif "exit" in message and name not in self._ended:
-            code = message["exit"]
-            report = str(message.get("report") or f"exit code {code}") if code else ""
+        name, code = event.robot, event.exit
+        if event.log and self._logs is not None:
+            self._log(name, event.log.encode())
+        elif code is not None and name not in self._ended:
+            report = (_printable(event.report) or f"exit code {code}") if code else ""
             if code == BROKEN_OFF:
                 self.broken_off.add(name)
             missing = [robot for robot in self.robots if robot not in self._ended]
@@ -279,9 +338,26 @@ class _Link:
             elif report and missing:
                 self._lost_router = f"{report}; with it {', '.join(missing)}"
 
+    def _log(self, name: str, output: bytes) -> None:
+        """Append a robot's output to its log, up to `MAX_LOG` bytes."""
+        assert self._logs is not None
+        output = output[: MAX_LOG - self._logged[name]]
+        self._logged[name] += len(output)
+        if output and self._logged[name] == MAX_LOG:
+            output += f"\n[host {self._host.name}: output beyond {MAX_LOG >> 20} MiB is dropped]\n".encode()
+        if output:
+            with (self._logs / f"{name}.log").open("ab") as file:
+                file.write(output)
+
     def _why_silent(self) -> str:
         """Return why the host's first message did not arrive."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._ssh.wait(END_S)
+        if self._ssh.poll() is None:
+            self._refuse("closed its output")
         code = self._ssh.wait()
+        if self._fault:
+            return self._fault
         if code == UNREACHED:
             return f"ssh cannot reach {self._host.target}: {self._last_output()}"
         if code in NO_COMMAND:
@@ -295,6 +371,8 @@ class _Link:
         )
 
     def _why_gone(self) -> str:
+        if self._fault:
+            return self._fault
         code = self._ssh.poll()
         cause = (
             "the connection was lost" if code == UNREACHED else f"murmur run agents ended, exit code {code}"
@@ -303,12 +381,13 @@ class _Link:
 
     def _errors(self) -> str:
         """Return the standard error of ssh and of the remote process."""
-        size = os.fstat(self._stderr.fileno()).st_size
-        return os.pread(self._stderr.fileno(), size, 0).decode(errors="replace")
+        if self.is_over():
+            self._error_reader.join(1.0)
+        return self._stderr.decode(errors="replace")
 
     def _last_output(self) -> str:
-        lines = [line.strip() for line in [*self._other_output, *self._errors().splitlines()] if line.strip()]
-        return lines[-1] if lines else "no output"
+        lines = [*self._other_output, *map(_printable, self._errors().splitlines())]
+        return next(filter(None, reversed(lines)), "no output")
 
 
 def command_line(host: Host) -> list[str]:
@@ -329,13 +408,10 @@ def command_line(host: Host) -> list[str]:
     return ["ssh", "-T", "-a", "-x", *given, *ours, *port, "--", host.target, f"{host.command} run agents"]
 
 
-def _parse(line: bytes) -> dict[str, Any]:
-    """Parse one message of a remote process; return an empty dictionary for any other output."""
-    try:
-        message = json.loads(line)
-    except ValueError:
-        return {}
-    return message if isinstance(message, dict) else {}
+def _printable(text: str) -> str:
+    """Return the end of a text from a host without control characters, which could change the terminal."""
+    kept = "".join(character for character in text if character.isprintable() or character in "\n\t")
+    return kept.strip()[-MAX_TEXT:]
 
 
 def _await_all(links: Iterable[_Link], timeout_s: float) -> None:

@@ -33,6 +33,8 @@ def find_map(name: str, seed: int, options: Mapping[str, float]) -> Map:
             f"unknown map {name!r}; {there_are(generators.names(), name)}; or give the YAML file of a map, or an "
             "image and --resolution"
         )
+    if "name" in options or "seed" in options:
+        raise MapError("map_options: name and seed are the settings map and map_seed")
     return generators.make(name, seed=seed, **options)
 
 

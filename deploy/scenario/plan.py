@@ -16,6 +16,7 @@ from deploy.scenario.tables import RobotOverride
 from netshaper.settings import RadioSettings
 from protocol import faults
 from protocol.budget import Budget
+from protocol.errors import shown
 from protocol.grid import MAX_SIDE, disc, enlarge
 from worldsim.map_error import MapError
 from worldsim.maps import Map, to_cell
@@ -175,6 +176,8 @@ def load_map(scenario: Scenario) -> Map:
         return find_map(scenario.map, scenario.map_seed, scenario.map_options)
     except MapError as error:
         raise ScenarioError(str(error)) from None
+    except OSError as error:
+        raise ScenarioError(f"map = {shown(scenario.map)}: {error.strerror}") from None
 
 
 def _starts(scenario: Scenario, world_map: Map, radii_cells: list[float]) -> list[Cell]:

@@ -28,13 +28,15 @@ from deploy.scenario.tables import (
     RobotOverride,
     Table,
     Whole,
+    check_types,
     range_in_meters,
 )
 from netshaper.presets import PRESETS
 from netshaper.radio_options import Partition, RadioOptions
 from protocol import faults
 from protocol.budget import WORD_FOR_UNLIMITED, Budget
-from protocol.errors import there_are
+from protocol.errors import shown, there_are
+from protocol.files import read_file
 from protocol.grid import MAX_ROBOTS
 from protocol.messages import Change, FaultEvent
 from protocol.packets import MAX_GOSSIP_MAPS, MAX_MAPS
@@ -128,6 +130,7 @@ class Scenario(Table):
     )
     min_coverage: float = Field(
         0.97,
+        strict=True,
         ge=0,
         le=1,
         description="fraction of the reachable area that the team must have seen when a robot ends the run",
@@ -145,9 +148,9 @@ class Scenario(Table):
         radio = data.get("radio") if isinstance(data, dict) else None
         if not isinstance(radio, dict) or not radio.get("preset"):
             return data
-        name = radio["preset"]
+        name = str(radio["preset"])
         if name not in PRESETS:
-            raise ValueError(f"radio.preset = {name!r}: {there_are(PRESETS, str(name))}")
+            raise ValueError(f"radio.preset = {shown(radio['preset'])}: {there_are(PRESETS, name)}")
         preset = PRESETS[name]
         taken = {"bandwidth": preset.bandwidth, "range": str(preset.range_m)} | data
         return taken | {"radio": {"frame_bytes": preset.frame_bytes} | radio}
@@ -180,6 +183,12 @@ class Scenario(Table):
         kind = kinds[str(info.field_name)]
         hint = "; number of robots is `robots`" if info.field_name == "robot" else ""
         raise ValueError(f"must be tables, [[{info.field_name}]], of {', '.join(kind.model_fields)}{hint}")
+
+    @field_validator("polygons", "predictive", "radio", mode="before")
+    @classmethod
+    def _types_are_exact(cls, value: object, info: ValidationInfo) -> object:
+        check_types(cls.model_fields[str(info.field_name)].annotation, value)
+        return value
 
     @field_validator("map_encoding")
     @classmethod
@@ -340,9 +349,7 @@ def read_toml(path: Path, kind: str, shipped: Path | None = None) -> tuple[Path,
     if shipped and len(path.parts) == 1 and not path.exists() and (shipped / path.name).exists():
         path = shipped / path.name
     try:
-        if path.is_char_device() or path.is_block_device():
-            raise ScenarioError(f"{kind} {path}: is a device, not a file")
-        return path, tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        return path, tomllib.loads(read_file(path).decode("utf-8-sig"))
     except RecursionError:
         raise ScenarioError(f"{kind} {path}: is nested too deeply") from None
     except FileNotFoundError:
@@ -352,7 +359,7 @@ def read_toml(path: Path, kind: str, shipped: Path | None = None) -> tuple[Path,
         raise ScenarioError(f"{kind} {path}: no such file{others}{setting}") from None
     except OSError as error:
         raise ScenarioError(f"{kind} {path}: {error.strerror or error}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except ValueError as error:
         raise ScenarioError(f"{kind} {path}: not TOML: {error}") from None
 
 
@@ -419,7 +426,7 @@ def explain(item: Any, keys: Mapping[str, Iterable[str]]) -> str:
         return f"{key}: unknown setting; {there_are(keys[table], str(item['loc'][-1]))}"
     if item["type"] == "missing":
         return f"{key} is missing"
-    return f"{key} = {item['input']!r}: {message}" if key else message
+    return f"{key} = {shown(item['input'])}: {message}" if key else message
 
 
 _KINDS = ("int", "tuple", "tuple[int, ...]", "literal['unlimited']")

@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal, Self
+from dataclasses import is_dataclass
+from typing import Annotated, Any, Literal, Self, get_args, get_origin, get_type_hints
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from netshaper.radio_options import MIN_FRAME
 from protocol.budget import WORD_FOR_UNLIMITED
+from protocol.errors import shown
 from protocol.messages import FaultEvent
 
 MAX_INTEGER = 2**31 - 1
 """Largest integer that the columns of the ledger can hold."""
 
 MAX_METERS = 1e6
+
+MAX_RUNS = 100_000
+"""Maximum number of runs, and of seeds, of a study."""
 
 Whole = Annotated[int, Field(strict=True)]
 Meters = Annotated[float, Field(strict=True, ge=-MAX_METERS, le=MAX_METERS)]
@@ -37,9 +42,10 @@ def _parse_range(text: str) -> tuple[float, bool]:
         number = float(text.strip().removesuffix("%"))
     except ValueError:
         number = math.nan
-    if not (number >= 0 and math.isfinite(number)):
+    if not 0 <= number <= MAX_METERS:
         raise ValueError(
-            "must be a distance of 0 or more: meters, as 12.5, or a share of the diagonal, as 30%"
+            "must be a distance of 0 or more: meters, as 12.5, or a share of the diagonal, as 30%; "
+            f"at most {MAX_METERS:.0f}"
         )
     return number, share
 
@@ -59,6 +65,31 @@ def _check_bandwidth(value: object) -> object:
     if value != WORD_FOR_UNLIMITED and (type(value) is not int or not 0 <= value <= MAX_INTEGER):
         raise ValueError(f"must be a whole number of bytes per step, 0 to {MAX_INTEGER}, or 'unlimited'")
     return value
+
+
+_EXACT: dict[object, tuple[tuple[type, ...], str]] = {
+    bool: ((bool,), "true or false"),
+    int: ((int,), "a whole number"),
+    float: ((int, float), "a number"),
+}
+
+
+def check_types(hint: Any, value: object, name: str = "") -> None:
+    """Raise ValueError if a truth value or a number within a table of a dataclass has another type.
+
+    Pydantic converts these: without this check, ``"yes"`` would be true.
+    """
+    if is_dataclass(hint) and isinstance(value, dict):
+        for key, inner in get_type_hints(hint).items():
+            if key in value:
+                check_types(inner, value[key], key)
+    elif get_origin(hint) is tuple and isinstance(value, list | tuple):
+        for each in value:
+            check_types(get_args(hint)[0], each, name)
+    elif hint in _EXACT:
+        kinds, wording = _EXACT[hint]
+        if not isinstance(value, kinds) or isinstance(value, bool) != (hint is bool):
+            raise ValueError(f"{name} = {shown(value)}: must be {wording}")
 
 
 Range = Annotated[str, BeforeValidator(_as_text), AfterValidator(_check_range)]

@@ -26,13 +26,13 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from deploy.scenario.scenario import SHIPPED as SCENARIOS
 from deploy.scenario.scenario import ScenarioError, beside, explain, lay, read_toml
+from deploy.scenario.tables import MAX_RUNS, Whole
 from deploy.scenario.tables import Table as Keys
-from deploy.scenario.tables import Whole
 from deploy.study.claims import Claim, Rule, check_claim
 from deploy.study.measures import EXPLORATION, MEASURES, METRICS
 from deploy.study.plots import Plot, check_plot
 from deploy.study.tables import RELATIVE, VARIANT, Table, check_table
-from protocol.errors import there_are
+from protocol.errors import shown, there_are
 
 SHIPPED = Path(__file__).with_name("experiments")
 """Installed experiments, which commands accept by name instead of a path."""
@@ -43,7 +43,7 @@ class Quick(BaseModel):
 
     model_config = ConfigDict(extra="allow", frozen=True)
 
-    seeds: Whole = Field(3, ge=1)
+    seeds: Whole = Field(3, ge=1, le=MAX_RUNS)
     variants: list[str] = Field(default_factory=list)
 
 
@@ -60,7 +60,7 @@ class ExperimentFile(Keys):
 
     name: str | None = None
     scenario: str | None = None
-    seeds: Whole | None = Field(None, ge=1)
+    seeds: Whole | None = Field(None, ge=1, le=MAX_RUNS)
     measure: str = EXPLORATION
     base: dict[str, Any] = Field(default_factory=dict)
     grid: dict[str, list[Any]] = Field(default_factory=dict)
@@ -253,15 +253,25 @@ def override(experiment: Experiment, settings: dict[str, Any]) -> Experiment:
     return replace(experiment, base=base, grid=grid)
 
 
+def listed(key: str, values: Sequence[Any]) -> list[Any]:
+    """The values of a key of a grid as a list; ScenarioError if they are too many for a study."""
+    if values[MAX_RUNS:]:
+        raise ScenarioError(f"{key} = {shown(values)}: must be at most {MAX_RUNS} values")
+    return list(values)
+
+
 def _check_values(key: str, values: Any) -> None:
     """Raise ValueError unless `values` is a list of different values, at least one."""
     if not values:
-        raise ValueError(f"{key} = {values!r}: must be a list of values, as [3, 5]")
+        raise ValueError(f"{key} = {shown(values)}: must be a list of values, as [3, 5]")
     name = key.rpartition(".")[2].rpartition(" ")[2]
-    labels = [settings_of(name, value)[name] for value in values]
-    for label in labels:
-        if labels.count(label) > 1:
-            raise ValueError(f"{key} = {values!r}: contains {label!r} twice")
+    seen: set[Any] = set()
+    for value in values:
+        label = settings_of(name, value)[name]
+        same = repr(label) if isinstance(label, list | tuple | dict) else label
+        if same in seen:
+            raise ValueError(f"{key} = {shown(values)}: contains {shown(label)} twice")
+        seen.add(same)
 
 
 def _found(path: Path, value: Any) -> Any:

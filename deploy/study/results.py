@@ -18,6 +18,7 @@ from typing import Any, Self
 
 import polars as pl
 
+from protocol.files import check_regular
 from worldsim.atomic_files import write_whole
 
 Row = dict[str, Any]
@@ -159,6 +160,7 @@ def read(file: Path) -> pl.DataFrame:
     with _named(file):
         if not file.exists():
             return pl.DataFrame(schema=dict.fromkeys(IDENTITY, pl.String))
+        check_regular(file)
         try:
             frame = pl.read_parquet(file)
         except pl.exceptions.PolarsError:

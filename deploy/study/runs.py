@@ -9,6 +9,7 @@ import hashlib
 import inspect
 import itertools
 import json
+import math
 import sys
 import zlib
 from collections import Counter
@@ -27,6 +28,7 @@ from deploy.run.workers import Workers
 from deploy.scenario import plan as plans
 from deploy.scenario.finding_maps import FILES
 from deploy.scenario.scenario import Scenario, ScenarioError, lay, parse
+from deploy.scenario.tables import MAX_RUNS
 from deploy.scenario.thesis import thesis_settings
 from deploy.study.experiment import Experiment, settings_of
 from deploy.study.measures import MEASURES
@@ -82,6 +84,9 @@ def cases(experiment: Experiment) -> list[Case]:
 
     Of runs that differ only in their seeds, the first is checked on its map; the others may fail as rows.
     """
+    count = math.prod(map(len, (*experiment.grid.values(), experiment.variants)))
+    if count > MAX_RUNS:
+        raise ScenarioError(f"{experiment.where}: {count} runs: must be at most {MAX_RUNS}")
     files: dict[str, bytes] = {}
     checked: set[str] = set()
     result = []

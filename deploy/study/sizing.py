@@ -12,6 +12,7 @@ import polars as pl
 
 from deploy.scenario.plan import load_map
 from deploy.study import plots
+from deploy.study.experiment import listed
 from deploy.study.plots import Plot
 from deploy.study.results import write_table
 from deploy.study.runs import Case
@@ -179,10 +180,10 @@ def size(
     deploy.study.sweep.sweep : the other parameters
     """
     grid: dict[str, list[Any]] = {
-        "robots": sorted(robots),
+        "robots": sorted(listed("robots", robots)),
         "bandwidth": sorted(bandwidth, key=lambda b: math.inf if isinstance(b, str) else b),
         "range": list(range),
-        "seed": list(_counted(seeds)),
+        "seed": listed("seed", _counted(seeds)),
     }
     made = of_settings("size", {"map": map, **settings}, grid, {"plain": {}}, ("steps", "map_accuracy"))
     plot = Plot("steps", "robots", lines="bandwidth", panels="range", ylabel="exploration time (steps)")

@@ -165,7 +165,11 @@ def of_settings(
     metrics: Sequence[str],
 ) -> Experiment:
     """Make an experiment of settings; the lists become its grid."""
-    grid = {key: list(values) for key, values in settings.items() if isinstance(values, list | tuple | range)}
+    grid = {
+        key: experiments.listed(key, values)
+        for key, values in settings.items()
+        if isinstance(values, list | tuple | range)
+    }
     single = {key: value for key, value in settings.items() if key not in grid}
     rows = [key for key in grid if key != "seed"] + ([VARIANT] if len(variants) > 1 else [])
     table = Table(rows, [], list(metrics), interval=True, finished_only=True)

@@ -78,3 +78,36 @@ def test_strategies_of_a_package_are_listed_even_if_their_import_fails(installed
     printed = " ".join(listed.stdout.split())
     assert "our own farthest section 1 to the farthest goal" in printed
     assert "package farthest-first torn cannot be imported: RuntimeError: torn" in printed
+
+
+def test_finished_runs_are_read_without_the_code_that_their_scenario_names(
+    installed: Path, tmp_path: Path
+) -> None:
+    """The module `torn_strategy` fails when it is imported; replay runs code of other folders only if it is trusted."""
+    run, murmur = str(tmp_path / "run"), ("-m", "deploy.commands.main")
+    python(
+        installed, *murmur, "explore", "--map", "em", "--robots", "2", "--steps", "4", "--bus", "memory", "--out", run,
+        "--strategy", "farthest",
+    )  # fmt: skip
+    refused = python(installed, *murmur, "replay", run)
+    assert refused.returncode == 2
+    place = f"module farthest_first ({installed / 'farthest_first.py'})"
+    assert refused.stderr == (
+        f"murmur: {run}: would run {place}, which is no installed package: read it, then use --trust\n"
+    )
+    assert python(installed, *murmur, "replay", run, "--trust").stdout.startswith("Replay matches")
+
+    scenario = tmp_path / "run" / "scenario.toml"
+    for name in ("torn", "torn_strategy:Torn", "no_longer_there:Strategy"):
+        lines = scenario.read_text().splitlines()
+        changed = [f'strategy = "{name}"' if line.startswith("strategy = ") else line for line in lines]
+        scenario.write_text("\n".join(changed))
+        for words in ("report", "export --mcap", "capture --robot 0"):
+            done = python(installed, *murmur, *words.split(), run)
+            assert (done.returncode, done.stderr) == (0, ""), done.stderr
+        replayed = python(installed, *murmur, "replay", run)
+        assert replayed.returncode == 2
+        assert ("module torn_strategy" in replayed.stderr) == ("torn" in name)
+    assert "No module named 'no_longer_there'" in replayed.stderr
+    torn = python(installed, *murmur, "replay", run, "--trust")
+    assert (torn.returncode, torn.stderr.count("Traceback")) == (2, 0)

@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from deploy.after.wireshark import install as wireshark
-from deploy.commands import main
+from deploy.commands.app import app
 from deploy.run.exploration import Result, explore
 from deploy.scenario.scenario import parse
 from netshaper.capture import VERDICTS
@@ -33,7 +33,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Result:
 
 
 def murmur(*arguments: object, code: int = 0) -> str:
-    result = CliRunner().invoke(main.app, ["capture", *map(str, arguments)])
+    result = CliRunner().invoke(app, ["capture", *map(str, arguments)])
     assert result.exit_code == code, result.output
     return result.output
 

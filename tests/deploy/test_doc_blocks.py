@@ -23,7 +23,7 @@ import pytest
 import typer
 from typer._click.exceptions import UsageError
 
-from deploy.commands.main import app
+from deploy.commands.app import app
 from murmur import __all__ as public_names
 from tests.deploy.commands.office_floor import murmur
 

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from deploy.after import archive
 from deploy.after.frames import VEIL, Frames, side_by_side
 from deploy.after.movie import MP4, MovieError, write_movie
-from deploy.commands.main import app
+from deploy.commands.app import app
 from deploy.record.colors import GREY, PAPER, Color, mix, robot_color
 from protocol.grid import FREE, UNKNOWN
 from tests.deploy.small_run import small_directory

@@ -29,7 +29,7 @@ from deploy.bench import (
 from deploy.bench.explorations import Cell
 from deploy.bench.measurement import Measurement, compare
 from deploy.bench.registry import run_benchmarks
-from deploy.commands.main import app
+from deploy.commands.app import app
 from protocol.grid import FREE, OCCUPIED, Grid, ray_table
 from protocol.scans import draw
 from worldsim import generators

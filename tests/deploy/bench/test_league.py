@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from deploy.bench import league
-from deploy.commands.main import app
+from deploy.commands.app import app
 
 SMALL = [
     "--map",

@@ -14,7 +14,7 @@ from deploy.chaos.byzantine import ByzantineRadios
 from deploy.chaos.case import CALM, ChaosCase, case
 from deploy.chaos.invariants import InvariantChecker, InvariantError
 from deploy.chaos.runs import Verdict, run_case, shrink
-from deploy.commands.main import app
+from deploy.commands.app import app
 from deploy.run.in_memory import MemoryRun
 from deploy.scenario import plan as plans
 from protocol.grid import UNKNOWN

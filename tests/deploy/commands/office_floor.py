@@ -8,7 +8,7 @@ import pytest
 from click.testing import Result
 from typer.testing import CliRunner
 
-from deploy.commands.main import app
+from deploy.commands.app import app
 from worldsim import generators, maps
 
 

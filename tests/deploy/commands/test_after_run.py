@@ -59,9 +59,9 @@ def test_a_run_with_unplanned_events_cannot_be_replayed(floor: str, what: dict[s
 FULL_DISK = """
 import resource, sys
 from deploy.after import export, report
-from deploy.commands import main
+from deploy.commands.app import app
 resource.setrlimit(resource.RLIMIT_FSIZE, (9000, resource.RLIM_INFINITY))
-main.app(sys.argv[1:])
+app(sys.argv[1:])
 """
 
 

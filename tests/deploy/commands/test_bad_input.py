@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -64,10 +66,35 @@ FILES = {
     "endless.yaml": YAML.format(image="/dev/zero"),
     "coarse.yaml": YAML.format(image="room.png").replace("0.1", "900000", 1),
     "afar.yaml": YAML.format(image="room.png").replace("[0, 0, 0]", "[1.0e+308, 0, 0]"),
+    "afar.toml": "[[change]]\nstep = 1\nrange = 1e300\n",
+    "preset.toml": '[radio]\npreset = ["wifi"]\n',
+    "reuse.toml": '[radio]\nreuse = "yes"\n',
+    "groups.toml": '[[radio.partition]]\nfirst = 1\nlast = 2\ngroups = [["0"], [1]]\n',
+    "share.toml": "min_coverage = true\n",
+    "digits.toml": f"robots = {5000 * '9'}\n",
+    "seeds.toml": "seeds = 1000000000000\n[base]\nrobots = 2\n",
+    "runs.toml": "seeds = 1000\n[grid]\nbeams = [36, 72, 180, 360]\n" + f"steps = {list(range(1, 101))}\n",
+    "palette.yaml": YAML.format(image="palette.png"),
+    "bomb.yaml": YAML.format(image="room.png").replace("0.1", "*n9")
+    + "n0: &n0 [x]\n"
+    + "".join(f"n{n}: &n{n} [{', '.join(9 * [f'*n{n - 1}'])}]\n" for n in range(1, 10)),
+    "date.yaml": YAML.format(image="room.png").replace("0.1", "2026-13-45", 1),
+    "hosts.toml": 'address = "10.0.0.1"\n[[host]]\nname = "a"\nrobots = 999999999999999999999999\n',
     "star.json": '{"run": "a*", "name": "r0", "hub": "tcp/127.0.0.1:1", "password": "x"}',
     "port.json": '{"run": "a", "name": "r0", "hub": "tcp/127.0.0.1:99999", "password": "x"}',
     "bob.json": '{"run": "a", "name": "bob", "hub": "tcp/127.0.0.1:1", "password": "x"}',
 }
+
+
+def png_without_palette() -> bytes:
+    """A PNG picture whose pixels are indices of a palette that it lacks."""
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return len(data).to_bytes(4) + kind + data + zlib.crc32(kind + data).to_bytes(4)
+
+    head = (10).to_bytes(4) + (10).to_bytes(4) + bytes([8, 3, 0, 0, 0])
+    parts = chunk(b"IHDR", head) + chunk(b"IDAT", zlib.compress(bytes(110))) + chunk(b"IEND", b"")
+    return b"\x89PNG\r\n\x1a\n" + parts
 
 
 @pytest.fixture
@@ -81,6 +108,7 @@ def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     room = np.zeros((10, 10), np.uint8)
     room[1:-1, 1:-1] = 255
     Image.fromarray(room).save(tmp_path / "room.png")
+    (tmp_path / "palette.png").write_bytes(png_without_palette())
     Credential("a", "r0", "tcp/127.0.0.1:1", "x").write(tmp_path / "r0.json")
     monkeypatch.chdir(tmp_path)
     yield tmp_path
@@ -170,12 +198,24 @@ EXPLORE = {
     "deep.toml": "scenario deep.toml: is nested too deeply",
     "/dev/zero": "scenario /dev/zero: is a device, not a file",
     "--map deep.yaml": "deep.yaml: is nested too deeply; a map_server YAML file has `key: value` lines",
-    "--map endless.yaml": "/dev/zero: cannot be read (it is a device); a map's picture must be a PGM or PNG file",
+    "--map endless.yaml": "/dev/zero: cannot be read (is a device, not a file); a map's picture must be a PGM",
     "--map coarse.yaml": "resolution is 900000.0, not a number of meters per cell above 0, 1000 at most",
     "--map afar.yaml": "origin is [1e+308, 0.0, 0.0], not three numbers of 1e+08 at most",
     f"--set options={5000 * '[' + 5000 * ']'}": "set = 'options=...': nested too deeply",
     "--set radius=1e6 --set sensor_range=1e6": "radius = 1e+06 m: exceeds the largest map with cells of 0.1 m",
     "--unknown-flag": "No such option: --unknown-flag",
+    "afar.toml": "change.0.range = 1e+300: must be a distance of 0 or more: meters, as 12.5, or a share of the",
+    "preset.toml": "radio.preset = ['wifi']: did you mean wifi? There are: ",
+    "reuse.toml": "reuse = 'yes': must be true or false",
+    "groups.toml": "groups = '0': must be a whole number",
+    "share.toml": "min_coverage = True: must be a number",
+    "digits.toml": "scenario digits.toml: not TOML: Exceeds the limit",
+    "--map palette.yaml": "palette.png: is not a complete PGM or PNG picture",
+    "--map bomb.yaml": "bomb.yaml: is not YAML",
+    "--map date.yaml": "date.yaml: is not YAML",
+    "--map em --set map_options.seed=3": "map_options: name and seed are the settings map and map_seed",
+    f"--map {300 * 'a'}": "File name too long",
+    "--hosts hosts.toml": "hosts hosts.toml: host.0.robots = 999999999999999999999999: must be a number of robots",
 }
 
 OTHERS = {
@@ -189,6 +229,7 @@ OTHERS = {
     "new strategy numpy": "name = 'numpy': would hide the Python module of this name",
     "compare --strategies meier,meier": "two of the scenarios are the same: strategy = meier",
     "compare --strategies meier,": "there is nothing to compare: give at least two scenarios",
+    "compare --strategies ,": "there is nothing to compare: give at least two scenarios",
     "compare --strategies meier,nope": "no strategy is called 'nope'",
     "compare --strategies meier,nearest --map room.yaml --out file": "file: cannot be created (File exists)",
     "size --set robots=3": "set = 'robots=...': use the flag of this command",
@@ -246,6 +287,11 @@ OTHERS = {
     "run netshaper --listen [::]:7447": "give one by which others know this host",
     "run netshaper --credentials full": "credentials = full: it exists already; name a new directory",
     "run netshaper --credentials file": "credentials = file: it exists already; name a new directory",
+    "sweep seeds.toml": "experiment seeds.toml: seeds = 1000000000000: must be less than or equal to 100000",
+    "sweep runs.toml": "experiment runs.toml: 400000 runs: must be at most 100000",
+    "sweep lossy.toml --seeds 1000000000000": "Invalid value for '--seeds': Input should be less than or equal to 1",
+    "size --robots 1..100000": "robots = '1..100000': must be whole numbers of at most 256, as 2..8 or 2,4,8",
+    "size --robots 1..1000000000000": "must be whole numbers of at most 256",
     "fly": "no such command: 'fly'; there are: explore",
 }
 
@@ -260,6 +306,48 @@ def test_bad_input_is_explained_and_writes_no_file(desk: Path, words: str) -> No
     assert complaint in output
     assert "Traceback" not in output
     assert output.startswith(("murmur: ", "Usage: "))
+    assert contents(desk) == before
+
+
+@pytest.mark.parametrize("kind", ["pipe", "directory"])
+@pytest.mark.parametrize(
+    "words",
+    [
+        "explore it.toml", "explore --map it.yaml", "explore --map it.png --resolution 1", "explore --hosts it.toml",
+        "explore --map pictured.yaml", "sweep it.toml", "sweep lossy.toml --out it.parquet",
+        "run agent --credential it.json", "capture it.pcapng", "capture run", "replay run", "report run",
+    ],
+)  # fmt: skip
+def test_pipes_and_directories_are_no_input_files(desk: Path, words: str, kind: str) -> None:
+    """A pipe without a writer must not be opened: it would never answer."""
+    make = os.mkfifo if kind == "pipe" else os.mkdir
+    (desk / "run").mkdir()
+    (desk / "run" / "scenario.toml").write_text(FILES["whole/scenario.toml"])
+    (desk / "pictured.yaml").write_text(YAML.format(image="it.png"))
+    for suffix in ("toml", "yaml", "png", "parquet", "json", "pcapng"):
+        make(desk / f"it.{suffix}")
+    for name in ("summary.json", "radio.pcapng"):
+        make(desk / "run" / name)
+    before = contents(desk)
+    signal.signal(signal.SIGALRM, signal.default_int_handler)
+    signal.alarm(20)
+    try:
+        result = murmur(*words.split())
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    assert result.exit_code == BAD_INPUT, result.output
+    assert "is a pipe, not a file" in result.stderr or kind == "directory"
+    assert "irectory" in result.stderr or kind == "pipe"
+    assert contents(desk).keys() - before.keys() <= {".it.parquet.lock"}
+
+
+def test_a_compiler_that_is_turned_off_is_reported(desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
+    before = contents(desk)
+    result = murmur("explore", "--map", "room.yaml", "--robots", "1", "--bus", "memory", "--steps", "1")
+    assert result.exit_code == BAD_INPUT
+    assert "NUMBA_DISABLE_JIT is set, but kernels must be compiled: unset this" in result.stderr
     assert contents(desk) == before
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from deploy.commands.main import app
+from deploy.commands.app import app
 from deploy.run.by_hand import serve_netshaper, serve_routing
 from deploy.scenario.scenario import ScenarioError, parse
 from protocol import keys as names

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import subprocess
 import sys
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 import pytest
 import typer
 from typer.core import TyperOption
 
-from deploy.commands.main import COMMANDS, app
+from deploy.commands.app import COMMANDS, app
 from tests.deploy.commands.office_floor import murmur
 
 
@@ -83,7 +86,7 @@ def test_the_list_of_commands_agrees_with_their_help() -> None:
 
 def test_help_and_version_import_no_heavy_modules() -> None:
     for words in ("--help", "--version"):
-        code = f"import sys; from deploy.commands.main import app; app({[words]!r}, standalone_mode=False); "
+        code = f"import sys; from deploy.commands.app import app; app({[words]!r}, standalone_mode=False); "
         code += "print('heavy:', sorted({'numpy', 'numba', 'zenoh', 'pydantic'} & set(sys.modules)))"
         done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
         assert done.stdout.endswith("heavy: []\n")
@@ -94,10 +97,28 @@ def test_help_and_version_import_no_heavy_modules() -> None:
 )
 def test_light_commands_import_no_compiler(words: tuple[str, ...], allowed: set[str]) -> None:
     heavy = {"numba", "scipy", "zenoh", "pyarrow", "polars"} - allowed
-    code = f"import sys; from deploy.commands.main import app; app({list(words)!r}, standalone_mode=False); "
+    code = f"import sys; from deploy.commands.app import app; app({list(words)!r}, standalone_mode=False); "
     code += f"print('heavy:', sorted({heavy!r} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.endswith("heavy: []\n")
+
+
+@pytest.mark.parametrize("module", ["typer", "rich", "pydantic", "numpy"])
+def test_ctrl_c_during_an_import_ends_the_command_without_a_traceback(tmp_path: Path, module: str) -> None:
+    (tmp_path / f"{module}.py").write_text("import time; print('importing', flush=True); time.sleep(60)")
+    with subprocess.Popen(
+        [sys.executable, "-m", "deploy.commands.main", "explore", "--steps", "1"],
+        env=os.environ | {"PYTHONPATH": f"{tmp_path}:{Path(__file__).parents[3]}"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        cwd=tmp_path,
+        text=True,
+    ) as started:
+        assert started.stdout is not None
+        assert started.stdout.readline() == "importing\n"
+        started.send_signal(signal.SIGINT)
+        _, output = started.communicate(timeout=60)
+    assert (started.returncode, output) == (130, "")
 
 
 def test_the_version_is_the_version_of_the_distribution() -> None:

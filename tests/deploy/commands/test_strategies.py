@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from agent.strategies.catalog import COMBINING, catalog, entry
 from agent.strategies.registry import strategies
 from agent.strategies.targets import Parts
-from deploy.commands.main import app
+from deploy.commands.app import app
 from deploy.commands.strategies import WIDTH
 
 

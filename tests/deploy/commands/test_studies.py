@@ -13,7 +13,7 @@ import polars as pl
 import pytest
 from typer.testing import CliRunner
 
-from deploy.commands.main import app
+from deploy.commands.app import app
 from tests.deploy.study.small_experiment import EXPERIMENT, write
 
 MURMUR = [sys.executable, "-m", "deploy.commands.main"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -97,6 +98,94 @@ def test_other_versions_of_packages_cause_a_warning_only() -> None:
         pass
     assert len(warnings) == 1
     assert warnings[0].startswith("host h0: has numpy 1.0, this host has ")
+
+
+FAKE_HOST = """
+import sys
+def send(*parts):
+    for part in parts:
+        sys.stdout.write(part)
+    sys.stdout.flush()
+"""
+ACCEPTED = "import json; from deploy.run.remote_agents import hello; send(json.dumps(hello()) + chr(10))\n"
+
+
+def fake_host(tmp_path: Path, code: str) -> Hosts:
+    """A host that runs `code` instead of Murmur, then waits for the end of its input."""
+    script = tmp_path / "fake.py"
+    script.write_text(FAKE_HOST + code + "\nsys.stdin.read()\n")
+    return hosts(f"exec env PYTHONPATH={ROOT} {sys.executable} {script};")
+
+
+@pytest.mark.parametrize(
+    ("code", "message"),
+    [
+        (
+            """send('{"murmur": "1", "code": "a", "versions": []}\\n')""",
+            "sent a malformed message: Expected `object`",
+        ),
+        ("""send('{"murmur": "1", "code": 5}\\n')""", "sent a malformed message: Expected `str`, got `int`"),
+        ("""send('{"murmur": ' + 100_000 * '[' + '\\n')""", "sent a malformed message: "),
+        ("""send('{"murmur": "1", "x": ' + 100_000 * '[' + '\\n')""", "sent a malformed message: "),
+        ("send(*(1000 * 'x' for _ in range(10_000)))", r"sent a line of more than \d+ bytes"),
+        ("send('[host] welcome\\n'); sys.exit(2)", r"failed \(exit code 2\): \[host\] welcome;"),
+        ("import os; os.close(1); sys.stdout = None", "closed its output"),
+        ("""send('{"murmur": "1", "code": "\\\\u001b[2J"}\\n')""", r"different code, Murmur 1 \(\[2J;"),
+    ],
+)
+def test_a_host_that_breaks_the_protocol_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: str, message: str
+) -> None:
+    monkeypatch.setattr("deploy.run.ssh.END_S", 0.2)
+    with pytest.raises(HostError, match=f"^host h0: .*{message}"), Fleet(fake_host(tmp_path, code), 3):
+        pytest.fail("the host was accepted")
+
+
+@pytest.mark.parametrize(
+    ("code", "message"),
+    [
+        ("""send('{"robot": "r0", "exit": "x"}\\n')""", "sent a malformed message: "),
+        (
+            """send('{"robot": "r0", "exit": 3, "report": ' + 90_000 * '[' + '\\n')""",
+            "sent a malformed message: ",
+        ),
+        ("while True: send(10_000 * 'x')", "sent a line of more than"),
+        ("while True: send(1000 * 'x' + '\\n')", "sent more than 1 MiB"),
+        ("while True: sys.stderr.write(1000 * 'x' + '\\n')", "sent more than 1 MiB"),
+    ],
+)
+def test_a_host_that_breaks_the_protocol_during_the_run_is_lost(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: str, message: str
+) -> None:
+    monkeypatch.setattr("deploy.run.ssh.MAX_OUTPUT", 2**19, raising=False)
+    deaths: dict[str, str] = {}
+    with (
+        Fleet(fake_host(tmp_path, ACCEPTED + "sys.stdin.readline()\n" + code), 1) as fleet,
+        fleet.running(fleet.rendezvous.credentials, tmp_path / "logs"),
+    ):
+        wait_until(lambda: fleet.check(deaths) or deaths)
+    assert list(deaths) == ["h0"]
+    assert re.match(f"{message}.*; with it r0$", deaths["h0"])
+
+
+def test_the_log_of_a_remote_robot_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("deploy.run.ssh.MAX_LOG", 2**20, raising=False)
+    code = """
+for n in range(40):
+    send(json.dumps({"robot": "r0", "log": 100_000 * "x"}) + chr(10))
+send(json.dumps({"robot": "r0", "exit": 1, "report": "no " + chr(27) + "[2Jmemory"}) + chr(10))
+sys.exit()
+"""
+    (tmp_path / "logs").mkdir()
+    deaths: dict[str, str] = {}
+    with (
+        Fleet(fake_host(tmp_path, ACCEPTED + "sys.stdin.readline()\n" + code), 1) as fleet,
+        fleet.running(fleet.rendezvous.credentials, tmp_path / "logs"),
+    ):
+        wait_until(lambda: fleet.check(deaths) or deaths)
+    assert deaths == {"r0": "on h0: no [2Jmemory"}
+    log = (tmp_path / "logs" / "r0.log").read_text()
+    assert log == 2**20 * "x" + "\n[host h0: output beyond 1 MiB is dropped]\n"
 
 
 def test_launcher_receives_output_and_exit_codes_of_remote_robots(tmp_path: Path) -> None:

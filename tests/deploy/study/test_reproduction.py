@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from deploy.commands.main import app
+from deploy.commands.app import app
 from deploy.scenario.scenario import ScenarioError
 from deploy.study import measures, reproduction, runs
 from deploy.study.claims import UNDECIDED, judge
