@@ -9,21 +9,27 @@ import os
 import struct
 import tomllib
 from collections.abc import Callable
+from dataclasses import fields
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
+from PIL import Image
 
 from agent.encodings.catalog import ENCODINGS, make_encoding
+from agent.encodings.options import PolygonOptions
 from agent.identity import Identity
 from agent.journal import Journal, JournalError
 from agent.outline.receiver import Receiver
 from agent.replication.base import Replication
 from agent.settings import Settings
-from deploy.scenario.scenario import ScenarioError, parse
+from deploy.scenario import plan as plans
+from deploy.scenario.scenario import Scenario, ScenarioError, lay, parse
+from netshaper.radio_options import RadioOptions
 from protocol import packet_index, packets
 from protocol.budget import Budget
 from protocol.errors import ProtocolError
@@ -183,6 +189,25 @@ some_toml = st.lists(
     max_size=4,
     unique_by=lambda pair: pair[0],
 ).map(lambda pairs: "\n".join(f"{key} = {value}" for key, value in pairs).encode())
+EXTREMES = (
+    0, 1, -1, 2**31, 2**53, 2**64, 10**30, 0.5, 1e-300,
+    1e300, float("inf"), float("nan"), True, False, "", "yes", "0.5",
+    "1e300%", "\0", 3000 * "a", [], [1], [["0"], [1]], {}, {"a": 1}, [{}],
+)  # fmt: skip
+TABLES = {
+    "radio": [item.name for item in fields(RadioOptions)],
+    "polygons": [item.name for item in fields(PolygonOptions)],
+    "predictive": ["base"],
+    "map_options": ["resolution", "width_m", "seed", "name"],
+}
+some_settings = st.dictionaries(
+    st.sampled_from(
+        [*Scenario.model_fields, *(f"{table}.{key}" for table in TABLES for key in TABLES[table])]
+    ),
+    st.sampled_from(EXTREMES),
+    max_size=3,
+)
+"""Settings of any type and size, by their dotted names."""
 anything = st.binary(max_size=120) | some_packets | some_messages | some_toml
 
 
@@ -211,6 +236,41 @@ def test_inputs_of_earlier_failures_are_read_or_rejected(file: Path) -> None:
             reader(file.read_bytes())
         except refusal as error:
             assert str(error)
+
+
+@settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck))
+@given(settings=some_settings)
+def test_any_settings_give_a_plan_or_are_rejected_with_a_message(settings: dict[str, Any]) -> None:
+    try:
+        data: dict[str, Any] = {"map": "em", "bus": "memory"}
+        lay(data, settings, "scenario")
+        plans.make(parse(data))
+    except ScenarioError as error:
+        assert 0 < len(str(error)) < 5000
+
+
+@settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck))
+@given(
+    kind=st.sampled_from(["L", "P", "1", "RGBA"]),
+    suffix=st.sampled_from(["png", "pgm"]),
+    cuts=st.lists(st.tuples(st.integers(0, 200), st.integers(0, 8), st.binary(max_size=4)), max_size=3),
+)
+def test_any_picture_is_read_or_rejected_with_a_message(
+    tmp_path_factory: pytest.TempPathFactory, kind: str, suffix: str, cuts: list[tuple[int, int, bytes]]
+) -> None:
+    """`cuts`: place, length, and replacement of bytes of a valid picture."""
+    file = BytesIO()
+    picture = Image.new("L", (9, 9), 255).convert(kind if suffix == "png" else "L")
+    picture.save(file, "PNG" if suffix == "png" else "PPM")
+    data = bytearray(file.getvalue())
+    for place, length, replacement in cuts:
+        data[place : place + length] = replacement
+    path = tmp_path_factory.mktemp("picture") / f"map.{suffix}"
+    path.write_bytes(data)
+    try:
+        maps.load_picture(path, 0.1)
+    except MapError as error:
+        assert str(error)
 
 
 @settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck))
