@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from functools import lru_cache, partial
+from functools import partial
 from itertools import pairwise
 
 from msgspec.structs import replace
@@ -25,8 +25,11 @@ from netshaper.ledger import ANSWER, BROADCAST, DATA, KIND_NUMBER, NEWS, OFFER
 from netshaper.settings import RadioSettings
 from protocol import packets
 from protocol.errors import ProtocolError
-from protocol.packet_index import NO_PACKETS, PacketIndex, index_of
+from protocol.packet_index import NO_PACKETS, PacketIndex, cache_short, index_of
 from protocol.packets import Check, From, FromEarly, Held, HeldEarly, LogDigest, Offer
+
+MAX_REPORTS = 1 << 12
+"""Maximum number of offers, answers and reports in a frame: some for each map."""
 
 Begins = Offer | From | FromEarly
 """Packets that select the map of the packets after them."""
@@ -102,7 +105,7 @@ def refused(kind: int, payload: bytes, problem: str) -> Content:
     return Content(kind, payload, index, -1, problem)
 
 
-@lru_cache(maxsize=1 << 13)
+@cache_short(1 << 13, packets.HANDSHAKE_SIZE)
 def read_handshake(kind: int, maps: int, payload: bytes) -> Content:
     """Read the frame of an offer or an answer."""
     try:
@@ -124,7 +127,7 @@ DECLINE = packets.encode([packets.Block(packets.DECLINED)])
 """The answer that declines an offer."""
 
 
-@lru_cache(maxsize=64)
+@cache_short(64)
 def read_data(payload: bytes) -> Content:
     """Read a frame of data."""
     try:
@@ -140,10 +143,11 @@ def read_news(payload: bytes) -> Content:
     """Read a frame of gossip: log entries and reports."""
     try:
         index = index_of(payload)
+        reports = _conn_packets(payload, index)
     except ProtocolError as error:
         return Content(NEWS, payload, NO_PACKETS, -1, f"{_NEWS}: {error}")
     odd = _first_of(index, _NO_ENTRIES)
-    for piece in _conn_packets(payload, index):
+    for piece in reports:
         if not odd and not isinstance(piece, packets.Gossip):
             odd = piece.name
     problem = f"no {odd} of this kind" if odd else "" if payload else "nothing in it"
@@ -154,9 +158,9 @@ def read_any(maps: int, payload: bytes) -> Content:
     """Read a frame of a robot that requires acknowledgments: reports and offers, then log entries."""
     try:
         index = index_of(payload)
+        reports = _conn_packets(payload, index)
     except ProtocolError as error:
         return Content(DATA, payload, NO_PACKETS, -1, str(error))
-    reports = _conn_packets(payload, index)
     if len(reports) < len(index.kinds):
         kind = DATA
     else:
@@ -189,7 +193,9 @@ def _first_of(index: PacketIndex, unwanted: Sequence[str]) -> str:
 
 
 def _conn_packets(payload: bytes, index: PacketIndex) -> list[packets.AnyPacket]:
-    """Decode the packets of a frame that are offers, answers and reports."""
+    """Decode the packets of a frame that are offers, answers and reports; ProtocolError if they are too many."""
+    if index.kinds.count(_CONN) > MAX_REPORTS:
+        raise ProtocolError(Offer.name, 0, f"{index.kinds.count(_CONN)} reports; at most {MAX_REPORTS}")
     return [
         packets.decode(payload[end - size : end])[0]
         for kind, size, end in zip(index.kinds, index.sizes, index.ends, strict=True)

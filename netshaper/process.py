@@ -48,7 +48,7 @@ from protocol.messages import (
     pack,
 )
 from protocol.packets import Held, Offer, Passed, Target
-from protocol.rights import MAX_PROTOCOL_ERRORS, TOO_MANY_ERRORS
+from protocol.rights import MAX_PROTOCOL_ERRORS, MAX_STEP_BYTES, TOO_MANY_BYTES, TOO_MANY_ERRORS
 
 ENDED = "its process ended"
 """Cause of the loss of a robot that has left the bus."""
@@ -116,6 +116,8 @@ class RelayNode:
         """Events that each robot has not been sent yet."""
         self._protocol_errors: Counter[str] = Counter()
         """Protocol errors of each participant in this step."""
+        self._submitted_bytes: Counter[str] = Counter()
+        """Bytes of each robot's messages in this step."""
 
     @property
     def _max_frame_bytes(self) -> int:
@@ -143,7 +145,7 @@ class RelayNode:
         plane, _, sender, _ = names.parts(key)
         if plane == "presence":
             self._presence(sender, came=payload == b"1")
-        else:
+        elif sender in self._present or not (self._begun and names.is_robot(sender)):
             try:
                 self._take(sender, rights.read(key, payload), payload)
             except ProtocolError as error:
@@ -237,10 +239,15 @@ class RelayNode:
     def _take(self, sender: str, message: object, payload: bytes) -> None:
         """Take a message of a participant; ProtocolError if its frames are too long."""
         if isinstance(message, RobotFrames):
+            self._submitted_bytes[sender] += len(payload)
+            if self._submitted_bytes[sender] > MAX_STEP_BYTES:
+                self.give_up_on(names.number(sender), TOO_MANY_BYTES.format(MAX_STEP_BYTES))
+                return
             self._check_lengths(message)
             self._send(self._radio.submit(names.number(sender), message))
         elif isinstance(message, Positions):
             self._protocol_errors.clear()
+            self._submitted_bytes.clear()
             cells = dict(zip(message.robots, zip(message.x, message.y, strict=True), strict=True))
             opening = self._radio.begin(message.step, cells)
             for change in self._radio.changed:

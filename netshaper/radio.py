@@ -148,7 +148,7 @@ class Radio:
         """Take all frames that a robot sends in this phase."""
         if sender in self._topology.dead:
             return []
-        if sender not in self._waiting or submitted.phase != self._phase:
+        if sender not in self._waiting or (submitted.step, submitted.round, submitted.phase) != self.phase:
             self._refuse_out_of_turn(sender, submitted)
             return []
         self._submitted[sender] = submitted
@@ -239,7 +239,8 @@ class Radio:
             self.protocol_errors.append((sender, reason))
 
     def _refuse_out_of_turn(self, sender: int, submitted: RobotFrames) -> None:
-        error = f"sent frames in phase {submitted.phase!r} of step {self._step} out of turn"
+        at = f"round {submitted.round} of step {submitted.step}"
+        error = f"sent frames of phase {submitted.phase!r}, {at}, out of turn in step {self._step}"
         self.protocol_errors.append((sender, error))
         frames = [OutgoingFrame(EVERYONE, submitted.broadcast)] if submitted.broadcast else []
         reason = "spoke out of turn"

@@ -32,6 +32,10 @@ MAX_CONNECTIONS = 1 << 13
 """Connections of one robot in a round: each of 63 teammates offers it 64 maps, and it offers each of them 64."""
 MAX_FRAME, MAX_FRAMES = 1 << 24, 1 << 28
 """Maximum bytes of a frame, and of all frames of a list in a message."""
+MAX_PAYLOAD, MAX_ROBOT_PAYLOAD = 1 << 31, 24 << 20
+"""Maximum bytes of a message, and of a message of a robot."""
+MAX_LOAD = 1 << 23
+"""Maximum bytes of log entries that a robot sends in a phase, also without a budget."""
 PART_CELLS = 1 << 19
 """Maximum number of cells of a part of a robot's maps (`protocol.map_parts`)."""
 MAX_EVENTS = 8
@@ -78,7 +82,7 @@ Cells = Annotated[bytes, Meta(max_length=MAX_CELLS)]
 PartNumber = Annotated[int, Meta(ge=0, lt=-(-MAX_CELLS // PART_CELLS))]
 PartBytes = Annotated[bytes, Meta(max_length=PART_CELLS + (PART_CELLS >> 8))]
 CellIndices = Annotated[bytes, Meta(max_length=4 * MAX_CELLS)]
-Vertices = Annotated[bytes, Meta(max_length=1 << 24)]
+Vertices = Annotated[bytes, Meta(max_length=1 << 21)]
 Blocks = Annotated[bytes, Meta(max_length=1 << 30)]
 
 EVERYONE = -1
@@ -510,15 +514,17 @@ def pack(message: Record) -> bytes:
     return _write(message)
 
 
-def unpacker(kinds: tuple[type[Record], ...], sender: str) -> Callable[[bytes], Any]:
+def unpacker(
+    kinds: tuple[type[Record], ...], sender: str, limit: int = MAX_PAYLOAD
+) -> Callable[[bytes], Any]:
     """Return a decoder of the messages that `sender` may send; it rejects all others with ProtocolError.
 
-    It rejects a payload that is longer than the longest of these messages before it decodes it.
+    It rejects a payload that is longer than `limit`, or than the longest of these messages, before it decodes it.
     """
     if not kinds:
         return partial(_refuse_all, sender)
     read: Callable[[bytes], Any] = msgspec.msgpack.Decoder(Union[kinds]).decode  # noqa: UP007  a union of a tuple
-    most = max(max_bytes(inspect.type_info(kind)) for kind in kinds)
+    most = min(limit, max(max_bytes(inspect.type_info(kind)) for kind in kinds))
 
     def unpack_one(payload: bytes) -> Any:
         if len(payload) > most:
@@ -535,6 +541,8 @@ def unpacker(kinds: tuple[type[Record], ...], sender: str) -> Callable[[bytes], 
     return unpack_one
 
 
+MAX_EXPLAINED = 1 << 16
+"""Maximum bytes of a malformed message that is decoded again, to name the field that is wrong."""
 HEAD_BYTES = 9
 """Maximum size of a number, or of a length field, in msgpack."""
 
@@ -581,6 +589,8 @@ def _refuse_all(sender: str, _: bytes) -> Any:
 
 def _malformed(payload: bytes, kinds: tuple[type[Record], ...], sender: str, reason: str) -> ProtocolError:
     """Return the error of a malformed message; it names the field to which the path in msgspec's `reason` leads."""
+    if len(payload) > MAX_EXPLAINED:
+        return ProtocolError("message", 0, f"{len(payload)} malformed bytes: {reason}")
     try:
         items = msgspec.msgpack.decode(payload)
     except _NOT_DECODED as error:

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 from array import array
 from bisect import bisect_right
-from collections.abc import Sequence
-from functools import lru_cache
+from collections.abc import Callable, Sequence
+from functools import lru_cache, wraps
 from itertools import accumulate, pairwise
+from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
@@ -22,6 +23,10 @@ TABLE: Int64Rows = np.array(LAYOUT_BY_BYTE, np.int64)
 """Layout of the packets that start with each byte, shape (256, 7); columns as in `LAYOUT_BY_BYTE`."""
 
 KINDS = len(ALL_KINDS)
+MAX_CACHED_BYTES = 1 << 16
+"""Maximum size of a frame in caches, so that the frames of a sender cannot fill the memory."""
+
+Result = TypeVar("Result")
 
 
 class PacketIndex(msgspec.Struct, frozen=True, gc=False):
@@ -55,7 +60,24 @@ NO_PACKETS = PacketIndex(b"", array("i"), array("i"))
 """The index of an empty frame, and of bytes that are no packets."""
 
 
-@lru_cache(maxsize=512)
+def cache_short(
+    frames: int, most: int = MAX_CACHED_BYTES
+) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
+    """Cache the results of a function whose last argument is a frame, for `frames` frames of at most `most` bytes."""
+
+    def decorate(read: Callable[..., Result]) -> Callable[..., Result]:
+        cached = lru_cache(frames)(read)
+
+        @wraps(read)
+        def read_frame(*args: Any) -> Result:
+            return (cached if len(args[-1]) <= most else read)(*args)
+
+        return read_frame
+
+    return decorate
+
+
+@cache_short(512)
 def index_of(frame: bytes) -> PacketIndex:
     """Find the packets of a frame; several callers that hold the same frame get the same index.
 
@@ -65,7 +87,7 @@ def index_of(frame: bytes) -> PacketIndex:
     places = np.empty((2, len(frame)), np.int32)
     count = int(_packets(np.frombuffer(frame, np.uint8), TABLE, kinds, places))
     if count < 0:
-        decode(frame)
+        decode(frame, -1 - count)
     sizes, ends = places[:, :count]
     return PacketIndex(kinds[:count].tobytes(), array("i", sizes.tobytes()), array("i", ends.tobytes()))
 
@@ -115,14 +137,14 @@ def packet_end(data: ReadOnlyUint8s, at: int, end: int, table: Int64Rows) -> int
 
 @kernel
 def _packets(data: ReadOnlyUint8s, table: Int64Rows, kinds: Uint8s, places: Int32Rows) -> int:
-    """Write the kind, size and end of each packet; return how many there are, -1 if some bytes are no packet."""
+    """Write the kind, size and end of each packet; return their number, or -1 - `at` if no packet begins at `at`."""
     count = 0
     at = 0
     while at < len(data):
         kinds[count] = table[data[at], 0]
         end = packet_end(data, at, len(data), table)
         if end < 0:
-            return -1
+            return -1 - at
         places[0, count], places[1, count] = end - at, end
         at = end
         count += 1

@@ -505,10 +505,9 @@ def _layout(buffer: bytes, offset: int) -> Layout:
     return layout
 
 
-def decode(buffer: bytes) -> list[AnyPacket]:
-    """Read a buffer of whole packets; ProtocolError if one is unknown or cut off, or a spare bit is set."""
+def decode(buffer: bytes, offset: int = 0) -> list[AnyPacket]:
+    """Read whole packets from `offset` on; ProtocolError if one is unknown or cut off, or a spare bit is set."""
     packets = []
-    offset = 0
     while offset < len(buffer):
         size = _SIZE[buffer[offset]] or length(buffer, offset)
         if offset + size > len(buffer):

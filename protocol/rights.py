@@ -13,6 +13,8 @@ from typing import Any
 from protocol import keys as names
 from protocol.keys import RECORDER, RELAY, VIEW, WORLD, Keys
 from protocol.messages import (
+    MAX_PAYLOAD,
+    MAX_ROBOT_PAYLOAD,
     Back,
     Begin,
     Change,
@@ -70,6 +72,10 @@ BODY = {(WORLD, ROBOT), (ROBOT, WORLD)}
 """Sender and receiver of messages on the body plane; other pairs use the control plane."""
 
 
+MAX_STEP_BYTES = 1 << 26
+"""Maximum bytes of frames that a robot may submit to the relay in a step."""
+TOO_MANY_BYTES = "sent more than {} bytes in a step"
+"""Cause of the loss of a robot that exceeds a limit of bytes."""
 MAX_PROTOCOL_ERRORS = 1000
 """A robot that causes more protocol errors in a step counts as lost."""
 TOO_MANY_ERRORS = f"sent more than {MAX_PROTOCOL_ERRORS} malformed messages in a step"
@@ -96,7 +102,8 @@ def _reader(key: str) -> Callable[[bytes], Any]:
 @lru_cache(maxsize=1 << 10)
 def _reader_of(plane: str, ends: tuple[str, str], sender: str) -> Callable[[bytes], Any]:
     kinds = tuple(kind for kind in RIGHTS.get(ends, ()) if plane == plane_of(kind, ends))
-    return unpacker(kinds, sender or "an unnamed sender")
+    limit = MAX_ROBOT_PAYLOAD if ends[0] == ROBOT else MAX_PAYLOAD
+    return unpacker(kinds, sender or "an unnamed sender", limit)
 
 
 def plane_of(kind: type[Record], ends: tuple[str, str]) -> str:

@@ -7,12 +7,17 @@ tests, with 300 examples from a fresh random seed; a failure prints the example 
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
+import tempfile
+from multiprocessing import util
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
+
+from protocol.temporary import temporary_folder
 
 settings.register_profile(
     "default", max_examples=30, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
@@ -35,8 +40,17 @@ def _selects_long(config: pytest.Config) -> bool:
     return "long" in config.option.markexpr and "not long" not in config.option.markexpr
 
 
+_at_end = contextlib.ExitStack()
+
+
 def pytest_configure(config: pytest.Config) -> None:
-    """Search property tests from a fresh seed if long tests are selected."""
+    """Search property tests from a fresh seed if long tests are selected; remove all temporary files at the end."""
+    if not hasattr(config, "workerinput"):
+        # All that is started here puts its files there, too: browsers, viewers, clusters. Not pytest's own directories.
+        os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", tempfile.gettempdir())
+        os.environ["TMPDIR"] = str(_at_end.enter_context(temporary_folder()))
+        tempfile.tempdir = None
+        util.Finalize(None, _at_end.close, exitpriority=-300)  # after `deploy.run.parent_watchdog`
     if _selects_long(config) and "MURMUR_HYPOTHESIS" not in os.environ:
         settings.load_profile("fresh")
 

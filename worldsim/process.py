@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -84,6 +84,8 @@ class WorldNode:
         """Whether the relay has closed the medium of this step; robots move only then."""
         self._protocol_errors: Counter[str] = Counter()
         """Malformed or inconsistent messages in this step, by sender."""
+        self._refuted: set[int] = set()
+        """Robots that have reported `explored` too early."""
 
     def handle(self, message: Message) -> None:
         """Process one message from the bus."""
@@ -162,7 +164,7 @@ class WorldNode:
         if self._world.settings.ends_with_all:
             wanted = len(moves)
         elif explored:
-            explored = [robot for robot in self._world.smallest_robots() if robot in explored]
+            explored = self._confirmed(explored)
         if explored and len(explored) >= wanted:
             self._end(EXPLORED, explored[0])
         elif self._world.is_deserted() and not self._restarts.rejoined and not self._restarts.recovering:
@@ -175,6 +177,26 @@ class WorldNode:
             self._end(OUT_OF_STEPS, -1)
         else:
             self._open_step(moves)
+
+    def _confirmed(self, explored: Sequence[int]) -> list[int]:
+        """Return the robots whose report `explored` ends the run; report the others.
+
+        Only robots of the smallest radius can know that all is explored. The team must have seen enough for a report,
+        and everything if the robot has reported too early before, unless all of these robots agree.
+        """
+        smallest = self._world.smallest_robots()
+        reporting = [robot for robot in smallest if robot in explored]
+        least = self._world.settings.min_coverage
+        seen = {robot: self._world.share_seen(robot) for robot in reporting}
+        confirmed = [robot for robot in reporting if seen[robot] >= (1 if robot in self._refuted else least)]
+        if confirmed or len(reporting) == len(smallest):
+            return sorted(confirmed or reporting, key=self._refuted.__contains__)
+        for robot in sorted(set(reporting) - self._refuted):
+            share = f"{100 * seen[robot]:.1f} % of the cells that it can reach"
+            reason = f"robot {robot} reported 'explored' when the team had seen {share}"
+            self._report(messages.ErrorReport(names.robot(robot), reason))
+        self._refuted.update(reporting)
+        return []
 
     def _open_step(self, moves: Mapping[int, Move]) -> None:
         """Apply the faults of the next step; open it unless restarts hold it."""

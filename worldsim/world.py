@@ -73,6 +73,8 @@ class WorldSettings:
     """Whether a step to any of eight neighbors has length 1; else a diagonal step has length sqrt 2."""
     robots_collide: bool = True
     """Whether robots block each other's paths and laser beams."""
+    min_coverage: float = 0.0
+    """Share of the cells that a robot can reach which the team must have seen when it reports `explored`."""
 
 
 class World:
@@ -101,6 +103,8 @@ class World:
         self._counted = np.zeros(truth.shape, np.bool_)
         self._taken = np.zeros(truth.shape, np.bool_)
         self.faults = FaultSchedule(settings.faults)
+        self._reachable_by: dict[int, NDArray[np.bool_]] = {}
+        """The free cells that a robot can reach, by robots whose reports were checked."""
         self._last_cells = dict(self.cells)
         """Last cell of each robot that has been removed."""
         self._widest = max((body.radius_cells for body in settings.bodies), default=0.0)
@@ -155,6 +159,14 @@ class World:
         """Return the active robots of the smallest radius; they reach all that any robot reaches."""
         radii = {robot: self.settings.bodies[robot].radius_cells for robot in self.active_robots()}
         return [robot for robot, radius in radii.items() if radius == min(radii.values())]
+
+    def share_seen(self, robot: int) -> float:
+        """Return the share of the cells that a robot can reach which the team's lasers have seen."""
+        if robot not in self._reachable_by:
+            radius = self.settings.bodies[robot].radius_cells
+            self._reachable_by[robot] = reachable_by(self.truth, self.settings.starts[robot], radius)
+        seen = self.seen[self._reachable_by[robot]] == FREE
+        return float(seen.mean())
 
     def advance(self, moves: Mapping[int, Move]) -> dict[int, Sense]:
         """Begin the next step: move the robots, in ascending order, and return all their scans."""

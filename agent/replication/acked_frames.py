@@ -22,7 +22,7 @@ from functools import partial
 
 from agent.replication.base import Replication
 from agent.replication.control_packets import header, offer, offset, parse, report
-from agent.replication.frame_builder import FrameBuilder
+from agent.replication.frame_builder import FrameBuilder, limited
 from agent.replication.policies import Offer, Policy, Rounds
 from agent.replication.replica import Rejected, Replica
 from protocol import packets
@@ -79,13 +79,14 @@ class AckedFrames(Replication):
         due = [each for each in offers if rounds.now >= rounds.due[each.peer, each.number]]
         frames = []
         self._builders = []
+        left = limited(budget)
         for peer in in_range:
-            builder = FrameBuilder(budget)
+            builder = FrameBuilder(left)
             self._fill(builder, peer, [each for each in due if each.peer == peer])
             if builder.payload:
                 self._builders.append(builder)
                 frames.append(OutgoingFrame(peer, builder.payload))
-                budget = None if budget is None else max(0, budget - len(builder.payload))
+                left = max(0, left - len(builder.payload))
         return frames
 
     def close_round(self, report: RoundReport) -> list[Rejected]:

@@ -10,13 +10,19 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from agent.replication.log import Log
+from protocol.messages import MAX_LOAD
+
+
+def limited(budget: int | None) -> int:
+    """Return how many bytes of entries a robot sends in a phase with this budget (None: unlimited)."""
+    return MAX_LOAD if budget is None else min(budget, MAX_LOAD)
 
 
 class FrameBuilder:
-    """One frame to one receiver, or to all robots in range, of `budget` bytes at most (None: no limit)."""
+    """One frame to one receiver, or to all robots in range, of `budget` bytes at most (`limited`)."""
 
     def __init__(self, budget: int | None = None) -> None:
-        self.budget = budget
+        self.budget = limited(budget)
         self.payload = b""
         self._markers: list[tuple[int, Callable[[], None]]] = []
         self._ranges: list[tuple[int, int, Log, int, Callable[[int, int], None]]] = []
@@ -28,7 +34,7 @@ class FrameBuilder:
 
     def fits(self, packet: bytes) -> bool:
         """Return whether the budget has room for a packet."""
-        return self.budget is None or len(self.payload) + len(packet) <= self.budget
+        return len(self.payload) + len(packet) <= self.budget
 
     def add(self, packet: bytes, on_sent: Callable[[], None]) -> int:
         """Add a packet; return where it ends."""
@@ -49,9 +55,7 @@ class FrameBuilder:
         last entry that was on the air.
         """
         begin = len(self.payload) + len(header)
-        entries = (
-            log.read(first, None if self.budget is None else self.budget - begin, end) if first < end else b""
-        )
+        entries = log.read(first, self.budget - begin, end) if first < end else b""
         if not entries:
             return first
         self.payload += header + entries

@@ -14,6 +14,7 @@ from typing import Literal
 
 from agent.replication.base import Replication
 from agent.replication.control_packets import DECLINE, answer, block_of, offer, read_answer, read_offer
+from agent.replication.frame_builder import limited
 from agent.replication.policies import Policy, Rounds, backoff
 from agent.replication.replica import Rejected, Replica
 from protocol.errors import ProtocolError
@@ -150,7 +151,7 @@ class Handshakes(Replication):
         air. Raises ProtocolError if a frame is no answer, or answers no offer of this robot.
         """
         frames = []
-        left = self._rounds.budget
+        left = limited(self._rounds.budget)
         for delivery in answers:
             sender, number = delivery.sender, delivery.map_id
             connection = self._offered.get((sender, number))
@@ -161,8 +162,7 @@ class Handshakes(Replication):
                 entries = self.logs[number].read(connection.length, left)
                 if entries:
                     frames.append(OutgoingFrame(sender, entries, delivery.connection))
-                if left is not None:
-                    left -= len(entries)
+                left -= len(entries)
         return frames
 
     def close_round(self, report: RoundReport) -> list[Rejected]:

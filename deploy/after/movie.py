@@ -15,6 +15,7 @@ from PIL import Image
 
 from deploy.after.archive import read
 from deploy.after.frames import WIDTH, Frames, side_by_side
+from protocol.temporary import temporary_folder
 
 SMALL = 0.75
 """Width of each run's picture / `frames.WIDTH`, for two runs side by side or a GIF."""
@@ -79,10 +80,10 @@ def write_movie(
             yield closing
 
     first = side_by_side(runs, 1)
-    with tempfile.TemporaryDirectory() as folder:
+    with temporary_folder() as folder:
         options = AS_MP4
         if suffix == GIF:
-            palette = Path(folder, "palette.png")
+            palette = folder / "palette.png"
             _common_palette(runs, last).save(palette)
             options = ["-i", str(palette), *AS_GIF]
         _encode(path, pictures(), first.size, rate / every, options)

@@ -7,7 +7,6 @@ import json
 import platform
 from collections.abc import Callable
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Annotated, Any
 
 import typer
@@ -149,10 +148,11 @@ def _kernels() -> str:
 def _swarm(bus: str) -> str:
     from deploy.run import exploration  # noqa: PLC0415
     from deploy.scenario.scenario import parse  # noqa: PLC0415
+    from protocol.temporary import temporary_folder  # noqa: PLC0415
 
     scenario = parse({"map": "em", "robots": 2, "bus": bus, "steps": 30})
-    with TemporaryDirectory() as folder:
-        result = exploration.explore(scenario, out=Path(folder) / "run")
+    with temporary_folder() as folder:
+        result = exploration.explore(scenario, out=folder / "run")
     if result.deaths or result.records.lost:
         raise RuntimeError(f"processes died: {result.deaths or result.records.lost}")
     return f"{result.summary['steps']} steps, {result.summary['steps_per_s']} steps/s"

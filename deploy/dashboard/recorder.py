@@ -6,6 +6,7 @@ then takes about thirty small rows. `deploy.dashboard.layout` arranges the entit
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Any
 
 import numpy as np
@@ -14,8 +15,10 @@ import rerun as rr
 from deploy.dashboard.run_events import Event, RunEvents, explain, shows_range
 from deploy.dashboard.shapes import axes, corner, flip, map_picture, number_strips, outline_strips
 from deploy.record.colors import ALARM, GREY, GROUPS, IN_RANGE, PAPER, SIGNAL, TEAM, mix, robot_color
+from deploy.record.map_history import PER_STEP
 from deploy.scenario.plan import Plan
 from protocol import keys as names
+from protocol.errors import ProtocolError
 from protocol.grid import FREE
 from protocol.messages import (
     End,
@@ -51,6 +54,8 @@ class Recorder:
         self._robots = range(plan.scenario.robots)
         self._reachable = plan.make_world().reachable
         self._explored = [0.0] * len(self._robots)
+        self._drawn: Counter[tuple[str, int]] = Counter()
+        """How often each map of each sender was drawn in this step; -1 is the planning map."""
         side = max(plan.map.width, plan.map.height) * plan.map.resolution
         self._disc = 0.022 * side
         stream.set_time(TIMELINE, sequence=0)
@@ -59,7 +64,15 @@ class Recorder:
         self._log("help", rr.TextDocument(explain(plan), media_type=rr.MediaType.MARKDOWN), static=True)
 
     def take(self, sender: str, report: Any) -> None:
-        """Draw a report of `sender`."""
+        """Draw a report of `sender`, each map `PER_STEP` times per step; ProtocolError if one has another size."""
+        if isinstance(report, Snapshot | Outlines):
+            self._check_size(report)
+            drawn = sender, report.map_id if isinstance(report, Outlines) else -1
+            self._drawn[drawn] += 1
+            if self._drawn[drawn] > PER_STEP:
+                return
+        elif isinstance(report, WorldReport):
+            self._drawn.clear()
         events = self.events.take(sender, report)
         self._stream.set_time(TIMELINE, sequence=self.events.step)
         if isinstance(report, WorldReport):
@@ -75,6 +88,15 @@ class Recorder:
             self._draw_world()
         for event in events:
             self._log("events", _line(event))
+
+    def _check_size(self, report: Snapshot | Outlines) -> None:
+        """Raise ProtocolError if a map of a robot is of another size than the world."""
+        world = self._plan.map
+        if isinstance(report, Snapshot) and (report.width, report.height) != (world.width, world.height):
+            size = f"{report.width} x {report.height}"
+            raise ProtocolError(
+                "Snapshot", 0, f"{size} cells, where the map has {world.width} x {world.height}"
+            )
 
     def _log(self, path: str, *values: Any, static: bool = False) -> None:
         self._stream.log(path, *values, static=static)
@@ -223,9 +245,9 @@ class Recorder:
         self._log("traffic/shares/names", named)
 
     def _draw_planning_map(self, robot: int, snapshot: Snapshot) -> None:
+        grid = grid_from_bytes(snapshot.planning, snapshot.width, snapshot.height)
         picture = map_picture(snapshot.width, snapshot.height, snapshot.planning)
         self._log(f"robots/{robot}/map", _image(picture))
-        grid = grid_from_bytes(snapshot.planning, snapshot.width, snapshot.height)
         self._explored[robot] = 100 * float((grid[self._reachable] == FREE).mean())
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import dataclass, field
 from itertools import combinations
 
@@ -20,6 +21,8 @@ from worldsim.maps import to_world
 
 BUDGET = CAUSES.index("budget")
 
+MAX_ERRORS = 100
+"""Number of malformed messages of each participant that are shown."""
 NEAR = 0.5
 """Share of the sensor range: a new target nearer to the old one counts as the same frontier."""
 
@@ -72,6 +75,7 @@ class RunEvents:
     budget: Budget = UNLIMITED
     """Bytes that the team may transmit in this step."""
     range_m: float = 0.0
+    _errors: Counter[str] = field(default_factory=Counter)
     _full: bool = False
     _logged_targets: dict[int, Point] = field(default_factory=dict)
 
@@ -94,7 +98,9 @@ class RunEvents:
         if isinstance(report, Change):
             return self._change(report)
         if isinstance(report, ErrorReport):
-            return [Event(self.step, f"{report.participant} sent a malformed message: {report.reason}", 2)]
+            self._errors[report.participant] += 1
+            text = f"{report.participant} sent a malformed message: {report.reason}"
+            return [Event(self.step, text, 2)] if self._errors[report.participant] <= MAX_ERRORS else []
         if isinstance(report, End):
             return [Event(self.step, self._ending(report), 1)]
         return []

@@ -79,7 +79,7 @@ def maps_figure(plan: Plan, records: Records, summary: dict[str, Any]) -> Figure
     show_grid(world, plan.map, plan.map.cells)
     draw_paths(world, plan, records)
     world.set_title("the world and the robots' paths", fontsize=11, pad=4)
-    seen = np.maximum.reduce([records.own[robot] for robot in sorted(records.own)])
+    seen = records.team_map(summary["refuted_maps"])
     reachable = plan.make_world().reachable
     _show_errors(team, plan, compare(seen, plan.map.cells, reachable))
     team.set_title(f"seen by the team: {_percent(summary['coverage'])}", fontsize=11, pad=4)

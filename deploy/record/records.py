@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from typing import BinaryIO
 
@@ -42,12 +42,14 @@ from protocol.messages import (
     WorldReport,
     pack,
 )
-from protocol.rights import MAX_PROTOCOL_ERRORS, TOO_MANY_ERRORS
+from protocol.rights import MAX_PROTOCOL_ERRORS, TOO_MANY_BYTES, TOO_MANY_ERRORS
 
 NO_MAPS = "it did not send its maps"
 """Cause of the loss of a robot that does not answer a request for its maps."""
 MAX_PROTOCOL_ERROR_TEXTS = 1000
-"""Number of protocol errors of which the text is kept; further ones are counted."""
+"""Number of protocol errors of each participant of which the text is kept; further ones are counted."""
+MIN_STEP_BYTES, BYTES_PER_CELL = 1 << 22, 10
+"""Bytes that a robot may report in a step: these, and these for each cell, since it may report each cell twice."""
 
 
 @dataclass(repr=False)
@@ -59,7 +61,8 @@ class Records:
     ledger per step. `lost` has the cause of each unexpected failure by robot, `killed` the robots that a fault event
     killed and none restarted, `returned` step and robot of each return after an unexpected failure, `reconnected` of
     each connection that was cut and restored. `protocol_errors` has sender and text of the first
-    `MAX_PROTOCOL_ERROR_TEXTS` protocol errors. `carried` is the number of bytes transmitted in the last step.
+    `MAX_PROTOCOL_ERROR_TEXTS` protocol errors of each sender. `carried` is the number of bytes transmitted in the last
+    step.
     """
 
     robots: int
@@ -77,6 +80,7 @@ class Records:
     reconnected: list[tuple[int, int]] = field(default_factory=list)
     protocol_errors: list[str] = field(default_factory=list)
     protocol_error_count: int = 0
+    _error_texts: Counter[str] = field(default_factory=Counter)
     end: End | None = None
     carried: int = 0
 
@@ -105,8 +109,14 @@ class Records:
     def note_protocol_error(self, sender: str, text: str) -> None:
         """Record a protocol error of a sender."""
         self.protocol_error_count += 1
-        if len(self.protocol_errors) < MAX_PROTOCOL_ERROR_TEXTS:
+        self._error_texts[sender] += 1
+        if self._error_texts[sender] <= MAX_PROTOCOL_ERROR_TEXTS:
             self.protocol_errors.append(f"{sender}: {text}")
+
+    def team_map(self, without: Collection[int]) -> Grid:
+        """Return the union of the robots' own grids, without those of some robots."""
+        grids = [grid for robot, grid in self.own.items() if robot not in without]
+        return np.maximum.reduce(grids) if grids else np.zeros_like(next(iter(self.own.values())))
 
     def ledger(self) -> NDArray[np.void]:
         """All rows of the ledger so far (`netshaper.ledger.ROW`), in the order of recording."""
@@ -156,6 +166,9 @@ class RecorderNode:
         self._keys = keys
         self._protocol_errors: Counter[str] = Counter()
         """Number of protocol errors of each sender in this step."""
+        self._received_bytes: Counter[str] = Counter()
+        """Bytes of each robot's reports in this step."""
+        self._max_step_bytes = MIN_STEP_BYTES + BYTES_PER_CELL * shape[0] * shape[1]
         self._on_fault = on_fault
 
     def configure(self, settings: Mapping[int, Settings]) -> None:
@@ -166,11 +179,25 @@ class RecorderNode:
     def handle(self, message: Message) -> None:
         """Take one message from the bus."""
         sender = names.parts(message.key)[3]
+        if self._exceeds_limits(sender):
+            return
         try:
             self._record(sender, rights.read(*message))
+            self._received_bytes[sender] += len(message.payload)
         except ProtocolError as error:
             self._record_protocol_error(sender, str(error))
         self._collect()
+
+    def _exceeds_limits(self, sender: str) -> bool:
+        """Return whether a robot has sent too much in this step, or is lost; give it up when it exceeds the limit."""
+        if not names.is_robot(sender) or names.number(sender) in self.records.lost:
+            return names.is_robot(sender)
+        if self._received_bytes[sender] <= self._max_step_bytes:
+            return False
+        cause = TOO_MANY_BYTES.format(self._max_step_bytes)
+        self.records.lost[names.number(sender)] = cause
+        self._send(Lost(names.number(sender), cause))
+        return True
 
     @property
     def parts_received(self) -> int:
@@ -209,6 +236,7 @@ class RecorderNode:
             case WorldReport():
                 records.world.append(message)
                 self._protocol_errors.clear()
+                self._received_bytes.clear()
             case RadioReport():
                 self._record_radio(message)
             case RobotStatus():

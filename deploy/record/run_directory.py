@@ -215,7 +215,7 @@ def write_results(
 
     grids = {f"planning-r{robot}": grid for robot, grid in records.planning.items()}
     if records.own:
-        grids = {"team": np.maximum.reduce([records.own[robot] for robot in sorted(records.own)])} | grids
+        grids = {"team": records.team_map(summary["refuted_maps"])} | grids
     found = {name: Map(name, grid, plan.map.resolution, plan.map.origin) for name, grid in grids.items()}
     writers: dict[str, Callable[[], object]] = {
         SUMMARY: write_summary,

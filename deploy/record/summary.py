@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -35,6 +35,8 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
     finished = done and records.explored >= scenario.min_coverage
     ledger = records.ledger()
     reachable = plan.make_world().reachable
+    refuted = refuted_maps(records, plan.map.cells, reachable)
+    planning = {robot: grid for robot, grid in records.planning.items() if robot not in refuted}
     first = end.first if done and end is not None else min(records.planning, default=-1)
     steps = end.step if end is not None and end.step >= 0 else records.step
     allowed = budgets(plan.radio.budget, records.changes, int(ledger["step"].max(initial=0)) + 1)
@@ -44,15 +46,14 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "steps": steps,
         "explored_at": _explored_at(plan, steps) if finished else None,
         "first_robot": end.first if done and end is not None else None,
-        "coverage": _coverage(records, reachable),
-        "map_accuracy": _share_free(records.planning[first], reachable)
-        if first in records.planning
-        else None,
-        **_wall_quality(records, first, plan.map.cells, reachable),
+        "coverage": records.explored,
+        **_accuracy(planning.get(first), reachable, records.explored),
+        **_wall_quality(planning, first, plan.map.cells, reachable),
         "t50": _first_step(records, 0.50),
         "t90": _first_step(records, 0.90),
         "t99": _first_step(records, 0.99),
-        "overlap": _overlap(records, reachable),
+        "overlap": None if refuted else _overlap(records, reachable),
+        "refuted_maps": refuted,
         "path_length": [mm / 1000 for mm in records.world[-1].driven] if records.world else [],
         "robots": scenario.robots,
         "seed": scenario.seed,
@@ -106,14 +107,15 @@ def digest(records: Records) -> str:
     return total.hexdigest()
 
 
-def _coverage(records: Records, reachable: Mask) -> float:
-    """Share of the reachable cells on the team's own grids; from the world's report if a grid is missing."""
-    if not records.own or not records.has_all_grids:
-        return records.explored
-    team = np.zeros(reachable.shape, np.bool_)
-    for grid in records.own.values():
-        team |= grid == FREE
-    return float((team & reachable).sum() / reachable.sum())
+def refuted_maps(records: Records, truth: Grid, reachable: Mask) -> list[int]:
+    """Return the robots that sent an own map with cells that are false, or with more cells than the team has seen."""
+    real = np.where(truth == FREE, np.uint8(FREE), np.uint8(OCCUPIED))
+    seen = records.world[-1].seen if records.world else 0
+    return [
+        robot
+        for robot, own in sorted(records.own.items())
+        if (own != real)[own != UNKNOWN].any() or ((own == FREE) & reachable).sum() > seen
+    ]
 
 
 def _overlap(records: Records, reachable: Mask) -> float | None:
@@ -126,11 +128,18 @@ def _overlap(records: Records, reachable: Mask) -> float | None:
     return float((seen > 1).sum() / (seen > 0).sum())
 
 
-def _share_free(grid: NDArray[np.uint8], reachable: Mask) -> float:
-    return float(((grid == FREE) & reachable).sum() / reachable.sum())
+def _accuracy(planning: Grid | None, reachable: Mask, seen: float) -> dict[str, float | None]:
+    """Share of the reachable cells that a robot claims to know, and of those that it can know: the team's share."""
+    claimed = float((planning[reachable] == FREE).mean()) if planning is not None else None
+    return {
+        "map_accuracy": None if claimed is None else min(claimed, seen),
+        "claimed_map_accuracy": claimed,
+    }
 
 
-def _wall_quality(records: Records, first: int, truth: Grid, reachable: Mask) -> dict[str, float | None]:
+def _wall_quality(
+    planning: Mapping[int, Grid], first: int, truth: Grid, reachable: Mask
+) -> dict[str, float | None]:
     """Precision and recall of the walls on the first robot's planning grid, and the minima of all robots.
 
     Precision is the share of its occupied cells that are truly occupied; cells of unknown truth do not count. Recall is
@@ -139,14 +148,16 @@ def _wall_quality(records: Records, first: int, truth: Grid, reachable: Mask) ->
     """
     walls = (truth == OCCUPIED) & binary_dilation(reachable)
     precision, recall = {}, {}
-    for robot, grid in records.planning.items():
+    for robot, grid in planning.items():
         occupied = (grid == OCCUPIED) & (truth != UNKNOWN)
         precision[robot] = float((truth[occupied] == OCCUPIED).mean()) if occupied.any() else None
         recall[robot] = float((grid[walls] == OCCUPIED).mean()) if walls.any() else None
     found: dict[str, float | None] = {}
     for name, values in (("wall_precision", precision), ("wall_recall", recall)):
-        found[name] = values.get(first)
-        found[f"worst_{name}"] = min((value for value in values.values() if value is not None), default=None)
+        found[f"claimed_{name}"] = values.get(first)
+        found[f"claimed_worst_{name}"] = min(
+            (value for value in values.values() if value is not None), default=None
+        )
     return found
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import multiprocessing
-import tempfile
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -42,6 +41,7 @@ from protocol import keys as names
 from protocol.bus import Bus, BusClosed
 from protocol.keys import Keys
 from protocol.messages import FaultEvent
+from protocol.temporary import temporary_folder
 from protocol.zenoh_bus import join
 
 POLL_S = 0.25
@@ -115,7 +115,7 @@ def run(
     )  # fmt: skip
     port = show.task.port if show is not None else None
     with contextlib.ExitStack() as stack:
-        folder = logs or Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        folder = logs or stack.enter_context(temporary_folder())
         journals = journals or (folder if logs is None else folder.parent) / "journals"
         rendezvous = (
             fleet.rendezvous if fleet is not None else rendezvous or on_loopback(plan.scenario.robots)

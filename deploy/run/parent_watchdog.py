@@ -1,7 +1,7 @@
 """Watchdog for a killed launcher: its children end shortly after it, and the fork server removes its directory.
 
-The fork server ends once the launcher and all children have ended. It listens in a directory of its own, which the
-launcher removes, or the fork server itself, which imports this module.
+The fork server ends once the launcher and all children have ended. It listens in a temporary directory, which the
+launcher removes, or, if the launcher was killed, the fork server, which imports this module.
 """
 
 from __future__ import annotations
@@ -14,26 +14,38 @@ import signal
 import tempfile
 import threading
 import time
+from functools import cache
 from multiprocessing import util
 
-LONGEST = 60
-"""Maximum characters of the directory of a socket, whose path may have 107."""
+from protocol.temporary import make_folder
+
+LONGEST = 45
+"""Maximum characters of the system's temporary directory: the path of a socket in it may have 107."""
 FOLDER = "MURMUR_FORK_SERVER"
-"""Environment variable with the fork server's directory, set for the fork server only."""
+"""Environment variable with the launcher's process number and directory, set for the fork server only."""
 GRACE_S = 5.0
 """Time for a child to shut down after the end of its launcher."""
 
 
+@cache
 def open_folder() -> str:
-    """Return the directory in which the fork server listens; its path is at most `LONGEST` characters long."""
-    usual = tempfile.tempdir
-    if len(tempfile.gettempdir()) > LONGEST:
-        tempfile.tempdir = "/tmp"
+    """Return the directory in whose subdirectory the fork server listens; this process holds it until it ends."""
+    parent = tempfile.gettempdir()
+    folder, _ = make_folder(parent if len(parent) <= LONGEST else "/tmp")
+    # After multiprocessing has removed its subdirectory, with priority -100.
+    util.Finalize(None, shutil.rmtree, args=(folder,), kwargs={"ignore_errors": True}, exitpriority=-200)
+    usual, tempfile.tempdir = tempfile.tempdir, str(folder)
     try:
-        folder: str = util.get_temp_dir()
+        util.get_temp_dir()
     finally:
         tempfile.tempdir = usual
-    return folder
+    return str(folder)
+
+
+def _remove_folder(launcher: str, folder: str) -> None:
+    """Remove the directory of a launcher that has ended (in the fork server)."""
+    if os.getppid() != int(launcher):
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def end_with_launcher() -> None:
@@ -50,5 +62,6 @@ def end_with_launcher() -> None:
 
 
 if FOLDER in os.environ:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the fork server does so itself, but only after all imports
-    atexit.register(shutil.rmtree, os.environ.pop(FOLDER), ignore_errors=True)
+    for number in (signal.SIGINT, signal.SIGHUP):  # before all other imports, which take a while
+        signal.signal(number, signal.SIG_IGN)
+    atexit.register(_remove_folder, *os.environ.pop(FOLDER).split(":", 1))

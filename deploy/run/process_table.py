@@ -95,7 +95,7 @@ class ProcessTable:
         log = self._logs / f"{name}.log"
         with _blank_main():
             process = self._context.Process(target=in_background, args=(name, log, serve, *args), name=name)
-            os.environ[parent_watchdog.FOLDER] = parent_watchdog.open_folder()
+            os.environ[parent_watchdog.FOLDER] = f"{os.getpid()}:{parent_watchdog.open_folder()}"
             try:
                 process.start()
             except (EOFError, ConnectionError):

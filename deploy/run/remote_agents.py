@@ -17,7 +17,6 @@ import os
 import select
 import signal
 import sys
-import tempfile
 from collections.abc import Callable, Iterator
 from functools import cache
 from io import RawIOBase
@@ -28,6 +27,7 @@ from setproctitle import setproctitle
 
 from deploy.record.versions import versions
 from protocol import keys as names
+from protocol.temporary import temporary_folder
 from protocol.zenoh_bus import Credential
 
 POLL_S = 0.2
@@ -123,8 +123,8 @@ def _run(credentials: list[Credential], orders: RawIOBase, channel: _Channel) ->
             table[credential.name] = serve_agent, credential
     routers = {credential.name for credential in credentials if credential.robots}
 
-    with tempfile.TemporaryDirectory(prefix="murmur-far-") as folder:
-        logs = Path(folder) / "logs"
+    with temporary_folder() as folder:
+        logs = folder / "logs"
         read = dict.fromkeys(table, 0)
         running = list(table)
 

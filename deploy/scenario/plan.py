@@ -76,6 +76,7 @@ def make(
         ends_with_all=chosen.returns(scenario.options),
         cell_steps=scenario.motion == "cells",
         robots_collide=scenario.robots_collide,
+        min_coverage=scenario.min_coverage,
     )
     radio = _radio_settings(scenario, world_map, range_m, incarnations)
     robot_settings = _robot_settings(scenario, world_map, bodies, radio, record_maps=record_maps)

@@ -134,11 +134,11 @@ class Scenario(Table):
         60.0, description="time limit for a robot's reply or move, seconds of wall clock"
     )
     min_coverage: float = Field(
-        0.9,
+        0.97,
         strict=True,
         ge=0,
         le=1,
-        description="fraction of the reachable area that a finished run must have seen",
+        description="fraction of the reachable area that the team must have seen when a robot ends the run",
     )
     robot: tuple[RobotOverride, ...] = Field((), description="robots with different hardware")
     fault: tuple[FaultTable, ...] = Field(

@@ -121,7 +121,7 @@ def compare(
     variants = {name: {k: v for k, v in keys.items() if k not in taken} for name, keys in variants.items()}
     if len({repr(keys) for keys in variants.values()}) < len(variants):
         raise ScenarioError("two of the scenarios are the same")
-    metrics = [metric, "steps", "t90", "map_accuracy", "worst_wall_precision", "bytes.total"]
+    metrics = [metric, "steps", "t90", "map_accuracy", "claimed_worst_wall_precision", "bytes.total"]
     made = of_settings(
         "compare", {}, {**settings, "seed": range(seeds)}, variants, list(dict.fromkeys(metrics))
     )

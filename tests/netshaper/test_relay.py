@@ -340,19 +340,25 @@ def test_noise_on_a_robots_wire_stops_no_run(noise: bytes) -> None:
     assert len(run.finish_step()) == 1
 
 
-@pytest.mark.parametrize(
-    "message",
-    [
-        RobotFrames(1, 0, "offers", frames=[OutgoingFrame(0, b"", 2**31 - 1), OutgoingFrame(0, b"", -1)]),
-        RobotFrames(0, 15, "offers", priority=255),
-        RobotFrames(2**31 - 1, 0, "offers", frames=[OutgoingFrame(0, encode([Offer(1, 0)]), 2**31 - 1)]),
-    ],
-)
-def test_invalid_numbers_at_the_end_of_a_phase_stop_no_run(message: RobotFrames) -> None:
+def test_invalid_numbers_of_connections_at_the_end_of_a_phase_stop_no_run() -> None:
     run = Run()
     run.begin_step()
-    run.send("r1", message)
+    frames = [OutgoingFrame(0, b"", 2**31 - 1), OutgoingFrame(0, b"", -1)]
+    run.send("r1", RobotFrames(1, 0, "offers", frames=frames))
     assert run.relay.waiting_for() == [0]
+
+
+@pytest.mark.parametrize(("step", "number"), [(0, 0), (2, 0), (2**31 - 1, 0), (1, 1), (1, 15)])
+def test_frames_of_another_step_or_round_are_faults_of_their_sender(step: int, number: int) -> None:
+    run = Run()
+    run.begin_step()
+    run.send("r1", RobotFrames(step, number, "offers", priority=255))
+    (fault,) = run.received(RECORDER)
+    assert isinstance(fault, ErrorReport)
+    assert fault.participant == "r1"
+    assert f"round {number} of step {step}" in fault.reason
+    assert run.relay.waiting_for() == [0, 1]
+    assert len(run.finish_step()) == 1
 
 
 REPLIES = [[], b"", [], []]

@@ -12,8 +12,20 @@ from deploy.dashboard.process import RECORDING, ViewTask, free_name, watching
 from deploy.dashboard.windows import Window, WindowError, binary
 from deploy.run.exploration import explore
 from deploy.scenario.scenario import parse
+from protocol import keys as names
+from protocol.bus import Message
 from protocol.grid import FREE
-from protocol.messages import Outlines, RadioReport, RobotStatus, Shutdown, Snapshot, WorldReport
+from protocol.keys import Keys
+from protocol.messages import (
+    ErrorReport,
+    Outlines,
+    RadioReport,
+    RobotStatus,
+    Shutdown,
+    Snapshot,
+    WorldReport,
+    pack,
+)
 from tests.deploy.small_run import SETTINGS, reports, small_plan, small_run
 
 rerun = pytest.importorskip("rerun", reason="Rerun is not installed: pip install 'murmur-robots[view]'")
@@ -132,3 +144,25 @@ def test_a_run_with_a_viewer_needs_a_directory() -> None:
         explore(parse(SETTINGS), keep=False, window=Window("file"))
     with pytest.raises(ValueError, match=r"pace = 0.1: must be 0.5 steps per second or more"):
         explore(parse(SETTINGS), keep=False, pace=0.1)
+
+
+def test_maps_of_another_size_and_floods_of_maps_are_not_drawn(tmp_path: Path) -> None:
+    plan = small_plan()
+    width, height = plan.map.width, plan.map.height
+    keys = Keys("run")
+    with watching(ViewTask(plan, tmp_path)) as node:
+        shown: list[object] = []
+        take = node.take
+        node.take = lambda sender, report: (take(sender, report), shown.append(report))
+        for size in ((1, 1), (height + 1, width), (width, height)):
+            grid = bytes(-(-size[0] // 4) * size[1])
+            for _ in range(5):
+                snapshot = Snapshot(1, *size, grid)
+                node.handle(Message(keys.control(names.VIEW, "r1"), pack(snapshot)))
+        for number in range(300):
+            report = ErrorReport("r1", f"error {number}")
+            node.handle(Message(keys.control(names.VIEW, "r1"), pack(report)))
+    events = column(tmp_path / RECORDING, "/events", "text")
+    assert [type(report) for report in shown].count(Snapshot) == 5
+    assert sum(isinstance(report, ErrorReport) and "cells" in report.reason for report in shown) == 10
+    assert len(events) == 1, "all of step 0"

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-import pytest
+import zlib
+
+import numpy as np
 from msgspec.structs import replace
 
 from deploy.record.records import Records
@@ -14,12 +16,16 @@ from deploy.scenario.plan import Plan
 from protocol import keys as names
 from protocol import rights
 from protocol.bus import Bus
-from protocol.messages import End, Move, OutgoingFrame, RobotFrames, pack
+from protocol.grid import FREE
+from protocol.messages import End, MapPart, Move, OutgoingFrame, RobotFrames, pack
 from tests.system.team import small_plan
 
 
 class Boaster:
     """A robot's end of the bus that reports the end of exploration with its first move."""
+
+    cells = 0
+    """Number of cells of the map."""
 
     def __init__(self, inner: Bus) -> None:
         self._inner = inner
@@ -37,24 +43,71 @@ def boasted(**settings: object) -> tuple[Plan, Records]:
     return plan, MemoryRun(plan, wrap=lambda name, bus: Boaster(bus) if name == "r1" else bus).complete()
 
 
-@pytest.mark.parametrize("least", [0.0, 0.9])
-def test_a_run_has_not_finished_if_a_robot_stops_before_the_team_has_seen_enough(least: float) -> None:
-    plan, records = boasted(min_coverage=least)
+def test_one_robot_that_reports_the_end_too_early_does_not_end_the_run() -> None:
+    plan, records = boasted()
+    assert records.end is not None
+    assert records.end.reason == "explored"
+    assert records.end.step > 20
+    assert records.explored == 1
+    assert len(records.protocol_errors) == 1
+    assert records.protocol_errors[0].startswith("r1: robot 1 reported 'explored' when the team had seen ")
+    assert summarize(plan, records, 1.0)["finished"]
+
+
+def test_the_run_ends_if_all_robots_report_the_end_too_early() -> None:
+    plan = small_plan(robots=2)
+    records = MemoryRun(plan, wrap=lambda name, bus: Boaster(bus) if name[1:].isdigit() else bus).complete()
+    assert records.end == End(1, "explored", 0)
+    result = conclude(plan, Outcome(records, {}), None, 1.0)
+    assert not result.summary["finished"]
+    assert result.summary["reason"] == "robot 0 stopped too early"
+    assert result.exit_code == NOT_FINISHED
+
+
+def test_a_scenario_can_let_the_first_report_end_the_run() -> None:
+    plan, records = boasted(min_coverage=0.0)
     assert records.end == End(1, "explored", 1)
     assert 0 < records.explored < 0.9
-    result = conclude(plan, Outcome(records, {}), None, 1.0)
-    if least:
-        assert not result.summary["finished"]
-        assert result.summary["reason"] == "robot 1 stopped too early"
-        assert result.exit_code == NOT_FINISHED
-    else:
-        assert result.summary["finished"]
-        assert result.summary["reason"] == "explored"
-    assert result.summary["first_robot"] == 1
+    assert summarize(plan, records, 1.0)["finished"]
+
+
+class FalseMaps(Boaster):
+    """A robot's end of the bus that also hands in maps on which all cells are free."""
+
+    def put(self, key: str, payload: bytes) -> None:
+        if names.parts(key)[0] == "control":
+            message = rights.read(key, payload)
+            if isinstance(message, MapPart):
+                payload = pack(MapPart(message.part, zlib.compress(bytes([5]) * self.cells)))
+        super().put(key, payload)
+
+
+def test_false_maps_at_the_end_change_no_result_of_the_others() -> None:
+    plan = small_plan(robots=3, steps=25)
+    honest = summarize(plan, MemoryRun(plan).complete(), 1.0)
+    FalseMaps.cells = plan.map.cells.size
+    records = MemoryRun(plan, wrap=lambda name, bus: FalseMaps(bus) if name == "r0" else bus).complete()
+    summary = summarize(plan, records, 1.0)
+    assert honest["refuted_maps"] == []
+    assert summary["refuted_maps"] == [0]
+    assert summary["coverage"] == honest["coverage"] < 0.99
+    assert summary["map_accuracy"] is summary["claimed_map_accuracy"] is None
+    assert not summary["finished"]
+    everyone = [records.own[robot] for robot in (1, 2)]
+    assert (records.team_map(summary["refuted_maps"]) == np.maximum.reduce(everyone)).all()
+
+
+def test_no_robot_has_a_more_accurate_map_than_the_team_has_seen() -> None:
+    plan = small_plan(robots=2, steps=10)
+    records = MemoryRun(plan).complete()
+    records.planning[0] = np.full_like(records.planning[0], FREE)
+    summary = summarize(plan, records, 1.0)
+    assert summary["claimed_map_accuracy"] == 1
+    assert summary["map_accuracy"] == summary["coverage"] < 0.9
 
 
 def test_the_world_determines_the_explored_share() -> None:
-    plan, records = boasted()
+    plan, records = boasted(steps=5)
     for grid in records.own.values():
         assert grid.shape == plan.map.cells.shape
     records.own = dict.fromkeys(records.own, plan.map.cells)

@@ -72,19 +72,14 @@ def test_killed_robot_rejoins_and_the_run_ends_explored(tmp_path: Path) -> None:
 
 
 def test_run_continues_if_a_robot_dies_while_the_run_is_repeated(tmp_path: Path) -> None:
-    first = killing("relay", 10)
-    again: list[Callable[[Plan, Records], None]] = []
+    first, second = killing("relay", 10), killing("r1", 0)
+    notes: list[str] = []
 
     def watch(plan: Plan, records: Records) -> None:
-        (again[-1] if again else first)(plan, records)
+        (second if notes else first)(plan, records)
 
     result = explore(
-        scenario(),
-        out=tmp_path / "run",
-        watch=watch,
-        notify=lambda _: again.append(killing("r1", 0)),
-        pace=20,
-        restart=True,
+        scenario(), out=tmp_path / "run", watch=watch, notify=notes.append, pace=20, restart=True
     )
     assert (result.exit_code, result.deaths, result.summary["lost"]) == (EXPLORED, {}, {})
 
