@@ -134,7 +134,7 @@ class Robot:
         self._sense = sense
         self._team.perceive(sense)
         if self.settings.digests:
-            self.replication.salt = zlib.crc32(sense.readings) % SALTS
+            self.replication.salt = zlib.crc32(sense.readings, sense.step) % SALTS
         encoding, replication = self._encoding, self.replication
         if encoding.retractable and not self._withheld and replication.retract(encoding.retractable):
             encoding.retract_last()

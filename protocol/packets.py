@@ -285,10 +285,10 @@ class Passed(Packet):
 
 @dataclass(frozen=True, slots=True)
 class LogDigest(Packet):
-    """Hash of the first `length` entries of the sender's own log (`agent.replication.digests`)."""
+    """Hash of the first `entries` entries of the sender's own log (`agent.replication.digests`)."""
 
     name, size, code = "conn", 6, "11111100"
-    length: DigestLength
+    entries: DigestLength
     complete: Complete
     salt: Salt
     hash: Hash

@@ -14,7 +14,7 @@ from protocol.errors import ProtocolError
 from protocol.grid import Grid
 from protocol.scans import Change, Scan
 
-NOBODY = -1
+NOBODY = -2
 """The sender of entries that this robot decodes again."""
 
 

@@ -40,9 +40,17 @@ class LogVerifier:
         self._ordered = ordered
         self._hash = blake2b(digest_size=2)
         """Hash of the verified entries."""
-        self._open: list[tuple[int, LogDigest]] = []
+        self._open: list[tuple[int, bool, LogDigest]] = []
+        """Length, whether this log was longer when the digest of a complete one arrived, and the digest."""
+        self._complete = False
+        """Whether the last digest that was checked verified all entries of a complete log."""
         self._end: tuple[int, int] | None = None
         """Length and salt of the last digest of a complete log that was shorter than this one."""
+
+    @property
+    def complete(self) -> bool:
+        """Whether this log held all that its author had sent when the last digest was checked, and has not grown."""
+        return self._complete and self.length == len(self._log)
 
     def digest(self, length: int, salt: int, *, complete: bool) -> LogDigest:
         """Return the digest of the first `length` entries, no fewer than are verified.
@@ -55,29 +63,31 @@ class LogVerifier:
 
     def receive(self, digest: LogDigest) -> None:
         """Keep a digest of the author until it can be checked."""
-        length = nearest(digest.length, len(self._log), DIGEST_WINDOW)
+        length = nearest(digest.entries, len(self._log), DIGEST_WINDOW)
         if length >= self.length:
-            self._open = sorted([*self._open, (length, digest)], key=lambda each: each[0])[:MAX_OPEN]
+            longer = bool(digest.complete) and length < len(self._log)
+            self._open = sorted([*self._open, (length, longer, digest)], key=lambda each: each[0])[:MAX_OPEN]
 
     def check(self) -> bool | None:
         """Check the digests of entries that have arrived.
 
-        Returns True if more entries are verified now, or the log is complete; False if an entry behind the verified
-        ones is not the author's; None if no digest could be checked.
+        Returns True if more entries are verified now, False if an entry behind the verified ones is not the author's,
+        and None if no digest could be checked.
         """
-        verified, complete = self.length, False
+        verified = self.length
         while self._open and self._open[0][0] <= len(self._log):
-            length, digest = self._open.pop(0)
+            length, longer, digest = self._open.pop(0)
             if length < self.length:
                 continue
             if self.digest(length, digest.salt, complete=bool(digest.complete)) != digest:
+                self._complete = False
                 return False
             self._hash.update(self._log.read(self.length, None, length))
             self.length = length
-            complete = bool(digest.complete) and length == len(self._log)
-            if digest.complete and not complete and self._ends(length, digest.salt):
+            self._complete = bool(digest.complete)
+            if longer and self._ends(length, digest.salt):
                 return False
-        return True if complete or self.length > verified else None
+        return True if self.length > verified else None
 
     def _ends(self, length: int, salt: int) -> bool:
         """Return whether a digest of a complete log of that length shows that entries behind it are not the author's.

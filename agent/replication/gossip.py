@@ -127,6 +127,10 @@ class Gossip(Replication):
                 self._idle_since = self._step
             self._builder = FrameBuilder()
         for peer, frame in frames:
+            for control in frame.controls:
+                if isinstance(control, LogDigest):
+                    self.replica.receive_digest(peer, control)
+        for peer, frame in frames:
             for head, entries in frame.sections:
                 self._read_entries(peer, head, entries)
         return self.replica.take_rejected()
@@ -257,7 +261,7 @@ class Gossip(Replication):
                     self._meetings.on(peer, "reported")
                     self._neighbors.near[peer, self.peers.robot] = True
                 case LogDigest():
-                    self.replica.receive_digest(peer, control)
+                    pass
                 case From(number, _) | FromEarly(number, _) if number < len(logs):
                     pass
                 case other:

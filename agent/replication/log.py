@@ -64,5 +64,6 @@ class Log:
         return bisect_right(self._ends, self._begin(first) + size)
 
     def _begin(self, offset: int) -> int:
-        """Return where an entry begins."""
+        """Return where an entry begins, or where the log ends, which may have been cut meanwhile."""
+        offset = min(offset, len(self._ends))
         return self._ends[offset - 1] if offset else 0

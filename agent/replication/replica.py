@@ -40,7 +40,7 @@ Rebuild = Callable[[Sequence[bytes]], object]
 TRIES = 3
 """Times that entries at the same offset fail before those in front of them are dropped without a digest."""
 
-MANY = 5
+MANY = 3
 """Suspicions after which a sender counts as distrusted."""
 
 LONGEST = 64
@@ -179,7 +179,7 @@ class Replica:
     def maps_to_ask_for(self) -> list[int]:
         """Return the numbers of the maps to ask for in this step: entries of them were dropped, and have not come."""
         for number, request in list(self._requests.items()):
-            if len(self.logs[number]) >= request.length:
+            if len(self.logs[number]) >= request.length or self.verifiers[number].complete:
                 del self._requests[number]
         return [number for number, request in self._requests.items() if self.step >= request.step]
 
@@ -208,9 +208,8 @@ class Replica:
     def _verify(self, number: int) -> None:
         """Check the digests of a log whose entries have arrived."""
         verified = self.verifiers[number].check()
-        if verified:
+        if verified and self.verifiers[number].length == len(self.logs[number]):
             self._failed.pop(number, None)
-            self._requests.pop(number, None)
             for peer in self._senders.pop(number, ()):
                 self._suspicions.pop((peer, number), None)
         elif verified is False:

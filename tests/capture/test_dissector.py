@@ -28,7 +28,7 @@ from tests.netshaper.plain_ledger import LoggedFrame
 
 GOLDEN = Path(__file__).parents[1] / "protocol" / "golden" / "packets.txt"
 VALUES = ("index", "x", "y", "side", "occupied", "object", "count", "inside", "block", "leads", "data",
-          "robot", "age", "sum", "number", "length", "complete", "salt", "hash")  # fmt: skip
+          "robot", "age", "sum", "number", "entries", "complete", "salt", "hash")  # fmt: skip
 DATA, BUDGET = 2, 1
 
 

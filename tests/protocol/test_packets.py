@@ -83,7 +83,7 @@ LIMITS: dict[type[Packet], dict[str, tuple[int, int]]] = {
     Near: {"robot": (0, 255)},
     Gone: {"robot": (0, 255)},
     Check: {"sum": (0, 2**16 - 1)},
-    LogDigest: {"length": (0, 2**16 - 1), "complete": (0, 1), "salt": (0, 127), "hash": (0, 2**16 - 1)},
+    LogDigest: {"entries": (0, 2**16 - 1), "complete": (0, 1), "salt": (0, 127), "hash": (0, 2**16 - 1)},
 }
 """First and last value of each field of each packet."""
 
@@ -182,7 +182,7 @@ def documented_bits(packet: AnyPacket) -> str:
         case Check():
             expected = f"11111010{packet.sum:016b}"
         case LogDigest():
-            expected = f"11111100{packet.length:016b}{packet.complete:b}{packet.salt:07b}{packet.hash:016b}"
+            expected = f"11111100{packet.entries:016b}{packet.complete:b}{packet.salt:07b}{packet.hash:016b}"
     return expected
 
 

@@ -18,7 +18,7 @@ from agent.replication.engine import make_replication
 from agent.replication.gossip_policy import Dependencies, no_dependencies
 from agent.replication.peers import MapId
 from agent.replication.policies import DISSEMINATIONS
-from agent.replication.replica import Consume
+from agent.replication.replica import Consume, Rebuild, Rejected
 from agent.settings import Settings
 from protocol import packet_index
 from protocol.budget import UNLIMITED
@@ -31,10 +31,13 @@ from protocol.messages import (
     RoundReport,
     SendReport,
 )
-from protocol.packets import Fragment, encode
+from protocol.packets import SALTS, Fragment, Held, HeldEarly, LogDigest, decode, encode
 
 Reach = Mapping[int, Sequence[int]]
 """The robots in range of each robot; a robot without a key is dead."""
+
+Tamper = Callable[[int, int, int, bytes], bytes]
+"""Sender, receiver, the map to which entries in front of any header belong, and a frame of entries."""
 
 VARIANTS = [(dissemination, acks) for dissemination in DISSEMINATIONS for acks in (False, True)]
 """Disseminations, on perfect and on lossy media."""
@@ -49,11 +52,12 @@ def make_engine(
     requires_acks: bool = False,
     incarnations: int = 1,
     dependencies: Dependencies = no_dependencies,
+    rebuild: Rebuild = lambda _logs: None,
 ) -> Replication:
     """A replication engine; nothing but its arguments concerns it of a robot's settings."""
     task = (robot, robots, 1, 1, [1.0] * robots, 4, 1.0, 0, "none", "meier", dissemination, UNLIMITED, 1.0)
     settings = Settings(*task, requires_acks=requires_acks, incarnations=incarnations)
-    return make_replication(settings, consume, dependencies)
+    return make_replication(settings, consume, dependencies, rebuild)
 
 
 def entry(robot: int, number: int) -> bytes:
@@ -105,12 +109,29 @@ class Network:
         loss: float = 0.0,
         delay: int = 0,
         duplication: float = 0.0,
+        digests: bool = False,
     ) -> None:
         self.engines = [
-            make_engine(robot, robots, partial(self._consume, robot), dissemination, requires_acks=acks)
+            make_engine(
+                robot,
+                robots,
+                partial(self._consume, robot),
+                dissemination,
+                requires_acks=acks,
+                rebuild=partial(self._rebuild, robot),
+            )
             for robot in range(robots)
         ]
         self.loss, self.delay, self.duplication = loss, delay, duplication
+        self.tamper: Tamper = lambda _sender, _receiver, _map_id, payload: payload
+        """Returns what a robot receives in place of entries that another one sends."""
+        self.decoded = [[b""] * robots for _ in range(robots)]
+        """What each robot has decoded of each other's log."""
+        self.rejected: list[tuple[int, Rejected]] = []
+        """The rejections of peers' entries, with the robots that rejected them."""
+        self.announced = 0
+        """Bytes of announcements so far, which are on the air besides those in `carried`."""
+        self._salts = np.random.default_rng([seed, 1]) if digests else None
         self.understands: Callable[[int, MapId, list[bytes]], bool] = self.are_next
         """Whether a robot can decode the next entries of a map."""
         self.appended = [0] * robots
@@ -181,18 +202,46 @@ class Network:
 
     def round(self, number: int, reach: Reach, budget: int | None = None) -> list[Transmission]:
         """Play a round; return what was on the air."""
+        announced = self._announcements(reach) if number == 0 else {}
         sent = {
             robot: self.engines[robot].open_round(number, list(peers), budget)
             for robot, peers in sorted(reach.items())
         }
         for robot, frames in sent.items():
             assert all(frame.receiver == EVERYONE or frame.receiver in reach[robot] for frame in frames)
+        for robot, payload in announced.items():
+            self._deliver(robot, payload, reach[robot])
         self._closed = False
         self.last = (
             self._connections(sent, reach, budget) if self._handshakes else self._frames(sent, reach, budget)
         )
+        for robot in announced:
+            self.engines[robot].announced()
         self.carried += sum(sum(each.carried) for each in self.last)
         return self.last
+
+    def _announcements(self, reach: Reach) -> dict[int, bytes]:
+        """What robots broadcast about logs in this step."""
+        payloads = {}
+        for robot, engine in enumerate(self.engines):
+            if self._salts is not None:
+                engine.salt = int(self._salts.integers(SALTS))
+            if reach.get(robot):
+                payloads[robot] = engine.announcements()
+        return {robot: payload for robot, payload in payloads.items() if payload}
+
+    def _deliver(self, robot: int, payload: bytes, peers: Sequence[int]) -> None:
+        """Deliver a broadcast; robots receive it between the opening and the closing of a round."""
+        self.announced += len(payload)
+        for peer in peers:
+            if self.loss and self.rng.random() < self.loss:
+                continue
+            for packet in decode(payload):
+                assert isinstance(packet, LogDigest | Held | HeldEarly)
+                self._note(peer, self.engines[peer].receive_announcement(robot, packet))
+
+    def _note(self, robot: int, rejected: list[Rejected]) -> None:
+        self.rejected += [(robot, each) for each in rejected]
 
     # --- handshakes
 
@@ -251,11 +300,16 @@ class Network:
             if robot in (each.sender, each.receiver)
         ]
         data = [
-            Delivery(each.sender, each.frames[2][: each.carried[2]], number)
+            Delivery(
+                each.sender,
+                self.tamper(each.sender, robot, each.map_id, each.frames[2][: each.carried[2]]),
+                number,
+            )
             for number, each in enumerate(played)
             if each.receiver == robot and each.carried[2]
         ]
-        self.engines[robot].close_round(RoundReport(self._now, 0, reports, [], data, False))
+        report = RoundReport(self._now, 0, reports, [], data, False)
+        self._note(robot, self.engines[robot].close_round(report))
 
     # --- frames without connections
 
@@ -274,14 +328,18 @@ class Network:
             frames[at].carried = [size]
             to = reach[frames[at].sender] if frames[at].receiver == EVERYONE else [frames[at].receiver]
             for receiver in to:
-                self._transmit(receiver, Delivery(frames[at].sender, frame[:size]))
+                sender = frames[at].sender
+                self._transmit(
+                    receiver, Delivery(sender, self.tamper(sender, receiver, sender, frame[:size]))
+                )
         now = [each for each in self._coming if each[0] <= self._now]
         self._coming = [each for each in self._coming if each[0] > self._now]
         for robot in sorted(reach):
             own = [each for each in frames if each.sender == robot]
             sizes = [SendReport(number, each.carried[0]) for number, each in enumerate(own)]
             arrived = [delivery for _, receiver, delivery in now if receiver == robot]
-            self.engines[robot].close_round(RoundReport(self._now, 0, [], sizes, arrived, False))
+            report = RoundReport(self._now, 0, [], sizes, arrived, False)
+            self._note(robot, self.engines[robot].close_round(report))
         return frames
 
     def _transmit(self, receiver: int, delivery: Delivery) -> None:
@@ -295,7 +353,12 @@ class Network:
     def _consume(self, robot: int, peer: int, map_id: MapId, frame: bytes) -> Sequence[int]:
         if not self.understands(robot, map_id, packet_index.split(frame)):
             raise ProtocolError("entry", 0, f"robot {robot} cannot decode what robot {peer} sends")
-        return packet_index.ends(frame)
+        ends = packet_index.ends(frame)
+        self.decoded[robot][map_id.number] += frame
+        return ends
+
+    def _rebuild(self, robot: int, logs: Sequence[bytes]) -> None:
+        self.decoded[robot] = list(logs)
 
     def are_next(self, robot: int, map_id: MapId, received: list[bytes]) -> bool:
         """Whether entries are the next ones of a map that another robot writes."""

@@ -394,7 +394,7 @@ def test_claims_of_more_entries_than_there_are_silence_no_robot(acks: bool) -> N
     for number in range(1, 9):
         network.append(0, 1)
         maker = network.engines[0]
-        assert not maker.close_round(closing((2, lie)))
+        assert {rejected.peer for rejected in maker.close_round(closing((2, lie)))} == {2}
         assert maker.undelivered() >= 0
         network.step({0: [1, 2], 1: [0, 2]}, None, 1)
         assert network.length(1, 0) == number

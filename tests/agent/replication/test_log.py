@@ -352,7 +352,7 @@ def test_lengths_modulo_the_window_mean_the_value_nearest_to_the_receiver_s_log(
     written.append(units)
     copy.append(units[:held])
     digest = LogVerifier(written).digest(length, 9, complete=True)
-    assert digest.length == 20
+    assert digest.entries == 20
     verifier = LogVerifier(copy)
     verifier.receive(digest)
     if held > DIGEST_WINDOW // 2 + 20:
