@@ -79,7 +79,7 @@ Age = Annotated[int, Bits(6, "a", "steps since the robot was in that cell")]
 Checksum = Annotated[int, Bits(16, "q", "checksum of all preceding bytes of the frame")]
 DigestLength = Annotated[int, Bits(16, "i", "number of log entries, modulo 65536")]
 Complete = Annotated[int, Bits(1, "c", "1: the sender has sent no further entries of its log")]
-Salt = Annotated[int, Bits(7, "k", "number that nobody can predict, hashed behind the entries")]
+Salt = Annotated[int, Bits(7, "k", "number that no other robot can predict, hashed behind the entries")]
 Hash = Annotated[int, Bits(16, "h", "hash of the entries and the salt")]
 
 

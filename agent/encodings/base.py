@@ -14,7 +14,7 @@ from protocol.errors import ProtocolError
 from protocol.grid import Grid
 from protocol.scans import Change, Scan
 
-NOBODY = -2
+NO_SENDER = -2
 """The sender of entries that this robot decodes again."""
 
 
@@ -122,7 +122,7 @@ class MapEncoding(ABC):
         for map_id, log in enumerate(logs):
             if map_id != self.settings.own_map and log:
                 with suppress(ProtocolError):
-                    self.apply(map_id, log, step=step, sender=NOBODY)
+                    self.apply(map_id, log, step=step, sender=NO_SENDER)
 
     @abstractmethod
     def _forget_received(self) -> None:

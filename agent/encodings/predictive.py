@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.encodings.base import NOBODY, Dependency
+from agent.encodings.base import NO_SENDER, Dependency
 from agent.encodings.options import PredictiveOptions
 from agent.encodings.received_grid import GridEncoding
 from agent.predictive.history import DecodedUpdate, History
@@ -284,7 +284,7 @@ class PredictiveEncoding(GridEncoding):
         log.updates += len(packets)
         log.packets += len(packets)
         self._decode_again()
-        self._decode_waiting(self._step, NOBODY)
+        self._decode_waiting(self._step, NO_SENDER)
         self._bases_changed = 0
         return packets
 
@@ -324,7 +324,7 @@ class PredictiveEncoding(GridEncoding):
         kept = len(log.messages) - withdrawn
         if kept < 0:
             raise ProtocolError(Update.name, 0, "withdraws an update of an empty log")
-        decodable = sender != NOBODY and len(history) == kept and not withdrawn
+        decodable = sender != NO_SENDER and len(history) == kept and not withdrawn
         del log.messages[kept:], log.ends[kept:]
         log.messages += [message for message, _ in new]
         log.ends += [end for _, end in new]

@@ -1,6 +1,6 @@
 """Forged and damaged log entries: the team recovers, and no honest robot is blamed.
 
-A liar with valid credentials attributes entries to another robot in one frame, or a bit of one frame flips although the
+A forger with valid credentials attributes entries to another robot in one frame, or a bit of one frame flips although the
 checksum holds. Both happen once per run.
 """
 
@@ -28,7 +28,7 @@ from protocol.bus import Bus, Message
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.messages import EVERYONE, OutgoingFrame, RelayUpdate, RobotFrames, RoundReport, pack, unpack
 
-AUTHOR, VICTIM, LIAR = 0, 1, 3
+AUTHOR, VICTIM, FORGER = 0, 1, 3
 
 MOST = 48
 """Bytes of the longest forged frame: the medium carries 50 per step."""
@@ -116,7 +116,7 @@ FORGERIES: dict[str, Forge] = {
 
 
 class Forger:
-    """The liar's end of the bus: one of its frames is replaced by a forged one."""
+    """The forger's end of the bus: one of its frames is replaced by a forged one."""
 
     def __init__(self, bus: Bus, robot: Callable[[], Robot | None], forge: Forge, seed: int) -> None:
         self.receive, self.close = bus.receive, bus.close
@@ -204,8 +204,8 @@ def play(seed: int, bandwidth: int, disturbance: str = "", **settings: Any) -> O
     def wrap(name: str, bus: Bus) -> Bus:
         if disturbance == "flip" and name == names.robot(VICTIM):
             ends.append(Flipper(bus, seed))
-        elif disturbance in FORGERIES and name == names.robot(LIAR):
-            ends.append(Forger(bus, lambda: run.agents[LIAR].robot, FORGERIES[disturbance], seed))
+        elif disturbance in FORGERIES and name == names.robot(FORGER):
+            ends.append(Forger(bus, lambda: run.agents[FORGER].robot, FORGERIES[disturbance], seed))
         else:
             return bus
         return ends[-1]
@@ -215,7 +215,7 @@ def play(seed: int, bandwidth: int, disturbance: str = "", **settings: Any) -> O
     summary = summarize(plan, records, 1.0)
     truth = np.where(plan.map.cells == FREE, FREE, OCCUPIED)
     robots = [agent.robot for agent in run.agents if agent.robot is not None]
-    honest = [robot for robot in robots if robot.settings.robot != LIAR or disturbance not in FORGERIES]
+    honest = [robot for robot in robots if robot.settings.robot != FORGER or disturbance not in FORGERIES]
     wrong = sum(int(((robot.planning != truth) & (robot.planning != UNKNOWN)).sum()) for robot in honest)
     distrusted = set().union(*(robot.distrusted for robot in honest))
     happened = all(end.done for end in ends)
@@ -233,7 +233,7 @@ def test_a_team_recovers_from_a_forged_frame_or_a_flipped_bit(disturbance: str) 
     assert outcome.happened
     assert outcome.finished
     assert outcome.wrong == 0
-    assert outcome.distrusted <= {LIAR}
+    assert outcome.distrusted <= {FORGER}
     assert outcome.bytes < 1.5 * calm.bytes
 
 
@@ -246,7 +246,7 @@ def test_one_forged_frame_costs_few_steps_and_bytes(bandwidth: int, disturbance:
     calm = [undisturbed(seed, bandwidth) for seed in seeds]
     assert all(outcome.happened and outcome.finished for outcome in outcomes)
     assert sum(outcome.wrong for outcome in outcomes) == 0
-    assert not any(outcome.distrusted - {LIAR} for outcome in outcomes)
+    assert not any(outcome.distrusted - {FORGER} for outcome in outcomes)
     assert sum(outcome.steps for outcome in outcomes) <= 1.05 * sum(each.steps for each in calm)
     assert sum(outcome.bytes for outcome in outcomes) <= 1.2 * sum(each.bytes for each in calm)
 

@@ -150,7 +150,10 @@ def test_teams_are_compared_by_the_command(tmp_path: Path) -> None:
         (["compare"], "give either scenario files, --strategies or --map-encodings"),
         (["compare", "--strategies", "meier,meyer"], "did you mean meier"),
         (["compare", "--strategies", "meier"], "nothing to compare"),
-        (["size", "--robots", "two"], "robots = 'two': must be whole numbers, as 2..8 or 2,4,8"),
+        (
+            ["size", "--robots", "two"],
+            "robots = 'two': must be whole numbers of at most 256, as 2..8 or 2,4,8",
+        ),
         (["size", "--bandwidth", "much"], "must be a whole number of bytes per step"),
         (["reproduce", "X9"], "no claim is called 'X9'"),
         (["sweep", "lossy.toml", "--scheduler", "nowhere"], "scheduler = 'nowhere'"),
