@@ -1,7 +1,7 @@
 """Forged and damaged log entries: the team recovers, and no honest robot is blamed.
 
-A forger with valid credentials attributes entries to another robot in one frame, or a bit of one frame flips although the
-checksum holds. Both happen once per run.
+A forger with valid credentials attributes entries to another robot in one frame, or a bit of one frame flips although
+the checksum holds. Both happen once per run.
 """
 
 from __future__ import annotations
