@@ -81,7 +81,8 @@ class Robot:
         self._encoding = make_encoding(settings)
         self._team = TeamState(settings)
         consume = partial(_consume, self._encoding, self._team)
-        self.replication = make_replication(settings, consume, self._encoding.dependencies, self._rebuild)
+        rebuild = partial(_rebuild, self._encoding, self._team)
+        self.replication = make_replication(settings, consume, self._encoding.dependencies, rebuild)
         self.target: Cell | None = None
         self.status = ""
         """Its current activity, as text."""
@@ -227,10 +228,6 @@ class Robot:
         if decision.publish:
             self._publish()
 
-    def _rebuild(self, logs: Sequence[bytes]) -> None:
-        """Decode all logs again."""
-        self._encoding.rebuild(logs, self._team.step)
-
     def _report(self, rejections: list[Rejected]) -> None:
         """Note rejected map updates as faults of their senders."""
         self.faults += [Fault(rejected.peer, rejected.reason) for rejected in rejections]
@@ -247,3 +244,8 @@ def _consume(encoding: MapEncoding, team: TeamState, peer: int, map_id: MapId, f
     encoding.apply(map_id.number, frame, step=team.step, sender=peer)
     team.infer_pose(map_id.robot, encoding.scan_cell(map_id.number))
     return ends
+
+
+def _rebuild(encoding: MapEncoding, team: TeamState, logs: Sequence[bytes]) -> None:
+    """Decode all logs again."""
+    encoding.rebuild(logs, team.step)

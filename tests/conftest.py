@@ -33,6 +33,8 @@ settings.load_profile(os.environ.get("MURMUR_HYPOTHESIS", "default"))
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # Tests that run in the background of a shell would hand down to what they start that it ignores Ctrl-C.
     signal.signal(signal.SIGINT, signal.default_int_handler)
+if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)  # the same below ``nohup``
 
 
 def _selects_long(config: pytest.Config) -> bool:

@@ -70,7 +70,6 @@ class Gossip(Replication):
         self._idle_since = 0
         """The last step in which this robot had nothing to send, or sent something."""
         self._builder = FrameBuilder()
-        replica.on_drop = self._entries_dropped
 
     def open_round(self, number: int, in_range: list[int], budget: int | None) -> list[OutgoingFrame]:
         """Return the broadcast of this round, if there is anything to send."""
@@ -81,6 +80,8 @@ class Gossip(Replication):
             self._cursors.begin_step(in_range)
             self._in_range = in_range
             self._parted = self._parted or len(in_range) < self.peers.robots - 1
+        for dropped in self.replica.take_dropped():
+            self._entries_dropped(dropped)
         self._delivery.open_round(self._step, budget if number == 0 else None)
         lengths = self.replica.lengths()
         self._policy.compare(self._step, self._meetings.known(self._in_range), lengths)

@@ -104,8 +104,8 @@ class Replica:
         """Peers that sent entries of each map which are not verified."""
         self._failed: dict[int, tuple[int, int]] = {}
         """Length of a log at which entries could not be decoded, and how often."""
-        self.on_drop: Callable[[int], object] = lambda _number: None
-        """Called with the number of a map of which entries were dropped."""
+        self._dropped: set[int] = set()
+        """Maps of which entries were dropped since the last call of `take_dropped`."""
         self._consume = consume
         self._rebuild = rebuild
         self._rejected: list[Rejected] = []
@@ -170,6 +170,11 @@ class Replica:
             self._drop(number)
         else:
             self._ask(number, length + 1)
+
+    def take_dropped(self) -> set[int]:
+        """Return the numbers of the maps of which entries were dropped since the last call."""
+        dropped, self._dropped = self._dropped, set()
+        return dropped
 
     def take_rejected(self) -> list[Rejected]:
         """Return the rejections since the last call."""
@@ -236,7 +241,7 @@ class Replica:
         self._senders.pop(number, None)
         self._failed.pop(number, None)
         self._ask(number, before)
-        self.on_drop(number)
+        self._dropped.add(number)
         self._rebuild([log.read(0) for log in self.logs])
 
     def _ask(self, number: int, length: int) -> None:
