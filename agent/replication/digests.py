@@ -20,7 +20,7 @@ from agent.replication.control_packets import nearest
 from agent.replication.log import Log
 from protocol.packets import DIGEST_WINDOW, LogDigest
 
-INTERVAL = 6
+INTERVAL = 8
 """Steps between two digests of a robot, divided by the size of the team."""
 
 MAX_OPEN = 8

@@ -40,7 +40,7 @@ Rebuild = Callable[[Sequence[bytes]], object]
 TRIES = 3
 """Times that entries at the same offset fail before those in front of them are dropped without a digest."""
 
-MANY = 3
+MANY = 5
 """Suspicions after which a sender counts as distrusted."""
 
 LONGEST = 64

@@ -100,7 +100,7 @@ def test_a_forger_that_never_stops_is_distrusted_and_the_others_share_their_logs
         for robot in range(robots):
             network.append(robot, int(rng.integers(0, 2)))
         network.step(everyone(robots) if step % 3 else line(robots), 300)
-    for _ in range(80):
+    for _ in range(300):
         network.step(everyone(robots), 300)
     for robot in honest:
         for of in range(robots):
