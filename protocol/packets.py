@@ -506,7 +506,7 @@ def _layout(buffer: bytes, offset: int) -> Layout:
 
 
 def decode(buffer: bytes, offset: int = 0) -> list[AnyPacket]:
-    """Read whole packets from `offset` on; ProtocolError if one is unknown or cut off, or a spare bit is set."""
+    """Read whole packets from `offset` on; ProtocolError if a packet is unknown or cut off, or has a spare bit set."""
     packets = []
     while offset < len(buffer):
         size = _SIZE[buffer[offset]] or length(buffer, offset)

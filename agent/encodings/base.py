@@ -118,14 +118,14 @@ class MapEncoding(ABC):
         A log that others depend on may lack entries, so a log may be decoded in part only.
         """
         self._reachability.forget()
-        self._forget_received()
+        self.forget_received()
         for map_id, log in enumerate(logs):
             if map_id != self.settings.own_map and log:
                 with suppress(ProtocolError):
                     self.apply(map_id, log, step=step, sender=NO_SENDER)
 
     @abstractmethod
-    def _forget_received(self) -> None:
+    def forget_received(self) -> None:
         """Forget everything decoded from the logs of others."""
 
     def note_pose(self, robot: int, step: int, x: int, y: int) -> None:

@@ -84,8 +84,9 @@ class CellEncoding(GridEncoding):
         before[:] = now
         return fragments(pack(x0, y0, patch), self._most) if patch.any() else []
 
-    def _forget_received(self) -> None:
-        super()._forget_received()
+    def forget_received(self) -> None:
+        """Forget everything decoded from the logs of others."""
+        super().forget_received()
         self._partial.clear()
 
     def apply(self, map_id: int, frame: bytes, *, step: int, sender: int) -> None:

@@ -19,8 +19,8 @@ class NoEncoding(GridEncoding):
         self.own_changes.add(own, change)
         return []
 
-    def _forget_received(self) -> None:
-        pass
+    def forget_received(self) -> None:
+        """Do nothing: there are no logs."""
 
     def apply(self, map_id: int, frame: bytes, *, step: int, sender: int) -> None:
         """Reject map data: in this team no robot sends any."""

@@ -78,7 +78,8 @@ class PolygonEncoding(MapEncoding):
         if self.settings.robots > 1:
             self._make_receivers(cache.setdefault(self.name, MemoCache()))
 
-    def _forget_received(self) -> None:
+    def forget_received(self) -> None:
+        """Forget everything decoded from the logs of others."""
         for map_id, receiver in self._receivers.items():
             if receiver.held.polygons.objects:
                 self._updated.add(map_id)

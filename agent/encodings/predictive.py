@@ -342,7 +342,8 @@ class PredictiveEncoding(GridEncoding):
         if self._undecoded:
             self._decode_waiting(step, sender)
 
-    def _forget_received(self) -> None:
+    def forget_received(self) -> None:
+        """Forget everything decoded from the logs of others."""
         self._states = [
             state if map_id == self.settings.own_map else _LogState()
             for map_id, state in enumerate(self._states)
@@ -353,7 +354,7 @@ class PredictiveEncoding(GridEncoding):
         """Forget everything decoded from the logs of others, and let their updates await decoding."""
         own = self.settings.own_map
         self._reachability.forget()
-        super()._forget_received()
+        super().forget_received()
         for map_id, log in enumerate(self._states):
             if map_id != own:
                 self._histories[map_id] = History()

@@ -65,7 +65,8 @@ class GridEncoding(MapEncoding):
         """Note that received cells were written in a box (x0, y0, x1, y1)."""
         self._boxes.append(box)
 
-    def _forget_received(self) -> None:
+    def forget_received(self) -> None:
+        """Forget everything decoded from the logs of others."""
         self.votes.reset()
         self.received_changed((0, 0, self.received.shape[1], self.received.shape[0]))
 

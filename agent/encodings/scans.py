@@ -41,8 +41,9 @@ class ScanEncoding(GridEncoding):
         self._last = data
         return fragments(data, self._most)
 
-    def _forget_received(self) -> None:
-        super()._forget_received()
+    def forget_received(self) -> None:
+        """Forget everything decoded from the logs of others."""
+        super().forget_received()
         self._partial.clear()
 
     def apply(self, map_id: int, frame: bytes, *, step: int, sender: int) -> None:

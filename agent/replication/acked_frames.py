@@ -178,9 +178,9 @@ class AckedFrames(Replication):
         if not self.peers.is_own(number) and not self.replica.refuses(peer, number):
             self._reports_due.add((peer, number))
 
-    def _dropped(self, peer: int, number: int, length: int) -> None:
+    def _peer_dropped(self, peer: int, number: int, length: int) -> None:
         """A peer dropped entries: offer them at once."""
-        super()._dropped(peer, number, length)
+        super()._peer_dropped(peer, number, length)
         self._rounds.due[peer, number] = self._rounds.now
         self._timers.pop((peer, number), None)
 

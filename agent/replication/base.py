@@ -58,7 +58,7 @@ class Replication(ABC):
         return NO_REPLIES
 
     def answer(self, offers: Sequence[Delivery]) -> list[OutgoingFrame]:
-        """Answer the offers of a round. Raises ProtocolError if one is malformed, or if no offers are used."""
+        """Answer the offers of a round. Raises ProtocolError if one is malformed, or this dissemination has none."""
         raise ProtocolError("conn", 0, f"{len(offers)} offers, but maps travel without handshakes")
 
     def send_data(self, answers: Sequence[Delivery]) -> list[OutgoingFrame]:
@@ -96,7 +96,7 @@ class Replication(ABC):
             step, wait = self._asked.get((peer, number), (0, 2))
             if length < self.peers.expected.item(peer, number) and self.replica.step >= step:
                 self._asked[peer, number] = self.replica.step + wait, min(2 * wait, LONGEST)
-                self._dropped(peer, number, length)
+                self._peer_dropped(peer, number, length)
         return self.replica.take_rejected()
 
     def _next_digest(self) -> LogDigest | None:
@@ -120,7 +120,7 @@ class Replication(ABC):
         for number in self.replica.maps_to_ask_for():
             self.replica.asked(number)
 
-    def _dropped(self, peer: int, number: int, length: int) -> None:
+    def _peer_dropped(self, peer: int, number: int, length: int) -> None:
         """A peer dropped the entries of a map from offset `length` on."""
         if number == self.peers.own:
             self.replica.request_digest(length)

@@ -226,9 +226,9 @@ class Gossip(Replication):
         self._informed[:, number] = np.minimum(self._informed[:, number], length)
         self._delivery.report_sent(number, length)
 
-    def _dropped(self, peer: int, number: int, length: int) -> None:
+    def _peer_dropped(self, peer: int, number: int, length: int) -> None:
         """A peer dropped entries, so it lacks them."""
-        super()._dropped(peer, number, length)
+        super()._peer_dropped(peer, number, length)
         self._delivery.dropped(peer, number)
 
     def _note_restart(self, peer: int, frame: ParsedFrame) -> None:

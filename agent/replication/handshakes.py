@@ -220,9 +220,9 @@ class Handshakes(Replication):
         if length > self.peers.expected.item(pair):
             self.peers.expected[pair] = length
 
-    def _dropped(self, peer: int, number: int, length: int) -> None:
+    def _peer_dropped(self, peer: int, number: int, length: int) -> None:
         """A peer dropped entries: offer them at once."""
-        super()._dropped(peer, number, length)
+        super()._peer_dropped(peer, number, length)
         self._rounds.due[peer, number] = 0
         self._waits.pop((peer, number), None)
 

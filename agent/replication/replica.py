@@ -7,7 +7,7 @@ as they arrive, and verified later by digests, which only the author can send (`
     an author's digest matches                         the entries are verified; their forwarders are trusted again
     it does not match                                  drop all entries that are not verified; suspect the forwarders
     entries cannot be decoded                          drop them; suspect the sender
-    entries at the same offset fail `TRIES` times      drop all entries that are not verified: they may be wrong
+    entries at the same offset fail again and again    drop all entries that are not verified: they may be wrong
 
 A robot that dropped entries broadcasts the length of its log (`packets.Held`). Peers then send the entries again, and
 the author sends a digest. From a suspected sender the robot accepts no entries of that map for a while, which doubles
@@ -38,7 +38,7 @@ Rebuild = Callable[[Sequence[bytes]], object]
 """Decodes all logs, by map number, again from their beginnings: entries that were decoded have been dropped."""
 
 TRIES = 3
-"""Times that entries at the same offset fail before those in front of them are dropped without a digest."""
+"""Failures at the same offset after which one more drops the entries in front of it, without a digest."""
 
 MANY = 5
 """Suspicions after which a sender counts as distrusted."""

@@ -64,7 +64,7 @@ class Recorder:
         self._log("help", rr.TextDocument(explain(plan), media_type=rr.MediaType.MARKDOWN), static=True)
 
     def take(self, sender: str, report: Any) -> None:
-        """Draw a report of `sender`, each map `PER_STEP` times per step; ProtocolError if one has another size."""
+        """Draw a report of `sender`, each map `PER_STEP` times a step at most; ProtocolError if its size is wrong."""
         if isinstance(report, Snapshot | Outlines):
             self._check_size(report)
             drawn = sender, report.map_id if isinstance(report, Outlines) else -1

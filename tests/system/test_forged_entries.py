@@ -62,7 +62,7 @@ def free_space(grid: Grid, distance: Grid) -> None:
 
 
 def inverted(grid: Grid, distance: Grid) -> None:
-    """The author claims the opposite of what is known nearby."""
+    """The author claims walls where the map is free nearby, and free cells where it has walls."""
     near, before = (distance < 7) & (distance > 0), grid.copy()
     grid[near & (before == FREE)], grid[near & (before == OCCUPIED)] = OCCUPIED, FREE
 
