@@ -11,11 +11,15 @@ INTERRUPTED = 130
 
 
 def main() -> None:
-    """Run the command line."""
+    """Run the command line; once a command is over, a signal does not change its exit code any more."""
     signal.signal(signal.SIGINT, _interrupt)
     from deploy.commands.app import app  # noqa: PLC0415
 
-    app()
+    try:
+        app()
+    finally:
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            signal.signal(number, signal.SIG_IGN)
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
