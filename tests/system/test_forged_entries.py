@@ -76,9 +76,15 @@ def decoded(robot: Robot) -> list[Any]:
 
 
 def observation(falsify: Callable[[Grid, Grid], None]) -> Forge:
-    """A forger of a scan of the author, encoded as the author would encode it after a falsified observation."""
+    """A forger of a scan of the author, encoded as the author would encode it after a falsified observation.
+
+    The falsified area shrinks until the frame fits.
+    """
 
     def forge(robot: Robot, _rng: np.random.Generator) -> bytes:
+        return next(filter(None, (attempt(robot, shrinking) for shrinking in (1, 2, 3, 5))), b"")
+
+    def attempt(robot: Robot, shrinking: int) -> bytes:
         encoding, updates = robot._encoding, decoded(robot)
         assert isinstance(encoding, PredictiveEncoding)
         if len(updates) < 5:
@@ -93,7 +99,7 @@ def observation(falsify: Callable[[Grid, Grid], None]) -> Forge:
         (x, y), grid = stream.pose, robot.planning.copy()
         height, width = grid.shape
         rows, columns = np.mgrid[:height, :width]
-        falsify(grid, np.hypot(columns - x, rows - y))
+        falsify(grid, shrinking * np.hypot(columns - x, rows - y))
         grid[y, x] = FREE
         box = max(0, x - 35), max(0, y - 35), min(width, x + 36), min(height, y + 36)
         encoded = stream.encode(grid, [(x, y)], box, most=36)
