@@ -1,0 +1,1 @@
+"""Recorded laser scans as a source of worlds."""
