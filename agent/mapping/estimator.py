@@ -8,11 +8,20 @@ Positions are in units of 1/256 cell. Beams cross cells as in `protocol.grid.ray
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
+from protocol.arrays import Bools, Int32Rows, Int32s
+from protocol.boxes import Box
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, RayTable
 from protocol.kernels import kernel
+from protocol.scans import NONE, Readings
+
+Int8Grid = Annotated[NDArray[np.int8], "int8[:,::1]"]
+
+NO_CELLS: NDArray[np.int32] = np.empty((0, 2), np.int32)
 
 UNIT = 256
 """Units of a position in a cell."""
@@ -33,14 +42,30 @@ class Estimator:
         self._marks: NDArray[np.uint8] = np.zeros((height, width), np.uint8)
         self._touched: NDArray[np.int32] = np.empty(height * width, np.int32)
 
-    def add(
-        self, x: int, y: int, ends: NDArray[np.int32], hits: NDArray[np.bool_]
-    ) -> tuple[int, int, int, int]:
+    def add(self, x: int, y: int, ends: NDArray[np.int32], hits: NDArray[np.bool_]) -> Box:
         """Add a scan taken at (x, y); return the box of touched cells (x0, y0, x1, y1).
 
         `ends`, shape (beams, 2), are where beams end; `hits` are beams that ended at an obstacle.
         """
-        return _add(self.log_odds, self.states, self._marks, self._touched, x, y, ends, hits)
+        count = _mark_beams(self._marks, self._touched, x, y, ends, hits)
+        return _apply(self.log_odds, self.states, self._marks, self._touched, count)
+
+    def add_readings(
+        self,
+        ray_table: RayTable,
+        x: int,
+        y: int,
+        readings: Readings,
+        driven: NDArray[np.int32] = NO_CELLS,
+    ) -> Box:
+        """Add a scan whose beams cross the cells of a ray table; return the box of touched cells.
+
+        The parameters are those of `protocol.scans.draw`. If scans do not contradict each other, the states equal the
+        grid that `draw` produces: the first scan of a cell decides its state.
+        """
+        cells, start = ray_table.cells, ray_table.start
+        count = _mark_readings(self._marks, self._touched, cells, start, x, y, readings, driven)
+        return _apply(self.log_odds, self.states, self._marks, self._touched, count)
 
     @property
     def settled(self) -> NDArray[np.bool_]:
@@ -50,40 +75,88 @@ class Estimator:
 
 
 @kernel
-def _add(log_odds, states, marks, touched, x, y, ends, hits):  # type: ignore[no-untyped-def]
-    height, width = states.shape
+def _mark(marks: Grid, touched: Int32s, count: int, x: int, y: int, mark: int) -> int:
+    """Mark a cell as passed (1) or struck (2); list it if it is new, and return the number of listed cells."""
+    if marks[y, x] == 0:
+        touched[count] = y * marks.shape[1] + x
+        count += 1
+    if marks[y, x] < mark:
+        marks[y, x] = mark
+    return count
+
+
+@kernel
+def _mark_beams(marks: Grid, touched: Int32s, x: int, y: int, ends: Int32Rows, hits: Bools) -> int:
+    """Mark the cells that beams cross between exact positions; return their number."""
+    height, width = marks.shape
     count = 0
-    x0, y0, x1, y1 = width, height, 0, 0
     for beam in range(len(ends)):
-        dx, dy = ends[beam, 0] - x, ends[beam, 1] - y
+        dx, dy = np.int64(ends[beam, 0]) - x, np.int64(ends[beam, 1]) - y
         along_x, along_y = abs(dx), abs(dy)
         step_x, step_y = (1 if dx > 0 else -1), (1 if dy > 0 else -1)
         column, row = x >> 8, y >> 8
         last_x, last_y = ends[beam, 0] >> 8, ends[beam, 1] >> 8
-        # distance to the next border in x and y, multiplied by the other component
-        to_x = (((column + 1) << 8) - x if dx > 0 else x - (column << 8)) * np.int64(along_y)
-        to_y = (((row + 1) << 8) - y if dy > 0 else y - (row << 8)) * np.int64(along_x)
+        # the distance to the next border in each axis, multiplied by the component along the other axis
+        to_x = (((column + 1) << 8) - x if dx > 0 else x - (column << 8)) * along_y
+        to_y = (((row + 1) << 8) - y if dy > 0 else y - (row << 8)) * along_x
         left = abs(last_x - column) + abs(last_y - row)
         while 0 <= column < width and 0 <= row < height:
-            mark = 2 if left == 0 and hits[beam] else 1
-            place = row * width + column
-            if marks[row, column] == 0:
-                touched[count] = place
-                count += 1
-                x0, x1, y0, y1 = min(x0, column), max(x1, column + 1), min(y0, row), max(y1, row + 1)
-            if marks[row, column] < mark:
-                marks[row, column] = mark
+            count = _mark(marks, touched, count, column, row, 2 if left == 0 and hits[beam] else 1)
             if left == 0:
                 break
             left -= 1
             if (to_x <= to_y and column != last_x) or row == last_y:
                 column += step_x
-                to_x += np.int64(along_y) << 8
+                to_x += along_y << 8
             else:
                 row += step_y
-                to_y += np.int64(along_x) << 8
+                to_y += along_x << 8
+    return count
+
+
+@kernel
+def _mark_readings(
+    marks: Grid,
+    touched: Int32s,
+    cells: Int32Rows,
+    start: Int32s,
+    x: int,
+    y: int,
+    readings: Readings,
+    driven: Int32Rows,
+) -> int:
+    """Mark the cells of a ray table that a scan crosses or hits, and the driven cells; return their number."""
+    height, width = marks.shape
+    count = 0
+    for at in range(len(driven)):
+        if 0 <= driven[at, 0] < width and 0 <= driven[at, 1] < height:
+            count = _mark(marks, touched, count, driven[at, 0], driven[at, 1], 1)
+    if not (0 <= x < width and 0 <= y < height):
+        return count
+    count = _mark(marks, touched, count, x, y, 1)
+    for beam in range(len(readings)):
+        if readings[beam] == NONE:
+            continue
+        hit = start[beam] + np.int64(readings[beam] & NONE)
+        for at in range(start[beam], hit + np.int64(readings[beam] >> 15)):
+            column, row = x + cells[at, 0], y + cells[at, 1]
+            if not (0 <= column < width and 0 <= row < height):
+                break
+            count = _mark(marks, touched, count, column, row, 2 if at == hit else 1)
+    return count
+
+
+@kernel
+def _apply(
+    log_odds: Int8Grid, states: Grid, marks: Grid, touched: Int32s, count: int
+) -> tuple[int, int, int, int]:
+    """Change the log odds and states of the marked cells, and clear the marks; return the box of these cells."""
+    height, width = states.shape
+    x0, y0, x1, y1 = width, height, 0, 0
     for index in range(count):
         column, row = touched[index] % width, touched[index] // width
+        x0, x1 = min(x0, column), max(x1, column + 1)
+        y0, y1 = min(y0, row), max(y1, row + 1)
         change = STRUCK if marks[row, column] == 2 else PASS
         marks[row, column] = 0
         odds = min(MOST, max(LEAST, np.int64(log_odds[row, column]) + change))

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-
 @dataclass(frozen=True)
 class RecordedScan:
     """One scan: pose in meters and radians, y up; ranges in meters and beam angles in radians, shape (beams,)."""
@@ -31,7 +30,11 @@ def read(path: Path) -> list[RecordedScan]:
     """Read all scans of a log, which may be compressed by gzip; raise ValueError if it has none."""
     opened = gzip.open(path, "rt") if path.suffix == ".gz" else path.open()
     with opened as file:
-        scans = [_scan(line.split(), path, number) for number, line in enumerate(file, 1) if line.startswith("FLASER")]
+        scans = [
+            _scan(line.split(), path, number)
+            for number, line in enumerate(file, 1)
+            if line.startswith("FLASER")
+        ]
     if not scans:
         raise ValueError(f"{path} has no FLASER lines, so it has no laser scans")
     return scans

@@ -1,0 +1,100 @@
+"""The occupancy estimator: a plain second implementation, and equality with `draw` if lasers are exact."""
+
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from agent.mapping.estimator import CLEAR, LEAST, MOST, PASS, STRUCK, UNIT, WALL, Estimator
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, ray_table
+from protocol.scans import draw
+from worldsim.laser import cast
+
+SIDE = 40
+
+
+def crossed(x: int, y: int, to_x: int, to_y: int) -> list[tuple[int, int]]:
+    """Return the cells between two positions, by sorting the exact moments at which the beam crosses borders."""
+    column, row = x // UNIT, y // UNIT
+    moments = []
+    for axis, (begin, end) in enumerate(((x, to_x), (y, to_y))):
+        first, last = begin // UNIT, end // UNIT
+        step = 1 if last > first else -1
+        for cell in range(first, last, step):
+            border = (cell + (step > 0)) * UNIT
+            moments.append((Fraction(border - begin, end - begin), axis, step))
+    cells = [(column, row)]
+    for _, axis, step in sorted(moments):
+        column, row = (column + step, row) if axis == 0 else (column, row + step)
+        cells.append((column, row))
+    return cells
+
+
+def plain_add(odds: dict, states: dict, x: int, y: int, ends: np.ndarray, hits: np.ndarray) -> None:
+    """Add a scan, cell by cell, with dictionaries."""
+    struck, passed = set(), set()
+    for (to_x, to_y), hit in zip(ends.tolist(), hits.tolist(), strict=True):
+        cells = crossed(x, y, to_x, to_y)
+        inside = [all(0 <= number < SIDE for number in cell) for cell in cells]
+        reach = inside.index(False) if False in inside else len(cells)
+        passed |= set(cells[:reach])
+        if hit and reach == len(cells):
+            struck.add(cells[-1])
+    for cell in passed | struck:
+        change = STRUCK if cell in struck else PASS
+        odds[cell] = min(MOST, max(LEAST, odds.get(cell, 0) + change))
+        if odds[cell] > WALL:
+            states[cell] = OCCUPIED
+        elif odds[cell] < CLEAR:
+            states[cell] = FREE
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_equals_a_plain_implementation_after_every_scan(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    estimator, odds, states = Estimator(SIDE, SIDE), {}, {}
+    for _ in range(12):
+        x, y = random.integers(0, SIDE * UNIT, 2).tolist()
+        ends = random.integers(-5 * UNIT, (SIDE + 5) * UNIT, (30, 2)).astype(np.int32)
+        hits = random.random(30) < 0.7
+        estimator.add(x, y, ends, hits)
+        plain_add(odds, states, x, y, ends, hits)
+        expected = np.full((SIDE, SIDE), UNKNOWN, np.uint8)
+        for (column, row), state in states.items():
+            expected[row, column] = state
+        assert np.array_equal(estimator.states, expected)
+        assert all(estimator.log_odds[row, column] == value for (column, row), value in odds.items())
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_exact_scans_give_the_same_map_as_draw_cell_by_cell(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    truth = np.where(random.random((SIDE, SIDE)) < 0.08, OCCUPIED, FREE).astype(np.uint8)
+    rays, drawn, estimator = ray_table(12.5), np.zeros((SIDE, SIDE), np.uint8), Estimator(SIDE, SIDE)
+    free = np.argwhere(truth == FREE)
+    for _ in range(60):
+        (y, x), *others = free[random.choice(len(free), 4, replace=False)].tolist()
+        teammates = np.zeros((SIDE, SIDE), np.bool_)
+        teammates[tuple(np.transpose(others))] = True
+        readings = cast(truth, teammates, rays, x, y, int(random.integers(8)), random.choice([360.0, 180.0]))
+        driven = np.array([(x, y), others[0][::-1]], np.int32)
+        change = draw(drawn, rays, x, y, readings, driven)
+        x0, y0, x1, y1 = estimator.add_readings(rays, x, y, readings, driven)
+        assert np.array_equal(estimator.states, drawn)
+        if change.cells:
+            assert x0 <= change.box[0] and y0 <= change.box[1] and x1 >= change.box[2] and y1 >= change.box[3]
+
+
+def test_a_false_wall_disappears_after_beams_have_passed_through_it() -> None:
+    estimator = Estimator(8, 8)
+    end = np.array([[5 * UNIT + 128, 128]], np.int32)
+    beyond = np.array([[7 * UNIT + 128, 128]], np.int32)
+    estimator.add(128, 128, end, np.array([True]))
+    assert estimator.states[0, 5] == OCCUPIED
+    scans = math.ceil((STRUCK - CLEAR + 1) / -PASS)
+    for _ in range(scans):
+        estimator.add(128, 128, beyond, np.array([True]))
+    assert estimator.states[0, 5] == FREE
