@@ -63,8 +63,8 @@ class Estimator:
         The parameters are those of `protocol.scans.draw`. If scans do not contradict each other, the states equal the
         grid that `draw` produces: the first scan of a cell decides its state.
         """
-        cells, start = ray_table.cells, ray_table.start
-        count = _mark_readings(self._marks, self._touched, cells, start, x, y, readings, driven)
+        cells, start, shared = ray_table.cells, ray_table.start, ray_table.shared
+        count = _mark_readings(self._marks, self._touched, cells, start, shared, x, y, readings, driven)
         return _apply(self.log_odds, self.states, self._marks, self._touched, count)
 
     @property
@@ -80,8 +80,7 @@ def _mark(marks: Grid, touched: Int32s, count: int, x: int, y: int, mark: int) -
     if marks[y, x] == 0:
         touched[count] = y * marks.shape[1] + x
         count += 1
-    if marks[y, x] < mark:
-        marks[y, x] = mark
+    marks[y, x] = max(marks[y, x], mark)
     return count
 
 
@@ -120,6 +119,7 @@ def _mark_readings(
     touched: Int32s,
     cells: Int32Rows,
     start: Int32s,
+    shared: Int32s,
     x: int,
     y: int,
     readings: Readings,
@@ -134,15 +134,20 @@ def _mark_readings(
     if not (0 <= x < width and 0 <= y < height):
         return count
     count = _mark(marks, touched, count, x, y, 1)
+    touched_before = 0
     for beam in range(len(readings)):
         if readings[beam] == NONE:
+            touched_before = 0
             continue
-        hit = start[beam] + np.int64(readings[beam] & NONE)
-        for at in range(start[beam], hit + np.int64(readings[beam] >> 15)):
+        first, hit = np.int64(start[beam]), start[beam] + np.int64(readings[beam] & NONE)
+        end = hit + np.int64(readings[beam] >> 15)
+        # the cells shared with the beam before, as far as that beam reached, are marked as passed already
+        for at in range(first + min(np.int64(shared[beam]), touched_before, hit - first), end):
             column, row = x + cells[at, 0], y + cells[at, 1]
             if not (0 <= column < width and 0 <= row < height):
                 break
             count = _mark(marks, touched, count, column, row, 2 if at == hit else 1)
+        touched_before = end - first
     return count
 
 

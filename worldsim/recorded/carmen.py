@@ -28,8 +28,7 @@ class RecordedScan:
 
 def read(path: Path) -> list[RecordedScan]:
     """Read all scans of a log, which may be compressed by gzip; raise ValueError if it has none."""
-    opened = gzip.open(path, "rt") if path.suffix == ".gz" else path.open()
-    with opened as file:
+    with gzip.open(path, "rt") if path.suffix == ".gz" else path.open() as file:
         scans = [
             _scan(line.split(), path, number)
             for number, line in enumerate(file, 1)
