@@ -29,11 +29,12 @@ FILL = 9
 """Absolute log odds from which a cell of a changed tile is sent if its state is unknown to the receivers."""
 
 _REMOVE, _WALLS, _FREE, _FILL = range(4)
-"""Phases, in this order: remove walls that the robot has not found (2), add walls, also those that this left without a
-copy (1), add free cells (3), fill the changed tiles."""
+"""Phases, in this order: remove walls that the robot has not found (2), add walls (1), add free cells (3), also those
+that have lost their wall, fill the changed tiles. A removed wall is never the only copy of a settled wall, because it
+has no wall of the robot's own grid within the tolerance."""
 
 _REACH = 2 * TOLERANCE
-"""A change may remove a held wall within the tolerance, and that wall may have been the copy of another as far away."""
+"""A change may remove a held wall within the tolerance, on which an unknown cell as far from it relied (3)."""
 
 
 def mark_tiles(tiles: Grid, box: Box) -> None:

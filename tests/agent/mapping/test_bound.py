@@ -151,3 +151,12 @@ def test_a_cell_that_is_not_settled_is_not_sent() -> None:
         own[5, 5], log_odds[5, 5] = OCCUPIED, SETTLED - 1
 
     assert grids(speck)[0] == 0
+
+
+def test_a_free_cell_of_the_next_tile_is_sent_if_the_wall_near_it_is_removed() -> None:
+    own, held = np.full((2, 16, 16), FREE, np.uint8)
+    held[4, 7:9] = OCCUPIED, UNKNOWN
+    tiles, target, changed = np.zeros((2, 2), np.uint8), np.empty_like(held), np.empty((2, 2), np.uint8)
+    mark_tiles(tiles, (6, 4, 7, 5))  # there was a wall in (6, 4)
+    assert apply_bound(own, np.full((16, 16), -40, np.int8), held, tiles, target, changed) == 2
+    assert (target == FREE).all()
