@@ -58,7 +58,7 @@ def _has_wall(grid: Grid, x: int, y: int) -> bool:
 def _violates(phase: int, own: Grid, log_odds: Int8Grid, target: Grid, x: int, y: int) -> bool:
     """Whether a cell must take the robot's own state in a phase."""
     state, certain = own[y, x], abs(np.int64(log_odds[y, x]))
-    if state == UNKNOWN or certain < (FILL if phase == _FILL else SETTLED):
+    if certain < (FILL if phase == _FILL else SETTLED):
         return False
     if phase == _REMOVE:
         return bool(state == FREE and target[y, x] == OCCUPIED and not _has_wall(own, x, y))
@@ -97,6 +97,8 @@ def apply_bound(own: Grid, log_odds: Int8Grid, held: Grid, tiles: Grid, target: 
                 before = changed[tile_y, tile_x]
                 for y in range(tile_y * TILE, tile_y * TILE + TILE):
                     for x in range(tile_x * TILE, tile_x * TILE + TILE):
+                        if own[y, x] == UNKNOWN or own[y, x] == target[y, x]:
+                            continue
                         if _violates(phase, own, log_odds, target, x, y):
                             target[y, x] = own[y, x]
                             changed[tile_y, tile_x] = 1

@@ -40,15 +40,15 @@ class Estimator:
         self.log_odds: NDArray[np.int8] = np.zeros((height, width), np.int8)
         self.states: Grid = np.full((height, width), UNKNOWN, np.uint8)
         self._marks: NDArray[np.uint8] = np.zeros((height, width), np.uint8)
-        self._touched: NDArray[np.int32] = np.empty(height * width, np.int32)
 
     def add(self, x: int, y: int, ends: NDArray[np.int32], hits: NDArray[np.bool_]) -> Box:
-        """Add a scan taken at (x, y); return the box of touched cells (x0, y0, x1, y1).
+        """Add a scan taken at (x, y); return a box around the touched cells (x0, y0, x1, y1).
 
         `ends`, shape (beams, 2), are where beams end; `hits` are beams that ended at an obstacle.
         """
-        count = _mark_beams(self._marks, self._touched, x, y, ends, hits)
-        return _apply(self.log_odds, self.states, self._marks, self._touched, count)
+        box: Box = _mark_beams(self._marks, x, y, ends, hits)
+        _apply(self.log_odds, self.states, self._marks, *box)
+        return box
 
     def add_readings(
         self,
@@ -58,14 +58,15 @@ class Estimator:
         readings: Readings,
         driven: NDArray[np.int32] = NO_CELLS,
     ) -> Box:
-        """Add a scan whose beams cross the cells of a ray table; return the box of touched cells.
+        """Add a scan whose beams cross the cells of a ray table; return a box around the touched cells.
 
         The parameters are those of `protocol.scans.draw`. If scans do not contradict each other, the states equal the
         grid that `draw` produces: the first scan of a cell decides its state.
         """
         cells, start, shared = ray_table.cells, ray_table.start, ray_table.shared
-        count = _mark_readings(self._marks, self._touched, cells, start, shared, x, y, readings, driven)
-        return _apply(self.log_odds, self.states, self._marks, self._touched, count)
+        box: Box = _mark_readings(self._marks, cells, start, shared, x, y, readings, driven)
+        _apply(self.log_odds, self.states, self._marks, *box)
+        return box
 
     @property
     def settled(self) -> NDArray[np.bool_]:
@@ -75,34 +76,29 @@ class Estimator:
 
 
 @kernel
-def _mark(marks: Grid, touched: Int32s, count: int, x: int, y: int, mark: int) -> int:
-    """Mark a cell as passed (1) or struck (2); list it if it is new, and return the number of listed cells."""
-    if marks[y, x] == 0:
-        touched[count] = y * marks.shape[1] + x
-        count += 1
-    marks[y, x] = max(marks[y, x], mark)
-    return count
-
-
-@kernel
-def _mark_beams(marks: Grid, touched: Int32s, x: int, y: int, ends: Int32Rows, hits: Bools) -> int:
-    """Mark the cells that beams cross between exact positions; return their number."""
+def _mark_beams(marks: Grid, x: int, y: int, ends: Int32Rows, hits: Bools) -> Box:
+    """Mark the cells that beams between exact positions pass (1) or strike (2); return a box around them."""
     height, width = marks.shape
-    count = 0
+    flat = marks.reshape(marks.size)
+    first_x, first_y = x >> 8, y >> 8
+    x0, y0, x1, y1 = first_x, first_y, first_x, first_y
     for beam in range(len(ends)):
         dx, dy = np.int64(ends[beam, 0]) - x, np.int64(ends[beam, 1]) - y
         along_x, along_y = abs(dx), abs(dy)
         step_x, step_y = (1 if dx > 0 else -1), (1 if dy > 0 else -1)
-        column, row = x >> 8, y >> 8
-        last_x, last_y = ends[beam, 0] >> 8, ends[beam, 1] >> 8
+        column, row = first_x, first_y
+        last_x, last_y = np.int64(ends[beam, 0]) >> 8, np.int64(ends[beam, 1]) >> 8
+        x0, x1, y0, y1 = min(x0, last_x), max(x1, last_x), min(y0, last_y), max(y1, last_y)
         # the distance to the next border in each axis, multiplied by the component along the other axis
         to_x = (((column + 1) << 8) - x if dx > 0 else x - (column << 8)) * along_y
         to_y = (((row + 1) << 8) - y if dy > 0 else y - (row << 8)) * along_x
         left = abs(last_x - column) + abs(last_y - row)
         while 0 <= column < width and 0 <= row < height:
-            count = _mark(marks, touched, count, column, row, 2 if left == 0 and hits[beam] else 1)
+            place = np.uint64(row * width + column)
             if left == 0:
+                flat[place] = max(flat[place], 2 if hits[beam] else 1)
                 break
+            flat[place] = max(flat[place], 1)
             left -= 1
             if (to_x <= to_y and column != last_x) or row == last_y:
                 column += step_x
@@ -110,13 +106,12 @@ def _mark_beams(marks: Grid, touched: Int32s, x: int, y: int, ends: Int32Rows, h
             else:
                 row += step_y
                 to_y += along_x << 8
-    return count
+    return max(0, x0), max(0, y0), min(width, x1 + 1), min(height, y1 + 1)
 
 
 @kernel
 def _mark_readings(
     marks: Grid,
-    touched: Int32s,
     cells: Int32Rows,
     start: Int32s,
     shared: Int32s,
@@ -124,16 +119,19 @@ def _mark_readings(
     y: int,
     readings: Readings,
     driven: Int32Rows,
-) -> int:
-    """Mark the cells of a ray table that a scan crosses or hits, and the driven cells; return their number."""
+) -> Box:
+    """Mark the cells that a scan passes or strikes, and the driven cells; return a box around them."""
     height, width = marks.shape
-    count = 0
+    x0, y0, x1, y1 = width, height, -1, -1
     for at in range(len(driven)):
-        if 0 <= driven[at, 0] < width and 0 <= driven[at, 1] < height:
-            count = _mark(marks, touched, count, driven[at, 0], driven[at, 1], 1)
+        column, row = driven[at, 0], driven[at, 1]
+        if 0 <= column < width and 0 <= row < height:
+            marks[row, column] = 1
+            x0, x1, y0, y1 = min(x0, column), max(x1, column), min(y0, row), max(y1, row)
     if not (0 <= x < width and 0 <= y < height):
-        return count
-    count = _mark(marks, touched, count, x, y, 1)
+        return x0, y0, x1 + 1, y1 + 1
+    marks[y, x] = 1
+    x0, x1, y0, y1 = min(x0, x), max(x1, x), min(y0, y), max(y1, y)
     touched_before = 0
     for beam in range(len(readings)):
         if readings[beam] == NONE:
@@ -146,28 +144,24 @@ def _mark_readings(
             column, row = x + cells[at, 0], y + cells[at, 1]
             if not (0 <= column < width and 0 <= row < height):
                 break
-            count = _mark(marks, touched, count, column, row, 2 if at == hit else 1)
+            marks[row, column] = max(marks[row, column], 2 if at == hit else 1)
+            x0, x1, y0, y1 = min(x0, column), max(x1, column), min(y0, row), max(y1, row)
         touched_before = end - first
-    return count
+    return x0, y0, x1 + 1, y1 + 1
 
 
 @kernel
-def _apply(
-    log_odds: Int8Grid, states: Grid, marks: Grid, touched: Int32s, count: int
-) -> tuple[int, int, int, int]:
-    """Change the log odds and states of the marked cells, and clear the marks; return the box of these cells."""
-    height, width = states.shape
-    x0, y0, x1, y1 = width, height, 0, 0
-    for index in range(count):
-        column, row = touched[index] % width, touched[index] // width
-        x0, x1 = min(x0, column), max(x1, column + 1)
-        y0, y1 = min(y0, row), max(y1, row + 1)
-        change = STRUCK if marks[row, column] == 2 else PASS
-        marks[row, column] = 0
-        odds = min(MOST, max(LEAST, np.int64(log_odds[row, column]) + change))
-        log_odds[row, column] = odds
-        if odds > WALL:
-            states[row, column] = OCCUPIED
-        elif odds < CLEAR:
-            states[row, column] = FREE
-    return x0, y0, x1, y1
+def _apply(log_odds: Int8Grid, states: Grid, marks: Grid, x0: int, y0: int, x1: int, y1: int) -> None:
+    """Change the log odds and states of the marked cells in a box, and clear the marks."""
+    for y in range(y0, y1):
+        for x in range(x0, x1):
+            if marks[y, x] == 0:
+                continue
+            change = STRUCK if marks[y, x] == 2 else PASS
+            marks[y, x] = 0
+            odds = min(MOST, max(LEAST, np.int64(log_odds[y, x]) + change))
+            log_odds[y, x] = odds
+            if odds > WALL:
+                states[y, x] = OCCUPIED
+            elif odds < CLEAR:
+                states[y, x] = FREE
