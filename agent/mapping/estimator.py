@@ -87,7 +87,7 @@ def _mark_beams(marks: Grid, x: int, y: int, ends: Int32Rows, hits: Bools) -> Bo
         along_x, along_y = abs(dx), abs(dy)
         step_x, step_y = (1 if dx > 0 else -1), (1 if dy > 0 else -1)
         column, row = first_x, first_y
-        last_x, last_y = np.int64(ends[beam, 0]) >> 8, np.int64(ends[beam, 1]) >> 8
+        last_x, last_y = int(ends[beam, 0]) >> 8, int(ends[beam, 1]) >> 8
         x0, x1, y0, y1 = min(x0, last_x), max(x1, last_x), min(y0, last_y), max(y1, last_y)
         # the distance to the next border in each axis, multiplied by the component along the other axis
         to_x = (((column + 1) << 8) - x if dx > 0 else x - (column << 8)) * along_y
@@ -159,7 +159,7 @@ def _apply(log_odds: Int8Grid, states: Grid, marks: Grid, x0: int, y0: int, x1: 
                 continue
             change = STRUCK if marks[y, x] == 2 else PASS
             marks[y, x] = 0
-            odds = min(MOST, max(LEAST, np.int64(log_odds[y, x]) + change))
+            odds = min(MOST, max(LEAST, int(np.int64(log_odds[y, x])) + change))
             log_odds[y, x] = odds
             if odds > WALL:
                 states[y, x] = OCCUPIED

@@ -50,7 +50,10 @@ def _logistic() -> NDArray[np.int64]:
     """Tabulate 4096 / (1 + e^(-x / 256)) for x from -2048 to 2047, by linear interpolation of integers."""
     knots = np.array([*_CURVE, *(_ONE - chance for chance in _CURVE[-2::-1])], np.int64)
     knot, rest = np.divmod(np.arange(4096), 128)
-    return np.clip((knots[knot] * (128 - rest) + knots[knot + 1] * rest + 64) >> 7, 1, _ONE - 1)
+    table: NDArray[np.int64] = np.clip(
+        (knots[knot] * (128 - rest) + knots[knot + 1] * rest + 64) >> 7, 1, _ONE - 1
+    )
+    return table
 
 
 LOGISTIC: Int64s = _logistic()
@@ -85,7 +88,7 @@ def code_mixed(coder: MixingCoder, weight_set: int, bit: int) -> int:
     for index in range(INPUTS):
         buffer[1, index] = LOGIT[chances[index, buffer[0, index]] >> 4]
         total += buffer[1, index] * weights[weight_set, index]
-    chance = LOGISTIC[min(4095, max(0, (total >> 16) + 2048))]
+    chance = LOGISTIC[min(4095, max(0, int(total >> 16) + 2048))]
     bit = divide(state, data, (state[WIDTH] >> 12) * (_ONE - chance), bit)
     error = (bit << 12) - chance
     target = 65535 if bit else 0

@@ -54,7 +54,7 @@ def start_model() -> Model:
 def _state(grid: Grid, x: int, y: int) -> int:
     """Return the state of a cell, unknown outside the grid."""
     if 0 <= y < grid.shape[0] and 0 <= x < grid.shape[1]:
-        return np.int64(grid[y, x]) & STATE
+        return int(np.int64(grid[y, x]) & STATE)
     return UNKNOWN
 
 
@@ -186,15 +186,15 @@ def code_tiles(
     for tile_y in range(box[1], box[3] + 1):
         for tile_x in range(box[0], box[2] + 1):
             _set_tile_contexts(buffer[0], grid, changed, box, tile_x, tile_y)
-            changed[tile_y, tile_x] = code_mixed(coder, _TILE_SET, np.int64(changed[tile_y, tile_x]))
+            changed[tile_y, tile_x] = code_mixed(coder, _TILE_SET, 1 if changed[tile_y, tile_x] else 0)
             if state[FAILED]:
                 return count
             if not changed[tile_y, tile_x]:
                 continue
             for y in range(tile_y * TILE, min(tile_y * TILE + TILE, height)):
                 for x in range(tile_x * TILE, min(tile_x * TILE + TILE, width)):
-                    before = np.int64(grid[y, x]) & STATE
-                    truth = before if state[DECODES] else np.int64(target[y, x]) & STATE
+                    before = _state(grid, x, y)
+                    truth = before if state[DECODES] else _state(target, x, y)
                     _set_cell_contexts(buffer[0], grid, x, y)
                     now = _code_cell(coder, before, truth)
                     if now != before:
