@@ -47,6 +47,8 @@ def _scan(fields: list[str], path: Path, line: int) -> RecordedScan:
         raise ValueError(f"{path}, line {line}: malformed FLASER line: {error}") from None
     if beams < 2 or len(values) != beams + 3:
         raise ValueError(f"{path}, line {line}: expected {beams} ranges and a pose")
-    angles: NDArray[np.float64] = -math.pi / 2 + np.arange(beams, dtype=np.float64) * (math.pi / (beams - beams % 2))
+    angles: NDArray[np.float64] = -math.pi / 2 + np.arange(beams, dtype=np.float64) * (
+        math.pi / (beams - beams % 2)
+    )
     x, y, heading = values[beams:].tolist()
     return RecordedScan(x, y, heading, values[:beams], angles)
