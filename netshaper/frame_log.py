@@ -11,7 +11,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from netshaper.ledger import CAUSES, EVERYONE, FIRST_ON_AIR, ROW
+from netshaper.ledger import ANSWER, CAUSES, EVERYONE, FIRST_ON_AIR, ROW
 from protocol.arrays import Int64Rows, Int64s, ReadOnlyInt32s, ReadOnlyUint8s
 from protocol.kernels import kernel
 from protocol.packet_index import KINDS, PacketIndex
@@ -61,6 +61,33 @@ class Frame(msgspec.Struct, frozen=True, gc=False):
     content: Content
     position: int = -1
     number: int = 0
+
+
+class Connection(msgspec.Struct, eq=False, gc=False):
+    """A connection of a round of handshakes: an offer, its answer and its data.
+
+    `number`: counted in a step, in the order in which connections go on the air. `sender`, `receiver`: of the offer.
+    `frames`: those sent so far. `lost`: the kind of the frame whose receiver could not receive it; -1 for none.
+    """
+
+    number: int
+    sender: int
+    receiver: int
+    frames: list[Content]
+    lost: int = -1
+
+    @property
+    def map_id(self) -> int:
+        """The map that is offered."""
+        return self.frames[0].map_id
+
+    def ends(self, kind: int) -> tuple[int, int]:
+        """Return sender and receiver of its frame of a kind."""
+        return (self.receiver, self.sender) if kind == ANSWER else (self.sender, self.receiver)
+
+    def accepts(self, kind: int, sender: int, receiver: int) -> bool:
+        """Return whether a frame of a kind is its next one, and between the right robots."""
+        return self.ends(kind) == (sender, receiver) and len(self.frames) == kind and self.lost < 0
 
 
 class Columns(NamedTuple):

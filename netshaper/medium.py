@@ -15,8 +15,7 @@ from msgspec.structs import replace
 from netshaper import capture
 from netshaper.airtime import Airtime, cut_into_frames
 from netshaper.channel import DAMAGED, LOSS, Channel, Reception, with_checksum
-from netshaper.connections import Connection
-from netshaper.frame_log import Content, Frame, FrameLog, ledger_rows
+from netshaper.frame_log import Connection, Content, Frame, FrameLog, ledger_rows
 from netshaper.ledger import BROADCAST, CAUSES, DATA, NEWS
 from netshaper.settings import RadioSettings
 from protocol.budget import Budget
