@@ -39,20 +39,15 @@ def respond(robot: Robot, event: MediumEvent, report_error: ReportError) -> Robo
 def open_round(replication: Replication, event: Open, broadcast: bytes = b"") -> RobotFrames:
     """Return the frames of a robot at the beginning of a round; `broadcast` is its pose and target."""
     frames = replication.open_round(event.round, event.peers, event.budget.limit)
-    replies = replication.speculative()
-    return RobotFrames(event.step, event.round, "offers", broadcast, frames, replication.priority, replies)
+    return RobotFrames(event.step, event.round, "offers", broadcast, frames, replication.priority)
 
 
-def continue_round(
-    replication: Replication, event: PhaseDelivery, report_error: ReportError
-) -> RobotFrames | None:
-    """Return the answers to offers, or the data after answers; None if the relay has answered already."""
+def continue_round(replication: Replication, event: PhaseDelivery, report_error: ReportError) -> RobotFrames:
+    """Return the answers to offers, or the data after answers."""
     answers = event.phase == "offers"
     frames: list[OutgoingFrame] = []
     try:
         frames = (replication.answer if answers else replication.send_data)(event.deliveries)
     except ProtocolError as error:
         report_error(str(error))
-    if event.answered_by_relay:
-        return None
     return RobotFrames(event.step, event.round, "answers" if answers else "data", frames=frames)

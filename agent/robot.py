@@ -50,6 +50,10 @@ VERIFY_STEPS = 3
 """Steps in which the authors of forged entries, which receive them as well, send digests and true entries."""
 
 
+ABOUT_LOGS = LogDigest, Held, HeldEarly
+"""Packets of a broadcast that concern logs; those before them concern the team."""
+
+
 def sure_after(settings: Settings) -> int:
     """Return the steps for which a robot must find nothing left to explore before it reports that it is done.
 
@@ -170,7 +174,7 @@ class Robot:
         except ProtocolError as error:
             self.faults.append(Fault(peer, str(error)))
             return
-        about_logs = [each for each in received if isinstance(each, LogDigest | Held | HeldEarly)]
+        about_logs = [each for each in received if isinstance(each, ABOUT_LOGS)]
         about_team = received[: len(received) - len(about_logs)]
         self.faults += [Fault(peer, reason) for reason in team.receive_broadcast(peer, about_team)]
         for each in about_logs:

@@ -26,27 +26,14 @@ import struct
 from collections.abc import Iterator
 
 import msgspec
-import numpy as np
 
 from netshaper import pcapng
 from netshaper.frame_log import (
-    BYTES,
-    COMMENT,
-    CONNECTION,
-    FRAME,
-    MAP,
-    PACKETS,
-    RECEIVER,
-    RECEIVERS,
-    ROUND,
-    SENDER,
-    VERDICT,
-    Columns,
+    Content,
+    FrameLog,
 )
-from netshaper.ledger import CAUSES, FIRST_ON_AIR, FRAMES
+from netshaper.ledger import CAUSES, FRAMES, on_air
 from netshaper.pcapng import CaptureError
-from protocol.arrays import Int64Rows, Int64s, ReadOnlyInt32s, ReadOnlyUint8s, Uint8s
-from protocol.kernels import kernel
 
 LINK_TYPE = 147
 """LINKTYPE_USER0, which the dissector reads."""
@@ -104,10 +91,41 @@ def head(description: str) -> bytes:
     return pcapng.head(LINK_TYPE, "Murmur", "radio", description)
 
 
-def encode(step: int, frames: Columns) -> bytes:
+def encode(step: int, log: FrameLog) -> bytes:
     """Write the frames of a step, in the order of the log, as blocks of the file."""
-    rows, receivers, payload, _, sizes, texts, text_at = frames
-    return _encode(step, rows, receivers, payload, sizes, texts, text_at, FIRST_ON_AIR).tobytes()
+    written: list[bytes] = []
+    texts = [pcapng.comment(text) for text in log.texts]
+    first = 0
+    for row, content in zip(log.rows().tolist(), log.contents, strict=True):
+        round_number, connection, frame, sender, receiver, map_id, verdict, text, count, size, _ = row
+        receivers = log.receivers[first : first + count]
+        first += count
+        wide = max(sender, receiver, map_id, *receivers) >= NARROW
+        mask = sum([1 << robot for robot in receivers])
+        whole = on_air(verdict) and size <= PART
+        for part, (kept, length) in enumerate(
+            [(content.payload, size)] if whole else _parts(content, verdict)
+        ):
+            head = (WIDE_HEAD if wide else HEAD).pack(
+                WIDE if wide else VERSION, frame, verdict, round_number, sender, receiver, map_id, part, step,
+                connection, mask.to_bytes(32, "big") if wide else mask,
+            )  # fmt: skip
+            time_us = step * _SECOND + min(len(written), _SECOND - 1)
+            written.append(pcapng.packet(time_us, head + kept, len(head) + length, texts[text]))
+    return b"".join(written)
+
+
+def _parts(content: Content, verdict: int) -> Iterator[tuple[bytes, int]]:
+    """Cut a frame into packets of the capture; yield the stored bytes and the size of each."""
+    payload, begin = content.payload, 0
+    if not on_air(verdict):
+        yield payload[:KEPT], len(payload)
+        return
+    while len(payload) - begin > PART:
+        end = max((end for end in content.packets.ends if end <= begin + PART), default=begin + PART)
+        yield payload[begin:end], end - begin
+        begin = end
+    yield payload[begin:], len(payload) - begin
 
 
 def read(reader: pcapng.Reader) -> Iterator[Captured]:
@@ -141,137 +159,3 @@ def read(reader: pcapng.Reader) -> Iterator[Captured]:
 
 
 _HEADS = {VERSION: HEAD, WIDE: WIDE_HEAD}
-
-_PACKET_HEAD = 28
-"""Bytes before the data in an enhanced packet block."""
-_BLOCK = _PACKET_HEAD + WIDE_HEAD.size + 24
-"""Maximum bytes of a block without the frame and the comment."""
-_COMMENT = pcapng.COMMENT
-_PACKET = pcapng.PACKET
-
-
-@kernel
-def _little(out: Uint8s, at: int, value: int, size: int) -> None:
-    for byte in range(size):
-        out[at + byte] = np.uint8(value >> 8 * byte & 0xFF)
-
-
-@kernel
-def _big(out: Uint8s, at: int, value: int, size: int) -> None:
-    for byte in range(size):
-        out[at + byte] = np.uint8(value >> 8 * (size - 1 - byte) & 0xFF)
-
-
-@kernel
-def _write_head(out: Uint8s, at: int, step: int, row: Int64s, part: int, wide: bool) -> int:
-    """Write the header of a frame, without receivers; return its end."""
-    out[at] = WIDE if wide else VERSION
-    out[at + 1] = row[FRAME]
-    out[at + 2] = row[VERDICT]
-    out[at + 3] = row[ROUND]
-    size = 2 if wide else 1
-    at += 4
-    for value in (row[SENDER], row[RECEIVER], row[MAP], part):
-        _big(out, at, value, size)
-        at += size
-    _big(out, at, step, 4)
-    _big(out, at + 4, row[CONNECTION], 4)
-    at += 8
-    behind = at + (32 if wide else 8)
-    out[at:behind] = 0
-    return behind
-
-
-@kernel
-def _write_comment(out: Uint8s, at: int, text: ReadOnlyUint8s, block: int) -> int:
-    """Write a comment and the end-of-options mark; return their end."""
-    _little(out, at, _COMMENT, 2)
-    _little(out, at + 2, len(text), 2)
-    at += 4
-    out[at : at + len(text)] = text
-    at += len(text)
-    while (at - block) % 4:
-        out[at] = 0
-        at += 1
-    out[at : at + 4] = 0
-    return at + 4
-
-
-@kernel
-def _encode(
-    step: int,
-    rows: Int64Rows,
-    receivers: Int64s,
-    payload: ReadOnlyUint8s,
-    sizes: ReadOnlyInt32s,
-    texts: ReadOnlyUint8s,
-    text_at: Int64s,
-    on_air: int,
-) -> Uint8s:
-    """Write enhanced packet blocks (`netshaper.pcapng.packet`), each with a header, frame part and comment."""
-    room = 0
-    for each in range(len(rows)):
-        size = rows[each, BYTES]
-        text = text_at[rows[each, COMMENT] + 1] - text_at[rows[each, COMMENT]]
-        parts = 1 + size // (PART // 2)
-        cut = 0 < rows[each, VERDICT] < on_air
-        room += (min(size, KEPT) if cut else size) + parts * (_BLOCK + text)
-    out = np.empty(room, np.uint8)
-    at = 0
-    blocks = 0
-    end = behind = next_packet = 0
-    for each in range(len(rows)):
-        begin, first, packet = end, behind, next_packet
-        end += rows[each, BYTES]
-        behind += rows[each, RECEIVERS]
-        next_packet += max(0, rows[each, PACKETS])
-        wide = max(rows[each, SENDER], rows[each, RECEIVER], rows[each, MAP]) >= NARROW
-        for receiver in receivers[first:behind]:
-            wide = wide or receiver >= NARROW
-        part = 0
-        cut = 0 < rows[each, VERDICT] < on_air
-        while True:
-            size = kept = end - begin
-            if cut:
-                kept = min(kept, KEPT)
-            elif size > PART:
-                if rows[each, PACKETS] > 0:
-                    size = sizes[packet]
-                    packet += 1
-                    while size + sizes[packet] <= PART:
-                        size += sizes[packet]
-                        packet += 1
-                else:
-                    size = PART
-                kept = size
-            block = at
-            at += _PACKET_HEAD
-            at = _write_head(out, at, step, rows[each], part, wide)
-            for receiver in receivers[first:behind]:
-                out[at - 1 - receiver // 8] |= np.uint8(1 << receiver % 8)
-            data = at - block - _PACKET_HEAD
-            out[at : at + kept] = payload[begin : begin + kept]
-            at += kept
-            while (at - block) % 4:
-                out[at] = 0
-                at += 1
-            at = _write_comment(
-                out, at, texts[text_at[rows[each, COMMENT]] : text_at[rows[each, COMMENT] + 1]], block
-            )
-            time = step * _SECOND + min(blocks, _SECOND - 1)
-            length = at + 4 - block
-            _little(out, block, _PACKET, 4)
-            _little(out, block + 4, length, 4)
-            _little(out, block + 8, 0, 4)
-            _little(out, block + 12, time >> 32, 4)
-            _little(out, block + 16, time & 0xFFFFFFFF, 4)
-            _little(out, block + 20, data + kept, 4)
-            _little(out, block + 24, data + size, 4)
-            _little(out, at, length, 4)
-            at += 4
-            blocks += 1
-            part += 1
-            begin += size
-            if cut or begin >= end:
-                break
-    return out[:at]

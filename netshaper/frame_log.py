@@ -1,25 +1,23 @@
-"""Log of a step's frames as flat columns: the ledger's rows and the capture are made of it."""
+"""Log of a step's frames: the ledger's rows and the capture are made of it."""
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
 from functools import lru_cache
-from itertools import accumulate
-from typing import NamedTuple
 
 import msgspec
 import numpy as np
 
-from netshaper.ledger import CAUSES, EVERYONE, FIRST_ON_AIR, ROW
-from protocol.arrays import Int64Rows, Int64s, ReadOnlyInt32s, ReadOnlyUint8s
+from netshaper.ledger import ANSWER, CAUSES, EVERYONE, FIRST_ON_AIR, ROW
+from protocol.arrays import Int64Rows, ReadOnlyInt32s, ReadOnlyUint8s
 from protocol.kernels import kernel
 from protocol.packet_index import KINDS, PacketIndex
 
 ROUND, CONNECTION, FRAME, SENDER, RECEIVER, MAP, VERDICT, COMMENT, RECEIVERS, BYTES, PACKETS = range(11)
 COLUMNS = 11
 """Columns of a row, one row per frame or part of a frame with one verdict: `FRAME` counts in `netshaper.ledger.FRAMES`,
-`VERDICT` in `CAUSES`, and `COMMENT` in `Columns.texts`. The last three are numbers of robots, bytes and packets."""
+`VERDICT` in `CAUSES`, and `COMMENT` in `FrameLog.texts`. The last three are numbers of robots, bytes and packets."""
 
 MALFORMED = -1
 """In `PACKETS`: the bytes do not decode as packets."""
@@ -63,21 +61,31 @@ class Frame(msgspec.Struct, frozen=True, gc=False):
     number: int = 0
 
 
-class Columns(NamedTuple):
-    """A step's frames as arrays.
+class Connection(msgspec.Struct, eq=False, gc=False):
+    """A connection of a round of handshakes: an offer, its answer and its data.
 
-    `rows`: int64, shape (frames, `COLUMNS`). The others hold the items of all frames in order. `receivers`: int64,
-    robots. `payload`: uint8. `kinds`, `sizes`: uint8 and int32, one number per packet. `texts`: uint8, all comments, of
-    which text n runs from ``text_at[n]`` to ``text_at[n + 1]``.
+    `number`: counted in a step, in the order in which connections go on the air. `sender`, `receiver`: of the offer.
+    `frames`: those sent so far. `lost`: the kind of the frame whose receiver could not receive it; -1 for none.
     """
 
-    rows: Int64Rows
-    receivers: Int64s
-    payload: ReadOnlyUint8s
-    kinds: ReadOnlyUint8s
-    sizes: ReadOnlyInt32s
-    texts: ReadOnlyUint8s
-    text_at: Int64s
+    number: int
+    sender: int
+    receiver: int
+    frames: list[Content]
+    lost: int = -1
+
+    @property
+    def map_id(self) -> int:
+        """The map that is offered."""
+        return self.frames[0].map_id
+
+    def ends(self, kind: int) -> tuple[int, int]:
+        """Return sender and receiver of its frame of a kind."""
+        return (self.receiver, self.sender) if kind == ANSWER else (self.sender, self.receiver)
+
+    def accepts(self, kind: int, sender: int, receiver: int) -> bool:
+        """Return whether a frame of a kind is its next one, and between the right robots."""
+        return self.ends(kind) == (sender, receiver) and len(self.frames) == kind and self.lost < 0
 
 
 class FrameLog:
@@ -85,12 +93,15 @@ class FrameLog:
 
     def __init__(self) -> None:
         self._rows: list[int] = []
-        self._receivers: list[int] = []
-        self._contents: list[Content] = []
-        self._texts = {text: number for number, text in enumerate(TEXT_OF_CAUSE)}
+        self.receivers: list[int] = []
+        """Robots that received a frame, for all frames in order."""
+        self.contents: list[Content] = []
+        """The bytes of each frame."""
+        self.texts = {text: number for number, text in enumerate(TEXT_OF_CAUSE)}
+        """All comments in order, with their numbers."""
 
     def __len__(self) -> int:
-        return len(self._contents)
+        return len(self.contents)
 
     def add(
         self,
@@ -112,14 +123,14 @@ class FrameLog:
         payload, text = content.payload, verdict
         if reason or receiver == EVERYONE:
             words = comment(verdict, receiver, tuple(receivers), reason)
-            text = self._texts.setdefault(words, len(self._texts))
+            text = self.texts.setdefault(words, len(self.texts))
         count = len(content.packets.kinds) or (MALFORMED if payload else 0)
         self._rows += (
             round_number, connection, content.kind, sender, receiver, map_id, verdict, text, len(receivers),
             len(payload), count,
         )  # fmt: skip
-        self._receivers += receivers
-        self._contents.append(content)
+        self.receivers += receivers
+        self.contents.append(content)
 
     def add_connection(
         self,
@@ -136,42 +147,30 @@ class FrameLog:
                 round_number, connection, content.kind, sender, receiver, map_id, 0, 0, 1, len(content.payload),
                 len(content.packets.kinds),
             )  # fmt: skip
-            self._receivers.append(receiver)
+            self.receivers.append(receiver)
             sender, receiver = receiver, sender
-        self._contents += frames
+        self.contents += frames
 
-    def columns(self) -> Columns:
-        """Return the log as arrays."""
-        texts = [text.encode() for text in self._texts]
-        return Columns(
-            _array(self._rows).reshape(-1, COLUMNS),
-            _array(self._receivers),
-            np.frombuffer(b"".join([content.payload for content in self._contents]), np.uint8),
-            np.frombuffer(b"".join([content.packets.kinds for content in self._contents]), np.uint8),
-            np.frombuffer(b"".join([content.packets.sizes for content in self._contents]), np.int32),
-            np.frombuffer(b"".join(texts), np.uint8),
-            np.array([*accumulate(map(len, texts), initial=0)], np.int64),
-        )
+    def rows(self) -> Int64Rows:
+        """Return a row per frame, shape (frames, `COLUMNS`); packing is four times as fast as `numpy.array`."""
+        packed = struct.pack(f"={len(self._rows)}q", *self._rows)
+        return np.frombuffer(bytearray(packed), np.int64).reshape(-1, COLUMNS)
 
-
-def _array(numbers: list[int]) -> Int64s:
-    """Return an array of numbers, four times as fast as `numpy.array`."""
-    return np.frombuffer(bytearray(struct.pack(f"={len(numbers)}q", *numbers)), np.int64)
-
-
-def ledger_rows(step: int, columns: Columns) -> bytes:
-    """Write the ledger's rows of a step (`netshaper.ledger.ROW`), one for each frame and kind of packet in it."""
-    counted = _count(columns.rows, columns.kinds, columns.sizes, KINDS)
-    frames = columns.rows[counted[:, 0]]
-    rows = np.empty(len(counted), ROW)
-    for name, column in zip(
-        ("round", "connection", "frame", "sender", "receiver", "map", "cause"), frames.T, strict=False
-    ):
-        rows[name] = column
-    rows["step"], rows["received_by"] = step, frames[:, RECEIVERS]
-    rows["kind"], rows["packets"], rows["bytes"] = counted[:, 1:].T
-    rows["carried"] = (rows["cause"] == 0) | (rows["cause"] >= FIRST_ON_AIR)
-    return rows.tobytes()
+    def ledger_rows(self, step: int) -> bytes:
+        """Write the ledger's rows of a step (`netshaper.ledger.ROW`), one for each frame and kind of packet in it."""
+        log = self.rows()
+        kinds = np.frombuffer(b"".join([content.packets.kinds for content in self.contents]), np.uint8)
+        sizes = np.frombuffer(b"".join([content.packets.sizes for content in self.contents]), np.int32)
+        counted = _count(log, kinds, sizes, KINDS)
+        frames = log[counted[:, 0]]
+        rows = np.empty(len(counted), ROW)
+        names = ("round", "connection", "frame", "sender", "receiver", "map", "cause")
+        for name, column in zip(names, frames.T, strict=False):
+            rows[name] = column
+        rows["step"], rows["received_by"] = step, frames[:, RECEIVERS]
+        rows["kind"], rows["packets"], rows["bytes"] = counted[:, 1:].T
+        rows["carried"] = (rows["cause"] == 0) | (rows["cause"] >= FIRST_ON_AIR)
+        return rows.tobytes()
 
 
 @kernel

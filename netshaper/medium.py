@@ -15,8 +15,7 @@ from msgspec.structs import replace
 from netshaper import capture
 from netshaper.airtime import Airtime, cut_into_frames
 from netshaper.channel import DAMAGED, LOSS, Channel, Reception, with_checksum
-from netshaper.connections import Connection
-from netshaper.frame_log import Content, Frame, FrameLog, ledger_rows
+from netshaper.frame_log import Connection, Content, Frame, FrameLog
 from netshaper.ledger import BROADCAST, CAUSES, DATA, NEWS
 from netshaper.settings import RadioSettings
 from protocol.budget import Budget
@@ -47,9 +46,8 @@ class Account(msgspec.Struct, frozen=True, gc=False):
         """Write the ledger's rows, and the frames for a capture unless there is none."""
         if not len(self.log):
             return RadioReport(self.step, b"", self.carried, b"")
-        frames = self.log.columns()
-        written = capture.encode(self.step, frames) if captures else b""
-        return RadioReport(self.step, ledger_rows(self.step, frames), self.carried, written)
+        written = capture.encode(self.step, self.log) if captures else b""
+        return RadioReport(self.step, self.log.ledger_rows(self.step), self.carried, written)
 
 
 class Arrival(msgspec.Struct, frozen=True, gc=False):

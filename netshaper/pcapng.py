@@ -9,6 +9,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import BinaryIO
 
 SECTION, INTERFACE, PACKET = 0x0A0D0D0A, 0x00000001, 0x00000006
@@ -17,7 +18,7 @@ COMMENT, NAME, DESCRIPTION, APPLICATION = 1, 2, 3, 4
 
 _MAGIC = 0x1A2B3C4D
 _BLOCK = struct.Struct("<II")
-_PACKET = struct.Struct("<IIIIIII")
+_PACKET = struct.Struct("<5I")
 _OPTION = struct.Struct("<HH")
 
 
@@ -41,6 +42,20 @@ def head(link_type: int, application: str, name: str, description: str) -> bytes
     options = _options((NAME, name.encode()), (DESCRIPTION, description.encode()))
     interface = struct.pack("<HHI", link_type, 0, 0) + options
     return _block(SECTION, section) + _block(INTERFACE, interface)
+
+
+@lru_cache(maxsize=1 << 12)
+def comment(text: str) -> bytes:
+    """Write the options of a packet: its comment."""
+    return _options((COMMENT, text.encode()))
+
+
+def packet(time_us: int, data: bytes, size: int, options: bytes) -> bytes:
+    """Write an enhanced packet block: its time, its stored bytes, its original size, its options."""
+    padding = bytes(-len(data) % 4)
+    length = _BLOCK.size + _PACKET.size + len(data) + len(padding) + len(options) + 4
+    head = _PACKET.pack(0, time_us >> 32, time_us & 0xFFFFFFFF, len(data), size)
+    return b"".join((_BLOCK.pack(PACKET, length), head, data, padding, options, length.to_bytes(4, "little")))
 
 
 class Reader:
@@ -87,11 +102,10 @@ class Reader:
             self._offset += size
 
     def _read_packet(self, body: bytes) -> Packet:
-        if len(body) < _PACKET.size - _BLOCK.size:
+        if len(body) < _PACKET.size:
             raise self._malformed("a packet without a head")
-        _, high, low, kept, size = struct.unpack_from("<5I", body)
-        start = _PACKET.size - _BLOCK.size
-        end = start + kept + -kept % 4
+        _, high, low, kept, size = _PACKET.unpack_from(body)
+        end = _PACKET.size + kept + -kept % 4
         if end > len(body):
             raise self._malformed("a packet longer than its block")
         comment = ""
@@ -103,7 +117,7 @@ class Reader:
                 comment = value.decode(errors="replace")
             elif code == 0:
                 break
-        return Packet(high << 32 | low, body[start : start + kept], size, comment)
+        return Packet(high << 32 | low, body[_PACKET.size : _PACKET.size + kept], size, comment)
 
     def _malformed(self, reason: str) -> CaptureError:
         return CaptureError(f"malformed at byte {self._offset}: {reason}")

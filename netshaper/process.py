@@ -33,7 +33,6 @@ from protocol.messages import (
     FaultEvent,
     Lost,
     MediumEvent,
-    PhaseDelivery,
     Positions,
     RadioReport,
     Reconnected,
@@ -112,8 +111,6 @@ class RelayNode:
         self._ended = False
         self._settings: dict[int, bytes] = {}
         """Each robot's `Configure` message, for when it joins."""
-        self._events: defaultdict[int, list[MediumEvent]] = defaultdict(list)
-        """Events that each robot has not been sent yet."""
         self._protocol_errors: Counter[str] = Counter()
         """Protocol errors of each participant in this step."""
         self._submitted_bytes: Counter[str] = Counter()
@@ -160,7 +157,6 @@ class RelayNode:
         self.away.discard(robot)
         if name in self._present:
             self._present.discard(name)
-            self._events.pop(robot, None)
             self._report(Lost(robot, cause))
             self._bus.put(self._keys.control(names.WORLD, names.RELAY), pack(Lost(robot, cause)))
             self._send(self._radio.lost(robot))
@@ -301,8 +297,7 @@ class RelayNode:
 
     def _check_lengths(self, submitted: RobotFrames) -> None:
         """Raise ProtocolError if a frame is longer than any frame that could be carried."""
-        payloads = [frame.payload for frame in submitted.frames]
-        longest = max(map(len, [submitted.broadcast, *submitted.replies.loads, *payloads]))
+        longest = max(map(len, [submitted.broadcast, *(frame.payload for frame in submitted.frames)]))
         if longest > self._max_frame_bytes:
             reason = (
                 f"a frame of {longest} bytes, where {self._max_frame_bytes} are the most that can be carried"
@@ -310,19 +305,16 @@ class RelayNode:
             raise ProtocolError("RobotFrames", 0, reason)
 
     def _send(self, outgoing: list[Outgoing]) -> None:
-        """Send robots their events, in one message each.
-
-        Events of phases in which the relay has answered for a robot wait for the next one that concerns it.
-        """
+        """Send robots their events, in one message each."""
+        events: defaultdict[int, list[MediumEvent]] = defaultdict(list)
         accounts: list[Account] = []
         for item in outgoing:
             if isinstance(item, Account):
                 accounts.append(item)
             else:
-                self._events[item.robot].append(item.event)
-        for robot in sorted(self._events):
-            if not _can_wait(self._events[robot][-1]):
-                self._bus.put(self._keys_to_robots[robot], pack(RelayUpdate(self._events.pop(robot))))
+                events[item.robot].append(item.event)
+        for robot in sorted(events):
+            self._bus.put(self._keys_to_robots[robot], pack(RelayUpdate(events[robot])))
         for account in accounts:
             self._bus.put(self._keys.control(names.WORLD, names.RELAY), pack(Close(account.step)))
             self._report(account.report(captures=self._captures))
@@ -346,8 +338,3 @@ class RelayNode:
         if self._watched:
             shown = replace(message, frames=b"") if isinstance(message, RadioReport) else message
             self._bus.put(self._keys.control(names.VIEW, names.RELAY), pack(shown))
-
-
-def _can_wait(event: MediumEvent) -> bool:
-    """Return whether a robot need not act on an event, since the relay has answered for it."""
-    return isinstance(event, PhaseDelivery) and event.answered_by_relay

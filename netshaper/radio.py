@@ -20,7 +20,7 @@ left. A frame that is malformed, out of range or out of turn is logged as such a
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from operator import attrgetter
 from typing import TypeVar
@@ -29,8 +29,7 @@ import msgspec
 
 from netshaper.admission import read_broadcast, readers, refused
 from netshaper.airtime import Shares
-from netshaper.connections import Connection, answers, data
-from netshaper.frame_log import Content, Frame
+from netshaper.frame_log import Connection, Content, Frame
 from netshaper.ledger import ANSWER, DATA, EVERYONE, NEWS, OFFER
 from netshaper.medium import Account, Medium
 from netshaper.settings import RadioSettings
@@ -39,7 +38,6 @@ from protocol.budget import UNLIMITED, Budget
 from protocol.faults import RADIO_KINDS, FaultSchedule
 from protocol.keyed_random import keyed_random
 from protocol.messages import (
-    NO_REPLIES,
     Broadcasts,
     Change,
     Close,
@@ -50,7 +48,6 @@ from protocol.messages import (
     Open,
     OutgoingFrame,
     PhaseDelivery,
-    Replies,
     RobotFrames,
     RoundReport,
     SendReport,
@@ -108,10 +105,6 @@ class Radio:
         self._connections: list[Connection] = []
         self._first = 0
         """Number of the round's first connection; they are counted through a step."""
-        self._replies: dict[int, Replies] = {}
-        """The speculative replies of robots in this round."""
-        self._budget_at_open = UNLIMITED
-        """The remaining budget when the round began."""
         self._broadcast_sent: dict[int, bool] = {}
         """Robots that broadcast a pose or target in this round, and whether it was on the air."""
 
@@ -191,8 +184,6 @@ class Radio:
         self._first += len(self._connections)
         self._connections = []
         self._broadcast_sent = {}
-        self._replies = {}
-        self._budget_at_open = self._medium.airtime.shared(0)
         living = self._topology.living()
         self._expect("offers", living)
         if not living:
@@ -368,20 +359,13 @@ class Radio:
         broadcasts, offers = self._admit(OFFER)
         self._send_broadcasts(broadcasts)
         out, _ = self._arrivals()
-        self._replies = {sender: submitted.replies for sender, submitted in self._submitted.items()}
         offers.sort(key=lambda frame: (frame.sender, frame.receiver, frame.content.map_id))
-        expected = {sender: replies.data for sender, replies in self._replies.items()}
         for number, frame in enumerate(self._drawn("contention", offers), self._first):
-            sender, receiver, content, at = frame.sender, frame.receiver, frame.content, frame.position
-            loads = expected[sender][at] if at < len(expected[sender]) else {}
-            self._connections.append(Connection(number, sender, receiver, content.map_id, [content], loads))
+            self._connections.append(Connection(number, frame.sender, frame.receiver, [frame.content]))
         return out + self._deliver(OFFER, "answers")
 
     def _deliver(self, kind: int, phase: str) -> list[Outgoing]:
-        """Deliver all frames of a kind in the drawn order, and ask their receivers for the next phase.
-
-        The relay answers for robots whose speculative replies cover all of it.
-        """
+        """Deliver all frames of a kind in the drawn order, and ask their receivers for the next phase."""
         receiving = self._topology.receiving()
         arrived: defaultdict[int, list[Connection]] = defaultdict(list)
         for connection in self._connections:
@@ -403,49 +387,22 @@ class Radio:
                 )
                 for each in connections
             ]
-            answered = self._reply(robot, kind, connections)
-            if answered:
-                self._waiting.discard(robot)
-            event = PhaseDelivery(self._step, self._round, PHASES[kind], deliveries, answered)
-            out.append(ToRobot(robot, event))
+            out.append(ToRobot(robot, PhaseDelivery(self._step, self._round, PHASES[kind], deliveries)))
         return out
-
-    def _reply(self, robot: int, kind: int, connections: list[Connection]) -> bool:
-        """Answer for a robot with its speculative replies; return False if the relay has to ask it."""
-        speculative = self._replies.get(robot, NO_REPLIES)
-        if kind == OFFER:
-            payloads = answers(speculative.answers, connections)
-        else:
-            payloads = data(speculative.loads, connections, self._budget_at_open)
-        if payloads is None:
-            return False
-        read = self._readers[kind + 1]
-        self._take(
-            (each, read(payload)) for each, payload in zip(connections, payloads, strict=True) if payload
-        )
-        return True
-
-    def _take(self, frames: Iterable[tuple[Connection, Content]]) -> None:
-        """Take the next frames of connections."""
-        for connection, content in frames:
-            if content.problem:
-                self._refuse(*connection.ends(content.kind), content, "protocol", content.problem)
-            else:
-                connection.frames.append(content)
 
     def _collect(self, kind: int) -> None:
         """Match the submitted frames to their connections; refuse those that belong to none."""
         for sender, submitted in sorted(self._submitted.items()):
             for each in submitted.frames:
                 content, at = self._readers[kind](each.payload), each.connection - self._first
-                belongs = 0 <= at < len(self._connections) and self._connections[at].accepts(
-                    kind, sender, each.receiver
-                )
-                if belongs:
-                    self._take([(self._connections[at], content)])
-                else:
+                connection = self._connections[at] if 0 <= at < len(self._connections) else None
+                if connection is None or not connection.accepts(kind, sender, each.receiver):
                     reason = "a frame of no connection of its own"
                     self._refuse(sender, each.receiver, content, "protocol", reason)
+                elif content.problem:
+                    self._refuse(sender, each.receiver, content, "protocol", content.problem)
+                else:
+                    connection.frames.append(content)
 
     def _end_data(self) -> list[Outgoing]:
         """Play the connections, and report to both ends of each."""

@@ -67,11 +67,6 @@ Coordinates = Annotated[list[Coordinate], Meta(max_length=MAX_ROBOTS)]
 Distances = Annotated[list[Count], Meta(max_length=MAX_ROBOTS)]
 FrameNumber = Annotated[int, Meta(ge=0, lt=MAX_CONNECTIONS)]
 Frame = Annotated[bytes, Meta(max_length=MAX_FRAME)]
-Frames = Annotated[list[Frame], Meta(max_length=MAX_CONNECTIONS)]
-Handshake = Annotated[bytes, Meta(max_length=16)]
-"""The frame of an offer or an answer."""
-NO_LOAD = -1
-LoadNumber = Annotated[int, Meta(ge=NO_LOAD, lt=MAX_CONNECTIONS)]
 
 WayCells = Annotated[bytes, Meta(max_length=4 * MAX_WAY_CELLS)]
 WayPoints = Annotated[bytes, Meta(max_length=8 * MAX_WAY_CELLS)]
@@ -207,37 +202,13 @@ OutgoingFrames = Annotated[list[OutgoingFrame], Meta(max_length=MAX_CONNECTIONS)
 Deliveries = Annotated[list[Delivery], Meta(max_length=MAX_CONNECTIONS)]
 ConnectionReports = Annotated[list[ConnectionReport], Meta(max_length=MAX_CONNECTIONS)]
 SendReports = Annotated[list[SendReport], Meta(max_length=MAX_CONNECTIONS)]
-RepliesToOffers = Annotated[dict[Handshake, Handshake], Meta(max_length=MAX_CONNECTIONS)]
-RepliesToAnswers = Annotated[dict[Handshake, LoadNumber], Meta(max_length=4)]
-
-
-class Replies(Part, frozen=True):
-    """In `RobotFrames`, with offers: speculative replies of this round, by which the relay answers for the robot.
-
-    `answers`: the answer to each offer; the relay declines further offers of the same map. `data`: for each of the
-    robot's own offers, in their order, which of the `loads` it sends after each answer, `NO_LOAD` for none. Loads are
-    cut at the budget. The relay asks the robot about offers and answers that are not listed.
-    """
-
-    answers: RepliesToOffers
-    data: Annotated[list[RepliesToAnswers], Meta(max_length=MAX_CONNECTIONS)]
-    loads: Frames
-
-    def __post_init__(self) -> None:
-        load = max([load for replies in self.data for load in replies.values()], default=NO_LOAD)
-        if load >= len(self.loads):
-            raise ValueError(f"load {load} of {len(self.loads)} loads")
-
-
-NO_REPLIES = Replies({}, [], [])
-"""The relay has to ask for each reply."""
 
 
 class RobotFrames(Record, tag=7, frozen=True):
     """Robot to relay: all frames that it sends in a phase.
 
     `broadcast`: its pose and target for all in range, empty for none. `priority`: 0 to 255; the higher, the shorter its
-    frames wait for a free medium. `replies`, in the phase ``offers``: what it would send in the next ones.
+    frames wait for a free medium.
     """
 
     step: Step
@@ -246,7 +217,6 @@ class RobotFrames(Record, tag=7, frozen=True):
     broadcast: Frame = b""
     frames: OutgoingFrames = []
     priority: Priority = 0
-    replies: Replies = NO_REPLIES
 
 
 class Open(Record, tag=5, frozen=True):
@@ -271,15 +241,13 @@ class Broadcasts(Record, tag=27, frozen=True):
 class PhaseDelivery(Record, tag=6, frozen=True):
     """Event: frames of a phase arrived, each of a connection.
 
-    After ``offers`` the robot answers; after ``answers`` it sends data. It sends nothing if `answered_by_relay`: the
-    relay has answered with its speculative `Replies`.
+    After ``offers`` the robot answers; after ``answers`` it sends data.
     """
 
     step: Step
     round: Round
     phase: Name
     deliveries: Deliveries
-    answered_by_relay: bool = False
 
 
 class RoundReport(Record, tag=8, frozen=True):
@@ -558,8 +526,6 @@ def max_bytes(kind: inspect.Type) -> int:
             frames = _frames_in(item)
             item_bytes = max_bytes(item) - frames * MAX_FRAME
             return HEAD_BYTES + most * item_bytes + (MAX_FRAMES if frames else 0)
-        case inspect.DictType(key_type=key, value_type=value, max_length=int(most)):
-            return HEAD_BYTES + most * (max_bytes(key) + max_bytes(value))
         case inspect.UnionType(types=kinds):
             return max(map(max_bytes, kinds))
         case inspect.StructType(fields=parts):

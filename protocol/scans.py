@@ -70,12 +70,22 @@ def check_readings(readings: Readings, ray_table: RayTable) -> None:
     """Raise ProtocolError if a reading has more cells than its beam."""
     if len(readings) != ray_table.beams:
         raise ProtocolError("scan", 0, f"{len(readings)} readings for {ray_table.beams} beams")
-    touched, most = (readings & NONE) + (readings >> 15), np.diff(ray_table.start)
-    too_long = (readings != NONE) & (touched > most)
-    if too_long.any():
-        beam = int(too_long.argmax())
-        reason = f"beam {beam} touches {touched[beam]} cells, but its range is {most[beam]}"
+    beam = _first_too_long(readings, ray_table.start)
+    if beam >= 0:
+        touched = (readings[beam] & NONE) + (readings[beam] >> 15)
+        most = ray_table.start[beam + 1] - ray_table.start[beam]
+        reason = f"beam {beam} touches {touched} cells, but its range is {most}"
         raise ProtocolError("scan", 4 + 2 * beam, reason)
+
+
+@kernel
+def _first_too_long(readings: Readings, start: Int32s) -> int:
+    """Return the first beam whose reading has more cells than the beam; -1 if there is none."""
+    for beam in range(len(readings)):
+        reading = np.int64(readings[beam])
+        if reading != NONE and (reading & NONE) + (reading >> 15) > start[beam + 1] - start[beam]:
+            return beam
+    return -1
 
 
 def fragments(data: bytes, most: int = Fragment.size) -> list[bytes]:

@@ -237,7 +237,7 @@ def join(credential: Credential) -> ZenohBus:
         The hub does not answer, or refuses the credential.
     """
     session, keys = open_connected(plain_config("client"), credential), Keys(credential.run)
-    if names.is_robot(credential.name) and not _reaches_relay(session, keys.control_tx(credential.name)):
+    if credential.name != names.VIEW and not _reaches_relay(session, keys.control_tx(credential.name)):
         session.close()  # type: ignore[no-untyped-call]
         raise ConnectionError(
             f"{credential.name}: timed out: no relay at {credential.hub} within {CONNECT_S:g} s"
@@ -247,6 +247,8 @@ def join(credential: Credential) -> ZenohBus:
 
 def _reaches_relay(session: zenoh.Session, key: str) -> bool:
     """Wait until this session knows that the relay subscribes to `key`; return whether it does.
+
+    The hub admits participants before the relay subscribes, and drops their messages until then.
 
     A router and the hub set up their routes to each other one after the other, and each drops messages without a
     route. The relay's subscription arrives here over one direction. The robot's liveliness token, which is declared

@@ -85,6 +85,8 @@ class _LogState:
     """Number of complete updates, with those withdrawn and those that withdraw them."""
     error: str = ""
     """Why an update could not be decoded; none behind it can be decoded then."""
+    refused: bytes = b""
+    """The last update that was refused because it could not be decoded."""
 
 
 @dataclass(frozen=True)
@@ -298,9 +300,13 @@ class PredictiveEncoding(GridEncoding):
         )
 
     def apply(self, map_id: int, frame: bytes, *, step: int, sender: int) -> None:
-        """Reassemble updates, and decode those of all logs whose dependencies are there."""
+        """Reassemble updates, and decode those of all logs whose dependencies are there.
+
+        With digests, an update that cannot be decoded is refused only once. If it arrives again, its author has
+        probably received other entries of the maps on which it depends. It waits until the author withdraws it.
+        """
         log, history = self._states[map_id], self._histories[map_id]
-        if log.error:
+        if log.error and not self.settings.digests:
             raise ProtocolError(Update.name, 0, log.error)
         self._step = step
         packets = decode_kind(frame, Update)
@@ -324,6 +330,8 @@ class PredictiveEncoding(GridEncoding):
         kept = len(log.messages) - withdrawn
         if kept < 0:
             raise ProtocolError(Update.name, 0, "withdraws an update of an empty log")
+        if kept <= len(history):
+            log.error = ""
         decodable = sender != NO_SENDER and len(history) == kept and not withdrawn
         del log.messages[kept:], log.ends[kept:]
         log.messages += [message for message, _ in new]
@@ -331,13 +339,17 @@ class PredictiveEncoding(GridEncoding):
         if decodable:
             try:
                 self._decode_next(map_id, step, sender)
-            except ProtocolError:
-                del log.messages[kept:], log.ends[kept:]
-                raise
+            except ProtocolError as error:
+                message = log.messages[kept]
+                if not (self.settings.digests and message == log.refused):
+                    log.refused = message
+                    del log.messages[kept:], log.ends[kept:]
+                    raise
+                log.error = error.reason
         log.fragments, log.packets, log.updates = fragments, log.packets + len(packets), updates
         if withdrawn and len(history) > kept:
             self._decode_again()
-        elif len(log.messages) > len(history):
+        elif len(log.messages) > len(history) and not log.error:
             self._undecoded.add(map_id)
         if self._undecoded:
             self._decode_waiting(step, sender)

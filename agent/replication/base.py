@@ -15,7 +15,7 @@ from agent.replication.digests import INTERVAL
 from agent.replication.replica import LONGEST, Rejected, Replica
 from protocol import packets
 from protocol.errors import ProtocolError
-from protocol.messages import NO_REPLIES, Delivery, OutgoingFrame, Replies, RoundReport
+from protocol.messages import Delivery, OutgoingFrame, RoundReport
 from protocol.packets import Held, HeldEarly, LogDigest
 
 
@@ -52,10 +52,6 @@ class Replication(ABC):
 
         `in_range` are the peers in radio range. `budget` is the number of bytes left in the step; None: no limit.
         """
-
-    def speculative(self) -> Replies:
-        """Return the answers and data that this robot would send in this round, so that the relay need not ask."""
-        return NO_REPLIES
 
     def answer(self, offers: Sequence[Delivery]) -> list[OutgoingFrame]:
         """Answer the offers of a round. Raises ProtocolError if one is malformed, or this dissemination has none."""

@@ -1,10 +1,9 @@
-"""Two ways for gossip to learn that entries arrived: the medium acknowledges them, or the peers do.
+"""Acknowledgments in gossip: how a robot learns that entries arrived.
 
-`MediumAcks`: on a medium that loses nothing, the send report is the acknowledgment.
-
-`PeerAcks`: if the medium may lose, delay, repeat or reorder frames, a broadcast only raises what a peer is *expected*
-to hold. Peers acknowledge by `Held` reports, or by sending entries themselves. An expectation that is not acknowledged
-within the retransmission timeout is dropped, so the entries are broadcast again:
+On a reliable medium, which loses nothing, the send report is the acknowledgment. If the medium may lose, delay,
+repeat or reorder frames, a broadcast only raises what a peer is *expected* to hold. Peers acknowledge by `Held`
+reports, or by sending entries themselves. An expectation that is not acknowledged within the retransmission timeout
+is dropped, so the entries are broadcast again:
 
     event                                                       reaction
     entries are new, or were already held and came again        report the map within `_interval` steps
@@ -46,61 +45,21 @@ NEVER = -1
 """The step of something that has not happened."""
 
 
-class MediumAcks:
-    """Acknowledgment by a medium without loss: a frame on the air has arrived at all peers in range.
+class Acks:
+    """Acknowledgments of all peers, by the medium (`reliable`) or by reports.
 
-    Most methods do nothing, since the send report is the only acknowledgment.
+    On a reliable medium all peers in range receive what is on the air, so nothing times out, and nothing is stored.
     """
 
-    reliable = True
-    """Whether all peers in range receive what is on the air."""
-    gap_interval = PATIENCE
-    """Steps between two reports of a gap."""
-    turn = PATIENCE
-    """Steps after which the next peer may forward what another lacks."""
-
-    def __init__(self, peers: PeerTable) -> None:
+    def __init__(self, peers: PeerTable, *, reliable: bool) -> None:
+        self.reliable = reliable
+        self.gap_interval = PATIENCE if reliable else GAP_REPORTS
+        """Steps between two reports of a gap."""
+        self.turn = PATIENCE
+        """Steps after which the next peer may forward what another lacks."""
         self._peers = peers
-
-    def open_round(self, step: int, budget: int | None) -> None:
-        """Drop expectations whose retransmission timeout is over; `budget`: bytes of a step that begins, else None."""
-
-    def add_due(self, due: Mask, lengths: Table, step: int, last: Table) -> None:
-        """Mark the maps to report in `due`, given log lengths and the step of each map's last report."""
-
-    def report_sent(self, number: int, length: int) -> None:
-        """Note that this robot's report of a map was on the air."""
-
-    def report_received(self, peer: int, number: int, length: int, _step: int) -> None:
-        """Note how many entries of a map a peer reports."""
-        self._peers.expected[peer, number] = length
-
-    def entries_received(self, peer: int, number: int, end: int, length: int) -> None:
-        """Note that a peer sent entries of a map, before offset `end`; this robot holds `length` entries of it."""
-
-    def store(self, peer: int, number: int, first: int, entries: list[bytes]) -> None:
-        """Store entries that came behind a gap."""
-
-    def stored(self, _number: int, _length: int) -> tuple[int, bytes] | None:
-        """Take the entry at offset `length`, with its sender, if it came behind a gap."""
-        return None
-
-    def restarted(self, peer: int) -> None:
-        """Expect nothing of a peer that lost its state."""
-
-    def dropped(self, peer: int, number: int) -> None:
-        """Expect nothing of entries that a peer dropped."""
-
-
-class PeerAcks(MediumAcks):
-    """Peers acknowledge."""
-
-    reliable = False
-    gap_interval = GAP_REPORTS
-
-    def __init__(self, peers: PeerTable) -> None:
-        super().__init__(peers)
-        peers.acked = peers.new_table()
+        if not reliable:
+            peers.acked = peers.new_table()
         self._expected_since: Table = np.full(peers.acked.shape, NEVER, np.int64)
         """The step since which a peer is expected to hold more than it acknowledged."""
         self._round_trip = np.full(peers.robots, MIN_ROUND_TRIP, np.int64)
@@ -115,7 +74,9 @@ class PeerAcks(MediumAcks):
         """Entries of each map that came behind a gap, by offset, with their senders."""
 
     def open_round(self, step: int, budget: int | None) -> None:
-        """Drop expectations whose retransmission timeout is over."""
+        """Drop expectations whose retransmission timeout is over; `budget`: bytes of a step that begins, else None."""
+        if self.reliable:
+            return
         if budget:
             robots = self._peers.robots
             self._interval = max(PATIENCE, math.ceil(SHARE * Held.size * robots * (robots - 1) / budget))
@@ -129,7 +90,12 @@ class PeerAcks(MediumAcks):
         since[late] = NEVER
 
     def add_due(self, due: Mask, lengths: Table, step: int, last: Table) -> None:
-        """Mark maps with news, or repeated entries, that were not reported within the interval."""
+        """Mark the maps with news, or repeated entries, that were not reported within the interval.
+
+        `lengths`: of this robot's logs. `last`: the step of each map's last report.
+        """
+        if self.reliable:
+            return
         news = lengths > self._reported
         news[list(self._repeated)] = True
         due |= news & (step >= last + self._interval)
@@ -142,6 +108,9 @@ class PeerAcks(MediumAcks):
     def report_received(self, peer: int, number: int, length: int, step: int) -> None:
         """Acknowledge entries, measure the round trip, and drop an expectation that the report contradicts."""
         expected, acked = self._peers.expected, self._peers.acked
+        if self.reliable:
+            expected[peer, number] = length
+            return
         before, since = int(acked[peer, number]), int(self._expected_since[peer, number])
         if length > before or len(self._peers.maps) > self._peers.robots:
             acked[peer, number] = length
@@ -155,13 +124,16 @@ class PeerAcks(MediumAcks):
 
     def entries_received(self, peer: int, number: int, end: int, length: int) -> None:
         """Note that a peer sent entries up to offset `end`, and so holds them; this robot holds `length`."""
+        if self.reliable:
+            return
         self._peers.acked[peer, number] = max(int(self._peers.acked[peer, number]), end)
         if end <= length:
             self._repeated.add(number)
 
     def store(self, peer: int, number: int, first: int, entries: list[bytes]) -> None:
-        """Store entries that came behind a gap."""
-        self._stored[number] |= {offset: (peer, entry) for offset, entry in enumerate(entries, first)}
+        """Store entries that came behind a gap; on a reliable medium their sender sends them again."""
+        if not self.reliable:
+            self._stored[number] |= {offset: (peer, entry) for offset, entry in enumerate(entries, first)}
 
     def stored(self, number: int, length: int) -> tuple[int, bytes] | None:
         """Take the stored entry at offset `length`; if there is none, drop those before it."""

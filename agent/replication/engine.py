@@ -7,15 +7,15 @@ budget, and counts entries as delivered when the medium or the peers acknowledge
     setting dissemination   medium          module           acknowledged by
     backoff, thesis         perfect         `handshakes`     the medium's send report
     backoff, thesis         lossy           `acked_frames`   peers' reports
-    gossip                  perfect         `gossip`         the medium's send report (`delivery.MediumAcks`)
-    gossip                  lossy           `gossip`         peers' reports (`delivery.PeerAcks`)
+    gossip                  perfect         `gossip`         the medium's send report (`delivery.Acks`)
+    gossip                  lossy           `gossip`         peers' reports (`delivery.Acks`)
 """
 
 from __future__ import annotations
 
 from agent.replication.acked_frames import AckedFrames
 from agent.replication.base import Replication
-from agent.replication.delivery import MediumAcks, PeerAcks
+from agent.replication.delivery import Acks
 from agent.replication.gossip import Gossip
 from agent.replication.gossip_policy import Dependencies, no_dependencies
 from agent.replication.handshakes import Handshakes
@@ -40,7 +40,7 @@ def make_replication(
     own = maps[settings.own_map]
     replica = Replica(own, maps, consume, rebuild, ordered=not settings.requires_acks)
     if settings.dissemination == GOSSIP:
-        acks = PeerAcks(replica.peers) if settings.requires_acks else MediumAcks(replica.peers)
+        acks = Acks(replica.peers, reliable=not settings.requires_acks)
         return Gossip(replica, acks, dependencies)
     policy = POLICIES.get(settings.dissemination)
     if policy is None:

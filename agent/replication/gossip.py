@@ -12,7 +12,7 @@ the same forwarder (`gossip_policy`). A frame holds, in this order:
     a meeting owes reports (`neighbors`)                      held: each map of which the peer may know less
     entries arrived behind a gap                              held: this robot's log length, until the gap is filled
     some robot has been out of range before                   held: one map, in turn, every `REFRESH` steps
-    peer acknowledgments are due (`delivery.PeerAcks`)        held: the maps with news
+    peer acknowledgments are due (`delivery.Acks`)            held: the maps with news
     a peer in range lacks entries of this robot's log         from, and the entries
     this robot is to forward what a peer lacks                from, and the entries
 
@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from agent.replication.base import Replication
 from agent.replication.control_packets import Header, ParsedFrame, header, offset, parse, report
-from agent.replication.delivery import PATIENCE, MediumAcks
+from agent.replication.delivery import PATIENCE, Acks
 from agent.replication.frame_builder import FrameBuilder
 from agent.replication.gossip_policy import Dependencies, GossipPolicy
 from agent.replication.neighbors import BroadcastCursors, Meetings, Neighbors
@@ -48,7 +48,7 @@ Robots = list[int] | NDArray[np.intp]
 class Gossip(Replication):
     """One robot's broadcasts and what it learns from those of others."""
 
-    def __init__(self, replica: Replica, delivery: MediumAcks, dependencies: Dependencies) -> None:
+    def __init__(self, replica: Replica, delivery: Acks, dependencies: Dependencies) -> None:
         super().__init__(replica)
         peers = self.peers
         robot, robots, first_incarnation = peers.robot, peers.robots, peers.own < peers.robots

@@ -15,19 +15,16 @@ from typing import Literal
 from agent.replication.base import Replication
 from agent.replication.control_packets import DECLINE, answer, block_of, offer, read_answer, read_offer
 from agent.replication.frame_builder import limited
-from agent.replication.policies import Policy, Rounds, backoff
+from agent.replication.policies import Policy, Rounds
 from agent.replication.replica import Rejected, Replica
 from protocol.errors import ProtocolError
-from protocol.messages import NO_LOAD, NO_REPLIES, Delivery, OutgoingFrame, Replies, RoundReport
+from protocol.messages import Delivery, OutgoingFrame, RoundReport
 
 MAX_WAIT = 64
 """Rounds that an offer is postponed at most."""
 
 STUBBORN = 4
 """A peer that refused this robot's map so often that offers wait for more rounds than these counts as up to date."""
-
-MAX_SPECULATIVE = 1 << 16
-"""Bytes of data that are handed over speculatively, before it is known which peers lack them."""
 
 State = Literal["idle", "offered", "sending", "refused", "taking", "declining"]
 Event = Literal["news", "behind", "level", "declined", "first offer", "unwanted offer"]
@@ -71,7 +68,6 @@ class Handshakes(Replication):
     def __init__(self, replica: Replica, policy: Policy, *, forwards: bool) -> None:
         super().__init__(replica)
         self._rounds = Rounds(replica, policy, forwards=forwards)
-        self._speculates = policy is backoff
         self._waits: dict[tuple[int, int], int] = {}
         """Rounds for which a map is not offered to a peer after its next refusal; 1 if missing."""
         self._offered: dict[tuple[int, int], Connection] = {}
@@ -92,38 +88,6 @@ class Handshakes(Replication):
             connection.on("news")
             frames.append(OutgoingFrame(peer, offer(offered, first)))
         return frames
-
-    def speculative(self) -> Replies:
-        """Return the answers and data that this robot will send if all is as it expects.
-
-        The relay plays them without asking (`answer` and `send_data` would return the same). Data only of this robot's
-        map: of others', peers mostly hold by now what this robot expects them to lack.
-        """
-        own, rounds = self.peers.own, self._rounds
-        lengths = [len(log) for log in self.logs]
-        if not rounds.in_range or not self._speculates or not any(lengths):
-            return NO_REPLIES
-        declined = self._unwanted | self.replica.refused_maps()
-        answers = {
-            offer(number, length): answer(length, block_of(length))
-            for number, length in enumerate(lengths)
-            if number not in declined
-        }
-        loads = {each.length: b"" for each in self._offered.values() if each.number == own}
-        for first in loads:
-            loads[first] = self.logs[own].read(first, rounds.budget)
-        if sum(map(len, loads.values())) > MAX_SPECULATIVE:
-            loads.clear()
-        places = {first: place for place, first in enumerate(loads)}
-        data = []
-        for each in self._offered.values():
-            block = block_of(each.length)
-            after = {}
-            if each.number == own and each.length in places:
-                after[answer(each.length, block)] = places[each.length]
-            after[answer(lengths[each.number], block)] = NO_LOAD
-            data.append(after)
-        return Replies(answers, data, list(loads.values()))
 
     def answer(self, offers: Sequence[Delivery]) -> list[OutgoingFrame]:
         """Answer offers; ProtocolError if a frame is no offer."""

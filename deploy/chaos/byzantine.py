@@ -3,7 +3,7 @@
 The control logic of a byzantine robot is that of any other robot, and it holds valid credentials. Its radio sometimes
 sends a different frame: random bytes, flipped bits, a truncated or repeated frame, a well-formed packet with false
 content, or entries that it attributes to another robot. All are drawn from the robot's number and its count of frames,
-so that they are the same on both buses.
+so that they are the same on both buses. Other robots send very long messages.
 
 Byzantine robots with false maps of their own: `deploy.chaos.false_maps`.
 """
@@ -16,9 +16,10 @@ import numpy as np
 from msgspec.structs import replace
 
 from protocol import keys as names
-from protocol import packets
+from protocol import packets, rights
 from protocol.bus import Bus, Message
 from protocol.keyed_random import keyed_random
+from protocol.keys import Keys
 from protocol.messages import RelayUpdate, RoundReport, pack, unpack
 from protocol.packets import (
     DECLINED,
@@ -45,22 +46,30 @@ REPLACED = 0.25
 FLIPPED = 0.02
 """Probability that a bit of a received frame flips, in robots whose radios receive damaged frames."""
 
+HEAVY_BYTES = (4 << 20, 16 << 20)
+"""Lengths of long messages; below the limit of the hub, so that they arrive."""
+HEAVY_AFTER = 6
+"""Received messages after which a robot sends long messages, once per start."""
+
 
 @dataclass(frozen=True)
 class HostileRadios:
     """A wrapper for the buses of participants, drawn from `seed`.
 
-    Robots in `byzantine` get a `ByzantineBus`, those in `flipped` a `FlippingBus`.
+    Robots in `byzantine` get a `ByzantineBus`, those in `flipped` a `FlippingBus`, those in `heavy` a `HeavyBus`.
     """
 
     seed: int
     byzantine: tuple[int, ...] = ()
     flipped: tuple[int, ...] = ()
+    heavy: tuple[int, ...] = ()
 
     def __call__(self, name: str, bus: Bus) -> Bus:
         """Wrap the bus of the participant `name`, if its radio is hostile or damages frames."""
         if name in map(names.robot, self.flipped):
             bus = FlippingBus(bus, self.seed, names.number(name))
+        if name in map(names.robot, self.heavy):
+            bus = HeavyBus(bus, name)
         byzantine = name in map(names.robot, self.byzantine)
         return ByzantineBus(bus, self.seed, names.number(name)) if byzantine else bus
 
@@ -103,6 +112,26 @@ class FlippingBus:
         flipped = bytearray(frame)
         flipped[int(draw.integers(len(flipped)))] ^= 1 << int(draw.integers(8))
         return bytes(flipped)
+
+
+class HeavyBus:
+    """An end of the bus that sends long messages without meaning to all participants that its robot may send to."""
+
+    def __init__(self, bus: Bus, name: str) -> None:
+        self.put, self.close = bus.put, bus.close
+        self._bus = bus
+        self._name = name
+        self._received = 0
+
+    def receive(self, timeout_s: float | None = None) -> Message | None:
+        """Receive a message; after some of them, send the long ones."""
+        message = self._bus.receive(timeout_s)
+        self._received += message is not None
+        if message is not None and self._received == HEAVY_AFTER:
+            for key in rights.may_put(Keys(message.key.split("/")[1]), self._name):
+                for size in HEAVY_BYTES if "*" not in key else ():
+                    self.put(key, bytes(size))
+        return message
 
 
 class ByzantineBus:

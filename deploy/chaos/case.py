@@ -4,6 +4,8 @@ A run begins with a safety phase: robots are killed, restarted and stopped, thei
 teams are partitioned. By the step `CALM` all faults have healed, except for robots that stay dead; at least one robot
 lives. In the following liveness phase the remaining robots must finish. Loss, delay, duplication and bit errors of the
 medium, changes of its bandwidth, and byzantine robots last for the whole run.
+
+If a case runs as processes, connections of robots to the hub are cut as well; this must not change the result.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from deploy.chaos.cut_connections import Cut
 from deploy.chaos.false_maps import LIES
 from deploy.scenario.scenario import Scenario, parse
 from protocol.keyed_random import keyed_random
@@ -38,7 +41,8 @@ class ChaosCase:
     """One run under random faults; the radios of the robots in `byzantine` send hostile frames.
 
     Robots in `flipped` receive frames in which bits have flipped although the checksum holds.
-    `false_map` is a robot whose map is false, and how (`deploy.chaos.false_maps`).
+    `false_map` is a robot whose map is false, and how (`deploy.chaos.false_maps`). The robots in `heavy` send messages
+    of many megabytes to world, recorder and relay.
     """
 
     seed: int
@@ -46,6 +50,8 @@ class ChaosCase:
     byzantine: tuple[int, ...] = ()
     flipped: tuple[int, ...] = ()
     false_map: tuple[int, str] | None = None
+    heavy: tuple[int, ...] = ()
+    cuts: tuple[Cut, ...] = ()
 
     def smaller(self) -> list[ChaosCase]:
         """Cases with one fault less each, for shrinking a failing case."""
@@ -56,6 +62,7 @@ class ChaosCase:
         changes += [{key: _DEFAULTS[key]} for key in ("radio", "change") if base[key] != _DEFAULTS[key]]
         cases = [replace(self, byzantine=(), false_map=None)] if self.byzantine or self.false_map else []
         cases += [replace(self, flipped=())] if self.flipped else []
+        cases += [replace(self, heavy=(), cuts=())] if self.heavy or self.cuts else []
         for change in changes:
             with contextlib.suppress(ValueError):  # a restart may be invalid without the kill before it
                 cases.append(replace(self, scenario=parse(base | change)))
@@ -91,7 +98,20 @@ def case(seed: int) -> ChaosCase:
     lies = keyed_random(seed, "false map")
     false_map = (int(lies.integers(robots)), str(lies.choice(list(LIES))))
     can_lie = robots > 2 and not byzantine and map_encoding != "polygons" and lies.random() < 0.3
-    return ChaosCase(seed, parse(settings), byzantine, flipped, false_map if can_lie else None)
+    cuts, heavy = _connections(seed, robots)
+    scenario = parse(settings)
+    return ChaosCase(seed, scenario, byzantine, flipped, false_map if can_lie else None, heavy, cuts)
+
+
+def _connections(seed: int, robots: int) -> tuple[tuple[Cut, ...], tuple[int, ...]]:
+    """Connections that are cut or reset, in two cases of three, and a robot that sends long messages."""
+    draw = keyed_random(seed, "connections")
+    cuts = tuple(
+        Cut(int(draw.integers(1, CALM)), int(draw.integers(robots)), bool(draw.random() < 0.5))
+        for _ in range(int(draw.integers(0, 3)))
+    )
+    heavy = (int(draw.integers(robots)),) if draw.random() < 0.3 else ()
+    return cuts, heavy
 
 
 def _faults(draw: np.random.Generator, robots: int) -> list[dict[str, Any]]:

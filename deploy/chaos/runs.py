@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import time
 import traceback
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from deploy.chaos.byzantine import HostileRadios
 from deploy.chaos.case import ChaosCase, case
+from deploy.chaos.cut_connections import Cut, Cutter, proxied
 from deploy.chaos.false_maps import with_false_map
 from deploy.chaos.invariants import InvariantChecker, InvariantError
 from deploy.record.summary import digest
 from deploy.run import launch
 from deploy.run.in_memory import MemoryRun
+from deploy.run.rendezvous import on_loopback
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
 
@@ -52,6 +54,8 @@ class Verdict:
         byzantine = f", byzantine robots {list(case.byzantine)}" if case.byzantine else ""
         byzantine += f", damaged frames to robots {list(case.flipped)}" if case.flipped else ""
         byzantine += ", a false map of robot {}: {}".format(*case.false_map) if case.false_map else ""
+        byzantine += f", long messages of robots {list(case.heavy)}" if case.heavy else ""
+        byzantine += f", {len(case.cuts)} cut connections" if self.as_processes else ""
         return (
             f"seed {case.seed}: {scenario.robots} robots on {scenario.map}, {scenario.strategy}, "
             f"{scenario.map_encoding}, {scenario.dissemination}, {len(scenario.fault)} faults{byzantine}: "
@@ -66,7 +70,7 @@ def run_case(drawn: ChaosCase, *, as_processes: bool = False) -> Verdict:
         plan = with_false_map(plan, *drawn.false_map)
     lying = drawn.false_map[0] if drawn.false_map is not None else None
     checker = InvariantChecker(plan, drawn.byzantine, lying, damaged=bool(drawn.flipped))
-    radios = HostileRadios(drawn.seed, drawn.byzantine, drawn.flipped)
+    radios = HostileRadios(drawn.seed, drawn.byzantine, drawn.flipped, drawn.heavy)
     began = time.perf_counter()
     try:
         run = MemoryRun(plan, wrap=radios)
@@ -81,7 +85,7 @@ def run_case(drawn: ChaosCase, *, as_processes: bool = False) -> Verdict:
         frame = traceback.extract_tb(error.__traceback__)[-1]
         return Verdict(drawn, f"{type(error).__name__}: {error} ({frame.filename}:{frame.lineno})")
     found, wall_s = digest(run.records), time.perf_counter() - began
-    failure = _run_as_processes(plan, radios, found) if as_processes else ""
+    failure = _run_as_processes(plan, radios, drawn.cuts, found) if as_processes else ""
     return Verdict(drawn, failure, found, run.records.step, wall_s, checker.known, as_processes)
 
 
@@ -100,8 +104,15 @@ def shrink(verdict: Verdict) -> Verdict:
     return verdict
 
 
-def _run_as_processes(plan: Plan, radios: HostileRadios, expected: str) -> str:
-    outcome = launch.run(plan, None, wrap=radios)
+def _run_as_processes(plan: Plan, radios: HostileRadios, cuts: Sequence[Cut], expected: str) -> str:
+    """Repeat a run as processes, and cut connections; return a failure, or nothing."""
+    with proxied(on_loopback(plan.scenario.robots), sorted({cut.robot for cut in cuts})) as (
+        rendezvous,
+        proxies,
+    ):
+        cutter = Cutter(cuts, proxies)
+        with cutter.running():
+            outcome = launch.run(plan, None, cutter.watch, rendezvous=rendezvous, wrap=radios)
     if outcome.deaths:
         return f"as processes: {outcome.deaths}"
     found = digest(outcome.records)

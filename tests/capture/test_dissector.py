@@ -64,7 +64,7 @@ def captured_frame(payload: bytes, verdict: int = 0) -> LoggedFrame:
 
 
 def encoded(step: int, seen: list[LoggedFrame]) -> bytes:
-    return capture.encode(step, plain_ledger.columns(seen))
+    return capture.encode(step, plain_ledger.log_of(seen))
 
 
 def write(file: Path, payloads: list[bytes]) -> Path:

@@ -19,9 +19,7 @@ import pyarrow.parquet
 import pytest
 
 from deploy.record import run_directory
-from netshaper.admission import DECLINE
 from netshaper.ledger import FRAMES
-from protocol.messages import Replies
 from tests.capture.sniffer import BUFFER, SO_RCVBUFFORCE
 from tests.capture.traffic import (
     DOWN,
@@ -147,22 +145,16 @@ def test_the_relay_received_all_frames_of_each_robot_in_order_and_counted_every_
             assert sorted(map(_content, firsts)) == sorted(frames_of(opening))
             for phase, name in (("answer", "answers"), ("data", "data")):
                 these = [frame for frame in logged if FRAMES[frame.frame] == phase]
-                asked = messages.pop((step, round_number, name), None)
-                if asked is None:
-                    assert all(_is_speculative(frame, opening.replies) for frame in these)
+                if (step, round_number, name) not in messages:
+                    assert not these
                     continue
+                asked = messages.pop((step, round_number, name))
                 for frame, (receiver, payload) in zip(these, frames_of(asked), strict=True):
                     assert receiver == _receiver(frame)
                     assert frame.is_payload(payload), (frame, payload.hex())
         assert not any(frames_of(left) for left in messages.values()), (
             f"r{robot} sent frames that the ledger lacks"
         )
-
-
-def test_robots_hand_over_most_replies_speculatively(traffic: Traffic) -> None:
-    for robot in traffic.robots:
-        phases = Counter(phase for _, _, phase in traffic.of(f"r{robot}").submitted())
-        assert phases["offers"] > phases["answers"] + phases["data"]
 
 
 def _receiver(frame: CapturedFrame) -> str:
@@ -174,13 +166,6 @@ def _content(frame: CapturedFrame) -> tuple[str, bytes]:
     return _receiver(frame), frame.known
 
 
-def _is_speculative(frame: CapturedFrame, replies: Replies) -> bool:
-    """Whether a robot handed the frame over with its offers; data may be cut to the room that was left."""
-    if FRAMES[frame.frame] == "answer":
-        return frame.known in (*replies.answers.values(), DECLINE)
-    return any(frame.size <= len(load) and load.startswith(frame.known) for load in replies.loads)
-
-
 def test_each_robot_received_exactly_the_carried_frames_in_order(
     traffic: Traffic, captured: list[CapturedFrame]
 ) -> None:
@@ -190,18 +175,11 @@ def test_each_robot_received_exactly_the_carried_frames_in_order(
 
 def test_bytes_on_the_wire_equal_those_of_the_ledger(traffic: Traffic, captured: list[CapturedFrame]) -> None:
     ledger = pyarrow.parquet.read_table(traffic.run / run_directory.LEDGER).to_pylist()
-    messages = {robot: traffic.of(f"r{robot}").submitted() for robot in traffic.robots}
-    asked = sum(
+    submitted = sum(
         len(payload)
-        for these in messages.values()
-        for each in these.values()
+        for robot in traffic.robots
+        for each in traffic.of(f"r{robot}").submitted().values()
         for _, payload in frames_of(each)
-    )
-    phases = dict(zip(PHASES, ("offers", "offers", "answers", "data"), strict=True))
-    speculative = sum(
-        frame.size
-        for frame in captured
-        if (frame.step, frame.round, phases[frame.frame]) not in messages[frame.sender]
     )
     down = sum(len(payload) for robot in traffic.robots for _, payload in traffic.of(f"r{robot}").radio(DOWN))
     carried = [row for row in ledger if row["carried"]]
@@ -210,7 +188,7 @@ def test_bytes_on_the_wire_equal_those_of_the_ledger(traffic: Traffic, captured:
         for row in ledger
         if not row["carried"] and row["frame"] in PHASES[1:3] and row["cause"] == "budget"
     ]
-    assert asked + speculative == sum(row["bytes"] for row in ledger)
+    assert submitted == sum(row["bytes"] for row in ledger)
     assert down == sum(row["bytes"] * row["received_by"] for row in carried) + sum(
         row["bytes"] for row in truncated
     )

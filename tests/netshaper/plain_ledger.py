@@ -1,4 +1,4 @@
-"""Ledger and capture of a step, packet by packet and block by block: a plain reference for the kernels."""
+"""Ledger and capture of a step, packet by packet and block by block: a plain reference."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from netshaper import pcapng
 from netshaper.admission import refused
 from netshaper.capture import HEAD, KEPT, PART, VERSION, WIDE, WIDE_HEAD
-from netshaper.frame_log import Columns, FrameLog, comment
+from netshaper.frame_log import FrameLog, comment
 from netshaper.ledger import CAUSES, KIND_NUMBER, MALFORMED, on_air
 from protocol import packets
 from protocol.errors import ProtocolError
@@ -58,7 +58,7 @@ def logged_frames(payloads: st.SearchStrategy[bytes]) -> st.SearchStrategy[Logge
     )
 
 
-def columns(seen: Iterable[LoggedFrame]) -> Columns:
+def log_of(seen: Iterable[LoggedFrame]) -> FrameLog:
     """A log of these frames."""
     log = FrameLog()
     for each in seen:
@@ -67,7 +67,7 @@ def columns(seen: Iterable[LoggedFrame]) -> Columns:
             each.round, content, each.verdict, each.sender, each.receiver, each.map, each.connection,
             receivers=receivers, reason=each.reason,
         )  # fmt: skip
-    return log.columns()
+    return log
 
 
 def rows(step: int, seen: Iterable[LoggedFrame]) -> list[Row]:

@@ -31,7 +31,7 @@ class Robot:
         match event:
             case Open():
                 return self.opens(event)
-            case PhaseDelivery(answered_by_relay=False):
+            case PhaseDelivery():
                 return self.replies(event)
             case Close():
                 return self.rests(event)

@@ -50,7 +50,7 @@ def read(file: bytes) -> list[Captured]:
 
 def write(steps: list[tuple[int, list[LoggedFrame]]]) -> bytes:
     return capture.head("a test") + b"".join(
-        capture.encode(step, plain_ledger.columns(seen)) for step, seen in steps
+        capture.encode(step, plain_ledger.log_of(seen)) for step, seen in steps
     )
 
 
@@ -78,8 +78,8 @@ wide_frames = plain_ledger.logged_frames(st.binary(max_size=200))
 
 
 @given(st.integers(0, 2**32 - 1), st.lists(logged_frames | wide_frames, max_size=8))
-def test_the_kernel_writes_what_is_written_block_by_block(step: int, seen: list[LoggedFrame]) -> None:
-    assert capture.encode(step, plain_ledger.columns(seen)) == plain_ledger.blocks(step, seen)
+def test_the_capture_is_that_of_the_plain_reference(step: int, seen: list[LoggedFrame]) -> None:
+    assert capture.encode(step, plain_ledger.log_of(seen)) == plain_ledger.blocks(step, seen)
 
 
 @given(st.lists(wide_frames, max_size=5))
@@ -147,7 +147,7 @@ def test_times_are_the_step_in_seconds_and_the_position_in_it_in_microseconds() 
 def test_a_frame_too_long_for_one_packet_of_wireshark_is_several_that_hold_whole_packets() -> None:
     payload = encode([Delete(n % 4096) for n in range(PART + 1)])
     seen = [LoggedFrame(0, 0, 2, 0, 1, 0, 0, 2, payload)]
-    assert capture.encode(1, plain_ledger.columns(seen)) == plain_ledger.blocks(1, seen)
+    assert capture.encode(1, plain_ledger.log_of(seen)) == plain_ledger.blocks(1, seen)
     frames = read(write([(1, seen)]))
     assert [frame.part for frame in frames] == [0, 1, 2]
     assert b"".join(frame.payload for frame in frames) == payload

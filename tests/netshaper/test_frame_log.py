@@ -6,7 +6,6 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from netshaper.frame_log import ledger_rows
 from netshaper.ledger import ROW
 from protocol.packets import encode
 from tests.netshaper import plain_ledger
@@ -18,5 +17,5 @@ logged_frames = plain_ledger.logged_frames(streams.map(encode) | st.binary(max_s
 
 @given(st.integers(0, 2**31 - 1), st.lists(logged_frames, max_size=8))
 def test_rows_are_those_of_reading_every_packet(step: int, seen: list[LoggedFrame]) -> None:
-    rows = np.frombuffer(ledger_rows(step, plain_ledger.columns(seen)), ROW)
+    rows = np.frombuffer(plain_ledger.log_of(seen).ledger_rows(step), ROW)
     assert rows.tolist() == plain_ledger.rows(step, seen)

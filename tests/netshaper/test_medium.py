@@ -7,8 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from netshaper.admission import refused
-from netshaper.connections import Connection
-from netshaper.frame_log import Frame
+from netshaper.frame_log import Connection, Frame
 from netshaper.ledger import BROADCAST, CAUSES, EVERYONE, OFFER, ROW
 from netshaper.medium import Medium
 from netshaper.settings import RadioSettings
@@ -57,7 +56,7 @@ def play(medium: Medium, event: object) -> None:
         medium.broadcast(frame, [1] if event else [])
     else:
         contents = [refused(kind, payload, "") for kind, payload in enumerate(frames)]
-        medium.play([Connection(0, 0, 1, 0, contents, {})])
+        medium.play([Connection(0, 0, 1, contents)])
 
 
 def rows(medium: Medium) -> list[tuple[int, ...]]:

@@ -38,7 +38,6 @@ from protocol.messages import (
     RadioReport,
     Reconnected,
     RelayUpdate,
-    Replies,
     RequestMaps,
     RobotFrames,
     Shutdown,
@@ -361,18 +360,15 @@ def test_frames_of_another_step_or_round_are_faults_of_their_sender(step: int, n
     assert len(run.finish_step()) == 1
 
 
-REPLIES = [[], b"", [], []]
-
-
 @pytest.mark.parametrize(
     "items",
     [
-        [1, 0, "offers", b"", [[0, b"", 2**63]], 0, REPLIES],
-        [-5, 99, "offers", b"", [], 0, REPLIES],
-        [1, 0, "offers", b"", [], 256, REPLIES],
-        [1, 0, "offers", b"", [[-2, b"", -1]], 0, REPLIES],
-        [1, 0, "offers", b"", [[0, "text", -1]], 0, REPLIES],
-        [1, 0, "offers", "text", [], 0, REPLIES],
+        [1, 0, "offers", b"", [[0, b"", 2**63]], 0],
+        [-5, 99, "offers", b"", [], 0],
+        [1, 0, "offers", b"", [], 256],
+        [1, 0, "offers", b"", [[-2, b"", -1]], 0],
+        [1, 0, "offers", b"", [[0, "text", -1]], 0],
+        [1, 0, "offers", "text", [], 0],
     ],
     ids=repr,
 )
@@ -409,19 +405,6 @@ def test_a_frame_longer_than_the_limit_is_reported_and_not_decoded() -> None:
     assert run.relay.waiting_for() == [0, 1]
     (report,) = run.finish_step()
     assert report.rows == b""
-
-
-@pytest.mark.parametrize(("replies", "reason"), [
-    (Replies({b"": bytes(1065)}, [], []), "replies[0][...]: Expected `bytes` of length <= 16"),
-    (Replies({}, [{b"": 0}], [bytes(1065)]), "a frame of 1065 bytes, where 1064 are the most"),
-], ids=["answer", "data"])  # fmt: skip
-def test_a_reply_longer_than_the_limit_is_reported_and_not_decoded(replies: Replies, reason: str) -> None:
-    run = Run(budget=Budget(1000))
-    run.begin_step()
-    run.send("r1", RobotFrames(1, 0, "offers", replies=replies))
-    (fault,) = run.received(RECORDER)
-    assert reason in fault.reason
-    assert run.relay.waiting_for() == [0, 1]
 
 
 def test_a_broadcast_of_relayed_positions_may_exceed_the_budget() -> None:

@@ -66,25 +66,11 @@ def values(kind: inspect.Type) -> st.SearchStrategy[Any]:
             return st.none()
         case inspect.UnionType(types=kinds):
             return st.one_of(map(values, kinds))
-        case inspect.StructType(cls=messages.Replies):
-            return replies
         case inspect.StructType(cls=cls) if issubclass(cls, messages.Record):
             return a_message(cls)
         case inspect.StructType(cls=cls, fields=parts):
             return st.builds(cls, **{part.name: values(part.type) for part in parts})
     return st.dictionaries(st.text(), trees, max_size=4)
-
-
-@st.composite
-def some_replies(draw: st.DrawFn) -> messages.Replies:
-    frame = st.binary(max_size=5)
-    loads = draw(st.lists(frame, max_size=3))
-    load = st.integers(messages.NO_LOAD, len(loads) - 1)
-    data = st.lists(st.dictionaries(frame, load, max_size=3), max_size=3)
-    return messages.Replies(draw(st.dictionaries(frame, frame, max_size=3)), draw(data), loads)
-
-
-replies = some_replies()
 
 
 @st.composite
@@ -187,8 +173,6 @@ def test_no_message_is_longer_than_its_kind_may_be(kind: type[messages.Record]) 
 def test_fields_that_do_not_fit_together_are_refused() -> None:
     with pytest.raises(ProtocolError, match="different lengths"):
         unpack(msgpack.packb([4, 1, [0, 1], [2], [2]]))
-    with pytest.raises(ProtocolError, match="replies: load 0 of 0 loads"):
-        unpack(msgpack.packb([7, 1, 0, "offers", b"", [], 0, [{}, [{b"": 0}], []]]))
     for items in (
         [3, 1, b"abc", 0, True, True, False, b""],
         [14, 1, bytes(15), [], 1, 1],

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from agent.radio_events import respond
@@ -22,7 +21,7 @@ from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import parse
 from netshaper.ledger import ROW
 from protocol.grid import FREE, OCCUPIED, Grid, ray_table
-from protocol.messages import NO_REPLIES, MediumEvent, Move, RobotFrames, Sense
+from protocol.messages import MediumEvent, Move, RobotFrames, Sense
 from tests.agent.outline.edit_scripts import canonical
 from tests.netshaper.network import Network
 from worldsim import generators
@@ -54,7 +53,7 @@ def corridor(length: int, height: int = 5) -> Map:
 
 
 class Member:
-    """A robot without its process; it sends no speculative replies, so the relay asks it in each phase."""
+    """A robot without its process."""
 
     def __init__(self, settings: Settings) -> None:
         self.robot = Robot(settings)
@@ -64,8 +63,7 @@ class Member:
 
     def take(self, event: MediumEvent) -> RobotFrames | None:
         """Handle an event of the relay; return the frames that the robot sends in response."""
-        frames = respond(self.robot, event, pytest.fail)
-        return None if frames is None else replace(frames, replies=NO_REPLIES)
+        return respond(self.robot, event, pytest.fail)
 
     def __call__(self, event: MediumEvent) -> list[RobotFrames]:
         frames = self.take(event)

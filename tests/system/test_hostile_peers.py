@@ -140,8 +140,7 @@ class _Forger:
                 replace(frame, payload=forged) if packets.name(frame.payload) in edits else frame
                 for frame in message.frames
             ]
-            loads = [forged if packets.name(load) in edits else load for load in message.replies.loads]
-            payload = pack(replace(message, frames=frames, replies=replace(message.replies, loads=loads)))
+            payload = pack(replace(message, frames=frames))
         self._inner.put(key, payload)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
+from agent.radio_events import continue_round, open_round
+from agent.replication.base import Replication
 from deploy.record.records import Records
 from deploy.record.summary import digest
 from deploy.run.in_memory import MemoryRun
@@ -21,12 +23,12 @@ from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import parse
 from netshaper.ledger import CAUSES, DATA, balance
 from netshaper.settings import RadioSettings
-from protocol import packets
+from protocol import packet_index, packets
 from protocol.budget import UNLIMITED, Budget
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
-from protocol.messages import MediumEvent, Open, OutgoingFrame, RobotFrames
+from protocol.messages import MediumEvent, Open, OutgoingFrame, PhaseDelivery, RobotFrames, RoundReport
+from tests.agent.replication.network import make_engine
 from tests.netshaper.network import Network
-from tests.netshaper.test_connections import Member, replication
 from worldsim import generators
 from worldsim.maps import Map
 
@@ -270,10 +272,22 @@ class Pair:
     """Replication engines of two robots that append an entry each per step, wherever they are."""
 
     def __init__(self, range_cells: float, budget: Budget) -> None:
-        self.engines = [replication(robot, 2) for robot in range(2)]
-        members = {robot: Member(engine, speculates=False) for robot, engine in enumerate(self.engines)}
+        self.engines = [
+            make_engine(robot, 2, lambda *received: packet_index.ends(received[-1])) for robot in range(2)
+        ]
+        members = {robot: partial(self.respond, engine) for robot, engine in enumerate(self.engines)}
         self.network = Network(RadioSettings(2, 0, range_cells, budget), members)
         self.logged = [0, 0]
+
+    @staticmethod
+    def respond(engine: Replication, event: MediumEvent) -> list[RobotFrames]:
+        if isinstance(event, Open):
+            return [open_round(engine, event)]
+        if isinstance(event, PhaseDelivery):
+            return [continue_round(engine, event, pytest.fail)]
+        if isinstance(event, RoundReport):
+            assert not engine.close_round(event)
+        return []
 
     def step(self, number: int, cells: dict[int, tuple[int, int]]) -> NDArray[np.void]:
         """Play one step; return its ledger."""

@@ -168,7 +168,7 @@ def listen(team: Team, note: Any) -> None:
     def taking(step: Step, outgoing: Sequence[Outgoing]) -> None:
         for item in outgoing:
             if isinstance(item, Account):
-                note(item.log.columns().rows)
+                note(item.log.rows())
         take(step, outgoing)
 
     team._network._take = taking  # type: ignore[method-assign]

@@ -6,11 +6,13 @@ from functools import cache
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from agent.encodings.base import MapEncoding
 from agent.encodings.catalog import make_encoding
 from agent.encodings.predictive import PATIENCE
 from deploy.scenario.plan import Plan
+from protocol.errors import ProtocolError
 from protocol.grid import UNKNOWN, Grid, ray_table
 from protocol.packets import Update, decode
 from protocol.scans import Scan, draw
@@ -113,6 +115,7 @@ def test_own_updates_that_depended_on_dropped_ones_are_withdrawn_for_all_robots(
 
     author, forger = Writer("predictive", 1), Writer("predictive", 1, forges_from=1)
     deceived, third = make("predictive", 0), make("predictive", 2)
+    patient = make_encoding(replace(plan("predictive").robot_settings[2], digests=True))
     own: Grid = np.full((HEIGHT, WIDTH), UNKNOWN, np.uint8)
     true: list[bytes] = []
     log: list[bytes] = []
@@ -129,7 +132,17 @@ def test_own_updates_that_depended_on_dropped_ones_are_withdrawn_for_all_robots(
     assert numbers, "empty updates withdraw the others"
     apply(third, 1, true, 60)
     apply(third, 0, log, 60)
+    apply(patient, 1, true, 60)
+    refused = []
+    for entry in log:
+        try:
+            apply(patient, 0, [entry], 60)
+        except ProtocolError:
+            refused.append(entry)
+            apply(patient, 0, [entry], 61)
+    assert len(refused) == 1, "an entry that arrives again is what its author wrote"
     meant = np.where(own == UNKNOWN, author.own, own)
     nothing = np.full((HEIGHT, WIDTH), UNKNOWN, np.uint8)
     assert (third.merge(nothing, range(ROBOTS)) == meant).all()
     assert (deceived.merge(own, range(ROBOTS)) == meant).all()
+    assert (patient.merge(nothing, range(ROBOTS)) == meant).all(), "its withdrawal arrived later"

@@ -35,6 +35,8 @@ def test_a_case_follows_from_its_seed() -> None:
     assert any(each.false_map for each in drawn)
     assert not any(each.false_map and each.scenario.map_encoding == "polygons" for each in drawn)
     assert any(each.scenario.change for each in drawn)
+    assert any(each.heavy for each in drawn)
+    assert {cut.reset for each in drawn for cut in each.cuts} == {False, True}
     for each in drawn:
         assert all(fault.step + fault.steps <= CALM for fault in each.scenario.fault)
 
@@ -47,6 +49,13 @@ def test_cases_pass_and_are_deterministic(seed: int) -> None:
     assert first.failure == second.failure == ""
     assert first.digest == second.digest
     assert first.known >= 0.97
+
+
+def test_cut_connections_and_long_messages_do_not_change_a_run_of_processes() -> None:
+    drawn = case(34)
+    assert drawn.heavy
+    assert len(drawn.cuts) == 2
+    assert run_case(drawn, as_processes=True).failure == ""
 
 
 def run_with_defect(drawn: ChaosCase, defect: str) -> None:
