@@ -13,11 +13,10 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-import numpy as np
-
 from agent.announcements import Announcements
 from agent.encodings.base import MapEncoding
 from agent.encodings.catalog import encoding_class, make_encoding
+from agent.mapping.mapper import make_mapper
 from agent.outline.polygons import Polygons
 from agent.replication.digests import INTERVAL
 from agent.replication.engine import make_replication
@@ -29,18 +28,16 @@ from agent.strategies.registry import strategy
 from agent.team_state import TeamState
 from protocol import packet_index, packets
 from protocol.errors import ProtocolError
-from protocol.grid import UNKNOWN, Grid, ray_table
+from protocol.grid import Grid
 from protocol.messages import (
     MAX_WAY_CELLS,
     Move,
     RoundReport,
     Sense,
-    cells_from_bytes,
     cells_to_bytes,
     points_to_bytes,
 )
 from protocol.packets import SALTS, Held, HeldEarly, LogDigest
-from protocol.scans import Scan, check_readings, draw
 
 SURE_AFTER = 10
 """Steps for which a map with assumptions must have nothing left to explore before a robot reports that it is done:
@@ -78,11 +75,14 @@ class Robot:
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
-        self.own: Grid = np.full((settings.height, settings.width), UNKNOWN, np.uint8)
+        self._mapper = make_mapper(settings)
+        self.own: Grid = self._mapper.states
         """The self-explored grid."""
         self.planning: Grid = self.own.copy()
         """The planning grid: the self-explored one merged with teammates' maps."""
         self._encoding = make_encoding(settings)
+        if self._mapper.log_odds is not None:
+            self._encoding.use_log_odds(self._mapper.log_odds)
         self._team = TeamState(settings)
         consume = partial(_consume, self._encoding, self._team)
         rebuild = partial(_rebuild, self._encoding, self._team)
@@ -95,10 +95,7 @@ class Robot:
         """Teammates whose maps were so often contradicted that they were left out of the planning grid."""
         self._doubted_steps: dict[int, int] = {}
         """Steps for which each teammate's map has been left out."""
-        self.known_cells = 0
-        """Cells of the self-explored grid that are known."""
         self._announcements = Announcements(settings)
-        self._ray_table = ray_table(settings.range_cells, settings.beams)
         self._strategy = strategy(settings.strategy)(settings.options, settings)
         self._sense: Sense | None = None
         self._withheld: list[bytes] = []
@@ -121,6 +118,11 @@ class Robot:
         """Teammates that sent map updates which were malformed or not their author's, several times."""
         return self.replication.replica.distrusted
 
+    @property
+    def known_cells(self) -> int:
+        """Cells of the self-explored grid that are known."""
+        return self._mapper.known_cells
+
     def error(self) -> int:
         """Count the cells in which its map and the approximation in its log differ (thesis, Eq. 6.1)."""
         return self._encoding.approximation_error(self.own)
@@ -131,22 +133,17 @@ class Robot:
 
     def perceive(self, sense: Sense) -> None:
         """Take the sensor readings at the beginning of a step; ProtocolError if they do not fit the robot's laser."""
-        readings = np.frombuffer(sense.readings, np.uint16).copy()
-        check_readings(readings, self._ray_table)
-        driven = cells_from_bytes(sense.driven)
-        change = draw(self.own, self._ray_table, sense.x, sense.y, readings, driven)
-        self.known_cells += change.cells
+        scan, change = self._mapper.add(sense)
         self._sense = sense
         self._team.perceive(sense)
         if self.settings.digests:
-            self.replication.salt = zlib.crc32(sense.readings, sense.step) % SALTS
+            self.replication.salt = zlib.crc32(sense.readings + sense.range_scan, sense.step) % SALTS
         encoding, replication = self._encoding, self.replication
         if encoding.retractable and not self._withheld and replication.retract(encoding.retractable):
             encoding.retract_last()
         delivered = replication.delivered() and not self._withheld
         if delivered:
             self._announcements.scans_received(encoding.scan_cell(replication.peers.own), self._team.in_range)
-        scan = Scan(sense.x, sense.y, readings)
         self._withheld += encoding.encode_changes(self.own, scan, change, delivered=delivered)
         if not self._strategy.defers_publication:
             self._publish()

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from protocol.budget import Budget
 from protocol.errors import ProtocolError
+from protocol.range_scans import Laser
 
 
 class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -73,6 +74,10 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Whether the robot broadcasts digests of its log (`agent.replication.digests`)."""
     record_maps: bool = False
     """Whether to report map changes to the recorder."""
+    laser: Laser | None = None
+    """The beams of the robots' lasers; None: exact readings in cells (`protocol.scans`)."""
+    tolerance: int = 0
+    """Distance in cells by which a wall in teammates' copies of a map may be displaced; 0: maps are shared exactly."""
 
     @property
     def maps(self) -> int:

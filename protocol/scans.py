@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.arrays import Int32Rows, Int32s, Uint16s
-from protocol.boxes import NO_BOXES, Box, Boxes
+from protocol.boxes import NO_BOXES, Box, Boxes, bounding_box
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, MAX_SIDE, OCCUPIED, UNKNOWN, Grid, RayTable
 from protocol.kernels import kernel
@@ -123,6 +123,12 @@ class Change(NamedTuple):
     def boxes(self) -> Boxes:
         """The box as an array of one row; no row if nothing changed."""
         return np.array([self.box], np.int32) if self.cells else NO_BOXES
+
+    def joined(self, other: Change) -> Change:
+        """Return this change and another one as one."""
+        if not (self.cells and other.cells):
+            return self if self.cells else other
+        return Change(self.cells + other.cells, bounding_box([self.box, other.box]))
 
 
 _NO_CELLS = np.empty((0, 2), np.int32)

@@ -8,10 +8,12 @@ from contextlib import suppress
 from typing import Any, ClassVar, NamedTuple
 
 from agent.encodings.reachability_check import ReachabilityCheck
+from agent.mapping.estimator import Int8Grid
 from agent.outline.polygons import Polygons
 from agent.settings import Settings
 from protocol.errors import ProtocolError
 from protocol.grid import Grid
+from protocol.range_scans import RangeScan
 from protocol.scans import Change, Scan
 
 NO_SENDER = -2
@@ -70,15 +72,24 @@ class MapEncoding(ABC):
         """
         del cache
 
+    def use_log_odds(self, log_odds: Int8Grid) -> None:
+        """Take the log odds of the self-explored grid, an int8 array that its mapper changes, before the first step.
+
+        They tell how certain each cell is if lasers are noisy (`agent.mapping.estimator`).
+        """
+        del log_odds
+
     @abstractmethod
-    def encode_changes(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
+    def encode_changes(
+        self, own: Grid, scan: Scan | RangeScan, change: Change, *, delivered: bool
+    ) -> list[bytes]:
         """Return the packets to append to this robot's log for this step; none if nothing is to be sent.
 
         Parameters
         ----------
         own : uint8 array, shape (h, w)
             The self-explored grid, `scan` drawn on it.
-        scan : Scan
+        scan : Scan or RangeScan
             This step's readings.
         change : Change
             Where the scan has changed the grid.

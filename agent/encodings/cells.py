@@ -18,6 +18,7 @@ from protocol import packets
 from protocol.boxes import NO_BOXES, union
 from protocol.errors import ProtocolError
 from protocol.grid import OCCUPIED, Grid
+from protocol.range_scans import RangeScan
 from protocol.scans import Change, Scan, contents, fragments
 
 if sys.version_info >= (3, 14):
@@ -69,7 +70,9 @@ class CellEncoding(GridEncoding):
         """Where the self-explored grid has changed since the last patch."""
         self._partial: dict[int, bytes] = {}
 
-    def encode_changes(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
+    def encode_changes(
+        self, own: Grid, scan: Scan | RangeScan, change: Change, *, delivered: bool
+    ) -> list[bytes]:
         """Encode a patch of all changed cells, once all teammates in range hold the patches before."""
         del scan
         self.own_changes.add(own, change)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from agent.encodings.received_grid import GridEncoding
 from protocol.errors import ProtocolError
 from protocol.grid import Grid
+from protocol.range_scans import RangeScan
 from protocol.scans import Change, Scan
 
 
@@ -13,7 +14,9 @@ class NoEncoding(GridEncoding):
 
     name = "none"
 
-    def encode_changes(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
+    def encode_changes(
+        self, own: Grid, scan: Scan | RangeScan, change: Change, *, delivered: bool
+    ) -> list[bytes]:
         """Return no packets."""
         del scan, delivered
         self.own_changes.add(own, change)

@@ -27,6 +27,7 @@ from agent.outline.simplify import refine
 from agent.outline.splitting import SplitAllowance
 from agent.settings import Settings
 from protocol.grid import Grid
+from protocol.range_scans import RangeScan
 from protocol.scans import Change, Scan
 
 
@@ -99,7 +100,9 @@ class PolygonEncoding(MapEncoding):
         held[self.settings.own_map] = self._held.held.polygons
         return {map_id: polygons for map_id, polygons in held.items() if polygons.objects}
 
-    def encode_changes(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
+    def encode_changes(
+        self, own: Grid, scan: Scan | RangeScan, change: Change, *, delivered: bool
+    ) -> list[bytes]:
         """Repair and refine the approximation, and encode the edits (Algorithm 10, lines 6 to 13)."""
         self._outdated = self._outdated or change.cells > 0
         self._scan_cell = scan.x, scan.y

@@ -43,6 +43,7 @@ from protocol.packets import (
     decode_kind,
     encode,
 )
+from protocol.range_scans import RangeScan
 from protocol.scans import Change, Scan
 
 ENOUGH_CELLS = 14
@@ -171,7 +172,9 @@ class PredictiveEncoding(GridEncoding):
                 self._streams[map_id] = CachedReader(cache, map_id, self._histories)
         return self._streams[map_id]
 
-    def encode_changes(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
+    def encode_changes(
+        self, own: Grid, scan: Scan | RangeScan, change: Change, *, delivered: bool
+    ) -> list[bytes]:
         """Encode an update, if teammates hold the last one and enough cells have changed.
 
         Before, withdraw updates that depend on other updates than those that their authors wrote.
@@ -180,7 +183,9 @@ class PredictiveEncoding(GridEncoding):
         withdrawing = self._withdraw_invalid()
         return withdrawing + self._encode_new(own, scan, change, delivered=delivered)
 
-    def _encode_new(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
+    def _encode_new(
+        self, own: Grid, scan: Scan | RangeScan, change: Change, *, delivered: bool
+    ) -> list[bytes]:
         """Encode an update, if there is anything to report."""
         pending = self._pending
         if change.cells:

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.arrays import Bools, Int32Rows, Int32s
-from protocol.boxes import Box
+from protocol.boxes import NO_BOX, Box
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, RayTable
 from protocol.kernels import kernel
-from protocol.scans import NONE, Readings
+from protocol.scans import NONE, Change, Readings
 
 Int8Grid = Annotated[NDArray[np.int8], "int8[:,::1]"]
 
@@ -34,21 +34,30 @@ SETTLED = 24
 
 
 class Estimator:
-    """Log odds and states of a grid, shape (h, w)."""
+    """Log odds and states of a grid, shape (h, w); `add` returns the cells whose state or settledness changes."""
 
     def __init__(self, height: int, width: int) -> None:
+        self.known_cells = 0
+        """Number of cells that are known."""
         self.log_odds: NDArray[np.int8] = np.zeros((height, width), np.int8)
         self.states: Grid = np.full((height, width), UNKNOWN, np.uint8)
         self._marks: NDArray[np.uint8] = np.zeros((height, width), np.uint8)
 
-    def add(self, x: int, y: int, ends: NDArray[np.int32], hits: NDArray[np.bool_]) -> Box:
-        """Add a scan taken at (x, y); return a box around the touched cells (x0, y0, x1, y1).
+    def add(self, x: int, y: int, ends: NDArray[np.int32], hits: NDArray[np.bool_]) -> Change:
+        """Add a scan taken at (x, y).
 
         `ends`, shape (beams, 2), are where beams end; `hits` are beams that ended at an obstacle.
         """
-        box: Box = _mark_beams(self._marks, x, y, ends, hits)
-        _apply(self.log_odds, self.states, self._marks, *box)
-        return box
+        return self._apply(_mark_beams(self._marks, x, y, ends, hits))
+
+    def strike(self, x: int, y: int) -> Change:
+        """Note that the robot has bumped into something in cell (x, y): it is occupied for the time being."""
+        height, width = self.states.shape
+        if not (0 <= x < width and 0 <= y < height):
+            return Change(0, NO_BOX)
+        self.log_odds[y, x] = max(self.log_odds[y, x], 0)
+        self._marks[y, x] = 2
+        return self._apply((x, y, x + 1, y + 1))
 
     def add_readings(
         self,
@@ -57,22 +66,20 @@ class Estimator:
         y: int,
         readings: Readings,
         driven: NDArray[np.int32] = NO_CELLS,
-    ) -> Box:
-        """Add a scan whose beams cross the cells of a ray table; return a box around the touched cells.
+    ) -> Change:
+        """Add a scan whose beams cross the cells of a ray table.
 
         The parameters are those of `protocol.scans.draw`. If scans do not contradict each other, the states equal the
         grid that `draw` produces: the first scan of a cell decides its state.
         """
         cells, start, shared = ray_table.cells, ray_table.start, ray_table.shared
-        box: Box = _mark_readings(self._marks, cells, start, shared, x, y, readings, driven)
-        _apply(self.log_odds, self.states, self._marks, *box)
-        return box
+        return self._apply(_mark_readings(self._marks, cells, start, shared, x, y, readings, driven))
 
-    @property
-    def settled(self) -> NDArray[np.bool_]:
-        """Cells whose state is certain enough to be corrected at teammates."""
-        mask: NDArray[np.bool_] = np.abs(self.log_odds) >= SETTLED
-        return mask
+    def _apply(self, touched: Box) -> Change:
+        known, changed, *box = _apply(self.log_odds, self.states, self._marks, *touched)
+        self.known_cells += known
+        x0, y0, x1, y1 = box
+        return Change(changed, (x0, y0, x1, y1) if changed else NO_BOX)
 
 
 @kernel
@@ -151,17 +158,31 @@ def _mark_readings(
 
 
 @kernel
-def _apply(log_odds: Int8Grid, states: Grid, marks: Grid, x0: int, y0: int, x1: int, y1: int) -> None:
-    """Change the log odds and states of the marked cells in a box, and clear the marks."""
+def _apply(
+    log_odds: Int8Grid, states: Grid, marks: Grid, x0: int, y0: int, x1: int, y1: int
+) -> tuple[int, int, int, int, int, int]:
+    """Change the log odds and states of the marked cells in a box, and clear the marks.
+
+    Returns the number of cells that became known, the number of cells whose state or settledness changed, and a box
+    around the latter.
+    """
+    known = changed = 0
+    left, top, right, bottom = x1, y1, x0, y0
     for y in range(y0, y1):
         for x in range(x0, x1):
             if marks[y, x] == 0:
                 continue
             change = STRUCK if marks[y, x] == 2 else PASS
             marks[y, x] = 0
-            odds = min(MOST, max(LEAST, int(np.int64(log_odds[y, x])) + change))
+            before, state = int(np.int64(log_odds[y, x])), states[y, x]
+            odds = min(MOST, max(LEAST, before + change))
             log_odds[y, x] = odds
             if odds > WALL:
                 states[y, x] = OCCUPIED
             elif odds < CLEAR:
                 states[y, x] = FREE
+            if states[y, x] != state or (abs(odds) >= SETTLED) != (abs(before) >= SETTLED):
+                known += state == UNKNOWN and states[y, x] != UNKNOWN
+                changed += 1
+                left, right, top, bottom = min(left, x), max(right, x + 1), min(top, y), max(bottom, y + 1)
+    return known, changed, left, top, right, bottom

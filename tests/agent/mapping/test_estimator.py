@@ -82,7 +82,7 @@ def test_exact_scans_give_the_same_map_as_draw_cell_by_cell(seed: int) -> None:
         readings = cast(truth, teammates, rays, x, y, int(random.integers(8)), random.choice([360.0, 180.0]))
         driven = np.array([(x, y), others[0][::-1]], np.int32)
         change = draw(drawn, rays, x, y, readings, driven)
-        x0, y0, x1, y1 = estimator.add_readings(rays, x, y, readings, driven)
+        x0, y0, x1, y1 = estimator.add_readings(rays, x, y, readings, driven).box
         assert np.array_equal(estimator.states, drawn)
         if change.cells:
             assert x0 <= change.box[0] and y0 <= change.box[1] and x1 >= change.box[2] and y1 >= change.box[3]

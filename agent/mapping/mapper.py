@@ -1,0 +1,82 @@
+"""From the world's messages to this robot's map: exact readings are drawn, scans of real lasers are estimated."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+
+import numpy as np
+
+from agent.mapping.estimator import Estimator, Int8Grid
+from agent.settings import Settings
+from protocol.grid import UNKNOWN, Grid, ray_table
+from protocol.messages import Sense, cells_from_bytes
+from protocol.range_scans import Laser, RangeScan, beam_ends, decode_range_scan
+from protocol.scans import Change, Scan, check_readings, draw
+
+WALL = "wall"
+"""Why a move stopped short (`Sense.blocked`), if the robot bumped into something."""
+
+
+class Mapper(ABC):
+    """Builds the self-explored grid from one scan per step."""
+
+    states: Grid
+    """The self-explored grid."""
+    log_odds: Int8Grid | None = None
+    """Log odds of its cells, from which the states follow; None: what a laser has seen never changes."""
+    known_cells = 0
+    """Number of cells that are known."""
+
+    @abstractmethod
+    def add(self, sense: Sense) -> tuple[Scan | RangeScan, Change]:
+        """Add the scan of a step; return it, and the cells whose state or certainty has changed.
+
+        ProtocolError if the readings do not fit the robot's laser; nothing has changed then.
+        """
+
+
+class ExactMapper(Mapper):
+    """Draws exact readings: the first scan of a cell decides its state."""
+
+    def __init__(self, settings: Settings) -> None:
+        self.states = np.full((settings.height, settings.width), UNKNOWN, np.uint8)
+        self._ray_table = ray_table(settings.range_cells, settings.beams)
+
+    def add(self, sense: Sense) -> tuple[Scan, Change]:
+        """Draw the readings."""
+        readings = np.frombuffer(sense.readings, np.uint16).copy()
+        check_readings(readings, self._ray_table)
+        driven = cells_from_bytes(sense.driven)
+        change = draw(self.states, self._ray_table, sense.x, sense.y, readings, driven)
+        self.known_cells += change.cells
+        return Scan(sense.x, sense.y, readings), change
+
+
+class EstimatingMapper(Mapper):
+    """Estimates the occupancy of cells from ranges that may be wrong."""
+
+    def __init__(self, settings: Settings, laser: Laser) -> None:
+        self._estimator = Estimator(settings.height, settings.width)
+        self.states, self.log_odds = self._estimator.states, self._estimator.log_odds
+        self._laser, self._resolution, self._radius = laser, settings.resolution, settings.radius_cells
+
+    def add(self, sense: Sense) -> tuple[RangeScan, Change]:
+        """Add the scan of a real laser."""
+        scan = decode_range_scan(sense.range_scan, self._laser)
+        change = self._estimator.add(*scan.place, *beam_ends(scan, self._laser, self._resolution))
+        if sense.blocked == WALL:
+            change = change.joined(self._estimator.strike(*self._ahead(sense)))
+        self.known_cells = self._estimator.known_cells
+        return scan, change
+
+    def _ahead(self, sense: Sense) -> tuple[int, int]:
+        """Return the cell that the robot touches in the direction in which it drove."""
+        angle = sense.heading * math.pi / 4
+        reach = self._radius + 1
+        return sense.x + round(reach * math.cos(angle)), sense.y + round(reach * math.sin(angle))
+
+
+def make_mapper(settings: Settings) -> Mapper:
+    """Make the mapper that fits the robot's laser."""
+    return ExactMapper(settings) if settings.laser is None else EstimatingMapper(settings, settings.laser)
