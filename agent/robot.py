@@ -13,11 +13,14 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 from agent.announcements import Announcements
 from agent.encodings.base import MapEncoding
 from agent.encodings.catalog import encoding_class, make_encoding
 from agent.mapping.mapper import make_mapper
 from agent.outline.polygons import Polygons
+from agent.planning.noisy_grid import NARROW, without_gaps
 from agent.replication.digests import INTERVAL
 from agent.replication.engine import make_replication
 from agent.replication.peers import MapId
@@ -194,7 +197,7 @@ class Robot:
             raise RuntimeError("decide before the first perceive")
         self.planning = self._encoding.merge(self.own, self._team.in_range)
         self._report_false_maps()
-        decision = self._strategy.decide(self._team.situation(sense, self.planning))
+        decision = self._strategy.decide(self._team.situation(sense, self._explorable()))
         self._apply(decision)
         self._idle_steps = self._idle_steps + 1 if decision.explored else 0
         return Move(
@@ -206,6 +209,14 @@ class Robot:
             decision.stalled,
             points_to_bytes(decision.points[:MAX_WAY_CELLS]),
         )
+
+    def _explorable(self) -> Grid:
+        """Return the planning grid as the strategy sees it: without gaps that only noise has left."""
+        if self._mapper.log_odds is None:
+            return self.planning
+        grid = np.empty_like(self.planning)
+        without_gaps(self.planning, NARROW, np.zeros_like(self.planning), grid)
+        return grid
 
     def _report_false_maps(self) -> None:
         """Report robots whose maps others contradict; with digests, only once their authors could disown entries."""

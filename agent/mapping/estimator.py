@@ -1,7 +1,8 @@
 """An occupancy estimator with integer log odds and hysteresis (Moravec and Elfes 1985; Thrun et al. 2005, chapter 9).
 
-Log odds are in units of 0.05. A scan counts once per cell, and a hit precedes a pass. A cell keeps its state while
-its log odds lie between the thresholds. Every operation is on integers, so all machines compute the same map.
+Log odds are in units of 0.05. A scan counts once per cell, as a hit or as a pass. Its beams decide which: noise lets
+some of them end before a wall, and some behind it. A cell keeps its state while its log odds lie between the
+thresholds. Every operation is on integers, so all machines compute the same map.
 
 Positions are in units of 1/256 cell. Beams cross cells as in `protocol.grid.ray_table`: between 4-neighbors only.
 """
@@ -19,6 +20,8 @@ from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, RayTable
 from protocol.kernels import kernel
 from protocol.scans import NONE, Change, Readings
 
+Int16Grid = Annotated[NDArray[np.int16], "int16[:,::1]"]
+Int16s = Annotated[NDArray[np.int16], "int16[::1]"]
 Int8Grid = Annotated[NDArray[np.int8], "int8[:,::1]"]
 
 NO_CELLS: NDArray[np.int32] = np.empty((0, 2), np.int32)
@@ -29,6 +32,12 @@ UNIT = 256
 PASS, STRUCK = -8, 17
 LEAST, MOST = -40, 70
 WALL, CLEAR = 8, -6
+STRIKE = 3
+"""Votes of a beam that ends in a cell, for a hit; a beam that passes the cell has one vote against it."""
+
+TOUCHED = 1 << 14
+"""Mark of a cell with as many votes for a hit as against it, or of a hit if more; 0 if no beam has touched the cell."""
+
 SETTLED = 24
 """Absolute log odds from which a cell is settled."""
 
@@ -41,7 +50,7 @@ class Estimator:
         """Number of cells that are known."""
         self.log_odds: NDArray[np.int8] = np.zeros((height, width), np.int8)
         self.states: Grid = np.full((height, width), UNKNOWN, np.uint8)
-        self._marks: NDArray[np.uint8] = np.zeros((height, width), np.uint8)
+        self._marks: NDArray[np.int16] = np.zeros((height, width), np.int16)
 
     def add(self, x: int, y: int, ends: NDArray[np.int32], hits: NDArray[np.bool_]) -> Change:
         """Add a scan taken at (x, y).
@@ -56,7 +65,7 @@ class Estimator:
         if not (0 <= x < width and 0 <= y < height):
             return Change(0, NO_BOX)
         self.log_odds[y, x] = max(self.log_odds[y, x], 0)
-        self._marks[y, x] = 2
+        self._marks[y, x] = TOUCHED
         return self._apply((x, y, x + 1, y + 1))
 
     def add_readings(
@@ -83,8 +92,16 @@ class Estimator:
 
 
 @kernel
-def _mark_beams(marks: Grid, x: int, y: int, ends: Int32Rows, hits: Bools) -> Box:
-    """Mark the cells that beams between exact positions pass (1) or strike (2); return a box around them."""
+def _mark(marks: Int16s, place: int, vote: int) -> None:
+    """Count a beam's vote for a cell."""
+    if marks[place] == 0:
+        marks[place] = TOUCHED
+    marks[place] += vote
+
+
+@kernel
+def _mark_beams(marks: Int16Grid, x: int, y: int, ends: Int32Rows, hits: Bools) -> Box:
+    """Count the votes of beams between exact positions, for each cell; return a box around the cells."""
     height, width = marks.shape
     flat = marks.reshape(marks.size)
     first_x, first_y = x >> 8, y >> 8
@@ -103,9 +120,9 @@ def _mark_beams(marks: Grid, x: int, y: int, ends: Int32Rows, hits: Bools) -> Bo
         while 0 <= column < width and 0 <= row < height:
             place = np.uint64(row * width + column)
             if left == 0:
-                flat[place] = max(flat[place], 2 if hits[beam] else 1)
+                _mark(flat, place, STRIKE if hits[beam] else -1)
                 break
-            flat[place] = max(flat[place], 1)
+            _mark(flat, place, -1)
             left -= 1
             if (to_x <= to_y and column != last_x) or row == last_y:
                 column += step_x
@@ -118,7 +135,7 @@ def _mark_beams(marks: Grid, x: int, y: int, ends: Int32Rows, hits: Bools) -> Bo
 
 @kernel
 def _mark_readings(
-    marks: Grid,
+    marks: Int16Grid,
     cells: Int32Rows,
     start: Int32s,
     shared: Int32s,
@@ -133,11 +150,11 @@ def _mark_readings(
     for at in range(len(driven)):
         column, row = driven[at, 0], driven[at, 1]
         if 0 <= column < width and 0 <= row < height:
-            marks[row, column] = 1
+            marks[row, column] = TOUCHED - 1
             x0, x1, y0, y1 = min(x0, column), max(x1, column), min(y0, row), max(y1, row)
     if not (0 <= x < width and 0 <= y < height):
         return x0, y0, x1 + 1, y1 + 1
-    marks[y, x] = 1
+    marks[y, x] = TOUCHED - 1
     x0, x1, y0, y1 = min(x0, x), max(x1, x), min(y0, y), max(y1, y)
     touched_before = 0
     for beam in range(len(readings)):
@@ -151,7 +168,7 @@ def _mark_readings(
             column, row = x + cells[at, 0], y + cells[at, 1]
             if not (0 <= column < width and 0 <= row < height):
                 break
-            marks[row, column] = max(marks[row, column], 2 if at == hit else 1)
+            marks[row, column] = TOUCHED if at == hit else TOUCHED - 1
             x0, x1, y0, y1 = min(x0, column), max(x1, column), min(y0, row), max(y1, row)
         touched_before = end - first
     return x0, y0, x1 + 1, y1 + 1
@@ -159,7 +176,7 @@ def _mark_readings(
 
 @kernel
 def _apply(
-    log_odds: Int8Grid, states: Grid, marks: Grid, x0: int, y0: int, x1: int, y1: int
+    log_odds: Int8Grid, states: Grid, marks: Int16Grid, x0: int, y0: int, x1: int, y1: int
 ) -> tuple[int, int, int, int, int, int]:
     """Change the log odds and states of the marked cells in a box, and clear the marks.
 
@@ -172,7 +189,7 @@ def _apply(
         for x in range(x0, x1):
             if marks[y, x] == 0:
                 continue
-            change = STRUCK if marks[y, x] == 2 else PASS
+            change = STRUCK if marks[y, x] >= TOUCHED else PASS
             marks[y, x] = 0
             before, state = int(np.int64(log_odds[y, x])), states[y, x]
             odds = min(MOST, max(LEAST, before + change))

@@ -4,27 +4,25 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation
 
 from agent.robot import sure_after
+from deploy.record.map_quality import Mask, is_refuted, wall_quality
 from deploy.record.records import Records
 from deploy.record.versions import versions
 from deploy.scenario.plan import Plan
 from netshaper.ledger import CAUSES, sort_rows
 from protocol.budget import Budget
-from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
+from protocol.grid import FREE, Grid
 from protocol.messages import Change, End
 from protocol.packets import ALL_KINDS
 
 SCAN_VALUES, VALUE_BYTES = 362, 2
 """Size of a raw scan by the thesis' formula (section 6.3): 360 ranges and a position, sent to each teammate."""
-
-Mask = NDArray[np.bool_]
 
 
 def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
@@ -35,7 +33,7 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
     finished = done and records.explored >= scenario.min_coverage
     ledger = records.ledger()
     reachable = plan.make_world().reachable
-    refuted = refuted_maps(records, plan.map.cells, reachable)
+    refuted = _refuted_maps(plan, records, reachable)
     planning = {robot: grid for robot, grid in records.planning.items() if robot not in refuted}
     first = end.first if done and end is not None else min(records.planning, default=-1)
     steps = end.step if end is not None and end.step >= 0 else records.step
@@ -48,7 +46,7 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "first_robot": end.first if done and end is not None else None,
         "coverage": records.explored,
         **_accuracy(planning.get(first), reachable, records.explored),
-        **_wall_quality(planning, first, plan.map.cells, reachable),
+        **wall_quality(planning, first, plan.map.cells, reachable),
         "t50": _first_step(records, 0.50),
         "t90": _first_step(records, 0.90),
         "t99": _first_step(records, 0.99),
@@ -107,14 +105,14 @@ def digest(records: Records) -> str:
     return total.hexdigest()
 
 
-def refuted_maps(records: Records, truth: Grid, reachable: Mask) -> list[int]:
-    """Return the robots that sent an own map with cells that are false, or with more cells than the team has seen."""
-    real = np.where(truth == FREE, np.uint8(FREE), np.uint8(OCCUPIED))
+def _refuted_maps(plan: Plan, records: Records, reachable: Mask) -> list[int]:
+    """Return the robots that sent an own map that is false (`deploy.record.map_quality.is_refuted`)."""
     seen = records.world[-1].seen if records.world else 0
+    noisy = plan.robot_settings[0].laser is not None
     return [
         robot
         for robot, own in sorted(records.own.items())
-        if (own != real)[own != UNKNOWN].any() or ((own == FREE) & reachable).sum() > seen
+        if is_refuted(own, plan.map.cells, reachable, seen, noisy=noisy)
     ]
 
 
@@ -135,30 +133,6 @@ def _accuracy(planning: Grid | None, reachable: Mask, seen: float) -> dict[str, 
         "map_accuracy": None if claimed is None else min(claimed, seen),
         "claimed_map_accuracy": claimed,
     }
-
-
-def _wall_quality(
-    planning: Mapping[int, Grid], first: int, truth: Grid, reachable: Mask
-) -> dict[str, float | None]:
-    """Precision and recall of the walls on the first robot's planning grid, and the minima of all robots.
-
-    Precision is the share of its occupied cells that are truly occupied; cells of unknown truth do not count. Recall is
-    the share of the true walls, occupied 4-neighbors of reachable cells, that it has as occupied. Without any cells
-    a value is None.
-    """
-    walls = (truth == OCCUPIED) & binary_dilation(reachable)
-    precision, recall = {}, {}
-    for robot, grid in planning.items():
-        occupied = (grid == OCCUPIED) & (truth != UNKNOWN)
-        precision[robot] = float((truth[occupied] == OCCUPIED).mean()) if occupied.any() else None
-        recall[robot] = float((grid[walls] == OCCUPIED).mean()) if walls.any() else None
-    found: dict[str, float | None] = {}
-    for name, values in (("wall_precision", precision), ("wall_recall", recall)):
-        found[f"claimed_{name}"] = values.get(first)
-        found[f"claimed_worst_{name}"] = min(
-            (value for value in values.values() if value is not None), default=None
-        )
-    return found
 
 
 def _first_step(records: Records, share: float) -> int | None:

@@ -8,7 +8,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from agent.mapping.estimator import CLEAR, LEAST, MOST, PASS, STRUCK, UNIT, WALL, Estimator
+from agent.mapping.estimator import CLEAR, LEAST, MOST, PASS, STRIKE, STRUCK, UNIT, WALL, Estimator
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, ray_table
 from protocol.scans import draw
 from worldsim.laser import cast
@@ -35,16 +35,15 @@ def crossed(x: int, y: int, to_x: int, to_y: int) -> list[tuple[int, int]]:
 
 def plain_add(odds: dict, states: dict, x: int, y: int, ends: np.ndarray, hits: np.ndarray) -> None:
     """Add a scan, cell by cell, with dictionaries."""
-    struck, passed = set(), set()
+    votes: dict[tuple[int, int], int] = {}
     for (to_x, to_y), hit in zip(ends.tolist(), hits.tolist(), strict=True):
         cells = crossed(x, y, to_x, to_y)
         inside = [all(0 <= number < SIDE for number in cell) for cell in cells]
         reach = inside.index(False) if False in inside else len(cells)
-        passed |= set(cells[:reach])
-        if hit and reach == len(cells):
-            struck.add(cells[-1])
-    for cell in passed | struck:
-        change = STRUCK if cell in struck else PASS
+        for cell in cells[:reach]:
+            votes[cell] = votes.get(cell, 0) + (STRIKE if hit and cell == cells[-1] else -1)
+    for cell, vote in votes.items():
+        change = STRUCK if vote >= 0 else PASS
         odds[cell] = min(MOST, max(LEAST, odds.get(cell, 0) + change))
         if odds[cell] > WALL:
             states[cell] = OCCUPIED
