@@ -13,14 +13,12 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-import numpy as np
-
 from agent.announcements import Announcements
 from agent.encodings.base import MapEncoding
 from agent.encodings.catalog import encoding_class, make_encoding
-from agent.mapping.mapper import make_mapper
+from agent.mapping.mapper import WALL, cell_ahead, make_mapper
 from agent.outline.polygons import Polygons
-from agent.planning.noisy_grid import NARROW, without_gaps
+from agent.planning.noisy_grid import NoisyGrid
 from agent.replication.digests import INTERVAL
 from agent.replication.engine import make_replication
 from agent.replication.peers import MapId
@@ -83,6 +81,7 @@ class Robot:
         """The self-explored grid."""
         self.planning: Grid = self.own.copy()
         """The planning grid: the self-explored one merged with teammates' maps."""
+        self._noisy_grid = NoisyGrid(*self.own.shape) if settings.laser is not None else None
         self._encoding = make_encoding(settings)
         if self._mapper.log_odds is not None:
             self._encoding.use_log_odds(self._mapper.log_odds)
@@ -197,7 +196,7 @@ class Robot:
             raise RuntimeError("decide before the first perceive")
         self.planning = self._encoding.merge(self.own, self._team.in_range)
         self._report_false_maps()
-        decision = self._strategy.decide(self._team.situation(sense, self._explorable()))
+        decision = self._strategy.decide(self._team.situation(sense, self._explorable(sense)))
         self._apply(decision)
         self._idle_steps = self._idle_steps + 1 if decision.explored else 0
         return Move(
@@ -210,13 +209,14 @@ class Robot:
             points_to_bytes(decision.points[:MAX_WAY_CELLS]),
         )
 
-    def _explorable(self) -> Grid:
-        """Return the planning grid as the strategy sees it: without gaps that only noise has left."""
-        if self._mapper.log_odds is None:
+    def _explorable(self, sense: Sense) -> Grid:
+        """Return the planning grid as the strategy sees it."""
+        if self._noisy_grid is None:
             return self.planning
-        grid = np.empty_like(self.planning)
-        without_gaps(self.planning, NARROW, np.zeros_like(self.planning), grid)
-        return grid
+        self._noisy_grid.drive(sense.x, sense.y)
+        if sense.blocked == WALL:
+            self._noisy_grid.bump(*cell_ahead(sense, self.settings.radius_cells))
+        return self._noisy_grid.clean(self.planning)
 
     def _report_false_maps(self) -> None:
         """Report robots whose maps others contradict; with digests, only once their authors could disown entries."""

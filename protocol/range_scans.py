@@ -31,6 +31,9 @@ NO_MEASUREMENT = 0
 NOTHING = 0xFFFF
 """Range of a beam that met nothing within the laser's reach."""
 
+MAX_REACH_M = 65.0
+"""Largest `Laser.reach_mm`, in meters: ranges are uint16."""
+
 _ONE = 1 << 14
 """Unit of the components of a direction."""
 
@@ -119,7 +122,8 @@ def _angles(laser: Laser) -> Int64s:
 def directions() -> Int64Rows:
     """Return the direction (cos, sin) of each angle in 1 / 2^14, shape (`TURN`, 2)."""
     angle = np.arange(TURN) * (2 * np.pi / TURN)
-    return np.rint(np.stack([np.cos(angle), np.sin(angle)], axis=1) * _ONE).astype(np.int64)
+    table: Int64Rows = np.rint(np.stack([np.cos(angle), np.sin(angle)], axis=1) * _ONE).astype(np.int64)
+    return table
 
 
 @kernel

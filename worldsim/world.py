@@ -30,6 +30,7 @@ from worldsim.motion import (
     heading_of,
     swept,
 )
+from worldsim.sensors import Sensors, SensorSettings
 
 MOVES_AS_PLANNED = 0.7
 """Probability that a robot close to another moves as planned (Burgard et al., section IV)."""
@@ -75,6 +76,8 @@ class WorldSettings:
     """Whether robots block each other's paths and laser beams."""
     min_coverage: float = 0.0
     """Share of the cells that a robot can reach which the team must have seen when it reports `explored`."""
+    sensors: SensorSettings | None = None
+    """Sensors with errors; None: lasers and poses are exact."""
 
 
 class World:
@@ -111,6 +114,7 @@ class World:
         self._ray_tables = [ray_table(body.range_cells, settings.beams) for body in settings.bodies]
         self._carry = [0.0] * len(settings.starts)
         self._scanner_angle = [0.0] * len(settings.starts)
+        self._sensors = None if settings.sensors is None else Sensors(settings.sensors, settings.seed)
 
     def remove(self, robot: int) -> None:
         """Remove a robot from the world; the others no longer collide with it."""
@@ -196,6 +200,8 @@ class World:
         """Move one robot; return the cells found free on its path, and what blocked it."""
         path = [(x, y) for x, y in cells_from_bytes(move.path).tolist()]
         points = [(x, y) for x, y in points_from_bytes(move.points).tolist()] if move.points else []
+        if self._sensors is not None and not self._sensors.exact_poses:
+            points = self._sensors.true_points(robot, self.step - 1, path, points)
         self.headings[robot] = move.heading % HEADINGS
         if (path or points) and self._hindered(robot, before):
             return [], INTERFERENCE
@@ -271,19 +277,26 @@ class World:
         body = self.settings.bodies[robot]
         heading = self.headings[robot]
         readings = cast(self.truth, occupied, self._ray_tables[robot], x, y, heading, body.field_of_view)
+        angle = self._scanner_angle[robot]
         if not look:
             readings[:] = NONE
         elif body.scanner_turn:
-            angle = self._scanner_angle[robot]
             readings[beams_outside(len(readings), angle, body.scanner_turn)] = NONE
             self._scanner_angle[robot] = (angle + body.scanner_turn) % FULL_TURN
         driven_over = np.array(entered, np.int32).reshape(-1, 2)
         news = draw(self.seen, self._ray_tables[robot], x, y, readings, driven_over)
         if news.cells:
             self.seen_cells += int(_count_seen(self.seen, self.reachable, *news.box, self._counted))
-        driven = cells_to_bytes(driven_over)
         offset_x, offset_y = self.offsets[robot]
-        return Sense(self.step, x, y, heading, driven, readings.tobytes(), blocked, offset_x, offset_y)
+        driven = cells_to_bytes(driven_over)
+        exact = Sense(self.step, x, y, heading, driven, readings.tobytes(), blocked, offset_x, offset_y)
+        if self._sensors is None:
+            return exact
+        beams = self._sensors.beam_degrees(robot) + heading * FULL_TURN / HEADINGS
+        active = np.full(len(beams), look)
+        if body.scanner_turn:
+            active &= (beams - angle) % FULL_TURN < body.scanner_turn
+        return self._sensors.sense(robot, exact, self.truth, occupied, active)
 
 
 @kernel

@@ -7,6 +7,8 @@ reports do not count any more, if
 - this robot sees `MANY` of its cells otherwise; or
 - at least two others report `MANY` of its cells otherwise, each of which fewer robots contradict.
 
+Maps of noisy lasers differ although all robots are honest: then no robot is doubted.
+
 All maps of a robot, one per incarnation, count as one voter. A doubt ends only with the votes: if entries turn out not
 to be their author's, all logs are decoded and counted again.
 """
@@ -44,6 +46,7 @@ class Votes:
     def __init__(self, settings: Settings) -> None:
         self.received: Grid = np.full((settings.height, settings.width), UNKNOWN, np.uint8)
         self._robot, self._robots = settings.robot, settings.robots
+        self._judges = settings.robots <= VOTERS and settings.laser is None
         self._voters = np.zeros((self.received.size, 2), np.int64)
         """The robots that report each cell as free, and those that report a wall, as bits."""
         self.reset()
@@ -68,7 +71,7 @@ class Votes:
     def judge(self, own: Grid) -> bool:
         """Doubt the robots that this robot's own grid and others contradict; return whether there are new ones."""
         self.contested = False
-        if self._robots > VOTERS:
+        if not self._judges:
             return False
         differ = np.zeros((self._robots, self._robots), np.int64)
         by_sight = np.zeros(self._robots, np.int64)

@@ -118,7 +118,7 @@ def _mark_beams(marks: Int16Grid, x: int, y: int, ends: Int32Rows, hits: Bools) 
         to_y = (((row + 1) << 8) - y if dy > 0 else y - (row << 8)) * along_x
         left = abs(last_x - column) + abs(last_y - row)
         while 0 <= column < width and 0 <= row < height:
-            place = np.uint64(row * width + column)
+            place = row * width + column
             if left == 0:
                 _mark(flat, place, STRIKE if hits[beam] else -1)
                 break

@@ -66,15 +66,15 @@ class EstimatingMapper(Mapper):
         scan = decode_range_scan(sense.range_scan, self._laser)
         change = self._estimator.add(*scan.place, *beam_ends(scan, self._laser, self._resolution))
         if sense.blocked == WALL:
-            change = change.joined(self._estimator.strike(*self._ahead(sense)))
+            change = change.joined(self._estimator.strike(*cell_ahead(sense, self._radius)))
         self.known_cells = self._estimator.known_cells
         return scan, change
 
-    def _ahead(self, sense: Sense) -> tuple[int, int]:
-        """Return the cell that the robot touches in the direction in which it drove."""
-        angle = sense.heading * math.pi / 4
-        reach = self._radius + 1
-        return sense.x + round(reach * math.cos(angle)), sense.y + round(reach * math.sin(angle))
+
+def cell_ahead(sense: Sense, radius_cells: float) -> tuple[int, int]:
+    """Return the cell that a robot of this radius touches in the direction in which it drove."""
+    angle, reach = sense.heading * math.pi / 4, radius_cells + 1
+    return sense.x + round(reach * math.cos(angle)), sense.y + round(reach * math.sin(angle))
 
 
 def make_mapper(settings: Settings) -> Mapper:

@@ -28,6 +28,7 @@ from deploy.commands.flags import (
 from deploy.scenario.scenario import SHIPPED, Scenario, load, read_toml
 from deploy.scenario.thesis import STRATEGY, thesis_settings
 from netshaper.presets import PRESETS
+from worldsim.sensor_options import LASERS, POSES
 
 app = command_family()
 
@@ -56,6 +57,12 @@ def explore(
     radio: Annotated[
         str | None,
         _option("NAME", f"a radio preset (bandwidth, frame size, range): {', '.join(PRESETS)}", RADIO),
+    ] = None,
+    laser: Annotated[
+        str | None, _option("NAME", f"a laser with its errors: {', '.join(LASERS)}", ROBOTS)
+    ] = None,
+    pose: Annotated[
+        str | None, _option("NAME", f"errors of the robots' poses: {', '.join(POSES)}", ROBOTS)
     ] = None,
     thesis: Annotated[
         bool, _switch("--thesis", "the rules of the thesis, without later additions", RADIO)
@@ -91,7 +98,7 @@ def explore(
     `murmur replay` repeats the run. docs/settings.md lists all settings.
     """
     overrides = settings | _other_settings(set_ or [], settings)
-    overrides["radio.preset"] = radio
+    overrides |= {"radio.preset": radio, "laser.preset": laser, "pose.preset": pose}
     overrides["map_options.resolution"] = resolution
     overrides = {name: value for name, value in overrides.items() if value is not None}
     if option:

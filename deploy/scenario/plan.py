@@ -18,8 +18,10 @@ from protocol import faults
 from protocol.budget import Budget
 from protocol.errors import shown
 from protocol.grid import MAX_SIDE, disc, enlarge
+from protocol.range_scans import MAX_REACH_M, TURN, Laser
 from worldsim.map_error import MapError
 from worldsim.maps import Map, to_cell
+from worldsim.sensors import SensorSettings
 from worldsim.starts import Cell, check_free, jittered, start_cells
 from worldsim.world import Body, World, WorldSettings
 
@@ -77,9 +79,12 @@ def make(
         cell_steps=scenario.motion == "cells",
         robots_collide=scenario.robots_collide,
         min_coverage=scenario.min_coverage,
+        sensors=_sensors(scenario, bodies, cell),
     )
     radio = _radio_settings(scenario, world_map, range_m, incarnations)
-    robot_settings = _robot_settings(scenario, world_map, bodies, radio, record_maps=record_maps)
+    robot_settings = _robot_settings(
+        scenario, world_map, bodies, radio, sensors=world.sensors, record_maps=record_maps
+    )
     return Plan(scenario, world_map, world, radio, robot_settings, range_m, incarnations)
 
 
@@ -104,6 +109,23 @@ def _body(hardware: RobotOverride, cell: float) -> Body:
     return Body(sensor_range / cell, hardware.field_of_view, speed, turn, radius / cell)
 
 
+def _sensors(scenario: Scenario, bodies: list[Body], cell: float) -> SensorSettings | None:
+    """Return the real sensors of the robots, with cells of `cell` meters; None if lasers and poses are exact."""
+    if not scenario.is_noisy:
+        return None
+    lasers = tuple(_geometry(scenario, body, cell) for body in bodies)
+    return SensorSettings(scenario.laser, scenario.pose, lasers, cell)
+
+
+def _geometry(scenario: Scenario, body: Body, cell: float) -> Laser:
+    """Return the beams of one robot's laser, from the right to the left end of its field of view."""
+    span = round(body.field_of_view / 360 * TURN)
+    beams = scenario.laser.beams or max(2, round(scenario.beams * body.field_of_view / 360))
+    if body.field_of_view == 360:  # the last beam would repeat the first
+        span -= span // beams
+    return Laser(beams, -span // 2, span, round(1000 * min(body.range_cells * cell, MAX_REACH_M)))
+
+
 def _radio_settings(scenario: Scenario, world_map: Map, range_m: float, incarnations: int) -> RadioSettings:
     hardware = [scenario.body_of(number) for number in range(scenario.robots)]
     return RadioSettings(
@@ -125,7 +147,13 @@ def _radio_settings(scenario: Scenario, world_map: Map, range_m: float, incarnat
 
 
 def _robot_settings(
-    scenario: Scenario, world_map: Map, bodies: list[Body], radio: RadioSettings, *, record_maps: bool
+    scenario: Scenario,
+    world_map: Map,
+    bodies: list[Body],
+    radio: RadioSettings,
+    *,
+    sensors: SensorSettings | None,
+    record_maps: bool,
 ) -> dict[int, Settings]:
     return {
         number: Settings(
@@ -156,6 +184,7 @@ def _robot_settings(
             frame_bytes=radio.packet_bytes,
             incarnations=radio.incarnations,
             record_maps=record_maps,
+            laser=None if sensors is None else sensors.geometries[number],
         )
         for number, body in enumerate(bodies)
     }

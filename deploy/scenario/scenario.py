@@ -40,6 +40,7 @@ from protocol.files import read_file
 from protocol.grid import MAX_ROBOTS
 from protocol.messages import Change, FaultEvent
 from protocol.packets import MAX_GOSSIP_MAPS, MAX_MAPS
+from worldsim.sensor_options import LASERS, POSES, LaserOptions, PoseOptions
 
 SHIPPED = Path(__file__).with_name("shipped")
 """Directory of the scenarios that are installed with the code; a file name alone can refer to one."""
@@ -129,6 +130,10 @@ class Scenario(Table):
         default_factory=PredictiveOptions, description="options of the predictive encoding"
     )
     radio: RadioOptions = Field(default_factory=RadioOptions, description="options of the radio")
+    laser: LaserOptions = Field(default_factory=LaserOptions, description="errors of the lasers")
+    pose: PoseOptions = Field(
+        default_factory=PoseOptions, description="errors of the poses that robots believe in"
+    )
     options: dict[str, Any] = Field(default_factory=dict, description="options of the strategy, by name")
     reply_timeout_s: Positive = Field(
         60.0, description="time limit for a robot's reply or move, seconds of wall clock"
@@ -162,6 +167,23 @@ class Scenario(Table):
 
     @model_validator(mode="before")
     @classmethod
+    def _take_sensor_presets(cls, data: Any) -> Any:
+        """Fill in the values of the laser's and the poses' preset where the scenario does not give its own."""
+        for table, presets in (("laser", LASERS), ("pose", POSES)):
+            given = data.get(table) if isinstance(data, dict) else None
+            if not isinstance(given, dict) or "preset" not in given:
+                continue
+            name = str(given["preset"])
+            if name not in presets:
+                raise ValueError(f"{table}.preset = {shown(given['preset'])}: {there_are(presets, name)}")
+            values = dict(presets[name])
+            if "field_of_view" in values:
+                data = {"field_of_view": values.pop("field_of_view")} | data
+            data = data | {table: values | given}
+        return data
+
+    @model_validator(mode="before")
+    @classmethod
     def _choose_wide_seen_walls(cls, data: Any) -> Any:
         """Set the default of `polygons.wide_seen_walls`: false if the strategy observes from a distance."""
         if not isinstance(data, dict) or data.get("map_encoding") != "polygons":
@@ -189,7 +211,7 @@ class Scenario(Table):
         hint = "; number of robots is `robots`" if info.field_name == "robot" else ""
         raise ValueError(f"must be tables, [[{info.field_name}]], of {', '.join(kind.model_fields)}{hint}")
 
-    @field_validator("polygons", "predictive", "radio", mode="before")
+    @field_validator("polygons", "predictive", "radio", "laser", "pose", mode="before")
     @classmethod
     def _types_are_exact(cls, value: object, info: ValidationInfo) -> object:
         check_types(cls.model_fields[str(info.field_name)].annotation, value)
@@ -248,6 +270,11 @@ class Scenario(Table):
     def faults(self) -> tuple[FaultEvent, ...]:
         """The scheduled faults, by step."""
         return tuple(sorted(fault.event for fault in self.fault))
+
+    @property
+    def is_noisy(self) -> bool:
+        """Whether lasers or poses have errors."""
+        return not (self.laser.is_ideal and self.pose.is_exact)
 
     def range_m(self, diagonal_m: float) -> float:
         """Return the communication range in meters, on a map with this diagonal in meters."""
@@ -399,6 +426,8 @@ _KEYS = {
     "polygons": [field.name for field in fields(PolygonOptions)],
     "predictive": [field.name for field in fields(PredictiveOptions)],
     "radio": [field.name for field in fields(RadioOptions)],
+    "laser": [field.name for field in fields(LaserOptions)],
+    "pose": [field.name for field in fields(PoseOptions)],
     "radio.partition": [field.name for field in fields(Partition)],
 }
 """The valid keys of each table."""

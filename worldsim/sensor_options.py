@@ -1,0 +1,131 @@
+"""Options of lasers and of pose errors, and their presets; docs/real-sensors.md names the sources of the figures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar
+
+IDEAL, EXACT = "ideal", "exact"
+
+MAX_LASER_BEAMS = 1440
+
+MAX_POSE_ERROR_M, MAX_HEADING_ERROR_DEG = 1.0, 10.0
+
+
+def _check_shares(options: object, *names: str) -> None:
+    """Raise ValueError if one of these values is no probability."""
+    for name in names:
+        value = getattr(options, name)
+        if not 0 <= value <= 1:
+            raise ValueError(f"{name} = {value:g}: must be a probability, from 0 to 1")
+
+
+@dataclass(frozen=True)
+class LaserOptions:
+    """The robots' laser scanners. Without any error they are exact, and a scan consists of whole cells.
+
+    Attributes
+    ----------
+    preset : str
+        The laser whose figures apply where the scenario gives none (`LASERS`); ``ideal`` has no errors.
+    range_error_m, range_error_share : float
+        Standard deviation of a range, in meters and as a share of the range; they add up.
+    short, missing : float
+        Probability of a beam to end early at something that passes by, and to have no return (glass, black surfaces).
+    mixed : float
+        Probability of a beam beside an edge to measure a range between the two surfaces.
+    min_range_m, max_range_m : float
+        Ranges outside have no measurement; ``max_range_m = 0``: no limit.
+    beams : int
+        Beams over the field of view; 0: as many as ``beams`` of the scenario has there.
+    """
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
+
+    preset: str = IDEAL
+    range_error_m: float = 0.0
+    range_error_share: float = 0.0
+    short: float = 0.0
+    missing: float = 0.0
+    mixed: float = 0.0
+    min_range_m: float = 0.0
+    max_range_m: float = 0.0
+    beams: int = 0
+
+    def __post_init__(self) -> None:
+        _check_shares(self, "range_error_share", "short", "missing", "mixed")
+        if self.short + self.missing > 1:
+            raise ValueError(
+                "short + missing: exclude each other, so their probabilities are together at most 1"
+            )
+        if not 0 <= self.range_error_m <= 1:
+            raise ValueError(f"range_error_m = {self.range_error_m:g}: must be 0 to 1 m")
+        if not 0 <= self.min_range_m <= 10 or not 0 <= self.max_range_m <= 65:
+            raise ValueError("min_range_m must be 0 to 10 m, and max_range_m 0 to 65 m")
+        if 0 < self.max_range_m <= self.min_range_m:
+            raise ValueError(f"max_range_m = {self.max_range_m:g}: must exceed min_range_m")
+        if not 0 <= self.beams <= MAX_LASER_BEAMS:
+            raise ValueError(f"beams = {self.beams}: must be 0 to {MAX_LASER_BEAMS}")
+
+    @property
+    def is_ideal(self) -> bool:
+        """Whether the laser has no errors and no limits of its own."""
+        return all(getattr(self, field.name) == field.default for field in fields(self)[1:])
+
+
+@dataclass(frozen=True)
+class PoseOptions:
+    """The errors that localization leaves: bounded and slowly varying, different for each robot.
+
+    Attributes
+    ----------
+    preset : str
+        The method whose figures apply where the scenario gives none (`POSES`); ``exact`` has no errors.
+    position_error_m, heading_error_deg : float
+        Standard deviation of each coordinate in meters, and of the heading in degrees. No error exceeds three of them.
+    """
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
+
+    preset: str = EXACT
+    position_error_m: float = 0.0
+    heading_error_deg: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.position_error_m <= MAX_POSE_ERROR_M:
+            raise ValueError(
+                f"position_error_m = {self.position_error_m:g}: must be 0 to {MAX_POSE_ERROR_M:g} m"
+            )
+        if not 0 <= self.heading_error_deg <= MAX_HEADING_ERROR_DEG:
+            most = f"{MAX_HEADING_ERROR_DEG:g} degrees"
+            raise ValueError(f"heading_error_deg = {self.heading_error_deg:g}: must be 0 to {most}")
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether robots know exactly where they are."""
+        return self.position_error_m == self.heading_error_deg == 0
+
+
+LASERS: dict[str, dict[str, float]] = {
+    IDEAL: {},
+    "sick-lms": {
+        "range_error_m": 0.012, "short": 0.002, "missing": 0.003, "mixed": 0.1,
+        "min_range_m": 0.05, "max_range_m": 20.0, "beams": 541, "field_of_view": 270.0,
+    },
+    "utm-30lx": {
+        "range_error_m": 0.03, "short": 0.002, "missing": 0.005, "mixed": 0.1,
+        "min_range_m": 0.1, "max_range_m": 30.0, "beams": 1081, "field_of_view": 270.0,
+    },
+    "rplidar-a1": {
+        "range_error_m": 0.01, "range_error_share": 0.01, "short": 0.005, "missing": 0.02, "mixed": 0.2,
+        "min_range_m": 0.15, "max_range_m": 12.0, "beams": 360, "field_of_view": 360.0,
+    },
+}  # fmt: skip
+"""The options that each laser sets, and the scenario's field of view in degrees."""
+
+POSES: dict[str, dict[str, float]] = {
+    EXACT: {},
+    "graph-slam": {"position_error_m": 0.03, "heading_error_deg": 0.2},
+    "particle-filter": {"position_error_m": 0.05, "heading_error_deg": 0.4},
+}
+"""The options that each localization method sets."""

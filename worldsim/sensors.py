@@ -1,0 +1,102 @@
+"""Real sensors of the robots: lasers with errors, and poses as localization knows them.
+
+Robots plan in the frame that they believe in. The error of a pose shifts it against the true frame, which this module
+translates in both directions.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.grid import Grid
+from protocol.keyed_random import keyed_random
+from protocol.messages import Sense
+from protocol.range_scans import NO_MEASUREMENT, TURN, UNIT, Laser, RangeScan, encode_range_scan
+from worldsim.laser import HEADINGS
+from worldsim.motion import FINE, Point
+from worldsim.pose_error import PoseError
+from worldsim.range_laser import RangeLaser
+from worldsim.sensor_options import LaserOptions, PoseOptions
+
+
+@dataclass(frozen=True)
+class SensorSettings:
+    """Settings of real sensors."""
+
+    laser: LaserOptions
+    pose: PoseOptions
+    geometries: tuple[Laser, ...]
+    """The beams of each robot."""
+    resolution: float
+    """Side of a cell in meters."""
+
+
+class Sensors:
+    """The sensors of all robots; errors are drawn from the seed, by robot and step."""
+
+    def __init__(self, settings: SensorSettings, seed: int) -> None:
+        self._seed = seed
+        self._geometries = settings.geometries
+        robots = range(len(settings.geometries))
+        resolution = settings.resolution
+        self._lasers = [RangeLaser(settings.laser, each, resolution) for each in settings.geometries]
+        self._errors = [PoseError(settings.pose, resolution, seed, robot) for robot in robots]
+        self.exact_poses = settings.pose.is_exact
+        """Whether the believed poses are the true ones."""
+
+    def true_points(
+        self, robot: int, step: int, path: list[tuple[int, int]], points: list[Point]
+    ) -> list[Point]:
+        """Return the true waypoints of a path or of waypoints that a robot has planned in a step."""
+        x, y, _ = self._errors[robot].at(step)
+        shift_x, shift_y = round(x * FINE / UNIT), round(y * FINE / UNIT)
+        planned = points or [(column * FINE, row * FINE) for column, row in path]
+        return [(column - shift_x, row - shift_y) for column, row in planned]
+
+    def sense(
+        self,
+        robot: int,
+        exact: Sense,
+        truth: Grid,
+        teammates: NDArray[np.bool_],
+        active: NDArray[np.bool_] | None,
+    ) -> Sense:
+        """Return what a robot senses, from its true pose and what exact sensors would tell it.
+
+        `truth` and `teammates` have shape (h, w). `active`, shape (beams,): beams that the scanner sends; None: all.
+        """
+        step = exact.step
+        place = _units(exact.x, exact.offset_x), _units(exact.y, exact.offset_y)
+        turn = exact.heading * TURN // HEADINGS
+        random = keyed_random(self._seed, "laser", robot, step)
+        position = place[0] / UNIT, place[1] / UNIT
+        ranges = self._lasers[robot].ranges(truth, teammates, position, turn, random)
+        if active is not None:
+            ranges[~active] = NO_MEASUREMENT
+        error_x, error_y, error_turn = self._errors[robot].at(step)
+        height, width = truth.shape
+        x = min(max(place[0] + error_x, 0), width * UNIT - 1)
+        y = min(max(place[1] + error_y, 0), height * UNIT - 1)
+        scan = RangeScan((x, y), (turn + error_turn) % TURN, ranges)
+        return Sense(
+            step, scan.x, scan.y, exact.heading, b"", b"", exact.blocked,
+            _offset(x), _offset(y), encode_range_scan(scan),
+        )  # fmt: skip
+
+    def beam_degrees(self, robot: int) -> NDArray[np.float64]:
+        """Return the angle of each beam relative to the heading, in degrees."""
+        degrees: NDArray[np.float64] = self._geometries[robot].angles * (360 / TURN)
+        return degrees
+
+
+def _units(cell: int, offset: int) -> int:
+    """Return a position, given as a cell and thousandths of a cell from its center, in 1 / `UNIT` cell."""
+    return (cell * FINE + FINE // 2 + offset) * UNIT // FINE
+
+
+def _offset(units: int) -> int:
+    """Return a position as thousandths of a cell from the center of its cell."""
+    return (units % UNIT * FINE + FINE // 2) // UNIT - FINE // 2
