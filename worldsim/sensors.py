@@ -88,8 +88,7 @@ class Sensors:
 
     def beam_degrees(self, robot: int) -> NDArray[np.float64]:
         """Return the angle of each beam relative to the heading, in degrees."""
-        degrees: NDArray[np.float64] = self._geometries[robot].angles * (360 / TURN)
-        return degrees
+        return self._geometries[robot].angles.astype(np.float64) * (360 / TURN)
 
 
 def _units(cell: int, offset: int) -> int:

@@ -1,7 +1,7 @@
 """The `scans` encoding: raw laser scans (Burgard et al. 2005, section III-B).
 
 It is the exact and expensive encoding, with which the thesis compares its polygons. A robot logs a scan in each step in
-which the scan differs from the last one.
+which the scan differs from the last one. Scans of real lasers consist of a pose and ranges (`protocol.range_scans`).
 """
 
 from __future__ import annotations
@@ -9,34 +9,51 @@ from __future__ import annotations
 import numpy as np
 
 from agent.encodings.received_grid import GridEncoding
+from agent.mapping.estimator import Estimator
 from agent.settings import Settings
 from protocol import packets
 from protocol.arrays import Int32Rows, Int32s, Uint8s, Uint16s
+from protocol.boxes import Box
 from protocol.errors import ProtocolError
-from protocol.grid import FREE, OCCUPIED, Grid, RayTable, ray_table
+from protocol.grid import FREE, OCCUPIED, Grid, ray_table
 from protocol.kernels import kernel
+from protocol.range_scans import (
+    Laser,
+    RangeScan,
+    beam_ends,
+    decode_range_scan,
+    encode_range_scan,
+    range_scan_size,
+)
 from protocol.scans import NONE, Change, Scan, contents, decode_scan, encode_scan, fragments, scan_size
+
+Report = tuple[Int32s, Uint8s, Box]
+"""Cells, as indices of the flat grid, each once, their states, and a box that contains them."""
 
 
 class ScanEncoding(GridEncoding):
-    """Encodes scans as fragments, and draws the scans of all teammates onto one grid."""
+    """Encodes scans as fragments, and adds the scans of all teammates to one grid."""
 
     name = "scans"
 
     def __init__(self, settings: Settings) -> None:
         super().__init__(settings)
-        self._ray_tables = [ray_table(cells, settings.beams) for cells in settings.ranges_cells]
-        self._size = scan_size(settings.beams)
+        self._format: _ExactScans | _RangeScans
+        self._format = (
+            _ExactScans(settings) if settings.laser is None else _RangeScans(settings, settings.laser)
+        )
         self._most = settings.frame_bytes or packets.Fragment.size
         self._partial: dict[int, bytes] = {}
         self._last = b""
 
-    def encode_changes(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
+    def encode_changes(
+        self, own: Grid, scan: Scan | RangeScan, change: Change, *, delivered: bool
+    ) -> list[bytes]:
         """Encode the scan, unless it repeats the last one or has no readings."""
         del delivered
         self.own_changes.add(own, change)
-        data = encode_scan(scan)
-        if data == self._last or (scan.readings == NONE).all():
+        data = self._format.encode(scan)
+        if not data or data == self._last:
             return []
         self._last = data
         return fragments(data, self._most)
@@ -45,10 +62,11 @@ class ScanEncoding(GridEncoding):
         """Forget everything decoded from the logs of others."""
         super().forget_received()
         self._partial.clear()
+        self._format.forget()
 
     def apply(self, map_id: int, frame: bytes, *, step: int, sender: int) -> None:
-        """Reassemble fragments, and draw the scans that are complete."""
-        partial, size = self._partial.get(map_id, b""), self._size
+        """Reassemble fragments, and add the scans that are complete."""
+        partial, size = self._partial.get(map_id, b""), self._format.size
         data = partial + contents(frame, size, len(partial))
         end = len(data) - len(data) % size
         scans = [self._read(map_id, data[at : at + size]) for at in range(0, end, size)]
@@ -57,25 +75,85 @@ class ScanEncoding(GridEncoding):
             box = min(x), min(y), max(x) + 1, max(y) + 1
             self._reachability.check(map_id, box, len(scans), step=step, sender=sender)
         self._partial[map_id] = data[end:]
-        beams, robot = self._ray_table_of(map_id), self.settings.author_of(map_id)
-        table = beams.cells, beams.flat(self.received.shape[1]), beams.start, beams.shared
+        robot, revises = self.settings.author_of(map_id), self.settings.laser is not None
         for scan in scans:
-            places, states, box = _news(self.received, *table, scan.x, scan.y, scan.readings)
+            places, states, box = self._format.report(map_id, scan, self.received)
             if len(places):
-                self.votes.count(robot, places, states, revises=False)
+                self.votes.count(robot, places, states, revises=revises)
                 self.received_changed(box)
 
-    def _ray_table_of(self, map_id: int) -> RayTable:
-        """The ray table of the map's author."""
-        return self._ray_tables[self.settings.author_of(map_id)]
-
-    def _read(self, map_id: int, data: bytes) -> Scan:
-        scan = decode_scan(data, self._ray_table_of(map_id))
+    def _read(self, map_id: int, data: bytes) -> Scan | RangeScan:
+        scan = self._format.decode(map_id, data)
         height, width = self.received.shape
-        if scan.x >= width or scan.y >= height:
+        if not (0 <= scan.x < width and 0 <= scan.y < height):
             reason = f"cell ({scan.x}, {scan.y}) is outside the {width} x {height} grid"
             raise ProtocolError("scan", 0, reason)
         return scan
+
+
+class _ExactScans:
+    """Scans of exact lasers: a cell reported once never changes."""
+
+    def __init__(self, settings: Settings) -> None:
+        self.size = scan_size(settings.beams)
+        self._author_of = settings.author_of
+        self._ray_tables = [ray_table(cells, settings.beams) for cells in settings.ranges_cells]
+
+    def encode(self, scan: Scan | RangeScan) -> bytes:
+        """Encode a scan; nothing if it has no readings."""
+        assert isinstance(scan, Scan)
+        return b"" if (scan.readings == NONE).all() else encode_scan(scan)
+
+    def decode(self, map_id: int, data: bytes) -> Scan:
+        """Decode a scan of a map."""
+        return decode_scan(data, self._ray_tables[self._author_of(map_id)])
+
+    def report(self, map_id: int, scan: Scan | RangeScan, received: Grid) -> Report:
+        """Return the cells in which a scan differs from the received ones."""
+        assert isinstance(scan, Scan)
+        beams = self._ray_tables[self._author_of(map_id)]
+        table = beams.cells, beams.flat(received.shape[1]), beams.start, beams.shared
+        found: Report = _news(received, *table, scan.x, scan.y, scan.readings)
+        return found
+
+    def forget(self) -> None:
+        """Do nothing: no state is kept."""
+
+
+class _RangeScans:
+    """Scans of lasers with errors: receivers estimate each author's map as the author does."""
+
+    def __init__(self, settings: Settings, laser: Laser) -> None:
+        self.size = range_scan_size(laser)
+        self._laser, self._settings = laser, settings
+        self._estimators: dict[int, Estimator] = {}
+        """By map ID."""
+
+    def encode(self, scan: Scan | RangeScan) -> bytes:
+        """Encode a scan; nothing if it has no readings."""
+        assert isinstance(scan, RangeScan)
+        return encode_range_scan(scan) if scan.ranges.any() else b""
+
+    def decode(self, map_id: int, data: bytes) -> RangeScan:
+        """Decode a scan of a map."""
+        del map_id
+        return decode_range_scan(data, self._laser)
+
+    def report(self, map_id: int, scan: Scan | RangeScan, received: Grid) -> Report:
+        """Return the known cells of the author's map where a scan has changed it."""
+        assert isinstance(scan, RangeScan)
+        height, width = received.shape
+        estimator = self._estimators.setdefault(map_id, Estimator(height, width))
+        change = estimator.add(*scan.place, *beam_ends(scan, self._laser, self._settings.resolution))
+        x0, y0, x1, y1 = change.box
+        states = estimator.states[y0:y1, x0:x1]
+        rows, columns = np.nonzero(states)
+        places = ((rows + y0) * width + columns + x0).astype(np.int32)
+        return places, states[rows, columns], change.box
+
+    def forget(self) -> None:
+        """Forget all estimated maps."""
+        self._estimators.clear()
 
 
 @kernel

@@ -68,6 +68,12 @@ class Estimator:
         self._marks[y, x] = TOUCHED
         return self._apply((x, y, x + 1, y + 1))
 
+    def stand(self, x: int, y: int) -> Change:
+        """Note that the robot stands in cell (x, y): it is free."""
+        self.log_odds[y, x] = min(self.log_odds[y, x], CLEAR - 1 - PASS)
+        self._marks[y, x] = TOUCHED - 1
+        return self._apply((x, y, x + 1, y + 1))
+
     def add_readings(
         self,
         ray_table: RayTable,

@@ -9,6 +9,7 @@ import numpy as np
 
 from agent.mapping.estimator import Estimator, Int8Grid
 from agent.settings import Settings
+from protocol.errors import ProtocolError
 from protocol.grid import UNKNOWN, Grid, ray_table
 from protocol.messages import Sense, cells_from_bytes
 from protocol.range_scans import Laser, RangeScan, beam_ends, decode_range_scan
@@ -64,7 +65,13 @@ class EstimatingMapper(Mapper):
     def add(self, sense: Sense) -> tuple[RangeScan, Change]:
         """Add the scan of a real laser."""
         scan = decode_range_scan(sense.range_scan, self._laser)
+        height, width = self.states.shape
+        if not (0 <= scan.x < width and 0 <= scan.y < height):
+            raise ProtocolError(
+                "range scan", 0, f"cell ({scan.x}, {scan.y}) is outside the {width} x {height} grid"
+            )
         change = self._estimator.add(*scan.place, *beam_ends(scan, self._laser, self._resolution))
+        change = change.joined(self._estimator.stand(scan.x, scan.y))
         if sense.blocked == WALL:
             change = change.joined(self._estimator.strike(*cell_ahead(sense, self._radius)))
         self.known_cells = self._estimator.known_cells
