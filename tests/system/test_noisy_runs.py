@@ -1,0 +1,61 @@
+"""Whole runs with real lasers and poses: they finish, their maps are good, and they repeat to the byte."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from deploy.run.exploration import Result, explore
+from deploy.scenario.scenario import ScenarioError, load
+
+SMALL: dict[str, Any] = {
+    "map": "office", "map_options": {"width_m": 12.0, "height_m": 10.0}, "robots": 3, "seed": 5, "steps": 600,
+    "bandwidth": "unlimited", "sensor_range": 4.0,
+}  # fmt: skip
+
+
+def run(**settings: Any) -> Result:
+    return explore(**({"bus": "memory"} | SMALL | settings))
+
+
+@pytest.mark.parametrize("laser", ["sick-lms", "utm-30lx", "rplidar-a1"])
+@pytest.mark.parametrize("pose", ["exact", "graph-slam", "particle-filter"])
+def test_a_team_with_real_sensors_explores_everything(laser: str, pose: str) -> None:
+    summary = run(laser={"preset": laser}, pose={"preset": pose}).summary
+    assert summary["finished"]
+    assert summary["coverage"] >= 0.98
+    assert summary["claimed_worst_wall_f1"] >= 0.95
+    assert summary["refuted_maps"] == []
+
+
+@pytest.mark.parametrize("map_encoding", ["polygons", "scans", "cells"])
+def test_every_encoding_shares_noisy_maps(map_encoding: str) -> None:
+    noisy: dict[str, Any] = {"laser": {"preset": "utm-30lx"}, "pose": {"preset": "graph-slam"}}
+    summary = run(map_encoding=map_encoding, **noisy).summary
+    assert summary["finished"]
+    assert summary["coverage"] >= 0.98
+    assert summary["claimed_worst_wall_f1"] >= 0.95
+
+
+@pytest.mark.parametrize("strategy", ["meier", "leaders", "burgard", "stop-scan-replan"])
+def test_strategies_finish_with_real_sensors(strategy: str) -> None:
+    assert run(strategy=strategy, laser={"preset": "utm-30lx"}).summary["finished"]
+
+
+def test_a_noisy_run_is_the_same_on_both_buses() -> None:
+    noisy: dict[str, Any] = {"laser": {"preset": "rplidar-a1"}, "pose": {"preset": "graph-slam"}, "steps": 40}
+    digests = {run(bus=bus, **noisy).summary["digest"] for bus in ("memory", "zenoh")}
+    assert len(digests) == 1
+
+
+def test_an_unknown_laser_is_refused() -> None:
+    with pytest.raises(ScenarioError, match=r"laser.preset = 'utm': there are|did you mean utm-30lx"):
+        load(None, {"laser.preset": "utm"})
+
+
+def test_values_of_the_scenario_take_precedence_over_a_preset() -> None:
+    scenario = load(None, {"laser.preset": "utm-30lx", "laser.missing": 0.5, "field_of_view": 180.0})
+    assert scenario.laser.missing == 0.5
+    assert scenario.laser.range_error_m == 0.03
+    assert scenario.field_of_view == 180
