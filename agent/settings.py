@@ -76,8 +76,6 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Whether to report map changes to the recorder."""
     laser: Laser | None = None
     """The beams of the robots' lasers; None: exact readings in cells (`protocol.scans`)."""
-    tolerance: int = 0
-    """Distance in cells by which a wall in teammates' copies of a map may be displaced; 0: maps are shared exactly."""
 
     @property
     def maps(self) -> int:

@@ -16,6 +16,7 @@ from deploy.run.hosts import Host, Hosts
 from deploy.scenario.scenario import Scenario
 from deploy.scenario.tables import ChangeTable, FaultTable, RobotOverride
 from netshaper.radio_options import RadioOptions
+from worldsim.sensor_options import LaserOptions, PoseOptions
 
 DOCS = Path(__file__).parent
 
@@ -36,6 +37,22 @@ OPTIONS = {
     },
     "predictive": {
         "base": 'logs that an entry may depend on: `"team"`, all that its author has received; `"own"`, its own'
+    },
+    "laser": {
+        "preset": "a [laser by name](real-sensors.md#lasers), for values that the scenario does not give",
+        "range_error_m": "standard deviation of a range, meters",
+        "range_error_share": "the same as a share of the range; both add up",
+        "short": "probability that a beam ends early, at something that passes by",
+        "missing": "probability that a beam has no return",
+        "mixed": "probability that a beam beside an edge measures between its two surfaces",
+        "min_range_m": "shortest range, meters; below, there is no measurement",
+        "max_range_m": "longest range, meters; 0: no limit",
+        "beams": "beams over the field of view; 0: as many as `beams` has there",
+    },
+    "pose": {
+        "preset": "a [localization method](real-sensors.md#poses), for values that the scenario does not give",
+        "position_error_m": "standard deviation of each coordinate, meters",
+        "heading_error_deg": "standard deviation of the heading, degrees",
     },
     "radio": {
         "preset": "a [radio by name](radios.md#radios-by-name), for values that the scenario does not give",
@@ -83,6 +100,8 @@ def settings() -> Iterator[tuple[str, str, str]]:
         "polygons": asdict(PolygonOptions()),
         "predictive": asdict(PredictiveOptions()),
         "radio": {**asdict(RadioOptions()), "partition": []},
+        "laser": asdict(LaserOptions()),
+        "pose": asdict(PoseOptions()),
     }
     for name, default, meaning in _fields(Scenario, ""):
         if name in options:

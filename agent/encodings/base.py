@@ -8,7 +8,6 @@ from contextlib import suppress
 from typing import Any, ClassVar, NamedTuple
 
 from agent.encodings.reachability_check import ReachabilityCheck
-from agent.mapping.estimator import Int8Grid
 from agent.outline.polygons import Polygons
 from agent.settings import Settings
 from protocol.errors import ProtocolError
@@ -71,13 +70,6 @@ class MapEncoding(ABC):
         The caller passes the same `cache` to all robots, before the first step.
         """
         del cache
-
-    def use_log_odds(self, log_odds: Int8Grid) -> None:
-        """Take the log odds of the self-explored grid, an int8 array that its mapper changes, before the first step.
-
-        They tell how certain each cell is if lasers are noisy (`agent.mapping.estimator`).
-        """
-        del log_odds
 
     @abstractmethod
     def encode_changes(

@@ -1,4 +1,4 @@
-"""Mapping: from noisy scans to a grid.
+"""Mapping: from the scans of a laser to a robot's own grid.
 
-Begin with `estimator`: integer log odds per cell, with hysteresis. `bound` then decides what of it is shared.
+Begin with `mapper`. Exact readings are drawn; for lasers with errors, `estimator` has integer log odds per cell.
 """

@@ -4,7 +4,7 @@ Log odds are in units of 0.05. A scan counts once per cell, as a hit or as a pas
 some of them end before a wall, and some behind it. A cell keeps its state while its log odds lie between the
 thresholds. Every operation is on integers, so all machines compute the same map.
 
-Positions are in units of 1/256 cell. Beams cross cells as in `protocol.grid.ray_table`: between 4-neighbors only.
+Positions are in 1 / `protocol.range_scans.UNIT` cell. Beams cross cells as in `protocol.grid.ray_table`: between 4-neighbors only.
 """
 
 from __future__ import annotations
@@ -14,20 +14,15 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.arrays import Bools, Int32Rows, Int32s
+from protocol.arrays import Bools, Int32Rows
 from protocol.boxes import NO_BOX, Box
-from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, RayTable
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.kernels import kernel
-from protocol.scans import NONE, Change, Readings
+from protocol.scans import Change
 
 Int16Grid = Annotated[NDArray[np.int16], "int16[:,::1]"]
 Int16s = Annotated[NDArray[np.int16], "int16[::1]"]
 Int8Grid = Annotated[NDArray[np.int8], "int8[:,::1]"]
-
-NO_CELLS: NDArray[np.int32] = np.empty((0, 2), np.int32)
-
-UNIT = 256
-"""Units of a position in a cell."""
 
 PASS, STRUCK = -8, 17
 LEAST, MOST = -40, 70
@@ -73,22 +68,6 @@ class Estimator:
         self.log_odds[y, x] = min(self.log_odds[y, x], CLEAR - 1 - PASS)
         self._marks[y, x] = TOUCHED - 1
         return self._apply((x, y, x + 1, y + 1))
-
-    def add_readings(
-        self,
-        ray_table: RayTable,
-        x: int,
-        y: int,
-        readings: Readings,
-        driven: NDArray[np.int32] = NO_CELLS,
-    ) -> Change:
-        """Add a scan whose beams cross the cells of a ray table.
-
-        The parameters are those of `protocol.scans.draw`. If scans do not contradict each other, the states equal the
-        grid that `draw` produces: the first scan of a cell decides its state.
-        """
-        cells, start, shared = ray_table.cells, ray_table.start, ray_table.shared
-        return self._apply(_mark_readings(self._marks, cells, start, shared, x, y, readings, driven))
 
     def _apply(self, touched: Box) -> Change:
         known, changed, *box = _apply(self.log_odds, self.states, self._marks, *touched)
@@ -137,47 +116,6 @@ def _mark_beams(marks: Int16Grid, x: int, y: int, ends: Int32Rows, hits: Bools) 
                 row += step_y
                 to_y += along_x << 8
     return max(0, x0), max(0, y0), min(width, x1 + 1), min(height, y1 + 1)
-
-
-@kernel
-def _mark_readings(
-    marks: Int16Grid,
-    cells: Int32Rows,
-    start: Int32s,
-    shared: Int32s,
-    x: int,
-    y: int,
-    readings: Readings,
-    driven: Int32Rows,
-) -> Box:
-    """Mark the cells that a scan passes or strikes, and the driven cells; return a box around them."""
-    height, width = marks.shape
-    x0, y0, x1, y1 = width, height, -1, -1
-    for at in range(len(driven)):
-        column, row = driven[at, 0], driven[at, 1]
-        if 0 <= column < width and 0 <= row < height:
-            marks[row, column] = TOUCHED - 1
-            x0, x1, y0, y1 = min(x0, column), max(x1, column), min(y0, row), max(y1, row)
-    if not (0 <= x < width and 0 <= y < height):
-        return x0, y0, x1 + 1, y1 + 1
-    marks[y, x] = TOUCHED - 1
-    x0, x1, y0, y1 = min(x0, x), max(x1, x), min(y0, y), max(y1, y)
-    touched_before = 0
-    for beam in range(len(readings)):
-        if readings[beam] == NONE:
-            touched_before = 0
-            continue
-        first, hit = np.int64(start[beam]), start[beam] + np.int64(readings[beam] & NONE)
-        end = hit + np.int64(readings[beam] >> 15)
-        # the cells shared with the beam before, as far as that beam reached, are marked as passed already
-        for at in range(first + min(np.int64(shared[beam]), touched_before, hit - first), end):
-            column, row = x + cells[at, 0], y + cells[at, 1]
-            if not (0 <= column < width and 0 <= row < height):
-                break
-            marks[row, column] = TOUCHED if at == hit else TOUCHED - 1
-            x0, x1, y0, y1 = min(x0, column), max(x1, column), min(y0, row), max(y1, row)
-        touched_before = end - first
-    return x0, y0, x1 + 1, y1 + 1
 
 
 @kernel

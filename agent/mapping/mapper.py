@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from agent.mapping.estimator import Estimator, Int8Grid
+from agent.mapping.estimator import Estimator
 from agent.settings import Settings
 from protocol.errors import ProtocolError
 from protocol.grid import UNKNOWN, Grid, ray_table
@@ -24,8 +24,6 @@ class Mapper(ABC):
 
     states: Grid
     """The self-explored grid."""
-    log_odds: Int8Grid | None = None
-    """Log odds of its cells, from which the states follow; None: what a laser has seen never changes."""
     known_cells = 0
     """Number of cells that are known."""
 
@@ -59,7 +57,7 @@ class EstimatingMapper(Mapper):
 
     def __init__(self, settings: Settings, laser: Laser) -> None:
         self._estimator = Estimator(settings.height, settings.width)
-        self.states, self.log_odds = self._estimator.states, self._estimator.log_odds
+        self.states = self._estimator.states
         self._laser, self._resolution, self._radius = laser, settings.resolution, settings.radius_cells
 
     def add(self, sense: Sense) -> tuple[RangeScan, Change]:

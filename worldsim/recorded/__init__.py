@@ -1,1 +1,0 @@
-"""Recorded laser scans as a source of worlds."""
