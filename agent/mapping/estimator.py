@@ -4,7 +4,7 @@ Log odds are in units of 0.05. A scan counts once per cell, as a hit or as a pas
 some of them end before a wall, and some behind it. A cell keeps its state while its log odds lie between the
 thresholds. Every operation is on integers, so all machines compute the same map.
 
-Positions are in 1 / `protocol.range_scans.UNIT` cell. Beams cross cells as in `protocol.grid.ray_table`: between 4-neighbors only.
+Positions are in 1 / `protocol.range_scans.UNIT` cell. As in `protocol.grid.ray_table`, beams move between 4-neighbors.
 """
 
 from __future__ import annotations
