@@ -120,11 +120,7 @@ def read_handshake(kind: int, maps: int, payload: bytes) -> Content:
     kinds = [type(packet) for packet in content]
     is_answer = kinds[-1:] == [packets.Answer] and kinds[:-1] in ([], [packets.Block], 2 * [packets.Block])
     problem = "an answer frame is an answer behind at most two blocks, or a decline"
-    return refused(ANSWER, payload, "" if is_answer or payload == DECLINE else problem)
-
-
-DECLINE = packets.encode([packets.Block(packets.DECLINED)])
-"""The answer that declines an offer."""
+    return refused(ANSWER, payload, "" if is_answer or payload == packets.DECLINE else problem)
 
 
 @cache_short(64)

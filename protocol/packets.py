@@ -577,3 +577,7 @@ def _malformed(layout: Layout, number: int, offset: int) -> ProtocolError:
         begin = number >> 8 * layout.size - 16
         return ProtocolError("packet", offset, f"no packet begins with {begin:#06x}")
     return ProtocolError(layout.kind, offset, f"the last {layout.spare} bits must be zero")
+
+
+DECLINE = encode([Block(DECLINED)])
+"""The answer that declines an offer."""

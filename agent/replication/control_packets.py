@@ -23,8 +23,6 @@ ROUND = BLOCKS * INDEX_WINDOW
 LEAST_HANDSHAKE = packets.Offer.size + packets.Answer.size
 """Bytes of an offer and the shortest answer."""
 
-DECLINE = packets.encode([packets.Block(packets.DECLINED)])
-
 Header = From | FromEarly
 """Packet in front of entries: it names their log and their first offset."""
 

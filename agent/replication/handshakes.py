@@ -13,12 +13,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 from agent.replication.base import Replication
-from agent.replication.control_packets import DECLINE, answer, block_of, offer, read_answer, read_offer
+from agent.replication.control_packets import answer, block_of, offer, read_answer, read_offer
 from agent.replication.frame_builder import limited
 from agent.replication.policies import Policy, Rounds
 from agent.replication.replica import Rejected, Replica
 from protocol.errors import ProtocolError
 from protocol.messages import Delivery, OutgoingFrame, RoundReport
+from protocol.packets import DECLINE
 
 MAX_WAIT = 64
 """Rounds that an offer is postponed at most."""

@@ -37,7 +37,7 @@ MIN_COVERAGE = 0.99
 METRICS = (
     "steps", "coverage", "map_accuracy", "t50", "t90", "t99", "overlap", "finished", "first_robot",
     "claimed_map_accuracy", "claimed_wall_precision", "claimed_wall_recall",
-    "claimed_worst_wall_precision", "claimed_worst_wall_recall",
+    "claimed_worst_wall_precision", "claimed_worst_wall_recall", "claimed_wall_f1", "claimed_worst_wall_f1",
     "approximation_error", "approximation_error_net", "explored_at", "robots", "seed", "range_m", "raw_scan_bytes",
     "over_budget_steps", "protocol_errors", "wall_s", "steps_per_s", "work_us_median",
 )  # fmt: skip

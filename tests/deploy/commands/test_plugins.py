@@ -10,7 +10,7 @@ from zipfile import ZipFile
 
 import pytest
 
-HERE = Path(__file__).parents[2]
+HERE = Path(__file__).parents[3]
 INFO = {
     "METADATA": "Metadata-Version: 2.1\nName: farthest-first\nVersion: 1\n",
     "WHEEL": "Wheel-Version: 1.0\nGenerator: hand\nRoot-Is-Purelib: true\nTag: py3-none-any\n",
