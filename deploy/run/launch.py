@@ -7,6 +7,7 @@ the same hub.
 from __future__ import annotations
 
 import contextlib
+import math
 import multiprocessing
 import time
 from collections.abc import Callable, Mapping
@@ -318,15 +319,16 @@ def no_records(plan: Plan) -> Records:
 
 def attend(bus: Bus, recorder: RecorderNode, heed: Heed, poll: Callable[[], bool], quiet_s: float) -> None:
     """Serve as the recorder until all data are recorded, or no more arrive.
-
-    `poll` is called a few times per second and returns whether the run has failed, which ends it.
+    `poll` is called at once and then a few times per second; it returns whether the run has failed, which ends it.
+    `poll` is called at least once, then a few times per second, and returns whether the run has failed, which ends it.
 
     Raises BusClosed if the connection to the relay is lost, or no message has arrived for `quiet_s` seconds.
     """
     ending: float | None = None
     progress: object = None
     clock = RunningClock()
-    received = polled = clock()
+    received = clock()
+    polled = -math.inf  # also a run that is over within POLL_S is polled
     while not recorder.done:
         message = bus.receive(POLL_S)
         now = clock()
