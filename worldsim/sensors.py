@@ -1,7 +1,7 @@
 """Real sensors of the robots: lasers with errors, and poses as localization knows them.
 
-Robots plan in the frame that they believe in. The error of a pose shifts it against the true frame, which this module
-translates in both directions.
+A robot plans in the frame in which it believes to be. The error of its pose shifts this frame against the true one.
+This module shifts scans into the believed frame, and planned paths back into the true one.
 """
 
 from __future__ import annotations
@@ -62,11 +62,11 @@ class Sensors:
         exact: Sense,
         truth: Grid,
         teammates: NDArray[np.bool_],
-        active: NDArray[np.bool_] | None,
+        active: NDArray[np.bool_],
     ) -> Sense:
-        """Return what a robot senses, from its true pose and what exact sensors would tell it.
+        """Return what a robot senses, from its true pose and what exact sensors would measure.
 
-        `truth` and `teammates` have shape (h, w). `active`, shape (beams,): beams that the scanner sends; None: all.
+        `truth` and `teammates` have shape (h, w). `active`, shape (beams,), marks the beams that the scanner sends.
         """
         step = exact.step
         place = _units(exact.x, exact.offset_x), _units(exact.y, exact.offset_y)
@@ -74,8 +74,7 @@ class Sensors:
         random = keyed_random(self._seed, "laser", robot, step)
         position = place[0] / UNIT, place[1] / UNIT
         ranges = self._lasers[robot].ranges(truth, teammates, position, turn, random)
-        if active is not None:
-            ranges[~active] = NO_MEASUREMENT
+        ranges[~active] = NO_MEASUREMENT
         error_x, error_y, error_turn = self._errors[robot].at(step)
         height, width = truth.shape
         x = min(max(place[0] + error_x, 0), width * UNIT - 1)

@@ -319,7 +319,7 @@ def no_records(plan: Plan) -> Records:
 
 def attend(bus: Bus, recorder: RecorderNode, heed: Heed, poll: Callable[[], bool], quiet_s: float) -> None:
     """Serve as the recorder until all data are recorded, or no more arrive.
-    `poll` is called at once and then a few times per second; it returns whether the run has failed, which ends it.
+
     `poll` is called at least once, then a few times per second, and returns whether the run has failed, which ends it.
 
     Raises BusClosed if the connection to the relay is lost, or no message has arrived for `quiet_s` seconds.
