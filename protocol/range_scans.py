@@ -34,12 +34,13 @@ NOTHING = 0xFFFF
 MAX_REACH_M = 65.0
 """Largest `Laser.reach_mm`, in meters: ranges are uint16."""
 
-_ONE = 1 << 14
-"""Unit of the components of a direction."""
+DIRECTION_LENGTH = 1 << 14
+"""Length of the vectors in `directions`."""
 
 _HEAD = struct.Struct(">iiH")
 
 MAX_COORDINATE = 2 * MAX_SIDE * UNIT
+"""Largest coordinate of a scan's position, so that the ends of its beams fit into int32."""
 
 
 class Laser(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -120,9 +121,11 @@ def _angles(laser: Laser) -> Int64s:
 
 @lru_cache(maxsize=1)
 def directions() -> Int64Rows:
-    """Return the direction (cos, sin) of each angle in 1 / 2^14, shape (`TURN`, 2)."""
+    """Return the vector (cos, sin) of each angle, of length `DIRECTION_LENGTH`: shape (`TURN`, 2)."""
     angle = np.arange(TURN) * (2 * np.pi / TURN)
-    table: Int64Rows = np.rint(np.stack([np.cos(angle), np.sin(angle)], axis=1) * _ONE).astype(np.int64)
+    table: Int64Rows = np.rint(np.stack([np.cos(angle), np.sin(angle)], axis=1) * DIRECTION_LENGTH).astype(
+        np.int64
+    )
     return table
 
 

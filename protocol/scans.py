@@ -112,7 +112,7 @@ def contents(frame: bytes, size: int = 0, held: int = 0) -> bytes:
 
 
 class Change(NamedTuple):
-    """Cells that `draw` has changed."""
+    """Cells that a scan has changed in a grid: their state, or with noisy lasers also how certain it is."""
 
     cells: int
     """Number of changed cells."""

@@ -41,7 +41,7 @@ class Motion:
     point: Point
     """Final position."""
     direction: tuple[int, int]
-    """Direction (dx, dy) in which the robot heads in the end; (0, 0) if it did not move."""
+    """Direction (dx, dy) in which the robot heads in the end, also if a wall stopped it; (0, 0) if it did not turn."""
     cells: list[tuple[int, int]]
     """Cells (x, y) entered, in order."""
     length: float
@@ -72,7 +72,7 @@ def drive(
     for there in path:
         dx, dy = there[0] - x, there[1] - y
         if max(abs(dx), abs(dy)) != 1 or not _is_passable(truth, (x, y), there):
-            blocked = WALL
+            blocked, direction = WALL, (dx, dy)
             break
         if taken[there[1], there[0]]:
             blocked = ROBOT
@@ -100,6 +100,7 @@ def glide(truth: Grid, taken: NDArray[np.bool_], start: Point, points: list[Poin
     thousandths of a cell. The robot stops at the last checked position within `way`.
     """
     at, length, blocked = start, 0.0, NOT_BLOCKED
+    bumped: tuple[int, int] | None = None
     cells: list[tuple[int, int]] = []
     for ahead in _positions(start, points, min(_STRIDE, max(1, int(way * _STRIDE)))):
         step = math.hypot(ahead[0] - at[0], ahead[1] - at[1]) / FINE
@@ -108,14 +109,14 @@ def glide(truth: Grid, taken: NDArray[np.bool_], start: Point, points: list[Poin
         here, there = cell_of(at), cell_of(ahead)
         if here != there:
             if not _is_passable(truth, here, there):
-                blocked = WALL
+                blocked, bumped = WALL, (ahead[0] - at[0], ahead[1] - at[1])
                 break
             if taken[there[1], there[0]]:
                 blocked = ROBOT
                 break
             cells.append(there)
         at, length = ahead, length + step
-    return Motion(at, (at[0] - start[0], at[1] - start[1]), cells, length, blocked)
+    return Motion(at, bumped or (at[0] - start[0], at[1] - start[1]), cells, length, blocked)
 
 
 def _positions(start: Point, points: list[Point], stride: int) -> Iterator[Point]:

@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from protocol.keyed_random import keyed_random
-from protocol.range_scans import TURN, UNIT, directions
+from protocol.range_scans import DIRECTION_LENGTH, TURN, UNIT, directions
 from worldsim.sensor_options import PoseOptions
 
 WAVES = 4
@@ -34,6 +34,6 @@ class PoseError:
 
     def at(self, step: int) -> tuple[int, int, int]:
         """Return the errors of a step: x and y in 1 / `UNIT` cell, the heading in 1 / `TURN`."""
-        sines = directions()[(self._phases + step * self._advance) & (TURN - 1), 1] / float(1 << 14)
+        sines = directions()[(self._phases + step * self._advance) & (TURN - 1), 1] / DIRECTION_LENGTH
         x, y, heading = np.rint(sines.sum(axis=1) * self._amplitudes).astype(int).tolist()
         return x, y, heading

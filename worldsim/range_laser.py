@@ -4,7 +4,7 @@ A beam measures the distance to the middle of its way through the first cell tha
 are cells, and their surfaces lie somewhere within. Then the errors follow: a Gaussian error; beams that end early;
 beams without a return; and beams that are split at an edge, so that their range lies between the two surfaces.
 
-A robot filters the teammates out that it knows of: beams that meet one have no measurement.
+A robot knows where its teammates are, and filters them out: beams that meet one have no measurement.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from protocol.arrays import FloatRows, Floats, Uint16s
 from protocol.grid import FREE, Grid
 from protocol.kernels import kernel
-from protocol.range_scans import NO_MEASUREMENT, NOTHING, TURN, Laser, directions
+from protocol.range_scans import DIRECTION_LENGTH, NO_MEASUREMENT, NOTHING, TURN, Laser, directions
 from worldsim.sensor_options import LaserOptions
 
 EDGE_M = 0.3
@@ -51,23 +51,25 @@ class RangeLaser:
         `truth` (uint8) and `teammates` (bool) have shape (h, w). The low corner of cell (0, 0) is at (0, 0); `heading`
         is in 1 / `TURN`.
         """
-        beams = directions()[(heading + self._angles) & (TURN - 1)] / float(1 << 14)
+        beams = directions()[(heading + self._angles) & (TURN - 1)] / DIRECTION_LENGTH
         exact = _cast_ranges(truth, teammates.view(np.uint8), *place, beams, self._reach)
         return self._disturb(exact, random)
 
     def _disturb(self, exact: Floats, random: Generator) -> Uint16s:
         """Add the errors to exact distances in cells."""
         options, count = self._options, len(exact)
+        is_wall = exact > 0
         normal, kind, share = random.standard_normal(count), random.random(count), random.random(count)
-        meters = np.where(exact > 0, exact, self._reach) * self._resolution
+        meters = np.where(is_wall, exact, self._reach) * self._resolution
         ahead = np.append(meters[1:], meters[-1])
-        mixed = (random.random(count) < options.mixed) & (np.abs(ahead - meters) > EDGE_M)
+        is_edge = is_wall & np.append(is_wall[1:], False) & (np.abs(ahead - meters) > EDGE_M)
+        mixed = (random.random(count) < options.mixed) & is_edge
         measured = np.where(mixed, meters + share * (ahead - meters), meters)
         is_short = kind < options.short
         measured = np.where(is_short, share * meters, measured)
         measured = measured + normal * (options.range_error_m + options.range_error_share * measured)
         millimeters = np.clip(np.rint(1000 * measured), 1, NOTHING - 1)
-        found = np.where((exact == _BEYOND) & ~is_short & ~mixed, NOTHING, millimeters)
+        found = np.where((exact == _BEYOND) & ~is_short, NOTHING, millimeters)
         is_missing = (kind >= options.short) & (kind < options.short + options.missing)
         off = is_missing | (exact == _TEAMMATE) | (measured < options.min_range_m)
         return np.where(off, NO_MEASUREMENT, found).astype(np.uint16)

@@ -5,9 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
+from protocol.range_scans import MAX_REACH_M
+
 IDEAL, EXACT = "ideal", "exact"
 
 MAX_LASER_BEAMS = 1440
+
+MAX_RANGE_ERROR_M, MAX_MIN_RANGE_M = 1.0, 10.0
 
 MAX_POSE_ERROR_M, MAX_HEADING_ERROR_DEG = 1.0, 10.0
 
@@ -35,7 +39,8 @@ class LaserOptions:
     mixed : float
         Probability of a beam beside an edge to measure a range between the two surfaces.
     min_range_m, max_range_m : float
-        Ranges outside have no measurement; ``max_range_m = 0``: no limit.
+        Nearer walls have no measurement; farther ones are not seen, and robots map no farther. ``max_range_m = 0``: no
+        limit of the laser.
     beams : int
         Beams over the field of view; 0: as many as ``beams`` of the scenario has there.
     """
@@ -58,10 +63,13 @@ class LaserOptions:
             raise ValueError(
                 "short + missing: exclude each other, so their probabilities are together at most 1"
             )
-        if not 0 <= self.range_error_m <= 1:
-            raise ValueError(f"range_error_m = {self.range_error_m:g}: must be 0 to 1 m")
-        if not 0 <= self.min_range_m <= 10 or not 0 <= self.max_range_m <= 65:
-            raise ValueError("min_range_m must be 0 to 10 m, and max_range_m 0 to 65 m")
+        for name, most in (
+            ("range_error_m", MAX_RANGE_ERROR_M),
+            ("min_range_m", MAX_MIN_RANGE_M),
+            ("max_range_m", MAX_REACH_M),
+        ):
+            if not 0 <= getattr(self, name) <= most:
+                raise ValueError(f"{name} = {getattr(self, name):g}: must be 0 to {most:g} m")
         if 0 < self.max_range_m <= self.min_range_m:
             raise ValueError(f"max_range_m = {self.max_range_m:g}: must exceed min_range_m")
         if not 0 <= self.beams <= MAX_LASER_BEAMS:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,8 +97,6 @@ class World:
         self.floors = {body.radius_cells: enlarge(truth, body.radius_cells) for body in settings.bodies}
         """For each radius in cells: the grid of cells that a robot's center may enter."""
         self.reachable = reachable_by_team(truth, settings)
-        self.reachable_cells = int(np.count_nonzero(self.reachable))
-        """Number of free cells that robots can reach."""
         self.seen = np.zeros_like(truth)
         """Grid of all cells seen by the team's lasers."""
         self.seen_cells = 0
@@ -110,11 +108,19 @@ class World:
         """The free cells that a robot can reach, by robots whose reports were checked."""
         self._last_cells = dict(self.cells)
         """Last cell of each robot that has been removed."""
-        self._widest = max((body.radius_cells for body in settings.bodies), default=0.0)
         self._ray_tables = [ray_table(body.range_cells, settings.beams) for body in settings.bodies]
         self._carry = [0.0] * len(settings.starts)
         self._scanner_angle = [0.0] * len(settings.starts)
         self._sensors = None if settings.sensors is None else Sensors(settings.sensors, settings.seed)
+
+    @cached_property
+    def reachable_cells(self) -> int:
+        """Number of free cells that robots can reach."""
+        return int(np.count_nonzero(self.reachable))
+
+    @cached_property
+    def _widest(self) -> float:
+        return max((body.radius_cells for body in self.settings.bodies), default=0.0)
 
     def remove(self, robot: int) -> None:
         """Remove a robot from the world; the others no longer collide with it."""
@@ -215,9 +221,10 @@ class World:
                 result = drive(floor, taken, start, path, way, 1.0 if self.settings.cell_steps else DIAGONAL)
         self._carry[robot] = result.carry
         self.driven[robot] += result.length
-        if result.direction != (0, 0):
+        if result.length:
             x, y = self.cells[robot] = cell_of(result.point)
             self.offsets[robot] = result.point[0] - x * FINE, result.point[1] - y * FINE
+        if result.direction != (0, 0):
             self.headings[robot] = heading_of(*result.direction)
         return swept(start, result.cells), result.blocked
 

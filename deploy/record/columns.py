@@ -69,7 +69,7 @@ SUMMARY = {
     "finished": "whether a robot finished, and the team has seen at least `min_coverage`",
     "reason": "why the run ended; `robot R stopped too early` if the team has seen less",
     "steps": "exploration time",
-    "explored_at": "the same without the ten confirmation steps of maps with assumptions; null if not finished",
+    "explored_at": "the same without the steps in which robots confirm that nothing is left; null if not finished",
     "first_robot": "the robot that finished first; on a tie, the lowest number",
     "coverage": "share of the truly reachable free cells that the team has seen, as the world has recorded",
     "map_accuracy": "share of those that the first robot's planning grid has right, at most `coverage`",

@@ -123,7 +123,8 @@ def _geometry(scenario: Scenario, body: Body, cell: float) -> Laser:
     beams = scenario.laser.beams or max(2, round(scenario.beams * body.field_of_view / 360))
     if body.field_of_view == 360:  # the last beam would repeat the first
         span -= span // beams
-    return Laser(beams, -span // 2, span, round(1000 * min(body.range_cells * cell, MAX_REACH_M)))
+    reach_m = min(body.range_cells * cell, scenario.laser.max_range_m or MAX_REACH_M, MAX_REACH_M)
+    return Laser(beams, -span // 2, span, round(1000 * reach_m))
 
 
 def _radio_settings(scenario: Scenario, world_map: Map, range_m: float, incarnations: int) -> RadioSettings:

@@ -338,19 +338,24 @@ def load(path: Path | None, overrides: dict[str, Any]) -> Scenario:
         path, data = read_toml(path, "scenario", SHIPPED)
         if "map" in data:
             data["map"] = beside(path, data["map"])
-    if overrides.get("radio.preset"):
-        _remove_preset_keys(data)
+    _remove_preset_keys(data, overrides)
     where = f"scenario {path}" if path is not None else "scenario"
     lay(data, {key: value for key, value in overrides.items() if value is not None}, where)
     return parse(data, where)
 
 
-def _remove_preset_keys(data: dict[str, Any]) -> None:
-    """Remove the settings that a radio preset from the overrides replaces."""
-    for key in ("bandwidth", "range"):
-        data.pop(key, None)
-    if isinstance(data.get("radio"), dict):
-        data["radio"] = {key: value for key, value in data["radio"].items() if key != "frame_bytes"}
+def _remove_preset_keys(data: dict[str, Any], overrides: dict[str, Any]) -> None:
+    """Remove the settings that presets from the overrides replace."""
+    if overrides.get("radio.preset"):
+        for key in ("bandwidth", "range"):
+            data.pop(key, None)
+        if isinstance(data.get("radio"), dict):
+            data["radio"] = {key: value for key, value in data["radio"].items() if key != "frame_bytes"}
+    for table, presets in (("laser", LASERS), ("pose", POSES)):
+        if name := overrides.get(f"{table}.preset"):
+            data.pop(table, None)
+            if "field_of_view" in presets.get(name, {}):
+                data.pop("field_of_view", None)
 
 
 def lay(data: dict[str, Any], settings: dict[str, Any], where: str) -> None:

@@ -44,6 +44,7 @@ from protocol.scans import Scan, draw, encode_scan, fragments
 from tests.agent.outline.edit_scripts import canonical, edit_script
 from tests.agent.replication.network import make_engine
 from worldsim.laser import cast
+from worldsim.sensor_options import LASERS, POSES
 
 DOCS = Path(__file__).parents[2] / "docs"
 GENERATED = ("reference/files.md", "reference/messages.md", "reference/packets.md")
@@ -302,6 +303,30 @@ def test_the_table_of_radios_is_that_of_the_code() -> None:
         ]
         for name, preset in PRESETS.items()
     }
+
+
+def test_the_tables_of_lasers_and_poses_are_those_of_the_code() -> None:
+    lasers = {name.strip("`"): figures for name, *figures in rows("real-sensors.md", "Lasers")}
+    assert list(lasers) == list(LASERS)
+    for name, figures in lasers.items():
+        error, short, missing, mixed, limits, beams = figures
+        preset = LASERS[name]
+        assert [float(short), float(missing), float(mixed)] == [
+            preset.get(key, 0.0) for key in ("short", "missing", "mixed")
+        ]
+        if preset:
+            share = preset.get("range_error_share", 0.0)
+            assert error == f"{1000 * preset['range_error_m']:g} mm" + (
+                f" + {100 * share:g} %" if share else ""
+            )
+            assert limits == f"{preset['min_range_m']:g} to {preset['max_range_m']:g}"
+            assert beams == f"{preset['beams']}, {preset['field_of_view']:g} degrees"
+    poses = {name.strip("`"): figures for name, *figures in rows("real-sensors.md", "Poses")}
+    assert list(poses) == list(POSES)
+    for name, (position, heading) in poses.items():
+        preset = POSES[name]
+        assert position == (f"{100 * preset['position_error_m']:g} cm" if preset else "0")
+        assert heading == (f"{preset['heading_error_deg']:g} degrees" if preset else "0")
 
 
 def test_the_documented_keys_and_participants_are_those_of_the_code() -> None:

@@ -35,7 +35,9 @@ from protocol.budget import Budget
 from protocol.errors import ProtocolError
 from protocol.keys import Keys
 from protocol.messages import ConnectionReport, Delivery, Record, RoundReport, unpack
+from protocol.range_scans import Laser, range_scan_size
 from protocol.rights import RIGHTS, read
+from protocol.scans import fragments
 from protocol.zenoh_bus import Credential
 from tests.agent.replication.network import make_engine
 from worldsim import maps
@@ -100,6 +102,19 @@ def apply_entries(data: bytes) -> None:
             continue
 
 
+LASER = Laser(5, 0, 50_000, 8000)
+
+
+def apply_range_scans(data: bytes) -> None:
+    """Apply the bytes as whole scans at positions on the grid and around it, as an author would fragment them."""
+    encoding = make_encoding(replace(SETTINGS, map_encoding="scans", laser=LASER))
+    size = range_scan_size(LASER)
+    scan = (data + bytes(size))[:size]
+    near = scan[1:4] + scan[5:8]
+    for place in (b"\0\0" + near[:2] + b"\0\0" + near[2:4], scan[:8]):
+        encoding.apply(0, b"".join(fragments(place + scan[8:])), step=1000, sender=0)
+
+
 def engine(dissemination: str) -> Replication:
     return make_engine(1, 3, lambda *received: packet_index.ends(received[-1]), dissemination, incarnations=2)
 
@@ -149,6 +164,7 @@ READERS: dict[Callable[[bytes], None], type[Exception]] = {
     read_as_each_participant: ProtocolError,
     read_polygons: ProtocolError,
     apply_entries: ProtocolError,
+    apply_range_scans: ProtocolError,
     receive_offer: ProtocolError,
     receive_gossip: ProtocolError,
     read_journal: JournalError,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -47,6 +48,36 @@ def test_a_noisy_run_is_the_same_on_both_buses() -> None:
     noisy: dict[str, Any] = {"laser": {"preset": "rplidar-a1"}, "pose": {"preset": "graph-slam"}, "steps": 40}
     digests = {run(bus=bus, **noisy).summary["digest"] for bus in ("memory", "zenoh")}
     assert len(digests) == 1
+
+
+def test_a_turning_scanner_measures_a_sector_at_a_time() -> None:
+    noisy: dict[str, Any] = {"laser": {"preset": "rplidar-a1"}, "scanner_turn": 72.0}
+    assert run(strategy="stop-scan-replan", **noisy).summary["finished"]
+
+
+def test_robots_map_no_farther_than_their_laser_measures() -> None:
+    """Beams that meet nothing show free cells, which must not lie behind walls out of the laser's range."""
+    far: dict[str, Any] = {"sensor_range": 11.0, "laser": {"max_range_m": 2.0, "range_error_m": 0.01}}
+    result = run(**far)
+    assert result.summary["claimed_worst_wall_f1"] >= 0.95
+    assert result.summary["refuted_maps"] == []
+
+
+def test_a_noisy_run_is_replayed_with_the_same_digest(tmp_path: Path) -> None:
+    noisy: dict[str, Any] = {"laser": {"preset": "utm-30lx"}, "pose": {"preset": "graph-slam"}, "steps": 20}
+    first = run(out=tmp_path / "run", **noisy)
+    scenario = load(tmp_path / "run" / "scenario.toml", {"bus": "memory"})
+    assert explore(scenario).summary["digest"] == first.summary["digest"]
+
+
+def test_a_preset_of_the_command_line_replaces_the_figures_of_a_scenario_file(tmp_path: Path) -> None:
+    file = tmp_path / "scenario.toml"
+    file.write_text(load(None, {"laser.preset": "utm-30lx", "pose.preset": "graph-slam"}).to_toml())
+    changed = load(file, {"laser.preset": "rplidar-a1", "pose.preset": "exact"})
+    wanted = load(None, {"laser.preset": "rplidar-a1"})
+    assert changed.laser == wanted.laser
+    assert changed.field_of_view == wanted.field_of_view
+    assert changed.pose.is_exact
 
 
 def test_an_unknown_laser_is_refused() -> None:

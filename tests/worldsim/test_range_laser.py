@@ -124,6 +124,25 @@ def test_teammates_are_filtered_out() -> None:
     assert ranges[180] > 0
 
 
+def test_no_beam_beside_a_teammate_measures_behind_the_walls() -> None:
+    truth, teammates = room(), np.zeros((60, 60), np.bool_)
+    teammates[[30, 25, 36], [36, 30, 30]] = True
+    options = LaserOptions(mixed=1.0)
+    laser = RangeLaser(options, LASER, CELL)
+    exact = measure(LaserOptions(), truth, (30.5, 30.5)).astype(int)
+    ranges = laser.ranges(truth, teammates, (30.5, 30.5), 0, keyed_random(1, "laser")).astype(int)
+    assert (ranges == NO_MEASUREMENT).any()
+    assert (ranges <= np.maximum(exact, np.append(exact[1:], exact[-1]))).all()
+
+
+def test_no_range_ends_in_empty_space_at_the_end_of_the_reach() -> None:
+    ranges = measure(LaserOptions(mixed=1.0, max_range_m=2.5), room(), (30.5, 30.5))
+    walls = ranges[ranges != NOTHING]
+    exact = measure(LaserOptions(), room(), (30.5, 30.5))[ranges != NOTHING]
+    assert len(walls)
+    assert (np.abs(walls.astype(int) - exact) <= 1).mean() > 0.9
+
+
 @pytest.mark.parametrize(
     ("values", "message"),
     [
