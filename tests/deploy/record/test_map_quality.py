@@ -171,7 +171,7 @@ def test_agreement_has_the_mean_and_the_worst_pair() -> None:
     assert exact[1]["walls_within_tolerance"] == pytest.approx(same.sum() / (truth == OCCUPIED).sum())
 
 
-def test_one_robot_agrees_with_nobody() -> None:
+def test_a_single_robot_has_no_agreement() -> None:
     truth = room()
     figures = robot_figures({0: truth}, {0: truth == OCCUPIED}, TrueWalls(truth, truth == FREE), 1)
     assert figures[0]["walls_within_tolerance"] is None
