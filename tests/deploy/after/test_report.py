@@ -126,6 +126,17 @@ def test_a_slider_has_a_picture_per_step_up_to_a_size_limit(
     assert 2 < len(fewer) < 40
 
 
+def test_the_last_picture_has_its_cursor_at_the_border_of_the_charts_despite_rounding(
+    written: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    left, right = 121.35, 356.79
+    assert left + (right - left) * 39 / 39 > right
+    frames = Frames(archive.read(written.parent), 400)
+    charts, _ = frames._charts
+    monkeypatch.setitem(frames.__dict__, "_charts", (charts, [(left, right, 5.0, 20.0)]))
+    assert frames.at(frames.last_step).width == 400
+
+
 def test_two_runs_are_compared_on_a_page(directory: Path, tmp_path: Path) -> None:
     other = explore(
         parse(SETTINGS | {"map_encoding": "scans", "steps": 30}), out=tmp_path / "scans"
