@@ -16,7 +16,7 @@ from deploy.dashboard.run_events import Event, RunEvents, explain, shows_range
 from deploy.dashboard.shapes import axes, corner, flip, map_picture, number_strips, outline_strips
 from deploy.record.colors import ALARM, GREY, GROUPS, IN_RANGE, PAPER, SIGNAL, TEAM, mix, robot_color
 from deploy.record.map_history import PER_STEP
-from deploy.record.map_quality import TrueWalls, WallScore
+from deploy.record.map_quality import WallScore, true_walls_of
 from deploy.scenario.plan import Plan
 from protocol import keys as names
 from protocol.errors import ProtocolError
@@ -54,7 +54,7 @@ class Recorder:
         self._plan = plan
         self._robots = range(plan.scenario.robots)
         self._reachable = plan.make_world().reachable
-        self._true_walls = TrueWalls(plan.map.cells, self._reachable)
+        self._true_walls = true_walls_of(plan, self._reachable)
         self._explored = [0.0] * len(self._robots)
         self._walls = dict.fromkeys(self._robots, WallScore(None, None, None))
         self._drawn: Counter[tuple[str, int]] = Counter()

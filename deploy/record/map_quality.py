@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, maximum_filter
 
+from deploy.scenario.plan import Plan
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 
 Mask = NDArray[np.bool_]
@@ -58,13 +59,12 @@ class WallScore(NamedTuple):
 
 
 class TrueWalls:
-    """The walls of the true map, in cells that are not free. They are compared with the walls of robots' maps.
+    """The walls of the true map, which is `solid` beyond its border too, to compare walls of robots' maps with them.
 
-    Beams end at the surfaces of walls: cells beside free cells. Everything beyond the border is solid.
+    Beams end at the surfaces of walls: solid cells beside others.
     """
 
-    def __init__(self, truth: Grid, reachable: Mask) -> None:
-        solid = truth != FREE
+    def __init__(self, solid: Mask, reachable: Mask) -> None:
         self._near_surface = binary_dilation(solid & binary_dilation(~solid), AROUND, border_value=1)
         self._walls = solid & binary_dilation(reachable)
         """True walls that the team can see: those beside reachable cells."""
@@ -85,6 +85,11 @@ class TrueWalls:
         recall = float(binary_dilation(found, AROUND)[self._walls].mean())
         both = precision + recall
         return WallScore(precision, recall, 2 * precision * recall / both if both else 0.0)
+
+
+def true_walls_of(plan: Plan, reachable: Mask) -> TrueWalls:
+    """Return the true walls of a run: all cells that are not free stop beams."""
+    return TrueWalls(plan.map.cells != FREE, reachable)
 
 
 def walls_held(

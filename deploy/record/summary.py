@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.robot import sure_after
-from deploy.record.map_quality import Figures, Mask, TrueWalls, is_refuted, robot_figures, team_figures
+from deploy.record.map_quality import Figures, Mask, is_refuted, robot_figures, team_figures, true_walls_of
 from deploy.record.records import Records
 from deploy.record.versions import versions
 from deploy.scenario.plan import Plan
@@ -129,7 +129,7 @@ def _robot_figures(
 ) -> dict[int, Figures]:
     """Compare the walls of the `planning` grids with the true walls, and with those that teammates have settled."""
     walls = {robot: records.settled[robot] & (records.own[robot] == OCCUPIED) for robot in sorted(planning)}
-    return robot_figures(planning, walls, TrueWalls(plan.map.cells, reachable), tolerance(plan))
+    return robot_figures(planning, walls, true_walls_of(plan, reachable), tolerance(plan))
 
 
 def _overlap(records: Records, reachable: Mask) -> float | None:

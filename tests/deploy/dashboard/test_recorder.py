@@ -10,7 +10,7 @@ import pytest
 
 from deploy.dashboard.process import RECORDING, ViewTask, free_name, watching
 from deploy.dashboard.windows import Window, WindowError, binary
-from deploy.record.map_quality import TrueWalls
+from deploy.record.map_quality import true_walls_of
 from deploy.run.exploration import explore
 from deploy.scenario.scenario import parse
 from protocol import keys as names
@@ -79,7 +79,7 @@ def test_the_walls_on_each_planning_map_are_compared_with_the_true_ones(recorded
     plan = small_plan()
     grid = small_run().records.maps.planning(1, 30)
     assert grid is not None
-    score = TrueWalls(plan.map.cells, plan.make_world().reachable).score(grid)
+    score = true_walls_of(plan, plan.make_world().reachable).score(grid)
     assert score.f1 and score.precision
     assert f1[31][1] == pytest.approx(100 * score.f1)
     assert precision[31][1] == pytest.approx(100 * score.precision)

@@ -35,7 +35,7 @@ def room(wall: int = 5) -> Grid:
 
 
 def score(grid: Grid, truth: Grid) -> WallScore:
-    return TrueWalls(truth, truth == FREE).score(grid)
+    return TrueWalls(truth != FREE, truth == FREE).score(grid)
 
 
 # --- walls and the true map ----------------------------------------------------------------------------
@@ -82,7 +82,7 @@ def test_precision_recall_and_f1_are_those_of_the_plain_reference(
 ) -> None:
     reachable = chosen & (truth == FREE)
     expected = plain_score(grid, truth, reachable)
-    assert TrueWalls(truth, reachable).score(grid) == pytest.approx(expected)
+    assert TrueWalls(truth != FREE, reachable).score(grid) == pytest.approx(expected)
 
 
 def test_walls_within_one_cell_count_as_found() -> None:
@@ -156,7 +156,7 @@ def test_agreement_has_the_mean_and_the_worst_pair() -> None:
     half[:20][half[:20] == OCCUPIED] = UNKNOWN
     planning = {0: truth, 1: room(wall=6), 2: half}
     walls = dict.fromkeys(planning, truth == OCCUPIED)
-    figures = robot_figures(planning, walls, TrueWalls(truth, truth == FREE), 1)
+    figures = robot_figures(planning, walls, TrueWalls(truth != FREE, truth == FREE), 1)
     team = team_figures(figures, 0)
     held = figures[2]["walls_within_tolerance"]
     assert held == pytest.approx(0.5, abs=0.02)
@@ -166,14 +166,14 @@ def test_agreement_has_the_mean_and_the_worst_pair() -> None:
     assert team["claimed_wall_f1"] == 1
     assert team["claimed_worst_wall_f1"] == figures[2]["wall_f1"]
     assert team["claimed_mean_wall_recall"] == pytest.approx((2 + 0.5) / 3, abs=0.02)
-    exact = robot_figures(planning, walls, TrueWalls(truth, truth == FREE), 0)
+    exact = robot_figures(planning, walls, TrueWalls(truth != FREE, truth == FREE), 0)
     same = (truth == OCCUPIED) & (room(wall=6) == OCCUPIED)
     assert exact[1]["walls_within_tolerance"] == pytest.approx(same.sum() / (truth == OCCUPIED).sum())
 
 
 def test_a_single_robot_has_no_agreement() -> None:
     truth = room()
-    figures = robot_figures({0: truth}, {0: truth == OCCUPIED}, TrueWalls(truth, truth == FREE), 1)
+    figures = robot_figures({0: truth}, {0: truth == OCCUPIED}, TrueWalls(truth != FREE, truth == FREE), 1)
     assert figures[0]["walls_within_tolerance"] is None
     team = team_figures(figures, 0)
     assert team["walls_within_tolerance"] is team["worst_walls_within_tolerance"] is None
