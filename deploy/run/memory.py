@@ -1,0 +1,132 @@
+"""The memory that a run needs, estimated from its plan before anything starts (docs/reliability.md names the rule).
+
+Each robot needs some bytes per cell for its grids and for planning. With the encoding `predictive`, it also needs a grid
+per teammate, because it decodes the log of each; robots in one process share these grids. The figures were measured as
+the private memory of robots that have explored a generated office (docs/reliability.md#memory).
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import resource
+from dataclasses import dataclass
+from pathlib import Path
+
+from deploy.run.limits import DATA_BYTES, MEMORY_BYTES
+from deploy.scenario.plan import Plan
+from deploy.scenario.scenario import ScenarioError
+
+MB = 1_000_000
+
+PROCESS_BYTES, PROCESS_CELL_BYTES = 17 * MB, 58
+"""Memory of a robot's process, in bytes and bytes per cell; with `predictive`, a byte per cell and robot is added."""
+
+RUN_BYTES = 300 * MB
+"""Memory of all other processes of a run, or of a run in memory without its robots."""
+
+RECORD_CELL_BYTES = 3
+"""Bytes per cell and robot of the recorder: both maps, and their last recorded state."""
+
+SHARED_CELL_BYTES, MEMBER_CELL_BYTES = 40, 57
+"""On the memory bus: bytes per cell of what the robots share, and of each robot."""
+
+
+@dataclass(frozen=True)
+class Need:
+    """The memory of a run in bytes: of all its processes, and the address space and data of the largest one."""
+
+    total: float
+    address_space: float
+    data: float
+
+
+def needed(robots: int, cells: float, bus: str, map_encoding: str) -> Need:
+    """Estimate the memory of a run with this many robots on this host, and a map of this many cells."""
+    if bus == "memory":
+        largest = cells * (SHARED_CELL_BYTES + robots * MEMBER_CELL_BYTES)
+        total = RUN_BYTES + largest
+    else:
+        robot = cells * (PROCESS_CELL_BYTES + (robots if map_encoding == "predictive" else 0))
+        records = robots * cells * RECORD_CELL_BYTES
+        largest = max(robot, records)
+        total = RUN_BYTES + records + robots * (PROCESS_BYTES + robot)
+    return Need(total, MEMORY_BYTES + largest, DATA_BYTES + largest)
+
+
+def check(plan: Plan, robots: int | None = None) -> None:
+    """Raise ScenarioError if a run cannot fit into the memory of this host, where `robots` (default: all) run."""
+    scenario = plan.scenario
+    height, width = plan.map.cells.shape
+    robots, cells = scenario.robots if robots is None else robots, width * height
+    limits = memory_limits()
+
+    def lacks(robots: int, cells: float, bus: str) -> str:
+        """Return which memory is too small for a run of these sizes; empty if none is."""
+        need = needed(robots, cells, bus, scenario.map_encoding)
+        return next(
+            (
+                f"needs about {_shown(each)}, and {name} {_shown(limit)}"
+                for name, limit, of in limits
+                if (each := getattr(need, of)) > limit
+            ),
+            "",
+        )
+
+    lack = lacks(robots, cells, scenario.bus)
+    if not lack:
+        return
+    fewer = max((n for n in range(robots) if not lacks(n, cells, scenario.bus)), default=0)
+    parts = max((n for n in range(100) if not lacks(robots, cells * (n / 100) ** 2, scenario.bus)), default=0)
+    ways = [f"{fewer} robots" if fewer else ""]
+    ways += [f"cells of {math.ceil(10_000 * plan.map.resolution / parts) / 100:g} m" if parts else ""]
+    ways += ["bus = 'memory'" if robots == scenario.robots and not lacks(robots, cells, "memory") else ""]
+    fitting = " or ".join(filter(None, ways))
+    raise ScenarioError(
+        f"robots = {robots} on {width} x {height} cells: bus = {scenario.bus!r} {lack}"
+        + (f"; use {fitting}" if fitting else "")
+    )
+
+
+def memory_limits() -> list[tuple[str, float, str]]:
+    """Return what limits memory, the limit in bytes, and which attribute of `Need` it limits."""
+    machine = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    return [
+        ("this machine has", machine, "total"),
+        ("its control group allows", control_group_bytes(), "total"),
+        ("ulimit -v allows", _limit(resource.RLIMIT_AS), "address_space"),
+        ("ulimit -d allows", _limit(resource.RLIMIT_DATA), "data"),
+    ]
+
+
+def _limit(number: int) -> float:
+    """Return a limit of this process in bytes."""
+    limit = resource.getrlimit(number)[0]
+    return math.inf if limit == resource.RLIM_INFINITY else limit
+
+
+def control_group_bytes(
+    root: Path = Path("/sys/fs/cgroup"), groups: Path = Path("/proc/self/cgroup")
+) -> float:
+    """Return the smallest memory limit of this process's control groups (Linux), of version 1 or 2."""
+    try:
+        lines = groups.read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return math.inf
+    files = []
+    for _, controllers, group in (line.split(":", 2) for line in lines):
+        if "memory" in controllers.split(","):
+            top, file = root / "memory", "memory.limit_in_bytes"
+        elif not controllers:
+            top, file = root, "memory.max"
+        else:
+            continue
+        inner = top / group.lstrip("/")
+        files += [folder / file for folder in (inner, *inner.parents) if folder.is_relative_to(top)]
+    limits = [path.read_text(encoding="utf-8").strip() for path in files if path.is_file()]
+    return min((float(limit) for limit in limits if limit.isdecimal()), default=math.inf)
+
+
+def _shown(size: float) -> str:
+    """Return a size as text, with two digits."""
+    return f"{float(f'{size / 1e9:.2g}'):g} GB"
