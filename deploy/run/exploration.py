@@ -201,8 +201,7 @@ def explore(
     incarnations = _incarnations(scenario, hosts) if restart else 1
     plan = plans.make(scenario, incarnations=incarnations, record_maps=keep)
     _check_pace_and_hosts(pace, hosts, scenario)
-    here = scenario.robots - (sum(map(len, hosts.placing(scenario.robots).values())) if hosts else 0)
-    memory.check(plan, here)
+    memory.check(plan, sum(map(len, hosts.placing(scenario.robots).values())) if hosts is not None else 0)
     limits.check_files(scenario.robots if scenario.bus == "zenoh" else 0)
     if keep:
         with limits.importing():

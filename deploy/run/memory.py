@@ -1,8 +1,8 @@
-"""The memory that a run needs, estimated from its plan before anything starts (docs/reliability.md names the rule).
+"""The memory that a run needs, estimated from its plan before anything starts (docs/reliability.md#memory).
 
-Each robot needs some bytes per cell for its grids and for planning. With the encoding `predictive`, it also needs a grid
-per teammate, because it decodes the log of each; robots in one process share these grids. The figures were measured as
-the private memory of robots that have explored a generated office (docs/reliability.md#memory).
+Each robot needs some bytes per cell for its grids and for planning. With the encoding `predictive`, it also needs a
+grid per teammate, because it decodes the log of each; robots in one process share these grids. The figures were
+measured: the private memory of robots that have explored a generated office.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from deploy.scenario.scenario import ScenarioError
 
 MB = 1_000_000
 
-PROCESS_BYTES, PROCESS_CELL_BYTES = 17 * MB, 58
+PROCESS_BYTES, PROCESS_CELL_BYTES = 18 * MB, 58
 """Memory of a robot's process, in bytes and bytes per cell; with `predictive`, a byte per cell and robot is added."""
 
-RUN_BYTES = 300 * MB
-"""Memory of all other processes of a run, or of a run in memory without its robots."""
+RUN_BYTES = {"zenoh": 500 * MB, "memory": 220 * MB}
+"""Memory of a run without its robots, by bus: libraries, and all other processes."""
 
 RECORD_CELL_BYTES = 3
 """Bytes per cell and robot of the recorder: both maps, and their last recorded state."""
@@ -41,29 +41,31 @@ class Need:
     data: float
 
 
-def needed(robots: int, cells: float, bus: str, map_encoding: str) -> Need:
-    """Estimate the memory of a run with this many robots on this host, and a map of this many cells."""
+def needed(robots: int, cells: float, bus: str, grids: int = 0) -> Need:
+    """Estimate the memory of a run with this many robots on this host, and a map of this many cells.
+
+    `grids` is the number of logs that each process decodes on a grid of its own.
+    """
     if bus == "memory":
         largest = cells * (SHARED_CELL_BYTES + robots * MEMBER_CELL_BYTES)
-        total = RUN_BYTES + largest
+        total = RUN_BYTES[bus] + largest
     else:
-        robot = cells * (PROCESS_CELL_BYTES + (robots if map_encoding == "predictive" else 0))
-        records = robots * cells * RECORD_CELL_BYTES
+        robot, records = cells * (PROCESS_CELL_BYTES + grids), robots * cells * RECORD_CELL_BYTES
         largest = max(robot, records)
-        total = RUN_BYTES + records + robots * (PROCESS_BYTES + robot)
+        total = RUN_BYTES[bus] + records + robots * (PROCESS_BYTES + robot)
     return Need(total, MEMORY_BYTES + largest, DATA_BYTES + largest)
 
 
-def check(plan: Plan, robots: int | None = None) -> None:
-    """Raise ScenarioError if a run cannot fit into the memory of this host, where `robots` (default: all) run."""
-    scenario = plan.scenario
+def check(plan: Plan, elsewhere: int = 0) -> None:
+    """Raise ScenarioError if a run cannot fit into the memory of this host; `elsewhere` robots run on other hosts."""
+    team, bus, resolution = plan.scenario.robots, plan.scenario.bus, plan.map.resolution
     height, width = plan.map.cells.shape
-    robots, cells = scenario.robots if robots is None else robots, width * height
     limits = memory_limits()
 
-    def lacks(robots: int, cells: float, bus: str) -> str:
-        """Return which memory is too small for a run of these sizes; empty if none is."""
-        need = needed(robots, cells, bus, scenario.map_encoding)
+    def lack(team: int = team, scale: float = 1.0, bus: str = bus) -> str:
+        """Return which memory is too small for a team on a map of scaled sides; empty if none is."""
+        grids = team if plan.scenario.map_encoding == "predictive" else 0
+        need = needed(team - elsewhere, scale * scale * height * width, bus, grids)
         return next(
             (
                 f"needs about {_shown(each)}, and {name} {_shown(limit)}"
@@ -73,19 +75,15 @@ def check(plan: Plan, robots: int | None = None) -> None:
             "",
         )
 
-    lack = lacks(robots, cells, scenario.bus)
-    if not lack:
+    if not lack():
         return
-    fewer = max((n for n in range(robots) if not lacks(n, cells, scenario.bus)), default=0)
-    parts = max((n for n in range(100) if not lacks(robots, cells * (n / 100) ** 2, scenario.bus)), default=0)
-    ways = [f"{fewer} robots" if fewer else ""]
-    ways += [f"cells of {math.ceil(10_000 * plan.map.resolution / parts) / 100:g} m" if parts else ""]
-    ways += ["bus = 'memory'" if robots == scenario.robots and not lacks(robots, cells, "memory") else ""]
-    fitting = " or ".join(filter(None, ways))
-    raise ScenarioError(
-        f"robots = {robots} on {width} x {height} cells: bus = {scenario.bus!r} {lack}"
-        + (f"; use {fitting}" if fitting else "")
-    )
+    smaller = next((n for n in reversed(range(elsewhere + 1, team)) if not lack(team=n)), 0)
+    percent = next((n for n in reversed(range(1, 100)) if not lack(scale=n / 100)), 0)
+    fitting = [f"{smaller} robots"] if smaller else []
+    fitting += [f"cells of {math.ceil(1e4 * resolution / percent) / 100:g} m"] if percent else []
+    fitting += ["bus = 'memory'"] if not elsewhere and not lack(bus="memory") else []
+    hint = f"; use {' or '.join(fitting)}" if fitting else ""
+    raise ScenarioError(f"robots = {team} on {width} x {height} cells: bus = {bus!r} {lack()}{hint}")
 
 
 def memory_limits() -> list[tuple[str, float, str]]:
