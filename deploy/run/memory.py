@@ -1,8 +1,7 @@
 """The memory that a run needs, estimated from its plan before anything starts (docs/reliability.md#memory).
 
-Each robot needs some bytes per cell for its grids and for planning. With the encoding `predictive`, it also needs a
-grid per teammate, because it decodes the log of each; robots in one process share these grids. The figures were
-measured: the private memory of robots that have explored a generated office.
+Each robot needs some bytes per cell for its grids and for planning. With some encodings it also needs a grid per
+teammate. The figures were measured with robots that have explored a generated office.
 """
 
 from __future__ import annotations
@@ -20,7 +19,10 @@ from deploy.scenario.scenario import ScenarioError
 MB = 1_000_000
 
 PROCESS_BYTES, PROCESS_CELL_BYTES = 18 * MB, 58
-"""Memory of a robot's process, in bytes and bytes per cell; with `predictive`, a byte per cell and robot is added."""
+"""Memory of a robot's process, in bytes and bytes per cell, without the grids of its teammates' maps."""
+
+GRID_PER_TEAMMATE = {"zenoh": ("predictive", "polygons"), "memory": ("polygons",)}
+"""Encodings with which a robot has a grid per teammate, of a byte per cell; in one process, robots share decoders."""
 
 RUN_BYTES = {"zenoh": 500 * MB, "memory": 220 * MB}
 """Memory of a run without its robots, by bus: libraries, and all other processes."""
@@ -44,10 +46,10 @@ class Need:
 def needed(robots: int, cells: float, bus: str, grids: int = 0) -> Need:
     """Estimate the memory of a run with this many robots on this host, and a map of this many cells.
 
-    `grids` is the number of logs that each process decodes on a grid of its own.
+    `grids` is the number of grids that each robot has for the maps of its team.
     """
     if bus == "memory":
-        largest = cells * (SHARED_CELL_BYTES + robots * MEMBER_CELL_BYTES)
+        largest = cells * (SHARED_CELL_BYTES + robots * (MEMBER_CELL_BYTES + grids))
         total = RUN_BYTES[bus] + largest
     else:
         robot, records = cells * (PROCESS_CELL_BYTES + grids), robots * cells * RECORD_CELL_BYTES
@@ -64,7 +66,7 @@ def check(plan: Plan, elsewhere: int = 0) -> None:
 
     def lack(team: int = team, scale: float = 1.0, bus: str = bus) -> str:
         """Return which memory is too small for a team on a map of scaled sides; empty if none is."""
-        grids = team if plan.scenario.map_encoding == "predictive" else 0
+        grids = team if plan.scenario.map_encoding in GRID_PER_TEAMMATE[bus] else 0
         need = needed(team - elsewhere, scale * scale * height * width, bus, grids)
         return next(
             (

@@ -52,10 +52,12 @@ def test_only_robots_on_this_host_count() -> None:
 
 
 @pytest.mark.usefixtures("small_machine")
-def test_only_predictive_needs_a_grid_per_teammate() -> None:
+def test_some_encodings_need_a_grid_per_teammate() -> None:
     with pytest.raises(ScenarioError, match="robots = 44 on 800 x 800 cells"):
         memory.check(plan(44, 80.0))
-    memory.check(plan(44, 80.0, map_encoding="polygons"))
+    with pytest.raises(ScenarioError, match="robots = 44 on 800 x 800 cells"):
+        memory.check(plan(44, 80.0, map_encoding="polygons"))
+    memory.check(plan(44, 80.0, map_encoding="scans"))
 
 
 @pytest.mark.usefixtures("small_machine")
