@@ -12,7 +12,7 @@ import resource
 from dataclasses import dataclass
 from pathlib import Path
 
-from deploy.run.limits import DATA_BYTES, MEMORY_BYTES
+from deploy.run.limits import DATA_BYTES, MEMORY_BYTES, soft_limit
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import ScenarioError
 
@@ -94,15 +94,9 @@ def memory_limits() -> list[tuple[str, float, str]]:
     return [
         ("this machine has", machine, "total"),
         ("its control group allows", control_group_bytes(), "total"),
-        ("ulimit -v allows", _limit(resource.RLIMIT_AS), "address_space"),
-        ("ulimit -d allows", _limit(resource.RLIMIT_DATA), "data"),
+        ("ulimit -v allows", soft_limit(resource.RLIMIT_AS), "address_space"),
+        ("ulimit -d allows", soft_limit(resource.RLIMIT_DATA), "data"),
     ]
-
-
-def _limit(number: int) -> float:
-    """Return a limit of this process in bytes."""
-    limit = resource.getrlimit(number)[0]
-    return math.inf if limit == resource.RLIM_INFINITY else limit
 
 
 def control_group_bytes(
