@@ -21,13 +21,6 @@ def report(
     directories: Annotated[
         list[Path], typer.Argument(metavar="DIR [OTHER]", help="a run directory, or two to compare")
     ],
-    stages: Annotated[
-        int | None,
-        typer.Option(
-            metavar="STEP", help="instead, draw how a robot merges maps at this step: pictures/merging.png"
-        ),
-    ] = None,
-    robot: Annotated[int, typer.Option(metavar="N", help="robot for --stages")] = 0,
 ) -> None:
     """Write an HTML page of a run, with pictures and a slider; or compare two runs.
 
@@ -36,26 +29,10 @@ def report(
     from deploy.after.report import write_report  # noqa: PLC0415
 
     directory, *others = directories
-    if len(others) > (1 if stages is None else 0):
-        raise ValueError("report takes one run directory, or two; with --stages only one")
-    if stages is not None:
-        screen.print(f"{_draw_stages(directory, robot, stages)}: stages of merging")
-        return
+    if len(others) > 1:
+        raise ValueError("report takes one run directory, or two")
     page = write_report(directory, *others)
     screen.print(f"{page}: report of the {'runs' if others else 'run'}")
-
-
-def _draw_stages(directory: Path, robot: int, step: int) -> Path:
-    from deploy.after import archive  # noqa: PLC0415
-    from deploy.after.merging import MERGING, merging  # noqa: PLC0415
-    from deploy.record.map_pictures import save  # noqa: PLC0415
-    from deploy.record.run_directory import PICTURES  # noqa: PLC0415
-
-    figure = merging(archive.read(directory), robot, step)
-    (directory / PICTURES).mkdir(exist_ok=True)
-    path = directory / PICTURES / MERGING
-    save(path, figure, dpi=100)
-    return path
 
 
 @app.command()

@@ -362,7 +362,7 @@ def _remove_preset_keys(data: dict[str, Any], overrides: dict[str, Any]) -> None
     for table, presets in (("laser", LASERS), ("pose", POSES)):
         if name := overrides.get(f"{table}.preset"):
             data.pop(table, None)
-            if "field_of_view" in presets.get(name, {}):
+            if "field_of_view" in presets.get(str(name), {}):
                 data.pop("field_of_view", None)
 
 
