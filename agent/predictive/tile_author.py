@@ -21,13 +21,13 @@ from protocol.grid import Grid
 from protocol.range_scans import RangeScan
 from protocol.scans import Change, Scan
 
-QUIET_STEPS = 2
+QUIET_STEPS = 3
 """Steps without a change after which a tile is encoded."""
 
-LONGEST_WAIT = 8
+LONGEST_WAIT = 12
 """Steps after which a tile is encoded although it still changes."""
 
-INTERVAL = 4
+INTERVAL = 8
 """Steps between updates."""
 
 TILE_BYTES = 3.0
