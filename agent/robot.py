@@ -21,7 +21,7 @@ from agent.encodings.base import MapEncoding
 from agent.encodings.catalog import encoding_class, make_encoding
 from agent.mapping.mapper import WALL, cell_ahead, make_mapper
 from agent.outline.polygons import Polygons
-from agent.planning.noisy_grid import NoisyGrid
+from agent.planning.noisy_grid import NoisyGrid, narrow_cells
 from agent.replication.digests import INTERVAL
 from agent.replication.engine import make_replication
 from agent.replication.peers import MapId
@@ -87,7 +87,8 @@ class Robot:
         """The self-explored grid."""
         self.planning: Grid = self.own.copy()
         """The planning grid: the self-explored one merged with teammates' maps."""
-        self._noisy_grid = NoisyGrid(*self.own.shape) if settings.laser is not None else None
+        narrow = narrow_cells(settings.radius_cells, settings.resolution)
+        self._noisy_grid = NoisyGrid(*self.own.shape, narrow) if settings.laser is not None else None
         self._encoding = make_encoding(settings)
         self._encoding.use_log_odds(self._mapper.log_odds)
         self._team = TeamState(settings)

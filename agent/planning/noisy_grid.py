@@ -1,9 +1,9 @@
 """The planning grid of a noisy laser, without details that mislead strategies.
 
 Between beams and beside walls, noise leaves gaps of unknown cells. They are no frontiers: a robot has nothing to enter
-there. So an unknown cell counts only if it lies in a square of `NARROW` by `NARROW` unknown cells. Every other one
-counts as a wall if a wall touches it, else as free. Likewise, noise opens walls: a free cell beside unknown ones counts
-as a wall if it does not lie in a square of as many cells without walls.
+there. So an unknown cell counts only if it lies in a square of unknown cells as wide as the narrowest opening. Every other
+one counts as a wall if a wall touches it, else as free. Likewise, noise opens walls: a free cell beside unknown ones
+counts as a wall if it does not lie in a square of as many cells without walls.
 
 False walls can enclose a robot, which would then report that it has nothing left to explore. So the cells that it has
 driven over count as free, unless it bumped into something there later.
@@ -11,22 +11,31 @@ driven over count as free, unless it bumped into something there later.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.kernels import kernel
 
-NARROW = 2
-"""Side of the smallest square of unknown cells, and of the smallest opening, that is worth exploring, in cells."""
+OPENING_M = 0.3
+"""Width of the narrowest opening that is worth exploring, in meters; wider robots need at least their own width."""
+
+LEAST_CELLS = 2
+"""The same in cells, at least."""
 
 _UNKNOWN_SQUARE, _OPEN_SQUARE = 1, 2
 """Marks of cells in squares of unknown cells, and of cells without walls."""
 
 
 class NoisyGrid:
-    """The planning grid of one robot as its strategy sees it; all grids are uint8 arrays of shape (h, w)."""
+    """The planning grid of one robot as its strategy sees it; all grids are uint8 arrays of shape (h, w).
 
-    def __init__(self, height: int, width: int) -> None:
+    `narrow` is the width of the narrowest opening in cells (`narrow_cells`).
+    """
+
+    def __init__(self, height: int, width: int, narrow: int) -> None:
+        self._narrow = narrow
         self._trail: Grid = np.zeros((height, width), np.uint8)
         self._marks: Grid = np.zeros((height, width), np.uint8)
         self._here: tuple[int, int] | None = None
@@ -51,9 +60,14 @@ class NoisyGrid:
     def clean(self, planning: Grid) -> Grid:
         """Return a copy of a planning grid without misleading details."""
         found = np.empty_like(planning)
-        _without_gaps(planning, NARROW, self._marks, found)
+        _without_gaps(planning, self._narrow, self._marks, found)
         found[self._trail != 0] = FREE
         return found
+
+
+def narrow_cells(radius_cells: float, resolution: float) -> int:
+    """Return the width in cells of the narrowest opening that a robot explores; cells are `resolution` meters wide."""
+    return max(LEAST_CELLS, round(OPENING_M / resolution), math.ceil(2 * radius_cells))
 
 
 @kernel
