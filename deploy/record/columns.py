@@ -97,6 +97,15 @@ SUMMARY = {
 }
 """Keys of ``summary.json`` and their meaning."""
 
+RECORDED = {
+    "logs": "the logs that were replayed",
+    "scans": "number of scans that the robots have taken from them",
+    "bytes_per_scan": "bytes that the whole team transmitted, over `scans`",
+    "steps_after_scans": "steps from the last scan until teammates held everything, or to the end if they did not",
+    "backlog_after_scans, backlog": "log entries that teammates lacked, after the last scan and at the end",
+}
+"""Keys of ``summary.json`` that only recorded runs have."""
+
 FILES = {
     "steps.parquet": STEPS,
     "ledger.parquet": LEDGER,

@@ -45,13 +45,14 @@ def is_refuted(own: Grid, truth: Grid, reachable: Mask, seen: int, *, noisy: boo
     return share_false(own, truth, noisy=False) > 0 or bool(((own == FREE) & reachable).sum() > seen)
 
 
-def wall_f1(grid: Grid, truth: Grid, reachable: Mask) -> float | None:
+def wall_f1(grid: Grid, truth: Grid, reachable: Mask, *, recorded: bool = False) -> float | None:
     """Return the F1 score of the walls of a map, within one cell; None if it or the true map has none.
 
     Precision is the share of its walls with a true wall within one cell; recall is the share of the true walls beside
-    reachable cells that have one of its walls within one cell.
+    reachable cells that have one of its walls within one cell. Unknown cells of the true map are walls, unless the map
+    was made of recorded scans.
     """
-    found, solid = grid == OCCUPIED, truth != FREE
+    found, solid = grid == OCCUPIED, truth == OCCUPIED if recorded else truth != FREE
     walls = solid & binary_dilation(reachable)
     if not (found.any() and walls.any()):
         return None
@@ -61,7 +62,7 @@ def wall_f1(grid: Grid, truth: Grid, reachable: Mask) -> float | None:
 
 
 def wall_quality(
-    planning: Mapping[int, Grid], first: int, truth: Grid, reachable: Mask
+    planning: Mapping[int, Grid], first: int, truth: Grid, reachable: Mask, *, recorded: bool = False
 ) -> dict[str, float | None]:
     """Return precision, recall and F1 of the walls on the first robot's planning grid, and the minima of all robots.
 
@@ -75,7 +76,7 @@ def wall_quality(
         occupied = (grid == OCCUPIED) & (truth != UNKNOWN)
         precision[robot] = float((truth[occupied] == OCCUPIED).mean()) if occupied.any() else None
         recall[robot] = float((grid[walls] == OCCUPIED).mean()) if walls.any() else None
-        f1[robot] = wall_f1(grid, truth, reachable)
+        f1[robot] = wall_f1(grid, truth, reachable, recorded=recorded)
     found: dict[str, float | None] = {}
     for name, values in (("wall_precision", precision), ("wall_recall", recall), ("wall_f1", f1)):
         found[f"claimed_{name}"] = values.get(first)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from agent.robot import sure_after
 from deploy.record.map_quality import Mask, is_refuted, wall_quality
+from deploy.record.recorded_runs import recorded_figures
 from deploy.record.records import Records
 from deploy.record.versions import versions
 from deploy.scenario.plan import Plan
@@ -38,6 +39,7 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
     first = end.first if done and end is not None else min(records.planning, default=-1)
     steps = end.step if end is not None and end.step >= 0 else records.step
     allowed = budgets(plan.radio.budget, records.changes, int(ledger["step"].max(initial=0)) + 1)
+    sizes = _per_kind(ledger, "bytes")
     return {
         "finished": finished,
         "reason": _reason(end, finished=finished),
@@ -46,7 +48,7 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "first_robot": end.first if done and end is not None else None,
         "coverage": records.explored,
         **_accuracy(planning.get(first), reachable, records.explored),
-        **wall_quality(planning, first, plan.map.cells, reachable),
+        **wall_quality(planning, first, plan.map.cells, reachable, recorded=plan.recording is not None),
         "t50": _first_step(records, 0.50),
         "t90": _first_step(records, 0.90),
         "t99": _first_step(records, 0.99),
@@ -61,9 +63,10 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "map_encoding": scenario.map_encoding,
         "bandwidth": scenario.bandwidth,
         "range_m": plan.range_m,
-        "bytes": _per_kind(ledger, "bytes"),
+        "bytes": sizes,
         "raw_scan_bytes": steps * SCAN_VALUES * VALUE_BYTES * scenario.robots * (scenario.robots - 1),
         "packets": _per_kind(ledger, "packets"),
+        **recorded_figures(plan, records, steps, sizes["total"]),
         **_approximation_error(records, first, int(reachable.sum())),
         "over_budget_steps": _over_budget(ledger, allowed, each=scenario.radio.reuse),
         "undelivered": _undelivered(ledger),
