@@ -27,7 +27,7 @@ STALLED = "stalled: there is a frontier left, and no robot gets nearer to it"
 
 
 class BaseWorld(ABC):
-    """The state of a world that does not depend on where scans come from; cells of `truth`, shape (h, w), are states."""
+    """The state that all worlds have. `truth`, uint8 of shape (h, w), is the map of the world."""
 
     finished = EXPLORED
     """Why a run ends whose robots have all finished."""

@@ -123,6 +123,7 @@ def replay(
     before = run_directory.read_summary(directory)
     if reason := why_unrepeatable(before):
         raise ScenarioError(f"{directory}: cannot be repeated: {reason}")
+    run_directory.check_scans(directory, before)
     if not trust:
         _confirm_local_code(directory, recorded)
     scenario = load(directory / run_directory.SCENARIO, {"bus": bus})

@@ -97,7 +97,7 @@ def explore(
     The run directory contains all results: summary.json, tables, pictures, maps, and scenario.toml, from which
     `murmur replay` repeats the run. docs/settings.md lists all settings.
     """
-    overrides = settings | _other_settings(set_ or [], settings)
+    overrides = settings | other_settings(set_ or [], settings)
     overrides |= {"radio.preset": radio, "laser.preset": laser, "pose.preset": pose}
     overrides["map_options.resolution"] = resolution
     overrides = {name: value for name, value in overrides.items() if value is not None}
@@ -110,7 +110,7 @@ def explore(
     chosen = load(scenario, overrides)
     choices = {"out": out, "pace": pace, "restart": restart}
     view_type = view_as or ("auto" if view else None)
-    raise typer.Exit(_explore(chosen, view_type, hosts, choices, pictures=pictures, as_json=as_json))
+    raise typer.Exit(run_live(chosen, view_type, hosts, choices, pictures=pictures, as_json=as_json))
 
 
 @app.command()
@@ -127,7 +127,7 @@ def watch(
         watching.watch(directory, window)
 
 
-def _other_settings(texts: list[str], flags: dict[str, Any]) -> dict[str, Any]:
+def other_settings(texts: list[str], flags: dict[str, Any]) -> dict[str, Any]:
     """The settings given with --set; ValueError if a flag gives one of them, too."""
     values = named_values(texts, "set", "radius=0.2")
     for name in values.keys() & flags.keys():
@@ -135,7 +135,7 @@ def _other_settings(texts: list[str], flags: dict[str, Any]) -> dict[str, Any]:
     return values
 
 
-def _explore(
+def run_live(
     scenario: Scenario,
     view_type: str | None,
     hosts_file: Path | None,

@@ -203,6 +203,15 @@ def read_summary(directory: Path) -> dict[str, Any]:
     return found
 
 
+def check_scans(directory: Path, summary: dict[str, Any]) -> None:
+    """Raise ScenarioError if the scans that a run replayed have changed since."""
+    digests = summary.get("tables")
+    for name, digest in digests.items() if isinstance(digests, dict) else ():
+        path = directory / name
+        if path.suffix == scan_file.SUFFIX and path.is_file() and sha256(path) != digest:
+            raise ScenarioError(f"{path}: has changed since the run: its SHA-256 is not that in {SUMMARY}")
+
+
 def load_writers() -> None:
     """Import what `write_results` needs: at the end of a run, an import could fail and lose the run."""
     from pyarrow import parquet  # noqa: F401, PLC0415
@@ -258,7 +267,9 @@ def write_results(
     if failed:
         unwritten = ", ".join(dict.fromkeys(str(error.filename) for error in failed))
         raise OSError(failed[0].errno, failed[0].strerror, unwritten)
-    summary["tables"] = {name: sha256(out / name) for name in FILES if (out / name).is_file()}
+    logs = plan.recording.logs if plan.recording is not None else ()
+    names = [*FILES, *(SCANS.format(number) for number in range(len(logs)))]
+    summary["tables"] = {name: sha256(out / name) for name in names if (out / name).is_file()}
     write_summary()
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +31,7 @@ MAX_BACK_S = 5.0
 
 MARGIN = 2
 """Cells around all cells that scans touch."""
+
 
 @dataclass(frozen=True, eq=False)
 class Recording:
@@ -114,7 +116,7 @@ def _cut(name: str, log: RecordedLog, robots: int, *, recorded: bool) -> Iterato
         )
     stamps = _times(name, log) if recorded else np.empty(0)
     bounds = [log.scans * number // robots for number in range(robots + 1)]
-    for begin, end in zip(bounds, bounds[1:], strict=False):
+    for begin, end in pairwise(bounds):
         steps, chosen = np.arange(1, end - begin + 1), np.arange(begin, end)
         if recorded:
             seconds = np.floor(stamps[begin:end] - stamps[begin]).astype(np.int64)
@@ -131,7 +133,9 @@ def _times(name: str, log: RecordedLog) -> NDArray[np.float64]:
     times: NDArray[np.float64] = np.maximum.accumulate(log.stamps)
     back = np.flatnonzero(times - log.stamps > MAX_BACK_S)
     if len(back):
-        raise LogError(f"{name}: the time jumps back by more than {MAX_BACK_S:g} s at scan {back[0] + 1}: {remedy}")
+        raise LogError(
+            f"{name}: the time jumps back by more than {MAX_BACK_S:g} s at scan {back[0] + 1}: {remedy}"
+        )
     if log.scans > 1 and times[0] == times[-1]:
         raise LogError(f"{name}: all scans have the same time: {remedy}")
     return times

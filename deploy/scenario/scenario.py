@@ -317,7 +317,9 @@ class Scenario(Table):
             if getattr(self, name) != getattr(defaults, name):
                 raise ValueError(f"{name} = {shown(getattr(self, name))}: {NOT_RECORDED_REASON}")
         for entry in self.robot:
-            if {entry.sensor_range, entry.field_of_view, entry.speed, entry.radius, entry.scanner_turn} != {None}:
+            if {entry.sensor_range, entry.field_of_view, entry.speed, entry.radius, entry.scanner_turn} != {
+                None
+            }:
                 raise ValueError(f"[[robot]] {entry.robot}: {NOT_RECORDED_REASON}")
 
     @property
@@ -399,7 +401,9 @@ def load(path: Path | None, overrides: dict[str, Any]) -> Scenario:
             data["map"] = beside(path, data["map"])
         recording = data.get("recording")
         if isinstance(recording, dict) and isinstance(recording.get("files"), list):
-            data["recording"] = recording | {"files": [str(path.parent / str(name)) for name in recording["files"]]}
+            data["recording"] = recording | {
+                "files": [str(path.parent / str(name)) for name in recording["files"]]
+            }
     _remove_preset_keys(data, overrides)
     where = f"scenario {path}" if path is not None else "scenario"
     lay(data, {key: value for key, value in overrides.items() if value is not None}, where)

@@ -70,7 +70,9 @@ def _scan_lines(path: Path) -> Iterator[tuple[int, bytes]]:
             while line := lines.readline(LONGEST_LINE):
                 number += 1
                 if len(line) == LONGEST_LINE:
-                    raise LogError(f"{path}, line {number}: longer than {LONGEST_LINE} bytes: no log of CARMEN")
+                    raise LogError(
+                        f"{path}, line {number}: longer than {LONGEST_LINE} bytes: no log of CARMEN"
+                    )
                 if line.startswith(SCAN):
                     yield number, line
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:

@@ -54,7 +54,7 @@ def read(path: Path, every: int, topic: str) -> RecordedLog:
     except LogError:
         raise
     except Exception as error:  # rosbags raises errors of many types for damaged bags
-        raise LogError(f"{path}: not a readable bag: {error or type(error).__name__}") from None
+        raise LogError(f"{path}: not a readable bag: {str(error) or type(error).__name__}") from None
     if not content.scans:
         raise LogError(f"{path}: no laser scans on {topic}")
     return _log(path, content)
@@ -62,7 +62,7 @@ def read(path: Path, every: int, topic: str) -> RecordedLog:
 
 def _scan_topic(path: Path, connections: list[Any], topic: str) -> str:
     """Return the topic to read scans from."""
-    topics = sorted({each.topic for each in connections if each.msgtype == SCAN})
+    topics: list[str] = sorted({each.topic for each in connections if each.msgtype == SCAN})
     if not topics:
         kinds = sorted({each.msgtype for each in connections})
         raise LogError(f"{path}: no laser scans ({SCAN}); it has {', '.join(kinds) or 'no messages'}")
@@ -155,7 +155,8 @@ def _add_odometry(path: Path, content: _Content, laser: str) -> tuple[str, str]:
         known = " -> ".join(reversed(transforms.ancestors(laser)))
         raise LogError(
             f"{path}: no poses: it has no odometry ({ODOMETRY}), and no transforms (tf) from "
-            f"{' or '.join(FIXED_FRAMES)} to the laser's frame {laser!r}" + (f"; only {known}" if "->" in known else "")
+            f"{' or '.join(FIXED_FRAMES)} to the laser's frame {laser!r}"
+            + (f"; only {known}" if "->" in known else "")
         )
     for stamp, parent, child, pose in content.odometry[topics[0]]:
         transforms.add(parent or FIXED_FRAMES[-1], child or laser, stamp, pose, is_static=False)
