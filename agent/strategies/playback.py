@@ -9,7 +9,7 @@ from agent.settings import Settings
 from agent.strategies.base import Decision, Situation, Strategy
 
 PATIENCE = 100
-"""Steps without any delivery after which a robot with undelivered entries gives up."""
+"""Steps without any delivery after which a robot gives up: entries are left, or no teammate is in range."""
 
 
 class Playback(Strategy):
@@ -32,9 +32,11 @@ class Playback(Strategy):
         if progress != self._progress:
             self._progress, self._progress_step = progress, situation.step
         idle = situation.step - self._progress_step
+        # encoders hold changes back while no teammate is in range, so that an empty backlog shows nothing then
+        delivered = not situation.backlog and (bool(situation.peers) or self.settings.robots == 1)
         return Decision(
             heading=situation.heading,
-            explored=not situation.backlog and idle > 0,
-            stalled=situation.backlog > 0 and idle >= PATIENCE,
+            explored=delivered and idle > 0,
+            stalled=not delivered and idle >= PATIENCE,
             status=f"{situation.backlog} entries to deliver" if situation.backlog else "all delivered",
         )

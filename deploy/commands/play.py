@@ -118,7 +118,7 @@ def play(
         "recording.resolution": resolution, "sensor_range": sensor_range, "radio.preset": radio,
     }  # fmt: skip
     given = {name: value for name, value in given.items() if value is not None}
-    for name in given.keys() & overrides.keys():
+    for name in sorted(given.keys() & overrides.keys()):
         raise ValueError(f"set = '{name}=...': a flag of murmur play sets it; remove one of them")
     overrides |= given | {"recording.files": [str(path) for path in logs]}
     scenario = load(None, overrides)

@@ -60,7 +60,9 @@ NOT_RECORDED = (
 )  # fmt: skip
 """Settings that only simulated robots have."""
 
-NOT_RECORDED_REASON = "robots that replay a log do not drive, and have the laser of the log; omit it"
+NOT_RECORDED_REASON = (
+    "has no meaning for robots that replay a log, which is what they drive and sense; omit it"
+)
 
 
 class ScenarioError(ValueError):
