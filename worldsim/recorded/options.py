@@ -24,7 +24,7 @@ class RecordingOptions:
         Logs: one for the whole team, which is cut into as many stretches as there are robots, or one per robot. Empty:
         the run is simulated.
     every : int
-        Replay only one of so many scans of a log: 5 means each fifth.
+        1: replay all scans; 5: each fifth.
     pace : str
         ``scan``: one scan per robot and step; ``recorded``: a step is a second of the log.
     topic : str
