@@ -42,6 +42,15 @@ def test_teammates_hold_all_maps_at_the_end(room: Path, map_encoding: str) -> No
     assert summary["protocol_errors"] == 0
 
 
+def test_coverage_counts_the_cells_that_robots_have_mapped(room: Path) -> None:
+    result = play(room, keep=False)
+    recording, free = result.plan.recording, result.plan.map.cells == FREE
+    assert recording is not None
+    for robot, stretch in enumerate(recording.stretches):
+        known = np.flatnonzero(free & (result.records.own[robot] != UNKNOWN))
+        assert known.tolist() == np.sort(np.concatenate(list(stretch.found))).tolist()
+
+
 def test_all_bytes_are_those_of_maps(room: Path) -> None:
     result = play(room, keep=False)
     assert set(result.summary["bytes"]) == {"update", "total"}

@@ -54,7 +54,7 @@ def read(path: Path, every: int) -> RecordedLog:
     stamps = [stamp for _, _, stamp, _ in found if stamp is not None]
     ranges = np.array([each for each, _, _, _ in found])
     return RecordedLog(
-        path.name.split(".")[0],
+        path.name.split(".")[0] or "log",
         BeamAngles.of(beams, -math.pi / 2, math.pi / (beams - beams % 2)),
         np.array([pose for _, pose, _, _ in found]),
         millimeters(ranges[:, ::-1], least=0.0, nothing=NOTHING_M, reverse=False),

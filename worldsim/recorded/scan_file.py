@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from protocol.errors import shown
 from protocol.files import open_file
 from protocol.messages import MAX_BEAMS
 from protocol.range_scans import TURN
@@ -49,9 +50,12 @@ def read(path: Path, every: int) -> RecordedLog:
 
 def _checked(found: dict[str, Any]) -> RecordedLog:
     """Return the log of these arrays; ValueError if they do not fit together."""
-    for name, kind in _TYPES.items():
-        if found[name].dtype.kind != kind:
-            raise ValueError(f"{name} are {found[name].dtype}")
+    for key, kind in _TYPES.items():
+        if found[key].dtype.kind != kind:
+            raise ValueError(f"{key} are {found[key].dtype}")
+    name = str(found["name"])
+    if not name or Path(name).name != name:
+        raise ValueError(f"name {shown(name)}")
     poses, ranges, stamps = found["poses"], found["ranges"], found["stamps"]
     scans = len(poses)
     if not scans or poses.shape != (scans, 3) or not np.isfinite(poses).all():
@@ -65,7 +69,7 @@ def _checked(found: dict[str, Any]) -> RecordedLog:
         raise ValueError(f"angles {first} and {span}")
     angles = BeamAngles(ranges.shape[1], first, span)
     return RecordedLog(
-        str(found["name"]),
+        name,
         angles,
         poses.astype(np.float64),
         ranges.astype(np.uint16),

@@ -172,3 +172,14 @@ def test_a_bag_needs_the_package_that_reads_it(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
     with pytest.raises(LogError, match=r"pip install 'murmur-robots\[mcap\]'"):
         read(place(tmp_path))
+
+
+@pytest.mark.parametrize(("kind", "suffix"), [("sqlite3", ".db3"), ("mcap", ".mcap")])
+def test_a_file_of_a_bag_is_a_log_of_its_own(tmp_path: Path, kind: str, suffix: str) -> None:
+    with Bag(place(tmp_path), kind) as bag:
+        write_scans(bag)
+        for second in range(8):
+            bag.odometry(second, (second, 0.0, 0.0))
+    log = read(place(tmp_path) / f"run{suffix}")
+    assert log.name == "run"
+    assert log.stamps.tolist() == [1, 2, 3, 4, 5, 6]
