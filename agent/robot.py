@@ -13,6 +13,9 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from agent.announcements import Announcements
 from agent.encodings.base import MapEncoding
 from agent.encodings.catalog import encoding_class, make_encoding
@@ -91,6 +94,7 @@ class Robot:
         """The planning grid: the self-explored one merged with teammates' maps."""
         self._noisy_grid = NoisyGrid(*self.own.shape) if settings.laser is not None else None
         self._encoding = make_encoding(settings)
+        self._encoding.use_log_odds(self._mapper.log_odds)
         self._team = TeamState(settings)
         consume = partial(_consume, self._encoding, self._team)
         rebuild = partial(_rebuild, self._encoding, self._team)
@@ -130,6 +134,11 @@ class Robot:
     def known_cells(self) -> int:
         """Cells of the self-explored grid that are known."""
         return self._mapper.known_cells
+
+    @property
+    def settled(self) -> NDArray[np.bool_]:
+        """The cells of the self-explored grid of whose state it is certain, shape (h, w)."""
+        return self._mapper.settled()
 
     def error(self) -> int:
         """Count the cells in which its map and the approximation in its log differ (thesis, Eq. 6.1)."""

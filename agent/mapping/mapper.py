@@ -6,8 +6,9 @@ import math
 from abc import ABC, abstractmethod
 
 import numpy as np
+from numpy.typing import NDArray
 
-from agent.mapping.estimator import Estimator
+from agent.mapping.estimator import SETTLED, Estimator, Int8Grid
 from agent.settings import Settings
 from protocol.errors import ProtocolError
 from protocol.grid import UNKNOWN, Grid, ray_table
@@ -24,6 +25,8 @@ class Mapper(ABC):
 
     states: Grid
     """The self-explored grid."""
+    log_odds: Int8Grid
+    """How certain each cell is, shape (h, w); without noise, positive for known cells."""
     known_cells = 0
     """Number of cells that are known."""
 
@@ -34,12 +37,18 @@ class Mapper(ABC):
         ProtocolError if the readings do not fit the robot's laser; nothing has changed then.
         """
 
+    def settled(self) -> NDArray[np.bool_]:
+        """Return the cells of whose state the robot is certain, shape (h, w): with exact readings, all known ones."""
+        known: NDArray[np.bool_] = self.states != UNKNOWN
+        return known
+
 
 class ExactMapper(Mapper):
     """Draws exact readings: the first scan of a cell decides its state."""
 
     def __init__(self, settings: Settings) -> None:
         self.states = np.full((settings.height, settings.width), UNKNOWN, np.uint8)
+        self.log_odds = self.states.view(np.int8)
         self._ray_table = ray_table(settings.range_cells, settings.beams)
 
     def add(self, sense: Sense) -> tuple[Scan, Change]:
@@ -57,7 +66,7 @@ class EstimatingMapper(Mapper):
 
     def __init__(self, settings: Settings, laser: Laser) -> None:
         self._estimator = Estimator(settings.height, settings.width)
-        self.states = self._estimator.states
+        self.states, self.log_odds = self._estimator.states, self._estimator.log_odds
         self._laser, self._resolution, self._radius = laser, settings.resolution, settings.radius_cells
 
     def add(self, sense: Sense) -> tuple[RangeScan, Change]:
@@ -74,6 +83,10 @@ class EstimatingMapper(Mapper):
             change = change.joined(self._estimator.strike(*cell_ahead(sense, self._radius)))
         self.known_cells = self._estimator.known_cells
         return scan, change
+
+    def settled(self) -> NDArray[np.bool_]:
+        """Return the cells whose log odds are far from 0."""
+        return np.abs(self._estimator.log_odds) >= SETTLED
 
 
 def cell_ahead(sense: Sense, radius_cells: float) -> tuple[int, int]:

@@ -17,6 +17,7 @@ from agent.encodings.options import PolygonOptions, PredictiveOptions
 from deploy.scenario.finding_maps import FILES as MAP_FILES
 from deploy.scenario.tables import (
     MAX_INTEGER,
+    MAX_TOLERANCE,
     Bandwidth,
     ChangeTable,
     Degrees,
@@ -153,6 +154,15 @@ class Scenario(Table):
     )
     recording: RecordingOptions = Field(
         default_factory=RecordingOptions, description="logs that robots replay instead of exploring"
+    )
+    tolerance: Whole = Field(
+        default_factory=lambda given: int(
+            _is_noisy(given.get("laser"), given.get("pose"), given.get("recording"))
+        ),
+        ge=0,
+        le=MAX_TOLERANCE,
+        description="cells between a wall and its copy on teammates' maps at most (default 1 with errors of lasers or "
+        "poses, and of recorded ones, else 0)",
     )
     options: dict[str, Any] = Field(default_factory=dict, description="options of the strategy, by name")
     reply_timeout_s: Positive = Field(
@@ -337,7 +347,7 @@ class Scenario(Table):
     @property
     def is_noisy(self) -> bool:
         """Whether lasers or poses have errors, as those of recorded runs have."""
-        return self.is_recorded or not (self.laser.is_ideal and self.pose.is_exact)
+        return _is_noisy(self.laser, self.pose, self.recording)
 
     def range_m(self, diagonal_m: float) -> float:
         """Return the communication range in meters, on a map with this diagonal in meters."""
@@ -478,6 +488,14 @@ def beside(path: Path, named: Any) -> Any:
     elsewhere = Path(os.environ.get("MURMUR_MAPS", "")) / named
     is_there = not (path.parent / named).exists() and elsewhere.exists()
     return str(elsewhere if is_there else path.parent / named)
+
+
+def _is_noisy(
+    laser: LaserOptions | None, pose: PoseOptions | None, recording: RecordingOptions | None
+) -> bool:
+    """Return whether options of lasers, poses, and recordings mean errors; None: invalid options."""
+    is_ideal = (laser is None or laser.is_ideal) and (pose is None or pose.is_exact)
+    return not is_ideal or (recording is not None and bool(recording.files))
 
 
 def parse(data: dict[str, Any], where: str = "scenario") -> Scenario:

@@ -53,5 +53,5 @@ def test_a_missing_array_is_named(tmp_path: Path) -> None:
     found = arrays(tmp_path)
     del found["stamps"]
     np.savez(tmp_path / "wrong.npz", **found)
-    with pytest.raises(LogError, match="wrong.npz: not the scans of a run: .*stamps"):
+    with pytest.raises(LogError, match=r"wrong.npz: not the scans of a run: .*stamps"):
         read(tmp_path / "wrong.npz")
