@@ -77,9 +77,8 @@ def test_a_run_directory_repeats_the_run_without_the_log(room: Path, tmp_path: P
 
 def test_a_run_goes_on_after_the_last_scan_until_all_maps_are_delivered(room: Path) -> None:
     slow, fast = (play(room, bandwidth=bandwidth, keep=False) for bandwidth in (20, "unlimited"))
-    assert fast.summary["steps_after_scans"] == fast.summary["backlog_after_scans"] == 0
     late = slow.summary["steps_after_scans"]
-    assert late > 0
+    assert late > fast.summary["steps_after_scans"]
     assert slow.summary["backlog_after_scans"] > slow.summary["backlog"] == 0
     assert slow.summary["finished"]
     carried = slow.ledger.filter(pl.col("carried"))["step"]
