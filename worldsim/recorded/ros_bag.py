@@ -16,7 +16,7 @@ import numpy as np
 
 from protocol.errors import there_are
 from worldsim.recorded.log import BeamAngles, LogError, RecordedLog, millimeters
-from worldsim.recorded.transforms import Pose, TransformBuffer, yaw_of
+from worldsim.recorded.transforms import Pose, TransformBuffer, pose_of
 
 SUFFIXES = (".bag", ".mcap", ".db3")
 
@@ -35,6 +35,35 @@ class _Content:
     transforms: TransformBuffer = field(default_factory=TransformBuffer)
     odometry: dict[str, list[tuple[float, str, str, Pose]]] = field(default_factory=dict)
     """Time, frame, frame of the robot, and pose of each message, by topic."""
+    refused: dict[str, str] = field(default_factory=dict)
+    """Why a frame has no pose in the plane, as those of tilted cameras; only frames below the laser matter."""
+
+    def add_odometry(self, topic: str, message: Any) -> None:
+        """Add an odometry message."""
+        parent, child = _frame(message.header.frame_id), _frame(message.child_frame_id)
+        pose = self._pose(message.pose.pose, child)
+        if pose is not None:
+            entry = _seconds(message.header.stamp), parent, child, pose
+            self.odometry.setdefault(topic, []).append(entry)
+
+    def add_transforms(self, message: Any, *, is_static: bool) -> None:
+        """Add a message of transforms."""
+        for each in message.transforms:
+            parent, child = _frame(each.header.frame_id), _frame(each.child_frame_id)
+            pose = self._pose(each.transform, child)
+            if pose is not None:
+                self.transforms.add(parent, child, _seconds(each.header.stamp), pose, is_static=is_static)
+
+    def _pose(self, message: Any, frame: str) -> Pose | None:
+        """Return the pose of a frame that a message of type Pose or Transform contains; None if it is refused."""
+        is_transform = hasattr(message, "translation")
+        place = message.translation if is_transform else message.position
+        turn = message.rotation if is_transform else message.orientation
+        try:
+            return pose_of(place.x, place.y, turn.x, turn.y, turn.z, turn.w)
+        except ValueError as error:
+            self.refused[frame] = str(error)
+            return None
 
 
 def read(path: Path, every: int, topic: str) -> RecordedLog:
@@ -50,7 +79,7 @@ def read(path: Path, every: int, topic: str) -> RecordedLog:
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
             topic = _scan_topic(path, reader.connections, topic)
-            content = _content(path, reader, topic, every)
+            content = _content(reader, topic, every)
     except LogError:
         raise
     except Exception as error:  # rosbags raises errors of many types for damaged bags
@@ -75,7 +104,7 @@ def _scan_topic(path: Path, connections: list[Any], topic: str) -> str:
     return topic
 
 
-def _content(path: Path, reader: Any, topic: str, every: int) -> _Content:
+def _content(reader: Any, topic: str, every: int) -> _Content:
     """Read scans, transforms, and odometry."""
     content = _Content()
     wanted = [
@@ -85,31 +114,17 @@ def _content(path: Path, reader: Any, topic: str, every: int) -> _Content:
     ]
     count = 0
     for connection, _, raw in reader.messages(connections=wanted):
-        if connection.topic == topic:
-            count += 1
-            if (count - 1) % every == 0:
-                message = reader.deserialize(raw, connection.msgtype)
-                content.scans.append((_seconds(message.header.stamp), message))
+        is_scan = connection.topic == topic
+        count += is_scan
+        if is_scan and (count - 1) % every:
             continue
         message = reader.deserialize(raw, connection.msgtype)
-        try:
-            if connection.msgtype == ODOMETRY:
-                frames = _frame(message.header.frame_id), _frame(message.child_frame_id)
-                entry = _seconds(message.header.stamp), *frames, _pose(message.pose.pose)
-                content.odometry.setdefault(connection.topic, []).append(entry)
-                continue
-            for each in message.transforms:
-                is_static = connection.topic.endswith("tf_static")
-                content.transforms.add(
-                    _frame(each.header.frame_id),
-                    _frame(each.child_frame_id),
-                    _seconds(each.header.stamp),
-                    _pose(each.transform),
-                    is_static=is_static,
-                )
-        except ValueError as error:
-            name = message.child_frame_id if connection.msgtype == ODOMETRY else each.child_frame_id
-            raise LogError(f"{path}: frame {name} on {connection.topic}: {error}") from None
+        if is_scan:
+            content.scans.append((_seconds(message.header.stamp), message))
+        elif connection.msgtype == ODOMETRY:
+            content.add_odometry(connection.topic, message)
+        else:
+            content.add_transforms(message, is_static=connection.topic.endswith("tf_static"))
     return content
 
 
@@ -144,6 +159,9 @@ def _add_odometry(path: Path, content: _Content, laser: str) -> tuple[str, str]:
     root = _fixed_frame(transforms, laser)
     if root:
         return laser, root
+    top = transforms.ancestors(laser)[-1]
+    if top in content.refused:
+        raise LogError(f"{path}: frame {top!r}: {content.refused[top]}")
     topics = sorted(content.odometry)
     if len(topics) > 1:
         listed = ", ".join(topics)
@@ -203,16 +221,6 @@ def _ranges(message: Any, *, reverse: bool) -> Any:
     if not nothing > 0:
         nothing = np.inf
     return millimeters(message.ranges, least=float(message.range_min), nothing=nothing, reverse=reverse)
-
-
-def _pose(message: Any) -> Pose:
-    """Return the pose that a message of type Pose or Transform contains; ValueError if it is not level."""
-    place = message.translation if hasattr(message, "translation") else message.position
-    turn = message.rotation if hasattr(message, "rotation") else message.orientation
-    pose = Pose(place.x, place.y, yaw_of(turn.x, turn.y, turn.z, turn.w))
-    if not np.isfinite(pose).all():
-        raise ValueError("its position is not a number")
-    return pose
 
 
 def _seconds(stamp: Any) -> float:

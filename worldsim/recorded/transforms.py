@@ -30,14 +30,20 @@ class Pose(NamedTuple):
         return Pose(x, y, self.yaw + inner.yaw)
 
 
-def yaw_of(x: float, y: float, z: float, w: float) -> float:
-    """Return the yaw of a quaternion; ValueError if it tilts the frame, or is no rotation."""
-    norm = x * x + y * y + z * z + w * w
+def pose_of(x: float, y: float, q_x: float, q_y: float, q_z: float, q_w: float) -> Pose:
+    """Return the pose in the plane of a frame with this position and quaternion.
+
+    ValueError if the frame is tilted or upside down, or these are no position and rotation.
+    """
+    norm = q_x * q_x + q_y * q_y + q_z * q_z + q_w * q_w
     if not 0.5 < norm < 2:
         raise ValueError("its rotation is no unit quaternion")
-    if (w * w + z * z - x * x - y * y) / norm < LEAST_UPRIGHT:
+    if not (math.isfinite(x) and math.isfinite(y)):
+        raise ValueError("its position is not a number")
+    if (q_w * q_w + q_z * q_z - q_x * q_x - q_y * q_y) / norm < LEAST_UPRIGHT:
         raise ValueError("it is tilted or upside down; lasers must be level")
-    return math.atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
+    yaw = math.atan2(2 * (q_w * q_z + q_x * q_y), q_w * q_w + q_x * q_x - q_y * q_y - q_z * q_z)
+    return Pose(x, y, yaw)
 
 
 @dataclass

@@ -158,12 +158,21 @@ def test_an_error_names_what_a_bag_lacks(tmp_path: Path) -> None:
         ("no_poses", "no poses: it has no odometry .*, and no transforms .*; only base_link -> laser"),
         ("other_time", "no poses: the transforms from map to laser are not of the time of any scan"),
         ("other_beams", "scan 2 has 11 beams from .*, after scans of 10 beams"),
-        ("tilted", "frame laser on /tf: it is tilted or upside down"),
+        ("tilted", "frame 'laser': it is tilted or upside down"),
         ("odometries", "no transforms .*, and several odometries: /left, /right"),
         ("damaged.mcap", "not a readable bag"),
     ):
         with pytest.raises(LogError, match=f"{name}: {error}"):
             read(tmp_path / name)
+
+
+def test_frames_that_are_tilted_do_not_matter_unless_they_carry_the_laser(tmp_path: Path) -> None:
+    with Bag(place(tmp_path), "mcap") as bag:
+        write_scans(bag)
+        bag.transform(0.0, "laser", "camera_optical", MOUNT, static=True, roll=-math.pi / 2)
+        for second in range(8):
+            bag.transform(second, "map", "laser", (second, 0.0, 0.0))
+    assert np.allclose(read(place(tmp_path)).poses[:, 0], range(1, 7))
 
 
 def test_a_bag_needs_the_package_that_reads_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
