@@ -50,6 +50,9 @@ by then teammates have sent more of areas that looked insignificant when they fi
 SURE_AFTER_NOISE = 5
 """The same for maps of noisy lasers, where a false wall may close a doorway for some steps."""
 
+SURE_AFTER_LOG = 20
+"""Steps for which a robot that replays a log must have nothing to deliver: changes may wait until they are encoded."""
+
 VERIFY_STEPS = 3
 """Steps in which the authors of forged entries, which receive them as well, send digests and true entries."""
 
@@ -63,6 +66,8 @@ def sure_after(settings: Settings) -> int:
 
     Twice as many for maps with assumptions on a medium that may lose or delay frames.
     """
+    if not strategy(settings.strategy).explores:
+        return SURE_AFTER_LOG
     if not encoding_class(settings.map_encoding).infers_cells(settings):
         return 0 if settings.laser is None else SURE_AFTER_NOISE
     return 2 * SURE_AFTER if settings.requires_acks else SURE_AFTER
@@ -207,7 +212,13 @@ class Robot:
             raise RuntimeError("decide before the first perceive")
         self.planning = self._encoding.merge(self.own, self._team.in_range)
         self._report_false_maps()
-        decision = self._strategy.decide(self._team.situation(sense, self._explorable(sense)))
+        situation = self._team.situation(
+            sense,
+            self._explorable(sense),
+            log_entries=len(self.replication.replica.own_log),
+            backlog=self.replication.undelivered(),
+        )
+        decision = self._strategy.decide(situation)
         self._apply(decision)
         self._idle_steps = self._idle_steps + 1 if decision.explored else 0
         return Move(

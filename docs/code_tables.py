@@ -16,6 +16,7 @@ from deploy.run.hosts import Host, Hosts
 from deploy.scenario.scenario import Scenario
 from deploy.scenario.tables import ChangeTable, FaultTable, RobotOverride
 from netshaper.radio_options import RadioOptions
+from worldsim.recorded.options import RecordingOptions
 from worldsim.sensor_options import LaserOptions, PoseOptions
 
 DOCS = Path(__file__).parent
@@ -53,6 +54,13 @@ OPTIONS = {
         "preset": "a [localization method](real-sensors.md#poses), for values that the scenario does not give",
         "position_error_m": "standard deviation of each coordinate, meters",
         "heading_error_deg": "standard deviation of the heading, degrees",
+    },
+    "recording": {
+        "files": "[logs](recorded.md), one for the whole team or one per robot; relative to the scenario file",
+        "every": "1: replay all scans; 5: each fifth",
+        "pace": '`"scan"`: one scan per robot and step; `"recorded"`: a step is a second of the log',
+        "topic": "topic of the laser, if a bag has several",
+        "resolution": "side of a cell, meters",
     },
     "radio": {
         "preset": "a [radio by name](radios.md#radios-by-name), for values that the scenario does not give",
@@ -102,6 +110,7 @@ def settings() -> Iterator[tuple[str, str, str]]:
         "radio": {**asdict(RadioOptions()), "partition": []},
         "laser": asdict(LaserOptions()),
         "pose": asdict(PoseOptions()),
+        "recording": {**asdict(RecordingOptions()), "files": []},
     }
     for name, default, meaning in _fields(Scenario, ""):
         if name in options:

@@ -1,9 +1,9 @@
 """The planning grid of a noisy laser, without details that mislead strategies.
 
 Between beams and beside walls, noise leaves gaps of unknown cells. They are no frontiers: a robot has nothing to enter
-there. So an unknown cell counts only if it lies in a square of unknown cells as wide as the narrowest opening. Every other
-one counts as a wall if a wall touches it, else as free. Likewise, noise opens walls: a free cell beside unknown ones
-counts as a wall if it does not lie in a square of as many cells without walls.
+there. So an unknown cell counts only if it lies in a square of unknown cells as wide as the narrowest opening. Every
+other one counts as a wall if a wall touches it, else as free. Likewise, noise opens walls: a free cell beside unknown
+ones counts as a wall if it does not lie in a square of as many cells without walls.
 
 False walls can enclose a robot, which would then report that it has nothing left to explore. So the cells that it has
 driven over count as free, unless it bumped into something there later.

@@ -100,6 +100,7 @@ def replay(
     before = run_directory.read_summary(directory)
     if reason := why_unrepeatable(before):
         raise ScenarioError(f"{directory}: cannot be repeated: {reason}")
+    run_directory.check_scans(directory, before)
     if not trust:
         _confirm_local_code(directory, recorded)
     scenario = load(directory / run_directory.SCENARIO, {"bus": bus})
@@ -122,10 +123,10 @@ def _confirm_local_code(directory: Path, scenario: Scenario) -> None:
     """Ask at a terminal whether to run code that the scenario names outside the installed packages, else refuse."""
     from agent.encodings.catalog import ENCODINGS  # noqa: PLC0415
     from agent.encodings.catalog import PLUGINS as ENCODING_PLUGINS  # noqa: PLC0415
-    from agent.strategies.registry import PLUGINS, strategies  # noqa: PLC0415
+    from agent.strategies.registry import PLUGINS, all_strategies  # noqa: PLC0415
 
     codes = (
-        PLUGINS.local_code(scenario.strategy, strategies()),
+        PLUGINS.local_code(scenario.strategy, all_strategies()),
         ENCODING_PLUGINS.local_code(scenario.map_encoding, ENCODINGS),
     )
     for code in filter(None, codes):

@@ -105,7 +105,7 @@ def explore(
     """
     for name, value in zip(NESTED, (radio, laser, pose, resolution), strict=True):
         settings |= {name: value} if value is not None else {}
-    overrides = settings | _other_settings(set_ or [], settings)
+    overrides = settings | other_settings(set_ or [], settings)
     if option:
         overrides["options"] = named_values(option, "option", "beta=0.5")
     if thesis:
@@ -115,7 +115,7 @@ def explore(
     chosen = load(scenario, overrides)
     choices = {"out": out, "pace": pace, "restart": restart}
     view_type = view_as or ("auto" if view else None)
-    raise typer.Exit(_explore(chosen, view_type, hosts, choices, pictures=pictures, as_json=as_json))
+    raise typer.Exit(run_live(chosen, view_type, hosts, choices, pictures=pictures, as_json=as_json))
 
 
 @app.command()
@@ -132,7 +132,7 @@ def watch(
         watching.watch(directory, window)
 
 
-def _other_settings(texts: list[str], flags: dict[str, Any]) -> dict[str, Any]:
+def other_settings(texts: list[str], flags: dict[str, Any]) -> dict[str, Any]:
     """The settings given with --set; ValueError if a flag gives one of them, too."""
     values = named_values(texts, "set", "radius=0.2")
     for name in values.keys() & flags.keys():
@@ -141,7 +141,7 @@ def _other_settings(texts: list[str], flags: dict[str, Any]) -> dict[str, Any]:
     return values
 
 
-def _explore(
+def run_live(
     scenario: Scenario,
     view_type: str | None,
     hosts_file: Path | None,

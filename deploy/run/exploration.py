@@ -208,6 +208,8 @@ def explore(
             run_directory.load_writers()
     if radio := effective_radio(plan):
         notify(radio)
+    for note in plan.recording.notes if plan.recording is not None else ():
+        notify(note)
     interrupt = Interrupt(notify, control.resume if control is not None else (lambda: None))
     if control is not None:
         control.attach(plan, pace, may_kill=hosts is None)

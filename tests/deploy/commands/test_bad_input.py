@@ -271,7 +271,7 @@ OTHERS = {
     "capture full --step 5-2": "step = '5-2': the first step must not exceed the last, as in 10-20",
     "sweep missing.toml": "experiment missing.toml: no such file, and no shipped experiment; there are:",
     "sweep broken.toml": "experiment broken.toml: not TOML",
-    "strategy": "no such command: 'strategy'; did you mean strategies? There are: explore, watch",
+    "strategy": "no such command: 'strategy'; did you mean strategies? There are: explore, play, watch",
     "strategies burgart": "no strategy is called 'burgart'; did you mean burgard or burgard-optimal?",
     "bench speed": "no benchmark is called 'speed'; there are: kernels, swarm, replanning",
     "run agent": "Missing option '--credential'",
