@@ -93,7 +93,8 @@ class Robot:
         self.planning: Grid = self.own.copy()
         """The planning grid: the self-explored one merged with teammates' maps."""
         narrow = narrow_cells(settings.radius_cells, settings.resolution)
-        self._noisy_grid = NoisyGrid(*self.own.shape, narrow) if settings.laser is not None else None
+        has_noise = settings.laser is not None
+        self._noisy_grid = NoisyGrid(settings.height, settings.width, narrow) if has_noise else None
         self._encoding = make_encoding(settings)
         self._encoding.use_log_odds(self._mapper.log_odds)
         self._team = TeamState(settings)
