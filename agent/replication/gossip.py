@@ -162,7 +162,9 @@ class Gossip(Replication):
     def _reports_due(self, lengths: Table, owed: list[int]) -> Mask:
         """Return the mask of maps of which some peer should know how much this robot holds."""
         robots, step = self.peers.robots, self._step
-        due: Mask = np.logical_or.reduce(self._informed[owed] < lengths)
+        due = np.zeros(len(lengths), np.bool_)
+        for peer in owed:
+            due |= self._informed[peer] < lengths
         if self._delivery.reliable:
             due[self.replica.maps_to_ask_for()] = True
         for number in self._gaps:
