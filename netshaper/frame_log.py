@@ -132,24 +132,18 @@ class FrameLog:
         self.receivers += receivers
         self.contents.append(content)
 
-    def add_connection(
-        self,
-        round_number: int,
-        connection: int,
-        sender: int,
-        receiver: int,
-        map_id: int,
-        frames: list[Content],
-    ) -> None:
+    def add_connection(self, round_number: int, connection: Connection) -> None:
         """Log the offer, answer and data of a connection, in this order, as carried."""
-        for content in frames:
+        number, map_id = connection.number, connection.map_id
+        sender, receiver = connection.sender, connection.receiver
+        for content in connection.frames:
             self._rows += (
-                round_number, connection, content.kind, sender, receiver, map_id, 0, 0, 1, len(content.payload),
+                round_number, number, content.kind, sender, receiver, map_id, 0, 0, 1, len(content.payload),
                 len(content.packets.kinds),
             )  # fmt: skip
             self.receivers.append(receiver)
             sender, receiver = receiver, sender
-        self.contents += frames
+        self.contents += connection.frames
 
     def rows(self) -> Int64Rows:
         """Return a row per frame, shape (frames, `COLUMNS`); packing is four times as fast as `numpy.array`."""

@@ -138,9 +138,7 @@ class Medium:
             sizes = [len(content.payload) for content in frames]
             size = sum(sizes)
             if connection.lost < 0 and size <= left and (size <= most or max(sizes) <= most):
-                self._log.add_connection(
-                    self._round, connection.number, connection.sender, connection.receiver, connection.map_id, frames
-                )  # fmt: skip
+                self._log.add_connection(self._round, connection)
                 left -= size
                 self.carried += size
             else:

@@ -297,7 +297,7 @@ class RelayNode:
 
     def _check_lengths(self, submitted: RobotFrames) -> None:
         """Raise ProtocolError if a frame is longer than any frame that could be carried."""
-        longest = max(map(len, [submitted.broadcast, *(frame.payload for frame in submitted.frames)]))
+        longest = max([len(submitted.broadcast), *[len(frame.payload) for frame in submitted.frames]])
         if longest > self._max_frame_bytes:
             reason = (
                 f"a frame of {longest} bytes, where {self._max_frame_bytes} are the most that can be carried"
