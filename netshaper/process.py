@@ -12,8 +12,7 @@ from typing import TypeGuard
 
 from msgspec.structs import replace
 
-from netshaper.medium import Account
-from netshaper.radio import Outgoing, Radio
+from netshaper.radio import Radio
 from netshaper.settings import RadioSettings
 from protocol import keys as names
 from protocol import rights
@@ -159,7 +158,8 @@ class RelayNode:
             self._present.discard(name)
             self._report(Lost(robot, cause))
             self._bus.put(self._keys.control(names.WORLD, names.RELAY), pack(Lost(robot, cause)))
-            self._send(self._radio.lost(robot))
+            self._radio.lost(robot)
+            self._send_events()
 
     def _presence(self, name: str, *, came: bool) -> None:
         """A participant has joined or left the bus."""
@@ -240,16 +240,17 @@ class RelayNode:
                 self.give_up_on(names.number(sender), TOO_MANY_BYTES.format(MAX_STEP_BYTES))
                 return
             self._check_lengths(message)
-            self._send(self._radio.submit(names.number(sender), message))
+            self._radio.submit(names.number(sender), message)
+            self._send_events()
         elif isinstance(message, Positions):
             self._protocol_errors.clear()
             self._submitted_bytes.clear()
             cells = dict(zip(message.robots, zip(message.x, message.y, strict=True), strict=True))
-            opening = self._radio.begin(message.step, cells)
+            self._radio.begin(message.step, cells)
             for change in self._radio.changed:
                 self._report(change)
             self._radio.changed.clear()
-            self._send(opening)
+            self._send_events()
         elif isinstance(message, Configure):
             self._settings[message.robot] = payload
             self._configure(message.robot)
@@ -304,17 +305,15 @@ class RelayNode:
             )
             raise ProtocolError("RobotFrames", 0, reason)
 
-    def _send(self, outgoing: list[Outgoing]) -> None:
-        """Send robots their events, in one message each."""
+    def _send_events(self) -> None:
+        """Send robots their events, in one message each, and report the step if it has ended."""
         events: defaultdict[int, list[MediumEvent]] = defaultdict(list)
-        accounts: list[Account] = []
-        for item in outgoing:
-            if isinstance(item, Account):
-                accounts.append(item)
-            else:
-                events[item.robot].append(item.event)
+        for robot, event in self._radio.events:
+            events[robot].append(event)
+        self._radio.events.clear()
         for robot in sorted(events):
             self._bus.put(self._keys_to_robots[robot], pack(RelayUpdate(events[robot])))
+        accounts, self._radio.accounts = self._radio.accounts, []
         for account in accounts:
             self._bus.put(self._keys.control(names.WORLD, names.RELAY), pack(Close(account.step)))
             self._report(account.report(captures=self._captures))
