@@ -97,13 +97,6 @@ def ends(frame: bytes) -> Sequence[int]:
     return index_of(frame).ends
 
 
-def fitting(frame: bytes, room: int) -> int:
-    """Return how many bytes of a frame of whole packets fit into `room` bytes without cutting a packet."""
-    index = index_of(frame)
-    count = index.count_fitting(room)
-    return index.ends[count - 1] if count else 0
-
-
 def split(frame: bytes) -> list[bytes]:
     """Split a frame into its packets; ProtocolError as `ends`."""
     return [frame[begin:end] for begin, end in pairwise((0, *ends(frame)))]

@@ -321,11 +321,6 @@ AnyPacket = Edit | Handshake | Gossip | Check | Target | Pose | Passed | Fragmen
 
 KindOfPacket = TypeVar("KindOfPacket", bound=Packet)
 
-_FIXED_KINDS: tuple[type[Packet], ...] = (
-    Insert, Replace, Delete, Emerge, Change, Remove, Offer, Answer, Block, Target, Save, Pose,
-    From, FromEarly, Held, HeldEarly, Near, Gone, Check, Passed, LogDigest,
-)  # fmt: skip
-
 
 def _declared(kind: type[Packet]) -> Layout:
     """Read the layout of a packet without content from the annotations of its class."""
@@ -334,27 +329,17 @@ def _declared(kind: type[Packet]) -> Layout:
     return Layout(kind.__name__, kind.name, kind.size, kind.code, declared)
 
 
-_LAYOUT = {kind: _declared(kind) for kind in _FIXED_KINDS}
+_LAYOUT = {kind: _declared(kind) for kind in get_args(AnyPacket) if kind not in (Fragment, Update)}
 
 _SHORT_FRAGMENT = Layout(
-    "Fragment",
-    Fragment.name,
-    SHORT_HEAD,
-    "11110010",
-    ((LENGTH, Bits(8, "n", "bytes of content")),),
-    (1, FRAGMENT_DATA - 1),
-)
+    "Fragment", Fragment.name, SHORT_HEAD, "11110010",
+    ((LENGTH, Bits(8, "n", "bytes of content")),), (1, FRAGMENT_DATA - 1),
+)  # fmt: skip
+_UPDATE_NUMBER = Bits(_NUMBER_BITS, "u", "number of the update, modulo 4")
 _LAST_UPDATE = Layout(
-    "Update",
-    Update.name,
-    SHORT_HEAD,
-    "11110101",
-    (
-        (LENGTH, Bits(6, "n", "bytes of content")),
-        ("number", Bits(_NUMBER_BITS, "u", "number of the update, modulo 4")),
-    ),
-    (0, LAST_UPDATE_DATA),
-)
+    "Update", Update.name, SHORT_HEAD, "11110101",
+    ((LENGTH, Bits(6, "n", "bytes of content")), ("number", _UPDATE_NUMBER)), (0, LAST_UPDATE_DATA),
+)  # fmt: skip
 
 LAYOUTS: tuple[Layout, ...] = (
     *_LAYOUT.values(),
@@ -382,8 +367,6 @@ _PACKETS: dict[str, type[Packet]] = {kind.__name__: kind for kind in get_args(An
 _BY_FIRST_BYTE = [
     next((layout for layout in LAYOUTS if layout.starts_with(byte)), None) for byte in range(256)
 ]
-_SIZE = [0 if layout is None or layout.has_length else layout.size for layout in _BY_FIRST_BYTE]
-"""For each first byte the bytes of the packet; 0: the second byte has its length, or there is no such packet."""
 _FORM = {kind: (*layout.fixed, layout.places) for kind, layout in _LAYOUT.items()}
 """For each packet without content: mask and value of its fixed bits, and the places of its fields."""
 _CLASS: list[Any] = [None if layout is None else _PACKETS[layout.packet] for layout in _BY_FIRST_BYTE]
@@ -396,19 +379,17 @@ _UPDATE, _LAST = int(Update.code, 2), int(_LAST_UPDATE.code, 2)
 def _index_row(layout: Layout | None) -> tuple[int, ...]:
     if layout is None:
         return (-1, 0, 0, 0, 0, 0, 0)
-    kind = ALL_KINDS.index(layout.kind)
-    if layout.content is None:
-        return (kind, layout.size, *layout.fixed, 0, 0, 0)
-    if not layout.has_length:
-        return (kind, layout.size, 0, 0, 0, 0, 0)
-    (_, shift, _, _), *_ = layout.places
-    return (kind, 0, 0, 0, shift, *layout.content)
+    size, shift = (0, layout.places[0][1]) if layout.has_length else (layout.size, 0)
+    fixed, content = (layout.fixed, (0, 0)) if layout.content is None else ((0, 0), layout.content)
+    return (ALL_KINDS.index(layout.kind), size, *fixed, shift, *content)
 
 
 LAYOUT_BY_BYTE = [_index_row(layout) for layout in _BY_FIRST_BYTE]
 """For each first byte: number of the kind in `ALL_KINDS` (-1: no packet); bytes of the packet (0: it has a length
 field); mask of the bits that are equal in all such packets, and their value; shift of the length within the second
 byte, and the least and the most bytes of content (`protocol.packet_index`)."""
+_SIZE = [row[1] for row in LAYOUT_BY_BYTE]
+"""For each first byte the bytes of the packet; 0: the second byte has its length, or there is no such packet."""
 
 
 def encode(packets: Iterable[Packet]) -> bytes:
