@@ -192,10 +192,8 @@ class AckedFrames(Replication):
                 self._timers.pop((peer, each), None)
 
     def _reported(self, peer: int, number: int, length: int) -> None:
-        """A peer reports how many entries of a map it holds."""
-        if (
-            len(self.logs) > self.peers.robots
-        ):  # a report of an earlier incarnation, which held more, may arrive late
+        """A peer reports how many entries of a map it holds; after restarts, a late report may claim too many."""
+        if len(self.logs) > self.peers.robots:
             self.peers.expected[peer, number] = 0
         self._learn(peer, number, length)
         timer, now = self._timers[peer, number], self._rounds.now

@@ -253,12 +253,8 @@ class Gossip(Replication):
                     number != peer or len(logs) > robots
                 ):
                     length = self._possible(number, offset(held, len(logs[number])))
-                    reliable = self._delivery.reliable
-                    if (
-                        reliable
-                        and number == self.peers.own
-                        and length < self.peers.expected.item(peer, number)
-                    ):
+                    dropped = length < self.peers.expected.item(peer, number)
+                    if dropped and number == self.peers.own and self._delivery.reliable:
                         self.replica.request_digest(length)
                     self._delivery.report_received(peer, number, length, self._step)
                     self._meetings.on(peer, "reported")

@@ -31,12 +31,10 @@ State = Literal["idle", "offered", "sending", "refused", "taking", "declining"]
 Event = Literal["news", "behind", "level", "declined", "first offer", "unwanted offer"]
 
 TRANSITIONS: dict[tuple[State, Event], State] = {
-    # The offerer: the round opens and the peer lacks entries, so it sends an offer; then the answer arrives.
+    # The offerer: the round opens and the peer lacks entries, so it sends an offer. If the answer's length is below its
+    # own, it sends the entries from there on.
     ("idle", "news"): "offered",
-    (
-        "offered",
-        "behind",
-    ): "sending",  # The answer's length is below this robot's: send the entries from there on.
+    ("offered", "behind"): "sending",
     ("offered", "level"): "refused",
     ("offered", "declined"): "refused",
     # The receiver answers the first offer of a map with its log length. It declines a further offer of that map, an
