@@ -124,6 +124,7 @@ class Radio:
             self._open()
         else:
             self._close()
+        self._advance()
 
     def change(self, change: Change | FaultEvent) -> None:
         """Schedule a change of budget or range, or a radio's fault, for a step that has not begun."""
@@ -182,8 +183,6 @@ class Radio:
         self._broadcast_sent = {}
         living = self._topology.living()
         self._expect("offers", living)
-        if not living:
-            self._advance()
         detected, room = self._topology.detected_by, self._medium.airtime.room
         self.events += [(r, Open(self._step, self._round, detected(r), room(r))) for r in living]
 
@@ -200,7 +199,7 @@ class Radio:
                 self._end_data()
             elif self._phase == "answers":
                 self._collect(ANSWER)
-                self._deliver(ANSWER, "data")
+                self._deliver(ANSWER)
             elif self.settings.handshakes:
                 self._end_offers()
             else:
@@ -364,30 +363,22 @@ class Radio:
         offers.sort(key=lambda frame: (frame.sender, frame.receiver, frame.content.map_id))
         for number, frame in enumerate(self._drawn("contention", offers), self._first):
             self._connections.append(Connection(number, frame.sender, frame.receiver, [frame.content]))
-        self._deliver(OFFER, "answers")
+        self._deliver(OFFER)
 
-    def _deliver(self, kind: int, phase: str) -> None:
+    def _deliver(self, kind: int) -> None:
         """Deliver all frames of a kind in the drawn order, and ask their receivers for the next phase."""
         receiving = self._topology.receiving()
-        arrived: defaultdict[int, list[Connection]] = defaultdict(list)
+        arrived: defaultdict[int, list[Delivery]] = defaultdict(list)
         for connection in self._connections:
             if len(connection.frames) > kind:
-                receiver = connection.sender if kind == ANSWER else connection.receiver
+                sender, receiver = connection.ends(kind)
                 if receiver in receiving:
-                    arrived[receiver].append(connection)
+                    payload = connection.frames[kind].payload
+                    arrived[receiver].append(Delivery(sender, payload, connection.number, connection.map_id))
                 else:
                     connection.lost = kind
-        self._expect(phase, sorted(arrived))
-        for robot, connections in sorted(arrived.items()):
-            deliveries = [
-                Delivery(
-                    each.receiver if kind == ANSWER else each.sender,
-                    each.frames[kind].payload,
-                    each.number,
-                    each.map_id,
-                )
-                for each in connections
-            ]
+        self._expect(PHASES[kind + 1], sorted(arrived))
+        for robot, deliveries in sorted(arrived.items()):
             self.events.append((robot, PhaseDelivery(self._step, self._round, PHASES[kind], deliveries)))
 
     def _collect(self, kind: int) -> None:
