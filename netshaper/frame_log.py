@@ -64,20 +64,16 @@ class Frame(msgspec.Struct, frozen=True, gc=False):
 class Connection(msgspec.Struct, eq=False, gc=False):
     """A connection of a round of handshakes: an offer, its answer and its data.
 
-    `number`: counted in a step, in the order in which connections go on the air. `sender`, `receiver`: of the offer.
-    `frames`: those sent so far. `lost`: the kind of the frame whose receiver could not receive it; -1 for none.
+    `number`: counted in a step, in the order in which connections go on the air. `sender`, `receiver`, `map_id`: of the
+    offer. `frames`: those sent so far. `lost`: the kind of the frame whose receiver could not receive it; -1 for none.
     """
 
     number: int
     sender: int
     receiver: int
+    map_id: int
     frames: list[Content]
     lost: int = -1
-
-    @property
-    def map_id(self) -> int:
-        """The map that is offered."""
-        return self.frames[0].map_id
 
     def ends(self, kind: int) -> tuple[int, int]:
         """Return sender and receiver of its frame of a kind."""

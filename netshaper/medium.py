@@ -144,7 +144,7 @@ class Medium:
             else:
                 sizes, left = self._play_in_part(connection, left)
                 self.carried += sum(sizes)
-            played.append(ConnectionReport(connection.number, *sizes, *[0] * (3 - len(sizes))))
+            played.append(ConnectionReport(connection.number, *sizes))
         if not self.airtime.left.unlimited:
             self.airtime.left = Budget(left)
         return played
@@ -162,7 +162,7 @@ class Medium:
             pieces, rest = ([], content) if lost else self._cut(content, Budget(left))
             for piece in pieces:
                 self._log.add(self._round, piece, _CARRIED, *ends, receivers=(receiver,))
-            played.append(sum(len(piece.payload) for piece in pieces))
+            played.append(sum([len(piece.payload) for piece in pieces]))
             left -= played[-1]
             if rest is not None:
                 self._log.add(self._round, rest, _LOST if lost else _BUDGET, *ends)

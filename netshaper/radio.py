@@ -362,7 +362,8 @@ class Radio:
         self._deliver_broadcasts()
         offers.sort(key=lambda frame: (frame.sender, frame.receiver, frame.content.map_id))
         for number, frame in enumerate(self._drawn("contention", offers), self._first):
-            self._connections.append(Connection(number, frame.sender, frame.receiver, [frame.content]))
+            sender, receiver, content = frame.sender, frame.receiver, frame.content
+            self._connections.append(Connection(number, sender, receiver, content.map_id, [content]))
         self._deliver(OFFER)
 
     def _deliver(self, kind: int) -> None:
