@@ -209,4 +209,4 @@ class AckedFrames(Replication):
         """A peer holds at least so many entries; of this robot's map none that was not on the air."""
         if number == self.peers.own:
             length = min(length, self.shared)
-        self.peers.expected[peer, number] = max(self.peers.expected.item(peer, number), length)
+        self.peers.expect(peer, number, length)

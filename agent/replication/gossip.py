@@ -286,7 +286,7 @@ class Gossip(Replication):
         self._delivery.entries_received(peer, number, end, len(log))
         if number == self.peers.current[peer]:
             self._cursors.received(peer, end)
-        self.peers.expected[peer, number] = max(self.peers.expected.item(peer, number), end)
+        self.peers.expect(peer, number, end)
         if first > len(log):
             self._gaps.add(number)
             if not replica.refuses(peer, number):

@@ -145,7 +145,7 @@ class Handshakes(Replication):
                 continue
             sender, number = delivery.sender, connection.number
             if self.replica.accept(sender, number, delivery.payload):
-                self._note_length((sender, number), len(self.logs[number]))
+                self.peers.expect(sender, number, len(self.logs[number]))
         return self.replica.take_rejected()
 
     def delivered(self) -> bool:
@@ -176,12 +176,7 @@ class Handshakes(Replication):
             reached = self.logs[connection.number].offset_after(reached, sent)
         if connection.number == self.peers.own:
             self.shared = max(self.shared, reached)
-        self._note_length(pair, reached)
-
-    def _note_length(self, pair: tuple[int, int], length: int) -> None:
-        """A peer holds at least so many entries of a map."""
-        if length > self.peers.expected.item(pair):
-            self.peers.expected[pair] = length
+        self.peers.expect(*pair, reached)
 
     def _peer_dropped(self, peer: int, number: int, length: int) -> None:
         """A peer dropped entries: offer them at once."""
