@@ -89,7 +89,7 @@ class Gossip(Replication):
         if not in_range:
             return []
         self._add_reports(lengths)
-        served = self._policy.serve(self._in_range, self._step, self._delivery.turn, self._add_range)
+        served = self._policy.serve(self._in_range, self._delivery.turn, self._add_range)
         payload = self._builder.payload
         if not payload:
             self._builder = FrameBuilder()  # without handlers, which refer to this object

@@ -45,7 +45,7 @@ HELD_PER_PRIORITY = 4
 MAX_HELD_PRIORITY = 200
 
 MAX_LENGTH = 1 << 62
-"""Longer than any log: a peer lacks nothing of its own one."""
+"""Longer than any log; stands for what a peer holds of its own map."""
 
 
 def no_dependencies(number: int) -> Sequence[Dependency]:
@@ -76,6 +76,7 @@ class GossipPolicy:
 
     def compare(self, step: int, known: list[int], lengths: Table) -> None:
         """Compare log lengths with the version vectors of the peers in range whose report is not awaited."""
+        self._step = step
         before, self._lacks = self._lacks, {}
         missing = lengths - self._peers.expected[known]
         for row, number in np.argwhere(missing > 0).tolist():
@@ -85,12 +86,12 @@ class GossipPolicy:
                 if number not in before.get(peer, ()):
                     self._since[peer, number] = step
 
-    def serve(self, in_range: list[int], step: int, turn: int, broadcast: Broadcast) -> int | None:
+    def serve(self, in_range: list[int], turn: int, broadcast: Broadcast) -> int | None:
         """Broadcast what peers lack; return the peer that is served first, if any.
 
         `turn` is the number of steps after which the next robot forwards what a peer still lacks.
         """
-        self._in_range, self._step, self._turn = in_range, step, turn
+        self._in_range, self._turn = in_range, turn
         self._sent = {}
         served = None
         held: dict[int, list[int]] = {peer: self._peers.expected[peer].tolist() for peer in self._lacks}
