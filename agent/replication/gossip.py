@@ -153,7 +153,7 @@ class Gossip(Replication):
         if digest is not None and builder.fits(packet := packets.encode([digest])):
             builder.add(packet, self._digest_sent)
         end = 0
-        for number in np.flatnonzero(self._reports_due(lengths, owed)).tolist():
+        for number in self._reports_due(lengths, owed).nonzero()[0].tolist():
             held = report(number, len(self.logs[number]))
             if builder.fits(held):
                 end = builder.add(held, partial(self._report_sent, number))
@@ -296,10 +296,10 @@ class Gossip(Replication):
         if first <= len(log) < end and not self.peers.is_own(number):
             replica.accept(peer, number, b"".join(entries[len(log) - first :]))
         receivers = self._neighbors.receivers(peer)
-        self._expect(np.flatnonzero(receivers), number, first, end)
+        self._expect(receivers.nonzero()[0], number, first, end)
         if len(log) >= end:
             receivers[[peer, self.peers.robot]] = True
-            self._inform(np.flatnonzero(receivers), number, end)
+            self._inform(receivers.nonzero()[0], number, end)
         while (stored := self._delivery.stored(number, len(log))) is not None:
             self._gaps.add(number)
             replica.accept(stored[0], number, stored[1])

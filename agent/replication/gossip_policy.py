@@ -15,8 +15,6 @@ from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from operator import attrgetter
 
-import numpy as np
-
 from agent.encodings.base import Dependency
 from agent.replication.log import Log
 from agent.replication.neighbors import Neighbors
@@ -79,7 +77,8 @@ class GossipPolicy:
         self._step = step
         before, self._lacks = self._lacks, {}
         missing = lengths - self._peers.expected[known]
-        for row, number in np.argwhere(missing > 0).tolist():
+        rows, numbers = (missing > 0).nonzero()
+        for row, number in zip(rows.tolist(), numbers.tolist(), strict=True):
             peer = known[row]
             if number != self._peers.current[peer]:
                 self._lacks.setdefault(peer, {})[number] = missing.item(row, number)

@@ -102,7 +102,7 @@ class Neighbors:
         here = np.zeros(len(self.near), np.bool_)
         here[in_range] = True
         outdated = np.logical_or.reduce(self._informed[in_range] != here)
-        return [(other, bool(here[other])) for other in np.flatnonzero(outdated).tolist()]
+        return [(other, bool(here[other])) for other in outdated.nonzero()[0].tolist()]
 
     def inform(self, peers: list[int], other: int, here: bool) -> None:
         """Note that peers received this robot's report about another robot."""
