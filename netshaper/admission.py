@@ -37,12 +37,14 @@ Begins = Offer | From | FromEarly
 
 Reader = Callable[[bytes], Content]
 
+_cache_handshakes = cache_short(1 << 12, packets.HANDSHAKE_SIZE)
+
 
 def readers(settings: RadioSettings) -> dict[int, Reader]:
     """Return for each kind of frame a function that reads it; `NEWS` is any frame of a round without connections."""
     return {
-        OFFER: partial(read_handshake, OFFER, settings.maps),
-        ANSWER: partial(read_handshake, ANSWER, settings.maps),
+        OFFER: _cache_handshakes(partial(read_offer, settings.maps)),
+        ANSWER: read_answer,
         DATA: _limited(read_data, settings),
         NEWS: _limited(read_news if settings.gossip else partial(read_any, settings.maps), settings),
     }
@@ -105,19 +107,25 @@ def refused(kind: int, payload: bytes, problem: str) -> Content:
     return Content(kind, payload, index, -1, problem)
 
 
-@cache_short(1 << 13, packets.HANDSHAKE_SIZE)
-def read_handshake(kind: int, maps: int, payload: bytes) -> Content:
-    """Read the frame of an offer or an answer."""
+def read_offer(maps: int, payload: bytes) -> Content:
+    """Read the frame of an offer."""
     try:
         content = packets.handshake(payload)
     except ProtocolError as error:
-        return refused(kind, payload, str(error))
-    if kind == OFFER:
-        offer = content[0] if len(content) == 1 else None
-        if isinstance(offer, Offer) and offer.map < maps:
-            return Content(OFFER, payload, index_of(payload), offer.map)
-        return refused(OFFER, payload, "an offer frame is one offer of a known map")
-    kinds = [type(packet) for packet in content]
+        return refused(OFFER, payload, str(error))
+    offer = content[0] if len(content) == 1 else None
+    if isinstance(offer, Offer) and offer.map < maps:
+        return Content(OFFER, payload, index_of(payload), offer.map)
+    return refused(OFFER, payload, "an offer frame is one offer of a known map")
+
+
+@_cache_handshakes
+def read_answer(payload: bytes) -> Content:
+    """Read the frame of an answer."""
+    try:
+        kinds = [type(packet) for packet in packets.handshake(payload)]
+    except ProtocolError as error:
+        return refused(ANSWER, payload, str(error))
     is_answer = kinds[-1:] == [packets.Answer] and kinds[:-1] in ([], [packets.Block], 2 * [packets.Block])
     problem = "an answer frame is an answer behind at most two blocks, or a decline"
     return refused(ANSWER, payload, "" if is_answer or payload == packets.DECLINE else problem)

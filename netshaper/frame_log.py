@@ -64,20 +64,16 @@ class Frame(msgspec.Struct, frozen=True, gc=False):
 class Connection(msgspec.Struct, eq=False, gc=False):
     """A connection of a round of handshakes: an offer, its answer and its data.
 
-    `number`: counted in a step, in the order in which connections go on the air. `sender`, `receiver`: of the offer.
-    `frames`: those sent so far. `lost`: the kind of the frame whose receiver could not receive it; -1 for none.
+    `number`: counted in a step, in the order in which connections go on the air. `sender`, `receiver`, `map_id`: of the
+    offer. `frames`: those sent so far. `lost`: the kind of the frame whose receiver could not receive it; -1 for none.
     """
 
     number: int
     sender: int
     receiver: int
+    map_id: int
     frames: list[Content]
     lost: int = -1
-
-    @property
-    def map_id(self) -> int:
-        """The map that is offered."""
-        return self.frames[0].map_id
 
     def ends(self, kind: int) -> tuple[int, int]:
         """Return sender and receiver of its frame of a kind."""
@@ -132,24 +128,18 @@ class FrameLog:
         self.receivers += receivers
         self.contents.append(content)
 
-    def add_connection(
-        self,
-        round_number: int,
-        connection: int,
-        sender: int,
-        receiver: int,
-        map_id: int,
-        frames: list[Content],
-    ) -> None:
+    def add_connection(self, round_number: int, connection: Connection) -> None:
         """Log the offer, answer and data of a connection, in this order, as carried."""
-        for content in frames:
+        number, map_id = connection.number, connection.map_id
+        sender, receiver = connection.sender, connection.receiver
+        for content in connection.frames:
             self._rows += (
-                round_number, connection, content.kind, sender, receiver, map_id, 0, 0, 1, len(content.payload),
+                round_number, number, content.kind, sender, receiver, map_id, 0, 0, 1, len(content.payload),
                 len(content.packets.kinds),
             )  # fmt: skip
             self.receivers.append(receiver)
             sender, receiver = receiver, sender
-        self.contents += frames
+        self.contents += connection.frames
 
     def rows(self) -> Int64Rows:
         """Return a row per frame, shape (frames, `COLUMNS`); packing is four times as fast as `numpy.array`."""

@@ -138,15 +138,13 @@ class Medium:
             sizes = [len(content.payload) for content in frames]
             size = sum(sizes)
             if connection.lost < 0 and size <= left and (size <= most or max(sizes) <= most):
-                self._log.add_connection(
-                    self._round, connection.number, connection.sender, connection.receiver, connection.map_id, frames
-                )  # fmt: skip
+                self._log.add_connection(self._round, connection)
                 left -= size
                 self.carried += size
             else:
                 sizes, left = self._play_in_part(connection, left)
                 self.carried += sum(sizes)
-            played.append(ConnectionReport(connection.number, *sizes, *[0] * (3 - len(sizes))))
+            played.append(ConnectionReport(connection.number, *sizes))
         if not self.airtime.left.unlimited:
             self.airtime.left = Budget(left)
         return played
@@ -164,7 +162,7 @@ class Medium:
             pieces, rest = ([], content) if lost else self._cut(content, Budget(left))
             for piece in pieces:
                 self._log.add(self._round, piece, _CARRIED, *ends, receivers=(receiver,))
-            played.append(sum(len(piece.payload) for piece in pieces))
+            played.append(sum([len(piece.payload) for piece in pieces]))
             left -= played[-1]
             if rest is not None:
                 self._log.add(self._round, rest, _LOST if lost else _BUDGET, *ends)

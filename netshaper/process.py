@@ -12,8 +12,7 @@ from typing import TypeGuard
 
 from msgspec.structs import replace
 
-from netshaper.medium import Account
-from netshaper.radio import Outgoing, Radio
+from netshaper.radio import Radio
 from netshaper.settings import RadioSettings
 from protocol import keys as names
 from protocol import rights
@@ -158,15 +157,16 @@ class RelayNode:
         if name in self._present:
             self._present.discard(name)
             self._report(Lost(robot, cause))
-            self._bus.put(self._keys.control(names.WORLD, names.RELAY), pack(Lost(robot, cause)))
-            self._send(self._radio.lost(robot))
+            self._put(names.WORLD, pack(Lost(robot, cause)))
+            self._radio.lost(robot)
+            self._send_events()
 
     def _presence(self, name: str, *, came: bool) -> None:
         """A participant has joined or left the bus."""
         if name == names.VIEW:
             self._watched = came
             for other in sorted(self._present - {names.RECORDER}):
-                self._bus.put(self._keys.control(other, names.RELAY), pack(Watched(came)))
+                self._put(other, pack(Watched(came)))
         elif came and names.is_robot(name) and names.number(name) in self.away:
             self._reconnect(names.number(name))
         elif came and names.is_robot(name) and self._begun and not self._may_return:
@@ -176,12 +176,12 @@ class RelayNode:
                 self._resend(name)
             self._present.add(name)
             if self._watched and name != names.RECORDER:
-                self._bus.put(self._keys.control(name, names.RELAY), pack(Watched(here=True)))
+                self._put(name, pack(Watched(here=True)))
             if names.is_robot(name):
                 self._configure(names.number(name))
             if not self._begun and self._expected <= self._present:
                 self._begun = True
-                self._bus.put(self._keys.control(names.WORLD, names.RELAY), pack(Begin()))
+                self._put(names.WORLD, pack(Begin()))
             elif self._begun and names.is_robot(name):
                 self._come_back(names.number(name))
         elif self.shutting_down or not (self._begun or name in (names.WORLD, names.RECORDER)):
@@ -212,25 +212,25 @@ class RelayNode:
             self._resend(name)
         restored = Reconnected(robot)
         for other in (name, names.WORLD):
-            self._bus.put(self._keys.control(other, names.RELAY), pack(restored))
+            self._put(other, pack(restored))
         self._report(restored)
 
     def _refuse(self, name: str) -> None:
         """Shut a robot down that was lost: without another incarnation, it cannot take part again."""
-        self._bus.put(self._keys.control(name, names.RELAY), pack(Shutdown()))
+        self._put(name, pack(Shutdown()))
         self._fault(name, "joined again after it was lost; it may not start again in this run")
 
     def _configure(self, robot: int) -> None:
         """Send a robot its settings once the robot has joined and the settings have arrived."""
         name = names.robot(robot)
         if name in self._present and robot in self._settings:
-            self._bus.put(self._keys.control(name, names.RELAY), self._settings[robot])
+            self._put(name, self._settings[robot])
 
     def _come_back(self, robot: int) -> None:
         """Let a robot that was lost take part again from the next step on."""
         self._radio.back(robot)
         self._report(Back(robot))
-        self._bus.put(self._keys.control(names.WORLD, names.RELAY), pack(Back(robot)))
+        self._put(names.WORLD, pack(Back(robot)))
 
     def _take(self, sender: str, message: object, payload: bytes) -> None:
         """Take a message of a participant; ProtocolError if its frames are too long."""
@@ -240,16 +240,17 @@ class RelayNode:
                 self.give_up_on(names.number(sender), TOO_MANY_BYTES.format(MAX_STEP_BYTES))
                 return
             self._check_lengths(message)
-            self._send(self._radio.submit(names.number(sender), message))
+            self._radio.submit(names.number(sender), message)
+            self._send_events()
         elif isinstance(message, Positions):
             self._protocol_errors.clear()
             self._submitted_bytes.clear()
             cells = dict(zip(message.robots, zip(message.x, message.y, strict=True), strict=True))
-            opening = self._radio.begin(message.step, cells)
+            self._radio.begin(message.step, cells)
             for change in self._radio.changed:
                 self._report(change)
             self._radio.changed.clear()
-            self._send(opening)
+            self._send_events()
         elif isinstance(message, Configure):
             self._settings[message.robot] = payload
             self._configure(message.robot)
@@ -262,9 +263,9 @@ class RelayNode:
         elif isinstance(message, Change) or self._is_radio_fault(message):
             self._radio.change(message)
         elif isinstance(message, Stop | FaultEvent):
-            self._bus.put(self._keys.control(names.WORLD, names.RELAY), payload)
-        elif isinstance(message, RequestMaps):
-            self._pass_on(message, payload)
+            self._put(names.WORLD, payload)
+        elif isinstance(message, RequestMaps) and names.robot(message.robot) in self._present:
+            self._put(names.robot(message.robot), payload)
         elif isinstance(message, Shutdown):
             self._shut_down()
 
@@ -283,41 +284,37 @@ class RelayNode:
         self._ended = True
         self._report(end)
 
-    def _pass_on(self, request: RequestMaps, payload: bytes) -> None:
-        """Send a request of the recorder to its robot."""
-        name = names.robot(request.robot)
-        if name in self._present:
-            self._bus.put(self._keys.control(name, names.RELAY), payload)
-
     def _shut_down(self) -> None:
         """Send `Shutdown` to all participants."""
         for name in sorted(self._present | ({names.VIEW} if self._watched else set())):
-            self._bus.put(self._keys.control(name, names.RELAY), pack(Shutdown()))
+            self._put(name, pack(Shutdown()))
         self.shutting_down = True
 
     def _check_lengths(self, submitted: RobotFrames) -> None:
         """Raise ProtocolError if a frame is longer than any frame that could be carried."""
-        longest = max(map(len, [submitted.broadcast, *(frame.payload for frame in submitted.frames)]))
+        longest = max([len(submitted.broadcast), *[len(frame.payload) for frame in submitted.frames]])
         if longest > self._max_frame_bytes:
             reason = (
                 f"a frame of {longest} bytes, where {self._max_frame_bytes} are the most that can be carried"
             )
             raise ProtocolError("RobotFrames", 0, reason)
 
-    def _send(self, outgoing: list[Outgoing]) -> None:
-        """Send robots their events, in one message each."""
+    def _send_events(self) -> None:
+        """Send robots their events, in one message each, and report the step if it has ended."""
         events: defaultdict[int, list[MediumEvent]] = defaultdict(list)
-        accounts: list[Account] = []
-        for item in outgoing:
-            if isinstance(item, Account):
-                accounts.append(item)
-            else:
-                events[item.robot].append(item.event)
+        for robot, event in self._radio.events:
+            events[robot].append(event)
+        self._radio.events.clear()
         for robot in sorted(events):
             self._bus.put(self._keys_to_robots[robot], pack(RelayUpdate(events[robot])))
+        accounts, self._radio.accounts = self._radio.accounts, []
         for account in accounts:
-            self._bus.put(self._keys.control(names.WORLD, names.RELAY), pack(Close(account.step)))
+            self._put(names.WORLD, pack(Close(account.step)))
             self._report(account.report(captures=self._captures))
+
+    def _put(self, name: str, payload: bytes) -> None:
+        """Send a packed message to a participant on the control plane."""
+        self._bus.put(self._keys.control(name, names.RELAY), payload)
 
     def _report_protocol_errors(self) -> None:
         for robot, reason in self._radio.protocol_errors:
@@ -334,7 +331,7 @@ class RelayNode:
 
     def _report(self, message: Record) -> None:
         """Send a message to the recorder and to the viewer if there is one; only the recorder gets frames."""
-        self._bus.put(self._keys.control(names.RECORDER, names.RELAY), pack(message))
+        self._put(names.RECORDER, pack(message))
         if self._watched:
             shown = replace(message, frames=b"") if isinstance(message, RadioReport) else message
-            self._bus.put(self._keys.control(names.VIEW, names.RELAY), pack(shown))
+            self._put(names.VIEW, pack(shown))

@@ -65,22 +65,15 @@ NOT_FOR_ONE = "news are a broadcast: sent to one robot"
 TWICE = "more than one frame, or more than one offer of a map, for a receiver in a round"
 
 
-class ToRobot(msgspec.Struct, frozen=True, gc=False):
-    """An event for a robot."""
-
-    robot: int
-    event: MediumEvent
-
-
-Outgoing = ToRobot | Account
-"""Items that the radio returns, in order; the account comes at the end of a step."""
-
-
 class Radio:
-    """The radio of one run: it takes positions and the frames of robots, and returns events and accounts."""
+    """The radio of one run: it takes positions and the frames of robots, and makes events and accounts of them."""
 
     def __init__(self, settings: RadioSettings) -> None:
         self.settings = settings
+        self.events: list[tuple[int, MediumEvent]] = []
+        """Events, each with its robot, in order, since this list was last emptied."""
+        self.accounts: list[Account] = []
+        """Accounts of the steps that ended since this list was last emptied."""
         self.protocol_errors: list[tuple[int, str]] = []
         """Robots that broke the protocol, and how, since this list was last emptied."""
         self.changed: list[Change | FaultEvent] = []
@@ -110,7 +103,7 @@ class Radio:
 
     # --- events from outside
 
-    def begin(self, step: int, cells: Mapping[int, tuple[int, int]]) -> list[Outgoing]:
+    def begin(self, step: int, cells: Mapping[int, tuple[int, int]]) -> None:
         """Open the medium for a step, with the true cell (x, y) of each living robot.
 
         The account of this step includes the frames that robots sent while the medium was closed. A single robot's
@@ -127,7 +120,11 @@ class Radio:
         self._medium.begin_step(step, self._topology.in_range)
         self._shares.next_step()
         self._connections, self._first = [], 0
-        return self._open() if self.settings.robots > 1 else self._close()
+        if self.settings.robots > 1:
+            self._open()
+        else:
+            self._close()
+        self._advance()
 
     def change(self, change: Change | FaultEvent) -> None:
         """Schedule a change of budget or range, or a radio's fault, for a step that has not begun."""
@@ -137,22 +134,22 @@ class Radio:
         else:
             self._changes = sorted([*self._changes, coming], key=_STEP)
 
-    def submit(self, sender: int, submitted: RobotFrames) -> list[Outgoing]:
+    def submit(self, sender: int, submitted: RobotFrames) -> None:
         """Take all frames that a robot sends in this phase."""
         if sender in self._topology.dead:
-            return []
+            return
         if sender not in self._waiting or (submitted.step, submitted.round, submitted.phase) != self.phase:
             self._refuse_out_of_turn(sender, submitted)
-            return []
+            return
         self._submitted[sender] = submitted
         self._waiting.discard(sender)
-        return self._advance()
+        self._advance()
 
-    def lost(self, robot: int) -> list[Outgoing]:
+    def lost(self, robot: int) -> None:
         """Stop waiting for a robot that is dead."""
         self._topology.dead.add(robot)
         self._waiting.discard(robot)
-        return self._advance() if self._phase else []
+        self._advance()
 
     def back(self, robot: int) -> None:
         """Let a robot that was lost take part again from the next step on."""
@@ -179,17 +176,15 @@ class Radio:
 
     # --- rounds and phases
 
-    def _open(self) -> list[Outgoing]:
+    def _open(self) -> None:
         """Begin a round."""
         self._first += len(self._connections)
         self._connections = []
         self._broadcast_sent = {}
         living = self._topology.living()
         self._expect("offers", living)
-        if not living:
-            return self._advance()
         detected, room = self._topology.detected_by, self._medium.airtime.room
-        return [ToRobot(r, Open(self._step, self._round, detected(r), room(r))) for r in living]
+        self.events += [(r, Open(self._step, self._round, detected(r), room(r))) for r in living]
 
     def _expect(self, phase: str, robots: Sequence[int]) -> None:
         self._phase = phase
@@ -197,30 +192,33 @@ class Radio:
         self._waiting = set(self._asked)
         self._submitted = {}
 
-    def _advance(self) -> list[Outgoing]:
+    def _advance(self) -> None:
         """End phases while none of the robots that they concern is still to answer."""
-        out: list[Outgoing] = []
         while self._phase and not self._waiting:
-            if self._phase == "offers":
-                out += self._end_offers() if self.settings.handshakes else self._end_only_phase()
+            if self._phase == "data":
+                self._end_data()
             elif self._phase == "answers":
                 self._collect(ANSWER)
-                out += self._deliver(ANSWER, "data")
+                self._deliver(ANSWER)
+            elif self.settings.handshakes:
+                self._end_offers()
             else:
-                out += self._end_data()
-        return out
+                self._end_only_phase()
 
-    def _next_round(self, *, busy: bool) -> list[Outgoing]:
+    def _next_round(self, *, busy: bool) -> None:
         """Begin a further round, or close the medium if none is allowed or of use."""
         self._round += 1
         self._medium.next_round()
         left = any(not self._medium.airtime.room(robot).spent for robot in self._topology.in_range)
-        return self._open() if busy and left and self._round < self.settings.rounds else self._close()
+        if busy and left and self._round < self.settings.rounds:
+            self._open()
+        else:
+            self._close()
 
-    def _close(self) -> list[Outgoing]:
+    def _close(self) -> None:
         self._phase = ""
-        closing = Close(self._step)
-        return [*(ToRobot(robot, closing) for robot in self._topology.living()), self._medium.close()]
+        self.events += [(robot, Close(self._step)) for robot in self._topology.living()]
+        self.accounts.append(self._medium.close())
 
     # --- admission and order
 
@@ -301,8 +299,8 @@ class Radio:
                 receivers = self._topology.receivers_of(sender)
                 self._broadcast_sent[sender] = medium.broadcast(frame, receivers)
 
-    def _arrivals(self) -> tuple[list[Outgoing], dict[int, list[Delivery]]]:
-        """Return events for the broadcasts that have arrived by now, and for each robot the other arrivals."""
+    def _deliver_broadcasts(self) -> dict[int, list[Delivery]]:
+        """Deliver the broadcasts that have arrived by now, and return for each robot the other arrivals."""
         poses: defaultdict[int, list[Delivery]] = defaultdict(list)
         others: defaultdict[int, list[Delivery]] = defaultdict(list)
         receiving = self._topology.receiving()
@@ -311,11 +309,12 @@ class Radio:
             for robot in arrival.receivers:
                 if robot in receiving:
                     by_robot[robot].append(arrival.delivery)
-        return [ToRobot(robot, Broadcasts(self._step, poses[robot])) for robot in sorted(poses)], others
+        self.events += [(robot, Broadcasts(self._step, poses[robot])) for robot in sorted(poses)]
+        return others
 
     # --- rounds with one phase
 
-    def _end_only_phase(self) -> list[Outgoing]:
+    def _end_only_phase(self) -> None:
         """Put all frames on the air, deliver those that have arrived by now, and report to their senders."""
         broadcasts, frames = self._admit(NEWS)
         self._send_broadcasts(broadcasts)
@@ -326,12 +325,13 @@ class Radio:
             sent = self._medium.carry(frame, receivers)
             self._shares.book(sender, sent)
             reports[sender].append(SendReport(frame.position, sent))
-        out, arrived = self._arrivals()
+        arrived = self._deliver_broadcasts()
         for robot in sorted({*reports, *arrived, *self._broadcast_sent} - self._topology.dead):
             mine = sorted(reports.get(robot, ()), key=_FRAME)
-            out.append(self._report(robot, [], mine, arrived.get(robot, [])))
-        busy = bool(arrived) or any(report.sent for mine in reports.values() for report in mine)
-        return out + self._next_round(busy=busy)
+            self._report(robot, [], mine, arrived.get(robot, []))
+        self._next_round(
+            busy=bool(arrived) or any(report.sent for mine in reports.values() for report in mine)
+        )
 
     def _by_priority(self, frames: list[Frame]) -> list[Frame]:
         """Put frames into the order in which they go on the air: acknowledgments first, then by rank."""
@@ -348,47 +348,39 @@ class Radio:
         connections: list[ConnectionReport],
         sent: list[SendReport],
         deliveries: list[Delivery],
-    ) -> ToRobot:
+    ) -> None:
         broadcast = self._broadcast_sent.get(robot, False)
-        return ToRobot(robot, RoundReport(self._step, self._round, connections, sent, deliveries, broadcast))
+        report = RoundReport(self._step, self._round, connections, sent, deliveries, broadcast)
+        self.events.append((robot, report))
 
     # --- rounds of handshakes
 
-    def _end_offers(self) -> list[Outgoing]:
+    def _end_offers(self) -> None:
         """Put poses and targets on the air, open connections, and deliver their offers."""
         broadcasts, offers = self._admit(OFFER)
         self._send_broadcasts(broadcasts)
-        out, _ = self._arrivals()
+        self._deliver_broadcasts()
         offers.sort(key=lambda frame: (frame.sender, frame.receiver, frame.content.map_id))
         for number, frame in enumerate(self._drawn("contention", offers), self._first):
-            self._connections.append(Connection(number, frame.sender, frame.receiver, [frame.content]))
-        return out + self._deliver(OFFER, "answers")
+            sender, receiver, content = frame.sender, frame.receiver, frame.content
+            self._connections.append(Connection(number, sender, receiver, content.map_id, [content]))
+        self._deliver(OFFER)
 
-    def _deliver(self, kind: int, phase: str) -> list[Outgoing]:
+    def _deliver(self, kind: int) -> None:
         """Deliver all frames of a kind in the drawn order, and ask their receivers for the next phase."""
         receiving = self._topology.receiving()
-        arrived: defaultdict[int, list[Connection]] = defaultdict(list)
+        arrived: defaultdict[int, list[Delivery]] = defaultdict(list)
         for connection in self._connections:
             if len(connection.frames) > kind:
-                receiver = connection.sender if kind == ANSWER else connection.receiver
+                sender, receiver = connection.ends(kind)
                 if receiver in receiving:
-                    arrived[receiver].append(connection)
+                    payload = connection.frames[kind].payload
+                    arrived[receiver].append(Delivery(sender, payload, connection.number, connection.map_id))
                 else:
                     connection.lost = kind
-        self._expect(phase, sorted(arrived))
-        out: list[Outgoing] = []
-        for robot, connections in sorted(arrived.items()):
-            deliveries = [
-                Delivery(
-                    each.receiver if kind == ANSWER else each.sender,
-                    each.frames[kind].payload,
-                    each.number,
-                    each.map_id,
-                )
-                for each in connections
-            ]
-            out.append(ToRobot(robot, PhaseDelivery(self._step, self._round, PHASES[kind], deliveries)))
-        return out
+        self._expect(PHASES[kind + 1], sorted(arrived))
+        for robot, deliveries in sorted(arrived.items()):
+            self.events.append((robot, PhaseDelivery(self._step, self._round, PHASES[kind], deliveries)))
 
     def _collect(self, kind: int) -> None:
         """Match the submitted frames to their connections; refuse those that belong to none."""
@@ -404,7 +396,7 @@ class Radio:
                 else:
                     connection.frames.append(content)
 
-    def _end_data(self) -> list[Outgoing]:
+    def _end_data(self) -> None:
         """Play the connections, and report to both ends of each."""
         self._collect(DATA)
         dead = self._topology.dead
@@ -420,8 +412,6 @@ class Radio:
                 payload = connection.frames[DATA].payload[: report.data]
                 delivery = Delivery(connection.sender, payload, connection.number, connection.map_id)
                 arrived[connection.receiver].append(delivery)
-        out: list[Outgoing] = [
+        for robot in sorted({*reports, *self._broadcast_sent} - dead):
             self._report(robot, reports.get(robot, []), [], arrived.get(robot, []))
-            for robot in sorted({*reports, *self._broadcast_sent} - dead)
-        ]
-        return out + self._next_round(busy=True)
+        self._next_round(busy=True)

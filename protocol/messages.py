@@ -188,9 +188,9 @@ class ConnectionReport(Part, frozen=True):
     """In a `RoundReport`: the bytes of a connection's offer, answer and data that were on the air."""
 
     connection: Connection
-    offer: Count
-    answer: Count
-    data: Count
+    offer: Count = 0
+    answer: Count = 0
+    data: Count = 0
 
 
 class SendReport(Part, frozen=True):

@@ -10,7 +10,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from functools import lru_cache, wraps
 from itertools import accumulate, pairwise
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import msgspec
 import numpy as np
@@ -62,15 +62,15 @@ NO_PACKETS = PacketIndex(b"", array("i"), array("i"))
 
 def cache_short(
     frames: int, most: int = MAX_CACHED_BYTES
-) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
-    """Cache the results of a function whose last argument is a frame, for `frames` frames of at most `most` bytes."""
+) -> Callable[[Callable[[bytes], Result]], Callable[[bytes], Result]]:
+    """Cache the results of a function of a frame, for `frames` frames of at most `most` bytes."""
 
-    def decorate(read: Callable[..., Result]) -> Callable[..., Result]:
+    def decorate(read: Callable[[bytes], Result]) -> Callable[[bytes], Result]:
         cached = lru_cache(frames)(read)
 
         @wraps(read)
-        def read_frame(*args: Any) -> Result:
-            return (cached if len(args[-1]) <= most else read)(*args)
+        def read_frame(frame: bytes) -> Result:
+            return cached(frame) if len(frame) <= most else read(frame)
 
         return read_frame
 
@@ -95,13 +95,6 @@ def index_of(frame: bytes) -> PacketIndex:
 def ends(frame: bytes) -> Sequence[int]:
     """Return where each packet of a frame ends; ProtocolError as `index_of`."""
     return index_of(frame).ends
-
-
-def fitting(frame: bytes, room: int) -> int:
-    """Return how many bytes of a frame of whole packets fit into `room` bytes without cutting a packet."""
-    index = index_of(frame)
-    count = index.count_fitting(room)
-    return index.ends[count - 1] if count else 0
 
 
 def split(frame: bytes) -> list[bytes]:

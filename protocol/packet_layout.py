@@ -45,7 +45,7 @@ class Layout:
     content: tuple[int, int] | None = None
     """The least and the most bytes of content; None: the packet has none."""
 
-    @property
+    @cached_property
     def has_length(self) -> bool:
         """Whether a field gives the bytes of content."""
         return any(name == LENGTH for name, _ in self.fields)

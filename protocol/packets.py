@@ -7,9 +7,10 @@ determines a packet's length, so packets need no framing: a stream of them can b
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields
 from functools import lru_cache
-from typing import Annotated, Any, ClassVar, TypeVar, cast, get_type_hints
+from typing import Annotated, Any, ClassVar, TypeVar, cast, get_args, get_type_hints
+
+import msgspec
 
 from protocol.errors import ProtocolError
 from protocol.packet_layout import LENGTH, Bits, Layout
@@ -83,8 +84,7 @@ Salt = Annotated[int, Bits(7, "k", "number that no other robot can predict, hash
 Hash = Annotated[int, Bits(16, "h", "hash of the entries and the salt")]
 
 
-@dataclass(frozen=True, slots=True)
-class Packet:
+class Packet(msgspec.Struct, frozen=True):
     """Base class of all packets: its fields are sent in the order of their declaration."""
 
     name: ClassVar[str]
@@ -95,8 +95,7 @@ class Packet:
     """Binary digits with which the packet starts; of packets with content, with which a full one starts."""
 
 
-@dataclass(frozen=True, slots=True)
-class Insert(Packet):
+class Insert(Packet, frozen=True):
     """Insert a vertex into the current object, before the vertex that now has `index`.
 
     The vertex is the contour point of cell (x, y) on its side `side` (`agent.outline.contour`).
@@ -110,8 +109,7 @@ class Insert(Packet):
     occupied: Occupied
 
 
-@dataclass(frozen=True, slots=True)
-class Replace(Packet):
+class Replace(Packet, frozen=True):
     """Replace the vertex at `index` of the current object."""
 
     name, size, code = "rep", 6, "011"
@@ -122,16 +120,14 @@ class Replace(Packet):
     occupied: Occupied
 
 
-@dataclass(frozen=True, slots=True)
-class Delete(Packet):
+class Delete(Packet, frozen=True):
     """Delete the vertex at `index` of the current object."""
 
     name, size, code = "del", 2, "100"
     index: VertexIndex
 
 
-@dataclass(frozen=True, slots=True)
-class Emerge(Packet):
+class Emerge(Packet, frozen=True):
     """Create an object under the unused number `object`, and make it the current one; `count` inserts follow."""
 
     name, size, code = "em", 5, "1101"
@@ -140,8 +136,7 @@ class Emerge(Packet):
     inside: Inside
 
 
-@dataclass(frozen=True, slots=True)
-class Change(Packet):
+class Change(Packet, frozen=True):
     """Make `object` the current one; it has `count` vertices after the vertex packets that follow."""
 
     name, size, code = "chg", 5, "1110"
@@ -150,16 +145,14 @@ class Change(Packet):
     inside: Inside
 
 
-@dataclass(frozen=True, slots=True)
-class Remove(Packet):
+class Remove(Packet, frozen=True):
     """Remove `object`; its number may be used again."""
 
     name, size, code = "rm", 2, "1010"
     object: Object
 
 
-@dataclass(frozen=True, slots=True)
-class Offer(Packet):
+class Offer(Packet, frozen=True):
     """Handshake: offer log entries of a map; the receiver is believed to hold its log up to `block`."""
 
     name, size, code = "conn", 2, "1100"
@@ -167,16 +160,14 @@ class Offer(Packet):
     block: BlockNumber
 
 
-@dataclass(frozen=True, slots=True)
-class Answer(Packet):
+class Answer(Packet, frozen=True):
     """Handshake: answer an offer with the number of log entries held of that map, within the block."""
 
     name, size, code = "conn", 2, "1011"
     index: BlockOffset
 
 
-@dataclass(frozen=True, slots=True)
-class Block(Packet):
+class Block(Packet, frozen=True):
     """Handshake: the answer that follows refers to `block` instead of the block of the offer.
 
     Before another `Block` it gives the round, which counts `BLOCKS` blocks. Alone, `DECLINED` declines the offer:
@@ -187,8 +178,7 @@ class Block(Packet):
     block: AnswerBlock
 
 
-@dataclass(frozen=True, slots=True)
-class From(Packet):
+class From(Packet, frozen=True):
     """Gossip: entries of a map's log follow, the first of them at offset `index`, modulo `GOSSIP_WINDOW`."""
 
     name, size, code = "conn", 5, "11110110"
@@ -196,8 +186,7 @@ class From(Packet):
     index: Offset
 
 
-@dataclass(frozen=True, slots=True)
-class FromEarly(Packet):
+class FromEarly(Packet, frozen=True):
     """Gossip: a shorter `From` for offsets below `EARLY`."""
 
     name, size, code = "conn", 3, "11111011"
@@ -205,8 +194,7 @@ class FromEarly(Packet):
     index: EarlyOffset
 
 
-@dataclass(frozen=True, slots=True)
-class Held(Packet):
+class Held(Packet, frozen=True):
     """Gossip: the sender holds `index` entries of a map's log, modulo `GOSSIP_WINDOW`."""
 
     name, size, code = "conn", 5, "11110111"
@@ -214,8 +202,7 @@ class Held(Packet):
     index: Offset
 
 
-@dataclass(frozen=True, slots=True)
-class HeldEarly(Packet):
+class HeldEarly(Packet, frozen=True):
     """Gossip: a shorter `Held` for fewer than `EARLY` entries."""
 
     name, size, code = "conn", 3, "11111101"
@@ -223,32 +210,28 @@ class HeldEarly(Packet):
     index: EarlyOffset
 
 
-@dataclass(frozen=True, slots=True)
-class Near(Packet):
+class Near(Packet, frozen=True):
     """Gossip: `robot` has entered the sender's range."""
 
     name, size, code = "conn", 2, "11111001"
     robot: Robot
 
 
-@dataclass(frozen=True, slots=True)
-class Gone(Packet):
+class Gone(Packet, frozen=True):
     """Gossip: `robot` has left the sender's range."""
 
     name, size, code = "conn", 2, "11111110"
     robot: Robot
 
 
-@dataclass(frozen=True, slots=True)
-class Check(Packet):
+class Check(Packet, frozen=True):
     """Checksum at the end of a frame; added and removed by radios that damage frames, never seen by robots."""
 
     name, size, code = "sum", 3, "11111010"
     sum: Checksum
 
 
-@dataclass(frozen=True, slots=True)
-class Target(Packet):
+class Target(Packet, frozen=True):
     """Broadcast: the sender moves to cell (x, y) next."""
 
     name, size, code = "targ", 3, "00"
@@ -256,8 +239,7 @@ class Target(Packet):
     y: CellY
 
 
-@dataclass(frozen=True, slots=True)
-class Pose(Packet):
+class Pose(Packet, frozen=True):
     """Broadcast: the sender is in cell (x, y), and whether it leads a sub-team.
 
     It is not in Table 6.1. Strategies need it whose robots assign targets together, or follow leaders.
@@ -269,8 +251,7 @@ class Pose(Packet):
     leads: Leads
 
 
-@dataclass(frozen=True, slots=True)
-class Passed(Packet):
+class Passed(Packet, frozen=True):
     """Broadcast: relay the pose of another robot, which was in cell (x, y) `age` steps ago.
 
     A `Target` that follows is that robot's (`agent.team_state`).
@@ -283,8 +264,7 @@ class Passed(Packet):
     y: CellY
 
 
-@dataclass(frozen=True, slots=True)
-class LogDigest(Packet):
+class LogDigest(Packet, frozen=True):
     """Hash of the first `entries` entries of the sender's own log (`agent.replication.digests`)."""
 
     name, size, code = "conn", 6, "11111100"
@@ -294,23 +274,20 @@ class LogDigest(Packet):
     hash: Hash
 
 
-@dataclass(frozen=True, slots=True)
-class Save(Packet):
+class Save(Packet, frozen=True):
     """Save point: a step's edits are complete, and receivers may draw them."""
 
     name, size, code = "save", 1, "11110000"
 
 
-@dataclass(frozen=True, slots=True)
-class Fragment(Packet):
+class Fragment(Packet, frozen=True):
     """Fragment of a raw scan (`protocol.scans`) or a patch: 1 to `FRAGMENT_DATA` bytes."""
 
     name, size, code = "scan", 64, "11110001"
     data: bytes
 
 
-@dataclass(frozen=True, slots=True)
-class Update(Packet):
+class Update(Packet, frozen=True):
     """Fragment of a map update of the predictive scan encoding (`agent.predictive`).
 
     Fragments of `UPDATE_DATA` bytes, and a last one of up to `LAST_UPDATE_DATA`, make up an update. The last one has
@@ -344,40 +321,25 @@ AnyPacket = Edit | Handshake | Gossip | Check | Target | Pose | Passed | Fragmen
 
 KindOfPacket = TypeVar("KindOfPacket", bound=Packet)
 
-_FIXED_KINDS: tuple[type[Packet], ...] = (
-    Insert, Replace, Delete, Emerge, Change, Remove, Offer, Answer, Block, Target, Save, Pose,
-    From, FromEarly, Held, HeldEarly, Near, Gone, Check, Passed, LogDigest,
-)  # fmt: skip
-
 
 def _declared(kind: type[Packet]) -> Layout:
     """Read the layout of a packet without content from the annotations of its class."""
     hints = get_type_hints(kind, include_extras=True)
-    declared = tuple((field.name, hints[field.name].__metadata__[0]) for field in fields(kind))
+    declared = tuple((name, hints[name].__metadata__[0]) for name in kind.__struct_fields__)
     return Layout(kind.__name__, kind.name, kind.size, kind.code, declared)
 
 
-_LAYOUT = {kind: _declared(kind) for kind in _FIXED_KINDS}
+_LAYOUT = {kind: _declared(kind) for kind in get_args(AnyPacket) if kind not in (Fragment, Update)}
 
 _SHORT_FRAGMENT = Layout(
-    "Fragment",
-    Fragment.name,
-    SHORT_HEAD,
-    "11110010",
-    ((LENGTH, Bits(8, "n", "bytes of content")),),
-    (1, FRAGMENT_DATA - 1),
-)
+    "Fragment", Fragment.name, SHORT_HEAD, "11110010",
+    ((LENGTH, Bits(8, "n", "bytes of content")),), (1, FRAGMENT_DATA - 1),
+)  # fmt: skip
+_UPDATE_NUMBER = Bits(_NUMBER_BITS, "u", "number of the update, modulo 4")
 _LAST_UPDATE = Layout(
-    "Update",
-    Update.name,
-    SHORT_HEAD,
-    "11110101",
-    (
-        (LENGTH, Bits(6, "n", "bytes of content")),
-        ("number", Bits(_NUMBER_BITS, "u", "number of the update, modulo 4")),
-    ),
-    (0, LAST_UPDATE_DATA),
-)
+    "Update", Update.name, SHORT_HEAD, "11110101",
+    ((LENGTH, Bits(6, "n", "bytes of content")), ("number", _UPDATE_NUMBER)), (0, LAST_UPDATE_DATA),
+)  # fmt: skip
 
 LAYOUTS: tuple[Layout, ...] = (
     *_LAYOUT.values(),
@@ -400,13 +362,11 @@ KINDS = ("ins", "rep", "del", "em", "chg", "rm", "conn", "targ", "save")
 ALL_KINDS = (*KINDS, Fragment.name, Pose.name, Update.name, Check.name)
 """All kinds of packets, in the order of reports."""
 
-_PACKETS: dict[str, type[Packet]] = {kind.__name__: kind for kind in (*_FIXED_KINDS, Fragment, Update)}
+_PACKETS: dict[str, type[Packet]] = {kind.__name__: kind for kind in get_args(AnyPacket)}
 
 _BY_FIRST_BYTE = [
     next((layout for layout in LAYOUTS if layout.starts_with(byte)), None) for byte in range(256)
 ]
-_SIZE = [0 if layout is None or layout.has_length else layout.size for layout in _BY_FIRST_BYTE]
-"""For each first byte the bytes of the packet; 0: the second byte has its length, or there is no such packet."""
 _FORM = {kind: (*layout.fixed, layout.places) for kind, layout in _LAYOUT.items()}
 """For each packet without content: mask and value of its fixed bits, and the places of its fields."""
 _CLASS: list[Any] = [None if layout is None else _PACKETS[layout.packet] for layout in _BY_FIRST_BYTE]
@@ -419,19 +379,17 @@ _UPDATE, _LAST = int(Update.code, 2), int(_LAST_UPDATE.code, 2)
 def _index_row(layout: Layout | None) -> tuple[int, ...]:
     if layout is None:
         return (-1, 0, 0, 0, 0, 0, 0)
-    kind = ALL_KINDS.index(layout.kind)
-    if layout.content is None:
-        return (kind, layout.size, *layout.fixed, 0, 0, 0)
-    if not layout.has_length:
-        return (kind, layout.size, 0, 0, 0, 0, 0)
-    (_, shift, _, _), *_ = layout.places
-    return (kind, 0, 0, 0, shift, *layout.content)
+    size, shift = (0, layout.places[0][1]) if layout.has_length else (layout.size, 0)
+    fixed, content = (layout.fixed, (0, 0)) if layout.content is None else ((0, 0), layout.content)
+    return (ALL_KINDS.index(layout.kind), size, *fixed, shift, *content)
 
 
 LAYOUT_BY_BYTE = [_index_row(layout) for layout in _BY_FIRST_BYTE]
 """For each first byte: number of the kind in `ALL_KINDS` (-1: no packet); bytes of the packet (0: it has a length
 field); mask of the bits that are equal in all such packets, and their value; shift of the length within the second
 byte, and the least and the most bytes of content (`protocol.packet_index`)."""
+_SIZE = [row[1] for row in LAYOUT_BY_BYTE]
+"""For each first byte the bytes of the packet; 0: the second byte has its length, or there is no such packet."""
 
 
 def encode(packets: Iterable[Packet]) -> bytes:

@@ -130,10 +130,11 @@ def _positions(start: Point, points: list[Point], stride: int) -> Iterator[Point
 
 
 def _is_passable(truth: Grid, here: tuple[int, int], there: tuple[int, int]) -> bool:
-    """Return whether a robot can enter a neighboring cell; past a corner only if all four cells there are free."""
-    height, width = truth.shape
-    around = [(x, y) for x in (here[0], there[0]) for y in (here[1], there[1])]
-    return all(0 <= x < width and 0 <= y < height and truth[y, x] == FREE for x, y in around)
+    """Return whether a robot can leave its cell for a neighbor; past a corner only if all cells there are free."""
+    (x, y), (next_x, next_y) = here, there
+    if not (0 <= next_x < truth.shape[1] and 0 <= next_y < truth.shape[0]):
+        return False
+    return bool(truth[next_y, next_x] == truth[y, next_x] == truth[next_y, x] == FREE)
 
 
 def swept(start: tuple[int, int], cells: list[tuple[int, int]]) -> list[tuple[int, int]]:

@@ -59,7 +59,7 @@ class ReachabilityCheck:
             growth = max(box[2] - box[0], box[3] - box[1])
         else:
             growth = max(before[0] - box[0], before[1] - box[1], box[2] - before[2], box[3] - before[3])
-            box = bounding_box((before, box))
+            box = bounding_box((before, box)) if growth > 0 else before
         if growth > limit:
             reason = f"map {map_id} grows by {growth} cells; its author can have observed {limit:.0f} at most"
             raise ProtocolError("map update", 0, reason)

@@ -192,10 +192,8 @@ class AckedFrames(Replication):
                 self._timers.pop((peer, each), None)
 
     def _reported(self, peer: int, number: int, length: int) -> None:
-        """A peer reports how many entries of a map it holds."""
-        if (
-            len(self.logs) > self.peers.robots
-        ):  # a report of an earlier incarnation, which held more, may arrive late
+        """A peer reports how many entries of a map it holds; after restarts, a late report may claim too many."""
+        if len(self.logs) > self.peers.robots:
             self.peers.expected[peer, number] = 0
         self._learn(peer, number, length)
         timer, now = self._timers[peer, number], self._rounds.now
@@ -211,4 +209,4 @@ class AckedFrames(Replication):
         """A peer holds at least so many entries; of this robot's map none that was not on the air."""
         if number == self.peers.own:
             length = min(length, self.shared)
-        self.peers.expected[peer, number] = max(self.peers.expected.item(peer, number), length)
+        self.peers.expect(peer, number, length)

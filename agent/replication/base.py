@@ -70,8 +70,8 @@ class Replication(ABC):
 
     def undelivered(self) -> int:
         """Count the entries of this robot's log that peers have not acknowledged, over all peers."""
-        length, acked = len(self.replica.own_log), self.peers.acked[:, self.peers.own]
-        return length * (self.peers.robots - 1) - int(acked.sum())
+        acked: list[int] = self.peers.acked[:, self.peers.own].tolist()
+        return len(self.replica.own_log) * (self.peers.robots - 1) - sum(acked)
 
     def announcements(self) -> bytes:
         """Return what to broadcast about logs in this step: the digest that is due, and requests for lost entries."""

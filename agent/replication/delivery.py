@@ -120,7 +120,7 @@ class Acks:
                 self._expected_since[peer, number] = step
         if since != NEVER and length <= before and step - since >= self._round_trip[peer]:
             expected[peer, number] = length
-        expected[peer, number] = max(int(expected[peer, number]), length)
+        self._peers.expect(peer, number, length)
 
     def entries_received(self, peer: int, number: int, end: int, length: int) -> None:
         """Note that a peer sent entries up to offset `end`, and so holds them; this robot holds `length`."""

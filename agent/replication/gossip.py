@@ -89,7 +89,7 @@ class Gossip(Replication):
         if not in_range:
             return []
         self._add_reports(lengths)
-        served = self._policy.serve(self._in_range, self._step, self._delivery.turn, self._add_range)
+        served = self._policy.serve(self._in_range, self._delivery.turn, self._add_range)
         payload = self._builder.payload
         if not payload:
             self._builder = FrameBuilder()  # without handlers, which refer to this object
@@ -153,7 +153,7 @@ class Gossip(Replication):
         if digest is not None and builder.fits(packet := packets.encode([digest])):
             builder.add(packet, self._digest_sent)
         end = 0
-        for number in np.flatnonzero(self._reports_due(lengths, owed)).tolist():
+        for number in self._reports_due(lengths, owed).nonzero()[0].tolist():
             held = report(number, len(self.logs[number]))
             if builder.fits(held):
                 end = builder.add(held, partial(self._report_sent, number))
@@ -162,7 +162,9 @@ class Gossip(Replication):
     def _reports_due(self, lengths: Table, owed: list[int]) -> Mask:
         """Return the mask of maps of which some peer should know how much this robot holds."""
         robots, step = self.peers.robots, self._step
-        due: Mask = np.logical_or.reduce(self._informed[owed] < lengths)
+        due = np.zeros(len(lengths), np.bool_)
+        for peer in owed:
+            due |= self._informed[peer] < lengths
         if self._delivery.reliable:
             due[self.replica.maps_to_ask_for()] = True
         for number in self._gaps:
@@ -251,12 +253,8 @@ class Gossip(Replication):
                     number != peer or len(logs) > robots
                 ):
                     length = self._possible(number, offset(held, len(logs[number])))
-                    reliable = self._delivery.reliable
-                    if (
-                        reliable
-                        and number == self.peers.own
-                        and length < self.peers.expected.item(peer, number)
-                    ):
+                    dropped = length < self.peers.expected.item(peer, number)
+                    if dropped and number == self.peers.own and self._delivery.reliable:
                         self.replica.request_digest(length)
                     self._delivery.report_received(peer, number, length, self._step)
                     self._meetings.on(peer, "reported")
@@ -288,7 +286,7 @@ class Gossip(Replication):
         self._delivery.entries_received(peer, number, end, len(log))
         if number == self.peers.current[peer]:
             self._cursors.received(peer, end)
-        self.peers.expected[peer, number] = max(self.peers.expected.item(peer, number), end)
+        self.peers.expect(peer, number, end)
         if first > len(log):
             self._gaps.add(number)
             if not replica.refuses(peer, number):
@@ -298,10 +296,10 @@ class Gossip(Replication):
         if first <= len(log) < end and not self.peers.is_own(number):
             replica.accept(peer, number, b"".join(entries[len(log) - first :]))
         receivers = self._neighbors.receivers(peer)
-        self._expect(np.flatnonzero(receivers), number, first, end)
+        self._expect(receivers.nonzero()[0], number, first, end)
         if len(log) >= end:
             receivers[[peer, self.peers.robot]] = True
-            self._inform(np.flatnonzero(receivers), number, end)
+            self._inform(receivers.nonzero()[0], number, end)
         while (stored := self._delivery.stored(number, len(log))) is not None:
             self._gaps.add(number)
             replica.accept(stored[0], number, stored[1])

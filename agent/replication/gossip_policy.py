@@ -15,8 +15,6 @@ from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from operator import attrgetter
 
-import numpy as np
-
 from agent.encodings.base import Dependency
 from agent.replication.log import Log
 from agent.replication.neighbors import Neighbors
@@ -44,6 +42,9 @@ HELD_PER_PRIORITY = 4
 
 MAX_HELD_PRIORITY = 200
 
+MAX_LENGTH = 1 << 62
+"""Longer than any log; stands for what a peer holds of its own map."""
+
 
 def no_dependencies(number: int) -> Sequence[Dependency]:
     """Return nothing: every entry can be decoded after those before it."""
@@ -61,10 +62,10 @@ class GossipPolicy:
         self._logs = logs
         self._neighbors = neighbors
         self._dependencies = dependencies
-        self._lacks = peers.new_table()
-        """``_lacks[peer, map]``: entries that this robot holds and the peer should not hold yet."""
+        self._lacks: dict[int, dict[int, int]] = {}
+        """By peer and map number: how many entries this robot holds that the peer should not hold yet."""
         self._since = peers.new_table()
-        """The step since which it lacks some."""
+        """``_since[peer, map]``: the step since which the peer lacks some."""
         self._in_range: list[int] = []
         self._step = 0
         self._turn = 0
@@ -73,30 +74,31 @@ class GossipPolicy:
 
     def compare(self, step: int, known: list[int], lengths: Table) -> None:
         """Compare log lengths with the version vectors of the peers in range whose report is not awaited."""
-        lacks = self._peers.new_table()
-        lacks[known] = np.maximum(lengths - self._peers.expected[known], 0)
-        lacks[np.arange(self._peers.robots), self._peers.current] = 0
-        self._since[(lacks > 0) & (self._lacks == 0)] = step
-        self._lacks = lacks
+        self._step = step
+        before, self._lacks = self._lacks, {}
+        missing = lengths - self._peers.expected[known]
+        rows, numbers = (missing > 0).nonzero()
+        for row, number in zip(rows.tolist(), numbers.tolist(), strict=True):
+            peer = known[row]
+            if number != self._peers.current[peer]:
+                self._lacks.setdefault(peer, {})[number] = missing.item(row, number)
+                if number not in before.get(peer, ()):
+                    self._since[peer, number] = step
 
-    def serve(self, in_range: list[int], step: int, turn: int, broadcast: Broadcast) -> int | None:
+    def serve(self, in_range: list[int], turn: int, broadcast: Broadcast) -> int | None:
         """Broadcast what peers lack; return the peer that is served first, if any.
 
         `turn` is the number of steps after which the next robot forwards what a peer still lacks.
         """
-        self._in_range, self._step, self._turn = in_range, step, turn
+        self._in_range, self._turn = in_range, turn
         self._sent = {}
-        expected, own = self._peers.expected, self._peers.own
-        lacking = np.flatnonzero(self._lacks.any(axis=1)).tolist()
-        held = dict(zip(lacking, expected[lacking].sum(axis=1).tolist(), strict=True))
         served = None
-        for peer in sorted(lacking, key=lambda each: (-held[each], each)):
-            lacks: list[int] = self._lacks[peer].tolist()
-            will_hold: list[int] = expected[peer].tolist()
-            will_hold[self._peers.current[peer]] = np.iinfo(np.int64).max
-            numbers = [number for number, lack in enumerate(lacks) if lack]
-            for number in sorted(numbers, key=lambda each: (each != own, lacks[each], each)):
-                self._bring(broadcast, peer, will_hold, number, lacks[number] + expected.item(peer, number))
+        held: dict[int, list[int]] = {peer: self._peers.expected[peer].tolist() for peer in self._lacks}
+        for peer in sorted(held, key=lambda each: (-sum(held[each]), each)):
+            will_hold, lacks = held[peer], self._lacks[peer]
+            will_hold[self._peers.current[peer]] = MAX_LENGTH
+            for number in sorted(lacks, key=lambda each: (each != self._peers.own, lacks[each], each)):
+                self._bring(broadcast, peer, will_hold, number, len(self._logs[number]))
             if served is None and self._sent:
                 served = peer
         return served
@@ -164,6 +166,6 @@ class GossipPolicy:
         elif unfinished:
             return MAX_PRIORITY
         else:
-            lacks = 0 if served is None else int(self._lacks[served].sum())
+            lacks = 0 if served is None else sum(self._lacks[served].values())
             priority = max(0, KEEPING_UP - lacks) + min(LONG, size)
         return min(MAX_PRIORITY - 1, priority + AGING * waited)

@@ -31,12 +31,10 @@ State = Literal["idle", "offered", "sending", "refused", "taking", "declining"]
 Event = Literal["news", "behind", "level", "declined", "first offer", "unwanted offer"]
 
 TRANSITIONS: dict[tuple[State, Event], State] = {
-    # The offerer: the round opens and the peer lacks entries, so it sends an offer; then the answer arrives.
+    # The offerer: the round opens and the peer lacks entries, so it sends an offer. If the answer's length is below its
+    # own, it sends the entries from there on.
     ("idle", "news"): "offered",
-    (
-        "offered",
-        "behind",
-    ): "sending",  # The answer's length is below this robot's: send the entries from there on.
+    ("offered", "behind"): "sending",
     ("offered", "level"): "refused",
     ("offered", "declined"): "refused",
     # The receiver answers the first offer of a map with its log length. It declines a further offer of that map, an
@@ -147,7 +145,7 @@ class Handshakes(Replication):
                 continue
             sender, number = delivery.sender, connection.number
             if self.replica.accept(sender, number, delivery.payload):
-                self._note_length((sender, number), len(self.logs[number]))
+                self.peers.expect(sender, number, len(self.logs[number]))
         return self.replica.take_rejected()
 
     def delivered(self) -> bool:
@@ -178,12 +176,7 @@ class Handshakes(Replication):
             reached = self.logs[connection.number].offset_after(reached, sent)
         if connection.number == self.peers.own:
             self.shared = max(self.shared, reached)
-        self._note_length(pair, reached)
-
-    def _note_length(self, pair: tuple[int, int], length: int) -> None:
-        """A peer holds at least so many entries of a map."""
-        if length > self.peers.expected.item(pair):
-            self.peers.expected[pair] = length
+        self.peers.expect(*pair, reached)
 
     def _peer_dropped(self, peer: int, number: int, length: int) -> None:
         """A peer dropped entries: offer them at once."""

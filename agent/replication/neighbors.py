@@ -92,15 +92,17 @@ class Neighbors:
         self.near: Mask = ~np.eye(robots, dtype=np.bool_)
         """``near[peer, other]``: whether `other` is in range of a peer, by the peer's reports."""
         self._informed: Mask = np.arange(robots) != np.full((robots, 1), robot)
-        """``_informed[peer, other]``: whether `other` is in this robot's range, by the reports that a peer received."""
+        """``_informed[peer, other]``: whether `other` is in this robot's range, by the reports that a peer received.
+
+        True for the peer itself: only peers in range are informed.
+        """
 
     def news(self, in_range: list[int]) -> list[tuple[int, bool]]:
         """Return the robots of which a peer in range has an outdated report, and whether each is in range now."""
         here = np.zeros(len(self.near), np.bool_)
         here[in_range] = True
-        outdated = self._informed[in_range] ^ here
-        outdated[range(len(in_range)), in_range] = False
-        return [(other, bool(here[other])) for other in np.flatnonzero(outdated.any(axis=0)).tolist()]
+        outdated = np.logical_or.reduce(self._informed[in_range] != here)
+        return [(other, bool(here[other])) for other in outdated.nonzero()[0].tolist()]
 
     def inform(self, peers: list[int], other: int, here: bool) -> None:
         """Note that peers received this robot's report about another robot."""

@@ -57,6 +57,11 @@ class PeerTable:
         """Return a table of zeros; it takes no memory before it is used."""
         return np.zeros((self.robots, len(self.maps)), np.int64)
 
+    def expect(self, peer: int, number: int, length: int) -> None:
+        """Note that a peer should hold at least so many entries of a map."""
+        if length > self.expected.item(peer, number):
+            self.expected[peer, number] = length
+
     def is_own(self, number: int) -> bool:
         """Return whether only this robot may write a map: its own one, or that of one of its later incarnations."""
         return number >= self.own and self.maps[number].robot == self.robot

@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from itertools import chain, islice
 from pathlib import Path
 from typing import Any
+
+import msgspec
 
 from deploy.record.run_directory import CAPTURE, SCENARIO, read_scenario
 from netshaper import capture
@@ -259,7 +261,7 @@ def _decoded(payload: bytes) -> Iterator[tuple[bytes, AnyPacket]]:
 
 
 def _fields(packet: AnyPacket) -> dict[str, Any]:
-    values = {item.name: getattr(packet, item.name) for item in fields(packet)}
+    values = msgspec.structs.asdict(packet)
     return values | {"data": packet.data.hex()} if isinstance(packet, Fragment | Update) else values
 
 

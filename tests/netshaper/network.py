@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from netshaper.ledger import ROW
-from netshaper.radio import Outgoing, Radio, ToRobot
+from netshaper.radio import Radio
 from netshaper.settings import RadioSettings
 from protocol.messages import (
     Broadcasts,
@@ -114,7 +114,8 @@ class Network:
     ) -> Step:
         """Play one step; `deaths` has the number of messages after which a robot dies. Silent robots count as lost."""
         step = Step()
-        self._take(step, self.radio.begin(number, cells))
+        self.radio.begin(number, cells)
+        self._take(step)
         done = 0
         while True:
             for robot, when in sorted((deaths or {}).items()):
@@ -126,7 +127,8 @@ class Network:
                 robot = busy[0] if self._rng is None else int(self._rng.choice(busy))
                 message = self._queues[robot].popleft()
                 step.sent.append((robot, message))
-                self._take(step, self.radio.submit(robot, message))
+                self.radio.submit(robot, message)
+                self._take(step)
             elif step.carried < 0:
                 silent = self.radio.waiting_for()
                 assert silent, "the step does not end, although the relay waits for no robot"
@@ -138,16 +140,18 @@ class Network:
     def kill(self, robot: int, step: Step) -> None:
         self.dead.add(robot)
         self._queues[robot].clear()
-        self._take(step, self.radio.lost(robot))
+        self.radio.lost(robot)
+        self._take(step)
 
-    def _take(self, step: Step, outgoing: Sequence[Outgoing]) -> None:
-        for item in outgoing:
-            if isinstance(item, ToRobot):
-                assert item.robot not in self.dead, "the relay sends nothing to the dead"
-                step.events.append((item.robot, item.event))
-                self._queues[item.robot].extend(self._robots[item.robot](item.event))
-            else:
-                assert step.carried < 0, "one account per step"
-                step.report = item.report()
-                step.rows = np.frombuffer(step.report.rows, ROW)
-                step.carried = step.report.carried
+    def _take(self, step: Step) -> None:
+        for robot, event in self.radio.events:
+            assert robot not in self.dead, "the relay sends nothing to the dead"
+            step.events.append((robot, event))
+            self._queues[robot].extend(self._robots[robot](event))
+        self.radio.events.clear()
+        for account in self.radio.accounts:
+            assert step.carried < 0, "one account per step"
+            step.report = account.report()
+            step.rows = np.frombuffer(step.report.rows, ROW)
+            step.carried = step.report.carried
+        self.radio.accounts.clear()

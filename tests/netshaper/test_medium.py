@@ -56,7 +56,7 @@ def play(medium: Medium, event: object) -> None:
         medium.broadcast(frame, [1] if event else [])
     else:
         contents = [refused(kind, payload, "") for kind, payload in enumerate(frames)]
-        medium.play([Connection(0, 0, 1, contents)])
+        medium.play([Connection(0, 0, 1, contents[0].map_id, contents)])
 
 
 def rows(medium: Medium) -> list[tuple[int, ...]]:

@@ -25,8 +25,6 @@ from netshaper.ledger import (
     ROW,
     balance,
 )
-from netshaper.medium import Account
-from netshaper.radio import ToRobot
 from netshaper.settings import RadioSettings
 from protocol import packet_index, packets
 from protocol.budget import UNLIMITED, Budget
@@ -527,17 +525,20 @@ def test_a_death_at_any_moment_stalls_no_robot_and_is_logged(victim: int, moment
 def test_data_for_a_robot_that_died_in_between_is_lost_and_uses_no_budget() -> None:
     network = network_of(Sends(0), Sends(1), budget=Budget(4))
     radio = network.radio
-    assert len(radio.begin(1, {0: (0, 0), 1: (0, 1)})) == 2
+    radio.begin(1, {0: (0, 0), 1: (0, 1)})
+    assert [robot for robot, _ in radio.events] == [0, 1]
     radio.submit(0, RobotFrames(1, 0, "offers", frames=[OutgoingFrame(1, OFFER_0)]))
     radio.submit(1, RobotFrames(1, 0, "offers"))
     radio.submit(1, RobotFrames(1, 0, "answers", frames=[OutgoingFrame(0, encode([Answer(0)]), 0)]))
     radio.lost(1)
     data = RobotFrames(1, 0, "data", frames=[OutgoingFrame(1, encode([Save()]), 0)])
-    ended, closed, account = radio.submit(0, data)
-    assert isinstance(ended, ToRobot) and isinstance(account, Account)
-    assert (ended.robot, closed) == (0, ToRobot(0, Close(1)))
-    assert isinstance(ended.event, RoundReport)
-    assert ended.event.connections == [ConnectionReport(0, 2, 2, 0)]
+    radio.events.clear()
+    radio.submit(0, data)
+    (to, ended), closed = radio.events
+    assert (to, closed) == (0, (0, Close(1)))
+    assert isinstance(ended, RoundReport)
+    assert ended.connections == [ConnectionReport(0, 2, 2, 0)]
+    (account,) = radio.accounts
     report = account.report()
     rows = np.frombuffer(report.rows, ROW)
     assert [CAUSES[cause] for cause in rows["cause"]] == ["", "", "lost"]

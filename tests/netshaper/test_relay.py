@@ -46,7 +46,6 @@ from protocol.messages import (
     unpack,
 )
 from protocol.packets import Offer, Passed, Pose, Target, encode
-from protocol.rights import MAX_PROTOCOL_ERRORS
 
 KEYS = Keys("relay")
 WORLD, RECORDER = names.WORLD, names.RECORDER
@@ -418,17 +417,18 @@ def test_a_broadcast_of_relayed_positions_may_exceed_the_budget() -> None:
     assert 0 not in run.relay.waiting_for()
 
 
-def test_a_robot_that_repeatedly_exceeds_the_connections_of_a_phase_is_lost() -> None:
+def test_a_robot_that_repeatedly_exceeds_the_connections_of_a_phase_is_lost(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    most = 20
+    monkeypatch.setattr("netshaper.process.MAX_PROTOCOL_ERRORS", most)
     run = Run()
     run.begin_step()
     frames = (MAX_CONNECTIONS + 1) * [OutgoingFrame(0, encode([Offer(1, 0)]))]
     sent = pack(RobotFrames(1, 0, "offers", frames=frames))
-    for _ in range(MAX_PROTOCOL_ERRORS + 1):
+    for _ in range(most + 1):
         run.radio("r1", sent)
-    assert [type(message) for message in run.received(RECORDER)] == [
-        *MAX_PROTOCOL_ERRORS * [ErrorReport],
-        Lost,
-    ]
+    assert [type(message) for message in run.received(RECORDER)] == [*most * [ErrorReport], Lost]
     assert run.relay.waiting_for() == [0]
 
 

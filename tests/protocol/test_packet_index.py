@@ -10,7 +10,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from protocol.errors import ProtocolError
-from protocol.packet_index import ends, fitting, index_of, split
+from protocol.packet_index import ends, index_of, split
 from protocol.packets import ALL_KINDS, AnyPacket, decode, encode
 from tests.protocol.test_packets import EXAMPLES, streams
 
@@ -58,9 +58,9 @@ def test_every_wrong_bit_is_found(packet: AnyPacket) -> None:
 
 
 @given(streams, st.integers(-1, 300))
-def test_fitting_bytes_are_the_longest_prefix_of_whole_packets(stream: list[AnyPacket], limit: int) -> None:
-    ends = [len(encode(stream[:count])) for count in range(len(stream) + 1)]
-    assert fitting(encode(stream), limit) == max((end for end in ends if end <= limit), default=0)
+def test_fitting_packets_are_the_longest_prefix_within_a_limit(stream: list[AnyPacket], limit: int) -> None:
+    ends = [len(encode(stream[: count + 1])) for count in range(len(stream))]
+    assert index_of(encode(stream)).count_fitting(limit) == sum(end <= limit for end in ends)
 
 
 @given(streams, st.data())

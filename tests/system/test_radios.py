@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
@@ -13,8 +12,6 @@ from deploy.run.exploration import Result, explore
 from deploy.scenario.scenario import load
 from netshaper.frame_log import BYTES, VERDICT
 from netshaper.ledger import CAUSES, EVERYONE, FIRST_ON_AIR, KIND_NUMBER
-from netshaper.medium import Account
-from netshaper.radio import Outgoing
 from protocol.grid import FREE
 from tests.netshaper.network import Step
 from tests.system.team import Cell, Team, small_plan
@@ -165,11 +162,10 @@ def listen(team: Team, note: Any) -> None:
     """Call `note` with the columns of each step's frames."""
     take = team._network._take
 
-    def taking(step: Step, outgoing: Sequence[Outgoing]) -> None:
-        for item in outgoing:
-            if isinstance(item, Account):
-                note(item.log.rows())
-        take(step, outgoing)
+    def taking(step: Step) -> None:
+        for account in team._network.radio.accounts:
+            note(account.log.rows())
+        take(step)
 
     team._network._take = taking  # type: ignore[method-assign]
 

@@ -18,9 +18,9 @@ from deploy.record.summary import digest
 from deploy.run import launch
 from deploy.run.in_memory import MemoryRun
 from netshaper import access, certificates
-from netshaper.admission import read_data, read_handshake, read_news
+from netshaper.admission import readers
 from netshaper.hub import open_hub
-from netshaper.ledger import ANSWER, OFFER
+from netshaper.settings import RadioSettings
 from protocol import keys as names
 from protocol import messages, packets, rights
 from protocol.bus import Bus, Message
@@ -34,6 +34,7 @@ from tests.system.team import small_plan
 
 MB = 1 << 20
 STEPS = 12
+RADIO = RadioSettings(3, 0, 10.0, gossip=True)
 
 
 class Heavy:
@@ -117,7 +118,7 @@ def test_frames_of_one_robot_cannot_occupy_the_relay() -> None:
 @pytest.mark.parametrize("unit", [b"\x00", b"\xff", packets.encode([packets.Offer(1, 0)])])
 def test_frames_that_are_refused_cost_little_time(unit: bytes) -> None:
     frame = (MB // len(unit)) * unit
-    for read in (read_data, read_news, partial(read_handshake, OFFER, 3)):
+    for read in readers(RADIO).values():
         read(unit)
         began = time.monotonic()
         assert read(frame).problem
@@ -131,12 +132,11 @@ def test_an_error_deep_in_a_frame_names_its_position() -> None:
 
 
 def test_caches_keep_no_long_frames() -> None:
-    for kind in (OFFER, ANSWER):
-        frame = bytes(100_000)
-        held = sys.getrefcount(frame)
-        read_handshake(kind, 3, frame)
-        read_data(frame)
-        assert sys.getrefcount(frame) == held
+    frame = bytes(100_000)
+    held = sys.getrefcount(frame)
+    for read in readers(RADIO).values():
+        read(frame)
+    assert sys.getrefcount(frame) == held
 
 
 class Recording:

@@ -69,6 +69,12 @@ def entries(robot: int, first: int, end: int) -> list[bytes]:
     return [entry(robot, number) for number in range(first, end)]
 
 
+def fitting(frame: bytes, room: int) -> int:
+    """Return how many bytes of a frame of whole packets fit into `room` bytes without cutting a packet."""
+    index = packet_index.index_of(frame)
+    return index.bytes_of(0, index.count_fitting(room)).stop
+
+
 def everyone(robots: int) -> Reach:
     return {robot: [other for other in range(robots) if other != robot] for robot in range(robots)}
 
@@ -285,7 +291,7 @@ class Network:
             for at, frame in enumerate(each.frames):
                 size = len(frame)
                 if left is not None and size > left:
-                    size = packet_index.fitting(frame, left) if at == 2 else 0
+                    size = fitting(frame, left) if at == 2 else 0
                     self._closed = True
                     left = size
                 each.carried[at] = size
@@ -323,7 +329,7 @@ class Network:
         ]
         for at in self.rng.permutation(len(frames)):
             frame = frames[at].frames[0]
-            size = len(frame) if left is None else packet_index.fitting(frame, left)
+            size = len(frame) if left is None else fitting(frame, left)
             left = None if left is None else left - size
             frames[at].carried = [size]
             to = reach[frames[at].sender] if frames[at].receiver == EVERYONE else [frames[at].receiver]
