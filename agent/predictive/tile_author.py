@@ -28,8 +28,11 @@ QUIET_STEPS = 4
 LONGEST_WAIT = 16
 """Steps after which a tile is encoded although it still changes."""
 
-ENOUGH_BYTES = 96
+ENOUGH_BYTES = 60
 """Expected bytes of an update that is sent at once."""
+
+INTERVAL = 8
+"""Steps between shorter updates, which are sent for tiles that have waited for long."""
 
 TILE_BYTES = 3.0
 """Typical bytes of a tile in an update."""
@@ -47,6 +50,8 @@ class TileAuthor(Author[TileStream]):
         self._bound = bound
         self._pose = (0, 0)
         self._step = 0
+        self._last_step = 0
+        """The step of the last update."""
         self._changed = np.full(shape, -_NEVER, np.int64)
         """The step in which each tile last changed."""
         self._waiting_since = np.full(shape, _NEVER, np.int64)
@@ -77,7 +82,8 @@ class TileAuthor(Author[TileStream]):
         del own, received
         ready = self._ready()
         is_late = (self._waiting_since[ready] <= self._step - LONGEST_WAIT).any()
-        return bool(is_late or TILE_BYTES * np.count_nonzero(ready) >= ENOUGH_BYTES)
+        may_be_short = is_late and self._step >= self._last_step + INTERVAL
+        return bool(may_be_short or TILE_BYTES * np.count_nonzero(ready) >= ENOUGH_BYTES)
 
     def _ready(self) -> NDArray[np.bool_]:
         is_quiet = self._changed <= self._step - QUIET_STEPS
@@ -100,6 +106,7 @@ class TileAuthor(Author[TileStream]):
         since[ready] = _NEVER
         encoded = self.stream.encode(own, log_odds, self._bound, ready.view(np.uint8), self._pose)
         if encoded is not None:
+            self._last_step = self._step
             for box in self.stream.bases:
                 self._wait(box)
         return encoded
@@ -107,6 +114,7 @@ class TileAuthor(Author[TileStream]):
     def retract(self) -> None:
         """Take back the last update; its tiles wait again."""
         super().retract()
+        self._last_step = self._step - INTERVAL
         np.minimum(self._waiting_since, self._encoded, out=self._waiting_since)
 
     def restart(self, stream: TileStream, withdrawn: Sequence[DecodedUpdate]) -> None:
