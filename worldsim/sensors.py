@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from protocol.arrays import FloatRows
 from protocol.grid import Grid
 from protocol.keyed_random import keyed_random
 from protocol.messages import Sense
@@ -62,18 +63,20 @@ class Sensors:
         exact: Sense,
         truth: Grid,
         teammates: NDArray[np.bool_],
+        people: FloatRows,
         active: NDArray[np.bool_],
     ) -> Sense:
         """Return what a robot senses, from its true pose and what exact sensors would measure.
 
-        `truth` and `teammates` have shape (h, w). `active`, shape (beams,), marks the beams that the scanner sends.
+        `truth` and `teammates` have shape (h, w). `people`, shape (n, 3), are discs (`worldsim.people.People.discs`).
+        `active`, shape (beams,), marks the beams that the scanner sends.
         """
         step = exact.step
         place = _units(exact.x, exact.offset_x), _units(exact.y, exact.offset_y)
         turn = exact.heading * TURN // HEADINGS
         random = keyed_random(self._seed, "laser", robot, step)
         position = place[0] / UNIT, place[1] / UNIT
-        ranges = self._lasers[robot].ranges(truth, teammates, position, turn, random)
+        ranges = self._lasers[robot].ranges(truth, teammates, people, position, turn, random)
         ranges[~active] = NO_MEASUREMENT
         error_x, error_y, error_turn = self._errors[robot].at(step)
         height, width = truth.shape

@@ -64,6 +64,9 @@ def explore(
     pose: Annotated[
         str | None, _option("NAME", f"errors of the robots' poses: {', '.join(POSES)}", ROBOTS)
     ] = None,
+    people: Annotated[
+        int | None, _option("N", "people who walk about in the building (docs/real-sensors.md)", WORLD)
+    ] = None,
     thesis: Annotated[
         bool, _switch("--thesis", "the rules of the thesis, without later additions", RADIO)
     ] = False,
@@ -99,7 +102,7 @@ def explore(
     """
     overrides = settings | _other_settings(set_ or [], settings)
     overrides |= {"radio.preset": radio, "laser.preset": laser, "pose.preset": pose}
-    overrides["map_options.resolution"] = resolution
+    overrides |= {"map_options.resolution": resolution, "people.number": people}
     overrides = {name: value for name, value in overrides.items() if value is not None}
     if option:
         overrides["options"] = named_values(option, "option", "beta=0.5")

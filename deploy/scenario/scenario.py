@@ -40,7 +40,8 @@ from protocol.files import read_file
 from protocol.grid import MAX_ROBOTS
 from protocol.messages import Change, FaultEvent
 from protocol.packets import MAX_GOSSIP_MAPS, MAX_MAPS
-from worldsim.sensor_options import LASERS, POSES, LaserOptions, PoseOptions
+from worldsim.people_options import PeopleOptions
+from worldsim.sensor_options import IDEAL, LASERS, POSES, LaserOptions, PoseOptions
 
 SHIPPED = Path(__file__).with_name("shipped")
 """Directory of the scenarios that are installed with the code; a file name alone can refer to one."""
@@ -134,6 +135,7 @@ class Scenario(Table):
     pose: PoseOptions = Field(
         default_factory=PoseOptions, description="errors of the poses that robots believe in"
     )
+    people: PeopleOptions = Field(default_factory=PeopleOptions, description="people in the building")
     options: dict[str, Any] = Field(default_factory=dict, description="options of the strategy, by name")
     reply_timeout_s: Positive = Field(
         60.0, description="time limit for a robot's reply or move, seconds of wall clock"
@@ -211,7 +213,7 @@ class Scenario(Table):
         hint = "; number of robots is `robots`" if info.field_name == "robot" else ""
         raise ValueError(f"must be tables, [[{info.field_name}]], of {', '.join(kind.model_fields)}{hint}")
 
-    @field_validator("polygons", "predictive", "radio", "laser", "pose", mode="before")
+    @field_validator("polygons", "predictive", "radio", "laser", "pose", "people", mode="before")
     @classmethod
     def _types_are_exact(cls, value: object, info: ValidationInfo) -> object:
         check_types(cls.model_fields[str(info.field_name)].annotation, value)
@@ -254,6 +256,16 @@ class Scenario(Table):
         bandwidths = [self.bandwidth, *(change.bandwidth for change in self.change)]
         if self.radio.duty_cycle < 1 and WORD_FOR_UNLIMITED in bandwidths:
             raise ValueError("radio.duty_cycle: is a share of the bandwidth, which must be limited then")
+        if self.people.number and not self.is_noisy:
+            lasers = ", ".join(name for name in LASERS if name != IDEAL)
+            raise ValueError(
+                f"people.number = {self.people.number}: with exact lasers, a person would stay on maps as a wall; "
+                f"choose a laser.preset with errors: {lasers}"
+            )
+        if self.laser.rate < 1 and any(self.body_of(robot).scanner_turn for robot in range(self.robots)):
+            raise ValueError(
+                f"laser.rate = {self.laser.rate:g}: a turning scanner (scanner_turn) measures in every step"
+            )
         if self.start_jitter and self.start is None and not self.starts:
             raise ValueError("start_jitter: offsets a given start position: set start or starts")
         numbers = [entry.robot for entry in self.robot]
@@ -433,6 +445,7 @@ _KEYS = {
     "radio": [field.name for field in fields(RadioOptions)],
     "laser": [field.name for field in fields(LaserOptions)],
     "pose": [field.name for field in fields(PoseOptions)],
+    "people": [field.name for field in fields(PeopleOptions)],
     "radio.partition": [field.name for field in fields(Partition)],
 }
 """The valid keys of each table."""
