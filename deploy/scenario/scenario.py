@@ -79,7 +79,8 @@ class Scenario(Table):
     range: Range = Field("100%", description="communication range: meters, or % of the map's diagonal")
     bandwidth: Bandwidth = Field(1000, description="bytes per step for the whole team")
     map_encoding: str = Field(
-        "predictive", description="map encoding: polygons, scans, cells, predictive, none"
+        "predictive",
+        description="map encoding: polygons, scans, cells, predictive, slam-toolbox, zstd-maps, none",
     )
     strategy: str = Field(DEFAULT_STRATEGY, description="exploration strategy (murmur strategies lists all)")
     sensor_range: Positive = Field(5.0, description="laser range, meters")
@@ -237,6 +238,7 @@ class Scenario(Table):
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
+        from agent.encodings.catalog import encoding_class  # noqa: PLC0415  loads numpy, which --help does not need
         from agent.strategies.registry import strategy  # noqa: PLC0415  loads kernels, which --help does not need
 
         strategy(self.strategy).check(self.options)
@@ -256,8 +258,13 @@ class Scenario(Table):
         bandwidths = [self.bandwidth, *(change.bandwidth for change in self.change)]
         if self.radio.duty_cycle < 1 and WORD_FOR_UNLIMITED in bandwidths:
             raise ValueError("radio.duty_cycle: is a share of the bandwidth, which must be limited then")
+        lasers = ", ".join(name for name in LASERS if name != IDEAL)
+        if not self.is_noisy and encoding_class(self.map_encoding).needs_range_scans:
+            raise ValueError(
+                f"map_encoding = {self.map_encoding!r}: encodes ranges in meters, which exact lasers do not have; "
+                f"choose a laser.preset with errors: {lasers}"
+            )
         if self.people.number and not self.is_noisy:
-            lasers = ", ".join(name for name in LASERS if name != IDEAL)
             raise ValueError(
                 f"people.number = {self.people.number}: with exact lasers, a person would stay on maps as a wall; "
                 f"choose a laser.preset with errors: {lasers}"
