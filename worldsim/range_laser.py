@@ -22,6 +22,8 @@ from worldsim.sensor_options import LaserOptions
 EDGE_M = 0.3
 """Difference of the ranges of neighboring beams between which there is an edge, in meters."""
 
+NO_DISCS: FloatRows = np.empty((0, 3))
+
 _BEYOND, _TEAMMATE = -1.0, -2.0
 """Results of a beam that meets nothing within its reach, and of one that meets a teammate."""
 
@@ -42,10 +44,10 @@ class RangeLaser:
         self,
         truth: Grid,
         teammates: NDArray[np.bool_],
-        people: FloatRows,
         place: tuple[float, float],
         heading: int,
         random: Generator,
+        people: FloatRows = NO_DISCS,
     ) -> Uint16s:
         """Measure from a position (x, y) in cells, as millimeters of shape (beams,).
 

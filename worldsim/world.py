@@ -34,9 +34,8 @@ from worldsim.motion import (
     swept,
 )
 from worldsim.people import People, PeopleSettings
+from worldsim.range_laser import NO_DISCS
 from worldsim.sensors import Sensors, SensorSettings
-
-NO_DISCS = np.empty((0, 3))
 
 MOVES_AS_PLANNED = 0.7
 """Probability that a robot close to another moves as planned (Burgard et al., section IV)."""
@@ -335,7 +334,7 @@ class World:
         if body.scanner_turn:
             active &= (beams - angle) % FULL_TURN < body.scanner_turn
         discs = NO_DISCS if self._people is None else self._people.discs
-        return self._sensors.sense(robot, exact, self.truth, occupied, discs, active)
+        return self._sensors.sense(robot, exact, self.truth, occupied, active, discs)
 
 
 @kernel
