@@ -59,7 +59,7 @@ def test_a_noisy_run_is_the_same_on_both_buses() -> None:
 def test_baselines_reach_late_robots_over_a_lossy_radio(map_encoding: str, dissemination: str) -> None:
     """A robot that restarts receives the maps of the others again, from robots that forward them, too."""
     late: dict[str, Any] = {
-        "map_encoding": map_encoding, "dissemination": dissemination, "steps": 40, "range": "40%",
+        "map_encoding": map_encoding, "dissemination": dissemination, "steps": 50, "range": "40%",
         "laser": {"preset": "rplidar-a1"}, "radio": {"loss": 0.1},
         "fault": [{"step": 20, "robot": 1, "kind": "restart"}],
     }  # fmt: skip
