@@ -86,6 +86,7 @@ class Robot:
         """The planning grid: the self-explored one merged with teammates' maps."""
         self._noisy_grid = NoisyGrid(*self.own.shape) if settings.laser is not None else None
         self._encoding = make_encoding(settings)
+        self._encoding.use_log_odds(self._mapper.log_odds)
         self._team = TeamState(settings)
         consume = partial(_consume, self._encoding, self._team)
         rebuild = partial(_rebuild, self._encoding, self._team)

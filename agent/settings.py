@@ -76,6 +76,8 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Whether to report map changes to the recorder."""
     laser: Laser | None = None
     """The beams of the robots' lasers; None: exact readings in cells (`protocol.scans`)."""
+    tolerance: int = 0
+    """Cells between a wall and its copy on a teammate's map at most; 0: copies are exact."""
 
     @property
     def maps(self) -> int:
@@ -86,6 +88,11 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     def own_map(self) -> int:
         """The map ID of this robot and incarnation (`agent.identity`)."""
         return self.robot + self.robots * self.incarnation
+
+    @property
+    def shares_tiles(self) -> bool:
+        """Whether the `predictive` encoding sends tiles of grids instead of exact scans."""
+        return self.laser is not None or self.tolerance > 0
 
     def author_of(self, map_id: int) -> int:
         """Return the robot whose map has this ID, in any of its incarnations."""

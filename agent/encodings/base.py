@@ -7,7 +7,10 @@ from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from typing import Any, ClassVar, NamedTuple
 
+import numpy as np
+
 from agent.encodings.reachability_check import ReachabilityCheck
+from agent.mapping.estimator import Int8Grid
 from agent.outline.polygons import Polygons
 from agent.settings import Settings
 from protocol.errors import ProtocolError
@@ -48,6 +51,7 @@ class MapEncoding(ABC):
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
+        self.log_odds: Int8Grid = np.empty((0, 0), np.int8)
         self._reachability = ReachabilityCheck(settings)
 
     @classmethod
@@ -72,6 +76,13 @@ class MapEncoding(ABC):
         The caller passes the same `cache` to all robots, before the first step.
         """
         del cache
+
+    def use_log_odds(self, log_odds: Int8Grid) -> None:
+        """Read the certainty of the self-explored grid's cells in this array, int8 of shape (h, w), before each step.
+
+        It holds log odds of noisy lasers (`agent.mapping.estimator`), else 0 for unknown cells.
+        """
+        self.log_odds = log_odds
 
     @abstractmethod
     def encode_changes(

@@ -1,12 +1,12 @@
-"""The `predictive` encoding: scan positions and prediction errors (ours; docs/predictive.md).
+"""The `predictive` encoding: what receivers cannot predict from the map that they hold (ours; docs/predictive.md).
 
-It is as exact as raw scans, and hundreds of times shorter. A receiver that holds the same map predicts a scan by ray
-casting, so the sender transmits the prediction errors alone (`agent.predictive`).
+Of exact lasers, updates contain scans: a receiver that holds the same map predicts a scan by ray casting, so the sender
+transmits the prediction errors alone. Of noisy lasers, they contain tiles of the grid in which receivers' copies lie
+outside a tolerance (`agent.predictive`).
 
-A robot collects changes until there are a few new cells, or a few steps have passed. Then it encodes one update of all
-cells that its log does not contain yet, or with base `team` no log that it has received. If no teammate has received
-the last update by the next step, the robot retracts it and encodes a new one: meanwhile, teammates may have reported
-some of its cells.
+A robot collects changes for a few steps. Then it encodes one update of all cells that its log does not contain yet, or
+with base `team` no log that it has received. If no teammate has received the last update by the next step, the robot
+retracts it and encodes a new one: meanwhile, teammates may have reported some of its cells.
 
 If entries of another log were dropped because their author did not write them (`agent.replication.replica`), updates
 that depend on them are wrong. The robot then withdraws those of its own: an update without content withdraws the last
@@ -25,15 +25,19 @@ import numpy as np
 from agent.encodings.base import NO_SENDER, Dependency
 from agent.encodings.options import PredictiveOptions
 from agent.encodings.received_grid import GridEncoding
+from agent.mapping.bound import Bound
+from agent.mapping.estimator import SETTLED
+from agent.predictive.author import Author
 from agent.predictive.history import DecodedUpdate, History
-from agent.predictive.scan_updates import REPORTED
+from agent.predictive.scan_author import ScanAuthor
+from agent.predictive.scan_stream import ScanStream
 from agent.predictive.shared_decoder import CachedReader, SharedDecoderCache
 from agent.predictive.stream import Stream
+from agent.predictive.tile_author import TileAuthor
+from agent.predictive.tile_stream import TileStream
 from agent.settings import Settings
-from protocol.boxes import Box, bounding_box
 from protocol.errors import ProtocolError
-from protocol.grid import UNKNOWN, Grid, ray_table
-from protocol.kernels import kernel
+from protocol.grid import Grid, ray_table
 from protocol.packets import (
     LAST_UPDATE_DATA,
     SHORT_HEAD,
@@ -45,9 +49,6 @@ from protocol.packets import (
 )
 from protocol.range_scans import RangeScan
 from protocol.scans import Change, Scan
-
-ENOUGH_CELLS = 14
-"""New cells that are sent at once; fewer may wait (`ENOUGH_STEPS`)."""
 
 ENOUGH_STEPS = 4
 """Steps for which fewer new cells wait at most, if bandwidth is scarce."""
@@ -61,15 +62,6 @@ PATIENCE = 8
 PACKETS_A_STEP = 3
 """Packets are short enough that the budget of one step holds this many: a packet that does not fit into the rest of
 a budget leaves that rest unused."""
-
-
-@dataclass
-class _Pending:
-    """Input of the next update: cells from which the robot scanned, and where its grid has changed since the last."""
-
-    poses: list[tuple[int, int]] = field(default_factory=list)
-    boxes: list[Box] = field(default_factory=list)
-    steps: int = 0
 
 
 @dataclass
@@ -123,17 +115,14 @@ class PredictiveEncoding(GridEncoding):
     def __init__(self, settings: Settings) -> None:
         super().__init__(settings)
         self._options = PredictiveOptions(**settings.predictive)
+        self._limits = _Limits.of(settings)
         self._histories = [History() for _ in range(settings.maps)]
         self._scratch = np.empty((2 * settings.height * settings.width, 2), np.int32)
-        self._own = self._stream(settings.own_map, self._histories)
-        self._streams: dict[int, Stream | CachedReader] = {settings.own_map: self._own}
+        self._author = self._make_author()
+        self._streams: dict[int, Stream | CachedReader] = {settings.own_map: self._author.stream}
         """Encoder or decoder of each log of which an update exists."""
         self._caches: dict[int, SharedDecoderCache] | None = None
         """Decoders by map ID, if the robots of this process share them."""
-        self._limits = _Limits.of(settings)
-        self._pending = _Pending()
-        self._encoded = _Pending()
-        """Input of the last update, to restore `_pending` if the update is retracted."""
         self._last: DecodedUpdate | None = None
         self._states = [_LogState() for _ in range(settings.maps)]
         """By map ID."""
@@ -149,18 +138,24 @@ class PredictiveEncoding(GridEncoding):
         """Decode each log once for all robots of this process."""
         self._caches = cache.setdefault(self.name, {})
 
+    def _make_author(self) -> Author[Any]:
+        """Make the encoder of this robot's log, at its beginning."""
+        settings = self.settings
+        stream = self._stream(settings.own_map, self._histories)
+        if isinstance(stream, ScanStream):
+            return ScanAuthor(stream, self._limits.wait_steps)
+        assert isinstance(stream, TileStream)
+        return TileAuthor(stream, Bound(settings.tolerance, 1 if settings.laser is None else SETTLED))
+
     def _stream(self, map_id: int, histories: Sequence[History]) -> Stream:
         """Make the encoder or decoder of a log, at its beginning."""
         settings = self.settings
-        return Stream(
-            map_id,
-            np.zeros((settings.height, settings.width), np.uint8),
-            ray_table(settings.ranges_cells[settings.author_of(map_id)], settings.beams),
-            histories,
-            self._scratch,
-            team=self._options.base == "team",
-            base_maps=settings.robots,
-        )
+        grid = np.zeros((settings.height, settings.width), np.uint8)
+        maps, team = settings.robots, self._options.base == "team"
+        if settings.shares_tiles:
+            return TileStream(map_id, grid, histories, self._scratch, team=team, base_maps=maps)
+        beams = ray_table(settings.ranges_cells[settings.author_of(map_id)], settings.beams)
+        return ScanStream(map_id, grid, beams, histories, self._scratch, team=team, base_maps=maps)
 
     def _decoder(self, map_id: int) -> Stream | CachedReader:
         """Return the decoder of a log; make it for the first update."""
@@ -187,44 +182,29 @@ class PredictiveEncoding(GridEncoding):
         self, own: Grid, scan: Scan | RangeScan, change: Change, *, delivered: bool
     ) -> list[bytes]:
         """Encode an update, if there is anything to report."""
-        pending = self._pending
-        if change.cells:
-            pending.poses.append((scan.x, scan.y))
-            pending.boxes.append(change.box)
-        if not pending.boxes:
+        author = self._author
+        author.add(scan, change)
+        if not author.has_changes:
             return []
-        pending.steps += 1
         self.retractable = 0
-        if not delivered or self._bases_changed:
-            return []
-        new_cells = int(_unreported(self.received, self._own.grid, own, *bounding_box(pending.boxes)))
-        if 0 < new_cells < ENOUGH_CELLS and pending.steps < self._limits.wait_steps:
-            return []
-        if not new_cells:
-            self._pending = _Pending()
+        if not delivered or self._bases_changed or not author.is_due(own, self.received):
             return []
         return self._encode_pending(own)
 
     def _encode_pending(self, own: Grid) -> list[bytes]:
         """Encode updates up to the budget of a step; the rest stays pending."""
         map_id = self.settings.own_map
-        stream, log = self._own, self._states[map_id]
-        stream.avoided = {
+        author, log = self._author, self._states[map_id]
+        author.stream.avoided = {
             each for each in range(self.settings.maps) if self.settings.author_of(each) in self.doubted
         }
         packets: list[bytes] = []
         size = updates = 0
-        while self._pending.poses and size < self._limits.step_bytes:
-            pending = self._pending
-            box = bounding_box(pending.boxes)
-            update = stream.encode(own, pending.poses, box, most=self._limits.step_bytes - size)
-            self._pending = _Pending()
-            if update is None:
+        while author.has_changes and size < self._limits.step_bytes:
+            encoded = author.encode(own, self.log_odds, self._limits.step_bytes - size)
+            if encoded is None:
                 break
-            message, self._last, scans = update
-            self._encoded = _Pending(pending.poses[:scans], [box], pending.steps)
-            if scans < len(pending.poses):
-                self._pending = _Pending(pending.poses[scans:], [box], pending.steps)
+            message, self._last = encoded
             self._count_votes(self._last)
             packets += fragments(message, log.updates, self._limits.packet_bytes)
             log.ends.append(log.packets + len(packets))
@@ -240,7 +220,7 @@ class PredictiveEncoding(GridEncoding):
         """Remove the last update from the log; its changes become pending again."""
         assert self._last is not None
         map_id = self.settings.own_map
-        self._own.rollback()
+        self._author.retract()
         self._histories[map_id].pop()
         log, dependencies = self._states[map_id], self._dependencies[map_id]
         log.packets -= self.retractable
@@ -249,10 +229,6 @@ class PredictiveEncoding(GridEncoding):
         if dependencies and dependencies[-1].end == end:
             dependencies.pop()
         self._count_votes(replace(self._last, states=self._last.before))
-        encoded, pending = self._encoded, self._pending
-        self._pending = _Pending(
-            encoded.poses + pending.poses, encoded.boxes + pending.boxes, encoded.steps + pending.steps
-        )
         self._last = None
         super().retract_last()
 
@@ -274,16 +250,14 @@ class PredictiveEncoding(GridEncoding):
             return []
         withdrawn = updates[valid:]
         self._histories[map_id] = History()
-        self._own = self._streams[map_id] = self._stream(map_id, self._histories)
+        stream = self._streams[map_id] = self._stream(map_id, self._histories)
         for update in updates[:valid]:
-            self._own.decode(update.message)
-            self._own.commit()
+            stream.decode(update.message)
+            stream.commit()
+        self._author.restart(stream, withdrawn)
         del log.ends[valid:]
         end = log.ends[-1] if log.ends else 0
         self._dependencies[map_id] = [each for each in self._dependencies[map_id] if each.end <= end]
-        height, width = self.received.shape
-        poses = [each.pose for each in withdrawn if each.pose is not None]
-        self._pending = _Pending(poses + self._pending.poses, [(0, 0, width, height)], self._pending.steps)
         self._last, self.retractable = None, 0
         packets = [
             encode([Update((log.updates + each) % UPDATE_NUMBERS, b"")]) for each in range(len(withdrawn))
@@ -460,17 +434,3 @@ def fragments(message: bytes, number: int, most: int) -> list[bytes]:
         packets.append(encode([Update(None, message[:UPDATE_DATA])]))
         message = message[UPDATE_DATA:]
     return [*packets, encode([Update(number % UPDATE_NUMBERS, message)])]
-
-
-@kernel
-def _unreported(received: Grid, logged: Grid, own: Grid, x0: int, y0: int, x1: int, y1: int) -> int:
-    """Count the cells of a box whose state in `own` neither this robot's log nor a received log reports."""
-    count = 0
-    for y in range(y0, y1):
-        for x in range(x0, x1):
-            truth = own[y, x]
-            if truth == UNKNOWN:
-                count += logged[y, x] & REPORTED != 0
-            else:
-                count += received[y, x] != truth and logged[y, x] != truth | REPORTED
-    return count

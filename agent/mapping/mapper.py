@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from agent.mapping.estimator import Estimator
+from agent.mapping.estimator import Estimator, Int8Grid
 from agent.settings import Settings
 from protocol.errors import ProtocolError
 from protocol.grid import UNKNOWN, Grid, ray_table
@@ -24,6 +24,8 @@ class Mapper(ABC):
 
     states: Grid
     """The self-explored grid."""
+    log_odds: Int8Grid
+    """How certain each cell is, shape (h, w); without noise, positive for known cells."""
     known_cells = 0
     """Number of cells that are known."""
 
@@ -40,6 +42,7 @@ class ExactMapper(Mapper):
 
     def __init__(self, settings: Settings) -> None:
         self.states = np.full((settings.height, settings.width), UNKNOWN, np.uint8)
+        self.log_odds = self.states.view(np.int8)
         self._ray_table = ray_table(settings.range_cells, settings.beams)
 
     def add(self, sense: Sense) -> tuple[Scan, Change]:
@@ -57,7 +60,7 @@ class EstimatingMapper(Mapper):
 
     def __init__(self, settings: Settings, laser: Laser) -> None:
         self._estimator = Estimator(settings.height, settings.width)
-        self.states = self._estimator.states
+        self.states, self.log_odds = self._estimator.states, self._estimator.log_odds
         self._laser, self._resolution, self._radius = laser, settings.resolution, settings.radius_cells
 
     def add(self, sense: Sense) -> tuple[RangeScan, Change]:

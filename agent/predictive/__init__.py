@@ -1,5 +1,8 @@
-"""Predictive coding of laser scans: a receiver predicts each scan by ray casting, and receives prediction errors alone.
+"""Predictive coding of maps: receivers are sent only what they cannot predict from the grid that they hold.
 
-Begin with `scan_updates`, which codes one update: scans along their beams, then corrections. `coder` is the arithmetic
-coder, `contexts` its probability model, and `stream` the sequence of updates of one map.
+Of exact lasers, updates contain scans, which a receiver predicts by ray casting: `scan_updates` codes their prediction
+errors, `scan_stream` the sequence of a map's updates, and `scan_author` decides when to send one. Of noisy lasers,
+updates contain tiles of the grid, within a bounded error: `tiles`, `tile_stream`, and `tile_author`. Both share
+`stream`, the dependencies between maps, and `coder`, the arithmetic coder. `contexts` and `mixer` are its probability
+models.
 """

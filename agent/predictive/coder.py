@@ -101,15 +101,9 @@ def _shift(state: State, data: Data) -> None:
 
 
 @kernel
-def code_bit(coder: Coder, context: int, bit: int, most: int) -> int:
-    """Encode `bit`, or decode a bit, in a context, a row of the counts; return it.
-
-    The counts are updated with this bit; both are halved when their sum reaches `most`.
-    """
-    state, data, counts = coder
-    zeros, ones = np.int64(counts[context, 0]), np.int64(counts[context, 1])
+def divide(state: State, data: Data, part: int, bit: int) -> int:
+    """Encode `bit`, or decode a bit, for which 0 takes the first `part` of the interval; return it."""
     width = state[WIDTH]
-    part = (width * (2 * zeros + 1)) // (2 * (zeros + ones) + 2)
     if state[DECODES]:
         bit = 0 if state[LOW] < part else 1
         if bit:
@@ -121,6 +115,19 @@ def code_bit(coder: Coder, context: int, bit: int, most: int) -> int:
         width <<= 8
         _shift(state, data)
     state[WIDTH] = width
+    return bit
+
+
+@kernel
+def code_bit(coder: Coder, context: int, bit: int, most: int) -> int:
+    """Encode `bit`, or decode a bit, in a context, a row of the counts; return it.
+
+    The counts are updated with this bit; both are halved when their sum reaches `most`.
+    """
+    state, data, counts = coder
+    zeros, ones = np.int64(counts[context, 0]), np.int64(counts[context, 1])
+    part = (state[WIDTH] * (2 * zeros + 1)) // (2 * (zeros + ones) + 2)
+    bit = divide(state, data, part, bit)
     counts[context, bit] += 1
     if zeros + ones + 1 >= most:
         counts[context, 0] >>= 1

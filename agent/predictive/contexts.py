@@ -62,7 +62,10 @@ OTHER_ROW = SAME_ROW + NUMBER
 CHANGED = OTHER_ROW + NUMBER
 """Which of the two other states a corrected cell has: by its predicted state."""
 
-CONTEXTS = CHANGED + 3
+HAS_TILES = CHANGED + 3
+"""Whether an update of tiles has any."""
+
+CONTEXTS = HAS_TILES + 1
 
 TABLE = Path(__file__).with_name("start.npz")
 """The shipped table: counts trained on generated maps."""

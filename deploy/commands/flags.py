@@ -20,6 +20,7 @@ SETTINGS = {
     "Robots": {"robots": "N", "strategy": "NAME", "sensor_range": "METERS", "speed": "METERS"},
     "Radio": {
         "range": "METERS|P%", "bandwidth": "BYTES|unlimited", "map_encoding": "NAME", "dissemination": "NAME",
+        "tolerance": "CELLS",
     },
     "Run": {"seed": "S", "steps": "MAX", "bus": "zenoh|memory"},
 }  # fmt: skip

@@ -17,6 +17,7 @@ from agent.encodings.options import PolygonOptions, PredictiveOptions
 from deploy.scenario.finding_maps import FILES as MAP_FILES
 from deploy.scenario.tables import (
     MAX_INTEGER,
+    MAX_TOLERANCE,
     Bandwidth,
     ChangeTable,
     Degrees,
@@ -137,6 +138,13 @@ class Scenario(Table):
         default_factory=PoseOptions, description="errors of the poses that robots believe in"
     )
     people: PeopleOptions = Field(default_factory=PeopleOptions, description="people in the building")
+    tolerance: Whole = Field(
+        default_factory=lambda given: int(_is_noisy(given.get("laser"), given.get("pose"))),
+        ge=0,
+        le=MAX_TOLERANCE,
+        description="cells between a wall and its copy on teammates' maps at most (default 1 with errors of lasers or "
+        "poses, else 0)",
+    )
     options: dict[str, Any] = Field(default_factory=dict, description="options of the strategy, by name")
     reply_timeout_s: Positive = Field(
         60.0, description="time limit for a robot's reply or move, seconds of wall clock"
@@ -293,7 +301,7 @@ class Scenario(Table):
     @property
     def is_noisy(self) -> bool:
         """Whether lasers or poses have errors."""
-        return not (self.laser.is_ideal and self.pose.is_exact)
+        return _is_noisy(self.laser, self.pose)
 
     def range_m(self, diagonal_m: float) -> float:
         """Return the communication range in meters, on a map with this diagonal in meters."""
@@ -429,6 +437,10 @@ def beside(path: Path, named: Any) -> Any:
     elsewhere = Path(os.environ.get("MURMUR_MAPS", "")) / named
     is_there = not (path.parent / named).exists() and elsewhere.exists()
     return str(elsewhere if is_there else path.parent / named)
+
+
+def _is_noisy(laser: LaserOptions | None, pose: PoseOptions | None) -> bool:
+    return not ((laser is None or laser.is_ideal) and (pose is None or pose.is_exact))
 
 
 def parse(data: dict[str, Any], where: str = "scenario") -> Scenario:

@@ -13,6 +13,9 @@ from protocol.budget import WORD_FOR_UNLIMITED
 from protocol.errors import shown
 from protocol.messages import FaultEvent
 
+MAX_TOLERANCE = 4
+"""Largest tolerance of shared maps, in cells."""
+
 MAX_INTEGER = 2**31 - 1
 """Largest integer that the columns of the ledger can hold."""
 

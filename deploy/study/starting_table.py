@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from agent.encodings.predictive import ENOUGH_STEPS
 from agent.predictive import contexts
 from agent.predictive.history import History
-from agent.predictive.stream import Stream
+from agent.predictive.scan_stream import ScanStream
 from deploy.run.recording_bus import record_run
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
@@ -50,7 +50,7 @@ def counted(plan: Plan, senses: list[list[Sense]]) -> Iterator[NDArray[np.uint16
     scratch = np.empty((2 * shape[0] * shape[1], 3), np.int32)
     even = np.zeros((contexts.CONTEXTS, 2), np.uint16)
     streams = [
-        Stream(n, grids[n], ray_tables[n], histories, scratch, team=True, counts=even.copy())
+        ScanStream(n, grids[n], ray_tables[n], histories, scratch, team=True, counts=even.copy())
         for n in range(robots)
     ]
     own = np.full((robots, *shape), UNKNOWN, np.uint8)

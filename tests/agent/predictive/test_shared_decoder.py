@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from agent.predictive.history import History
+from agent.predictive.scan_stream import ScanStream
 from agent.predictive.shared_decoder import MAX_DECODERS, CachedReader, SharedDecoderCache
-from agent.predictive.stream import Stream
 from protocol.grid import FREE, ray_table
 
 SIDE = 9
@@ -22,10 +22,10 @@ class Caches:
         self.made = 0
         self._caches = [SharedDecoderCache(map_id, self.stream) for map_id in range(maps)]
 
-    def stream(self, map_id: int, histories: Sequence[History]) -> Stream:
+    def stream(self, map_id: int, histories: Sequence[History]) -> ScanStream:
         self.made += 1
         scratch = np.empty((2 * SIDE * SIDE, 2), np.int32)
-        return Stream(map_id, np.zeros((SIDE, SIDE), np.uint8), BEAMS, histories, scratch, team=True)
+        return ScanStream(map_id, np.zeros((SIDE, SIDE), np.uint8), BEAMS, histories, scratch, team=True)
 
     def robot(self) -> tuple[list[CachedReader], list[History]]:
         histories = [History() for _ in self._caches]
@@ -38,7 +38,9 @@ def updates(seed: int, count: int) -> list[bytes]:
     """Updates of a robot in an empty hall that observes random cells."""
     rng = np.random.default_rng(seed)
     scratch = np.empty((2 * SIDE * SIDE, 2), np.int32)
-    author = Stream(0, np.zeros((SIDE, SIDE), np.uint8), BEAMS, [History(), History()], scratch, team=True)
+    author = ScanStream(
+        0, np.zeros((SIDE, SIDE), np.uint8), BEAMS, [History(), History()], scratch, team=True
+    )
     own = np.zeros((SIDE, SIDE), np.uint8)
     sent: list[bytes] = []
     while len(sent) < count:

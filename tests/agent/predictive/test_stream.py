@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from agent.predictive import contexts
 from agent.predictive.history import DecodedUpdate, History
+from agent.predictive.scan_stream import ScanStream
 from agent.predictive.scan_updates import MAX_SCANS, REPORTED, STATE
-from agent.predictive.stream import Stream
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, ray_table
 from protocol.scans import draw
@@ -38,7 +38,7 @@ class Group:
         self.histories = [History() for _ in ranges]
         scratch = np.empty((2 * shape[0] * shape[1], 2), np.int32)
         self.streams = [
-            Stream(robot, self.grids[robot], ray_table(reach, BEAMS), self.histories, scratch, team=team)
+            ScanStream(robot, self.grids[robot], ray_table(reach, BEAMS), self.histories, scratch, team=team)
             for robot, reach in enumerate(ranges)
         ]
 
@@ -267,7 +267,7 @@ def test_hostile_bytes_cost_bounded_time(size: int) -> None:
     scratch = np.empty((2 * grid.size, 2), np.int32)
     worst = 0.0
     for seed in range(6):
-        stream = Stream(0, grid, ray_table(50.0, 360), [History()], scratch, team=False)
+        stream = ScanStream(0, grid, ray_table(50.0, 360), [History()], scratch, team=False)
         message = bytes(size) if seed == 0 else np.random.default_rng(seed).bytes(size)
         began = time.process_time()
         try:

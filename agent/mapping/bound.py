@@ -1,0 +1,206 @@
+"""The bounded error of a shared map: change as little as a tolerance allows of the grid that receivers hold.
+
+Distances are Chebyshev distances in cells. A cell is settled if the robot is certain of its state: its log odds have at
+least a given absolute value. After an update
+
+1. every settled wall has a held wall within the tolerance,
+2. every held wall on a cell that is settled as free has a wall of the robot's own grid within the tolerance,
+3. every settled free cell is held as free, or has a held wall within the tolerance,
+4. receivers know a state of every known wall, of the cells beside it, and of cells whose surroundings are mostly free.
+
+The last condition completes areas that the robot has seen once from afar: without it, teammates would explore them
+again. Single beams into unknown areas are not sent.
+
+With tolerance 0, receivers hold every known cell of the robot's own grid, settled or not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from agent.mapping.estimator import Int8Grid
+from protocol.arrays import Int64s
+from protocol.boxes import Box
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
+from protocol.kernels import kernel
+
+TILE = 8
+"""Side of a tile in cells."""
+
+MOSTLY = 6
+"""Free cells, of a cell and its eight neighbors, from which it counts as free although it is not settled."""
+
+_REMOVE, _WALLS, _FREE, _FILL = range(4)
+"""Phases, in this order: remove walls that the robot has not found (2), add walls (1), add free cells (3), also those
+that have lost their wall, fill incomplete (4) and changed tiles. A removed wall is never the only copy of a settled
+wall, because it has no wall of the robot's own grid within the tolerance."""
+
+
+def tiles_of(height: int, width: int) -> tuple[int, int]:
+    """Return the numbers of tile rows and columns that cover a grid."""
+    return -(-height // TILE), -(-width // TILE)
+
+
+@dataclass(frozen=True)
+class Bound:
+    """The error that a copy of this robot's grid may have."""
+
+    tolerance: int
+    """Cells between a wall and its copy at most."""
+    settled: int
+    """Absolute log odds from which a cell is settled."""
+
+    def tiles_near(self, box: Box) -> tuple[slice, slice]:
+        """Return the rows and columns of tiles in which changes of the cells in a box may violate the bound.
+
+        A change may remove a wall on which a cell relied, and a wall within the tolerance of that cell.
+        """
+        x0, y0, x1, y1 = box
+        reach = 2 * self.tolerance
+        rows = slice(max(0, y0 - reach) // TILE, (y1 + reach - 1) // TILE + 1)
+        return rows, slice(max(0, x0 - reach) // TILE, (x1 + reach - 1) // TILE + 1)
+
+    def apply(
+        self, own: Grid, log_odds: Int8Grid, held: Grid, tiles: Grid, target: Grid, changed: Grid
+    ) -> int:
+        """Compute the states that receivers shall hold, in the marked tiles; return the number of tiles that change.
+
+        Parameters
+        ----------
+        own, log_odds : arrays, shape (h, w)
+            States and log odds of the robot's estimator.
+        held : uint8 array, shape (h, w)
+            The grid that receivers hold; states are in the low two bits.
+        tiles : uint8 array, shape (tile rows, tile columns)
+            Marks of the tiles that may change, and whose cells then fulfill the bound.
+        target : uint8 array, shape (h, w)
+            Result: the states of all cells in and around the marked tiles.
+        changed : uint8 array, shape (tile rows, tile columns)
+            Result: 1 for tiles in which they differ from the held ones.
+        """
+        settled = self.settled if self.tolerance else 0
+        return int(_apply(own, log_odds, settled, held, tiles, self.tolerance, target, changed))
+
+
+@kernel
+def _has_wall(grid: Grid, x: int, y: int, tolerance: int) -> bool:
+    """Whether there is a wall within the tolerance of a cell."""
+    for row in range(max(0, y - tolerance), min(grid.shape[0], y + tolerance + 1)):
+        for column in range(max(0, x - tolerance), min(grid.shape[1], x + tolerance + 1)):
+            if grid[row, column] & 3 == OCCUPIED:
+                return True
+    return False
+
+
+@kernel
+def _shared(own: Grid, log_odds: Int8Grid, settled: int, x: int, y: int) -> int:
+    """Return the state that receivers shall hold of a cell that they do not know.
+
+    A cell that is neither settled nor beside a wall is free if most cells around it are free, else unknown.
+    """
+    state = int(own[y, x])
+    if state == OCCUPIED or abs(np.int64(log_odds[y, x])) >= settled:
+        return state
+    free = 0
+    for row in range(max(0, y - 1), min(own.shape[0], y + 2)):
+        for column in range(max(0, x - 1), min(own.shape[1], x + 2)):
+            if own[row, column] == OCCUPIED:
+                return state
+            free += own[row, column] == FREE
+    return FREE if free >= MOSTLY else UNKNOWN
+
+
+@kernel
+def _is_complete(
+    own: Grid, log_odds: Int8Grid, settled: int, held: Grid, box: Int64s, tolerance: int
+) -> bool:
+    """Whether receivers hold all cells of a tile that they shall know, or a wall beside them."""
+    for y in range(box[1], box[3]):
+        for x in range(box[0], box[2]):
+            if held[y, x] == UNKNOWN:
+                state = _shared(own, log_odds, settled, x, y)
+                if state == OCCUPIED or (state == FREE and not _has_wall(held, x, y, tolerance)):
+                    return False
+    return True
+
+
+@kernel
+def _must_change(phase: int, own: Grid, held: Grid, x: int, y: int, tolerance: int) -> bool:
+    """Whether a cell whose own state is known, and differs from the held one, must take the own state in a phase."""
+    state = own[y, x]
+    if phase == _REMOVE:
+        return bool(state == FREE and held[y, x] == OCCUPIED and not _has_wall(own, x, y, tolerance))
+    if phase == _WALLS:
+        return bool(state == OCCUPIED and not _has_wall(held, x, y, tolerance))
+    return bool(state == FREE and held[y, x] == UNKNOWN and not _has_wall(held, x, y, tolerance))
+
+
+@kernel
+def _change_tile(
+    phase: int,
+    own: Grid,
+    log_odds: Int8Grid,
+    settled: int,
+    target: Grid,
+    box: Int64s,
+    tolerance: int,
+    was_changed: bool,
+) -> bool:
+    """Change the cells of a tile in a phase; return whether any has changed, now or before."""
+    if phase == _FILL:
+        if not was_changed and _is_complete(own, log_odds, settled, target, box, tolerance):
+            return False
+        for y in range(box[1], box[3]):
+            for x in range(box[0], box[2]):
+                if target[y, x] == UNKNOWN:
+                    target[y, x] = _shared(own, log_odds, settled, x, y)
+        return True
+    changed = was_changed
+    for y in range(box[1], box[3]):
+        for x in range(box[0], box[2]):
+            if own[y, x] == UNKNOWN or own[y, x] == target[y, x]:
+                continue
+            if abs(np.int64(log_odds[y, x])) >= settled and _must_change(phase, own, target, x, y, tolerance):
+                target[y, x] = own[y, x]
+                changed = True
+    return changed
+
+
+@kernel
+def _apply(
+    own: Grid,
+    log_odds: Int8Grid,
+    settled: int,
+    held: Grid,
+    tiles: Grid,
+    tolerance: int,
+    target: Grid,
+    changed: Grid,
+) -> int:
+    height, width = held.shape
+    changed[:] = 0
+    top, left, bottom, right = tiles.shape[0], tiles.shape[1], -1, -1
+    for tile_y in range(tiles.shape[0]):
+        for tile_x in range(tiles.shape[1]):
+            if tiles[tile_y, tile_x]:
+                top, left = min(top, tile_y), min(left, tile_x)
+                bottom, right = max(bottom, tile_y), max(right, tile_x)
+    for y in range(max(0, top * TILE - tolerance), min(height, (bottom + 1) * TILE + tolerance)):
+        for x in range(max(0, left * TILE - tolerance), min(width, (right + 1) * TILE + tolerance)):
+            target[y, x] = held[y, x] & 3
+    count = 0
+    box = np.empty(4, np.int64)
+    for phase in (_REMOVE, _WALLS, _FREE, _FILL):
+        for tile_y in range(top, bottom + 1):
+            for tile_x in range(left, right + 1):
+                if not tiles[tile_y, tile_x]:
+                    continue
+                box[0], box[1] = tile_x * TILE, tile_y * TILE
+                box[2], box[3] = min(box[0] + TILE, width), min(box[1] + TILE, height)
+                before = changed[tile_y, tile_x] > 0
+                after = _change_tile(phase, own, log_odds, settled, target, box, tolerance, before)
+                changed[tile_y, tile_x] = after
+                count += after and not before
+    return count

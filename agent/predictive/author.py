@@ -1,0 +1,56 @@
+"""The author's end of a log: it collects the changes of this robot's grid, and decides when to encode an update."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Generic, TypeVar
+
+from agent.mapping.estimator import Int8Grid
+from agent.predictive.history import DecodedUpdate
+from agent.predictive.stream import Stream
+from protocol.grid import Grid
+from protocol.range_scans import RangeScan
+from protocol.scans import Change, Scan
+
+AnyStream = TypeVar("AnyStream", bound=Stream)
+
+
+class Author(ABC, Generic[AnyStream]):
+    """Encodes this robot's changes into its stream."""
+
+    def __init__(self, stream: AnyStream) -> None:
+        self.stream = stream
+
+    @property
+    @abstractmethod
+    def has_changes(self) -> bool:
+        """Whether changes may have to be encoded."""
+
+    @abstractmethod
+    def add(self, scan: Scan | RangeScan, change: Change) -> None:
+        """Add the changes of a step, which may be none; call it in each step."""
+
+    @abstractmethod
+    def is_due(self, own: Grid, received: Grid) -> bool:
+        """Return whether an update should be encoded in this step.
+
+        `own` and `received`, uint8 arrays of shape (h, w), are the self-explored grid, and what all received logs and
+        this robot's own log report.
+        """
+
+    @abstractmethod
+    def encode(self, own: Grid, log_odds: Int8Grid, most: float) -> tuple[bytes, DecodedUpdate] | None:
+        """Encode an update of about `most` bytes at most, and return its message; None if there is nothing to send.
+
+        `log_odds`, an int8 array of shape (h, w), tells how certain each cell of the self-explored grid is.
+        """
+
+    def retract(self) -> None:
+        """Take back the last update, which no other log depends on: its changes wait again."""
+        self.stream.rollback()
+
+    def restart(self, stream: AnyStream, withdrawn: Sequence[DecodedUpdate]) -> None:
+        """Continue with another stream, which lacks the last updates of the log: their changes wait again."""
+        del withdrawn
+        self.stream = stream

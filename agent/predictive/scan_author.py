@@ -1,0 +1,107 @@
+"""When the scans of exact lasers are encoded: after a few new cells, or a few steps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from agent.mapping.estimator import Int8Grid
+from agent.predictive.author import Author
+from agent.predictive.history import DecodedUpdate
+from agent.predictive.scan_stream import ScanStream
+from agent.predictive.scan_updates import REPORTED
+from protocol.boxes import Box, bounding_box
+from protocol.grid import UNKNOWN, Grid
+from protocol.kernels import kernel
+from protocol.range_scans import RangeScan
+from protocol.scans import Change, Scan
+
+ENOUGH_CELLS = 14
+"""New cells that are sent at once; fewer may wait."""
+
+
+@dataclass
+class _Pending:
+    """Input of the next update: cells from which the robot scanned, and where its grid has changed since the last."""
+
+    poses: list[tuple[int, int]] = field(default_factory=list)
+    boxes: list[Box] = field(default_factory=list)
+    steps: int = 0
+
+
+class ScanAuthor(Author[ScanStream]):
+    """Encodes scans; fewer than `ENOUGH_CELLS` new cells wait for `wait_steps` steps."""
+
+    def __init__(self, stream: ScanStream, wait_steps: int) -> None:
+        super().__init__(stream)
+        self._wait_steps = wait_steps
+        self._pending = _Pending()
+        self._encoded = _Pending()
+        """Input of the last update, to restore `_pending` if the update is retracted."""
+
+    @property
+    def has_changes(self) -> bool:
+        """Whether the grid has changed since the last update."""
+        return bool(self._pending.boxes)
+
+    def add(self, scan: Scan | RangeScan, change: Change) -> None:
+        """Add a scan if it has changed the grid."""
+        if change.cells:
+            self._pending.poses.append((scan.x, scan.y))
+            self._pending.boxes.append(change.box)
+        if self._pending.boxes:
+            self._pending.steps += 1
+
+    def is_due(self, own: Grid, received: Grid) -> bool:
+        """Return whether there are enough new cells, or some have waited long enough."""
+        pending = self._pending
+        new_cells = int(_unreported(received, self.stream.grid, own, *bounding_box(pending.boxes)))
+        if not new_cells:
+            self._pending = _Pending()
+        return new_cells >= ENOUGH_CELLS or (new_cells > 0 and pending.steps >= self._wait_steps)
+
+    def encode(self, own: Grid, log_odds: Int8Grid, most: float) -> tuple[bytes, DecodedUpdate] | None:
+        """Encode an update of the scans that wait; those beyond `most` bytes remain."""
+        del log_odds
+        pending, self._pending = self._pending, _Pending()
+        if not pending.poses:
+            self._pending = pending
+            return None
+        box = bounding_box(pending.boxes)
+        encoded = self.stream.encode(own, pending.poses, box, most=most)
+        if encoded is None:
+            return None
+        message, update, scans = encoded
+        self._encoded = _Pending(pending.poses[:scans], [box], pending.steps)
+        if scans < len(pending.poses):
+            self._pending = _Pending(pending.poses[scans:], [box], pending.steps)
+        return message, update
+
+    def retract(self) -> None:
+        """Take back the last update; its scans wait again, before those that have come since."""
+        super().retract()
+        encoded, pending = self._encoded, self._pending
+        self._pending = _Pending(
+            encoded.poses + pending.poses, encoded.boxes + pending.boxes, encoded.steps + pending.steps
+        )
+
+    def restart(self, stream: ScanStream, withdrawn: Sequence[DecodedUpdate]) -> None:
+        """Continue with another stream; the poses of withdrawn updates wait again, and the whole grid may differ."""
+        super().restart(stream, withdrawn)
+        height, width = stream.grid.shape
+        poses = [update.pose for update in withdrawn if update.pose is not None]
+        self._pending = _Pending(poses + self._pending.poses, [(0, 0, width, height)], self._pending.steps)
+
+
+@kernel
+def _unreported(received: Grid, logged: Grid, own: Grid, x0: int, y0: int, x1: int, y1: int) -> int:
+    """Count the cells of a box whose state in `own` neither this robot's log nor a received log reports."""
+    count = 0
+    for y in range(y0, y1):
+        for x in range(x0, x1):
+            truth = own[y, x]
+            if truth == UNKNOWN:
+                count += logged[y, x] & REPORTED != 0
+            else:
+                count += received[y, x] != truth and logged[y, x] != truth | REPORTED
+    return count

@@ -1,0 +1,165 @@
+"""Streams of maps of exact lasers: an update codes scans, and corrections of what they reveal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.predictive import contexts
+from agent.predictive.coder import FAILED, PLACE, Coder, code_bit, writer, written
+from agent.predictive.contexts import REST_MOST
+from agent.predictive.history import DecodedUpdate
+from agent.predictive.scan_updates import (
+    MAX_SCANS,
+    code_corrections,
+    code_pose,
+    code_scan,
+    count_new_cells,
+    find_differences,
+)
+from agent.predictive.stream import FIRST_BUFFER, Stream
+from protocol.arrays import Int32s, Uint8s
+from protocol.boxes import NO_BOX, Box, bounding_box
+from protocol.errors import ProtocolError
+from protocol.grid import UNKNOWN, Grid, RayTable
+from protocol.kernels import kernel
+from protocol.packets import Update
+
+
+class ScanStream(Stream):
+    """Encoder and decoder of scans from whole cells, with the beams of the map's author (`ray_table`)."""
+
+    state: ClassVar[tuple[str, ...]] = (*Stream.state, "_unreported")
+
+    def __init__(self, map_id: int, grid: Grid, ray_table: RayTable, *args: Any, **options: Any) -> None:
+        super().__init__(map_id, grid, *args, **options)
+        self._ray_table = ray_table
+        self._unreported = NO_BOX
+        """Box in which the author's self-explored grid may differ from the reported one, after an incomplete update."""
+
+    def encode(
+        self, own: Grid, poses: Sequence[tuple[int, int]], box: Box, *, most: float = math.inf
+    ) -> tuple[bytes, DecodedUpdate, int] | None:
+        """Encode an update of what has changed in a self-explored grid, up to a limit.
+
+        Parameters
+        ----------
+        poses : sequence of (x, y)
+            Cells from which the robot has scanned since the last update.
+        box : Box
+            Where the grid has changed since the last update.
+        most : float, optional
+            Bytes after which no further scan is encoded. An update has one scan at least, and at most `MAX_SCANS`.
+
+        Returns
+        -------
+        (message, update, scans)
+            `scans` is the number of `poses` that the update covers. If it covers all of them, the decoded grid
+            equals `own`; else it holds what these scans show. None if nothing is left to report; the stream is
+            unchanged then.
+        """
+        size, last = FIRST_BUFFER, (self._before, self._overwritten)
+        while True:
+            self._begin()
+            state, data = writer(size)
+            update, scans = self._write((state, data, self._counts), own, poses, box, most)
+            if state[FAILED]:
+                self.rollback()
+                size *= 2
+                continue
+            if update is None:
+                self.rollback()
+                self._before, self._overwritten = last
+                return None
+            message = written(state, data)
+            return message, self._add(update, message), scans
+
+    def _write(
+        self, coder: Coder, own: Grid, poses: Sequence[tuple[int, int]], box: Box, most: float
+    ) -> tuple[DecodedUpdate | None, int]:
+        """Encode an update and apply it to the grid; return it, None if empty, and the number of covered poses."""
+        motion, grid, scratch = self._motion, self.grid, self._scratch
+        cells, start = self._ray_table.cells, self._ray_table.start
+        contradicted = self._choose_bases(coder, own, poses, box)
+        unreported = bounding_box(
+            [self._unreported, *contradicted, *((x, y, x + 1, y + 1) for x, y in poses)]
+        )
+        box = bounding_box([box, unreported])
+        changed = scans = done = 0
+        counted = np.zeros(grid.shape, np.bool_)
+        new_cells = [count_new_cells(grid, own, counted, cells, start, x, y) for x, y in reversed(poses)]
+        for (x, y), shows_more in zip(poses, reversed(new_cells), strict=True):
+            if shows_more and (scans == MAX_SCANS or (scans and coder[0][PLACE] >= most)):
+                break
+            done += 1
+            if shows_more:
+                code_bit(coder, contexts.MORE_SCANS + min(scans, 3), 1, REST_MOST)
+                code_pose(coder, motion, x, y)
+                changed = code_scan(coder, grid, own, cells, start, x, y, scratch, changed)
+                scans += 1
+        if scans < MAX_SCANS:
+            code_bit(coder, contexts.MORE_SCANS + min(scans, 3), 0, REST_MOST)
+        self._unreported = NO_BOX if done == len(poses) else unreported
+        places = _places(grid, own, box) if done == len(poses) else np.empty(0, np.int32)
+        by_scans = changed
+        changed = code_corrections(coder, grid, own, places, len(places), motion, scratch, changed)
+        return self._decoded(changed if changed >= 0 else -1 - changed, by_scans) if changed else None, done
+
+    def _read_content(self, coder: Coder) -> DecodedUpdate:
+        """Decode scans and corrections."""
+        grid, scratch = self.grid, self._scratch
+        cells, start = self._ray_table.cells, self._ray_table.start
+        changed = scans = 0
+        while scans < MAX_SCANS and not coder[0][FAILED]:
+            if not code_bit(coder, contexts.MORE_SCANS + min(scans, 3), 0, REST_MOST):
+                break
+            try:
+                x, y = self._read_pose(coder)
+            except ProtocolError:
+                self._decoded(changed, changed)
+                raise
+            changed = code_scan(coder, grid, grid, cells, start, x, y, scratch, changed)
+            scans += 1
+        by_scans = changed
+        changed = code_corrections(
+            coder, grid, grid, np.empty(0, np.int32), 0, self._motion, scratch, changed
+        )
+        update = self._decoded(changed if changed >= 0 else -1 - changed, by_scans)
+        if changed < 0:
+            height, width = grid.shape
+            raise ProtocolError(Update.name, 0, f"a corrected cell is outside the {width} x {height} grid")
+        return update
+
+    def _choose_bases(self, coder: Coder, own: Grid, poses: Sequence[tuple[int, int]], box: Box) -> list[Box]:
+        """Encode the dependencies; return boxes in which they contradict the self-explored grid."""
+        reach = int(np.abs(self._ray_table.cells).max()) + 1
+        near = bounding_box([box, *((x - reach, y - reach, x + reach + 1, y + reach + 1) for x, y in poses)])
+        return [
+            update.box
+            for update in self._write_bases(coder, own, near)
+            if _contradicts(own.reshape(-1), update.places, update.states)
+        ]
+
+
+def _places(grid: Grid, own: Grid, box: Box) -> NDArray[np.int32]:
+    """Flat indices of the cells in which `own` differs from the reported grid."""
+    found = np.empty(256, np.int32)
+    count = find_differences(grid, own, *box, found)
+    if count > len(found):
+        found = np.empty(count, np.int32)
+        find_differences(grid, own, *box, found)
+    return found[:count]
+
+
+@kernel
+def _contradicts(own: Uint8s, places: Int32s, states: Uint8s) -> bool:
+    """Whether an update reports a cell with another state than the self-explored grid has."""
+    for index in range(len(places)):
+        truth = own[places[index]]
+        if truth != UNKNOWN and truth != states[index]:
+            return True
+    return False

@@ -1,0 +1,114 @@
+"""When the tiles of a noisy map are encoded: once they have stopped changing, several at a time.
+
+A tile is ready if its cells have not changed for `QUIET_STEPS` steps, or if it has waited for `LONGEST_WAIT` steps. A
+tile that is sent while the robot still maps it is sent again later, and its ragged edge takes more bytes than its
+cells.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from agent.mapping.bound import TILE, Bound, tiles_of
+from agent.mapping.estimator import Int8Grid
+from agent.predictive.author import Author
+from agent.predictive.history import DecodedUpdate
+from agent.predictive.tile_stream import TileStream
+from protocol.boxes import Box
+from protocol.grid import Grid
+from protocol.range_scans import RangeScan
+from protocol.scans import Change, Scan
+
+QUIET_STEPS = 2
+"""Steps without a change after which a tile is encoded."""
+
+LONGEST_WAIT = 8
+"""Steps after which a tile is encoded although it still changes."""
+
+INTERVAL = 4
+"""Steps between updates."""
+
+TILE_BYTES = 3.0
+"""Typical bytes of a tile in an update."""
+
+_NEVER = 1 << 40
+
+
+class TileAuthor(Author[TileStream]):
+    """Encodes the tiles in which receivers' copies may lie outside the tolerance."""
+
+    def __init__(self, stream: TileStream, bound: Bound) -> None:
+        super().__init__(stream)
+        height, width = stream.grid.shape
+        shape = tiles_of(height, width)
+        self._bound = bound
+        self._pose = (0, 0)
+        self._step = 0
+        self._next_step = 0
+        """The step from which the next update may be encoded."""
+        self._changed = np.full(shape, -_NEVER, np.int64)
+        """The step in which each tile last changed."""
+        self._waiting_since = np.full(shape, _NEVER, np.int64)
+        """The step since which each tile has been waiting; `_NEVER` if it fulfills the bound."""
+        self._encoded = self._waiting_since
+        """`_waiting_since` before the last update."""
+
+    @property
+    def has_changes(self) -> bool:
+        """Whether tiles are waiting."""
+        return bool((self._waiting_since != _NEVER).any())
+
+    def add(self, scan: Scan | RangeScan, change: Change) -> None:
+        """Let the tiles near changed cells wait."""
+        self._step += 1
+        self._pose = scan.x, scan.y
+        if change.cells:
+            x0, y0, x1, y1 = change.box
+            self._changed[y0 // TILE : (y1 - 1) // TILE + 1, x0 // TILE : (x1 - 1) // TILE + 1] = self._step
+            self._wait(change.box)
+
+    def _wait(self, box: Box) -> None:
+        waiting = self._waiting_since[self._bound.tiles_near(box)]
+        np.minimum(waiting, self._step, out=waiting)
+
+    def is_due(self, own: Grid, received: Grid) -> bool:
+        """Return whether the last update was long enough ago."""
+        del own, received
+        return self._step >= self._next_step
+
+    def encode(self, own: Grid, log_odds: Int8Grid, most: float) -> tuple[bytes, DecodedUpdate] | None:
+        """Encode an update of the tiles that are ready; the first ones to wait, if they exceed `most` bytes."""
+        since = self._waiting_since
+        is_quiet = self._changed <= self._step - QUIET_STEPS
+        ready = (since != _NEVER) & (is_quiet | (since <= self._step - LONGEST_WAIT))
+        places = np.flatnonzero(ready)
+        limit = max(1, int(min(most / TILE_BYTES, len(places))))
+        is_complete = len(places) <= limit
+        if not is_complete:
+            first = places[np.argsort(since.reshape(-1)[places], kind="stable")[:limit]]
+            ready[:] = False
+            ready.reshape(-1)[first] = True
+        if not len(places):
+            return None
+        self._encoded = since.copy()
+        since[ready] = _NEVER
+        encoded = self.stream.encode(own, log_odds, self._bound, ready.view(np.uint8), self._pose)
+        if encoded is not None:
+            self._next_step = self._step + (INTERVAL if is_complete else 1)
+            for box in self.stream.bases:
+                self._wait(box)
+        return encoded
+
+    def retract(self) -> None:
+        """Take back the last update; its tiles wait again."""
+        super().retract()
+        np.minimum(self._waiting_since, self._encoded, out=self._waiting_since)
+        self._next_step = self._step
+
+    def restart(self, stream: TileStream, withdrawn: Sequence[DecodedUpdate]) -> None:
+        """Continue with another stream; all tiles wait."""
+        super().restart(stream, withdrawn)
+        height, width = stream.grid.shape
+        self._wait((0, 0, width, height))

@@ -1,0 +1,103 @@
+"""Streams of maps of noisy lasers: an update codes the pose of the author, and changed tiles of its grid.
+
+Receivers hold a grid that fits the author's own one within a tolerance (`agent.mapping.bound`).
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+
+from agent.mapping.bound import TILE, Bound, tiles_of
+from agent.mapping.estimator import Int8Grid
+from agent.predictive import contexts
+from agent.predictive.coder import FAILED, Coder, code_bit, writer, written
+from agent.predictive.contexts import REST_MOST
+from agent.predictive.history import DecodedUpdate
+from agent.predictive.mixer import mixing_coder
+from agent.predictive.scan_updates import REPORTED, code_pose
+from agent.predictive.stream import FIRST_BUFFER, Stream
+from agent.predictive.tiles import code_tiles, start_model
+from protocol.boxes import Box
+from protocol.grid import Grid
+
+
+class TileStream(Stream):
+    """Encoder and decoder of tiles."""
+
+    state: ClassVar[tuple[str, ...]] = (*Stream.state, "_chances", "_ages", "_weights", "_last_box")
+
+    def __init__(self, map_id: int, grid: Grid, *args: Any, **options: Any) -> None:
+        super().__init__(map_id, grid, *args, **options)
+        self._chances, self._ages, self._weights = start_model()
+        self._last_box = np.zeros(4, np.int64)
+        self._target = np.empty_like(grid)
+        self._changed = np.zeros(tiles_of(*grid.shape), np.uint8)
+        self.bases: list[Box] = []
+        """Boxes of the other maps' updates on which the last encoded update was the first to depend."""
+
+    def encode(
+        self, own: Grid, log_odds: Int8Grid, bound: Bound, tiles: Grid, pose: tuple[int, int]
+    ) -> tuple[bytes, DecodedUpdate] | None:
+        """Encode an update after which the cells of some tiles fulfill the bound.
+
+        Updates of other maps may suffice for this: the update then consists of these dependencies.
+
+        Parameters
+        ----------
+        own, log_odds : arrays, shape (h, w)
+            States and log odds of the robot's estimator.
+        bound : Bound
+            The error that receivers' copies may have.
+        tiles : uint8 array, shape (tile rows, tile columns)
+            Marks of the tiles.
+        pose : (x, y)
+            The cell of the robot.
+
+        Returns
+        -------
+        (message, update)
+            None if all cells of the tiles fulfill the bound already; the stream is unchanged then.
+        """
+        size, buffers = FIRST_BUFFER, (self._target, self._changed)
+        if not bound.apply(own, log_odds, self.grid, tiles, *buffers):
+            return None
+        rows, columns = np.nonzero(tiles)
+        near = (
+            TILE * int(columns.min()),
+            TILE * int(rows.min()),
+            TILE * (int(columns.max()) + 1),
+            TILE * (int(rows.max()) + 1),
+        )
+        while True:
+            self._begin()
+            state, data = writer(size)
+            coder = state, data, self._counts
+            self.bases = [update.box for update in self._write_bases(coder, own, near)]
+            code_pose(coder, self._motion, *pose)
+            has_tiles = bound.apply(own, log_odds, self.grid, tiles, *buffers) > 0
+            code_bit(coder, contexts.HAS_TILES, int(has_tiles), REST_MOST)
+            update = self._code_tiles(coder, self._target, has_tiles=has_tiles)
+            if not state[FAILED]:
+                message = written(state, data)
+                return message, self._add(update, message)
+            self.rollback()
+            size *= 2
+
+    def _read_content(self, coder: Coder) -> DecodedUpdate:
+        """Decode the pose and the tiles."""
+        self._read_pose(coder)
+        self._changed[:] = 0
+        has_tiles = code_bit(coder, contexts.HAS_TILES, 0, REST_MOST)
+        return self._code_tiles(coder, self.grid, has_tiles=bool(has_tiles))
+
+    def _code_tiles(self, coder: Coder, target: Grid, *, has_tiles: bool) -> DecodedUpdate:
+        """Encode or decode the changed tiles, if there are any, into the grid."""
+        changed = 0
+        if has_tiles:
+            model = mixing_coder(coder[0], coder[1], (self._chances, self._ages, self._weights))
+            changed = code_tiles(
+                model, self.grid, target, self._changed, self._last_box, REPORTED, self._scratch
+            )
+        return self._decoded(changed, changed)

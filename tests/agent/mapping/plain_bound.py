@@ -1,0 +1,47 @@
+"""A plain second implementation of the bound: which cells of a copy violate it, cell by cell."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.mapping.estimator import SETTLED
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
+
+
+def violations(
+    own: Grid, log_odds: NDArray[np.int8], held: Grid, tolerance: int
+) -> list[tuple[str, int, int]]:
+    """Return the cells (x, y) of a robot's own grid that a copy violates, with the condition."""
+
+    def count(grid: Grid, state: int, x: int, y: int, reach: int) -> int:
+        near = grid[max(0, y - reach) : y + reach + 1, max(0, x - reach) : x + reach + 1]
+        return int((near == state).sum())
+
+    found = []
+    for y, x in np.ndindex(own.shape):
+        state, copy = own[y, x], held[y, x]
+        near_copy, near_own = (count(grid, OCCUPIED, x, y, tolerance) for grid in (held, own))
+        if tolerance == 0:
+            if state not in (UNKNOWN, copy):
+                found.append(("not exact", x, y))
+            continue
+        if abs(log_odds[y, x]) >= SETTLED:
+            if state == OCCUPIED and not near_copy:
+                found.append(("missing wall", x, y))
+            if state == FREE and copy == OCCUPIED and not near_own:
+                found.append(("invented wall", x, y))
+            if state == FREE and copy != FREE and not near_copy:
+                found.append(("missing free cell", x, y))
+        beside_wall = state == FREE and count(own, OCCUPIED, x, y, 1)
+        surrounded = (
+            state != OCCUPIED and not count(own, OCCUPIED, x, y, 1) and count(own, FREE, x, y, 1) >= 6
+        )
+        settled = state == UNKNOWN and abs(log_odds[y, x]) >= SETTLED
+        if (
+            copy == UNKNOWN
+            and (state == OCCUPIED or ((beside_wall or surrounded) and not near_copy))
+            and not settled
+        ):
+            found.append(("incomplete", x, y))
+    return found
