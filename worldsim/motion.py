@@ -21,6 +21,7 @@ Point = tuple[int, int]
 """A position (x, y) in thousandths of a cell."""
 
 Taken = NDArray[np.uint8] | NDArray[np.bool_]
+"""Cells that a center may not enter: bits that say why, or a mask of cells near robots."""
 
 FINE = 1000
 """Resolution of positions: steps per cell."""
@@ -68,8 +69,8 @@ def drive(
 ) -> Motion:
     """Move one robot from cell `start` along `path` for at most `way` cells.
 
-    `truth` (uint8) and `taken` (bits, or bool for cells of robots) have shape (h, w). A cell of the path that is no
-    neighbor of the previous one ends it like a wall. Steps to 4-neighbors have length 1, others `diagonal`.
+    `truth` (uint8) and `taken` have shape (h, w). A cell of the path that is no neighbor of the previous one ends it
+    like a wall. Steps to 4-neighbors have length 1, others `diagonal`.
     """
     (x, y), direction = start, (0, 0)
     cells: list[tuple[int, int]] = []
@@ -102,8 +103,8 @@ def cell_of(point: Point) -> tuple[int, int]:
 def glide(truth: Grid, taken: Taken, start: Point, points: list[Point], way: float) -> Motion:
     """Move one robot along straight lines between waypoints, for at most `way` cells.
 
-    `truth` (uint8) and `taken` (bits, or bool for cells of robots) have shape (h, w). `start` and the waypoints are in
-    thousandths of a cell. The robot stops at the last checked position within `way`.
+    `truth` (uint8) and `taken` have shape (h, w). `start` and the waypoints are in thousandths of a cell. The robot
+    stops at the last checked position within `way`.
     """
     at, length, blocked = start, 0.0, NOT_BLOCKED
     bumped: tuple[int, int] | None = None

@@ -16,7 +16,7 @@ from protocol.arrays import BoolRows, Cells, FloatRows
 from protocol.grid import FREE, Grid, enlarge
 from protocol.kernels import kernel
 from protocol.keyed_random import keyed_random
-from worldsim.motion import drive
+from worldsim.motion import TAKEN_BY_PERSON, drive, mark_near
 
 WAIT = 2
 """Steps for which a person waits for a robot to move out of the way."""
@@ -83,7 +83,7 @@ class People:
     ) -> None:
         from scipy import ndimage  # noqa: PLC0415  slow to import, and few commands need it
 
-        self._settings, self._seed = settings, seed
+        self.radius_cells, self._speed, self._seed = settings.radius_cells, settings.speed, seed
         labels, parts = ndimage.label((enlarge(truth, settings.radius_cells) == FREE) & reachable)
         largest = 1 + int(np.argmax(np.bincount(labels.ravel(), minlength=parts + 2)[1:]))
         self._floor: Grid = np.where(labels == largest, np.uint8(FREE), np.uint8(0))
@@ -106,8 +106,12 @@ class People:
     @property
     def discs(self) -> FloatRows:
         """Center (x, y) and radius of each person in cells, shape (n, 3); cell (0, 0) has its low corner at (0, 0)."""
-        radius = self._settings.radius_cells
-        return np.array([(x + 0.5, y + 0.5, radius) for x, y in self.cells]).reshape(-1, 3)
+        return np.array([(x + 0.5, y + 0.5, self.radius_cells) for x, y in self.cells]).reshape(-1, 3)
+
+    def mark(self, taken: NDArray[np.uint8], radius_cells: float) -> list[NDArray[np.uint8]]:
+        """Mark the cells that a robot of this radius must not enter; return the changed parts of `taken`, views."""
+        reach = radius_cells + self.radius_cells
+        return [mark_near(taken, cell, reach, TAKEN_BY_PERSON) for cell in self.cells]
 
     def advance(self, step: int, taken: NDArray[np.bool_]) -> None:
         """Move all people in a step; they do not enter the `taken` cells, shape (h, w), which are close to a robot."""
@@ -126,8 +130,8 @@ class People:
             goal = self._goals[random.integers(len(self._goals))].tolist()
             person.stay = int(random.integers(LONGEST_STAY + 1))
             person.way = shortest_way(self._floor, person.cell, goal)
-        ahead = [(x, y) for x, y in person.way[: int(self._settings.speed) + 2].tolist()]
-        motion = drive(self._floor, taken, person.cell, ahead, self._settings.speed + person.carry)
+        ahead = [(x, y) for x, y in person.way[: int(self._speed) + 2].tolist()]
+        motion = drive(self._floor, taken, person.cell, ahead, self._speed + person.carry)
         person.carry = motion.carry
         person.blocked = person.blocked + 1 if motion.blocked else 0
         person.way = person.way[len(motion.cells) :]

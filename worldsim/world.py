@@ -11,10 +11,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.arrays import BoolRows
 from protocol.faults import FaultSchedule
 from protocol.grid import FREE, Grid, disc, enlarge, ray_table
-from protocol.kernels import kernel
 from protocol.keyed_random import keyed_random
 from protocol.messages import FaultEvent, Move, Sense, cells_from_bytes, cells_to_bytes, points_from_bytes
 from protocol.scans import NONE, draw
@@ -24,7 +22,6 @@ from worldsim.motion import (
     FINE,
     INTERFERENCE,
     NOT_BLOCKED,
-    TAKEN_BY_PERSON,
     TAKEN_BY_ROBOT,
     cell_of,
     drive,
@@ -108,9 +105,8 @@ class World:
         self.reachable = reachable_by_team(truth, settings)
         self.seen = np.zeros_like(truth)
         """Grid of all cells seen by the team's lasers."""
-        self.seen_cells = 0
-        """Number of reachable free cells that the team has seen."""
         self._counted = np.zeros(truth.shape, np.bool_)
+        """The reachable free cells that the team has seen."""
         self._taken = np.zeros(truth.shape, np.uint8)
         self.faults = FaultSchedule(settings.faults)
         self._reachable_by: dict[int, NDArray[np.bool_]] = {}
@@ -131,6 +127,11 @@ class World:
     @cached_property
     def _widest(self) -> float:
         return max((body.radius_cells for body in self.settings.bodies), default=0.0)
+
+    @property
+    def seen_cells(self) -> int:
+        """Number of reachable free cells that the team has seen."""
+        return int(np.count_nonzero(self._counted))
 
     @property
     def people(self) -> list[tuple[int, int]]:
@@ -208,8 +209,8 @@ class World:
             move = moves.get(robot)
             if move is not None:
                 entered[robot], blocked[robot] = self._move(robot, move, before)
-        if self._people is not None and self.settings.people is not None:
-            self._people.advance(self.step, self._cells_near_robots(self.settings.people))
+        if self._people is not None:
+            self._people.advance(self.step, self._cells_near_robots(self._people.radius_cells))
         occupied = self._standing()
         scans = scans_in(self.step, self.settings.scan_rate)
         looking = {robot: scans and (robot not in moves or moves[robot].look) for robot in entered}
@@ -262,24 +263,22 @@ class World:
         for other, cell in others if self.settings.robots_collide else ():
             reach = own + self.settings.bodies[other].radius_cells
             marked.append(mark_near(self._taken, cell, reach, TAKEN_BY_ROBOT))
-        if self.settings.people is not None:
-            reach = own + self.settings.people.radius_cells
-            marked += [mark_near(self._taken, cell, reach, TAKEN_BY_PERSON) for cell in self.people]
+        if self._people is not None:
+            marked += self._people.mark(self._taken, own)
         yield self._taken
         for here in marked:
             here[:] = 0
 
     def _place_people(self, settings: PeopleSettings) -> People:
         """Place people on cells that robots can reach; ValueError if there are too few."""
-        return People(
-            self.truth, self.reachable, self._cells_near_robots(settings), settings, self.settings.seed
-        )
+        near = self._cells_near_robots(settings.radius_cells)
+        return People(self.truth, self.reachable, near, settings, self.settings.seed)
 
-    def _cells_near_robots(self, settings: PeopleSettings) -> NDArray[np.bool_]:
-        """Return the cells that people do not enter because of robots."""
+    def _cells_near_robots(self, radius_cells: float) -> NDArray[np.bool_]:
+        """Return the cells that people of this radius do not enter because of robots."""
         near = np.zeros(self.truth.shape, np.uint8)
         for robot, cell in self.cells.items():
-            reach = settings.radius_cells + self.settings.bodies[robot].radius_cells
+            reach = radius_cells + self.settings.bodies[robot].radius_cells
             mark_near(near, cell, reach, TAKEN_BY_ROBOT)
         return near.view(np.bool_)
 
@@ -323,7 +322,9 @@ class World:
         driven_over = np.array(entered, np.int32).reshape(-1, 2)
         news = draw(self.seen, self._ray_tables[robot], x, y, readings, driven_over)
         if news.cells:
-            self.seen_cells += int(_count_seen(self.seen, self.reachable, *news.box, self._counted))
+            x0, y0, x1, y1 = news.box
+            counted, reachable = (each[y0:y1, x0:x1] for each in (self._counted, self.reachable))
+            counted |= (self.seen[y0:y1, x0:x1] == FREE) & reachable
         offset_x, offset_y = self.offsets[robot]
         driven = cells_to_bytes(driven_over)
         exact = Sense(self.step, x, y, heading, driven, readings.tobytes(), blocked, offset_x, offset_y)
@@ -335,20 +336,6 @@ class World:
             active &= (beams - angle) % FULL_TURN < body.scanner_turn
         discs = NO_DISCS if self._people is None else self._people.discs
         return self._sensors.sense(robot, exact, self.truth, occupied, active, discs)
-
-
-@kernel
-def _count_seen(
-    seen: Grid, reachable: BoolRows, x0: int, y0: int, x1: int, y1: int, counted: BoolRows
-) -> int:
-    """Count the reachable free cells of a box that have been seen, once each."""
-    fresh = 0
-    for y in range(y0, y1):
-        for x in range(x0, x1):
-            if seen[y, x] == FREE and reachable[y, x] and not counted[y, x]:
-                counted[y, x] = True
-                fresh += 1
-    return fresh
 
 
 def scans_in(step: int, rate: float) -> bool:
