@@ -170,7 +170,7 @@ class AgentNode:
         """Send a part of the maps at the end of the run; before the first part, their last changes."""
         if not request.part:
             self._show(request.step)
-            self._final_maps = map_parts.join(robot.own, robot.planning)
+            self._final_maps = map_parts.join(robot.own, robot.planning, robot.settled)
         part = MapPart(request.part, map_parts.encode(self._final_maps, request.part))
         self._bus.put(self._to_recorder, pack(part))
 

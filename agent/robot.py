@@ -13,6 +13,9 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from agent.announcements import Announcements
 from agent.encodings.base import MapEncoding
 from agent.encodings.catalog import encoding_class, make_encoding
@@ -126,6 +129,11 @@ class Robot:
     def known_cells(self) -> int:
         """Cells of the self-explored grid that are known."""
         return self._mapper.known_cells
+
+    @property
+    def settled(self) -> NDArray[np.bool_]:
+        """The cells of the self-explored grid of whose state it is certain, shape (h, w)."""
+        return self._mapper.settled()
 
     def error(self) -> int:
         """Count the cells in which its map and the approximation in its log differ (thesis, Eq. 6.1)."""

@@ -1,7 +1,8 @@
 """Parts of a robot's maps: the recorder requests them one after the other, so that no message is large.
 
 A part is a run of cells, row after row, with one byte per cell: bits 0-1 are the value on the robot's own map, bits 2-3
-the value on its planning map (as `protocol.messages.MapChanges`). Parts travel compressed with zlib.
+the value on its planning map (as `protocol.messages.MapChanges`), and bit 4 is set if the robot is certain of the own
+value: the cell is settled. Parts travel compressed with zlib.
 """
 
 from __future__ import annotations
@@ -12,8 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.errors import ProtocolError
-from protocol.grid import OCCUPIED, Grid
+from protocol.grid import OCCUPIED, UNKNOWN, Grid
 from protocol.messages import PART_CELLS
+
+Mask = NDArray[np.bool_]
 
 LEVEL = 1
 """Compression level of zlib: maps consist of long runs, which the fastest level compresses well."""
@@ -24,15 +27,16 @@ def count(cells: int) -> int:
     return -(-cells // PART_CELLS)
 
 
-def join(own: Grid, planning: Grid) -> NDArray[np.uint8]:
-    """Return both maps as one array with a byte per cell, shape (h * w)."""
-    return (own | planning << np.uint8(2)).ravel()
+def join(own: Grid, planning: Grid, settled: Mask) -> NDArray[np.uint8]:
+    """Return both maps, and the settled cells of the own map, as one array with a byte per cell, shape (h * w)."""
+    values: Grid = own | planning << np.uint8(2) | settled.astype(np.uint8) << np.uint8(4)
+    return values.ravel()
 
 
-def split(cells: NDArray[np.uint8], shape: tuple[int, int]) -> tuple[Grid, Grid]:
-    """Return the own map and the planning map that `join` has put into one array."""
-    both = cells.reshape(shape)
-    return both & np.uint8(3), both >> np.uint8(2)
+def split(cells: NDArray[np.uint8], shape: tuple[int, int]) -> tuple[Grid, Grid, Mask]:
+    """Return the own map, the planning map and the settled cells that `join` has put into one array."""
+    values = cells.reshape(shape)
+    return values & np.uint8(3), values >> np.uint8(2) & np.uint8(3), values >> np.uint8(4) == 1
 
 
 def encode(cells: NDArray[np.uint8], part: int) -> bytes:
@@ -50,6 +54,8 @@ def decode(data: bytes, part: int, cells: int) -> NDArray[np.uint8]:
         raise ProtocolError("MapPart", 0, f"not compressed with zlib ({error})") from None
     if len(values) != expected or not reader.eof or reader.unused_data:
         raise ProtocolError("MapPart", 0, f"part {part} does not have {expected} cells")
-    if max(int((values & 3).max()), int((values >> 2).max())) > OCCUPIED:
+    if max(int((values & 3).max()), int((values >> 2 & 3).max())) > OCCUPIED or values.max() >> 5:
         raise ProtocolError("MapPart", 0, "a cell that is not free, occupied or unknown")
+    if ((values >> 4 == 1) & (values & 3 == UNKNOWN)).any():
+        raise ProtocolError("MapPart", 0, "an unknown cell that is settled")
     return values

@@ -6,8 +6,9 @@ import math
 from abc import ABC, abstractmethod
 
 import numpy as np
+from numpy.typing import NDArray
 
-from agent.mapping.estimator import Estimator, Int8Grid
+from agent.mapping.estimator import SETTLED, Estimator, Int8Grid
 from agent.settings import Settings
 from protocol.errors import ProtocolError
 from protocol.grid import UNKNOWN, Grid, ray_table
@@ -35,6 +36,11 @@ class Mapper(ABC):
 
         ProtocolError if the readings do not fit the robot's laser; nothing has changed then.
         """
+
+    def settled(self) -> NDArray[np.bool_]:
+        """Return the cells of whose state the robot is certain, shape (h, w): with exact readings, all known ones."""
+        known: NDArray[np.bool_] = self.states != UNKNOWN
+        return known
 
 
 class ExactMapper(Mapper):
@@ -77,6 +83,10 @@ class EstimatingMapper(Mapper):
             change = change.joined(self._estimator.strike(*cell_ahead(sense, self._radius)))
         self.known_cells = self._estimator.known_cells
         return scan, change
+
+    def settled(self) -> NDArray[np.bool_]:
+        """Return the cells whose log odds are far from 0."""
+        return np.abs(self._estimator.log_odds) >= SETTLED
 
 
 def cell_ahead(sense: Sense, radius_cells: float) -> tuple[int, int]:

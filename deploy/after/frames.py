@@ -234,7 +234,7 @@ class Frames:
         draw = ImageDraw.Draw(frame, "RGBA")
         for left, right, top, bottom in spans:
             last = max(1, self.last_step)
-            x = left + (right - left) * (step - 1) / max(1, last - 1)
+            x = min(right, left + (right - left) * (step - 1) / max(1, last - 1))  # rounding may exceed it
             up, down = self._charts_top + top, self._charts_top + bottom
             draw.rectangle((x, up, right, down), (255, 255, 255, 205))
             draw.line([(x, up), (x, down)], (*INK, 255), max(1, self._px(1.4)))

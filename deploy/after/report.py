@@ -10,6 +10,7 @@ import io
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
 import numpy as np
@@ -72,6 +73,13 @@ CAPTIONS = {
 FRAMES_CAPTION = (
     "The building, grayed where no robot knows anything yet. Green links carry data in this step, gray ones are in "
     "range. Beside it the map of each robot; below, the explored area and the use of the radio."
+)
+WALLS_CAPTION = (
+    "Precision: share of the walls on a robot's map that lie within one cell of a true wall. Recall: share of the true "
+    "walls beside reachable cells that have a wall on the map within one cell. F1: their harmonic mean. Teammates' "
+    "walls: share of the walls of which a teammate is certain that the map has within the tolerance; the mean over "
+    "teammates, and the smallest share. Walls that had not arrived by the end count as missing. All figures follow "
+    "from the maps that the robots sent at the end."
 )
 MOST_FRAMES, FRAME_WIDTH, PAIR_WIDTH = 40, 1120, 840
 """Maximum number of frames of a slider; pixels of a frame's width, alone and beside another run."""
@@ -142,6 +150,7 @@ def page(archive: Archive, figures: Sequence[Path]) -> str:
             ),
             Section("Pictures", pictures=[_picture(figure.read_bytes(), CAPTIONS[figure.name]) for figure in figures]),
             Section("The robots", [_table(_robots(archive))]),
+            Section("Walls on the robots' maps", [_table(_walls(summary))], caption=WALLS_CAPTION),
             Section("Traffic", [_table(_kinds(summary), last_is_sum=True), _table(_undelivered(summary))]),
             Section("The scenario", texts=[scenario]),
         ],
@@ -267,7 +276,8 @@ def _figures(summary: dict[str, Any]) -> list[list[str]]:
     error = summary.get("approximation_error")
     return [
         ["reachable cells seen by the team", _percent(summary["coverage"])],
-        ["accuracy of the planning map of the first robot", "-" if accuracy is None else _percent(accuracy)],
+        ["accuracy of the planning map of the first robot", _percent(accuracy)],
+        *_wall_figures(summary),
         ["team had seen 90 %, 99 %", f"step {summary['t90'] or '-'}, step {summary['t99'] or '-'}"],
         ["strategy, seed", f"{summary['strategy']}, {summary['seed']}"],
         *([] if error is None else [["approximation error (Eq. 6.1)", f"{error:.2%} of the cells"]]),
@@ -275,6 +285,40 @@ def _figures(summary: dict[str, Any]) -> list[list[str]]:
         ["steps over the budget", str(summary["over_budget_steps"])],
         ["bus", f"{summary['bus']}, {summary['steps_per_s']} steps per second"],
     ]
+
+
+def _wall_figures(summary: dict[str, Any]) -> list[list[str]]:
+    """The fit of walls to the true ones and to each other, if it is known."""
+    rows = []
+    if (f1 := summary.get("claimed_mean_wall_f1")) is not None:
+        worst = _percent(summary["claimed_worst_wall_f1"])
+        rows.append(["F1 of walls within one cell", f"mean {_percent(f1)}, worst robot {worst}"])
+    if (held := summary.get("walls_within_tolerance")) is not None:
+        worst = _percent(summary["worst_walls_within_tolerance"])
+        within = f"within {counted(summary['tolerance'], 'cell')}"
+        rows.append(
+            ["teammates' walls on a robot's map", f"mean {_percent(held)}, worst pair {worst}, {within}"]
+        )
+    return rows
+
+
+def _walls(summary: dict[str, Any]) -> list[list[str]]:
+    """The fit of walls for each robot, with the mean and the minimum of all."""
+    within = f"within {counted(summary.get('tolerance', 0), 'cell')}"
+    names = {
+        "wall_precision": "precision",
+        "wall_recall": "recall",
+        "wall_f1": "F1",
+        "walls_within_tolerance": f"teammates' walls {within}",
+        "worst_walls_within_tolerance": f"worst teammate's walls {within}",
+    }
+    maps: dict[str, dict[str, float | None]] = summary.get("robot_maps", {})
+    rows = [[robot, *(_percent(figures[name]) for name in names)] for robot, figures in maps.items()]
+    if len(maps) > 1:
+        known = [[value for each in maps.values() if (value := each[name]) is not None] for name in names]
+        rows.append(["mean", *(_percent(fmean(values) if values else None) for values in known)])
+        rows.append(["worst", *(_percent(min(values, default=None)) for values in known)])
+    return [["robot", *names.values()], *rows]
 
 
 def _robots(archive: Archive) -> list[list[str]]:
@@ -331,5 +375,5 @@ def _picture(png: bytes, caption: str = "", step: int = 0) -> Picture:
     return Picture(f"data:image/png;base64,{base64.b64encode(png).decode()}", caption, step)
 
 
-def _percent(share: float) -> str:
-    return f"{100 * share:.1f} %"
+def _percent(share: float | None) -> str:
+    return "-" if share is None else f"{100 * share:.1f} %"

@@ -41,7 +41,8 @@ def report_result(result: Any, *, as_json: bool) -> int:
     if as_json:
         print(json.dumps(result.summary))
     else:
-        for line in summary_lines(result.summary, result.directory):
+        noisy = result.plan.scenario.is_noisy
+        for line in summary_lines(result.summary, result.directory, noisy=noisy):
             screen.print(line)
     code: int = result.exit_code
     return code

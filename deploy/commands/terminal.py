@@ -94,8 +94,8 @@ def table(lines: list[list[str]]) -> Table:
     return result
 
 
-def summary_lines(summary: dict[str, Any], directory: Path | None) -> list[str]:
-    """The figures of a run as lines of text."""
+def summary_lines(summary: dict[str, Any], directory: Path | None, *, noisy: bool) -> list[str]:
+    """The figures of a run as lines of text; with `noisy` sensors, also how well the walls on its maps fit."""
     lines = []
     if summary["finished"]:
         lines.append(f"Explored in {summary['steps']} steps; robot {summary['first_robot']} finished first.")
@@ -103,9 +103,11 @@ def summary_lines(summary: dict[str, Any], directory: Path | None) -> list[str]:
         lines.append(f"Not finished after {summary['steps']} steps: {summary['reason']}.")
     accuracy = summary["map_accuracy"]
     lines.append(
-        f"The team saw {100 * summary['coverage']:.2f} % of the reachable area"
-        + (f"; map accuracy {100 * accuracy:.2f} %." if accuracy is not None else ".")
+        f"The team saw {_percent(summary['coverage'])} of the reachable area"
+        + (f"; map accuracy {_percent(accuracy)}." if accuracy is not None else ".")
     )
+    if noisy:
+        lines += _wall_line(summary)
     total = summary["bytes"]["total"]
     kinds = [(kind, size) for kind, size in summary["bytes"].items() if kind != "total"]
     shares = ", ".join(
@@ -117,3 +119,22 @@ def summary_lines(summary: dict[str, Any], directory: Path | None) -> list[str]:
         shown = [str(directory / name) for name in (PICTURE, PICTURES) if (directory / name).exists()]
         lines.append(f"Results: {directory}" + (f" (pictures: {', '.join(shown)})" if shown else ""))
     return lines
+
+
+def _wall_line(summary: dict[str, Any]) -> list[str]:
+    """How well the walls on the robots' maps fit the true ones and each other, as far as either is known."""
+    parts = []
+    if (f1 := summary["claimed_mean_wall_f1"]) is not None:
+        worst = _percent(summary["claimed_worst_wall_f1"])
+        parts.append(f"F1 {_percent(f1)} within one cell of the true ones (worst robot {worst})")
+    if (held := summary["walls_within_tolerance"]) is not None:
+        cells, worst = summary["tolerance"], _percent(summary["worst_walls_within_tolerance"])
+        plural = "" if cells == 1 else "s"
+        parts.append(
+            f"robots hold {_percent(held)} of each other's within {cells} cell{plural} (worst pair {worst})"
+        )
+    return [f"Walls: {'; '.join(parts)}."] if parts else []
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.2f} %"

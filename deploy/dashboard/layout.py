@@ -14,7 +14,7 @@ from deploy.scenario.plan import Plan
 
 MOST = 8
 """Maximum number of robot maps per tab."""
-RADIO_SHARES = [30, 20, 19, 18, 16, 25]
+SERIES_SHARES = [30, 20, 19, 18, 16, 25]
 """Widths of the views below."""
 
 
@@ -43,7 +43,7 @@ def layout(plan: Plan) -> rrb.Blueprint:
                 rrb.Tabs(*pages) if len(pages) > 1 else pages[0],
                 column_shares=[33, 67],
             ),
-            rrb.Horizontal(*_radio(), column_shares=RADIO_SHARES),
+            rrb.Horizontal(*_series(plan), column_shares=SERIES_SHARES),
             row_shares=[63, 37],
         ),
         rrb.TimePanel(state="collapsed", timeline=TIMELINE),
@@ -79,8 +79,19 @@ def _map(
     )
 
 
-def _radio() -> list[rrb.View]:
+def _series(plan: Plan) -> list[rrb.View | rrb.Container]:
+    """Help, traffic, map quality (with noisy sensors, the walls in front), backlog, events."""
     no_legend = rrb.PlotLegend(visible=False)
+    quality = [
+        rrb.TimeSeriesView(
+            origin=origin, name=name, plot_legend=no_legend, axis_y=rrb.ScalarAxis(range=(0, 102))
+        )
+        for origin, name in (
+            ("/explored", "Explored [%]"),
+            ("/walls/f1", "Walls, F1 [%]"),
+            ("/walls/precision", "Walls, precision [%]"),
+        )
+    ]
     return [
         rrb.TextDocumentView(origin="/help", name="Help"),
         rrb.TimeSeriesView(
@@ -94,12 +105,7 @@ def _radio() -> list[rrb.View]:
             name="Traffic by type",
             visual_bounds=rrb.VisualBounds2D(x_range=[-5, 105], y_range=[0, SHARES_HEIGHT]),
         ),
-        rrb.TimeSeriesView(
-            origin="/explored",
-            name="Explored [%]",
-            plot_legend=no_legend,
-            axis_y=rrb.ScalarAxis(range=(0, 102)),
-        ),
+        rrb.Tabs(*quality, active_tab=1 if plan.scenario.is_noisy else 0),
         rrb.TimeSeriesView(origin="/backlog", name="Undelivered packets", plot_legend=no_legend),
         rrb.TextLogView(
             origin="/events",

@@ -16,6 +16,7 @@ from deploy.dashboard.run_events import Event, RunEvents, explain, shows_range
 from deploy.dashboard.shapes import axes, corner, flip, map_picture, number_strips, outline_strips
 from deploy.record.colors import ALARM, GREY, GROUPS, IN_RANGE, PAPER, SIGNAL, TEAM, mix, robot_color
 from deploy.record.map_history import PER_STEP
+from deploy.record.map_quality import WallScore, true_walls_of
 from deploy.scenario.plan import Plan
 from protocol import keys as names
 from protocol.errors import ProtocolError
@@ -53,7 +54,9 @@ class Recorder:
         self._plan = plan
         self._robots = range(plan.scenario.robots)
         self._reachable = plan.make_world().reachable
+        self._true_walls = true_walls_of(plan, self._reachable)
         self._explored = [0.0] * len(self._robots)
+        self._walls = dict.fromkeys(self._robots, WallScore(None, None, None))
         self._drawn: Counter[tuple[str, int]] = Counter()
         """How often each map of each sender was drawn in this step; -1 is the planning map."""
         side = max(plan.map.width, plan.map.height) * plan.map.resolution
@@ -146,7 +149,10 @@ class Recorder:
             self._log(path, line, static=True)
         team = rr.SeriesLines(names=["seen by the team"], colors=[TEAM], widths=[4])
         self._log("explored/team", team, static=True)
-        for path, label in (("explored/maps", "on the map of robot"), ("backlog", "robot")):
+        on_map = "on the map of robot"
+        for path, label in (
+            ("explored/maps", on_map), ("walls/f1", on_map), ("walls/precision", on_map), ("backlog", "robot"),
+        ):  # fmt: skip
             named = [f"{label} {robot}" for robot in self._robots]
             series = rr.SeriesLines(names=named, colors=colors, widths=[1.5] * len(colors))
             self._log(path, series, static=True)
@@ -196,6 +202,9 @@ class Recorder:
         self._draw_targets()
         self._log("explored/team", rr.Scalars(100 * events.seen))
         self._log("explored/maps", rr.Scalars(self._explored))
+        scores = self._walls.values()
+        self._log("walls/f1", rr.Scalars([_percent(score.f1) for score in scores]))
+        self._log("walls/precision", rr.Scalars([_percent(score.precision) for score in scores]))
         self._log("backlog", rr.Scalars([events.backlog.get(robot, 0) for robot in self._robots]))
 
     def _draw_targets(self) -> None:
@@ -253,12 +262,17 @@ class Recorder:
         picture = map_picture(snapshot.width, snapshot.height, snapshot.planning)
         self._log(f"robots/{robot}/map", _image(picture))
         self._explored[robot] = 100 * float((grid[self._reachable] == FREE).mean())
+        self._walls[robot] = self._true_walls.score(grid)
 
 
 def _image(png: bytes) -> rr.EncodedImage:
     return rr.EncodedImage(
         contents=png, media_type="image/png", draw_order=MAP_ORDER, magnification_filter="nearest"
     )
+
+
+def _percent(share: float | None) -> float:
+    return NAN if share is None else 100 * share
 
 
 def _px(size: float) -> Any:

@@ -228,7 +228,8 @@ HELP = """\
 **Right: each robot's map.** White: free, black: wall, gray: unknown. {outlines}
 
 **Below: the radio.** {budget}Bytes per step, by type. Thick line: area seen by the team; colored lines: area on \
-each robot's map. The gap is map data not yet received.
+each robot's map. The gap is map data not yet received. Tabs beside it: walls on each robot's map, within one cell of \
+the true ones (F1), and the share of them that is true (precision).
 """
 OUTLINES = "Pale outlines: received from teammates."
 

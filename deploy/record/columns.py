@@ -74,14 +74,23 @@ SUMMARY = {
     "coverage": "share of the truly reachable free cells that the team has seen, as the world has recorded",
     "map_accuracy": "share of those that the first robot's planning grid has right, at most `coverage`",
     "claimed_map_accuracy": "the same, as the robot claims. Keys `claimed_...` have no other source than robots",
-    "claimed_wall_precision, claimed_wall_recall": "share of its walls that are true; of true walls that it has",
-    "claimed_wall_f1, claimed_worst_wall_f1": "F1 score of walls within one cell: first robot, worst robot",
-    "claimed_worst_wall_precision, claimed_worst_wall_recall": "minimum over all robots, each on its own",
+    "claimed_wall_precision, claimed_wall_recall": "share of its walls that lie within one cell of a true one, and of "
+    "true walls beside reachable cells that have one of its walls within one cell",
+    "claimed_wall_f1": "the harmonic mean of both",
+    "claimed_mean_wall_precision, claimed_mean_wall_recall, claimed_mean_wall_f1": "mean over all robots",
+    "claimed_worst_wall_precision, claimed_worst_wall_recall, claimed_worst_wall_f1": "minimum over all robots, each "
+    "on its own",
+    "walls_within_tolerance, worst_walls_within_tolerance": "share of the walls of which a robot is certain that a "
+    "teammate's planning grid has within `tolerance`, at the end: mean and minimum over all pairs; null for one robot. "
+    "Agreement, not truth: it compares robots' claims with each other",
+    "robot_maps": "for each robot: `wall_precision`, `wall_recall`, `wall_f1`, and of its teammates' walls "
+    "`walls_within_tolerance` and `worst_walls_within_tolerance`",
     "refuted_maps": "robots whose own map is false beyond noise, or too large; other keys leave them out",
     "t50, t90, t99": "steps at which the team had seen 50, 90, and 99 %",
     "overlap": "cells seen by more than one robot over cells seen; null if a robot was lost with its grid",
     "path_length": "meters, one value per robot",
     "robots, seed, map, bus, strategy, map_encoding, bandwidth, range_m": "settings",
+    "tolerance": "cells by which walls on maps of different robots may differ: 0 with exact sensors",
     "bytes, packets": "transmitted, by kind of packet",
     "raw_scan_bytes": "raw scans by the thesis' formula (section 6.3): steps x 362 values of 2 bytes x r(r - 1)",
     "approximation_error": "Eq. 6.1, of the first robot: mean over its steps, as a share of the cells to explore",

@@ -50,8 +50,8 @@ class MapCollection:
         self._parts |= {robot: [] for robot in begun}
         return [(robot, 0) for robot in begun]
 
-    def take(self, robot: int, part: MapPart) -> tuple[Grid, Grid] | None:
-        """Take a requested part; return the robot's own and planning map if it was the last part.
+    def take(self, robot: int, part: MapPart) -> tuple[Grid, Grid, NDArray[np.bool_]] | None:
+        """Take a requested part; after the last one, return the robot's own and planning map, and the settled cells.
 
         Raises
         ------

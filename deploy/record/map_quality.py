@@ -1,16 +1,21 @@
-"""How well robots' maps fit the true map: false cells, precision and recall of walls, and F1 within one cell."""
+"""How well robots' maps fit the true map and each other: false cells, walls within one cell, agreement of walls."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from statistics import fmean
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation
+from scipy.ndimage import binary_dilation, maximum_filter
 
+from deploy.scenario.plan import Plan
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 
 Mask = NDArray[np.bool_]
+Figures = dict[str, float | None]
+"""Figures by name; None where there is nothing to compare."""
 
 AROUND = np.ones((3, 3), np.bool_)
 """A cell and its eight neighbors: the cells within a distance of one cell (Chebyshev)."""
@@ -45,41 +50,108 @@ def is_refuted(own: Grid, truth: Grid, reachable: Mask, seen: int, *, noisy: boo
     return share_false(own, truth, noisy=False) > 0 or bool(((own == FREE) & reachable).sum() > seen)
 
 
-def wall_f1(grid: Grid, truth: Grid, reachable: Mask) -> float | None:
-    """Return the F1 score of the walls of a map, within one cell; None if it or the true map has none.
+class WallScore(NamedTuple):
+    """How well the walls of a map fit the true walls, within one cell; see `TrueWalls.score`."""
 
-    Precision is the share of its walls with a true wall within one cell; recall is the share of the true walls beside
-    reachable cells that have one of its walls within one cell.
+    precision: float | None
+    recall: float | None
+    f1: float | None
+
+
+class TrueWalls:
+    """The walls of the true map, which is `solid` beyond its border too, to compare walls of robots' maps with them.
+
+    Beams end at the surfaces of walls: solid cells beside others.
     """
-    found, solid = grid == OCCUPIED, truth != FREE
-    walls = solid & binary_dilation(reachable)
-    if not (found.any() and walls.any()):
-        return None
-    precision = float(binary_dilation(solid, AROUND, border_value=1)[found].mean())
-    recall = float(binary_dilation(found, AROUND)[walls].mean())
-    return 2 * precision * recall / (precision + recall) if precision + recall else 0.0
+
+    def __init__(self, solid: Mask, reachable: Mask) -> None:
+        self._near_surface = binary_dilation(solid & binary_dilation(~solid), AROUND, border_value=1)
+        self._walls = solid & binary_dilation(reachable)
+        """True walls that the team can see: those beside reachable cells."""
+
+    def score(self, grid: Grid) -> WallScore:
+        """Compare the walls of a map with the true walls.
+
+        Precision is the share of its walls that have the surface of a true wall within one cell. Recall is the share
+        of the true walls beside reachable cells that have one of its walls within one cell. F1 is their harmonic mean.
+        A map without walls has no precision, and F1 of 0. Everything is None if the true map has no such walls.
+        """
+        if not self._walls.any():
+            return WallScore(None, None, None)
+        found = grid == OCCUPIED
+        if not found.any():
+            return WallScore(None, 0.0, 0.0)
+        precision = float(self._near_surface[found].mean())
+        recall = float(binary_dilation(found, AROUND)[self._walls].mean())
+        both = precision + recall
+        return WallScore(precision, recall, 2 * precision * recall / both if both else 0.0)
 
 
-def wall_quality(
-    planning: Mapping[int, Grid], first: int, truth: Grid, reachable: Mask
-) -> dict[str, float | None]:
-    """Return precision, recall and F1 of the walls on the first robot's planning grid, and the minima of all robots.
+def true_walls_of(plan: Plan, reachable: Mask) -> TrueWalls:
+    """Return the true walls of a run: all cells that are not free stop beams."""
+    return TrueWalls(plan.map.cells != FREE, reachable)
 
-    Precision is the share of its occupied cells that are truly occupied; cells of unknown truth do not count. Recall is
-    the share of the true walls, occupied 4-neighbors of reachable cells, that it has as occupied. Without any cells
-    a value is None.
+
+def walls_held(
+    walls: Mapping[int, Mask], planning: Mapping[int, Grid], tolerance: int
+) -> dict[int, dict[int, float]]:
+    """Return for each holder the share of each teammate's walls that it holds, by author.
+
+    `walls` are the settled walls of the authors' own maps, `planning` the planning grids of the holders. A wall is held
+    if the planning grid has a wall within `tolerance` cells (Chebyshev). Authors without walls are left out.
     """
-    walls = (truth == OCCUPIED) & binary_dilation(reachable)
-    precision, recall, f1 = {}, {}, {}
+    places = {author: np.flatnonzero(mask) for author, mask in walls.items() if mask.any()}
+    held: dict[int, dict[int, float]] = {}
+    for holder, grid in planning.items():
+        near = maximum_filter(grid == OCCUPIED, 2 * tolerance + 1, mode="constant").ravel()
+        held[holder] = {
+            author: float(near[cells].mean()) for author, cells in places.items() if author != holder
+        }
+    return held
+
+
+def robot_figures(
+    planning: Mapping[int, Grid], walls: Mapping[int, Mask], true_walls: TrueWalls, tolerance: int
+) -> dict[int, Figures]:
+    """Return the figures of each robot's planning grid.
+
+    They are those of `TrueWalls.score`, and the shares of teammates' settled `walls` that it holds (`walls_held`): the
+    mean over teammates, and the worst. These are None without teammates.
+    """
+    held = walls_held(walls, planning, tolerance)
+    figures: dict[int, Figures] = {}
     for robot, grid in planning.items():
-        occupied = (grid == OCCUPIED) & (truth != UNKNOWN)
-        precision[robot] = float((truth[occupied] == OCCUPIED).mean()) if occupied.any() else None
-        recall[robot] = float((grid[walls] == OCCUPIED).mean()) if walls.any() else None
-        f1[robot] = wall_f1(grid, truth, reachable)
-    found: dict[str, float | None] = {}
-    for name, values in (("wall_precision", precision), ("wall_recall", recall), ("wall_f1", f1)):
-        found[f"claimed_{name}"] = values.get(first)
-        found[f"claimed_worst_{name}"] = min(
-            (value for value in values.values() if value is not None), default=None
-        )
-    return found
+        score, shares = true_walls.score(grid), list(held[robot].values())
+        figures[robot] = {
+            "wall_precision": score.precision,
+            "wall_recall": score.recall,
+            "wall_f1": score.f1,
+            "walls_within_tolerance": _mean(shares),
+            "worst_walls_within_tolerance": min(shares, default=None),
+        }
+    return figures
+
+
+def team_figures(figures: Mapping[int, Figures], first: int) -> Figures:
+    """Return the figures of a team: those of the first robot, the mean, and the worst robot.
+
+    The share of teammates' walls has no first robot: it concerns pairs.
+    """
+    team: Figures = {}
+    for name in ("wall_precision", "wall_recall", "wall_f1"):
+        values = _known(figures, name)
+        team[f"claimed_{name}"] = figures[first][name] if first in figures else None
+        team[f"claimed_mean_{name}"] = _mean(values)
+        team[f"claimed_worst_{name}"] = min(values, default=None)
+    team["walls_within_tolerance"] = _mean(_known(figures, "walls_within_tolerance"))
+    team["worst_walls_within_tolerance"] = min(_known(figures, "worst_walls_within_tolerance"), default=None)
+    return team
+
+
+def _known(figures: Mapping[int, Figures], name: str) -> list[float]:
+    """Return the values of a figure, of the robots that have one."""
+    return [value for robot in figures.values() if (value := robot[name]) is not None]
+
+
+def _mean(values: Sequence[float]) -> float | None:
+    return fmean(values) if values else None

@@ -57,12 +57,12 @@ class Records:
     """All data reported during a run so far.
 
     `maps` has the robots' maps over time, if the run records them; `own` and `planning` have the final self-explored
-    and planning grids by robot. `world` has one report per step, `statuses` one list per robot, `rows` the rows of the
-    ledger per step. `lost` has the cause of each unexpected failure by robot, `killed` the robots that a fault event
-    killed and none restarted, `returned` step and robot of each return after an unexpected failure, `reconnected` of
-    each connection that was cut and restored. `protocol_errors` has sender and text of the first
-    `MAX_PROTOCOL_ERROR_TEXTS` protocol errors of each sender. `carried` is the number of bytes transmitted in the last
-    step.
+    and planning grids by robot, and `settled` the cells of the former of which the robot is certain. `world` has one
+    report per step, `statuses` one list per robot, `rows` the rows of the ledger per step. `lost` has the cause of
+    each unexpected failure by robot, `killed` the robots that a fault event killed and none restarted, `returned`
+    step and robot of each return after an unexpected failure, `reconnected` of each connection that was cut and
+    restored. `protocol_errors` has sender and text of the first `MAX_PROTOCOL_ERROR_TEXTS` protocol errors of each
+    sender. `carried` is the number of bytes transmitted in the last step.
     """
 
     robots: int
@@ -72,6 +72,7 @@ class Records:
     rows: list[bytes] = field(default_factory=list)
     own: dict[int, Grid] = field(default_factory=dict)
     planning: dict[int, Grid] = field(default_factory=dict)
+    settled: dict[int, NDArray[np.bool_]] = field(default_factory=dict)
     lost: dict[int, str] = field(default_factory=dict)
     fault_events: list[FaultEvent] = field(default_factory=list)
     changes: list[Change] = field(default_factory=list)
@@ -283,11 +284,11 @@ class RecorderNode:
 
     def _record_part(self, robot: int, part: MapPart) -> None:
         """Record a part of a robot's maps, and request the next one."""
-        grids = self._collection.take(robot, part)
-        if grids is None:
+        final, records = self._collection.take(robot, part), self.records
+        if final is None:
             self._request(robot, part.part + 1)
         else:
-            self.records.own[robot], self.records.planning[robot] = grids
+            records.own[robot], records.planning[robot], records.settled[robot] = final
 
     def _record_map_changes(self, robot: int, changes: MapChanges | Outlines) -> None:
         """Record changes of a robot's maps, of a step that has begun."""
@@ -314,7 +315,7 @@ class RecorderNode:
         elif event.kind == "restart":
             records.killed.discard(robot)
             self._broken_down.discard(robot)
-            for grids in (records.own, records.planning):
+            for grids in (records.own, records.planning, records.settled):
                 grids.pop(robot, None)
         if event.kind != "restart" or robot not in records.lost:
             records.fault_events.append(event)

@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.robot import sure_after
-from deploy.record.map_quality import Mask, is_refuted, wall_quality
+from deploy.record.map_quality import Figures, Mask, is_refuted, robot_figures, team_figures, true_walls_of
 from deploy.record.records import Records
 from deploy.record.versions import versions
 from deploy.scenario.plan import Plan
 from netshaper.ledger import CAUSES, sort_rows
 from protocol.budget import Budget
-from protocol.grid import FREE, Grid
+from protocol.grid import FREE, OCCUPIED, Grid
 from protocol.messages import Change, End
 from protocol.packets import ALL_KINDS
 
@@ -34,7 +34,8 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
     ledger = records.ledger()
     reachable = plan.make_world().reachable
     refuted = _refuted_maps(plan, records, reachable)
-    planning = {robot: grid for robot, grid in records.planning.items() if robot not in refuted}
+    planning = {robot: grid for robot, grid in sorted(records.planning.items()) if robot not in refuted}
+    figures = _robot_figures(plan, records, planning, reachable)
     first = end.first if done and end is not None else min(records.planning, default=-1)
     steps = end.step if end is not None and end.step >= 0 else records.step
     allowed = budgets(plan.radio.budget, records.changes, int(ledger["step"].max(initial=0)) + 1)
@@ -46,7 +47,8 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "first_robot": end.first if done and end is not None else None,
         "coverage": records.explored,
         **_accuracy(planning.get(first), reachable, records.explored),
-        **wall_quality(planning, first, plan.map.cells, reachable),
+        **team_figures(figures, first),
+        "robot_maps": {str(robot): each for robot, each in figures.items()},
         "t50": _first_step(records, 0.50),
         "t90": _first_step(records, 0.90),
         "t99": _first_step(records, 0.99),
@@ -61,6 +63,7 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "map_encoding": scenario.map_encoding,
         "bandwidth": scenario.bandwidth,
         "range_m": plan.range_m,
+        "tolerance": tolerance(plan),
         "bytes": _per_kind(ledger, "bytes"),
         "raw_scan_bytes": steps * SCAN_VALUES * VALUE_BYTES * scenario.robots * (scenario.robots - 1),
         "packets": _per_kind(ledger, "packets"),
@@ -114,6 +117,22 @@ def _refuted_maps(plan: Plan, records: Records, reachable: Mask) -> list[int]:
         for robot, own in sorted(records.own.items())
         if is_refuted(own, plan.map.cells, reachable, seen, noisy=noisy)
     ]
+
+
+def tolerance(plan: Plan) -> int:
+    """Return the distance in cells within which walls of different robots' maps should agree.
+
+    It is the tolerance of shared maps, and at least 1 if lasers or poses have errors.
+    """
+    return max(plan.scenario.tolerance, int(plan.scenario.is_noisy))
+
+
+def _robot_figures(
+    plan: Plan, records: Records, planning: dict[int, Grid], reachable: Mask
+) -> dict[int, Figures]:
+    """Compare the walls of the `planning` grids with the true walls, and with those that teammates have settled."""
+    walls = {robot: records.settled[robot] & (records.own[robot] == OCCUPIED) for robot in sorted(planning)}
+    return robot_figures(planning, walls, true_walls_of(plan, reachable), tolerance(plan))
 
 
 def _overlap(records: Records, reachable: Mask) -> float | None:

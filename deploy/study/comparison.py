@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 
 SEEDS = 10
 
+METRICS = ("steps", "t90", "map_accuracy", "claimed_worst_wall_f1", "walls_within_tolerance", "bytes.total")
+"""The metrics of the table, besides the compared one."""
+
 REPLACED = ("seed", "bus")
 """Settings of a scenario that the comparison replaces."""
 
@@ -121,10 +124,8 @@ def compare(
     variants = {name: {k: v for k, v in keys.items() if k not in taken} for name, keys in variants.items()}
     if len({repr(keys) for keys in variants.values()}) < len(variants):
         raise ScenarioError("two of the scenarios are the same")
-    metrics = [metric, "steps", "t90", "map_accuracy", "claimed_worst_wall_precision", "bytes.total"]
-    made = of_settings(
-        "compare", {}, {**settings, "seed": range(seeds)}, variants, list(dict.fromkeys(metrics))
-    )
+    metrics = list(dict.fromkeys((metric, *METRICS)))
+    made = of_settings("compare", {}, {**settings, "seed": range(seeds)}, variants, metrics)
     panels = "map" if "map" in made.grid else ""
     boxes = Plot(metric, kind=BOXES, panels=panels)
     curves = Plot("explored", kind=CURVES, panels=panels, xlabel="step", ylabel="explored")

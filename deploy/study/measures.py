@@ -50,7 +50,7 @@ def exploration(plan: Plan) -> Metrics:
     records = MemoryRun(plan).complete()
     metrics: Metrics = {}
     for name, value in summarize(plan, records, time.perf_counter() - began).items():
-        if name in ("lost", "returned", "reconnected", "versions"):
+        if name in ("lost", "returned", "reconnected", "robot_maps", "versions"):
             metrics[name] = json.dumps(value, sort_keys=True)
         elif isinstance(value, dict):
             metrics |= {f"{name}.{inner}": number for inner, number in value.items()}

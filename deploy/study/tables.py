@@ -36,8 +36,10 @@ MIN_COVERAGE = 0.99
 
 METRICS = (
     "steps", "coverage", "map_accuracy", "t50", "t90", "t99", "overlap", "finished", "first_robot",
-    "claimed_map_accuracy", "claimed_wall_precision", "claimed_wall_recall",
-    "claimed_worst_wall_precision", "claimed_worst_wall_recall", "claimed_wall_f1", "claimed_worst_wall_f1",
+    "claimed_map_accuracy", "claimed_wall_precision", "claimed_wall_recall", "claimed_wall_f1",
+    "claimed_mean_wall_precision", "claimed_mean_wall_recall", "claimed_mean_wall_f1",
+    "claimed_worst_wall_precision", "claimed_worst_wall_recall", "claimed_worst_wall_f1",
+    "walls_within_tolerance", "worst_walls_within_tolerance", "tolerance",
     "approximation_error", "approximation_error_net", "explored_at", "robots", "seed", "range_m", "raw_scan_bytes",
     "over_budget_steps", "protocol_errors", "wall_s", "steps_per_s", "work_us_median",
 )  # fmt: skip

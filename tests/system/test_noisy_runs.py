@@ -48,6 +48,38 @@ def test_strategies_finish_with_real_sensors(strategy: str) -> None:
     assert run(strategy=strategy, laser={"preset": "utm-30lx"}).summary["finished"]
 
 
+def test_the_summary_tells_how_well_walls_fit_the_true_ones_and_each_other() -> None:
+    result = run(laser={"preset": "utm-30lx"}, pose={"preset": "graph-slam"})
+    summary, maps = result.summary, result.summary["robot_maps"]
+    assert summary["tolerance"] == 1
+    assert list(maps) == ["0", "1", "2"]
+    for name in ("wall_precision", "wall_recall", "wall_f1"):
+        values = [figures[name] for figures in maps.values()]
+        assert summary[f"claimed_{name}"] == maps[str(summary["first_robot"])][name]
+        assert summary[f"claimed_mean_{name}"] == pytest.approx(sum(values) / 3)
+        assert summary[f"claimed_worst_{name}"] == min(values) >= 0.9
+    held = [figures["worst_walls_within_tolerance"] for figures in maps.values()]
+    assert 0.9 <= summary["worst_walls_within_tolerance"] == min(held)
+    assert min(held) <= summary["walls_within_tolerance"] <= 1
+
+
+def test_robots_hand_in_the_cells_of_which_they_are_certain() -> None:
+    exact, noisy = run(steps=20).records, run(steps=20, laser={"preset": "rplidar-a1"}).records
+    for robot in range(3):
+        assert (exact.settled[robot] == (exact.own[robot] != UNKNOWN)).all()
+        known = noisy.own[robot] != UNKNOWN
+        assert 0 < noisy.settled[robot].sum() < known.sum()
+        assert known[noisy.settled[robot]].all()
+
+
+def test_walls_of_exact_maps_agree_exactly() -> None:
+    summary = run().summary
+    assert summary["finished"]
+    assert summary["tolerance"] == 0
+    assert summary["claimed_worst_wall_precision"] == 1
+    assert summary["walls_within_tolerance"] > 0.99
+
+
 def test_a_noisy_run_is_the_same_on_both_buses() -> None:
     noisy: dict[str, Any] = {"laser": {"preset": "rplidar-a1"}, "pose": {"preset": "graph-slam"}, "steps": 40}
     digests = {run(bus=bus, **noisy).summary["digest"] for bus in ("memory", "zenoh")}

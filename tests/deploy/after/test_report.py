@@ -99,6 +99,18 @@ def test_a_page_shows_the_figures_of_the_summary_and_of_the_ledger(written: Path
         assert f"{sent:,}" in words
 
 
+def test_a_page_shows_how_well_each_robots_walls_fit(tmp_path: Path) -> None:
+    noisy = parse(SETTINGS | {"steps": 15, "laser": {"preset": "utm-30lx"}})
+    summary = explore(noisy, out=tmp_path / "run").summary
+    words = Page(write_report(tmp_path / "run").read_text(encoding="utf-8")).words
+    table = words.split("Walls on the robots' maps")[1].split("Precision:")[0]
+    assert "teammates' walls within 1 cell" in table
+    for figures in summary["robot_maps"].values():
+        shown = r"\s+".join(f"{100 * value:.1f} %" for value in figures.values())
+        assert re.search(shown, table)
+    assert f"mean {100 * summary['claimed_mean_wall_f1']:.1f} %, worst robot" in words
+
+
 def test_a_slider_has_a_picture_per_step_up_to_a_size_limit(
     written: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -112,6 +124,17 @@ def test_a_slider_has_a_picture_per_step_up_to_a_size_limit(
     assert sum(len(frame.source) for frame in fewer) < 210_000
     assert fewer[-1].step == 40
     assert 2 < len(fewer) < 40
+
+
+def test_the_last_picture_has_its_cursor_at_the_border_of_the_charts_despite_rounding(
+    written: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    left, right = 121.35, 356.79
+    assert left + (right - left) * 39 / 39 > right
+    frames = Frames(archive.read(written.parent), 400)
+    charts, _ = frames._charts
+    monkeypatch.setitem(frames.__dict__, "_charts", (charts, [(left, right, 5.0, 20.0)]))
+    assert frames.at(frames.last_step).width == 400
 
 
 def test_two_runs_are_compared_on_a_page(directory: Path, tmp_path: Path) -> None:

@@ -22,6 +22,17 @@ def test_a_run_prints_its_results_and_its_directory(floor: str) -> None:
     assert "runs/floor-predictive-2robots-seed0-2" in explore(floor, "--steps", "3").stdout
 
 
+def test_a_run_with_sensor_errors_prints_how_well_the_walls_fit(floor: str) -> None:
+    result = explore(floor, "--laser", "utm-30lx", "--steps", "20")
+    (line,) = [line for line in result.stdout.splitlines() if line.startswith("Walls: ")]
+    assert "within one cell of the true ones (worst robot " in line
+    assert "of each other's within 1 cell (worst pair " in line
+    alone = explore(floor, "--laser", "utm-30lx", "--steps", "20", "--robots", "1").stdout
+    assert "Walls: F1 " in alone
+    assert "each other" not in alone
+    assert "Walls: " not in explore(floor, "--steps", "20").stdout
+
+
 def test_json_output_is_one_object_and_nothing_else(floor: str) -> None:
     result = explore(floor, "--json", "--out", "run")
     summary: dict[str, Any] = json.loads(result.stdout)

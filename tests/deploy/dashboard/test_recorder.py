@@ -10,6 +10,7 @@ import pytest
 
 from deploy.dashboard.process import RECORDING, ViewNode, ViewTask, free_name, watching
 from deploy.dashboard.windows import Window, WindowError, binary
+from deploy.record.map_quality import true_walls_of
 from deploy.run.exploration import explore
 from deploy.run.in_memory import MemoryRun
 from deploy.scenario.plan import make
@@ -93,6 +94,18 @@ def test_each_robots_share_is_that_of_its_planning_map(recorded: Path) -> None:
     grid = small_run().records.maps.planning(1, 30)
     assert grid is not None
     assert shares[31][1] == pytest.approx(100 * (grid[reachable] == FREE).mean())
+
+
+def test_the_walls_on_each_planning_map_are_compared_with_the_true_ones(recorded: Path) -> None:
+    f1 = column(recorded / RECORDING, "/walls/f1", "scalars")
+    precision = column(recorded / RECORDING, "/walls/precision", "scalars")
+    plan = small_plan()
+    grid = small_run().records.maps.planning(1, 30)
+    assert grid is not None
+    score = true_walls_of(plan, plan.make_world().reachable).score(grid)
+    assert score.f1 and score.precision
+    assert f1[31][1] == pytest.approx(100 * score.f1)
+    assert precision[31][1] == pytest.approx(100 * score.precision)
 
 
 def test_traffic_by_type_adds_up_to_the_load(recorded: Path) -> None:

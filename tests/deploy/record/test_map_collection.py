@@ -13,6 +13,7 @@ from protocol import keys as names
 from protocol import map_parts
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
+from protocol.grid import UNKNOWN
 from protocol.messages import PART_CELLS, MapPart
 from tests.system.team import small_plan
 
@@ -23,8 +24,8 @@ ON_THE_WAY = 4 << 20
 
 
 def cells() -> np.ndarray[tuple[int], np.dtype[np.uint8]]:
-    own, planning = np.random.default_rng(1).integers(0, 3, (2, *SHAPE), np.uint8)
-    return map_parts.join(own, planning)
+    own, planning, settled = np.random.default_rng(1).integers(0, 3, (3, *SHAPE), np.uint8)
+    return map_parts.join(own, planning, (settled == 0) & (own != UNKNOWN))
 
 
 class Congestion:
@@ -97,7 +98,9 @@ def test_only_a_few_robots_send_at_the_same_time_and_a_lost_one_makes_room() -> 
         MapPart(0, zlib.compress(bytes(1 << 26))),
         MapPart(0, zlib.compress(bytes(PART_CELLS)) + b"more"),
         MapPart(0, zlib.compress(PART_CELLS * b"\x03")),
+        MapPart(0, zlib.compress(PART_CELLS * b"\x0c")),
         MapPart(0, zlib.compress(PART_CELLS * b"\x10")),
+        MapPart(0, zlib.compress(PART_CELLS * b"\x21")),
     ],
     ids=lambda part: f"{part.part}-{len(part.cells)}",
 )

@@ -56,6 +56,21 @@ def test_scenarios_are_compared_in_pairs_with_a_verdict_and_pictures(tmp_path: P
     assert done._repr_html_().count("<img") == 2
 
 
+def test_noisy_maps_are_compared_by_their_walls_and_their_agreement() -> None:
+    small = {
+        "map": "office",
+        "map_options": {"width_m": 12.0, "height_m": 10.0},
+        "robots": 2,
+        "bandwidth": 60,
+    }
+    noisy = {laser: small | {"laser": {"preset": laser}} for laser in ("sick-lms", "rplidar-a1")}
+    done = compare(noisy, seeds=2, metric="worst_walls_within_tolerance", **QUIET)
+    assert "of the worst_walls_within_tolerance of" in done.verdicts[0]
+    means = dict(done.table.filter(pl.col("n") == 2).group_by("metric").agg(pl.col("mean").min()).rows())
+    assert 0 < means["worst_walls_within_tolerance"] < means["walls_within_tolerance"] < 1
+    assert 0.9 < means["claimed_worst_wall_f1"] < 1
+
+
 def test_scenarios_of_files_and_objects_are_compared_by_their_names(tmp_path: Path) -> None:
     (tmp_path / "slow.toml").write_text('map = "em"\nspeed = 0.2\nsteps = 3\n')
     (tmp_path / "fast.toml").write_text('map = "em"\nspeed = 1.0\nsteps = 3\n')
