@@ -205,6 +205,7 @@ def _robot_settings(
             incarnations=radio.incarnations,
             record_maps=record_maps,
             laser=None if sensors is None else sensors.geometries[number],
+            people=scenario.people.number > 0,
             tolerance=scenario.tolerance,
         )
         for number, body in enumerate(bodies)
