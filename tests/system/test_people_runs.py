@@ -37,6 +37,25 @@ def test_a_team_explores_a_building_with_people(strategy: str) -> None:
     assert len(set(walks(result))) > 10
 
 
+@pytest.mark.parametrize(("seed", "people"), [(2, 6), (23, 12)])
+def test_people_who_close_a_doorway_for_a_while_do_not_end_a_run(seed: int, people: int) -> None:
+    """In these runs, people stand in the only doorway, or before it, until all robots have nothing left to explore."""
+    crowded: dict[str, Any] = {
+        "map_seed": seed, "map_options": {"width_m": 14.0, "height_m": 12.0}, "seed": seed, "bandwidth": 200,
+        "radius": 0.2, "pose": {"preset": "particle-filter"}, "people": {"number": people},
+    }  # fmt: skip
+    result = run(**crowded)
+    assert result.summary["finished"]
+    assert result.summary["coverage"] >= 0.98
+    looked = [status.step for each in result.records.statuses for status in each if "again" in status.status]
+    assert min(looked) < result.summary["t90"]
+
+
+def test_a_team_that_must_return_drives_home_among_people() -> None:
+    summary = run(strategy="meier", options={"mission": "return"}).summary
+    assert summary["finished"]
+
+
 def test_people_walk_alike_on_both_buses() -> None:
     memory, zenoh = (run(bus=bus, steps=40) for bus in ("memory", "zenoh"))
     assert walks(memory) == walks(zenoh)
