@@ -21,14 +21,14 @@ from agent.encodings.base import MapEncoding
 from agent.encodings.catalog import encoding_class, make_encoding
 from agent.mapping.mapper import WALL, cell_ahead, make_mapper
 from agent.outline.polygons import Polygons
-from agent.planning.noisy_grid import NoisyGrid
+from agent.planning.noisy_grid import NoisyGrid, narrow_cells
 from agent.planning.second_look import SecondLook
 from agent.replication.digests import INTERVAL
 from agent.replication.engine import make_replication
 from agent.replication.peers import MapId
 from agent.replication.replica import Rejected
 from agent.settings import Settings
-from agent.strategies.base import Cell, Decision
+from agent.strategies.base import Cell, Decision, Situation
 from agent.strategies.registry import strategy
 from agent.team_state import TeamState
 from protocol import packet_index, packets
@@ -51,6 +51,9 @@ by then teammates have sent more of areas that looked insignificant when they fi
 SURE_AFTER_NOISE = 5
 """The same for maps of noisy lasers, where a false wall may close a doorway for some steps."""
 
+SURE_AFTER_LOG = 20
+"""Steps for which a robot that replays a log must have nothing to deliver: changes may wait until they are encoded."""
+
 VERIFY_STEPS = 3
 """Steps in which the authors of forged entries, which receive them as well, send digests and true entries."""
 
@@ -64,6 +67,8 @@ def sure_after(settings: Settings) -> int:
 
     Twice as many for maps with assumptions on a medium that may lose or delay frames.
     """
+    if not strategy(settings.strategy).explores:
+        return SURE_AFTER_LOG
     if not encoding_class(settings.map_encoding).infers_cells(settings):
         return 0 if settings.laser is None else SURE_AFTER_NOISE
     return 2 * SURE_AFTER if settings.requires_acks else SURE_AFTER
@@ -88,7 +93,9 @@ class Robot:
         """The self-explored grid."""
         self.planning: Grid = self.own.copy()
         """The planning grid: the self-explored one merged with teammates' maps."""
-        self._noisy_grid = NoisyGrid(*self.own.shape) if settings.laser is not None else None
+        narrow = narrow_cells(settings.radius_cells, settings.resolution)
+        has_noise = settings.laser is not None
+        self._noisy_grid = NoisyGrid(settings.height, settings.width, narrow) if has_noise else None
         self._encoding = make_encoding(settings)
         self._encoding.use_log_odds(self._mapper.log_odds)
         self._team = TeamState(settings)
@@ -210,10 +217,15 @@ class Robot:
             raise RuntimeError("decide before the first perceive")
         self.planning = self._encoding.merge(self.own, self._team.in_range)
         self._report_false_maps()
-        grid = self._explorable(sense)
-        decision = self._strategy.decide(self._team.situation(sense, grid))
+        situation = self._team.situation(
+            sense,
+            self._explorable(sense),
+            log_entries=len(self.replication.replica.own_log),
+            backlog=self.replication.undelivered(),
+        )
+        decision = self._strategy.decide(situation)
         self._idle_steps = self._idle_steps + 1 if decision.explored else 0
-        decision = self._look_again(sense, grid, decision)
+        decision = self._look_again(situation, decision)
         self._apply(decision)
         return Move(
             sense.step,
@@ -234,12 +246,12 @@ class Robot:
             self._noisy_grid.bump(*cell_ahead(sense, self.settings.radius_cells))
         return self._noisy_grid.clean(self.planning)
 
-    def _look_again(self, sense: Sense, grid: Grid, decision: Decision) -> Decision:
-        """Return a decision that does not end the run yet if a person may stand before a frontier of `grid`."""
+    def _look_again(self, situation: Situation, decision: Decision) -> Decision:
+        """Return a decision that does not end the run yet if a person may stand before a frontier."""
         if self._second_look is None:
             return decision
-        self._second_look.note(grid, explored=decision.explored)
-        way = self._second_look.way(grid, (sense.x, sense.y)) if decision.explored else None
+        self._second_look.note(situation.grid, explored=decision.explored)
+        way = self._second_look.way(situation.grid, situation.here) if decision.explored else None
         if way is None:
             return decision
         return replace(decision, path=way, explored=False, status="looking again at a wall before a frontier")

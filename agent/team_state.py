@@ -94,7 +94,7 @@ class TeamState:
         if self._pose_steps[peer] < self.step:
             self._note_pose(peer, Pose(*cell, before.leads))
 
-    def situation(self, sense: Sense, grid: Grid) -> Situation:
+    def situation(self, sense: Sense, grid: Grid, *, log_entries: int, backlog: int) -> Situation:
         """Return what the strategy decides on, and take over the targets that are new."""
         new_targets, self._new_targets = self._new_targets, {}
         self.targets |= new_targets
@@ -117,6 +117,8 @@ class TeamState:
             targets=_ascending(self.targets),
             target_steps=_ascending(self._target_steps),
             new_targets=new_targets,
+            log_entries=log_entries,
+            backlog=backlog,
         )
 
     def _on_grid(self, packet: packets.Target | packets.Passed | packets.Pose) -> bool:

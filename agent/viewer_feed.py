@@ -82,16 +82,3 @@ def outline_bytes(polygons: Polygons) -> bytes:
     rows[:, 2] = 4 * polygons.y + SIDE_Y[polygons.side]
     rows[:, 3] = polygons.occupied | np.repeat(polygons.inside, sizes).astype(np.uint8) << 1
     return rows.tobytes()
-
-
-def polygons_of(vertices: bytes, shape: tuple[int, int]) -> Polygons:
-    """Decode polygons that `outline_bytes` encoded, on a grid of `shape` (h, w)."""
-    rows = np.frombuffer(vertices, "<i2").reshape(-1, 4)
-    x, y = (rows[:, 1] + 1) // 4, (rows[:, 2] + 1) // 4
-    across, down = rows[:, 1] - 4 * x, rows[:, 2] - 4 * y
-    side = np.where(across == 0, 1 - down, 2 - across)
-    start = np.append(np.flatnonzero(np.diff(rows[:, 0], prepend=-1)), len(rows)).astype(np.int32)
-    flags = rows[:, 3].astype(np.uint8)
-    return Polygons(
-        shape, x, y, side.astype(np.uint8), flags & np.uint8(1), start, flags[start[:-1]] >> 1 == 1
-    )

@@ -17,6 +17,7 @@ from deploy.scenario.scenario import Scenario
 from deploy.scenario.tables import ChangeTable, FaultTable, RobotOverride
 from netshaper.radio_options import RadioOptions
 from worldsim.people_options import PeopleOptions
+from worldsim.recorded.options import RecordingOptions
 from worldsim.sensor_options import LaserOptions, PoseOptions
 
 DOCS = Path(__file__).parent
@@ -60,6 +61,13 @@ OPTIONS = {
         "number": "number of [people](real-sensors.md#people) who walk about in the building",
         "speed": "walking speed, meters per step",
         "radius": "radius of the disc that a person covers, meters",
+    },
+    "recording": {
+        "files": "[logs](recorded.md), one for the whole team or one per robot; relative to the scenario file",
+        "every": "1: replay all scans; 5: each fifth",
+        "pace": '`"scan"`: one scan per robot and step; `"recorded"`: a step is a second of the log',
+        "topic": "topic of the laser, if a bag has several",
+        "resolution": "side of a cell, meters",
     },
     "radio": {
         "preset": "a [radio by name](radios.md#radios-by-name), for values that the scenario does not give",
@@ -110,6 +118,7 @@ def settings() -> Iterator[tuple[str, str, str]]:
         "laser": asdict(LaserOptions()),
         "pose": asdict(PoseOptions()),
         "people": asdict(PeopleOptions()),
+        "recording": {**asdict(RecordingOptions()), "files": []},
     }
     for name, default, meaning in _fields(Scenario, ""):
         if name in options:

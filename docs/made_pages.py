@@ -9,7 +9,7 @@ from typing import Any
 
 from mkdocs.structure.files import File, Files
 
-from deploy.record.columns import FILES, SUMMARY
+from deploy.record.columns import FILES, RECORDED, SUMMARY
 from docs import packet_tables
 from protocol import messages
 from protocol.rights import RIGHTS
@@ -41,6 +41,8 @@ def files_page() -> str:
         lines += [f"| `{column.name}` | {column.type} | {column.meaning} |" for column in columns]
     lines += ["", "## summary.json", "", "| key | meaning |", "|---|---|"]
     lines += [f"| {keys} | {meaning} |" for keys, meaning in SUMMARY.items()]
+    lines += ["", "[Recorded runs](../recorded.md) also have:", "", "| key | meaning |", "|---|---|"]
+    lines += [f"| {keys} | {meaning} |" for keys, meaning in RECORDED.items()]
     return "\n".join(lines) + "\n"
 
 

@@ -266,7 +266,7 @@ def _read_picture(path: Path) -> tuple[NDArray[np.float64], int]:
     except UnidentifiedImageError:
         reason = "is not a complete PGM or PNG picture" if data else "is empty; give a PGM or PNG picture"
     except Exception as error:  # Pillow raises errors of many types for damaged pictures
-        reason = f"is not a complete PGM or PNG picture ({str(error) or type(error).__name__})"
+        reason = f"is not a complete PGM or PNG picture ({str(error) or 'damaged'})"
     raise MapError(f"{path}: {reason}")
 
 

@@ -33,12 +33,11 @@ from protocol.messages import (
     pack,
 )
 from protocol.rights import MAX_PROTOCOL_ERRORS, TOO_MANY_ERRORS
+from worldsim.base import BaseWorld
 from worldsim.motion import FINE
 from worldsim.restarts import Restarts
-from worldsim.world import World
 
-EXPLORED, OUT_OF_STEPS, ALL_LOST = "explored", "out of steps", "all robots are lost"
-STALLED = "stalled: there is a frontier left, and no robot gets nearer to it"
+OUT_OF_STEPS, ALL_LOST = "out of steps", "all robots are lost"
 
 
 class WorldNode:
@@ -53,7 +52,7 @@ class WorldNode:
         self,
         bus: Bus,
         keys: Keys,
-        world: World,
+        world: BaseWorld,
         steps: int,
         cell_mm: float,
         *,
@@ -159,7 +158,8 @@ class WorldNode:
     def _end_step(self) -> None:
         """End the run if this step ends it, else open the next step."""
         moves, self._moves = self._moves, {}
-        explored = sorted(robot for robot, move in moves.items() if move.explored)
+        may_end = self._world.may_end()
+        explored = sorted(robot for robot, move in moves.items() if move.explored and may_end)
         wanted = 1
         if self._world.settings.ends_with_all:
             wanted = len(moves)
@@ -168,11 +168,11 @@ class WorldNode:
         else:
             explored = []
         if explored and len(explored) >= wanted:
-            self._end(EXPLORED, explored[0])
+            self._end(self._world.finished, explored[0])
         elif self._world.is_deserted() and not self._restarts.rejoined and not self._restarts.recovering:
             self._end(ALL_LOST, -1)
-        elif moves and all(move.stalled for move in moves.values()):
-            self._end(STALLED, -1)
+        elif may_end and self._world.is_stalled(moves):
+            self._end(self._world.stalled, -1)
         elif self._stop_reason:
             self._end(self._stop_reason, -1)
         elif self._world.step >= self._steps:

@@ -11,11 +11,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.faults import FaultSchedule
-from protocol.grid import FREE, Grid, disc, enlarge, ray_table
+from protocol.arrays import BoolRows
+from protocol.grid import FREE, Grid, RayTable, disc, enlarge, ray_table
+from protocol.kernels import kernel
 from protocol.keyed_random import keyed_random
 from protocol.messages import FaultEvent, Move, Sense, cells_from_bytes, cells_to_bytes, points_from_bytes
 from protocol.scans import NONE, draw
+from worldsim.base import BaseWorld
 from worldsim.laser import FULL_TURN, HEADINGS, cast
 from worldsim.motion import (
     DIAGONAL,
@@ -86,63 +88,38 @@ class WorldSettings:
     """Scans per step, at most 1."""
 
 
-class World:
+class World(BaseWorld):
     """The world of one run; cells of `truth` (uint8, shape (h, w)) that are not free are solid."""
 
     def __init__(self, truth: Grid, settings: WorldSettings) -> None:
-        self.truth = truth
-        self.settings = settings
-        self.step = 0
-        self.cells: dict[int, tuple[int, int]] = dict(enumerate(settings.starts))
-        """Cell (x, y) of each robot in the world."""
-        self.offsets = dict.fromkeys(self.cells, (0, 0))
-        """Position (x, y) of each robot in its cell, in thousandths of a cell from the center."""
-        self.headings = dict.fromkeys(self.cells, 0)
-        self.driven = [0.0] * len(settings.starts)
-        """Distance driven by each robot, in cells."""
+        super().__init__(truth, settings)
         self.floors = {body.radius_cells: enlarge(truth, body.radius_cells) for body in settings.bodies}
         """For each radius in cells: the grid of cells that a robot's center may enter."""
         self.reachable = reachable_by_team(truth, settings)
         self.seen = np.zeros_like(truth)
         """Grid of all cells seen by the team's lasers."""
         self._counted = np.zeros(truth.shape, np.bool_)
-        """The reachable free cells that the team has seen."""
         self._taken = np.zeros(truth.shape, np.uint8)
-        self.faults = FaultSchedule(settings.faults)
         self._reachable_by: dict[int, NDArray[np.bool_]] = {}
         """The free cells that a robot can reach, by robots whose reports were checked."""
-        self._last_cells = dict(self.cells)
-        """Last cell of each robot that has been removed."""
-        self._ray_tables = [ray_table(body.range_cells, settings.beams) for body in settings.bodies]
         self._carry = [0.0] * len(settings.starts)
         self._scanner_angle = [0.0] * len(settings.starts)
         self._sensors = None if settings.sensors is None else Sensors(settings.sensors, settings.seed)
         self._people = None if settings.people is None else self._place_people(settings.people)
-
-    @cached_property
-    def reachable_cells(self) -> int:
-        """Number of free cells that robots can reach."""
-        return int(np.count_nonzero(self.reachable))
-
-    @cached_property
-    def _widest(self) -> float:
-        return max((body.radius_cells for body in self.settings.bodies), default=0.0)
-
-    @property
-    def seen_cells(self) -> int:
-        """Number of reachable free cells that the team has seen."""
-        return int(np.count_nonzero(self._counted))
 
     @property
     def people(self) -> list[tuple[int, int]]:
         """The cell of each person in the building."""
         return [] if self._people is None else self._people.cells
 
-    def remove(self, robot: int) -> None:
-        """Remove a robot from the world; the others no longer collide with it."""
-        if robot in self.cells:
-            self._last_cells[robot] = self.cells.pop(robot)
-            self.faults.active["stop"].pop(robot, None)
+    @cached_property
+    def _ray_tables(self) -> list[RayTable]:
+        """The cells of each robot's beams."""
+        return [ray_table(body.range_cells, self.settings.beams) for body in self.settings.bodies]
+
+    @cached_property
+    def _widest(self) -> float:
+        return max((body.radius_cells for body in self.settings.bodies), default=0.0)
 
     def restore(self, robot: int) -> None:
         """Put a removed robot back where it was, or into the nearest free cell if that one is taken."""
@@ -158,34 +135,6 @@ class World:
         self.offsets[robot] = 0, 0
         self._carry[robot] = 0.0
 
-    def due_faults(self) -> list[FaultEvent]:
-        """Remove the faults of the next step from the schedule and return them, in order."""
-        return self.faults.due(self.step + 1, self.cells)
-
-    def is_active(self, robot: int) -> bool:
-        """Return whether a robot takes part in this step: it is in the world and not stopped."""
-        return robot in self.cells and robot not in self.faults.active["stop"]
-
-    def active_robots(self) -> list[int]:
-        """Return the robots that take part in this step, in ascending order."""
-        return sorted(self.cells.keys() - self.faults.active["stop"].keys())
-
-    @property
-    def active_count(self) -> int:
-        """Number of robots that take part in this step."""
-        return len(self.cells) - len(self.faults.active["stop"])
-
-    def is_deserted(self) -> bool:
-        """Return whether no robot takes part in this step, and none will take part again by the schedule."""
-        restarts = any(fault.kind == "restart" for fault in self.faults.pending)
-        recovers = any(until < math.inf for until in self.faults.active["stop"].values())
-        return not self.active_count and not restarts and not recovers
-
-    def smallest_robots(self) -> list[int]:
-        """Return the active robots of the smallest radius; they reach all that any robot reaches."""
-        radii = {robot: self.settings.bodies[robot].radius_cells for robot in self.active_robots()}
-        return [robot for robot, radius in radii.items() if radius == min(radii.values())]
-
     def share_seen(self, robot: int) -> float:
         """Return the share of the cells that a robot can reach which the team's lasers have seen."""
         if robot not in self._reachable_by:
@@ -193,10 +142,6 @@ class World:
             self._reachable_by[robot] = reachable_by(self.truth, self.settings.starts[robot], radius)
         seen = self.seen[self._reachable_by[robot]] == FREE
         return float(seen.mean())
-
-    def advance(self, moves: Mapping[int, Move]) -> dict[int, Sense]:
-        """Begin the next step: move the robots, in ascending order, and return all their scans."""
-        return dict(self.move_robots(moves))
 
     def move_robots(self, moves: Mapping[int, Move]) -> Iterator[tuple[int, Sense]]:
         """Begin the next step: move the robots, and return an iterator that casts one scan at a time."""
@@ -322,9 +267,7 @@ class World:
         driven_over = np.array(entered, np.int32).reshape(-1, 2)
         news = draw(self.seen, self._ray_tables[robot], x, y, readings, driven_over)
         if news.cells:
-            x0, y0, x1, y1 = news.box
-            counted, reachable = (each[y0:y1, x0:x1] for each in (self._counted, self.reachable))
-            counted |= (self.seen[y0:y1, x0:x1] == FREE) & reachable
+            self.seen_cells += int(_count_seen(self.seen, self.reachable, *news.box, self._counted))
         offset_x, offset_y = self.offsets[robot]
         driven = cells_to_bytes(driven_over)
         exact = Sense(self.step, x, y, heading, driven, readings.tobytes(), blocked, offset_x, offset_y)
@@ -336,6 +279,20 @@ class World:
             active &= (beams - angle) % FULL_TURN < body.scanner_turn
         discs = NO_DISCS if self._people is None else self._people.discs
         return self._sensors.sense(robot, exact, self.truth, occupied, active, discs)
+
+
+@kernel
+def _count_seen(
+    seen: Grid, reachable: BoolRows, x0: int, y0: int, x1: int, y1: int, counted: BoolRows
+) -> int:
+    """Count the reachable free cells of a box that have been seen, once each."""
+    fresh = 0
+    for y in range(y0, y1):
+        for x in range(x0, x1):
+            if seen[y, x] == FREE and reachable[y, x] and not counted[y, x]:
+                counted[y, x] = True
+                fresh += 1
+    return fresh
 
 
 def scans_in(step: int, rate: float) -> bool:

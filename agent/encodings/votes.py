@@ -47,14 +47,13 @@ class Votes:
         self.received: Grid = np.full((settings.height, settings.width), UNKNOWN, np.uint8)
         self._robot, self._robots = settings.robot, settings.robots
         self._judges = settings.robots <= VOTERS and settings.laser is None
-        self._voters = np.zeros((self.received.size, 2), np.int64)
-        """The robots that report each cell as free, and those that report a wall, as bits."""
         self.reset()
 
     def reset(self) -> None:
         """Forget all votes, and all doubts."""
         self.received[:] = UNKNOWN
-        self._voters[:] = 0
+        self._voters = np.zeros((self.received.size, 2), np.int64)  # memory only where robots report
+        """The robots that report each cell as free, and those that report a wall, as bits."""
         self._believed = (1 << VOTERS) - 1
         self.doubted: dict[int, str] = {}
         self.contested = False

@@ -2,7 +2,7 @@
 
 A tile is ready if its cells have not changed for `QUIET_STEPS` steps, or if it has waited for `LONGEST_WAIT` steps. A
 tile that is sent while the robot still maps it is sent again later, and its ragged edge takes more bytes than its
-cells.
+cells. Ready tiles wait until there are enough of them, because each update has a head of some bytes.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from agent.mapping.bound import TILE, Bound, tiles_of
 from agent.mapping.estimator import Int8Grid
@@ -24,11 +25,11 @@ from protocol.scans import Change, Scan
 QUIET_STEPS = 2
 """Steps without a change after which a tile is encoded."""
 
-LONGEST_WAIT = 8
+LONGEST_WAIT = 16
 """Steps after which a tile is encoded although it still changes."""
 
-INTERVAL = 4
-"""Steps between updates."""
+ENOUGH_BYTES = 48
+"""Expected bytes of an update that is sent at once."""
 
 TILE_BYTES = 3.0
 """Typical bytes of a tile in an update."""
@@ -46,8 +47,6 @@ class TileAuthor(Author[TileStream]):
         self._bound = bound
         self._pose = (0, 0)
         self._step = 0
-        self._next_step = 0
-        """The step from which the next update may be encoded."""
         self._changed = np.full(shape, -_NEVER, np.int64)
         """The step in which each tile last changed."""
         self._waiting_since = np.full(shape, _NEVER, np.int64)
@@ -74,19 +73,24 @@ class TileAuthor(Author[TileStream]):
         np.minimum(waiting, self._step, out=waiting)
 
     def is_due(self, own: Grid, received: Grid) -> bool:
-        """Return whether the last update was long enough ago."""
+        """Return whether enough tiles are ready, or one has waited for long."""
         del own, received
-        return self._step >= self._next_step
+        ready = self._ready()
+        is_late = (self._waiting_since[ready] <= self._step - LONGEST_WAIT).any()
+        return bool(is_late or TILE_BYTES * np.count_nonzero(ready) >= ENOUGH_BYTES)
+
+    def _ready(self) -> NDArray[np.bool_]:
+        is_quiet = self._changed <= self._step - QUIET_STEPS
+        is_late = self._waiting_since <= self._step - LONGEST_WAIT
+        ready: NDArray[np.bool_] = (self._waiting_since != _NEVER) & (is_quiet | is_late)
+        return ready
 
     def encode(self, own: Grid, log_odds: Int8Grid, most: float) -> tuple[bytes, DecodedUpdate] | None:
         """Encode an update of the tiles that are ready; the first ones to wait, if they exceed `most` bytes."""
-        since = self._waiting_since
-        is_quiet = self._changed <= self._step - QUIET_STEPS
-        ready = (since != _NEVER) & (is_quiet | (since <= self._step - LONGEST_WAIT))
+        since, ready = self._waiting_since, self._ready()
         places = np.flatnonzero(ready)
         limit = max(1, int(min(most / TILE_BYTES, len(places))))
-        is_complete = len(places) <= limit
-        if not is_complete:
+        if len(places) > limit:
             first = places[np.argsort(since.reshape(-1)[places], kind="stable")[:limit]]
             ready[:] = False
             ready.reshape(-1)[first] = True
@@ -96,7 +100,6 @@ class TileAuthor(Author[TileStream]):
         since[ready] = _NEVER
         encoded = self.stream.encode(own, log_odds, self._bound, ready.view(np.uint8), self._pose)
         if encoded is not None:
-            self._next_step = self._step + (INTERVAL if is_complete else 1)
             for box in self.stream.bases:
                 self._wait(box)
         return encoded
@@ -105,7 +108,6 @@ class TileAuthor(Author[TileStream]):
         """Take back the last update; its tiles wait again."""
         super().retract()
         np.minimum(self._waiting_since, self._encoded, out=self._waiting_since)
-        self._next_step = self._step
 
     def restart(self, stream: TileStream, withdrawn: Sequence[DecodedUpdate]) -> None:
         """Continue with another stream; all tiles wait."""

@@ -133,10 +133,6 @@ class Replica:
         """Return whether a peer's entries of a map are not accepted in this step."""
         return self.step < self._until.get((peer, number), 0)
 
-    def refused_maps(self) -> set[int]:
-        """Return the maps of which entries of some peer are not accepted in this step."""
-        return {number for (_, number), until in self._until.items() if self.step < until}
-
     def accept(self, peer: int, number: int, frame: bytes) -> bool:
         """Decode and append the next entries of a map that a peer sent; return whether they were accepted."""
         if self.refuses(peer, number):

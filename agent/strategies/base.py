@@ -70,6 +70,10 @@ class Situation:
     """The step in which each of these targets arrived."""
     new_targets: Mapping[int, Cell] = field(default_factory=dict)
     """Targets received since the last decision."""
+    log_entries: int = 0
+    """Entries of this robot's log."""
+    backlog: int = 0
+    """Entries of this robot's log that teammates lack, summed over all teammates."""
 
     @property
     def here(self) -> Cell:
@@ -133,6 +137,8 @@ class Strategy(ABC):
     """The dataclass of the options (`agent.strategies.options`)."""
     refused: ClassVar[Mapping[str, str]] = {}
     """Options of other strategies that do not apply, each with the reason."""
+    explores: ClassVar[bool] = True
+    """Whether robots explore; others are not listed among the strategies."""
     publishes_target: ClassVar[bool] = True
     """Whether robots broadcast their targets."""
     publishes_pose: ClassVar[bool] = False

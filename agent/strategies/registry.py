@@ -18,7 +18,12 @@ from agent.strategies.base import Strategy
 
 
 def strategies() -> dict[str, type[Strategy]]:
-    """Return all imported strategies without abstract methods, by name."""
+    """Return all imported exploration strategies without abstract methods, by name."""
+    return {name: kind for name, kind in all_strategies().items() if kind.explores}
+
+
+def all_strategies() -> dict[str, type[Strategy]]:
+    """Return the same, and strategies of robots that do not explore."""
     found: dict[str, type[Strategy]] = {}
     queue: list[Any] = [Strategy]
     while queue:
@@ -46,7 +51,7 @@ def strategy(name: str) -> type[Strategy]:
 
     ValueError: the name is unknown (the message lists similar names), or the class cannot be imported.
     """
-    return PLUGINS.find(name, strategies())
+    return all_strategies().get(name) or PLUGINS.find(name, strategies())
 
 
 for _module in pkgutil.iter_modules(agent.strategies.__path__):

@@ -7,9 +7,7 @@ targets only. Each size explores for some seconds on the memory bus, and with po
 from __future__ import annotations
 
 import io
-import re
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Any
 
 from deploy.bench.explorations import office_plan
@@ -35,7 +33,6 @@ CONTENTS = {
 }
 SPEED, WORK = "speed", "processor time per robot and step"
 MEMORY, TRANSMITTED = "memory per robot, proportional", "transmitted per step"
-PANELS = {SPEED: "steps per second", WORK: "ms", MEMORY: "MB", TRANSMITTED: "bytes"}
 
 
 def scale(robots: Sequence[int] = ROBOTS) -> Iterator[Measurement]:
@@ -69,29 +66,6 @@ def _processes(size: int, content: str) -> Iterator[Measurement]:
     yield Measurement(f"{name}: {SPEED}", "steps/s", observer.steps_per_s)
     if observer.memory_mb:
         yield Measurement(f"{name}: {MEMORY}", "MB", observer.memory_mb)
-
-
-def draw(measurements: Sequence[dict[str, Any]], file: Path) -> None:
-    """Draw measurements of `scale`, as `run_benchmarks` returns them, over the size of the team."""
-    from matplotlib.figure import Figure  # noqa: PLC0415  slow to import
-
-    figure = Figure((10, 7), layout="constrained")
-    for axes, (quantity, unit) in zip(figure.subplots(2, 2).flat, PANELS.items(), strict=True):
-        lines: dict[str, list[tuple[int, float]]] = {}
-        for measurement in measurements:
-            parts = re.fullmatch(rf"(\d+) robots, (.*): {quantity}", measurement["name"])
-            if parts is not None:
-                lines.setdefault(parts[2], []).append((int(parts[1]), measurement["value"]))
-        for label, points in lines.items():
-            axes.plot(*zip(*points, strict=True), "o-", label=label)
-        axes.set(xscale="log", yscale="log", xlabel="robots", ylabel=f"{quantity}, {unit}")
-        axes.set_xticks(ROBOTS, [str(size) for size in ROBOTS])
-        axes.minorticks_off()
-        axes.yaxis.set_major_formatter("{x:g}")
-        axes.grid(visible=True, color="#e6e6e6")
-        if lines:
-            axes.legend(frameon=False)
-    figure.savefig(file, dpi=110)
 
 
 def _stop_after(observer: Observer) -> Any:

@@ -104,13 +104,19 @@ def case(seed: int) -> ChaosCase:
 
 
 def _connections(seed: int, robots: int) -> tuple[tuple[Cut, ...], tuple[int, ...]]:
-    """Connections that are cut or reset, in two cases of three, and a robot that sends long messages."""
+    """Connections that are cut or reset, in two cases of three, and a robot that sends long messages.
+
+    In some cases, the relay's link is cut as well: all connections in one step.
+    """
     draw = keyed_random(seed, "connections")
     cuts = tuple(
         Cut(int(draw.integers(1, CALM)), int(draw.integers(robots)), bool(draw.random() < 0.5))
         for _ in range(int(draw.integers(0, 3)))
     )
     heavy = (int(draw.integers(robots)),) if draw.random() < 0.3 else ()
+    if draw.random() < 0.3:
+        step, reset = int(draw.integers(1, CALM)), bool(draw.random() < 0.5)
+        cuts += tuple(Cut(step, robot, reset) for robot in range(robots))
     return cuts, heavy
 
 

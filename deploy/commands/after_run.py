@@ -21,13 +21,6 @@ def report(
     directories: Annotated[
         list[Path], typer.Argument(metavar="DIR [OTHER]", help="a run directory, or two to compare")
     ],
-    stages: Annotated[
-        int | None,
-        typer.Option(
-            metavar="STEP", help="instead, draw how a robot merges maps at this step: pictures/merging.png"
-        ),
-    ] = None,
-    robot: Annotated[int, typer.Option(metavar="N", help="robot for --stages")] = 0,
 ) -> None:
     """Write an HTML page of a run, with pictures and a slider; or compare two runs.
 
@@ -36,26 +29,10 @@ def report(
     from deploy.after.report import write_report  # noqa: PLC0415
 
     directory, *others = directories
-    if len(others) > (1 if stages is None else 0):
-        raise ValueError("report takes one run directory, or two; with --stages only one")
-    if stages is not None:
-        screen.print(f"{_draw_stages(directory, robot, stages)}: stages of merging")
-        return
+    if len(others) > 1:
+        raise ValueError("report takes one run directory, or two")
     page = write_report(directory, *others)
     screen.print(f"{page}: report of the {'runs' if others else 'run'}")
-
-
-def _draw_stages(directory: Path, robot: int, step: int) -> Path:
-    from deploy.after import archive  # noqa: PLC0415
-    from deploy.after.merging import MERGING, merging  # noqa: PLC0415
-    from deploy.record.map_pictures import save  # noqa: PLC0415
-    from deploy.record.run_directory import PICTURES  # noqa: PLC0415
-
-    figure = merging(archive.read(directory), robot, step)
-    (directory / PICTURES).mkdir(exist_ok=True)
-    path = directory / PICTURES / MERGING
-    save(path, figure, dpi=100)
-    return path
 
 
 @app.command()
@@ -123,6 +100,7 @@ def replay(
     before = run_directory.read_summary(directory)
     if reason := why_unrepeatable(before):
         raise ScenarioError(f"{directory}: cannot be repeated: {reason}")
+    run_directory.check_scans(directory, before)
     if not trust:
         _confirm_local_code(directory, recorded)
     scenario = load(directory / run_directory.SCENARIO, {"bus": bus})
@@ -145,10 +123,10 @@ def _confirm_local_code(directory: Path, scenario: Scenario) -> None:
     """Ask at a terminal whether to run code that the scenario names outside the installed packages, else refuse."""
     from agent.encodings.catalog import ENCODINGS  # noqa: PLC0415
     from agent.encodings.catalog import PLUGINS as ENCODING_PLUGINS  # noqa: PLC0415
-    from agent.strategies.registry import PLUGINS, strategies  # noqa: PLC0415
+    from agent.strategies.registry import PLUGINS, all_strategies  # noqa: PLC0415
 
     codes = (
-        PLUGINS.local_code(scenario.strategy, strategies()),
+        PLUGINS.local_code(scenario.strategy, all_strategies()),
         ENCODING_PLUGINS.local_code(scenario.map_encoding, ENCODINGS),
     )
     for code in filter(None, codes):

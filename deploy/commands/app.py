@@ -26,6 +26,7 @@ class Entry(NamedTuple):
 
 COMMANDS = {
     "explore": Entry("explore", "Explore a building with a swarm of robots."),
+    "play": Entry("play", "Replay logs of real robots, whose maps the team shares."),
     "watch": Entry("explore", "View a run in progress, or the recording of one."),
     "strategies": Entry("strategies", "List the exploration strategies, or show one with all its options."),
     "new": Entry("new", "Write a template of a new strategy, with its test."),

@@ -32,6 +32,12 @@ from worldsim.sensor_options import LASERS, POSES
 
 app = command_family()
 
+NESTED = {
+    "radio.preset": "--radio", "laser.preset": "--laser", "pose.preset": "--pose",
+    "map_options.resolution": "--resolution", "people.number": "--people",
+}  # fmt: skip
+"""Keys of tables that have a flag of their own."""
+
 
 def _option(metavar: str, help: str, group: str, *names: str) -> Any:
     return typer.Option(*names, metavar=metavar, help=help, rich_help_panel=group)
@@ -100,10 +106,9 @@ def explore(
     The run directory contains all results: summary.json, tables, pictures, maps, and scenario.toml, from which
     `murmur replay` repeats the run. docs/settings.md lists all settings.
     """
-    overrides = settings | _other_settings(set_ or [], settings)
-    overrides |= {"radio.preset": radio, "laser.preset": laser, "pose.preset": pose}
-    overrides |= {"map_options.resolution": resolution, "people.number": people}
-    overrides = {name: value for name, value in overrides.items() if value is not None}
+    for name, value in zip(NESTED, (radio, laser, pose, resolution, people), strict=True):
+        settings |= {name: value} if value is not None else {}
+    overrides = settings | other_settings(set_ or [], settings)
     if option:
         overrides["options"] = named_values(option, "option", "beta=0.5")
     if thesis:
@@ -113,7 +118,7 @@ def explore(
     chosen = load(scenario, overrides)
     choices = {"out": out, "pace": pace, "restart": restart}
     view_type = view_as or ("auto" if view else None)
-    raise typer.Exit(_explore(chosen, view_type, hosts, choices, pictures=pictures, as_json=as_json))
+    raise typer.Exit(run_live(chosen, view_type, hosts, choices, pictures=pictures, as_json=as_json))
 
 
 @app.command()
@@ -130,15 +135,16 @@ def watch(
         watching.watch(directory, window)
 
 
-def _other_settings(texts: list[str], flags: dict[str, Any]) -> dict[str, Any]:
+def other_settings(texts: list[str], flags: dict[str, Any]) -> dict[str, Any]:
     """The settings given with --set; ValueError if a flag gives one of them, too."""
     values = named_values(texts, "set", "radius=0.2")
     for name in values.keys() & flags.keys():
-        raise ValueError(f"set = '{name}=...': --{name.replace('_', '-')} is given, too; remove one of them")
+        flag = NESTED.get(name, f"--{name.replace('_', '-')}")
+        raise ValueError(f"set = '{name}=...': {flag} is given, too; remove one of them")
     return values
 
 
-def _explore(
+def run_live(
     scenario: Scenario,
     view_type: str | None,
     hosts_file: Path | None,

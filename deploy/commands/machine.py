@@ -66,7 +66,7 @@ def bench(
         typer.Option(
             metavar="FILE.png",
             callback=output_file(".png"),
-            help="draw the league table, or the results of scale",
+            help="draw the league table",
         ),
     ] = None,
     jobs: Annotated[
@@ -85,13 +85,9 @@ def bench(
         return
     from deploy.bench.registry import run_benchmarks  # noqa: PLC0415
 
-    if picture is not None and names and "scale" not in names:
-        raise ValueError(f"picture = {str(picture)!r}: only scale and strategies draw pictures")
-    figures = run_benchmarks(names or [], (lambda _: None) if as_json else screen.print, robots or [])
     if picture is not None:
-        from deploy.bench.scale import draw  # noqa: PLC0415
-
-        draw(figures, picture)
+        raise ValueError(f"picture = {str(picture)!r}: only strategies draws a picture")
+    figures = run_benchmarks(names or [], (lambda _: None) if as_json else screen.print, robots or [])
     if as_json:
         print(json.dumps(figures, indent=2))
 

@@ -94,16 +94,30 @@ def table(lines: list[list[str]]) -> Table:
     return result
 
 
+def _replayed(summary: dict[str, Any]) -> str:
+    """Return how much of a log was replayed, and whether teammates hold all maps."""
+    first = f"Replayed {summary['scans']} scans in {summary['steps']} steps"
+    late = summary["steps_after_scans"]
+    if summary["finished"]:
+        when = f"{late} steps after the last scan" if late else "in the step of the last scan"
+        return f"{first}; teammates held all maps {when}. {summary['bytes_per_scan']} B per scan."
+    missing = f"teammates lack {summary['backlog']} log entries"
+    return f"{first}, not finished: {summary['reason']}; {missing}."
+
+
 def summary_lines(summary: dict[str, Any], directory: Path | None, *, noisy: bool) -> list[str]:
     """The figures of a run as lines of text; with `noisy` sensors, also how well the walls on its maps fit."""
     lines = []
-    if summary["finished"]:
+    if "scans" in summary:
+        lines.append(_replayed(summary))
+    elif summary["finished"]:
         lines.append(f"Explored in {summary['steps']} steps; robot {summary['first_robot']} finished first.")
     else:
         lines.append(f"Not finished after {summary['steps']} steps: {summary['reason']}.")
     accuracy = summary["map_accuracy"]
     lines.append(
-        f"The team saw {_percent(summary['coverage'])} of the reachable area"
+        f"The team saw {_percent(summary['coverage'])} of the "
+        + ("map of all scans" if "scans" in summary else "reachable area")
         + (f"; map accuracy {_percent(accuracy)}." if accuracy is not None else ".")
     )
     if noisy:

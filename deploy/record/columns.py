@@ -101,10 +101,19 @@ SUMMARY = {
     "reconnected": "step and robot of each connection that was cut and restored",
     "returned": "step and robot of each restart after an unexpected death",
     "digest, versions": "hash of all results; versions of the code and its libraries, which equal digests require",
-    "tables": "SHA-256 of each parquet file",
+    "tables": "SHA-256 of each parquet file, and of the scans that a recorded run has replayed",
     "wall_s, steps_per_s, work_us_median": "performance; not part of the result",
 }
 """Keys of ``summary.json`` and their meaning."""
+
+RECORDED = {
+    "logs": "the logs that were replayed",
+    "scans": "number of scans that the robots have taken from them",
+    "bytes_per_scan": "bytes that the whole team transmitted, over `scans`",
+    "steps_after_scans": "steps from the last scan until teammates held everything, or to the end if they did not",
+    "backlog_after_scans, backlog": "log entries that teammates lacked, after the last scan and at the end",
+}
+"""Keys of ``summary.json`` that only recorded runs have."""
 
 FILES = {
     "steps.parquet": STEPS,

@@ -88,8 +88,9 @@ class TrueWalls:
 
 
 def true_walls_of(plan: Plan, reachable: Mask) -> TrueWalls:
-    """Return the true walls of a run: all cells that are not free stop beams."""
-    return TrueWalls(plan.map.cells != FREE, reachable)
+    """Return the true walls of a run: all cells that are not free stop beams, but for those that no log shows."""
+    cells = plan.map.cells
+    return TrueWalls(cells == OCCUPIED if plan.recording is not None else cells != FREE, reachable)
 
 
 def walls_held(

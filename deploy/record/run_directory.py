@@ -29,6 +29,7 @@ from deploy.record.map_history import MAP_CHANGES
 from deploy.record.records import Records
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
+from deploy.scenario.recording import Recording
 from deploy.scenario.scenario import Scenario, ScenarioError, load, parse
 from netshaper import capture
 from netshaper.ledger import CAUSES, MALFORMED
@@ -37,6 +38,7 @@ from protocol.packets import ALL_KINDS
 from worldsim import maps
 from worldsim.atomic_files import write_whole
 from worldsim.maps import Map, to_world
+from worldsim.recorded import scan_file
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
@@ -44,6 +46,7 @@ if TYPE_CHECKING:
 SCENARIO, SUMMARY, STEPS, LEDGER = "scenario.toml", "summary.json", "steps.parquet", "ledger.parquet"
 CAPTURE, NEW_CAPTURE = "radio.pcapng", ".radio.pcapng"
 MAP = "map.yaml"
+SCANS = "scans-{}.npz"
 PICTURE = "maps.png"
 PICTURES = "pictures"
 LOGS = "logs"
@@ -101,12 +104,24 @@ def _next_free(plan: Plan) -> Path:
 
 
 def write_inputs(out: Path, plan: Plan) -> None:
-    """Write the input of the run: its map, and its scenario with all settings and a reference to that map."""
+    """Write the input of the run: its map, the scans that it replays, and its scenario with references to these."""
     maps.save(plan.map, out / MAP)
     data = plan.scenario.model_dump(mode="json", exclude_none=True) | {"map": MAP, "map_options": {}}
     text = f"# {plan.map.name}: all settings of this run. Repeat it: murmur replay {out}\n"
+    if plan.recording is not None:
+        options = plan.scenario.recording
+        text += f"# Replayed: {', '.join(options.files)}; one of {options.every} scans.\n"
+        data["recording"] |= {"files": _write_scans(out, plan.recording), "every": 1, "topic": ""}
     text += parse(data).to_toml()
     write_whole(out / SCENARIO, lambda file: file.write(text.encode()))
+
+
+def _write_scans(out: Path, recording: Recording) -> list[str]:
+    """Write the scans of each log; return the names of the files."""
+    written = [SCANS.format(number) for number in range(len(recording.logs))]
+    for name, log in zip(written, recording.logs, strict=True):
+        scan_file.write(log, out / name)
+    return written
 
 
 @contextlib.contextmanager
@@ -188,6 +203,15 @@ def read_summary(directory: Path) -> dict[str, Any]:
     return found
 
 
+def check_scans(directory: Path, summary: dict[str, Any]) -> None:
+    """Raise ScenarioError if the scans that a run replayed have changed since."""
+    digests = summary.get("tables")
+    for name, digest in digests.items() if isinstance(digests, dict) else ():
+        path = directory / name
+        if path.suffix == scan_file.SUFFIX and path.is_file() and sha256(path) != digest:
+            raise ScenarioError(f"{path}: has changed since the run: its SHA-256 is not that in {SUMMARY}")
+
+
 def load_writers() -> None:
     """Import what `write_results` needs: at the end of a run, an import could fail and lose the run."""
     from pyarrow import parquet  # noqa: F401, PLC0415
@@ -243,7 +267,9 @@ def write_results(
     if failed:
         unwritten = ", ".join(dict.fromkeys(str(error.filename) for error in failed))
         raise OSError(failed[0].errno, failed[0].strerror, unwritten)
-    summary["tables"] = {name: sha256(out / name) for name in FILES if (out / name).is_file()}
+    logs = plan.recording.logs if plan.recording is not None else ()
+    names = [*FILES, *(SCANS.format(number) for number in range(len(logs)))]
+    summary["tables"] = {name: sha256(out / name) for name in names if (out / name).is_file()}
     write_summary()
 
 

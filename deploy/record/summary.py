@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from agent.robot import sure_after
 from deploy.record.map_quality import Figures, Mask, is_refuted, robot_figures, team_figures, true_walls_of
+from deploy.record.recorded_runs import recorded_figures
 from deploy.record.records import Records
 from deploy.record.versions import versions
 from deploy.scenario.plan import Plan
@@ -39,6 +40,7 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
     first = end.first if done and end is not None else min(records.planning, default=-1)
     steps = end.step if end is not None and end.step >= 0 else records.step
     allowed = budgets(plan.radio.budget, records.changes, int(ledger["step"].max(initial=0)) + 1)
+    sizes = _per_kind(ledger, "bytes")
     return {
         "finished": finished,
         "reason": _reason(end, finished=finished),
@@ -64,9 +66,10 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "bandwidth": scenario.bandwidth,
         "range_m": plan.range_m,
         "tolerance": tolerance(plan),
-        "bytes": _per_kind(ledger, "bytes"),
+        "bytes": sizes,
         "raw_scan_bytes": steps * SCAN_VALUES * VALUE_BYTES * scenario.robots * (scenario.robots - 1),
         "packets": _per_kind(ledger, "packets"),
+        **recorded_figures(plan, records, steps, sizes["total"]),
         **_approximation_error(records, first, int(reachable.sum())),
         "over_budget_steps": _over_budget(ledger, allowed, each=scenario.radio.reuse),
         "undelivered": _undelivered(ledger),

@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping
 from contextlib import closing
 from ipaddress import ip_address
 from pathlib import Path
+from typing import Any
 
 from deploy.dashboard.process import ViewTask, serve
 from deploy.dashboard.windows import Window, free_port
@@ -203,11 +204,17 @@ def _check_same(scenario: Scenario, credential: Path) -> None:
         return
     theirs, ours = (each.model_dump(exclude={"bus"}) for each in (load(beside, {}), scenario))
     for key, value in ours.items():
-        differs = Path(value).name != Path(theirs[key]).name if key == "map" else value != theirs[key]
-        if differs:
+        if _without_folders(key, value) != _without_folders(key, theirs[key]):
             raise ScenarioError(
                 f"{key} = {value!r} here, but {theirs[key]!r} in {beside}: all processes need the same scenario"
             )
+
+
+def _without_folders(key: str, value: Any) -> Any:
+    """Return a setting, paths as names of files."""
+    if key == "map":
+        return Path(value).name
+    return value | {"files": [Path(file).name for file in value["files"]]} if key == "recording" else value
 
 
 def _credential(path: Path, name: str) -> Credential:

@@ -22,7 +22,7 @@ from deploy.dashboard.windows import Window, optimize
 from deploy.record import run_directory
 from deploy.record.records import RecorderNode, Records
 from deploy.record.summary import summarize
-from deploy.run import launch, limits
+from deploy.run import launch, limits, memory
 from deploy.run.control import Control, as_it_went
 from deploy.run.crash_report import traceback_of
 from deploy.run.hosts import Hosts
@@ -201,12 +201,15 @@ def explore(
     incarnations = _incarnations(scenario, hosts) if restart else 1
     plan = plans.make(scenario, incarnations=incarnations, record_maps=keep)
     _check_pace_and_hosts(pace, hosts, scenario)
+    memory.check(plan, sum(map(len, hosts.placing(scenario.robots).values())) if hosts is not None else 0)
     limits.check_files(scenario.robots if scenario.bus == "zenoh" else 0)
     if keep:
         with limits.importing():
             run_directory.load_writers()
     if radio := effective_radio(plan):
         notify(radio)
+    for note in plan.recording.notes if plan.recording is not None else ():
+        notify(note)
     interrupt = Interrupt(notify, control.resume if control is not None else (lambda: None))
     if control is not None:
         control.attach(plan, pace, may_kill=hosts is None)

@@ -6,6 +6,7 @@ This module imports nothing large, because importing Murmur's libraries fails wi
 from __future__ import annotations
 
 import contextlib
+import math
 import resource
 from collections.abc import Iterator
 
@@ -25,9 +26,14 @@ _MEMORY_LIMITS = {
 def check_memory() -> None:
     """Raise ValueError if a limit on memory is lower than what any command needs."""
     for name, (number, needed) in _MEMORY_LIMITS.items():
-        limit = resource.getrlimit(number)[0]
-        if limit != resource.RLIM_INFINITY and limit < needed:
+        if (limit := soft_limit(number)) < needed:
             raise ValueError(f"{name}: the limit is {_mb(limit)}; it must be {_mb(needed)} or more")
+
+
+def soft_limit(number: int) -> float:
+    """Return a limit of this process; infinite if there is none."""
+    limit = resource.getrlimit(number)[0]
+    return math.inf if limit == resource.RLIM_INFINITY else limit
 
 
 def check_files(robots: int) -> None:
@@ -61,13 +67,11 @@ def out_of_memory() -> str:
 
 
 def _low() -> str:
-    limits = {name: resource.getrlimit(number)[0] for name, (number, _) in _MEMORY_LIMITS.items()}
+    limits = {name: soft_limit(number) for name, (number, _) in _MEMORY_LIMITS.items()}
     return ", ".join(
-        f"the limit on {name} is {_mb(limit)}"
-        for name, limit in limits.items()
-        if limit != resource.RLIM_INFINITY
+        f"the limit on {name} is {_mb(limit)}" for name, limit in limits.items() if limit < math.inf
     )
 
 
-def _mb(size: int) -> str:
+def _mb(size: float) -> str:
     return f"{size / 1e6:.0f} MB"

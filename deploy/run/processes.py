@@ -32,9 +32,9 @@ from protocol import keys as names
 from protocol.bus import Bus, BusClosed
 from protocol.keys import Keys
 from protocol.zenoh_bus import RECONNECT_S, Certificate, Credential, ZenohBus, join, send_along
+from worldsim.base import BaseWorld
 from worldsim.pace import Pace
 from worldsim.process import WorldNode
-from worldsim.world import World
 
 if TYPE_CHECKING:
     from deploy.dashboard.process import ViewTask
@@ -52,7 +52,7 @@ Wrap = Callable[[str, Bus], Bus]
 class WorldTask:
     """The task of the world's process."""
 
-    world: World
+    world: BaseWorld
     steps: int
     cell_mm: float
     pace: float | None = None

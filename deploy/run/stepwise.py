@@ -12,6 +12,7 @@ import numpy as np
 
 from agent.outline.polygons import Polygons
 from deploy.record import run_directory
+from deploy.run import memory
 from deploy.run.control import change, kill
 from deploy.run.exploration import Result, conclude, frame, scenario_of
 from deploy.run.in_memory import MemoryRun
@@ -109,6 +110,7 @@ class Steps:
 
     def __init__(self, scenario: Scenario) -> None:
         self.plan = plans.make(scenario)
+        memory.check(self.plan)
         self._began = time.perf_counter()
         self._result: Result | None = None
         self._run = MemoryRun(self.plan)

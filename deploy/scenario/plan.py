@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from agent.replication.policies import GOSSIP
 from agent.settings import Settings
 from agent.strategies.registry import strategy
 from deploy.scenario.finding_maps import find_map
+from deploy.scenario.recording import Recording, load_recording
 from deploy.scenario.scenario import Scenario, ScenarioError
 from deploy.scenario.tables import RobotOverride
 from netshaper.settings import RadioSettings
@@ -19,9 +20,11 @@ from protocol.budget import Budget
 from protocol.errors import shown
 from protocol.grid import MAX_SIDE, disc, enlarge
 from protocol.range_scans import MAX_REACH_M, TURN, Laser
+from worldsim.base import BaseWorld
 from worldsim.map_error import MapError
 from worldsim.maps import Map, to_cell
 from worldsim.people import PeopleSettings
+from worldsim.recorded.world import RecordedWorld
 from worldsim.sensors import SensorSettings
 from worldsim.starts import Cell, check_free, jittered, start_cells
 from worldsim.world import Body, World, WorldSettings
@@ -41,28 +44,37 @@ class Plan:
     """Communication range in meters."""
     incarnations: int = 1
     """How often each robot may start: once, and once more for each restart."""
+    recording: Recording | None = None
+    """What the robots replay; None: they explore a simulated building."""
 
-    def make_world(self) -> World:
+    def make_world(self) -> BaseWorld:
         """Return the world in its initial state."""
+        if self.recording is not None:
+            return RecordedWorld(self.map.cells, self.world, self.recording.stretches)
         return World(self.map.cells, self.world)
 
 
 def make(
     scenario: Scenario, world_map: Map | None = None, *, incarnations: int = 1, record_maps: bool = False
 ) -> Plan:
-    """Derive the plan of a scenario; `world_map` replaces the map that the scenario names.
+    """Derive the plan of a scenario; `world_map` replaces the map that the scenario names, unless it is recorded.
 
     Each robot may start `incarnations` times, or more often if the scenario's faults require it. With `record_maps`,
     robots report the changes of their maps to the recorder.
 
-    Raises ScenarioError if the map cannot be loaded or generated, robots or people do not fit on it, or a range is too
+    Raises ScenarioError if the map or a log cannot be loaded, robots or people do not fit on it, or a range is too
     small for its cells or for the strategy.
     """
-    world_map = world_map or load_map(scenario)
+    recording = load_recording(scenario) if scenario.is_recorded else None
+    world_map = recording.map if recording is not None else world_map or load_map(scenario)
     incarnations = max(incarnations, faults.incarnations(scenario.faults))
     cell = world_map.resolution
     bodies = [_body(scenario.body_of(number), cell) for number in range(scenario.robots)]
-    starts = _starts(scenario, world_map, [body.radius_cells for body in bodies])
+    if recording is not None:
+        bodies = [replace(body, speed=max(recording.speed_cells, 1.0)) for body in bodies]
+        starts = recording.starts
+    else:
+        starts = _starts(scenario, world_map, [body.radius_cells for body in bodies])
     range_m = scenario.range_m(world_map.diagonal_m)
     chosen = strategy(scenario.strategy)
     try:
@@ -76,11 +88,11 @@ def make(
         seed=scenario.seed,
         interference_cells=scenario.interference / cell,
         faults=tuple(fault for fault in scenario.faults if fault.kind not in faults.RADIO_KINDS),
-        ends_with_all=chosen.returns(scenario.options),
+        ends_with_all=recording is not None or chosen.returns(scenario.options),
         cell_steps=scenario.motion == "cells",
         robots_collide=scenario.robots_collide,
         min_coverage=scenario.min_coverage,
-        sensors=_sensors(scenario, bodies, cell),
+        sensors=_sensors(scenario, bodies, cell, recording),
         people=_people(scenario, cell),
         scan_rate=scenario.laser.rate,
     )
@@ -89,7 +101,7 @@ def make(
     robot_settings = _robot_settings(
         scenario, world_map, bodies, radio, sensors=world.sensors, record_maps=record_maps
     )
-    return Plan(scenario, world_map, world, radio, robot_settings, range_m, incarnations)
+    return Plan(scenario, world_map, world, radio, robot_settings, range_m, incarnations, recording)
 
 
 def _body(hardware: RobotOverride, cell: float) -> Body:
@@ -113,11 +125,16 @@ def _body(hardware: RobotOverride, cell: float) -> Body:
     return Body(sensor_range / cell, hardware.field_of_view, speed, turn, radius / cell)
 
 
-def _sensors(scenario: Scenario, bodies: list[Body], cell: float) -> SensorSettings | None:
+def _sensors(
+    scenario: Scenario, bodies: list[Body], cell: float, recording: Recording | None
+) -> SensorSettings | None:
     """Return the real sensors of the robots, with cells of `cell` meters; None if lasers and poses are exact."""
     if not scenario.is_noisy:
         return None
-    lasers = tuple(_geometry(scenario, body, cell) for body in bodies)
+    if recording is not None:
+        lasers = (recording.laser,) * len(bodies)
+    else:
+        lasers = tuple(_geometry(scenario, body, cell) for body in bodies)
     return SensorSettings(scenario.laser, scenario.pose, lasers, cell)
 
 

@@ -42,12 +42,29 @@ from protocol.grid import MAX_ROBOTS
 from protocol.messages import Change, FaultEvent
 from protocol.packets import MAX_GOSSIP_MAPS, MAX_MAPS
 from worldsim.people_options import PeopleOptions
+from worldsim.recorded.options import RecordingOptions
 from worldsim.sensor_options import IDEAL, LASERS, POSES, LaserOptions, PoseOptions
 
 SHIPPED = Path(__file__).with_name("shipped")
 """Directory of the scenarios that are installed with the code; a file name alone can refer to one."""
 
 DEFAULT_STRATEGY = "repairmen"
+
+PLAYBACK = "playback"
+"""The strategy of recorded runs."""
+
+RECORDED_RANGE_M = 10.0
+"""Default of `sensor_range` in recorded runs."""
+
+NOT_RECORDED = (
+    "map_seed", "map_options", "speed", "start", "starts", "start_jitter", "start_spacing", "motion",
+    "robots_collide", "radius", "interference", "field_of_view", "scanner_turn", "laser", "pose", "people", "options",
+)  # fmt: skip
+"""Settings that only simulated robots have."""
+
+NOT_RECORDED_REASON = (
+    "has no meaning for robots that replay a log, which is what they drive and sense; omit it"
+)
 
 
 class ScenarioError(ValueError):
@@ -138,12 +155,17 @@ class Scenario(Table):
         default_factory=PoseOptions, description="errors of the poses that robots believe in"
     )
     people: PeopleOptions = Field(default_factory=PeopleOptions, description="people in the building")
+    recording: RecordingOptions = Field(
+        default_factory=RecordingOptions, description="logs that robots replay instead of exploring"
+    )
     tolerance: Whole = Field(
-        default_factory=lambda given: int(_is_noisy(given.get("laser"), given.get("pose"))),
+        default_factory=lambda given: int(
+            _is_noisy(given.get("laser"), given.get("pose"), given.get("recording"))
+        ),
         ge=0,
         le=MAX_TOLERANCE,
         description="cells between a wall and its copy on teammates' maps at most (default 1 with errors of lasers or "
-        "poses, else 0)",
+        "poses, and of recorded ones, else 0)",
     )
     options: dict[str, Any] = Field(default_factory=dict, description="options of the strategy, by name")
     reply_timeout_s: Positive = Field(
@@ -195,6 +217,20 @@ class Scenario(Table):
 
     @model_validator(mode="before")
     @classmethod
+    def _take_recorded_defaults(cls, data: Any) -> Any:
+        """Set the defaults of recorded runs: several logs have one robot each, and robots neither plan nor drive."""
+        recording = data.get("recording") if isinstance(data, dict) else None
+        if isinstance(recording, RecordingOptions):
+            files: Any = recording.files
+        else:
+            files = recording.get("files") if isinstance(recording, dict) else None
+        if not isinstance(files, list | tuple) or not files:
+            return data
+        defaults = {"strategy": PLAYBACK, "sensor_range": RECORDED_RANGE_M, "min_coverage": 0.0}
+        return defaults | ({"robots": len(files)} if len(files) > 1 else {}) | data
+
+    @model_validator(mode="before")
+    @classmethod
     def _choose_wide_seen_walls(cls, data: Any) -> Any:
         """Set the default of `polygons.wide_seen_walls`: false if the strategy observes from a distance."""
         if not isinstance(data, dict) or data.get("map_encoding") != "polygons":
@@ -222,7 +258,7 @@ class Scenario(Table):
         hint = "; number of robots is `robots`" if info.field_name == "robot" else ""
         raise ValueError(f"must be tables, [[{info.field_name}]], of {', '.join(kind.model_fields)}{hint}")
 
-    @field_validator("polygons", "predictive", "radio", "laser", "pose", "people", mode="before")
+    @field_validator("polygons", "predictive", "radio", "laser", "pose", "people", "recording", mode="before")
     @classmethod
     def _types_are_exact(cls, value: object, info: ValidationInfo) -> object:
         check_types(cls.model_fields[str(info.field_name)].annotation, value)
@@ -250,6 +286,7 @@ class Scenario(Table):
         from agent.strategies.registry import strategy  # noqa: PLC0415  loads kernels, which --help does not need
 
         strategy(self.strategy).check(self.options)
+        self._check_recording()
         if self.robots > self.most_maps and self.map_encoding != "none":
             raise ValueError(
                 f"robots = {self.robots}: packets can address the maps of {self.most_maps} robots; "
@@ -293,6 +330,34 @@ class Scenario(Table):
         check_incarnations(self, faults.incarnations(self.faults))
         return self
 
+    def _check_recording(self) -> None:
+        """Raise ValueError if settings of recorded and of simulated runs are combined."""
+        files = self.recording.files
+        if not files:
+            if self.strategy == PLAYBACK:
+                raise ValueError(f"strategy = {PLAYBACK!r}: replays logs: set recording.files (murmur play)")
+            return
+        if self.strategy != PLAYBACK:
+            raise ValueError(f"strategy = {self.strategy!r}: robots that replay a log do not plan; omit it")
+        if 1 < len(files) != self.robots:
+            raise ValueError(
+                f"robots = {self.robots}: each of {len(files)} logs has one robot; give one log, or as many as robots"
+            )
+        defaults = Scenario()
+        for name in NOT_RECORDED:
+            if getattr(self, name) != getattr(defaults, name):
+                raise ValueError(f"{name} = {shown(getattr(self, name))}: {NOT_RECORDED_REASON}")
+        for entry in self.robot:
+            if {entry.sensor_range, entry.field_of_view, entry.speed, entry.radius, entry.scanner_turn} != {
+                None
+            }:
+                raise ValueError(f"[[robot]] {entry.robot}: {NOT_RECORDED_REASON}")
+
+    @property
+    def is_recorded(self) -> bool:
+        """Whether robots replay logs."""
+        return bool(self.recording.files)
+
     @property
     def faults(self) -> tuple[FaultEvent, ...]:
         """The scheduled faults, by step."""
@@ -300,8 +365,8 @@ class Scenario(Table):
 
     @property
     def is_noisy(self) -> bool:
-        """Whether lasers or poses have errors."""
-        return _is_noisy(self.laser, self.pose)
+        """Whether lasers or poses have errors, as those of recorded runs have."""
+        return _is_noisy(self.laser, self.pose, self.recording)
 
     def range_m(self, diagonal_m: float) -> float:
         """Return the communication range in meters, on a map with this diagonal in meters."""
@@ -365,6 +430,11 @@ def load(path: Path | None, overrides: dict[str, Any]) -> Scenario:
         path, data = read_toml(path, "scenario", SHIPPED)
         if "map" in data:
             data["map"] = beside(path, data["map"])
+        recording = data.get("recording")
+        if isinstance(recording, dict) and isinstance(recording.get("files"), list):
+            data["recording"] = recording | {
+                "files": [str(path.parent / str(name)) for name in recording["files"]]
+            }
     _remove_preset_keys(data, overrides)
     where = f"scenario {path}" if path is not None else "scenario"
     lay(data, {key: value for key, value in overrides.items() if value is not None}, where)
@@ -381,7 +451,7 @@ def _remove_preset_keys(data: dict[str, Any], overrides: dict[str, Any]) -> None
     for table, presets in (("laser", LASERS), ("pose", POSES)):
         if name := overrides.get(f"{table}.preset"):
             data.pop(table, None)
-            if "field_of_view" in presets.get(name, {}):
+            if "field_of_view" in presets.get(str(name), {}):
                 data.pop("field_of_view", None)
 
 
@@ -439,8 +509,12 @@ def beside(path: Path, named: Any) -> Any:
     return str(elsewhere if is_there else path.parent / named)
 
 
-def _is_noisy(laser: LaserOptions | None, pose: PoseOptions | None) -> bool:
-    return not ((laser is None or laser.is_ideal) and (pose is None or pose.is_exact))
+def _is_noisy(
+    laser: LaserOptions | None, pose: PoseOptions | None, recording: RecordingOptions | None
+) -> bool:
+    """Return whether options of lasers, poses, and recordings mean errors; None: invalid options."""
+    is_ideal = (laser is None or laser.is_ideal) and (pose is None or pose.is_exact)
+    return not is_ideal or (recording is not None and bool(recording.files))
 
 
 def parse(data: dict[str, Any], where: str = "scenario") -> Scenario:
@@ -465,6 +539,7 @@ _KEYS = {
     "laser": [field.name for field in fields(LaserOptions)],
     "pose": [field.name for field in fields(PoseOptions)],
     "people": [field.name for field in fields(PeopleOptions)],
+    "recording": [field.name for field in fields(RecordingOptions)],
     "radio.partition": [field.name for field in fields(Partition)],
 }
 """The valid keys of each table."""

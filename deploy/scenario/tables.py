@@ -78,7 +78,7 @@ _EXACT: dict[object, tuple[tuple[type, ...], str]] = {
 
 
 def check_types(hint: Any, value: object, name: str = "") -> None:
-    """Raise ValueError if a truth value or a number within a table of a dataclass has another type.
+    """Raise ValueError if a truth value or a number within a table of a dataclass has another type, or is huge.
 
     Pydantic converts these: without this check, ``"yes"`` would be true.
     """
@@ -93,6 +93,8 @@ def check_types(hint: Any, value: object, name: str = "") -> None:
         kinds, wording = _EXACT[hint]
         if not isinstance(value, kinds) or isinstance(value, bool) != (hint is bool):
             raise ValueError(f"{name} = {shown(value)}: must be {wording}")
+        if isinstance(value, int) and abs(value) > MAX_INTEGER:
+            raise ValueError(f"{name} = {shown(value)}: must lie between -{MAX_INTEGER} and {MAX_INTEGER}")
 
 
 Range = Annotated[str, BeforeValidator(_as_text), AfterValidator(_check_range)]
@@ -110,7 +112,7 @@ class Table(BaseModel):
 class RobotOverride(Table):
     """Hardware of one robot where it differs from the others'."""
 
-    robot: Whole = Field(ge=0, description="the robot's number, from 0")
+    robot: Whole = Field(ge=0, le=MAX_INTEGER, description="the robot's number, from 0")
     sensor_range: Positive | None = Field(None, description="meters")
     field_of_view: Degrees | None = Field(None, gt=0, description="degrees")
     speed: Positive | None = Field(None, description="meters per step")
@@ -124,7 +126,7 @@ class FaultTable(Table):
     """A fault of one robot at one step; `event` is its form in messages (`protocol.faults`)."""
 
     step: Whole = Field(ge=1, le=MAX_INTEGER, description="the fault occurs at the start of this step")
-    robot: Whole = Field(ge=0, description="the robot's number, from 0")
+    robot: Whole = Field(ge=0, le=MAX_INTEGER, description="the robot's number, from 0")
     kind: Literal["death", "kill", "restart", "stop", "mute", "deaf"] = Field(
         description="death, kill, restart, stop, mute, deaf"
     )

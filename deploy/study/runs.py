@@ -24,6 +24,7 @@ import numpy as np
 from agent.encodings.catalog import encoding_class
 from agent.strategies.registry import strategy
 from deploy.record.versions import versions
+from deploy.run import memory
 from deploy.run.workers import Workers
 from deploy.scenario import plan as plans
 from deploy.scenario.finding_maps import FILES
@@ -106,7 +107,7 @@ def cases(experiment: Experiment) -> list[Case]:
                     files[scenario.map] = content(plans.load_map(scenario))
                 without_seeds = repr(scenario.model_copy(update={"seed": 0, "map_seed": 0}))
                 if without_seeds not in checked:
-                    plans.make(scenario)
+                    memory.check(plans.make(scenario))
                     checked.add(without_seeds)
             except ScenarioError as error:
                 raise ScenarioError(f"{where}: {error}") from None

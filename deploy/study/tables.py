@@ -142,12 +142,12 @@ def tabulate(table: Table, runs: Sequence[Row]) -> list[list[str]]:
     return lines
 
 
-def described(table: Table, runs: Sequence[Row], keys: Sequence[str] | None = None) -> pl.DataFrame:
+def described(table: Table, runs: Sequence[Row]) -> pl.DataFrame:
     """Statistics of each cell and metric of a table: number of runs, share finished, mean with interval, quartiles.
 
-    Cells are the combinations of the table's rows and columns, or of other `keys`.
+    Cells are the combinations of the table's rows and columns.
     """
-    cells = _cells(table, runs, table.keys if keys is None else keys)
+    cells = _cells(table, runs, table.keys)
     return pl.DataFrame(
         [cell | statistics for cell, each in cells for statistics in each], infer_schema_length=None
     )

@@ -93,6 +93,11 @@ NOT_RUN = {
     "cd murmur",
     ". .venv/bin/activate",
     "pip install 'murmur-robots[view]'",
+    # They need logs of real robots.
+    "murmur play my.log.gz --robots 8",
+    "murmur play my.log.gz --robots 8 --bandwidth 50",
+    "murmur play my.log.gz --robots 8 --bandwidth 50 --pace recorded",
+    "murmur play first.bag second.bag --radio lora-sf7 --view",
     # It opens a window; the test runs tshark instead.
     "wireshark office/radio.pcapng",
     # They need other hosts; see tests/system/test_hosts.py.

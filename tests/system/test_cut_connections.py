@@ -50,6 +50,18 @@ def test_a_robot_continues_after_its_connection_was_cut(plan: Plan, cuts: list[i
     assert [robot for _, robot in summary["reconnected"]] == len(cuts) * [CUT]
 
 
+@pytest.mark.parametrize("reset", [False, True])
+def test_all_robots_continue_after_the_relay_s_link_was_cut(plan: Plan, reset: bool) -> None:
+    robots = range(plan.scenario.robots)
+    with proxied(on_loopback(len(robots)), robots) as (rendezvous, proxies):
+        cutter = Cutter([Cut(12, robot, reset) for robot in robots], proxies)
+        with cutter.running():
+            records = launch.run(plan, None, cutter.watch, rendezvous=rendezvous, pace=PACE).records
+    assert sorted(robot for _, robot in records.reconnected) == list(robots)
+    assert records.lost == {}
+    assert digest(records) == digest(in_memory.MemoryRun(plan).complete())
+
+
 def test_a_robot_continues_after_an_outage(plan: Plan) -> None:
     check_undisturbed(plan, run(plan, [12], outage_s=1.5).records, 1)
 

@@ -68,6 +68,18 @@ def test_limit_that_is_too_low_is_named_before_the_run(
     assert not out.exists()
 
 
+@pytest.mark.parametrize("bus", ["zenoh", "memory"])
+def test_run_that_cannot_fit_into_memory_is_refused_before_it_starts(tmp_path: Path, bus: str) -> None:
+    out = tmp_path / "run"
+    size = ["--set", "map_options.width_m=200", "--set", "map_options.height_m=200", "--robots", "256"]
+    command = [*MURMUR, "explore", *size, "--bus", bus, "--out", str(out)]
+    done = limited(command, resource.RLIMIT_AS, 3 << 30)
+    (line,) = done.stderr.splitlines()
+    assert done.returncode == 2
+    assert line.startswith(f"murmur: robots = 256 on 2000 x 2000 cells: bus = '{bus}' needs about ")
+    assert not out.exists()
+
+
 def test_low_soft_limit_on_open_files_is_raised(tmp_path: Path) -> None:
     program = (
         "import resource; from deploy.run.limits import check_files; "

@@ -15,8 +15,8 @@ from deploy.scenario.scenario import ScenarioError, parse
 from murmur import explore
 from tests.agent.encodings.names import EXACT
 from worldsim import generators
-from worldsim.process import EXPLORED as EXPLORED_ALL
-from worldsim.process import STALLED
+from worldsim.base import EXPLORED as EXPLORED_ALL
+from worldsim.base import STALLED
 
 NAMES = [
     "burgard", "burgard-optimal", "classical", "continuous-replan", "greedy", "hungarian", "hungarian-depot",

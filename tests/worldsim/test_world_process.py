@@ -32,7 +32,8 @@ from protocol.messages import (
     points_to_bytes,
     unpack,
 )
-from worldsim.process import ALL_LOST, EXPLORED, OUT_OF_STEPS, STALLED, WorldNode
+from worldsim.base import EXPLORED, STALLED
+from worldsim.process import ALL_LOST, OUT_OF_STEPS, WorldNode
 from worldsim.world import Body, World, WorldSettings
 
 KEYS = Keys("world")

@@ -5,40 +5,51 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
-from agent.planning.noisy_grid import NARROW, NoisyGrid
+from agent.planning.noisy_grid import NoisyGrid, narrow_cells
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 
 
-def plain_clean(grid: Grid) -> Grid:
-    """Remove narrow gaps, cell by cell."""
-    height, width = grid.shape
-    wide = np.zeros(grid.shape, np.bool_)
-    for y in range(height - NARROW + 1):
-        for x in range(width - NARROW + 1):
-            if (grid[y : y + NARROW, x : x + NARROW] == UNKNOWN).all():
-                wide[y : y + NARROW, x : x + NARROW] = True
+def in_squares(cells: NDArray[np.bool_], narrow: int) -> NDArray[np.bool_]:
+    """Return the cells that lie in a square of `narrow` by `narrow` of these cells."""
+    found = np.zeros_like(cells)
+    for y in range(cells.shape[0] - narrow + 1):
+        for x in range(cells.shape[1] - narrow + 1):
+            if cells[y : y + narrow, x : x + narrow].all():
+                found[y : y + narrow, x : x + narrow] = True
+    return found
+
+
+def plain_clean(grid: Grid, narrow: int) -> Grid:
+    """Remove narrow gaps and openings, cell by cell."""
+    is_wide, is_open = in_squares(grid == UNKNOWN, narrow), in_squares(grid != OCCUPIED, narrow)
     cleaned = grid.copy()
-    for y, x in np.argwhere((grid == UNKNOWN) & ~wide).tolist():
+    for y, x in np.ndindex(grid.shape):
         around = grid[max(0, y - 1) : y + 2, max(0, x - 1) : x + 2]
-        cleaned[y, x] = OCCUPIED if (around == OCCUPIED).any() else FREE
+        if grid[y, x] == UNKNOWN and not is_wide[y, x]:
+            cleaned[y, x] = OCCUPIED if (around == OCCUPIED).any() else FREE
+        if grid[y, x] == FREE and not is_open[y, x] and (around == UNKNOWN).any():
+            cleaned[y, x] = OCCUPIED
     return cleaned
 
 
-@given(st.integers(0, 2**32 - 1), st.sampled_from((0.1, 0.5, 0.8)))
-def test_gaps_disappear_as_in_a_plain_implementation_at_every_call(seed: int, unknown: float) -> None:
+@given(st.integers(0, 2**32 - 1), st.sampled_from((0.1, 0.5, 0.8)), st.integers(1, 4))
+def test_gaps_disappear_as_in_a_plain_implementation_at_every_call(
+    seed: int, unknown: float, narrow: int
+) -> None:
     random = np.random.default_rng(seed)
     shape = tuple(random.integers(1, 20, 2).tolist())
-    noisy = NoisyGrid(*shape)
+    noisy = NoisyGrid(*shape, narrow)
     for _ in range(2):
         states = np.array([UNKNOWN, FREE, OCCUPIED], np.uint8)
         grid = random.choice(states, shape, p=[unknown, (1 - unknown) / 2, (1 - unknown) / 2])
-        assert np.array_equal(noisy.clean(grid), plain_clean(grid))
+        assert np.array_equal(noisy.clean(grid), plain_clean(grid, narrow))
 
 
 def test_the_way_that_a_robot_has_driven_stays_open() -> None:
     grid = np.full((20, 20), OCCUPIED, np.uint8)
-    noisy = NoisyGrid(20, 20)
+    noisy = NoisyGrid(20, 20, 2)
     noisy.drive(2, 3)
     noisy.drive(9, 6)
     free = np.argwhere(noisy.clean(grid) == FREE).tolist()
@@ -49,7 +60,7 @@ def test_the_way_that_a_robot_has_driven_stays_open() -> None:
 
 def test_an_obstacle_on_the_way_closes_it() -> None:
     grid = np.full((5, 20), OCCUPIED, np.uint8)
-    noisy = NoisyGrid(5, 20)
+    noisy = NoisyGrid(5, 20, 2)
     noisy.drive(2, 3)
     noisy.drive(9, 3)
     noisy.bump(8, 3)
@@ -58,3 +69,9 @@ def test_an_obstacle_on_the_way_closes_it() -> None:
     cleaned = noisy.clean(grid)
     assert cleaned[3, 8] == OCCUPIED
     assert cleaned[3, 9] == FREE, "the robot's own cell"
+
+
+def test_openings_are_as_wide_as_the_robot_and_at_least_30_cm() -> None:
+    assert narrow_cells(0.0, 0.1) == 3
+    assert narrow_cells(0.0, 0.2) == 2
+    assert narrow_cells(2.5, 0.1) == 5

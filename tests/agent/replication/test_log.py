@@ -196,7 +196,7 @@ def test_a_malformed_entry_is_rejected_and_its_sender_suspected_for_that_map_alo
         (3, 2, "entry at byte 0: a lie")
     ]
     assert replica.distrusted == set(), "robot 1 may have sent the wrong entry"
-    assert replica.refused_maps() == {2}
+    assert [replica.refuses(3, number) for number in (2, 3)] == [True, False]
     assert replica.accept(3, 3, entry(3, 0))
     assert not replica.accept(3, 2, entry(2, 1)), "of this map nothing is accepted from robot 3"
     assert replica.take_rejected() == [], "what a suspected robot sends is dropped unread"

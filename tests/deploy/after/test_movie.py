@@ -119,7 +119,7 @@ def test_the_command_writes_a_gif_and_prints_its_name(tmp_path: Path) -> None:
             ["movie", "RUN", "--out", "film.avi"],
             "out = film.avi: must end in .mp4; --mp4 and --gif choose the format",
         ),
-        (["report", "RUN", "RUN", "RUN"], "report takes one run directory, or two; with --stages only one"),
+        (["report", "RUN", "RUN", "RUN"], "report takes one run directory, or two"),
     ],
 )
 def test_invalid_requests_for_films_are_refused(arguments: list[str], message: str) -> None:

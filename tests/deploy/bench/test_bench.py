@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -153,9 +152,7 @@ def test_the_relay_is_measured_per_frame(monkeypatch: pytest.MonkeyPatch) -> Non
     assert all(figure.value > 0 and (figure.ratio or 0) > 0 for figure in figures)
 
 
-def test_the_requested_team_sizes_are_measured_and_drawn(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_the_requested_team_sizes_are_measured(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(scale.SETTINGS, "steps", 6)
     monkeypatch.setattr(explorations, "SIDE_M", 15.0)
     monkeypatch.setattr(scale, "MAX_PROCESSES", 0)
@@ -173,8 +170,6 @@ def test_the_requested_team_sizes_are_measured_and_drawn(
     work = {figure["name"]: figure for figure in figures if figure["unit"] == "ms"}
     assert work["2 robots, polygons, memory: processor time per robot and step"]["ratio"] == 1.0
     assert all(figure["value"] > 0 for figure in figures)
-    scale.draw(figures, tmp_path / "scale.png")
-    assert (tmp_path / "scale.png").read_bytes().startswith(b"\x89PNG")
 
 
 # --- baselines ----------------------------------------------------------------------------------------

@@ -51,10 +51,11 @@ def test_cases_pass_and_are_deterministic(seed: int) -> None:
     assert first.known >= 0.97
 
 
-def test_cut_connections_and_long_messages_do_not_change_a_run_of_processes() -> None:
-    drawn = case(34)
+@pytest.mark.parametrize(("seed", "cuts"), [(34, 2), (86, 5)], ids=["robots", "relay"])
+def test_cut_connections_and_long_messages_do_not_change_a_run_of_processes(seed: int, cuts: int) -> None:
+    drawn = case(seed)
     assert drawn.heavy
-    assert len(drawn.cuts) == 2
+    assert len(drawn.cuts) == cuts
     assert run_case(drawn, as_processes=True).failure == ""
 
 

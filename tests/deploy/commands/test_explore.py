@@ -7,6 +7,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+from netshaper.presets import PRESETS
 from tests.deploy.commands.office_floor import explore, murmur
 
 
@@ -105,6 +106,16 @@ def test_any_setting_can_be_set_and_tables_keep_their_other_keys(floor: str) -> 
         0.25,
         False,
     )
+
+
+def test_presets_can_be_set_like_any_other_key(floor: str) -> None:
+    words = ["explore", "--map", floor, "--bus", "memory", "--steps", "1", "--out", "run"]
+    result = murmur(*words, "--set", "radio.preset=zigbee", "--set", "laser.preset=sick-lms")
+    assert result.exit_code == 1, result.stderr
+    written = tomllib.loads(Path("run/scenario.toml").read_text())
+    assert (written["radio"]["preset"], written["laser"]["preset"]) == ("zigbee", "sick-lms")
+    assert written["radio"]["frame_bytes"] == PRESETS["zigbee"].frame_bytes
+    assert written["laser"]["beams"] == 541
 
 
 def test_a_picture_with_a_resolution_is_a_map(floor: str) -> None:

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agent.viewer_feed import outline_bytes, polygons_of
+from agent.outline.polygons import Polygons
+from agent.viewer_feed import outline_bytes
 from deploy.record.map_history import MapHistory
 from deploy.run.exploration import explore
 from deploy.scenario.scenario import parse
@@ -40,6 +41,19 @@ def test_a_history_is_read_back_as_it_was_written() -> None:
             assert read.outlines(robot, map_id, 30) == written.outlines(robot, map_id, 30)
     assert read.planning(0, 4) is None
     assert read.outlines(0, 0, 4) == b""
+
+
+def polygons_of(vertices: bytes, shape: tuple[int, int]) -> Polygons:
+    """Decode polygons that `outline_bytes` encoded, on a grid of `shape` (h, w)."""
+    rows = np.frombuffer(vertices, "<i2").reshape(-1, 4)
+    x, y = (rows[:, 1] + 1) // 4, (rows[:, 2] + 1) // 4
+    across, down = rows[:, 1] - 4 * x, rows[:, 2] - 4 * y
+    side = np.where(across == 0, 1 - down, 2 - across)
+    start = np.append(np.flatnonzero(np.diff(rows[:, 0], prepend=-1)), len(rows)).astype(np.int32)
+    flags = rows[:, 3].astype(np.uint8)
+    return Polygons(
+        shape, x, y, side.astype(np.uint8), flags & np.uint8(1), start, flags[start[:-1]] >> 1 == 1
+    )
 
 
 def test_outlines_are_decoded_to_the_polygons_that_were_encoded() -> None:

@@ -1,0 +1,239 @@
+"""The recording of a run: its logs, cut into one stretch per robot, and the map that all of their scans show.
+
+There is no true map of the building. In its place is the map that one occupancy estimator makes of all scans of all
+robots, in the order of the logs. Its extent is that of the scans.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.mapping.estimator import Estimator
+from deploy.scenario.scenario import Scenario, ScenarioError
+from protocol.grid import FREE, MAX_SIDE, UNKNOWN
+from protocol.range_scans import MAX_REACH_M, TURN, UNIT, Laser, RangeScan, beam_ends
+from worldsim.map_error import MapError
+from worldsim.maps import Map
+from worldsim.recorded import reading
+from worldsim.recorded.log import BeamAngles, LogError, RecordedLog
+from worldsim.recorded.options import RECORDED
+from worldsim.recorded.world import Stretch
+from worldsim.starts import Cell
+
+MAX_BACK_S = 5.0
+"""Seconds by which a scan may be older than the one before it in the log; both count as taken at the same time."""
+
+MARGIN = 2
+"""Cells around all cells that scans touch."""
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """All that a recorded run replays."""
+
+    logs: tuple[RecordedLog, ...]
+    """The logs, without the scans that `every` leaves out."""
+    stretches: tuple[Stretch, ...]
+    """One per robot."""
+    laser: Laser
+    """The beams of all robots."""
+    map: Map
+    """The map of all scans."""
+
+    @property
+    def starts(self) -> list[Cell]:
+        """Cell of each robot's first scan."""
+        return [(scan.x, scan.y) for scan in (each.scan(0) for each in self.stretches)]
+
+    @property
+    def speed_cells(self) -> float:
+        """Longest way of a robot between two scans, in cells per step."""
+        return max(_fastest(each) for each in self.stretches)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the user should know about the logs."""
+        return tuple(note for log in self.logs for note in log.notes)
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """The scans of a log that one robot replays, each in its step; other arrays as in `RecordedLog`."""
+
+    steps: NDArray[np.int64]
+    poses: NDArray[np.float64]
+    ranges: NDArray[np.uint16]
+
+
+def load_recording(scenario: Scenario) -> Recording:
+    """Read the logs of a scenario, and cut them into stretches.
+
+    Raises ScenarioError if a log cannot be read, they do not fit together, they have too few scans for the robots, or
+    the area is too large for a map.
+    """
+    options = scenario.recording
+    try:
+        logs = [reading.read(Path(name), options.every, options.topic) for name in options.files]
+        angles = _same_angles(logs, options.files)
+        robots = scenario.robots if len(logs) == 1 else 1
+        parts = [
+            part
+            for name, log in zip(options.files, logs, strict=True)
+            for part in _cut(name, log, robots, recorded=options.pace == RECORDED)
+        ]
+        laser = Laser(
+            angles.beams, angles.first, angles.span, round(1000 * min(scenario.sensor_range, MAX_REACH_M))
+        )
+        name = logs[0].name if len(logs) == 1 else f"{logs[0].name}-and-{len(logs) - 1}-more"
+        stretches, world_map = _build(name, parts, laser, options.resolution)
+    except (LogError, MapError) as error:
+        raise ScenarioError(str(error)) from None
+    return Recording(tuple(logs), stretches, laser, world_map)
+
+
+def _same_angles(logs: Sequence[RecordedLog], files: Sequence[str]) -> BeamAngles:
+    """Return the angles of the beams of all logs; LogError if they differ."""
+    for name, log in zip(files, logs, strict=True):
+        if log.angles != logs[0].angles:
+            raise LogError(
+                f"{name}: {log.angles}, but {files[0]} has {logs[0].angles}: all logs must have the same laser"
+            )
+    return logs[0].angles
+
+
+def _cut(name: str, log: RecordedLog, robots: int, *, recorded: bool) -> Iterator[_Part]:
+    """Yield equal stretches of a log, one per robot; LogError if it has too few scans, or no times if they count."""
+    if log.scans < robots:
+        raise LogError(
+            f"{name}: {log.scans} scans for {robots} robots; each robot needs one scan at least: "
+            f"set --robots to {log.scans} at most" + (", or --every to less" if log.scans > 1 else "")
+        )
+    stamps = _times(name, log) if recorded else np.empty(0)
+    bounds = [log.scans * number // robots for number in range(robots + 1)]
+    for begin, end in pairwise(bounds):
+        steps, chosen = np.arange(1, end - begin + 1), np.arange(begin, end)
+        if recorded:
+            seconds = np.floor(stamps[begin:end] - stamps[begin]).astype(np.int64)
+            steps, first = np.unique(seconds + 1, return_index=True)
+            chosen = begin + first
+        yield _Part(steps.astype(np.int64), log.poses[chosen], log.ranges[chosen])
+
+
+def _times(name: str, log: RecordedLog) -> NDArray[np.float64]:
+    """Return the times of a log's scans, none before that of the scan before it; LogError if it has no such times."""
+    remedy = "leave out --pace recorded"
+    if not len(log.stamps) or not np.isfinite(log.stamps).all():
+        raise LogError(f"{name}: its scans have no times: {remedy}")
+    times: NDArray[np.float64] = np.maximum.accumulate(log.stamps)
+    back = np.flatnonzero(times - log.stamps > MAX_BACK_S)
+    if len(back):
+        raise LogError(
+            f"{name}: the time jumps back by more than {MAX_BACK_S:g} s at scan {back[0] + 1}: {remedy}"
+        )
+    if log.scans > 1 and times[0] == times[-1]:
+        raise LogError(f"{name}: all scans have the same time: {remedy}")
+    return times
+
+
+def _build(
+    name: str, parts: Sequence[_Part], laser: Laser, resolution: float
+) -> tuple[tuple[Stretch, ...], Map]:
+    """Convert all poses to the frame of a grid, and map all scans."""
+    poses = np.concatenate([part.poses for part in parts])
+    corner = np.floor(poses[:, :2].min(axis=0) / resolution)
+    extent = (poses[:, :2].max(axis=0) / resolution - corner).max()
+    if not extent < MAX_SIDE:
+        raise LogError(
+            f"{name}: its poses are up to {extent * resolution:.0f} m apart, more than {MAX_SIDE} cells of "
+            f"{resolution:g} m: use larger cells (--resolution)"
+        )
+    left, bottom = (int(value) for value in corner)
+    scans = [_scans(part, (left, bottom), resolution) for part in parts]
+    shift_x, shift_y, width, height = _bounds([each for some in scans for each in some], laser, resolution)
+    if max(width, height) > MAX_SIDE:
+        raise LogError(
+            f"{name}: its scans cover {width} x {height} cells, and the maximum is {MAX_SIDE} x {MAX_SIDE}: "
+            "use larger cells (--resolution)"
+        )
+    scans = [[_moved(each, -shift_x * UNIT, -shift_y * UNIT) for each in some] for some in scans]
+    bottom -= shift_y + height
+    origin = (left + shift_x) * resolution, bottom * resolution, 0.0
+    everything = Estimator(height, width)
+    found = [_map(some, laser, resolution, everything) for some in scans]
+    world_map = Map(name, everything.states.copy(), resolution, origin)
+    free = (world_map.cells == FREE).reshape(-1)
+    stretches = tuple(
+        Stretch(
+            part.steps,
+            np.array([each.place for each in some], np.int32),
+            np.array([each.heading for each in some], np.int64),
+            part.ranges,
+            [cells[free[cells]] for cells in new],
+        )
+        for part, some, new in zip(parts, scans, found, strict=True)
+    )
+    return stretches, world_map
+
+
+def _scans(part: _Part, corner: tuple[int, int], resolution: float) -> list[RangeScan]:
+    """Return scans in a frame with y down, whose origin is the lower left corner of cell `corner`."""
+    left, bottom = corner
+    x = np.floor((part.poses[:, 0] / resolution - left) * UNIT).astype(np.int64)
+    y = np.floor((bottom - part.poses[:, 1] / resolution) * UNIT).astype(np.int64)
+    headings = np.rint(-part.poses[:, 2] / (2 * np.pi) * TURN).astype(np.int64) % TURN
+    rows = zip(x.tolist(), y.tolist(), headings.tolist(), part.ranges, strict=True)
+    return [RangeScan((column, row), heading, ranges) for column, row, heading, ranges in rows]
+
+
+def _bounds(scans: Sequence[RangeScan], laser: Laser, resolution: float) -> tuple[int, int, int, int]:
+    """Return column and row of the corner, width, and height of the area that scans touch, in cells; y down."""
+    low, high = np.full(2, np.iinfo(np.int64).max), np.full(2, np.iinfo(np.int64).min)
+    for scan in scans:
+        ends, _ = beam_ends(scan, laser, resolution)
+        points = np.concatenate([np.array([scan.place], np.int64), ends])
+        low, high = np.minimum(low, points.min(axis=0)), np.maximum(high, points.max(axis=0))
+    first = low // UNIT - MARGIN
+    width, height = high // UNIT + MARGIN + 1 - first
+    return int(first[0]), int(first[1]), int(width), int(height)
+
+
+def _moved(scan: RangeScan, x: int, y: int) -> RangeScan:
+    return RangeScan((scan.place[0] + x, scan.place[1] + y), scan.heading, scan.ranges)
+
+
+def _map(
+    scans: Sequence[RangeScan], laser: Laser, resolution: float, everything: Estimator
+) -> list[NDArray[np.int32]]:
+    """Add a robot's scans to the map of all scans; return the cells that it knows from each scan on.
+
+    They are indices of the flat grid.
+    """
+    own = Estimator(*everything.states.shape)
+    width = own.states.shape[1]
+    known = np.zeros(own.states.shape, np.bool_)
+    found = []
+    for scan in scans:
+        ends, hits = beam_ends(scan, laser, resolution)
+        for estimator in (everything, own):
+            change = estimator.add(*scan.place, ends, hits)
+            change = change.joined(estimator.stand(scan.x, scan.y))
+        x0, y0, x1, y1 = change.box
+        here = (own.states[y0:y1, x0:x1] != UNKNOWN) & ~known[y0:y1, x0:x1]
+        rows, columns = np.nonzero(here)
+        known[y0:y1, x0:x1] |= here
+        found.append(((rows + y0) * width + columns + x0).astype(np.int32))
+    return found
+
+
+def _fastest(stretch: Stretch) -> float:
+    """Return the longest way between two scans, in cells per step."""
+    if len(stretch.steps) < 2:
+        return 0.0
+    ways = np.hypot(*np.diff(stretch.places.astype(np.float64), axis=0).T) / UNIT
+    return float((ways / np.diff(stretch.steps)).max())

@@ -1,0 +1,53 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from agent.settings import Settings
+from agent.strategies.base import Decision, Situation
+from agent.strategies.playback import PATIENCE, Playback
+from agent.strategies.registry import strategies, strategy
+from protocol.budget import UNLIMITED
+
+
+def settings(robots: int) -> Settings:
+    return Settings(
+        robot=0, robots=robots, width=4, height=4, ranges_cells=[5.0] * robots, beams=36, speed_cells=3.0, seed=0,
+        map_encoding="predictive", strategy="playback", dissemination="gossip", bandwidth=UNLIMITED, reach_cells=9.0,
+    )  # fmt: skip
+
+
+def decisions(*states: tuple[int, int], peers: tuple[int, ...] = (1,), robots: int = 2) -> list[Decision]:
+    """Decisions of a robot whose log has these lengths and backlogs, step by step."""
+    robot = Playback({}, settings(robots))
+    grid = np.zeros((4, 4), np.uint8)
+    return [
+        robot.decide(Situation(step, grid, 1, 1, peers=peers, log_entries=entries, backlog=backlog))
+        for step, (entries, backlog) in enumerate(states, 1)
+    ]
+
+
+def test_a_robot_is_done_once_its_log_has_stopped_growing_and_is_delivered() -> None:
+    found = decisions((0, 0), (1, 1), (1, 0), (1, 0), (2, 0), (2, 0))
+    assert [each.explored for each in found] == [False, False, False, True, False, True]
+
+
+def test_a_robot_without_teammates_in_range_is_not_done() -> None:
+    assert not any(each.explored for each in decisions((1, 0), (1, 0), peers=()))
+    assert decisions((1, 0), (1, 0), peers=(), robots=1)[-1].explored
+
+
+@pytest.mark.parametrize(("backlog", "peers"), [(3, (1,)), (0, ())])
+def test_a_robot_gives_up_after_many_steps_without_a_delivery(backlog: int, peers: tuple[int, ...]) -> None:
+    found = decisions(*[(5, backlog)] * (PATIENCE + 1), peers=peers)
+    assert [each.stalled for each in found] == [False] * PATIENCE + [True]
+
+
+def test_a_robot_neither_drives_nor_has_a_target() -> None:
+    for decision in decisions((0, 0), (5, 3), (5, 0)):
+        assert (decision.target, len(decision.path), len(decision.points)) == (None, 0, 0)
+
+
+def test_the_strategy_is_not_listed_among_those_that_explore() -> None:
+    assert "playback" not in strategies()
+    assert strategy("playback") is Playback

@@ -1,0 +1,98 @@
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from protocol.range_scans import NO_MEASUREMENT, NOTHING, TURN
+from tests.worldsim.recorded.made_logs import carmen_text, distances, drive, flaser, sick_angles, write_carmen
+from worldsim.recorded.log import LogError
+from worldsim.recorded.reading import read
+
+
+@pytest.mark.parametrize("name", ["room.log", "room.clf", "room.log.gz"])
+def test_poses_times_and_ranges_are_read(tmp_path: Path, name: str) -> None:
+    log = read(write_carmen(tmp_path / name, scans=5))
+    assert log.name == "room"
+    assert np.allclose(log.poses, drive(5))
+    assert log.stamps.tolist() == [100, 101, 102, 103, 104]
+    # beams run from left to right: clockwise, as the angles of `protocol.range_scans`
+    wanted = distances(drive(5)[3], sick_angles(181))[::-1]
+    assert np.abs(log.ranges[3] / 1000 - wanted).max() < 0.001
+
+
+@pytest.mark.parametrize(
+    ("beams", "first", "last"), [(180, 89, -90), (181, 90, -90), (361, 90, -90), (360, 89.5, -90)]
+)
+def test_an_even_number_of_beams_leaves_out_the_last_angle(
+    tmp_path: Path, beams: int, first: float, last: float
+) -> None:
+    """Angles are those of the log, so that the first beam of a scan has the largest angle."""
+    angles = read(write_carmen(tmp_path / "a.log", scans=1, beams=beams)).angles
+    assert angles.beams == beams
+    assert abs(angles.first + first * TURN / 360) <= 1
+    assert abs(angles.first + angles.span + last * TURN / 360) <= 1
+
+
+def test_readings_near_the_maximum_met_nothing_and_zeros_are_no_measurements(tmp_path: Path) -> None:
+    file = tmp_path / "a.log"
+    file.write_text(flaser((0, 0, 0), [1.5, 81.83, 80.0, 79.0, 0.0]))
+    assert read(file).ranges[0].tolist() == [NO_MEASUREMENT, NOTHING, NOTHING, NOTHING, 1500]
+
+
+def test_every_takes_each_kth_scan(tmp_path: Path) -> None:
+    log = read(write_carmen(tmp_path / "a.log", scans=10), every=4)
+    assert np.allclose(log.poses, drive(10)[::4])
+    assert log.stamps.tolist() == [100, 104, 108]
+
+
+def test_a_log_may_lack_times(tmp_path: Path) -> None:
+    assert not len(read(write_carmen(tmp_path / "a.log", scans=3, period_s=None)).stamps)
+
+
+GOOD = flaser((0, 0, 0), [1.0, 2.0, 3.0])
+
+
+@pytest.mark.parametrize(
+    ("text", "error"),
+    [
+        ("ODOM 0 0 0\n", "no laser scans: it has no FLASER lines"),
+        (GOOD + "FLASER 3 1.0 2.0\n", "line 2: damaged FLASER line: expected 3 ranges and a pose"),
+        (GOOD + "\n" + GOOD.replace("2.000", "2.x"), "line 3: damaged FLASER line: could not convert"),
+        (GOOD.replace("2.000", "nan"), "line 1: damaged FLASER line: a range or pose is not a valid number"),
+        (GOOD.replace("2.000", "-2.0"), "line 1: damaged FLASER line: a range or pose is not a valid number"),
+        ("FLASER\n", "line 1: damaged FLASER line"),
+        (GOOD + flaser((0, 0, 0), [1.0, 2.0]), "line 2: a scan of 2 beams, after scans of 3"),
+    ],
+)
+def test_an_error_names_the_line_and_what_is_wrong(tmp_path: Path, text: str, error: str) -> None:
+    (tmp_path / "a.log").write_text(text)
+    with pytest.raises(LogError, match=f"a.log.*{error}"):
+        read(tmp_path / "a.log")
+
+
+def test_a_file_that_is_no_log_is_named(tmp_path: Path) -> None:
+    (tmp_path / "a.txt").write_text(carmen_text())
+    (tmp_path / "folder").mkdir()
+    whole = write_carmen(tmp_path / "cut.log.gz").read_bytes()
+    (tmp_path / "cut.log.gz").write_bytes(whole[: len(whole) // 2])
+    for name, error in (
+        ("a.txt", "unknown format; known are logs of CARMEN"),
+        ("b.log", "no such log; was it moved or renamed"),
+        ("folder", "is a directory without metadata.yaml"),
+        ("cut.log.gz", "not a complete gzip file"),
+    ):
+        with pytest.raises(LogError, match=f"{name}: {error}"):
+            read(tmp_path / name)
+
+
+def test_only_bags_have_topics(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match="only bags have topics"):
+        read(write_carmen(tmp_path / "a.log"), topic="/scan")
+
+
+def test_headings_are_kept_in_radians(tmp_path: Path) -> None:
+    (tmp_path / "a.log").write_text(flaser((1.0, -2.0, math.pi), [1.0, 2.0]))
+    assert read(tmp_path / "a.log").poses[0].tolist() == pytest.approx([1.0, -2.0, math.pi])

@@ -1,0 +1,52 @@
+"""Options of a recorded run: which logs to replay, and how."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+PER_SCAN, RECORDED = "scan", "recorded"
+"""One scan per robot and step; or one second of the log per step."""
+
+PACES = PER_SCAN, RECORDED
+
+MAX_EVERY = 1_000_000
+MIN_CELL_M, MAX_CELL_M = 0.01, 10.0
+
+
+@dataclass(frozen=True)
+class RecordingOptions:
+    """The logs that robots replay instead of exploring a simulated building.
+
+    Attributes
+    ----------
+    files : tuple of str
+        Logs: one for the whole team, which is cut into as many stretches as there are robots, or one per robot. Empty:
+        the run is simulated.
+    every : int
+        1: replay all scans; 5: each fifth.
+    pace : str
+        ``scan``: one scan per robot and step; ``recorded``: a step is a second of the log.
+    topic : str
+        The topic of the laser, if a bag has several; empty: its only one.
+    resolution : float
+        Side of a cell in meters.
+    """
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
+
+    files: tuple[str, ...] = ()
+    every: int = 1
+    pace: str = PER_SCAN
+    topic: str = ""
+    resolution: float = 0.1
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.every <= MAX_EVERY:
+            raise ValueError(f"every = {self.every}: must be 1 to {MAX_EVERY}")
+        if self.pace not in PACES:
+            raise ValueError(f"pace = {self.pace!r}: must be {' or '.join(PACES)}")
+        if not MIN_CELL_M <= self.resolution <= MAX_CELL_M:
+            raise ValueError(
+                f"resolution = {self.resolution:g}: must be {MIN_CELL_M:g} to {MAX_CELL_M:g} m per cell"
+            )

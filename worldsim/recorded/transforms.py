@@ -1,0 +1,123 @@
+"""Transforms between the frames of a robot, in the plane: what tf2 does in ROS, without height, roll, and pitch.
+
+A pose (x, y, yaw) of a frame in its parent is in meters and radians, counterclockwise. Between two poses, it is
+interpolated.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+LEAST_UPRIGHT = math.cos(math.radians(20))
+"""Cosine of the largest angle between the vertical axes of two frames."""
+
+
+class Pose(NamedTuple):
+    """A pose in the plane."""
+
+    x: float
+    y: float
+    yaw: float
+
+    def then(self, inner: Pose) -> Pose:
+        """Return the pose of a frame that has the pose `inner` in this frame."""
+        cos, sin = math.cos(self.yaw), math.sin(self.yaw)
+        x = self.x + cos * inner.x - sin * inner.y
+        y = self.y + sin * inner.x + cos * inner.y
+        return Pose(x, y, self.yaw + inner.yaw)
+
+
+def pose_of(x: float, y: float, q_x: float, q_y: float, q_z: float, q_w: float) -> Pose:
+    """Return the pose in the plane of a frame with this position and quaternion.
+
+    ValueError if the frame is tilted or upside down, or these are no position and rotation.
+    """
+    norm = q_x * q_x + q_y * q_y + q_z * q_z + q_w * q_w
+    if not 0.5 < norm < 2:
+        raise ValueError("its rotation is no unit quaternion")
+    if not (math.isfinite(x) and math.isfinite(y)):
+        raise ValueError("its position is not a number")
+    if (q_w * q_w + q_z * q_z - q_x * q_x - q_y * q_y) / norm < LEAST_UPRIGHT:
+        raise ValueError("it is tilted or upside down; lasers must be level")
+    yaw = math.atan2(2 * (q_w * q_z + q_x * q_y), q_w * q_w + q_x * q_x - q_y * q_y - q_z * q_z)
+    return Pose(x, y, yaw)
+
+
+@dataclass
+class _Edge:
+    """The poses of a frame in its parent, by time."""
+
+    parent: str
+    is_static: bool
+    stamps: list[float] = field(default_factory=list)
+    poses: list[Pose] = field(default_factory=list)
+    is_sorted: bool = True
+
+
+class TransformBuffer:
+    """The poses of all frames in their parents; names of frames begin without a slash."""
+
+    def __init__(self) -> None:
+        self._edges: dict[str, _Edge] = {}
+
+    def add(self, parent: str, child: str, stamp: float, pose: Pose, *, is_static: bool) -> None:
+        """Add the pose of a frame in its parent at a time; a frame keeps the parent that it had first."""
+        edge = self._edges.setdefault(child, _Edge(parent, is_static))
+        if edge.parent != parent or (edge.is_static and edge.poses):
+            return
+        edge.is_sorted = edge.is_sorted and (not edge.stamps or edge.stamps[-1] <= stamp)
+        edge.stamps.append(stamp)
+        edge.poses.append(pose)
+
+    def ancestors(self, frame: str) -> list[str]:
+        """Return a frame, its parent, and so on up to the root."""
+        found = [frame]
+        while (edge := self._edges.get(found[-1])) is not None and edge.parent not in found:
+            found.append(edge.parent)
+        return found
+
+    def is_fixed(self, frame: str, root: str) -> bool:
+        """Return whether a frame never moves in another one."""
+        line = self.ancestors(frame)
+        return root in line and all(self._edges[each].is_static for each in line[: line.index(root)])
+
+    def pose(self, frame: str, root: str, stamp: float) -> Pose | None:
+        """Return the pose of a frame in one of its ancestors at a time; None if it was not known before and after."""
+        found = Pose(0.0, 0.0, 0.0)
+        line = self.ancestors(frame)
+        for each in line[: line.index(root)]:
+            outer = self._at(self._edges[each], stamp)
+            if outer is None:
+                return None
+            found = outer.then(found)
+        return found
+
+    def _at(self, edge: _Edge, stamp: float) -> Pose | None:
+        """Interpolate a pose."""
+        if edge.is_static:
+            return edge.poses[0]
+        if not edge.is_sorted:
+            order = sorted(range(len(edge.stamps)), key=edge.stamps.__getitem__)
+            edge.stamps, edge.poses = (
+                [edge.stamps[at] for at in order],
+                [edge.poses[at] for at in order],
+            )
+            edge.is_sorted = True
+        after = bisect_left(edge.stamps, stamp)
+        if after == len(edge.stamps):
+            return None
+        if edge.stamps[after] == stamp:
+            return edge.poses[after]
+        if after == 0:
+            return None
+        before, later = edge.poses[after - 1], edge.poses[after]
+        share = (stamp - edge.stamps[after - 1]) / (edge.stamps[after] - edge.stamps[after - 1])
+        turn = math.remainder(later.yaw - before.yaw, 2 * math.pi)
+        return Pose(
+            before.x + share * (later.x - before.x),
+            before.y + share * (later.y - before.y),
+            before.yaw + share * turn,
+        )
