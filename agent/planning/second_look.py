@@ -1,9 +1,9 @@
 """Look again before the end: a wall of a noisy map may be a person who has moved on.
 
-A robot that has nothing left to explore looks for frontiers that walls cut off. *Doubtful* walls are small ones, and
-cells that were free for some steps before. If a way to a frontier leads through doubtful walls alone, the robot drives
-along it up to the first of them. Otherwise, it drives as close as it can to the longest frontier segment that is cut
-off. There it waits, and sees whether the wall is still there.
+A robot that has nothing left to explore looks for frontier segments that walls cut off. *Doubtful* walls are small
+ones, and cells that were free for some steps before. If doubtful walls alone close a way to such a segment, the robot
+drives along it up to the first of them. Otherwise, it drives as close as it can to the longest segment. There it waits,
+and sees whether the wall is still there.
 """
 
 from __future__ import annotations
@@ -20,8 +20,11 @@ from agent.settings import Settings
 from protocol.arrays import Cells
 from protocol.grid import FREE, OCCUPIED, Grid
 
-PATIENCE = 40
+PATIENCE = 60
 """Steps for which a robot looks, besides the time that it needs to drive there: people move on, and fade from maps."""
+
+BUSY = 10
+"""Consecutive steps with something left to explore after which the robot may look again as long as before."""
 
 LASTING = 3
 """Steps for which a cell must have been free so that a wall in it is doubtful; beside walls, noise flickers."""
@@ -29,11 +32,11 @@ LASTING = 3
 SMALL_M2 = 0.5
 """Walls up to this area, in square meters, are doubtful: one or two people."""
 
+SEGMENT_M = 0.5
+"""Shorter frontier segments, in meters, do not count: noise leaves them behind walls."""
+
 BEYOND = 2
 """A frontier is cut off if it is farther than this many cells, and the robot's radius, from all reachable cells."""
-
-SPECK = 3
-"""Shorter frontier segments, in cells, do not count: noise leaves them behind walls."""
 
 _NOWHERE: Cells = np.empty((0, 2), np.int32)
 
@@ -44,15 +47,18 @@ class SecondLook:
     def __init__(self, settings: Settings) -> None:
         self._radius, self._speed = settings.radius_cells, settings.speed_cells
         self._small = SMALL_M2 / settings.resolution**2
+        self._segment = SEGMENT_M / settings.resolution
         self._free_steps: NDArray[np.uint8] = np.zeros((settings.height, settings.width), np.uint8)
         """Steps for which each cell has been free, `LASTING` at most."""
         self._steps_left = math.inf
         """Steps for which the robot still looks again; infinite before it has begun."""
+        self._busy_steps = 0
 
     def note(self, grid: Grid, *, explored: bool) -> None:
         """Note the planning grid of a step, and whether the strategy finds nothing left to explore."""
         self._free_steps += (grid == FREE) & (self._free_steps < LASTING)
-        if not explored:
+        self._busy_steps = 0 if explored else self._busy_steps + 1
+        if self._busy_steps >= BUSY:
             self._steps_left = math.inf
 
     def way(self, grid: Grid, here: tuple[int, int]) -> Cells | None:
@@ -62,23 +68,42 @@ class SecondLook:
         """
         if self._steps_left <= 0:
             return None
-        planner = PathPlanner(grid, radius_cells=self._radius)
-        way = self._way_to_doubtful_wall(grid, here, planner)
-        if way is None:
-            way = self._way_to_cut_off_frontier(grid, here, planner)
+        way = self._way(grid, here)
         if way is not None:
             self._steps_left = min(self._steps_left, PATIENCE + len(way) / self._speed) - 1
         return way
 
-    def _way_to_doubtful_wall(self, grid: Grid, here: tuple[int, int], planner: PathPlanner) -> Cells | None:
-        """Return the open part of a way that doubtful walls close; None if none leads to a frontier."""
-        doubtful = self._doubtful(grid)
-        behind = PathPlanner(np.where(doubtful, np.uint8(FREE), grid), radius_cells=self._radius)
-        frontier = behind.frontier(*here)
-        if not (doubtful.any() and len(frontier)):
+    def _way(self, grid: Grid, here: tuple[int, int]) -> Cells | None:
+        from scipy import ndimage  # noqa: PLC0415  slow to import, and needed only near the end of a run
+
+        planner = PathPlanner(grid, radius_cells=self._radius)
+        reachable = np.isfinite(planner.costs(*here))
+        away, (rows, columns) = ndimage.distance_transform_edt(~reachable, return_indices=True)
+        cut_off = frontier_cells(grid, away > self._radius + BEYOND)
+        if not len(cut_off):
             return None
-        x, y = frontier[int(np.argmin(behind.costs_to(*here, frontier)))].tolist()
-        way = behind.path(here, (x, y))
+        cut_off, sizes = components(cut_off)
+        sizes = np.repeat(sizes, sizes)
+        cut_off, sizes = cut_off[sizes >= self._segment], sizes[sizes >= self._segment]
+        if not len(cut_off):
+            return None
+        way = self._way_to_doubtful_wall(grid, here, cut_off, planner)
+        if way is not None:
+            return way
+        longest = cut_off[sizes == sizes.max()]
+        x, y = longest[int(np.argmin(away[longest[:, 1], longest[:, 0]]))].tolist()
+        way = planner.path(here, (int(columns[y, x]), int(rows[y, x])))
+        return _NOWHERE if way is None else way
+
+    def _way_to_doubtful_wall(
+        self, grid: Grid, here: tuple[int, int], frontier: Cells, planner: PathPlanner
+    ) -> Cells | None:
+        """Return the open part of the way to a frontier cell that doubtful walls close; None if there is none."""
+        without = np.where(self._doubtful(grid), np.uint8(FREE), grid)
+        behind = PathPlanner(without, radius_cells=self._radius)
+        costs = behind.costs_to(*here, frontier)
+        x, y = frontier[int(np.argmin(costs))].tolist()
+        way = behind.path(here, (x, y)) if np.isfinite(costs).any() else None
         if way is None:
             return None
         closed = planner.floor[way[:, 1], way[:, 0]] != FREE
@@ -93,24 +118,3 @@ class SecondLook:
         small = np.bincount(labels.ravel())[labels] <= self._small
         doubtful: NDArray[np.bool_] = walls & (small | (self._free_steps >= LASTING))
         return doubtful
-
-    def _way_to_cut_off_frontier(
-        self, grid: Grid, here: tuple[int, int], planner: PathPlanner
-    ) -> Cells | None:
-        """Return the way to the cell nearest to the longest frontier segment that is cut off; None if there is none."""
-        from scipy import ndimage  # noqa: PLC0415  slow to import, and needed only near the end of a run
-
-        reachable = np.isfinite(planner.costs(*here))
-        away, (rows, columns) = ndimage.distance_transform_edt(~reachable, return_indices=True)
-        cut_off = frontier_cells(grid, away > self._radius + BEYOND)
-        if not len(cut_off):
-            return None
-        cut_off, sizes = components(cut_off)
-        if sizes.max() < SPECK:
-            return None
-        longest = int(np.argmax(sizes))
-        end = int(sizes[: longest + 1].sum())
-        segment = cut_off[end - sizes[longest] : end]
-        x, y = segment[int(np.argmin(away[segment[:, 1], segment[:, 0]]))].tolist()
-        way = planner.path(here, (int(columns[y, x]), int(rows[y, x])))
-        return _NOWHERE if way is None else way
