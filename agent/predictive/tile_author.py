@@ -22,13 +22,13 @@ from protocol.grid import Grid
 from protocol.range_scans import RangeScan
 from protocol.scans import Change, Scan
 
-QUIET_STEPS = 2
+QUIET_STEPS = 4
 """Steps without a change after which a tile is encoded."""
 
 LONGEST_WAIT = 16
 """Steps after which a tile is encoded although it still changes."""
 
-ENOUGH_BYTES = 48
+ENOUGH_BYTES = 96
 """Expected bytes of an update that is sent at once."""
 
 TILE_BYTES = 3.0
