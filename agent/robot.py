@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -22,12 +22,13 @@ from agent.encodings.catalog import encoding_class, make_encoding
 from agent.mapping.mapper import WALL, cell_ahead, make_mapper
 from agent.outline.polygons import Polygons
 from agent.planning.noisy_grid import NoisyGrid, narrow_cells
+from agent.planning.second_look import SecondLook
 from agent.replication.digests import INTERVAL
 from agent.replication.engine import make_replication
 from agent.replication.peers import MapId
 from agent.replication.replica import Rejected
 from agent.settings import Settings
-from agent.strategies.base import Cell, Decision
+from agent.strategies.base import Cell, Decision, Situation
 from agent.strategies.registry import strategy
 from agent.team_state import TeamState
 from protocol import packet_index, packets
@@ -116,6 +117,9 @@ class Robot:
         """Log entries that the strategy has not published yet."""
         self._idle_steps = 0
         self._sure_after = sure_after(settings)
+        self._second_look = None
+        if settings.people and not self._strategy.returns(settings.options):
+            self._second_look = SecondLook(settings)
 
     def share(self, common: dict[str, Any]) -> None:
         """Share memory with the other robots of this process (`agent.encodings.base.MapEncoding.use_shared_cache`)."""
@@ -220,13 +224,14 @@ class Robot:
             backlog=self.replication.undelivered(),
         )
         decision = self._strategy.decide(situation)
-        self._apply(decision)
         self._idle_steps = self._idle_steps + 1 if decision.explored else 0
+        decision = self._look_again(situation, decision)
+        self._apply(decision)
         return Move(
             sense.step,
             cells_to_bytes(decision.path[:MAX_WAY_CELLS]),
             decision.heading,
-            self._idle_steps > self._sure_after + self._verifying_steps(),
+            decision.explored and self._idle_steps > self._sure_after + self._verifying_steps(),
             decision.look,
             decision.stalled,
             points_to_bytes(decision.points[:MAX_WAY_CELLS]),
@@ -240,6 +245,16 @@ class Robot:
         if sense.blocked == WALL:
             self._noisy_grid.bump(*cell_ahead(sense, self.settings.radius_cells))
         return self._noisy_grid.clean(self.planning)
+
+    def _look_again(self, situation: Situation, decision: Decision) -> Decision:
+        """Return a decision that does not end the run yet if a person may stand before a frontier."""
+        if self._second_look is None:
+            return decision
+        self._second_look.note(situation.grid, explored=decision.explored)
+        way = self._second_look.way(situation.grid, situation.here) if decision.explored else None
+        if way is None:
+            return decision
+        return replace(decision, path=way, explored=False, status="looking again at a wall before a frontier")
 
     def _report_false_maps(self) -> None:
         """Report robots whose maps others contradict; with digests, only once their authors could disown entries."""

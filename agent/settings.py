@@ -76,6 +76,8 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Whether to report map changes to the recorder."""
     laser: Laser | None = None
     """The beams of the robots' lasers; None: exact readings in cells (`protocol.scans`)."""
+    people: bool = False
+    """Whether people walk about in the building: what lasers see as a wall may be a person."""
     tolerance: int = 0
     """Cells between a wall and its copy on a teammate's map at most; 0: copies are exact."""
 

@@ -16,6 +16,7 @@ from deploy.run.hosts import Host, Hosts
 from deploy.scenario.scenario import Scenario
 from deploy.scenario.tables import ChangeTable, FaultTable, RobotOverride
 from netshaper.radio_options import RadioOptions
+from worldsim.people_options import PeopleOptions
 from worldsim.recorded.options import RecordingOptions
 from worldsim.sensor_options import LaserOptions, PoseOptions
 
@@ -49,11 +50,17 @@ OPTIONS = {
         "min_range_m": "shortest range, meters; below, there is no measurement",
         "max_range_m": "longest range, meters; 0: no limit",
         "beams": "beams over the field of view; 0: as many as `beams` has there",
+        "rate": "scans per step, at most 1; 0.2: a scan every fifth step",
     },
     "pose": {
         "preset": "a [localization method](real-sensors.md#poses), for values that the scenario does not give",
         "position_error_m": "standard deviation of each coordinate, meters",
         "heading_error_deg": "standard deviation of the heading, degrees",
+    },
+    "people": {
+        "number": "number of [people](real-sensors.md#people) who walk about in the building",
+        "speed": "walking speed, meters per step",
+        "radius": "radius of the disc that a person covers, meters",
     },
     "recording": {
         "files": "[logs](recorded.md), one for the whole team or one per robot; relative to the scenario file",
@@ -110,6 +117,7 @@ def settings() -> Iterator[tuple[str, str, str]]:
         "radio": {**asdict(RadioOptions()), "partition": []},
         "laser": asdict(LaserOptions()),
         "pose": asdict(PoseOptions()),
+        "people": asdict(PeopleOptions()),
         "recording": {**asdict(RecordingOptions()), "files": []},
     }
     for name, default, meaning in _fields(Scenario, ""):

@@ -40,6 +40,8 @@ PART_CELLS = 1 << 19
 """Maximum number of cells of a part of a robot's maps (`protocol.map_parts`)."""
 MAX_EVENTS = 8
 """Maximum number of events in one `RelayUpdate`."""
+MAX_PEOPLE = 100
+"""Maximum number of people in the world."""
 MAX_NAME, MAX_TEXT = 16, 1000
 """Maximum length in characters."""
 
@@ -73,6 +75,7 @@ WayPoints = Annotated[bytes, Meta(max_length=8 * MAX_WAY_CELLS)]
 Readings = Annotated[bytes, Meta(max_length=2 * MAX_BEAMS + 10)]
 EncodedSettings = Annotated[bytes, Meta(max_length=1 << 20)]
 Poses = Annotated[bytes, Meta(max_length=16 * MAX_ROBOTS)]
+People = Annotated[bytes, Meta(max_length=8 * MAX_PEOPLE)]
 Cells = Annotated[bytes, Meta(max_length=MAX_CELLS)]
 PartNumber = Annotated[int, Meta(ge=0, lt=-(-MAX_CELLS // PART_CELLS))]
 PartBytes = Annotated[bytes, Meta(max_length=PART_CELLS + (PART_CELLS >> 8))]
@@ -360,7 +363,8 @@ class WorldReport(Record, tag=14, frozen=True):
     """World to recorder, once per step: ground truth.
 
     `poses`: int32 rows (robot, x in mm, y in mm, heading in tenths of a degree). `seen`: free cells that the team's
-    lasers have observed. `reachable`: free cells that robots can reach. `driven`: mm that each robot drove.
+    lasers have observed. `reachable`: free cells that robots can reach. `driven`: mm that each robot drove. `people`:
+    int32 rows (x in mm, y in mm) of the people in the building.
     """
 
     step: Step
@@ -368,10 +372,12 @@ class WorldReport(Record, tag=14, frozen=True):
     driven: Distances
     seen: CellCount
     reachable: CellCount
+    people: People = b""
 
     def __post_init__(self) -> None:
-        if len(self.poses) % 16:
-            raise ValueError(f"{len(self.poses)} bytes of poses are not rows of four int32")
+        if len(self.poses) % 16 or len(self.people) % 8:
+            reason = f"{len(self.poses)} and {len(self.people)} bytes are not rows of four and of two int32"
+            raise ValueError(reason)
 
 
 class RobotStatus(Record, tag=15, frozen=True):

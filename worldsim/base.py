@@ -59,6 +59,11 @@ class BaseWorld(ABC):
         """Number of free cells that the team can see."""
         return int(np.count_nonzero(self.reachable))
 
+    @property
+    def people(self) -> list[tuple[int, int]]:
+        """The cell of each person in the building."""
+        return []
+
     @abstractmethod
     def share_seen(self, robot: int) -> float:
         """Return the share of the cells that a robot can reach which the team has seen."""

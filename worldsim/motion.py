@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,9 @@ from protocol.grid import FREE, Grid
 
 Point = tuple[int, int]
 """A position (x, y) in thousandths of a cell."""
+
+Taken = NDArray[np.uint8] | NDArray[np.bool_]
+"""Cells that a center may not enter: bits that say why, or a mask of cells near robots."""
 
 FINE = 1000
 """Resolution of positions: steps per cell."""
@@ -30,8 +34,11 @@ DIAGONAL = math.sqrt(2.0)
 ROUNDING = 1e-9
 """Tolerance for rounding errors, in cells: 0.3 m per step must be 3 cells of 0.1 m."""
 
-WALL, ROBOT, INTERFERENCE, NOT_BLOCKED = "wall", "robot", "interference", ""
+WALL, ROBOT, PERSON, INTERFERENCE, NOT_BLOCKED = "wall", "robot", "person", "interference", ""
 """Why a robot stopped early."""
+
+TAKEN_BY_ROBOT, TAKEN_BY_PERSON = 1, 2
+"""Bits of a cell that a robot's center may not enter because it is close to another robot or to a person."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +61,7 @@ class Motion:
 
 def drive(
     truth: Grid,
-    taken: NDArray[np.bool_],
+    taken: Taken,
     start: tuple[int, int],
     path: list[tuple[int, int]],
     way: float,
@@ -62,8 +69,8 @@ def drive(
 ) -> Motion:
     """Move one robot from cell `start` along `path` for at most `way` cells.
 
-    `truth` (uint8) and `taken` (bool, cells of other robots) have shape (h, w). A cell of the path that is no neighbor
-    of the previous one ends it like a wall. Steps to 4-neighbors have length 1, others `diagonal`.
+    `truth` (uint8) and `taken` have shape (h, w). A cell of the path that is no neighbor of the previous one ends it
+    like a wall. Steps to 4-neighbors have length 1, others `diagonal`.
     """
     (x, y), direction = start, (0, 0)
     cells: list[tuple[int, int]] = []
@@ -75,7 +82,7 @@ def drive(
             blocked, direction = WALL, (dx, dy)
             break
         if taken[there[1], there[0]]:
-            blocked = ROBOT
+            blocked = _taker(taken[there[1], there[0]])
             break
         cost = diagonal if dx and dy else 1.0
         if used + cost > way + ROUNDING:
@@ -93,11 +100,11 @@ def cell_of(point: Point) -> tuple[int, int]:
     return (point[0] + FINE // 2) // FINE, (point[1] + FINE // 2) // FINE
 
 
-def glide(truth: Grid, taken: NDArray[np.bool_], start: Point, points: list[Point], way: float) -> Motion:
+def glide(truth: Grid, taken: Taken, start: Point, points: list[Point], way: float) -> Motion:
     """Move one robot along straight lines between waypoints, for at most `way` cells.
 
-    `truth` (uint8) and `taken` (bool, cells of other robots) have shape (h, w). `start` and the waypoints are in
-    thousandths of a cell. The robot stops at the last checked position within `way`.
+    `truth` (uint8) and `taken` have shape (h, w). `start` and the waypoints are in thousandths of a cell. The robot
+    stops at the last checked position within `way`.
     """
     at, length, blocked = start, 0.0, NOT_BLOCKED
     bumped: tuple[int, int] | None = None
@@ -112,7 +119,7 @@ def glide(truth: Grid, taken: NDArray[np.bool_], start: Point, points: list[Poin
                 blocked, bumped = WALL, (ahead[0] - at[0], ahead[1] - at[1])
                 break
             if taken[there[1], there[0]]:
-                blocked = ROBOT
+                blocked = _taker(taken[there[1], there[0]])
                 break
             cells.append(there)
         at, length = ahead, length + step
@@ -137,6 +144,11 @@ def _is_passable(truth: Grid, here: tuple[int, int], there: tuple[int, int]) -> 
     return bool(truth[next_y, next_x] == truth[y, next_x] == truth[next_y, x] == FREE)
 
 
+def _taker(bits: int) -> str:
+    """Return what blocks a robot before a cell with these bits."""
+    return PERSON if bits & TAKEN_BY_PERSON else ROBOT
+
+
 def swept(start: tuple[int, int], cells: list[tuple[int, int]]) -> list[tuple[int, int]]:
     """Return all cells that a motion proves free: the entered cells, and both cells beside each diagonal step."""
     result: list[tuple[int, int]] = []
@@ -152,3 +164,22 @@ def swept(start: tuple[int, int], cells: list[tuple[int, int]]) -> list[tuple[in
 def heading_of(dx: int, dy: int) -> int:
     """Return the heading of a step to a neighbor, in eighths of a turn from +x toward +y."""
     return round(math.atan2(dy, dx) / (math.pi / 4)) % 8
+
+
+@lru_cache(maxsize=64)
+def too_near(reach: float) -> NDArray[np.bool_]:
+    """Cells less than `reach` cells, or one cell, from the middle one, as a square mask."""
+    side = np.arange(-int(reach), int(reach) + 1)
+    near: NDArray[np.bool_] = side[:, None] ** 2 + side[None, :] ** 2 < max(reach, 1.0) ** 2
+    return near
+
+
+def mark_near(taken: NDArray[np.uint8], cell: tuple[int, int], reach: float, bit: int) -> NDArray[np.uint8]:
+    """Set a bit of the cells less than `reach` cells from `cell`; return the changed part of `taken`, a view."""
+    near = too_near(reach)
+    x, y = cell
+    side = len(near) // 2
+    cut_x, cut_y = max(0, side - x), max(0, side - y)
+    here = taken[max(0, y - side) : y + side + 1, max(0, x - side) : x + side + 1]
+    here |= near[cut_y : cut_y + here.shape[0], cut_x : cut_x + here.shape[1]] * np.uint8(bit)
+    return here

@@ -313,7 +313,10 @@ class WorldNode:
             "<i4",
         ).reshape(-1, 4)
         driven = [round(cells * self._cell_mm) for cells in world.driven]
-        return WorldReport(world.step, poses.tobytes(), driven, world.seen_cells, world.reachable_cells)
+        people = np.rint(np.array(world.people).reshape(-1, 2) * self._cell_mm).astype("<i4").tobytes()
+        return WorldReport(
+            world.step, poses.tobytes(), driven, world.seen_cells, world.reachable_cells, people
+        )
 
     def _millimeters(self, robot: int) -> tuple[int, int]:
         """Return a robot's position in millimeters."""

@@ -22,6 +22,8 @@ from worldsim.sensor_options import LaserOptions
 EDGE_M = 0.3
 """Difference of the ranges of neighboring beams between which there is an edge, in meters."""
 
+NO_DISCS: FloatRows = np.empty((0, 3))
+
 _BEYOND, _TEAMMATE = -1.0, -2.0
 """Results of a beam that meets nothing within its reach, and of one that meets a teammate."""
 
@@ -45,14 +47,15 @@ class RangeLaser:
         place: tuple[float, float],
         heading: int,
         random: Generator,
+        people: FloatRows = NO_DISCS,
     ) -> Uint16s:
         """Measure from a position (x, y) in cells, as millimeters of shape (beams,).
 
-        `truth` (uint8) and `teammates` (bool) have shape (h, w). The low corner of cell (0, 0) is at (0, 0); `heading`
-        is in 1 / `TURN`.
+        `truth` (uint8) and `teammates` (bool) have shape (h, w). `people`, shape (n, 3), are discs: center (x, y) and
+        radius, in cells. The low corner of cell (0, 0) is at (0, 0); `heading` is in 1 / `TURN`.
         """
         beams = directions()[(heading + self._angles) & (TURN - 1)] / DIRECTION_LENGTH
-        exact = _cast_ranges(truth, teammates.view(np.uint8), *place, beams, self._reach)
+        exact = _cast_ranges(truth, teammates.view(np.uint8), people, *place, beams, self._reach)
         return self._disturb(exact, random)
 
     def _disturb(self, exact: Floats, random: Generator) -> Uint16s:
@@ -76,8 +79,27 @@ class RangeLaser:
 
 
 @kernel
-def _cast_ranges(truth: Grid, teammates: Grid, x: float, y: float, beams: FloatRows, reach: float) -> Floats:
-    """Return the distance in cells to the middle of each beam's way through the first cell that is not free."""
+def _nearest_disc(discs: FloatRows, x: float, y: float, dx: float, dy: float) -> float:
+    """Return the distance from (x, y) in direction (dx, dy) to the nearest disc that does not contain (x, y)."""
+    nearest = np.inf
+    for disc in range(len(discs)):
+        to_x, to_y, radius = discs[disc, 0] - x, discs[disc, 1] - y, discs[disc, 2]
+        along, aside = to_x * dx + to_y * dy, to_x * dy - to_y * dx
+        half_chord = radius * radius - aside * aside
+        if half_chord > 0 and along > np.sqrt(half_chord):
+            nearest = min(nearest, along - np.sqrt(half_chord))
+    return nearest
+
+
+@kernel
+def _cast_ranges(
+    truth: Grid, teammates: Grid, people: FloatRows, x: float, y: float, beams: FloatRows, reach: float
+) -> Floats:
+    """Return the distance in cells to what each beam meets first.
+
+    Of a cell that is not free, this is the middle of the beam's way through it; of a disc, the point where the beam
+    meets its border.
+    """
     found = np.empty(len(beams))
     height, width = truth.shape
     for beam in range(len(beams)):
@@ -88,10 +110,11 @@ def _cast_ranges(truth: Grid, teammates: Grid, x: float, y: float, beams: FloatR
         every_y = abs(1.0 / dy) if dy != 0.0 else np.inf
         to_x = (column + 1 - x if dx > 0 else x - column) * every_x if dx != 0.0 else np.inf
         to_y = (row + 1 - y if dy > 0 else y - row) * every_y if dy != 0.0 else np.inf
-        found[beam] = _BEYOND
+        person = _nearest_disc(people, x, y, dx, dy)
+        found[beam] = person if person <= reach else _BEYOND
         while True:
             entered = min(to_x, to_y)
-            if entered > reach:
+            if entered > min(reach, person):
                 break
             if to_x <= to_y:
                 column += step_x

@@ -11,6 +11,8 @@ IDEAL, EXACT = "ideal", "exact"
 
 MAX_LASER_BEAMS = 1440
 
+MIN_RATE = 0.01
+
 MAX_RANGE_ERROR_M, MAX_MIN_RANGE_M = 1.0, 10.0
 
 MAX_POSE_ERROR_M, MAX_HEADING_ERROR_DEG = 1.0, 10.0
@@ -43,6 +45,8 @@ class LaserOptions:
         limit of the laser.
     beams : int
         Beams over the field of view; 0: as many as ``beams`` of the scenario has there.
+    rate : float
+        Scans per step, at most 1: a robot maps one scan at the end of its motion. At 0.2, it scans every fifth step.
     """
 
     __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
@@ -56,6 +60,7 @@ class LaserOptions:
     min_range_m: float = 0.0
     max_range_m: float = 0.0
     beams: int = 0
+    rate: float = 1.0
 
     def __post_init__(self) -> None:
         _check_shares(self, "range_error_share", "short", "missing", "mixed")
@@ -74,11 +79,14 @@ class LaserOptions:
             raise ValueError(f"max_range_m = {self.max_range_m:g}: must exceed min_range_m")
         if not 0 <= self.beams <= MAX_LASER_BEAMS:
             raise ValueError(f"beams = {self.beams}: must be 0 to {MAX_LASER_BEAMS}")
+        if not MIN_RATE <= self.rate <= 1:
+            raise ValueError(f"rate = {self.rate:g}: must be {MIN_RATE:g} to 1 scans per step")
 
     @property
     def is_ideal(self) -> bool:
-        """Whether the laser has no errors and no limits of its own."""
-        return all(getattr(self, field.name) == field.default for field in fields(self)[1:])
+        """Whether the laser has no errors and no limits of its own; it may scan in some steps only."""
+        figures = [field for field in fields(self) if field.name not in ("preset", "rate")]
+        return all(getattr(self, field.name) == field.default for field in figures)
 
 
 @dataclass(frozen=True)

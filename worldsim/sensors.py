@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from protocol.arrays import FloatRows
 from protocol.grid import Grid
 from protocol.keyed_random import keyed_random
 from protocol.messages import Sense
@@ -18,7 +19,7 @@ from protocol.range_scans import NO_MEASUREMENT, TURN, UNIT, Laser, RangeScan, e
 from worldsim.laser import HEADINGS
 from worldsim.motion import FINE, Point
 from worldsim.pose_error import PoseError
-from worldsim.range_laser import RangeLaser
+from worldsim.range_laser import NO_DISCS, RangeLaser
 from worldsim.sensor_options import LaserOptions, PoseOptions
 
 
@@ -63,17 +64,19 @@ class Sensors:
         truth: Grid,
         teammates: NDArray[np.bool_],
         active: NDArray[np.bool_],
+        people: FloatRows = NO_DISCS,
     ) -> Sense:
         """Return what a robot senses, from its true pose and what exact sensors would measure.
 
         `truth` and `teammates` have shape (h, w). `active`, shape (beams,), marks the beams that the scanner sends.
+        `people`, shape (n, 3), are discs (`worldsim.people.People.discs`).
         """
         step = exact.step
         place = _units(exact.x, exact.offset_x), _units(exact.y, exact.offset_y)
         turn = exact.heading * TURN // HEADINGS
         random = keyed_random(self._seed, "laser", robot, step)
         position = place[0] / UNIT, place[1] / UNIT
-        ranges = self._lasers[robot].ranges(truth, teammates, position, turn, random)
+        ranges = self._lasers[robot].ranges(truth, teammates, position, turn, random, people)
         ranges[~active] = NO_MEASUREMENT
         error_x, error_y, error_turn = self._errors[robot].at(step)
         height, width = truth.shape

@@ -6,13 +6,13 @@ import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from protocol.arrays import BoolRows
-from protocol.grid import FREE, Grid, disc, enlarge, ray_table
+from protocol.grid import FREE, Grid, RayTable, disc, enlarge, ray_table
 from protocol.kernels import kernel
 from protocol.keyed_random import keyed_random
 from protocol.messages import FaultEvent, Move, Sense, cells_from_bytes, cells_to_bytes, points_from_bytes
@@ -24,12 +24,16 @@ from worldsim.motion import (
     FINE,
     INTERFERENCE,
     NOT_BLOCKED,
+    TAKEN_BY_ROBOT,
     cell_of,
     drive,
     glide,
     heading_of,
+    mark_near,
     swept,
 )
+from worldsim.people import People, PeopleSettings
+from worldsim.range_laser import NO_DISCS
 from worldsim.sensors import Sensors, SensorSettings
 
 MOVES_AS_PLANNED = 0.7
@@ -78,6 +82,10 @@ class WorldSettings:
     """Share of the cells that a robot can reach which the team must have seen when it reports `explored`."""
     sensors: SensorSettings | None = None
     """Sensors with errors; None: lasers and poses are exact."""
+    people: PeopleSettings | None = None
+    """People in the building; only sensors with errors see them."""
+    scan_rate: float = 1.0
+    """Scans per step, at most 1."""
 
 
 class World(BaseWorld):
@@ -91,13 +99,23 @@ class World(BaseWorld):
         self.seen = np.zeros_like(truth)
         """Grid of all cells seen by the team's lasers."""
         self._counted = np.zeros(truth.shape, np.bool_)
-        self._taken = np.zeros(truth.shape, np.bool_)
+        self._taken = np.zeros(truth.shape, np.uint8)
         self._reachable_by: dict[int, NDArray[np.bool_]] = {}
         """The free cells that a robot can reach, by robots whose reports were checked."""
-        self._ray_tables = [ray_table(body.range_cells, settings.beams) for body in settings.bodies]
         self._carry = [0.0] * len(settings.starts)
         self._scanner_angle = [0.0] * len(settings.starts)
         self._sensors = None if settings.sensors is None else Sensors(settings.sensors, settings.seed)
+        self._people = None if settings.people is None else self._place_people(settings.people)
+
+    @property
+    def people(self) -> list[tuple[int, int]]:
+        """The cell of each person in the building."""
+        return [] if self._people is None else self._people.cells
+
+    @cached_property
+    def _ray_tables(self) -> list[RayTable]:
+        """The cells of each robot's beams."""
+        return [ray_table(body.range_cells, self.settings.beams) for body in self.settings.bodies]
 
     @cached_property
     def _widest(self) -> float:
@@ -110,7 +128,7 @@ class World(BaseWorld):
         x, y = self.cells[robot] = self._last_cells[robot]
         floor = self.floors[self.settings.bodies[robot].radius_cells] == FREE
         with self._cells_taken_by_others(robot, math.inf) as taken:
-            rows, columns = np.nonzero(floor & self.reachable & ~taken)
+            rows, columns = np.nonzero(floor & self.reachable & (taken == 0))
         if len(rows):
             nearest = int(np.argmin((columns - x) ** 2 + (rows - y) ** 2))
             self.cells[robot] = int(columns[nearest]), int(rows[nearest])
@@ -136,8 +154,11 @@ class World(BaseWorld):
             move = moves.get(robot)
             if move is not None:
                 entered[robot], blocked[robot] = self._move(robot, move, before)
+        if self._people is not None:
+            self._people.advance(self.step, self._cells_near_robots(self._people.radius_cells))
         occupied = self._standing()
-        looking = {robot: robot not in moves or moves[robot].look for robot in entered}
+        scans = scans_in(self.step, self.settings.scan_rate)
+        looking = {robot: scans and (robot not in moves or moves[robot].look) for robot in entered}
         return (
             (robot, self._sense(robot, *self.cells[robot], occupied, entered[robot], blocked[robot], look))
             for robot, look in looking.items()
@@ -172,8 +193,8 @@ class World(BaseWorld):
         return swept(start, result.cells), result.blocked
 
     @contextmanager
-    def _cells_taken_by_others(self, robot: int, way: float) -> Iterator[NDArray[np.bool_]]:
-        """Mark the cells that a robot's center may not enter because of robots within `way` cells of driving."""
+    def _cells_taken_by_others(self, robot: int, way: float) -> Iterator[NDArray[np.uint8]]:
+        """Mark the cells that a robot's center may not enter because of robots within `way` cells, or of people."""
         own = self.settings.bodies[robot].radius_cells
         x, y = self.cells[robot]
         far = way + own + self._widest + 4
@@ -184,17 +205,27 @@ class World(BaseWorld):
             if left <= cell[0] <= right and top <= cell[1] <= bottom and other != robot
         ]
         marked = []
-        for other, (other_x, other_y) in others if self.settings.robots_collide else ():
-            near = too_near(own + self.settings.bodies[other].radius_cells)
-            side = len(near) // 2
-            cut_x, cut_y = max(0, side - other_x), max(0, side - other_y)
-            rows = slice(max(0, other_y - side), other_y + side + 1)
-            here = self._taken[rows, max(0, other_x - side) : other_x + side + 1]
-            here |= near[cut_y : cut_y + here.shape[0], cut_x : cut_x + here.shape[1]]
-            marked.append(here)
+        for other, cell in others if self.settings.robots_collide else ():
+            reach = own + self.settings.bodies[other].radius_cells
+            marked.append(mark_near(self._taken, cell, reach, TAKEN_BY_ROBOT))
+        if self._people is not None:
+            marked += self._people.mark(self._taken, own)
         yield self._taken
         for here in marked:
-            here[:] = False
+            here[:] = 0
+
+    def _place_people(self, settings: PeopleSettings) -> People:
+        """Place people on cells that robots can reach; ValueError if there are too few."""
+        near = self._cells_near_robots(settings.radius_cells)
+        return People(self.truth, self.reachable, near, settings, self.settings.seed)
+
+    def _cells_near_robots(self, radius_cells: float) -> NDArray[np.bool_]:
+        """Return the cells that people of this radius do not enter because of robots."""
+        near = np.zeros(self.truth.shape, np.uint8)
+        for robot, cell in self.cells.items():
+            reach = radius_cells + self.settings.bodies[robot].radius_cells
+            mark_near(near, cell, reach, TAKEN_BY_ROBOT)
+        return near.view(np.bool_)
 
     def _hindered(self, robot: int, before: Mapping[int, tuple[int, int]]) -> bool:
         limit = self.settings.interference_cells
@@ -246,7 +277,8 @@ class World(BaseWorld):
         active = np.full(len(beams), look)
         if body.scanner_turn:
             active &= (beams - angle) % FULL_TURN < body.scanner_turn
-        return self._sensors.sense(robot, exact, self.truth, occupied, active)
+        discs = NO_DISCS if self._people is None else self._people.discs
+        return self._sensors.sense(robot, exact, self.truth, occupied, active, discs)
 
 
 @kernel
@@ -263,12 +295,9 @@ def _count_seen(
     return fresh
 
 
-@lru_cache(maxsize=64)
-def too_near(reach: float) -> NDArray[np.bool_]:
-    """Cells less than `reach` cells, or one cell, from the middle one, as a square mask."""
-    side = np.arange(-int(reach), int(reach) + 1)
-    near: NDArray[np.bool_] = side[:, None] ** 2 + side[None, :] ** 2 < max(reach, 1.0) ** 2
-    return near
+def scans_in(step: int, rate: float) -> bool:
+    """Return whether lasers that scan `rate` times per step, at most once, scan in a step; they do in step 1."""
+    return math.floor((step - 1) * rate) > math.floor((step - 2) * rate)
 
 
 def beams_outside(beams: int, angle: float, width: float) -> NDArray[np.bool_]:

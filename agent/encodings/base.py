@@ -44,6 +44,8 @@ class MapEncoding(ABC):
     """
 
     name: ClassVar[str]
+    needs_range_scans: ClassVar[bool] = False
+    """Whether robots must have lasers or poses with errors: it encodes ranges in meters."""
     retractable: int = 0
     """Packets at the end of this robot's log that `retract_last` may still remove; 0: the log is final."""
 

@@ -8,11 +8,22 @@ from agent.encodings.none import NoEncoding
 from agent.encodings.polygons import PolygonEncoding
 from agent.encodings.predictive import PredictiveEncoding
 from agent.encodings.scans import ScanEncoding
+from agent.encodings.slam_toolbox import SlamToolboxEncoding
+from agent.encodings.zstd_maps import ZstdMapEncoding
 from agent.plugins import Plugins
 from agent.settings import Settings
 
 ENCODINGS: dict[str, type[MapEncoding]] = {
-    kind.name: kind for kind in (PolygonEncoding, ScanEncoding, CellEncoding, PredictiveEncoding, NoEncoding)
+    kind.name: kind
+    for kind in (
+        PolygonEncoding,
+        ScanEncoding,
+        CellEncoding,
+        PredictiveEncoding,
+        SlamToolboxEncoding,
+        ZstdMapEncoding,
+        NoEncoding,
+    )
 }
 """The encodings of this package."""
 

@@ -7,11 +7,10 @@ by row, its new state or `SAME`. It travels as run lengths or as a zstd frame (R
 
 from __future__ import annotations
 
-import sys
-
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.encodings.compression import compress, decompress
 from agent.encodings.received_grid import GridEncoding
 from agent.settings import Settings
 from protocol import packets
@@ -20,11 +19,6 @@ from protocol.errors import ProtocolError
 from protocol.grid import OCCUPIED, Grid
 from protocol.range_scans import RangeScan
 from protocol.scans import Change, Scan, contents, fragments
-
-if sys.version_info >= (3, 14):
-    from compression import zstd
-else:
-    from backports import zstd
 
 RUNS, ZSTD = 0, 1
 """Compression of a patch: run lengths, or a zstd frame."""
@@ -37,9 +31,6 @@ SHORT = 1 << 6
 
 LEVEL = 19
 """Compression level of zstd."""
-
-WINDOW = 22
-"""Largest window that a received zstd frame may request, as a power of two in bytes."""
 
 PACKETS_A_STEP = 3
 """Fragments are short enough that the budget of one step holds this many, but no shorter than `LEAST`."""
@@ -117,7 +108,7 @@ def pack(x0: int, y0: int, patch: Patch) -> bytes:
 
     `patch`, shape (h, w), has `SAME`, or the state plus one, of each cell.
     """
-    runs, frame = pack_runs(patch), zstd.compress(patch.tobytes(), LEVEL)
+    runs, frame = pack_runs(patch), compress(patch.tobytes(), LEVEL)
     compression, body = (RUNS, runs) if len(runs) <= len(frame) else (ZSTD, frame)
     height, width = patch.shape
     return bytes([compression]) + b"".join(map(_digits, (x0, y0, width, height, len(body)))) + body
@@ -157,7 +148,7 @@ def unpack(data: bytes, shape: tuple[int, int]) -> tuple[int, int, Patch, bytes]
     if len(data) < at + size:
         return None
     body = data[at : at + size]
-    flat = unpack_runs(body, cells) if data[0] == RUNS else _unzstd(body, cells)
+    flat = unpack_runs(body, cells) if data[0] == RUNS else decompress(body, cells, "cells")
     if (flat > OCCUPIED + 1).any():
         raise ProtocolError("cells", at, "unknown state of a cell")
     return x0, y0, flat.reshape(height, width), data[at + size :]
@@ -192,17 +183,6 @@ def unpack_runs(data: bytes, cells: int) -> Patch:
     if filled != cells or at != len(data):
         raise ProtocolError("cells", at, f"the runs do not cover {cells} cells")
     return flat
-
-
-def _unzstd(data: bytes, cells: int) -> Patch:
-    reader = zstd.ZstdDecompressor(options={zstd.DecompressionParameter.window_log_max: WINDOW})
-    try:
-        flat = reader.decompress(data, cells + 1)
-    except zstd.ZstdError as error:
-        raise ProtocolError("cells", 0, str(error)) from None
-    if len(flat) != cells or not reader.eof or reader.unused_data:
-        raise ProtocolError("cells", 0, f"the zstd frame does not hold {cells} cells")
-    return np.frombuffer(flat, np.uint8)
 
 
 def _digits(number: int) -> bytes:

@@ -38,13 +38,14 @@ class ScanEncoding(GridEncoding):
 
     def __init__(self, settings: Settings) -> None:
         super().__init__(settings)
-        self._format: _ExactScans | _RangeScans
-        self._format = (
-            _ExactScans(settings) if settings.laser is None else _RangeScans(settings, settings.laser)
-        )
+        self._format = self.make_format(settings)
         self._most = settings.frame_bytes or packets.Fragment.size
         self._partial: dict[int, bytes] = {}
         self._last = b""
+
+    def make_format(self, settings: Settings) -> ExactScans | RangeScans:
+        """Return the format of the scans."""
+        return ExactScans(settings) if settings.laser is None else RangeScans(settings, settings.laser)
 
     def encode_changes(
         self, own: Grid, scan: Scan | RangeScan, change: Change, *, delivered: bool
@@ -91,7 +92,7 @@ class ScanEncoding(GridEncoding):
         return scan
 
 
-class _ExactScans:
+class ExactScans:
     """Scans of exact lasers: a cell reported once never changes."""
 
     def __init__(self, settings: Settings) -> None:
@@ -120,7 +121,7 @@ class _ExactScans:
         """Do nothing: no state is kept."""
 
 
-class _RangeScans:
+class RangeScans:
     """Scans of lasers with errors: receivers estimate each author's map as the author does."""
 
     def __init__(self, settings: Settings, laser: Laser) -> None:

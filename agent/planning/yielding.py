@@ -1,4 +1,4 @@
-"""Local conflict resolution: a robot gets past teammates in its way without communication.
+"""Local conflict resolution: a robot gets past teammates and people in its way without communication.
 
 The robot waits for some steps. Then it drives around all cells in which teammates have stopped it lately. Without this
 memory, a robot between two teammates would turn back and forth forever. If there is no other way, or a much longer
@@ -13,6 +13,9 @@ import numpy as np
 from agent.planning.path_planner import PathPlanner
 from agent.planning.route import Route
 from protocol.keyed_random import keyed_random
+
+MOBILE = ("robot", "person")
+"""Obstacles that may move out of the way (`protocol.messages.Sense.blocked`)."""
 
 WAIT = 2
 """Steps for which the robot waits first."""

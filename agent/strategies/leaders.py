@@ -19,7 +19,7 @@ from agent.planning import forces
 from agent.planning.path_planner import PathPlanner
 from agent.planning.route import Route, corners, crossed
 from agent.planning.visibility import shortest_way
-from agent.planning.yielding import YieldBehavior
+from agent.planning.yielding import MOBILE, YieldBehavior
 from agent.settings import Settings
 from agent.strategies.base import Cell, Decision, Situation, Strategy
 from agent.strategies.options import option
@@ -159,7 +159,7 @@ class PotentialField(Strategy):
         target = frontier[np.argmin(costs)]
         goal = int(target[0]), int(target[1])
         self._route.drive_to(*situation.here)
-        stopped = situation.blocked == "robot"
+        stopped = situation.blocked in MOBILE
         self._yielding.note(self._route, situation.here, situation.step, stopped=stopped)
         self._route.lead(planner, situation.here, goal)
         if self._yielding.has_waited:

@@ -25,7 +25,7 @@ from agent.planning.frontier import is_frontier
 from agent.planning.path_planner import COSTS, PathPlanner
 from agent.planning.route import Route
 from agent.planning.utility import in_sight
-from agent.planning.yielding import YieldBehavior
+from agent.planning.yielding import MOBILE, YieldBehavior
 from agent.settings import Settings
 from agent.strategies.base import Cell, Decision, Situation, Strategy
 from agent.strategies.options import option
@@ -189,7 +189,7 @@ class TargetStrategy(Strategy):
         here = situation.here
         self._count_turn(here)
         self._route.drive_to(*here)
-        self._yielding.note(self._route, here, situation.step, stopped=situation.blocked == "robot")
+        self._yielding.note(self._route, here, situation.step, stopped=situation.blocked in MOBILE)
         planner = self.planner(situation)
         before, left, gives_up = self.target, True, self._yielding.gives_up()
         if gives_up or self.is_due(situation):

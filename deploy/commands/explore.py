@@ -34,7 +34,7 @@ app = command_family()
 
 NESTED = {
     "radio.preset": "--radio", "laser.preset": "--laser", "pose.preset": "--pose",
-    "map_options.resolution": "--resolution",
+    "map_options.resolution": "--resolution", "people.number": "--people",
 }  # fmt: skip
 """Keys of tables that have a flag of their own."""
 
@@ -70,6 +70,9 @@ def explore(
     pose: Annotated[
         str | None, _option("NAME", f"errors of the robots' poses: {', '.join(POSES)}", ROBOTS)
     ] = None,
+    people: Annotated[
+        int | None, _option("N", "people who walk about in the building (docs/real-sensors.md)", WORLD)
+    ] = None,
     thesis: Annotated[
         bool, _switch("--thesis", "the rules of the thesis, without later additions", RADIO)
     ] = False,
@@ -103,7 +106,7 @@ def explore(
     The run directory contains all results: summary.json, tables, pictures, maps, and scenario.toml, from which
     `murmur replay` repeats the run. docs/settings.md lists all settings.
     """
-    for name, value in zip(NESTED, (radio, laser, pose, resolution), strict=True):
+    for name, value in zip(NESTED, (radio, laser, pose, resolution, people), strict=True):
         settings |= {name: value} if value is not None else {}
     overrides = settings | other_settings(set_ or [], settings)
     if option:

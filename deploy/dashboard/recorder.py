@@ -195,6 +195,10 @@ class Recorder:
             self._log(f"robots/{robot}/self", rr.Points2D.from_fields(positions=[place]))
             target = [flip(events.targets[robot])] if robot in events.targets else []
             self._log(f"robots/{robot}/target", rr.Points2D.from_fields(positions=target))
+        if people := [flip(place) for place in events.people]:
+            radius = self._plan.scenario.people.radius
+            points = rr.Points2D(people, radii=[radius], colors=[GREY], draw_order=TARGET_ORDER)
+            self._log("world/people", points)
         self._draw_targets()
         self._log("explored/team", rr.Scalars(100 * events.seen))
         self._log("explored/maps", rr.Scalars(self._explored))

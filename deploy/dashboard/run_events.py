@@ -63,6 +63,8 @@ class RunEvents:
     """The true position of each living robot."""
     ways: dict[int, list[Point]] = field(default_factory=dict)
     """Each robot's path: its corners, and the current position."""
+    people: list[Point] = field(default_factory=list)
+    """The true positions of the people in the building."""
     targets: dict[int, Point] = field(default_factory=dict)
     backlog: dict[int, int] = field(default_factory=dict)
     seen: float = 0.0
@@ -114,6 +116,8 @@ class RunEvents:
         self.positions = {
             robot: to_world(self.plan.map, x / cell_mm, y / cell_mm) for robot, x, y, _ in poses
         }
+        people = np.frombuffer(report.people, "<i4").reshape(-1, 2).tolist()
+        self.people = [to_world(self.plan.map, x / cell_mm, y / cell_mm) for x, y in people]
         for robot, place in self.positions.items():
             extend(self.ways.setdefault(robot, []), place)
         for robot in sorted(self.targets.keys() - self.positions.keys()):

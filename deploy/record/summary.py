@@ -95,8 +95,8 @@ def _reason(end: End | None, *, finished: bool) -> str:
 def digest(records: Records) -> str:
     """Hash canonical integers by SHA-256: the sorted ledger, poses by step and robot, all grids.
 
-    Poses are in whole millimeters and tenths of a degree. Each number is a little-endian int64; grids are uint8,
-    preceded by their robot and shape.
+    Poses are in whole millimeters and tenths of a degree. Each number is a little-endian int64, but those of people are
+    int32; grids are uint8, preceded by their robot and shape.
     """
     total = hashlib.sha256()
     rows = sort_rows(records.ledger())
@@ -104,7 +104,7 @@ def digest(records: Records) -> str:
         total.update(np.ascontiguousarray(rows[name]).astype("<i8").tobytes())
     for report in records.world:
         poses = np.frombuffer(report.poses, "<i4").astype("<i8")
-        total.update(np.array([report.step], "<i8").tobytes() + poses.tobytes())
+        total.update(np.array([report.step], "<i8").tobytes() + poses.tobytes() + report.people)
     for grids in (records.own, records.planning):
         for robot, grid in sorted(grids.items()):
             total.update(np.array([robot, *grid.shape], "<i8").tobytes() + grid.tobytes())

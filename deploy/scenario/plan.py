@@ -23,6 +23,7 @@ from protocol.range_scans import MAX_REACH_M, TURN, Laser
 from worldsim.base import BaseWorld
 from worldsim.map_error import MapError
 from worldsim.maps import Map, to_cell
+from worldsim.people import PeopleSettings
 from worldsim.recorded.world import RecordedWorld
 from worldsim.sensors import SensorSettings
 from worldsim.starts import Cell, check_free, jittered, start_cells
@@ -61,8 +62,8 @@ def make(
     Each robot may start `incarnations` times, or more often if the scenario's faults require it. With `record_maps`,
     robots report the changes of their maps to the recorder.
 
-    Raises ScenarioError if the map or a log cannot be loaded, the robots do not fit on it, or a range is too small for
-    its cells or for the strategy.
+    Raises ScenarioError if the map or a log cannot be loaded, robots or people do not fit on it, or a range is too
+    small for its cells or for the strategy.
     """
     recording = load_recording(scenario) if scenario.is_recorded else None
     world_map = recording.map if recording is not None else world_map or load_map(scenario)
@@ -92,7 +93,10 @@ def make(
         robots_collide=scenario.robots_collide,
         min_coverage=scenario.min_coverage,
         sensors=_sensors(scenario, bodies, cell, recording),
+        people=_people(scenario, cell),
+        scan_rate=scenario.laser.rate,
     )
+    _check_people(world_map, world)
     radio = _radio_settings(scenario, world_map, range_m, incarnations)
     robot_settings = _robot_settings(
         scenario, world_map, bodies, radio, sensors=world.sensors, record_maps=record_maps
@@ -132,6 +136,21 @@ def _sensors(
     else:
         lasers = tuple(_geometry(scenario, body, cell) for body in bodies)
     return SensorSettings(scenario.laser, scenario.pose, lasers, cell)
+
+
+def _people(scenario: Scenario, cell: float) -> PeopleSettings | None:
+    """Return the people in the building, with cells of `cell` meters; None if there are none."""
+    people = scenario.people
+    return PeopleSettings(people.number, people.speed / cell, people.radius / cell) if people.number else None
+
+
+def _check_people(world_map: Map, settings: WorldSettings) -> None:
+    """Raise ScenarioError if there are more people than free cells."""
+    if settings.people is not None:
+        try:
+            World(world_map.cells, settings)
+        except ValueError as error:
+            raise ScenarioError(f"people.number on map {world_map.name}: {error}") from None
 
 
 def _geometry(scenario: Scenario, body: Body, cell: float) -> Laser:
@@ -203,6 +222,7 @@ def _robot_settings(
             incarnations=radio.incarnations,
             record_maps=record_maps,
             laser=None if sensors is None else sensors.geometries[number],
+            people=scenario.people.number > 0,
             tolerance=scenario.tolerance,
         )
         for number, body in enumerate(bodies)

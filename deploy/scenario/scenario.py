@@ -41,8 +41,9 @@ from protocol.files import read_file
 from protocol.grid import MAX_ROBOTS
 from protocol.messages import Change, FaultEvent
 from protocol.packets import MAX_GOSSIP_MAPS, MAX_MAPS
+from worldsim.people_options import PeopleOptions
 from worldsim.recorded.options import RecordingOptions
-from worldsim.sensor_options import LASERS, POSES, LaserOptions, PoseOptions
+from worldsim.sensor_options import IDEAL, LASERS, POSES, LaserOptions, PoseOptions
 
 SHIPPED = Path(__file__).with_name("shipped")
 """Directory of the scenarios that are installed with the code; a file name alone can refer to one."""
@@ -57,7 +58,7 @@ RECORDED_RANGE_M = 10.0
 
 NOT_RECORDED = (
     "map_seed", "map_options", "speed", "start", "starts", "start_jitter", "start_spacing", "motion",
-    "robots_collide", "radius", "interference", "field_of_view", "scanner_turn", "laser", "pose", "options",
+    "robots_collide", "radius", "interference", "field_of_view", "scanner_turn", "laser", "pose", "people", "options",
 )  # fmt: skip
 """Settings that only simulated robots have."""
 
@@ -96,7 +97,8 @@ class Scenario(Table):
     range: Range = Field("100%", description="communication range: meters, or % of the map's diagonal")
     bandwidth: Bandwidth = Field(1000, description="bytes per step for the whole team")
     map_encoding: str = Field(
-        "predictive", description="map encoding: polygons, scans, cells, predictive, none"
+        "predictive",
+        description="map encoding: polygons, scans, cells, predictive, slam-toolbox, zstd-maps, none",
     )
     strategy: str = Field(DEFAULT_STRATEGY, description="exploration strategy (murmur strategies lists all)")
     sensor_range: Positive = Field(5.0, description="laser range, meters")
@@ -152,6 +154,7 @@ class Scenario(Table):
     pose: PoseOptions = Field(
         default_factory=PoseOptions, description="errors of the poses that robots believe in"
     )
+    people: PeopleOptions = Field(default_factory=PeopleOptions, description="people in the building")
     recording: RecordingOptions = Field(
         default_factory=RecordingOptions, description="logs that robots replay instead of exploring"
     )
@@ -255,7 +258,7 @@ class Scenario(Table):
         hint = "; number of robots is `robots`" if info.field_name == "robot" else ""
         raise ValueError(f"must be tables, [[{info.field_name}]], of {', '.join(kind.model_fields)}{hint}")
 
-    @field_validator("polygons", "predictive", "radio", "laser", "pose", "recording", mode="before")
+    @field_validator("polygons", "predictive", "radio", "laser", "pose", "people", "recording", mode="before")
     @classmethod
     def _types_are_exact(cls, value: object, info: ValidationInfo) -> object:
         check_types(cls.model_fields[str(info.field_name)].annotation, value)
@@ -279,6 +282,7 @@ class Scenario(Table):
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
+        from agent.encodings.catalog import encoding_class  # noqa: PLC0415  loads numpy, which --help does not need
         from agent.strategies.registry import strategy  # noqa: PLC0415  loads kernels, which --help does not need
 
         strategy(self.strategy).check(self.options)
@@ -299,6 +303,21 @@ class Scenario(Table):
         bandwidths = [self.bandwidth, *(change.bandwidth for change in self.change)]
         if self.radio.duty_cycle < 1 and WORD_FOR_UNLIMITED in bandwidths:
             raise ValueError("radio.duty_cycle: is a share of the bandwidth, which must be limited then")
+        lasers = ", ".join(name for name in LASERS if name != IDEAL)
+        if not self.is_noisy and encoding_class(self.map_encoding).needs_range_scans:
+            raise ValueError(
+                f"map_encoding = {self.map_encoding!r}: encodes ranges in meters, which exact lasers do not have; "
+                f"choose a laser.preset with errors: {lasers}"
+            )
+        if self.people.number and not self.is_noisy:
+            raise ValueError(
+                f"people.number = {self.people.number}: with exact lasers, a person would stay on maps as a wall; "
+                f"choose a laser.preset with errors: {lasers}"
+            )
+        if self.laser.rate < 1 and any(self.body_of(robot).scanner_turn for robot in range(self.robots)):
+            raise ValueError(
+                f"laser.rate = {self.laser.rate:g}: a turning scanner (scanner_turn) measures in every step"
+            )
         if self.start_jitter and self.start is None and not self.starts:
             raise ValueError("start_jitter: offsets a given start position: set start or starts")
         numbers = [entry.robot for entry in self.robot]
@@ -519,6 +538,7 @@ _KEYS = {
     "radio": [field.name for field in fields(RadioOptions)],
     "laser": [field.name for field in fields(LaserOptions)],
     "pose": [field.name for field in fields(PoseOptions)],
+    "people": [field.name for field in fields(PeopleOptions)],
     "recording": [field.name for field in fields(RecordingOptions)],
     "radio.partition": [field.name for field in fields(Partition)],
 }

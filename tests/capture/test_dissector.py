@@ -10,7 +10,6 @@ from typing import Any
 
 import pytest
 
-from agent.encodings.catalog import ENCODINGS
 from deploy.record import run_directory
 from deploy.run.in_memory import MemoryRun
 from deploy.scenario import plan as plans
@@ -21,6 +20,7 @@ from netshaper.ledger import CAUSES, EVERYONE
 from protocol import packets
 from protocol.errors import ProtocolError
 from protocol.packets import ALL_KINDS, Fragment, Packet, Update
+from tests.agent.encodings.names import EXACT
 from tests.capture import tshark as tsharks
 from tests.capture.tshark import Tshark
 from tests.netshaper import plain_ledger
@@ -217,7 +217,7 @@ def test_truncated_frames_are_no_error(tshark: Tshark, tmp_path: Path) -> None:
     assert refused
 
 
-@pytest.mark.parametrize("map_encoding", [name for name in ENCODINGS if name != "none"])
+@pytest.mark.parametrize("map_encoding", [name for name in EXACT if name != "none"])
 def test_sums_equal_those_of_the_ledger(tshark: Tshark, tmp_path: Path, map_encoding: str) -> None:
     settings = {"robots": 4, "map_encoding": map_encoding, "dissemination": "backoff", "strategy": "meier"}
     plan = plans.make(parse(settings | {"bandwidth": 700, "range": "40%", "steps": 60}))

@@ -66,6 +66,9 @@ SETTINGS = Settings(
 )
 
 
+LASER = Laser(5, 0, 50_000, 8000)
+
+
 def read_packets(data: bytes) -> None:
     assert b"".join(packet_index.split(data)) == data
     for packet in packets.decode(data):
@@ -94,15 +97,13 @@ def read_polygons(data: bytes) -> None:
 
 
 def apply_entries(data: bytes) -> None:
-    for name in ENCODINGS:
-        encoding = make_encoding(replace(SETTINGS, map_encoding=name))
+    for name, kind in ENCODINGS.items():
+        laser = LASER if kind.needs_range_scans else None
+        encoding = make_encoding(replace(SETTINGS, map_encoding=name, laser=laser))
         try:
             encoding.apply(0, data, step=1000, sender=0)
         except ProtocolError:
             continue
-
-
-LASER = Laser(5, 0, 50_000, 8000)
 
 
 def apply_range_scans(data: bytes) -> None:

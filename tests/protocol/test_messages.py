@@ -94,7 +94,7 @@ TOGETHER: dict[type[messages.Record], tuple[str, ...]] = {
 ROWS: dict[type[messages.Record], dict[str, int]] = {
     messages.Sense: {"driven": 4, "readings": 2},
     messages.Move: {"path": 4, "points": 8},
-    messages.WorldReport: {"poses": 16},
+    messages.WorldReport: {"poses": 16, "people": 8},
     messages.Outlines: {"vertices": 8},
 }
 any_message = a_message()
@@ -148,7 +148,7 @@ def wrong_for(kind: inspect.Type) -> st.SearchStrategy[Any]:
             return st.sampled_from([0, 1, None, "true"])
         case inspect.StrType():
             return st.sampled_from([1, None, b"a", [], "a" * ((kind.max_length or 0) + 1)])
-        case inspect.BytesType() if (kind.max_length or 0) < 1 << 20:
+        case inspect.BytesType() if (kind.max_length or 0) < messages.MAX_EXPLAINED // 2:
             return st.sampled_from([1, None, "a", [], bytes((kind.max_length or 0) + 1)])
         case inspect.BytesType():
             return st.sampled_from([1, None, "a", []])
@@ -175,7 +175,8 @@ def test_fields_that_do_not_fit_together_are_refused() -> None:
         unpack(msgpack.packb([4, 1, [0, 1], [2], [2]]))
     for items in (
         [3, 1, b"abc", 0, True, True, False, b""],
-        [14, 1, bytes(15), [], 1, 1],
+        [14, 1, bytes(15), [], 1, 1, b""],
+        [14, 1, b"", [], 1, 1, bytes(7)],
         [21, 1, 0, bytes(5)],
         [26, 1, bytes(5), bytes(1)],
     ):

@@ -13,10 +13,10 @@ from typing import Any
 
 import pytest
 
-from agent.encodings.catalog import ENCODINGS
 from agent.encodings.options import THESIS_OPTIONS
 from deploy.run import exploration
 from deploy.scenario.scenario import parse
+from tests.agent.encodings.names import EXACT
 from worldsim import generators, maps
 
 BUSY_S = 60
@@ -106,7 +106,7 @@ def test_another_seed_gives_another_digest(floor: str) -> None:
 @pytest.mark.parametrize("seed", range(10))
 @pytest.mark.parametrize(
     ("map_encoding", "dissemination", "robots", "bandwidth", "reach"),
-    list(product(ENCODINGS, ["backoff", "gossip"], [1, 2, 5, 8], [200, "unlimited"], ["15%", "100%"])),
+    list(product(EXACT, ["backoff", "gossip"], [1, 2, 5, 8], [200, "unlimited"], ["15%", "100%"])),
 )
 def test_the_digest_is_the_same_on_both_buses_for_every_team(
     floor: str,

@@ -31,7 +31,10 @@ def test_a_team_with_real_sensors_explores_everything(laser: str, pose: str) -> 
     assert summary["refuted_maps"] == []
 
 
-@pytest.mark.parametrize("map_encoding", ["polygons", "scans", "cells"])
+BASELINES = ["slam-toolbox", "zstd-maps"]
+
+
+@pytest.mark.parametrize("map_encoding", ["polygons", "scans", "cells", *BASELINES])
 def test_every_encoding_shares_noisy_maps(map_encoding: str) -> None:
     noisy: dict[str, Any] = {"laser": {"preset": "utm-30lx"}, "pose": {"preset": "graph-slam"}}
     summary = run(map_encoding=map_encoding, **noisy).summary
@@ -81,6 +84,40 @@ def test_a_noisy_run_is_the_same_on_both_buses() -> None:
     noisy: dict[str, Any] = {"laser": {"preset": "rplidar-a1"}, "pose": {"preset": "graph-slam"}, "steps": 40}
     digests = {run(bus=bus, **noisy).summary["digest"] for bus in ("memory", "zenoh")}
     assert len(digests) == 1
+
+
+@pytest.mark.parametrize("map_encoding", BASELINES)
+@pytest.mark.parametrize("dissemination", ["backoff", "gossip"])
+def test_baselines_reach_late_robots_over_a_lossy_radio(map_encoding: str, dissemination: str) -> None:
+    """A robot that restarts receives the maps of the others again, from robots that forward them, too."""
+    late: dict[str, Any] = {
+        "map_encoding": map_encoding, "dissemination": dissemination, "steps": 50, "range": "40%",
+        "laser": {"preset": "rplidar-a1"}, "radio": {"loss": 0.1},
+        "fault": [{"step": 20, "robot": 1, "kind": "restart"}],
+    }  # fmt: skip
+    result = run(**late)
+    assert not result.records.protocol_errors
+    before = result.records.own[0] != UNKNOWN
+    lacking = before & (result.records.own[1] == UNKNOWN)
+    assert lacking.any()
+    assert (result.records.planning[1] != UNKNOWN)[lacking].mean() > 0.8
+    assert run(**late).summary["digest"] == result.summary["digest"]
+
+
+@pytest.mark.parametrize("map_encoding", BASELINES)
+def test_baselines_give_equal_digests_on_both_buses(map_encoding: str) -> None:
+    noisy: dict[str, Any] = {"laser": {"preset": "rplidar-a1"}, "map_encoding": map_encoding, "steps": 30}
+    digests = {run(bus=bus, **noisy).summary["digest"] for bus in ("memory", "zenoh")}
+    assert len(digests) == 1
+
+
+def test_baselines_send_more_than_the_predictive_encoding_and_less_than_all_raw_scans() -> None:
+    noisy: dict[str, Any] = {"laser": {"preset": "rplidar-a1"}, "dissemination": "gossip", "steps": 40}
+    sent = {
+        name: run(map_encoding=name, **noisy).summary["bytes"]["total"]
+        for name in ("predictive", "zstd-maps", "scans", "slam-toolbox")
+    }
+    assert list(sent) == sorted(sent, key=sent.__getitem__)
 
 
 def test_a_turning_scanner_measures_a_sector_at_a_time() -> None:

@@ -48,7 +48,7 @@ def test_with_unlimited_bandwidth_every_robot_knows_all_but_the_last_step_s_cell
         assert ((robot.planning != seen) & (seen != UNKNOWN)).mean() < 0.01
 
 
-@pytest.mark.parametrize("map_encoding", ["predictive", "scans", "polygons", "cells"])
+@pytest.mark.parametrize("map_encoding", ["predictive", "scans", "polygons", "cells", "zstd-maps"])
 @pytest.mark.parametrize("reach", ["25%", "100%"])
 def test_every_sent_byte_is_carried_or_cut_within_the_budget(map_encoding: str, reach: str) -> None:
     team = Team(
@@ -65,7 +65,7 @@ def test_every_sent_byte_is_carried_or_cut_within_the_budget(map_encoding: str, 
     assert not [fault for robot in team.robots for fault in robot.faults]
 
 
-@pytest.mark.parametrize("map_encoding", ["predictive", "scans", "cells"])
+@pytest.mark.parametrize("map_encoding", ["predictive", "scans", "cells", "zstd-maps"])
 def test_robots_that_part_and_meet_hold_equal_maps_in_the_end(map_encoding: str) -> None:
     team = explored(robots=5, map_encoding=map_encoding, bandwidth="unlimited", range="30%")
     together = dict(enumerate(team.plan.world.starts))

@@ -130,7 +130,7 @@ def books_balance(result: Result) -> None:
 
 
 @pytest.mark.parametrize("dissemination", ["backoff", "thesis", "gossip"])
-@pytest.mark.parametrize("map_encoding", ["scans", "polygons", "predictive", "cells"])
+@pytest.mark.parametrize("map_encoding", ["scans", "polygons", "predictive", "cells", "zstd-maps"])
 @pytest.mark.parametrize("loss", [0.0, 0.1])
 def test_no_transmitted_frame_exceeds_the_frame_limit(
     map_encoding: str, dissemination: str, loss: float

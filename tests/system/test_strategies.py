@@ -8,12 +8,12 @@ from typing import Any
 
 import pytest
 
-from agent.encodings.catalog import ENCODINGS
 from deploy.run.exploration import EXPLORED, NOT_FINISHED, Result
 from deploy.run.in_memory import MemoryRun
 from deploy.scenario import plan
 from deploy.scenario.scenario import ScenarioError, parse
 from murmur import explore
+from tests.agent.encodings.names import EXACT
 from worldsim import generators
 from worldsim.base import EXPLORED as EXPLORED_ALL
 from worldsim.base import STALLED
@@ -83,7 +83,7 @@ def test_a_strategy_gives_the_same_digest_on_both_buses(name: str) -> None:
     assert run(name, "zenoh").summary["digest"] == run(name).summary["digest"]
 
 
-@pytest.mark.parametrize("map_encoding", [name for name in ENCODINGS if name != "polygons"])
+@pytest.mark.parametrize("map_encoding", [name for name in EXACT if name != "polygons"])
 def test_a_sub_team_strategy_gives_equal_digests_on_both_buses_with_every_map_encoding(
     map_encoding: str,
 ) -> None:
@@ -93,7 +93,7 @@ def test_a_sub_team_strategy_gives_equal_digests_on_both_buses_with_every_map_en
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("map_encoding", ENCODINGS)
+@pytest.mark.parametrize("map_encoding", EXACT)
 @pytest.mark.parametrize("name", NAMES)
 def test_every_strategy_gives_equal_digests_on_both_buses_with_every_map_encoding(
     name: str, map_encoding: str

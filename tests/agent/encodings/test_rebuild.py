@@ -20,7 +20,7 @@ from tests.system.team import corridor, plan_on
 from worldsim.laser import cast
 
 WIDTH, HEIGHT, STEPS, ROBOTS = 120, 9, 16, 3
-ENCODINGS = ["polygons", "scans", "cells", "predictive"]
+ENCODINGS = ["polygons", "scans", "cells", "predictive", "zstd-maps"]
 
 
 @cache

@@ -459,11 +459,12 @@ def test_a_leader_takes_the_shortest_way_and_a_trooper_stops_before_the_wall() -
     assert max(y for _, y in trooper.points.tolist()) < 1500
 
 
-def test_a_leader_drives_around_a_teammate_that_stops_it() -> None:
+@pytest.mark.parametrize("obstacle", ["robot", "person"])
+def test_a_leader_drives_around_a_teammate_or_a_person_that_stops_it(obstacle: str) -> None:
     grid = np.full((9, 12), FREE, np.uint8)
     grid[4, 11] = UNKNOWN
     leader = make_strategy("leaders", {}, grid, speed_cells=1.0, resolution=1.0)
-    for step, blocked in enumerate(("", "robot", "robot"), start=1):
+    for step, blocked in enumerate(("", obstacle, obstacle), start=1):
         points = leader.decide(replace(robot_at(3, 4, grid=grid), step=step, blocked=blocked)).points
     around = crossed((3000, 4000), points, 100.0).tolist()
     assert [4, 4] not in around

@@ -151,11 +151,12 @@ def test_close_small_frontiers_are_one_goal_unless_a_wall_is_between() -> None:
         assert len(robot.goals(situation, PathPlanner(grid))) == goals
 
 
-def test_a_robot_that_drives_around_a_teammate_does_not_turn_back() -> None:
+@pytest.mark.parametrize("obstacle", ["robot", "person"])
+def test_a_robot_that_drives_around_a_teammate_or_a_person_does_not_turn_back(obstacle: str) -> None:
     robot = make_strategy()
     straight = robot.decide(robot_at(35, 4)).path[0].tolist()
     for step in (2, 3):
-        around = robot.decide(replace(robot_at(35, 4, blocked="robot"), step=step)).path
+        around = robot.decide(replace(robot_at(35, 4, blocked=obstacle), step=step)).path
     assert around[0].tolist() != straight
     x, y = around[0].tolist()
     later = robot.decide(replace(robot_at(x, y), step=4))

@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deploy.dashboard.process import RECORDING, ViewTask, free_name, watching
+from deploy.dashboard.process import RECORDING, ViewNode, ViewTask, free_name, watching
 from deploy.dashboard.windows import Window, WindowError, binary
 from deploy.record.map_quality import true_walls_of
 from deploy.run.exploration import explore
+from deploy.run.in_memory import MemoryRun
+from deploy.scenario.plan import make
 from deploy.scenario.scenario import parse
 from protocol import keys as names
 from protocol.bus import Message
@@ -27,7 +29,8 @@ from protocol.messages import (
     WorldReport,
     pack,
 )
-from tests.deploy.small_run import SETTINGS, reports, small_plan, small_run
+from tests.deploy.small_run import SETTINGS, Listener, reports, small_plan, small_run
+from worldsim.maps import to_world
 
 rerun = pytest.importorskip("rerun", reason="Rerun is not installed: pip install 'murmur-robots[view]'")
 
@@ -52,6 +55,26 @@ def column(recording: Path, entity: str, component: str) -> dict[int, Any]:
         if names and "step" in batch.schema.names:
             values |= dict(zip(batch["step"].to_pylist(), batch[names[0]].to_pylist(), strict=True))
     return {step: value for step, value in sorted(values.items()) if value is not None}
+
+
+def test_people_are_recorded_every_step(tmp_path: Path) -> None:
+    people: dict[str, Any] = {"people": {"number": 2}, "laser": {"preset": "rplidar-a1"}, "steps": 5}
+    plan, listener = make(parse(SETTINGS | people)), Listener()
+    MemoryRun(plan, view=ViewNode(listener.take)).complete()
+    with watching(ViewTask(plan, tmp_path)) as node:
+        for sender, report in listener.reports:
+            node.take(sender, report)
+    recorded = column(tmp_path / RECORDING, "/world/people", "positions")
+    true = {
+        report.step: np.frombuffer(report.people, "<i4").reshape(2, 2) / 1000
+        for _, report in listener.reports
+        if isinstance(report, WorldReport)
+    }
+    assert list(recorded) == [1, 2, 3, 4, 5]
+    for step, places in recorded.items():
+        left, bottom = to_world(plan.map, 0, 0)
+        shown = np.array(places) - (left, -bottom)
+        assert shown == pytest.approx(true[step], abs=0.001)
 
 
 def test_the_explored_share_is_recorded_every_step(recorded: Path) -> None:

@@ -91,7 +91,7 @@ def test_killed_robot_sends_no_status_and_no_map(floor: str) -> None:
 
 
 @pytest.mark.parametrize("dissemination", ["backoff", "thesis", "gossip"])
-@pytest.mark.parametrize("map_encoding", ["polygons", "scans", "predictive"])
+@pytest.mark.parametrize("map_encoding", ["polygons", "scans", "predictive", "zstd-maps"])
 def test_restarted_robot_recovers_from_teammates_what_it_had_sent(
     floor: str, map_encoding: str, dissemination: str
 ) -> None:

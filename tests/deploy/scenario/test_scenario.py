@@ -19,6 +19,7 @@ from deploy.scenario.scenario import SHIPPED, Scenario, ScenarioError, load, par
 from protocol.budget import WORD_FOR_UNLIMITED
 from protocol.grid import MAX_ROBOTS
 from protocol.packets import MAX_MAPS
+from tests.agent.encodings.names import EXACT
 
 MOST = 2**31 - 1
 
@@ -28,7 +29,7 @@ meters = st.floats(0.001, 1e6)
 @st.composite
 def scenarios(draw: st.DrawFn) -> dict[str, Any]:
     """Any valid settings, some of them left out."""
-    map_encoding = draw(st.sampled_from(sorted(ENCODINGS)))
+    map_encoding = draw(st.sampled_from(sorted(EXACT)))
     robots = draw(st.integers(1, MAX_ROBOTS if map_encoding == "none" else MAX_MAPS))
     number = st.integers(0, robots - 1)
     override = st.fixed_dictionaries(

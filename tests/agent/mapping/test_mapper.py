@@ -1,0 +1,41 @@
+"""The mapper of a noisy laser: what a robot bumps into, and what only passes by."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from agent.mapping.mapper import make_mapper
+from agent.settings import Settings
+from protocol.budget import UNLIMITED
+from protocol.grid import FREE, OCCUPIED, UNKNOWN
+from protocol.messages import Sense
+from protocol.range_scans import NO_MEASUREMENT, TURN, UNIT, Laser, RangeScan, encode_range_scan
+
+LASER = Laser(36, 0, TURN - TURN // 36, 2000)
+
+
+def sense(step: int, blocked: str = "", range_mm: int = NO_MEASUREMENT) -> Sense:
+    """The readings of a robot in cell (10, 10) that heads along +x."""
+    place = 10 * UNIT + UNIT // 2
+    ranges = np.full(LASER.beams, range_mm, np.uint16)
+    scan = encode_range_scan(RangeScan((place, place), 0, ranges))
+    return Sense(step, 10, 10, 0, b"", b"", blocked, 0, 0, scan)
+
+
+@pytest.mark.parametrize(("blocked", "ahead"), [("wall", OCCUPIED), ("person", UNKNOWN), ("robot", UNKNOWN)])
+def test_only_a_bump_into_a_wall_marks_the_cell_ahead(blocked: str, ahead: int) -> None:
+    settings = Settings(
+        robot=0, robots=1, width=30, height=30, ranges_cells=[20.0], beams=36, speed_cells=5.0, seed=0,
+        map_encoding="none", strategy="meier", dissemination="gossip", bandwidth=UNLIMITED, reach_cells=math.inf,
+        laser=LASER,
+    )  # fmt: skip
+    mapper = make_mapper(settings)
+    mapper.add(sense(1, blocked))
+    assert mapper.states[10, 11] == ahead
+    assert mapper.states[10, 10] == FREE
+    for step in range(2, 6):
+        mapper.add(sense(step, range_mm=1000))
+    assert mapper.states[10, 11] == FREE, "the mark of a bump fades when the cell is seen empty"
