@@ -109,12 +109,12 @@ class TileAuthor(Author[TileStream]):
         if not len(places):
             return None
         before = since.copy()
-        since[ready] = _NEVER
         encoded = self.stream.encode(own, log_odds, self._bound, ready.view(np.uint8), self._pose)
         if encoded is not None:
             self._encoded, self._last_step = before, self._step
-            for box in self.stream.bases:
-                self._wait(box)
+            for box in (encoded[1].box, *self.stream.bases):
+                self._wait(box)  # cells of other tiles may have relied on walls that are gone
+        since[ready] = _NEVER
         return encoded
 
     def retract(self) -> None:

@@ -1,0 +1,205 @@
+"""When tiles are sent: once they have stopped changing, or have waited for long, and again after a retraction."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from agent.mapping.bound import TILE, Bound, tiles_of
+from agent.mapping.estimator import SETTLED
+from agent.predictive.history import DecodedUpdate, History
+from agent.predictive.scan_updates import STATE
+from agent.predictive.tile_author import ENOUGH_TILES, INTERVAL, LONGEST_WAIT, QUIET_STEPS, TileAuthor
+from agent.predictive.tile_stream import TileStream
+from protocol.boxes import NO_BOX, Box
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
+from protocol.scans import Change, Scan
+from tests.agent.mapping.plain_bound import violations
+
+HEIGHT, WIDTH = 60, 76
+MAX_UPDATES = 1 + HEIGHT * WIDTH // TILE**2
+"""More updates than a step can need: each covers one tile at least."""
+
+
+def make_stream() -> TileStream:
+    scratch = np.empty((2 * HEIGHT * WIDTH, 2), np.int32)
+    return TileStream(0, np.zeros((HEIGHT, WIDTH), np.uint8), [History()], scratch, team=False)
+
+
+class Mapper:
+    """A robot that writes an estimate by hand, and the author of its log."""
+
+    def __init__(self, tolerance: int = 1) -> None:
+        self.tolerance = tolerance
+        self.author = TileAuthor(make_stream(), Bound(tolerance, SETTLED))
+        self.own: Grid = np.zeros((HEIGHT, WIDTH), np.uint8)
+        self.log_odds = np.zeros((HEIGHT, WIDTH), np.int8)
+        self.step = 0
+
+    def draw(self, box: Box, state: int) -> Change:
+        """Give all cells of a box a settled state; return the change."""
+        x0, y0, x1, y1 = box
+        self.own[y0:y1, x0:x1] = state
+        self.log_odds[y0:y1, x0:x1] = np.array([0, -40, 40])[state]
+        return Change((x1 - x0) * (y1 - y0), box)
+
+    def play(self, change: Change | None = None, most: float = math.inf) -> list[DecodedUpdate]:
+        """Play a step; return the updates that the author writes, of `most` bytes as the encoding counts them."""
+        self.step += 1
+        self.author.add(Scan(3, 4, np.empty(0, np.uint16)), change or Change(0, NO_BOX))
+        updates: list[DecodedUpdate] = []
+        if self.author.has_changes and self.author.is_due(self.own, self.log_odds, self.own):
+            while most > 0 and (encoded := self.author.encode(self.own, self.log_odds, most)) is not None:
+                updates.append(encoded[1])
+                most -= len(encoded[0])
+        return updates
+
+    def retract(self) -> None:
+        """Take back the last update, as the encoding does."""
+        self.author.retract()
+        self.author.stream.histories[0].pop()
+
+    @property
+    def held(self) -> Grid:
+        """The states that receivers hold."""
+        return self.author.stream.grid & np.uint8(STATE)
+
+    def violations(self) -> list[tuple[str, int, int]]:
+        return violations(self.own, self.log_odds, self.held, self.tolerance)
+
+
+LARGE: Box = (0, 0, WIDTH, HEIGHT)
+SMALL: Box = (2 * TILE, 2 * TILE, 3 * TILE, 3 * TILE)
+
+
+def test_many_tiles_are_sent_as_soon_as_they_have_stopped_changing() -> None:
+    assert math.prod(tiles_of(HEIGHT, WIDTH)) >= ENOUGH_TILES
+    mapper = Mapper()
+    sent = [mapper.play(mapper.draw(LARGE, FREE))] + [mapper.play() for _ in range(QUIET_STEPS)]
+    assert [len(updates) for updates in sent] == [0] * QUIET_STEPS + [1]
+    assert (mapper.held == FREE).all()
+    assert not mapper.author.has_changes
+
+
+def test_tiles_that_never_stop_changing_are_sent_after_the_longest_wait() -> None:
+    mapper = Mapper()
+    sent = [bool(mapper.play(mapper.draw(LARGE, FREE))) for _ in range(LONGEST_WAIT + 1)]
+    assert sent.index(True) == LONGEST_WAIT
+
+
+def test_a_few_tiles_wait_for_others() -> None:
+    mapper = Mapper()
+    sent = [bool(mapper.play(mapper.draw(SMALL, FREE)))]
+    sent += [bool(mapper.play()) for _ in range(LONGEST_WAIT + INTERVAL)]
+    assert QUIET_STEPS < sent.index(True) <= max(LONGEST_WAIT, INTERVAL)
+    assert not mapper.author.has_changes
+
+
+def test_changes_within_the_bound_are_not_sent() -> None:
+    mapper = Mapper()
+    mapper.draw(LARGE, FREE)
+    change = mapper.draw((0, 20, WIDTH, 21), OCCUPIED)
+    mapper.play(Change(change.cells, LARGE))
+    for _ in range(LONGEST_WAIT + INTERVAL):
+        mapper.play()
+    assert not mapper.author.has_changes
+    mapper.draw((0, 20, WIDTH, 21), FREE)
+    mapper.draw((0, 21, WIDTH, 22), OCCUPIED)
+    assert not mapper.play(Change(2 * WIDTH, (0, 20, WIDTH, 22)))
+    assert mapper.author.has_changes
+    assert not any(mapper.play() for _ in range(LONGEST_WAIT + INTERVAL))
+    assert not mapper.author.has_changes
+
+
+@pytest.mark.parametrize("most", [1, math.inf])
+def test_retracted_tiles_are_sent_again(most: float) -> None:
+    mapper = Mapper()
+    mapper.play(mapper.draw(LARGE, FREE))
+    assert not any(mapper.play(most=most) for _ in range(QUIET_STEPS - 1))
+    (sent,) = mapper.play(most=most)
+    mapper.retract()
+    assert not mapper.held[sent.box[1], sent.box[0]]
+    for _ in range(INTERVAL * MAX_UPDATES):
+        mapper.play(most=most)
+    assert (mapper.held == FREE).all()
+
+
+def test_an_attempt_that_finds_nothing_to_send_does_not_replace_what_a_retraction_restores() -> None:
+    mapper = Mapper()
+    change = mapper.draw(SMALL, FREE)
+    mapper.play(Change(change.cells, SMALL))
+    for _ in range(QUIET_STEPS):
+        mapper.author.add(Scan(3, 4, np.empty(0, np.uint16)), Change(0, NO_BOX))
+    mapper.author.add(Scan(3, 4, np.empty(0, np.uint16)), Change(1, (40, 40, 41, 41)))
+    for _ in range(QUIET_STEPS):
+        mapper.author.add(Scan(3, 4, np.empty(0, np.uint16)), Change(0, NO_BOX))
+    assert mapper.author.encode(mapper.own, mapper.log_odds, 1) is not None
+    assert mapper.author.encode(mapper.own, mapper.log_odds, 1) is None
+    mapper.retract()
+    assert not mapper.held.any()
+    for _ in range(LONGEST_WAIT + INTERVAL):
+        mapper.play()
+    assert mapper.violations() == []
+
+
+def test_free_cells_are_sent_if_the_wall_beside_them_was_removed_later() -> None:
+    """A wall at the edge of a tile vouches for cells of the next tile, which stops changing earlier."""
+    mapper = Mapper()
+    wall = (TILE - 1, 0, TILE, HEIGHT)
+    mapper.draw((0, 0, TILE, HEIGHT), FREE)
+    mapper.play(mapper.draw(wall, OCCUPIED))
+    for _ in range(LONGEST_WAIT + INTERVAL):
+        mapper.play()
+    mapper.play(mapper.draw((TILE, 0, TILE + 1, HEIGHT), FREE))
+    for _ in range(QUIET_STEPS):
+        mapper.play(Change(HEIGHT, wall))
+    mapper.play(mapper.draw(wall, FREE))
+    for _ in range(2 * LONGEST_WAIT + INTERVAL):
+        mapper.play()
+    assert not mapper.author.has_changes
+    assert mapper.violations() == []
+
+
+def test_after_a_restart_the_whole_grid_is_sent_again() -> None:
+    mapper = Mapper()
+    mapper.play(mapper.draw(LARGE, FREE))
+    for _ in range(LONGEST_WAIT):
+        mapper.play()
+    assert (mapper.held == FREE).all()
+    mapper.author.restart(make_stream(), [])
+    assert not mapper.held.any()
+    for _ in range(LONGEST_WAIT + INTERVAL):
+        mapper.play()
+    assert (mapper.held == FREE).all()
+
+
+@pytest.mark.parametrize("most", [5, 40, math.inf])
+@pytest.mark.parametrize("tolerance", [0, 1, 2])
+@pytest.mark.parametrize("seed", range(2))
+def test_when_nothing_waits_any_more_the_copy_fulfills_the_bound(
+    seed: int, tolerance: int, most: float
+) -> None:
+    """Whatever has changed meanwhile, and been retracted."""
+    random, mapper = np.random.default_rng(seed), Mapper(tolerance)
+    sent = 0
+    for _ in range(4):
+        for _ in range(30):
+            x0, y0 = int(random.integers(WIDTH - 1)), int(random.integers(HEIGHT - 1))
+            x1 = min(WIDTH, x0 + int(random.integers(1, 20)))
+            y1 = min(HEIGHT, y0 + int(random.integers(1, 20)))
+            states = random.choice([UNKNOWN, FREE, OCCUPIED], (y1 - y0, x1 - x0), p=[0.1, 0.8, 0.1])
+            mapper.own[y0:y1, x0:x1] = states
+            strength = random.integers(1, 40, states.shape)
+            mapper.log_odds[y0:y1, x0:x1] = np.array([0, -1, 1])[states] * strength
+            updates = mapper.play(Change(states.size, (x0, y0, x1, y1)), most)
+            sent += len(updates)
+            if len(updates) == 1 and random.random() < 0.5:
+                mapper.retract()
+        for _ in range(10 * MAX_UPDATES):
+            if not mapper.author.has_changes:
+                break
+            mapper.play(most=most)
+        assert mapper.violations() == []
+    assert sent > 4
