@@ -6,7 +6,8 @@ least a given absolute value. After an update
 1. every settled wall has a held wall within the tolerance,
 2. every held wall on a cell that is settled as free has a wall of the robot's own grid within the tolerance,
 3. every settled free cell is held as free, or has a held wall within the tolerance,
-4. receivers know a state of every known wall, of the cells beside it, and of cells whose surroundings are mostly free.
+4. receivers hold a state of every known wall. They also hold one of every free cell beside a wall, and of every cell
+   whose surroundings are mostly free, or a wall within the tolerance of it.
 
 The last condition completes areas that the robot has seen once from afar: without it, teammates would explore them
 again. Single beams into unknown areas are not sent.

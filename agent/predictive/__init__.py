@@ -1,8 +1,11 @@
 """Predictive coding of maps: receivers are sent only what they cannot predict from the grid that they hold.
 
-Of exact lasers, updates contain scans, which a receiver predicts by ray casting: `scan_updates` codes their prediction
-errors, `scan_stream` the sequence of a map's updates, and `scan_author` decides when to send one. Of noisy lasers,
-updates contain tiles of the grid, within a bounded error: `tiles`, `tile_stream`, and `tile_author`. Both share
-`stream`, the dependencies between maps, and `coder`, the arithmetic coder. `contexts` and `mixer` are its probability
-models.
+`stream` is the sequence of a map's updates, and the grid that author and receivers hold after each of them. `coder` is
+the arithmetic coder. What an update contains depends on the laser:
+
+exact    scans, which receivers predict by ray casting: `contexts`, `scan_updates`, `scan_stream`
+noisy    tiles of the author's grid, within a bounded error (`agent.mapping.bound`): `mixer`, `tiles`, `tile_stream`
+
+`author`, with `scan_author` and `tile_author`, decides when an update is encoded. `history` holds decoded updates, and
+`shared_decoder` decodes them once for all robots of a process.
 """

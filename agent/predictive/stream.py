@@ -1,11 +1,14 @@
 """The update messages of one map, and the grid from which the next update is predicted.
 
 The author of a map encodes its updates one after the other; every receiver decodes them in this order. Both keep the
-same grid: all cells that the author has reported and, with base `team`, cells reported by those updates of other maps
-on which the author's updates depend. An update begins with these dependencies: the number of further updates of each
-other map. A receiver decodes it after it has decoded those. The content follows: scans of exact lasers
-(`agent.predictive.scan_stream`), or tiles of a grid (`agent.predictive.tile_stream`). In the grid of a map the reports
-of its author take precedence over those of others.
+same grid, of all cells that the author has reported.
+
+With base `team`, the author need not report what teammates have reported. An update begins with its dependencies: the
+number of further updates of each other map on which it depends. A receiver decodes it after it has decoded those. Their
+cells are written to the grid, too, except where the author has reported a state itself.
+
+The content follows: scans of exact lasers (`agent.predictive.scan_stream`), or tiles of a grid
+(`agent.predictive.tile_stream`).
 """
 
 from __future__ import annotations
