@@ -47,14 +47,14 @@ def estimation(plan: Plan, moments: Sequence[Moment]) -> Iterator[Measurement]:
 def _scans(plan: Plan, moments: Sequence[Moment], laser: Laser) -> list[RangeScan]:
     """Measure from the middle of the robot's cells; the heading is that of the last move."""
     truth, scanner = plan.map.cells, RangeLaser(LASER, laser, plan.map.resolution)
-    nobody, random = np.zeros(truth.shape, np.bool_), keyed_random(0, "laser")
+    no_robot, random = np.zeros(truth.shape, np.bool_), keyed_random(0, "laser")
     scans, heading, before = [], 0, moments[0].cell
     for moment in moments:
         (x, y), (last_x, last_y) = moment.cell, before
         if moment.cell != before:
             heading = round(np.arctan2(y - last_y, x - last_x) / (2 * np.pi) * TURN) % TURN
         before = moment.cell
-        ranges = scanner.ranges(truth, nobody, (x + 0.5, y + 0.5), heading, random)
+        ranges = scanner.ranges(truth, no_robot, (x + 0.5, y + 0.5), heading, random)
         scans.append(RangeScan((x * UNIT + UNIT // 2, y * UNIT + UNIT // 2), heading, ranges))
     return scans
 
