@@ -63,7 +63,7 @@ OPTIONS = {
         "radius": "radius of the disc that a person covers, meters",
     },
     "recording": {
-        "files": "[logs](recorded.md), one for the whole team or one per robot with scans; relative to the scenario file",
+        "files": "[logs](recorded.md), for the whole team or one per robot with scans; relative to the scenario file",
         "every": "1: replay all scans; 5: each fifth",
         "pace": '`"scan"`: one scan per robot and step; `"recorded"`: a step is a second of the log',
         "topic": "topic of the laser, if a bag has several",

@@ -77,7 +77,7 @@ FRAMES_CAPTION = (
 WALLS_CAPTION = (
     "Precision: share of the walls on a robot's map that lie within one cell of a true wall. Recall: share of the true "
     "walls beside reachable cells that have a wall on the map within one cell. F1: their harmonic mean. Teammates' "
-    "walls: share of the walls of which a teammate is certain that the robot's shared map has within the tolerance; the "
+    "walls: share of a teammate's settled walls that the robot's shared map has within the tolerance; the "
     "mean over teammates, and the smallest share. Walls that had not arrived by the end count as missing. All figures "
     "follow from the maps that the robots sent at the end."
 )
