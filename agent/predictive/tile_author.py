@@ -22,19 +22,19 @@ from protocol.grid import Grid
 from protocol.range_scans import RangeScan
 from protocol.scans import Change, Scan
 
-QUIET_STEPS = 4
+QUIET_STEPS = 3
 """Steps without a change after which a tile is encoded."""
 
-LONGEST_WAIT = 16
+LONGEST_WAIT = 10
 """Steps after which a tile is encoded although it still changes."""
 
-ENOUGH_BYTES = 60
-"""Expected bytes of an update that is sent at once."""
+ENOUGH_TILES = 64
+"""Tiles of an update that is sent at once."""
 
 INTERVAL = 8
 """Steps between shorter updates, which are sent for tiles that have waited for long."""
 
-TILE_BYTES = 3.0
+TILE_BYTES = 0.75
 """Typical bytes of a tile in an update."""
 
 _NEVER = 1 << 40
@@ -49,6 +49,8 @@ class TileAuthor(Author[TileStream]):
         shape = tiles_of(height, width)
         self._bound = bound
         self._pose = (0, 0)
+        self._arrived = 0
+        """The step in which the robot came to its cell."""
         self._step = 0
         self._last_step = 0
         """The step of the last update."""
@@ -67,7 +69,8 @@ class TileAuthor(Author[TileStream]):
     def add(self, scan: Scan | RangeScan, change: Change) -> None:
         """Let the tiles near changed cells wait."""
         self._step += 1
-        self._pose = scan.x, scan.y
+        if self._pose != (scan.x, scan.y):
+            self._pose, self._arrived = (scan.x, scan.y), self._step
         if change.cells:
             x0, y0, x1, y1 = change.box
             self._changed[y0 // TILE : (y1 - 1) // TILE + 1, x0 // TILE : (x1 - 1) // TILE + 1] = self._step
@@ -77,15 +80,22 @@ class TileAuthor(Author[TileStream]):
         waiting = self._waiting_since[self._bound.tiles_near(box)]
         np.minimum(waiting, self._step, out=waiting)
 
-    def is_due(self, own: Grid, received: Grid) -> bool:
-        """Return whether enough tiles are ready, or one has waited for long."""
-        del own, received
+    def is_due(self, own: Grid, log_odds: Int8Grid, received: Grid) -> bool:
+        """Return whether enough tiles are ready, or one has waited for long; drop those that fulfill the bound."""
+        del received
         ready = self._ready()
-        is_late = (self._waiting_since[ready] <= self._step - LONGEST_WAIT).any()
+        if not ready.any():
+            return False
+        violate = self.stream.violations(own, log_odds, self._bound, ready.view(np.uint8))
+        since = self._waiting_since
+        since[ready & ~violate] = _NEVER
+        is_late = violate.any() and self._arrived <= self._step - QUIET_STEPS
+        is_late = is_late or (since[violate] <= self._step - LONGEST_WAIT).any()
         may_be_short = is_late and self._step >= self._last_step + INTERVAL
-        return bool(may_be_short or TILE_BYTES * np.count_nonzero(ready) >= ENOUGH_BYTES)
+        return bool(may_be_short or np.count_nonzero(violate) >= ENOUGH_TILES)
 
     def _ready(self) -> NDArray[np.bool_]:
+        """Return the tiles that may be encoded."""
         is_quiet = self._changed <= self._step - QUIET_STEPS
         is_late = self._waiting_since <= self._step - LONGEST_WAIT
         ready: NDArray[np.bool_] = (self._waiting_since != _NEVER) & (is_quiet | is_late)
