@@ -187,7 +187,7 @@ class PredictiveEncoding(GridEncoding):
         if not author.has_changes:
             return []
         self.retractable = 0
-        if not delivered or self._bases_changed or not author.is_due(own, self.received):
+        if not delivered or self._bases_changed or not author.is_due(own, self.log_odds, self.received):
             return []
         return self._encode_pending(own)
 

@@ -32,19 +32,16 @@ class Author(ABC, Generic[AnyStream]):
         """Add the changes of a step, which may be none; call it in each step."""
 
     @abstractmethod
-    def is_due(self, own: Grid, received: Grid) -> bool:
+    def is_due(self, own: Grid, log_odds: Int8Grid, received: Grid) -> bool:
         """Return whether an update should be encoded in this step.
 
         `own` and `received`, uint8 arrays of shape (h, w), are the self-explored grid, and what all received logs and
-        this robot's own log report.
+        this robot's own log report. `log_odds`, int8 of the same shape, tells how certain each cell of `own` is.
         """
 
     @abstractmethod
     def encode(self, own: Grid, log_odds: Int8Grid, most: float) -> tuple[bytes, DecodedUpdate] | None:
-        """Encode an update of about `most` bytes at most, and return its message; None if there is nothing to send.
-
-        `log_odds`, an int8 array of shape (h, w), tells how certain each cell of the self-explored grid is.
-        """
+        """Encode an update of about `most` bytes at most, and return its message; None if there is nothing to send."""
 
     def retract(self) -> None:
         """Take back the last update, which no other log depends on: its changes wait again."""

@@ -52,8 +52,9 @@ class ScanAuthor(Author[ScanStream]):
         if self._pending.boxes:
             self._pending.steps += 1
 
-    def is_due(self, own: Grid, received: Grid) -> bool:
+    def is_due(self, own: Grid, log_odds: Int8Grid, received: Grid) -> bool:
         """Return whether there are enough new cells, or some have waited long enough."""
+        del log_odds
         pending = self._pending
         new_cells = int(_unreported(received, self.stream.grid, own, *bounding_box(pending.boxes)))
         if not new_cells:

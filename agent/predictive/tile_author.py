@@ -28,13 +28,13 @@ QUIET_STEPS = 4
 LONGEST_WAIT = 16
 """Steps after which a tile is encoded although it still changes."""
 
-ENOUGH_BYTES = 60
-"""Expected bytes of an update that is sent at once."""
+ENOUGH_TILES = 16
+"""Tiles of an update that is sent at once."""
 
 INTERVAL = 8
 """Steps between shorter updates, which are sent for tiles that have waited for long."""
 
-TILE_BYTES = 3.0
+TILE_BYTES = 2.0
 """Typical bytes of a tile in an update."""
 
 _NEVER = 1 << 40
@@ -77,15 +77,21 @@ class TileAuthor(Author[TileStream]):
         waiting = self._waiting_since[self._bound.tiles_near(box)]
         np.minimum(waiting, self._step, out=waiting)
 
-    def is_due(self, own: Grid, received: Grid) -> bool:
-        """Return whether enough tiles are ready, or one has waited for long."""
-        del own, received
+    def is_due(self, own: Grid, log_odds: Int8Grid, received: Grid) -> bool:
+        """Return whether enough tiles are ready, or one has waited for long; drop those that fulfill the bound."""
+        del received
         ready = self._ready()
-        is_late = (self._waiting_since[ready] <= self._step - LONGEST_WAIT).any()
+        if not ready.any():
+            return False
+        violate = self.stream.violations(own, log_odds, self._bound, ready.view(np.uint8))
+        since = self._waiting_since
+        since[ready & ~violate] = _NEVER
+        is_late = (since[violate] <= self._step - LONGEST_WAIT).any()
         may_be_short = is_late and self._step >= self._last_step + INTERVAL
-        return bool(may_be_short or TILE_BYTES * np.count_nonzero(ready) >= ENOUGH_BYTES)
+        return bool(may_be_short or np.count_nonzero(violate) >= ENOUGH_TILES)
 
     def _ready(self) -> NDArray[np.bool_]:
+        """Return the tiles that may be encoded."""
         is_quiet = self._changed <= self._step - QUIET_STEPS
         is_late = self._waiting_since <= self._step - LONGEST_WAIT
         ready: NDArray[np.bool_] = (self._waiting_since != _NEVER) & (is_quiet | is_late)

@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from agent.mapping.bound import TILE, Bound, tiles_of
 from agent.mapping.estimator import Int8Grid
@@ -36,6 +37,11 @@ class TileStream(Stream):
         self._changed = np.zeros(tiles_of(*grid.shape), np.uint8)
         self.bases: list[Box] = []
         """Boxes of the other maps' updates on which the last encoded update was the first to depend."""
+
+    def violations(self, own: Grid, log_odds: Int8Grid, bound: Bound, tiles: Grid) -> NDArray[np.bool_]:
+        """Return which of the marked tiles violate the bound; the parameters are those of `encode`."""
+        bound.apply(own, log_odds, self.grid, tiles, self._target, self._changed)
+        return self._changed.astype(np.bool_)
 
     def encode(
         self, own: Grid, log_odds: Int8Grid, bound: Bound, tiles: Grid, pose: tuple[int, int]
