@@ -22,19 +22,19 @@ from protocol.grid import Grid
 from protocol.range_scans import RangeScan
 from protocol.scans import Change, Scan
 
-QUIET_STEPS = 4
+QUIET_STEPS = 3
 """Steps without a change after which a tile is encoded."""
 
-LONGEST_WAIT = 16
+LONGEST_WAIT = 10
 """Steps after which a tile is encoded although it still changes."""
 
-ENOUGH_TILES = 16
+ENOUGH_TILES = 64
 """Tiles of an update that is sent at once."""
 
 INTERVAL = 8
 """Steps between shorter updates, which are sent for tiles that have waited for long."""
 
-TILE_BYTES = 2.0
+TILE_BYTES = 0.75
 """Typical bytes of a tile in an update."""
 
 _NEVER = 1 << 40
@@ -49,6 +49,8 @@ class TileAuthor(Author[TileStream]):
         shape = tiles_of(height, width)
         self._bound = bound
         self._pose = (0, 0)
+        self._arrived = 0
+        """The step in which the robot came to its cell."""
         self._step = 0
         self._last_step = 0
         """The step of the last update."""
@@ -67,7 +69,8 @@ class TileAuthor(Author[TileStream]):
     def add(self, scan: Scan | RangeScan, change: Change) -> None:
         """Let the tiles near changed cells wait."""
         self._step += 1
-        self._pose = scan.x, scan.y
+        if self._pose != (scan.x, scan.y):
+            self._pose, self._arrived = (scan.x, scan.y), self._step
         if change.cells:
             x0, y0, x1, y1 = change.box
             self._changed[y0 // TILE : (y1 - 1) // TILE + 1, x0 // TILE : (x1 - 1) // TILE + 1] = self._step
@@ -86,7 +89,8 @@ class TileAuthor(Author[TileStream]):
         violate = self.stream.violations(own, log_odds, self._bound, ready.view(np.uint8))
         since = self._waiting_since
         since[ready & ~violate] = _NEVER
-        is_late = (since[violate] <= self._step - LONGEST_WAIT).any()
+        is_late = violate.any() and self._arrived <= self._step - QUIET_STEPS
+        is_late = is_late or (since[violate] <= self._step - LONGEST_WAIT).any()
         may_be_short = is_late and self._step >= self._last_step + INTERVAL
         return bool(may_be_short or np.count_nonzero(violate) >= ENOUGH_TILES)
 
