@@ -112,11 +112,11 @@ class TileAuthor(Author[TileStream]):
             ready.reshape(-1)[first] = True
         if not len(places):
             return None
-        self._encoded = since.copy()
+        before = since.copy()
         since[ready] = _NEVER
         encoded = self.stream.encode(own, log_odds, self._bound, ready.view(np.uint8), self._pose)
         if encoded is not None:
-            self._last_step = self._step
+            self._encoded, self._last_step = before, self._step
             for box in self.stream.bases:
                 self._wait(box)
         return encoded
