@@ -90,8 +90,8 @@ SUMMARY = {
     "overlap": "cells seen by more than one robot over cells seen; null if a robot was lost with its grid",
     "path_length": "meters, one value per robot",
     "robots, seed, map, bus, strategy, map_encoding, bandwidth, range_m": "settings",
-    "tolerance": "cells by which walls on maps of different robots may differ: the setting `tolerance`, and at least 1 if "
-    "lasers or poses have errors",
+    "tolerance": "cells by which walls on maps of different robots may differ: the setting `tolerance`, at least 1 "
+    "if lasers or poses have errors",
     "bytes, packets": "transmitted, by kind of packet",
     "raw_scan_bytes": "raw scans by the thesis' formula (section 6.3): steps x 362 values of 2 bytes x r(r - 1)",
     "approximation_error": "Eq. 6.1, of the first robot: mean over its steps, as a share of the cells to explore",
