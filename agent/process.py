@@ -19,6 +19,7 @@ from protocol import map_parts, rights
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
 from protocol.keys import Keys
+from protocol.map_parts import FinalMaps
 from protocol.messages import (
     Close,
     Configure,
@@ -76,7 +77,7 @@ class AgentNode:
         self._viewer_feed: ViewerFeed | None = None
         self._recorder_feed: RecorderFeed | None = None
         self._final_maps = np.zeros(0, np.uint8)
-        """Both maps at the end, once the recorder has requested them (`protocol.map_parts`)."""
+        """All maps at the end, once the recorder has requested them (`protocol.map_parts`)."""
         self._step = 0
         self._work = 0.0
 
@@ -170,7 +171,9 @@ class AgentNode:
         """Send a part of the maps at the end of the run; before the first part, their last changes."""
         if not request.part:
             self._show(request.step)
-            self._final_maps = map_parts.join(robot.own, robot.planning, robot.settled)
+            self._final_maps = map_parts.join(
+                FinalMaps(robot.own, robot.planning, robot.shared, robot.settled)
+            )
         part = MapPart(request.part, map_parts.encode(self._final_maps, request.part))
         self._bus.put(self._to_recorder, pack(part))
 

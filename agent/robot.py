@@ -142,6 +142,11 @@ class Robot:
         return self._mapper.known_cells
 
     @property
+    def shared(self) -> Grid:
+        """The team's map as it holds it (`agent.encodings.base.MapEncoding.shared_map`)."""
+        return self._encoding.shared_map(self.own, self.planning)
+
+    @property
     def settled(self) -> NDArray[np.bool_]:
         """The cells of the self-explored grid of whose state it is certain, shape (h, w)."""
         return self._mapper.settled()

@@ -63,11 +63,12 @@ OPTIONS = {
         "radius": "radius of the disc that a person covers, meters",
     },
     "recording": {
-        "files": "[logs](recorded.md), one for the whole team or one per robot; relative to the scenario file",
+        "files": "[logs](recorded.md), for the whole team or one per robot with scans; relative to the scenario file",
         "every": "1: replay all scans; 5: each fifth",
         "pace": '`"scan"`: one scan per robot and step; `"recorded"`: a step is a second of the log',
         "topic": "topic of the laser, if a bag has several",
         "resolution": "side of a cell, meters",
+        "listeners": "how many of the robots, the last ones, have no scans, and only receive maps",
     },
     "radio": {
         "preset": "a [radio by name](radios.md#radios-by-name), for values that the scenario does not give",

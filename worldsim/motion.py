@@ -48,7 +48,7 @@ class Motion:
     point: Point
     """Final position."""
     direction: tuple[int, int]
-    """Direction (dx, dy) in which the robot heads in the end, also if a wall stopped it; (0, 0) if it did not turn."""
+    """Direction (dx, dy) in which the robot heads in the end; (0, 0) if it did not move."""
     cells: list[tuple[int, int]]
     """Cells (x, y) entered, in order."""
     length: float
@@ -57,6 +57,8 @@ class Motion:
     """Why the robot stopped before the end of its path; empty if the distance was used up."""
     carry: float = 0.0
     """Unused distance, too short for the next cell; the next step adds it to its own."""
+    bump: tuple[int, int] = (0, 0)
+    """Direction (dx, dy) of the wall that stopped the robot; (0, 0) if none did."""
 
 
 def drive(
@@ -72,14 +74,14 @@ def drive(
     `truth` (uint8) and `taken` have shape (h, w). A cell of the path that is no neighbor of the previous one ends it
     like a wall. Steps to 4-neighbors have length 1, others `diagonal`.
     """
-    (x, y), direction = start, (0, 0)
+    (x, y), direction, bump = start, (0, 0), (0, 0)
     cells: list[tuple[int, int]] = []
     length = used = carry = 0.0
     blocked = NOT_BLOCKED
     for there in path:
         dx, dy = there[0] - x, there[1] - y
         if max(abs(dx), abs(dy)) != 1 or not _is_passable(truth, (x, y), there):
-            blocked, direction = WALL, (dx, dy)
+            blocked, bump = WALL, (dx, dy)
             break
         if taken[there[1], there[0]]:
             blocked = _taker(taken[there[1], there[0]])
@@ -92,7 +94,7 @@ def drive(
         length += DIAGONAL if dx and dy else 1.0
         (x, y), direction = there, (dx, dy)
         cells.append(there)
-    return Motion((x * FINE, y * FINE), direction, cells, length, blocked, carry)
+    return Motion((x * FINE, y * FINE), direction, cells, length, blocked, carry, bump)
 
 
 def cell_of(point: Point) -> tuple[int, int]:
@@ -107,7 +109,7 @@ def glide(truth: Grid, taken: Taken, start: Point, points: list[Point], way: flo
     stops at the last checked position within `way`.
     """
     at, length, blocked = start, 0.0, NOT_BLOCKED
-    bumped: tuple[int, int] | None = None
+    bump = 0, 0
     cells: list[tuple[int, int]] = []
     for ahead in _positions(start, points, min(_STRIDE, max(1, int(way * _STRIDE)))):
         step = math.hypot(ahead[0] - at[0], ahead[1] - at[1]) / FINE
@@ -116,14 +118,14 @@ def glide(truth: Grid, taken: Taken, start: Point, points: list[Point], way: flo
         here, there = cell_of(at), cell_of(ahead)
         if here != there:
             if not _is_passable(truth, here, there):
-                blocked, bumped = WALL, (ahead[0] - at[0], ahead[1] - at[1])
+                blocked, bump = WALL, (ahead[0] - at[0], ahead[1] - at[1])
                 break
             if taken[there[1], there[0]]:
                 blocked = _taker(taken[there[1], there[0]])
                 break
             cells.append(there)
         at, length = ahead, length + step
-    return Motion(at, bumped or (at[0] - start[0], at[1] - start[1]), cells, length, blocked)
+    return Motion(at, (at[0] - start[0], at[1] - start[1]), cells, length, blocked, bump=bump)
 
 
 def _positions(start: Point, points: list[Point], stride: int) -> Iterator[Point]:

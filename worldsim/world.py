@@ -188,8 +188,11 @@ class World(BaseWorld):
         if result.length:
             x, y = self.cells[robot] = cell_of(result.point)
             self.offsets[robot] = result.point[0] - x * FINE, result.point[1] - y * FINE
-        if result.direction != (0, 0):
-            self.headings[robot] = heading_of(*result.direction)
+        # Robots with real sensors face the wall that stops them, and mark it. Others see it once they turn toward it.
+        faces_wall = self._sensors is not None and result.bump != (0, 0)
+        direction = result.bump if faces_wall else result.direction
+        if direction != (0, 0):
+            self.headings[robot] = heading_of(*direction)
         return swept(start, result.cells), result.blocked
 
     @contextmanager

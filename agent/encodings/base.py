@@ -156,6 +156,15 @@ class MapEncoding(ABC):
         `peers` are the teammates in range: their reports can still be corrected by them.
         """
 
+    def shared_map(self, own: Grid, planning: Grid) -> Grid:
+        """Return the team's map as this robot holds it: what all robots have reported to each other.
+
+        On the planning grid, this robot's sight replaces reports; here, it only completes them. Default: the planning
+        grid, for encodings whose reports do not form a grid.
+        """
+        del own
+        return planning
+
     def scan_cell(self, map_id: int) -> tuple[int, int] | None:
         """Cell (x, y) of the last scan that a map's log reports; None if logs do not report where scans were taken."""
         del map_id

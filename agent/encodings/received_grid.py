@@ -83,6 +83,15 @@ class GridEncoding(MapEncoding):
             overlay(self.received, own, whole_grid(own.shape), self._planning)
         return self._planning
 
+    def shared_map(self, own: Grid, planning: Grid) -> Grid:
+        """Return all reports that count; cells without any are those of the self-explored grid.
+
+        A cell is a wall if any robot reports one, although the planning grid follows two others that report it free.
+        """
+        del planning
+        shared = self.votes.reported()
+        return np.where(shared == UNKNOWN, own, shared)
+
 
 @kernel
 def overlay(below: Grid, above: Grid, boxes: Boxes, both: Grid) -> int:

@@ -77,9 +77,9 @@ FRAMES_CAPTION = (
 WALLS_CAPTION = (
     "Precision: share of the walls on a robot's map that lie within one cell of a true wall. Recall: share of the true "
     "walls beside reachable cells that have a wall on the map within one cell. F1: their harmonic mean. Teammates' "
-    "walls: share of the walls of which a teammate is certain that the map has within the tolerance; the mean over "
-    "teammates, and the smallest share. Walls that had not arrived by the end count as missing. All figures follow "
-    "from the maps that the robots sent at the end."
+    "walls: share of a teammate's settled walls that the robot's shared map has within the tolerance; the "
+    "mean over teammates, and the smallest share. Walls that had not arrived by the end count as missing. All figures "
+    "follow from the maps that the robots sent at the end."
 )
 MOST_FRAMES, FRAME_WIDTH, PAIR_WIDTH = 40, 1120, 840
 """Maximum number of frames of a slider; pixels of a frame's width, alone and beside another run."""
@@ -297,7 +297,10 @@ def _wall_figures(summary: dict[str, Any]) -> list[list[str]]:
         worst = _percent(summary["worst_walls_within_tolerance"])
         within = f"within {counted(summary['tolerance'], 'cell')}"
         rows.append(
-            ["teammates' walls on a robot's map", f"mean {_percent(held)}, worst pair {worst}, {within}"]
+            [
+                "teammates' walls on a robot's shared map",
+                f"mean {_percent(held)}, worst pair {worst}, {within}",
+            ]
         )
     return rows
 

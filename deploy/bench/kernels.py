@@ -29,6 +29,7 @@ from agent.outline.simplify import refine
 from agent.planning.cost_field import Field, costs
 from agent.planning.frontier import Floor
 from deploy.bench import baselines
+from deploy.bench.estimation import estimation
 from deploy.bench.explorations import SAMPLES, Moment, beams, explore, office, samples
 from deploy.bench.measurement import Measurement, compare, timed
 from deploy.scenario import plan as plans
@@ -62,6 +63,7 @@ def kernels() -> Iterator[Measurement]:
     yield from _merging(explorations[0], polygons)
     yield _cost_field(explorations[0], graph)
     yield from _predictive(plan, explorations[0])
+    yield from estimation(plan, explorations[0])
 
 
 def _scanning(plan: Plan, moments: Sequence[Moment]) -> Measurement:

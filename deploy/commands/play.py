@@ -57,6 +57,14 @@ def play(
         float | None,
         typer.Option(metavar="METERS", help="cell size of the map (default 0.1)", rich_help_panel=LOG),
     ] = None,
+    listeners: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            help="how many of the robots have no scans, and only receive (default 0)",
+            rich_help_panel=LOG,
+        ),
+    ] = None,
     sensor_range: Annotated[
         float | None,
         typer.Option(
@@ -115,7 +123,8 @@ def play(
             raise ValueError(f"set = '{name}=...': {NOT_RECORDED_REASON}")
     given: dict[str, Any] = {
         "recording.every": every, "recording.pace": pace, "recording.topic": topic,
-        "recording.resolution": resolution, "sensor_range": sensor_range, "radio.preset": radio,
+        "recording.resolution": resolution, "recording.listeners": listeners, "sensor_range": sensor_range,
+        "radio.preset": radio,
     }  # fmt: skip
     given = {name: value for name, value in given.items() if value is not None}
     for name in sorted(given.keys() & overrides.keys()):

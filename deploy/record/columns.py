@@ -81,7 +81,7 @@ SUMMARY = {
     "claimed_worst_wall_precision, claimed_worst_wall_recall, claimed_worst_wall_f1": "minimum over all robots, each "
     "on its own",
     "walls_within_tolerance, worst_walls_within_tolerance": "share of the walls of which a robot is certain that a "
-    "teammate's planning grid has within `tolerance`, at the end: mean and minimum over all pairs; null for one robot. "
+    "teammate's shared map has within `tolerance`, at the end: mean and minimum over all pairs; null for one robot. "
     "Agreement, not truth: it compares robots' claims with each other",
     "robot_maps": "for each robot: `wall_precision`, `wall_recall`, `wall_f1`, and of its teammates' walls "
     "`walls_within_tolerance` and `worst_walls_within_tolerance`",

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from protocol import map_parts
 from protocol.errors import ProtocolError
-from protocol.grid import Grid
+from protocol.map_parts import FinalMaps
 from protocol.messages import MapPart
 
 IN_TURN = 4
@@ -50,8 +50,8 @@ class MapCollection:
         self._parts |= {robot: [] for robot in begun}
         return [(robot, 0) for robot in begun]
 
-    def take(self, robot: int, part: MapPart) -> tuple[Grid, Grid, NDArray[np.bool_]] | None:
-        """Take a requested part; after the last one, return the robot's own and planning map, and the settled cells.
+    def take(self, robot: int, part: MapPart) -> FinalMaps | None:
+        """Take a requested part; after the last one, return the robot's maps.
 
         Raises
         ------

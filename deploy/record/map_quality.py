@@ -94,16 +94,16 @@ def true_walls_of(plan: Plan, reachable: Mask) -> TrueWalls:
 
 
 def walls_held(
-    walls: Mapping[int, Mask], planning: Mapping[int, Grid], tolerance: int
+    walls: Mapping[int, Mask], shared: Mapping[int, Grid], tolerance: int
 ) -> dict[int, dict[int, float]]:
     """Return for each holder the share of each teammate's walls that it holds, by author.
 
-    `walls` are the settled walls of the authors' own maps, `planning` the planning grids of the holders. A wall is held
-    if the planning grid has a wall within `tolerance` cells (Chebyshev). Authors without walls are left out.
+    `walls` are the settled walls of the authors' own maps, `shared` the shared maps as their holders have them. A wall
+    is held if that map has a wall within `tolerance` cells (Chebyshev). Authors without walls are left out.
     """
     places = {author: np.flatnonzero(mask) for author, mask in walls.items() if mask.any()}
     held: dict[int, dict[int, float]] = {}
-    for holder, grid in planning.items():
+    for holder, grid in shared.items():
         near = maximum_filter(grid == OCCUPIED, 2 * tolerance + 1, mode="constant").ravel()
         held[holder] = {
             author: float(near[cells].mean()) for author, cells in places.items() if author != holder
@@ -112,14 +112,18 @@ def walls_held(
 
 
 def robot_figures(
-    planning: Mapping[int, Grid], walls: Mapping[int, Mask], true_walls: TrueWalls, tolerance: int
+    planning: Mapping[int, Grid],
+    shared: Mapping[int, Grid],
+    walls: Mapping[int, Mask],
+    true_walls: TrueWalls,
+    tolerance: int,
 ) -> dict[int, Figures]:
-    """Return the figures of each robot's planning grid.
+    """Return the figures of each robot with a planning and a shared grid.
 
-    They are those of `TrueWalls.score`, and the shares of teammates' settled `walls` that it holds (`walls_held`): the
-    mean over teammates, and the worst. These are None without teammates.
+    They are those of `TrueWalls.score` of the planning grid, and the shares of teammates' settled `walls` that the
+    shared grid has (`walls_held`): the mean over teammates, and the worst. These are None without teammates.
     """
-    held = walls_held(walls, planning, tolerance)
+    held = walls_held(walls, shared, tolerance)
     figures: dict[int, Figures] = {}
     for robot, grid in planning.items():
         score, shares = true_walls.score(grid), list(held[robot].values())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from agent.robot import sure_after
 from deploy.record.records import Records
 from deploy.scenario.plan import Plan
-from deploy.scenario.recording import Recording
+from worldsim.recorded.world import Stretch
 
 
 def recorded_figures(plan: Plan, records: Records, steps: int, transmitted: int) -> dict[str, Any]:
@@ -20,7 +21,8 @@ def recorded_figures(plan: Plan, records: Records, steps: int, transmitted: int)
     recording = plan.recording
     if recording is None:
         return {}
-    scans = _replayed(recording, records)
+    with_scans = plan.scenario.robots - plan.scenario.recording.listeners
+    scans = _replayed(recording.stretches[:with_scans], records)
     last_scan = max(int(each.steps[-1]) for each in recording.stretches)
     end = records.end
     finished = end is not None and end.first >= 0
@@ -35,11 +37,11 @@ def recorded_figures(plan: Plan, records: Records, steps: int, transmitted: int)
     }
 
 
-def _replayed(recording: Recording, records: Records) -> int:
-    """Count the scans that robots took before they ended."""
+def _replayed(stretches: Sequence[Stretch], records: Records) -> int:
+    """Count the scans that the first robots, those with scans, took before they ended."""
     return sum(
         int(np.isin(stretch.steps, [status.step for status in statuses]).sum())
-        for stretch, statuses in zip(recording.stretches, records.statuses, strict=True)
+        for stretch, statuses in zip(stretches, records.statuses, strict=False)
     )
 
 

@@ -56,13 +56,14 @@ MIN_STEP_BYTES, BYTES_PER_CELL = 1 << 22, 10
 class Records:
     """All data reported during a run so far.
 
-    `maps` has the robots' maps over time, if the run records them; `own` and `planning` have the final self-explored
-    and planning grids by robot, and `settled` the cells of the former of which the robot is certain. `world` has one
-    report per step, `statuses` one list per robot, `rows` the rows of the ledger per step. `lost` has the cause of
-    each unexpected failure by robot, `killed` the robots that a fault event killed and none restarted, `returned`
-    step and robot of each return after an unexpected failure, `reconnected` of each connection that was cut and
-    restored. `protocol_errors` has sender and text of the first `MAX_PROTOCOL_ERROR_TEXTS` protocol errors of each
-    sender. `carried` is the number of bytes transmitted in the last step.
+    `maps` has the robots' maps over time, if the run records them. `own`, `planning`, and `shared` have the final
+    self-explored, planning, and shared grids by robot, and `settled` the cells of the first of which the robot is
+    certain (`protocol.map_parts.FinalMaps`). `world` has one report per step, `statuses` one list per robot, `rows` the
+    rows of the ledger per step. `lost` has the cause of each unexpected failure by robot, `killed` the robots that a
+    fault event killed and none restarted, `returned` step and robot of each return after an unexpected failure,
+    `reconnected` of each connection that was cut and restored. `protocol_errors` has sender and text of the first
+    `MAX_PROTOCOL_ERROR_TEXTS` protocol errors of each sender. `carried` is the number of bytes transmitted in the last
+    step.
     """
 
     robots: int
@@ -72,6 +73,7 @@ class Records:
     rows: list[bytes] = field(default_factory=list)
     own: dict[int, Grid] = field(default_factory=dict)
     planning: dict[int, Grid] = field(default_factory=dict)
+    shared: dict[int, Grid] = field(default_factory=dict)
     settled: dict[int, NDArray[np.bool_]] = field(default_factory=dict)
     lost: dict[int, str] = field(default_factory=dict)
     fault_events: list[FaultEvent] = field(default_factory=list)
@@ -288,7 +290,8 @@ class RecorderNode:
         if final is None:
             self._request(robot, part.part + 1)
         else:
-            records.own[robot], records.planning[robot], records.settled[robot] = final
+            records.own[robot], records.planning[robot] = final.own, final.planning
+            records.shared[robot], records.settled[robot] = final.shared, final.settled
 
     def _record_map_changes(self, robot: int, changes: MapChanges | Outlines) -> None:
         """Record changes of a robot's maps, of a step that has begun."""
@@ -315,7 +318,7 @@ class RecorderNode:
         elif event.kind == "restart":
             records.killed.discard(robot)
             self._broken_down.discard(robot)
-            for grids in (records.own, records.planning, records.settled):
+            for grids in (records.own, records.planning, records.shared, records.settled):
                 grids.pop(robot, None)
         if event.kind != "restart" or robot not in records.lost:
             records.fault_events.append(event)

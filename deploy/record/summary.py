@@ -133,9 +133,10 @@ def tolerance(plan: Plan) -> int:
 def _robot_figures(
     plan: Plan, records: Records, planning: dict[int, Grid], reachable: Mask
 ) -> dict[int, Figures]:
-    """Compare the walls of the `planning` grids with the true walls, and with those that teammates have settled."""
+    """Compare walls of the `planning` grids with true walls, and those of shared grids with teammates' settled ones."""
+    shared = {robot: records.shared[robot] for robot in planning}
     walls = {robot: records.settled[robot] & (records.own[robot] == OCCUPIED) for robot in sorted(planning)}
-    return robot_figures(planning, walls, true_walls_of(plan, reachable), tolerance(plan))
+    return robot_figures(planning, shared, walls, true_walls_of(plan, reachable), tolerance(plan))
 
 
 def _overlap(records: Records, reachable: Mask) -> float | None:

@@ -1,5 +1,7 @@
 """The recording of a run: its logs, cut into one stretch per robot, and the map that all of their scans show.
 
+Listeners have no part of a log: their stretch is one scan without a measurement.
+
 There is no true map of the building. In its place is the map that one occupancy estimator makes of all scans of all
 robots, in the order of the logs. Its extent is that of the scans.
 """
@@ -17,7 +19,7 @@ from numpy.typing import NDArray
 from agent.mapping.estimator import Estimator
 from deploy.scenario.scenario import Scenario, ScenarioError
 from protocol.grid import FREE, MAX_SIDE, UNKNOWN
-from protocol.range_scans import MAX_REACH_M, TURN, UNIT, Laser, RangeScan, beam_ends
+from protocol.range_scans import MAX_REACH_M, NO_MEASUREMENT, TURN, UNIT, Laser, RangeScan, beam_ends
 from worldsim.map_error import MapError
 from worldsim.maps import Map
 from worldsim.recorded import reading
@@ -40,7 +42,7 @@ class Recording:
     logs: tuple[RecordedLog, ...]
     """The logs, without the scans that `every` leaves out."""
     stretches: tuple[Stretch, ...]
-    """One per robot."""
+    """One per robot; those of listeners come last."""
     laser: Laser
     """The beams of all robots."""
     map: Map
@@ -81,7 +83,7 @@ def load_recording(scenario: Scenario) -> Recording:
     try:
         logs = [reading.read(Path(name), options.every, options.topic) for name in options.files]
         angles = _same_angles(logs, options.files)
-        robots = scenario.robots if len(logs) == 1 else 1
+        robots = scenario.robots - options.listeners if len(logs) == 1 else 1
         parts = [
             part
             for name, log in zip(options.files, logs, strict=True)
@@ -94,7 +96,7 @@ def load_recording(scenario: Scenario) -> Recording:
         stretches, world_map = _build(name, parts, laser, options.resolution)
     except (LogError, MapError) as error:
         raise ScenarioError(str(error)) from None
-    return Recording(tuple(logs), stretches, laser, world_map)
+    return Recording(tuple(logs), stretches + (_silent(stretches[0]),) * options.listeners, laser, world_map)
 
 
 def _same_angles(logs: Sequence[RecordedLog], files: Sequence[str]) -> BeamAngles:
@@ -229,6 +231,14 @@ def _map(
         known[y0:y1, x0:x1] |= here
         found.append(((rows + y0) * width + columns + x0).astype(np.int32))
     return found
+
+
+def _silent(stretch: Stretch) -> Stretch:
+    """Return the stretch of a listener, which stays where another one begins, and measures nothing."""
+    ranges = np.full_like(stretch.ranges[:1], NO_MEASUREMENT)
+    return Stretch(
+        np.ones(1, np.int64), stretch.places[:1], stretch.headings[:1], ranges, [np.empty(0, np.int32)]
+    )
 
 
 def _fastest(stretch: Stretch) -> float:

@@ -220,14 +220,18 @@ class Scenario(Table):
     def _take_recorded_defaults(cls, data: Any) -> Any:
         """Set the defaults of recorded runs: several logs have one robot each, and robots neither plan nor drive."""
         recording = data.get("recording") if isinstance(data, dict) else None
+        files: Any
         if isinstance(recording, RecordingOptions):
-            files: Any = recording.files
+            files, listeners = recording.files, recording.listeners
         else:
-            files = recording.get("files") if isinstance(recording, dict) else None
+            table = recording if isinstance(recording, dict) else {}
+            files, listeners = table.get("files"), table.get("listeners", 0)
         if not isinstance(files, list | tuple) or not files:
             return data
         defaults = {"strategy": PLAYBACK, "sensor_range": RECORDED_RANGE_M, "min_coverage": 0.0}
-        return defaults | ({"robots": len(files)} if len(files) > 1 else {}) | data
+        if len(files) > 1 and isinstance(listeners, int):
+            defaults["robots"] = len(files) + listeners
+        return defaults | data
 
     @model_validator(mode="before")
     @classmethod
@@ -339,9 +343,17 @@ class Scenario(Table):
             return
         if self.strategy != PLAYBACK:
             raise ValueError(f"strategy = {self.strategy!r}: robots that replay a log do not plan; omit it")
-        if 1 < len(files) != self.robots:
+        listeners = self.recording.listeners
+        if listeners >= self.robots:
             raise ValueError(
-                f"robots = {self.robots}: each of {len(files)} logs has one robot; give one log, or as many as robots"
+                f"recording.listeners = {listeners}: one robot must replay the log; set robots to {listeners + 1} "
+                "or more"
+            )
+        if 1 < len(files) != self.robots - listeners:
+            but = f", and {listeners} have none" if listeners else ""
+            raise ValueError(
+                f"robots = {self.robots}: each of {len(files)} logs has one robot{but}; give one log, or as many "
+                "as robots"
             )
         defaults = Scenario()
         for name in NOT_RECORDED:

@@ -92,6 +92,22 @@ def test_a_cell_that_two_others_report_otherwise_does_not_count() -> None:
     assert counted.received[0, 0] == OCCUPIED, "robot 3 has withdrawn its report"
 
 
+def test_the_map_of_all_reports_has_every_wall_but_those_of_doubted_robots() -> None:
+    counted = votes()
+    counted.count(1, *reports(OCCUPIED, 1))
+    counted.count(2, *reports(FREE, MANY))
+    counted.count(3, *reports(FREE, MANY))
+    expected = np.zeros_like(counted.received)
+    expected[0, :MANY] = FREE
+    assert (counted.received == expected).all()
+    expected[0, 0] = OCCUPIED
+    assert (counted.reported() == expected).all()
+    counted.count(1, *reports(OCCUPIED, MANY))
+    assert counted.judge(np.zeros_like(expected))
+    expected[0, 0] = FREE
+    assert (counted.reported() == expected).all()
+
+
 @pytest.mark.parametrize("cells", [MANY - 1, MANY])
 def test_a_robot_that_two_others_contradict_often_is_doubted(cells: int) -> None:
     counted = votes()

@@ -39,6 +39,7 @@ def test_teammates_hold_all_maps_at_the_end(room: Path, map_encoding: str) -> No
     known = [(grid[truth == FREE] != UNKNOWN).mean() for grid in result.records.planning.values()]
     assert min(known) > 0.99
     assert summary["claimed_worst_wall_f1"] > 0.98
+    assert summary["worst_walls_within_tolerance"] > 0.99
     assert summary["protocol_errors"] == 0
 
 
@@ -113,6 +114,27 @@ def test_a_robot_that_dies_takes_its_last_scans_with_it(room: Path) -> None:
 def test_a_single_robot_sends_nothing(room: Path) -> None:
     summary = play(room, robots=1, keep=False).summary
     assert (summary["finished"], summary["bytes"]["total"], summary["bytes_per_scan"]) == (True, 0, 0.0)
+
+
+@pytest.mark.parametrize("pace", ["scan", "recorded"])
+def test_a_listener_receives_the_map_and_has_nothing_to_report_but_its_place(room: Path, pace: str) -> None:
+    result = play(room, robots=3, recording={"listeners": 1, "pace": pace}, keep=False)
+    records, summary = result.records, result.summary
+    assert (summary["scans"], summary["finished"], summary["first_robot"]) == (24, True, 0)
+    assert np.count_nonzero(records.own[2]) == 1
+    free = result.plan.map.cells == FREE
+    assert (records.planning[2][free] != UNKNOWN).mean() > 0.99
+    assert summary["robot_maps"]["2"]["worst_walls_within_tolerance"] > 0.99
+    sent = result.ledger.filter(pl.col("carried")).group_by("sender").agg(pl.col("bytes").sum())
+    of_robot = dict(sent.iter_rows())
+    assert of_robot.get(2, 0) < 20 < min(of_robot[0], of_robot[1])
+
+
+def test_each_of_several_logs_has_a_robot_beside_the_listeners(room: Path, tmp_path: Path) -> None:
+    other = write_carmen(tmp_path / "other.log", scans=10)
+    recording = {"files": [str(room), str(other)], "listeners": 1}
+    summary = explore(recording=recording, bus="memory", keep=False).summary
+    assert (summary["robots"], summary["scans"]) == (3, 34)
 
 
 def test_a_bag_is_replayed_like_a_log(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from deploy.dashboard.layout import RADIO_SHARES
+from deploy.dashboard.layout import SERIES_SHARES
 from deploy.dashboard.process import RECORDING
 from deploy.dashboard.windows import Window
 from deploy.record.colors import GROUPS, TEAM, robot_color
@@ -59,10 +59,10 @@ def assert_is_to_be_read(png: bytes, *, light: bool, kinds: int = 4) -> None:
     wide = lower.shape[1]
     paper = np.median(lower.reshape(-1, 3), axis=0)
     assert (paper > 230).all() if light else (paper < 40).all()
-    first, second = (sum(RADIO_SHARES[:n]) * wide // sum(RADIO_SHARES) for n in (1, 3))
+    first, second = (sum(SERIES_SHARES[:n]) * wide // sum(SERIES_SHARES) for n in (1, 3))
     for curve in (lower[:, first : first + wide // 6], lower[:, second : second + wide // 6]):
         assert (np.abs(curve - TEAM).max(axis=2) <= 30).sum() > 300, "the team's curve is hardly to be seen"
-    bars_from = sum(RADIO_SHARES[:2]) * wide // sum(RADIO_SHARES)
+    bars_from = sum(SERIES_SHARES[:2]) * wide // sum(SERIES_SHARES)
     panel = lower[:, bars_from + 4 : second - 4]
     half = int(0.45 * panel.shape[1])
     bars = 0

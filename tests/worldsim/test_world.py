@@ -14,8 +14,11 @@ from scipy import ndimage
 
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, disc, ray_table
 from protocol.messages import FaultEvent, Move, Sense, cells_from_bytes, cells_to_bytes, points_to_bytes
+from protocol.range_scans import TURN, Laser
 from protocol.scans import HIT, NONE, Readings, check_readings, draw
 from worldsim.motion import INTERFERENCE, NOT_BLOCKED, ROBOT, WALL
+from worldsim.sensor_options import LaserOptions, PoseOptions
+from worldsim.sensors import SensorSettings
 from worldsim.starts import start_cells
 from worldsim.world import MOVES_AS_PLANNED, Body, World, WorldSettings, reachable_by
 
@@ -224,6 +227,16 @@ def test_resting_robot_chooses_its_heading_and_driving_robot_faces_ahead() -> No
     assert world.advance({0: go(b"", -1)})[0].heading == 7
     assert world.advance({0: go(along(1), 3)})[0].heading == 0
     assert world.advance({0: go(along(0), 3)})[0].heading == 4
+
+
+def test_a_robot_that_a_wall_stops_keeps_its_heading_unless_its_laser_is_real() -> None:
+    laser = Laser(4, 0, TURN - TURN // 4, 3000)
+    sensors = SensorSettings(LaserOptions(range_error_m=0.01), PoseOptions(), (laser,), 0.1)
+    exact, real = corridor(1, 2), corridor(1, 2, sensors=sensors)
+    for world, heading in ((exact, 3), (real, 0)):
+        world.cells = {0: (1, 0)}
+        sense = world.advance({0: go(along(2), 3)})[0]
+        assert (sense.blocked, sense.heading) == (WALL, heading)
 
 
 def test_a_scanner_that_is_off_reads_nothing() -> None:

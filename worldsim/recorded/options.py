@@ -21,8 +21,8 @@ class RecordingOptions:
     Attributes
     ----------
     files : tuple of str
-        Logs: one for the whole team, which is cut into as many stretches as there are robots, or one per robot. Empty:
-        the run is simulated.
+        Logs: one for the whole team, which is cut into one stretch per robot that is no listener, or one for each of
+        them. Empty: the run is simulated.
     every : int
         1: replay all scans; 5: each fifth.
     pace : str
@@ -31,6 +31,8 @@ class RecordingOptions:
         The topic of the laser, if a bag has several; empty: its only one.
     resolution : float
         Side of a cell in meters.
+    listeners : int
+        Number of robots without scans, which only receive maps, as a base station does. They are the last ones.
     """
 
     __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
@@ -40,6 +42,7 @@ class RecordingOptions:
     pace: str = PER_SCAN
     topic: str = ""
     resolution: float = 0.1
+    listeners: int = 0
 
     def __post_init__(self) -> None:
         if not 1 <= self.every <= MAX_EVERY:
@@ -50,3 +53,5 @@ class RecordingOptions:
             raise ValueError(
                 f"resolution = {self.resolution:g}: must be {MIN_CELL_M:g} to {MAX_CELL_M:g} m per cell"
             )
+        if self.listeners < 0:
+            raise ValueError(f"listeners = {self.listeners}: must not be negative")

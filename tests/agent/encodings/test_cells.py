@@ -62,6 +62,21 @@ def test_receivers_hold_the_authors_grid_whenever_all_patches_are_delivered(seed
             assert not packets
 
 
+def test_reports_take_precedence_on_the_shared_map_and_sight_completes_it() -> None:
+    maker, receiver = CellEncoding(settings_of(0)), CellEncoding(settings_of(1))
+    own = np.zeros((HEIGHT, WIDTH), np.uint8)
+    own[3, 4:9] = OCCUPIED
+    receiver.apply(
+        0, b"".join(maker.encode_changes(own, NO_SCAN, Change(5, (4, 3, 9, 4)), delivered=True)), **LATE
+    )
+    sight = np.zeros_like(own)
+    sight[3, 7:12] = FREE
+    expected = own.copy()
+    expected[3, 9:12] = FREE
+    assert (receiver.shared_map(sight, receiver.merge(sight)) == expected).all()
+    assert receiver.merge(sight)[3, 7] == FREE
+
+
 def test_unchanged_cells_are_not_sent_and_the_self_explored_grid_takes_precedence() -> None:
     maker, receiver = CellEncoding(settings_of(0)), CellEncoding(settings_of(1))
     own = np.zeros((HEIGHT, WIDTH), np.uint8)

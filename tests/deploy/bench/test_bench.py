@@ -108,6 +108,10 @@ def test_kernels_are_compared_with_their_baselines(monkeypatch: pytest.MonkeyPat
         ("costs to all cells", "skimage's MCP_Geometric"),
         ("predictive, encode a step", "drawing its scan"),
         ("predictive, decode a step", "drawing its scan"),
+        ("estimating a scan of 1081 beams", "drawing an exact scan"),
+        ("bound after a scan of 1081 beams", "bound on the whole map"),
+        ("estimating a scan of 181 beams", "drawing an exact scan"),
+        ("bound after a scan of 181 beams", "bound on the whole map"),
     ]
     for figure in figures:
         assert figure.value > 0 and figure.unit == "ms"

@@ -82,10 +82,11 @@ def test_the_scans_of_a_run_directory_are_a_log(room: str) -> None:
     assert (summary["scans"], summary["map"]) == (12, "room")
 
 
-def test_flags_set_pace_cells_and_range(room: str) -> None:
+def test_flags_set_pace_cells_range_and_listeners(room: str) -> None:
     flags = ("--pace", "recorded", "--resolution", "0.2", "--sensor-range", "4", "--set", "radio.loss=0.1")
-    murmur("play", room, *flags, *MEMORY, "--out", "run")
+    murmur("play", room, *flags, "--listeners", "1", *MEMORY, "--out", "run")
     written = tomllib.loads(Path("run/scenario.toml").read_text())
+    assert written["recording"]["listeners"] == 1
     assert written["recording"]["pace"] == "recorded"
     assert written["recording"]["resolution"] == 0.2
     assert written["sensor_range"] == 4
@@ -102,6 +103,9 @@ def test_flags_set_pace_cells_and_range(room: str) -> None:
         (("--set", "map=office"), "set = 'map=...': has no meaning for robots that replay a log"),
         (("--set", "laser.preset=utm-30lx"), "set = 'laser.preset=...': has no meaning"),
         (("--set", "recording.every=2", "--every", "3"), "set = 'recording.every=...': a flag of murmur play sets it"),
+        (("--robots", "2", "--listeners", "2"), "recording.listeners = 2: one robot must replay the log"),
+        (("--listeners", "-1"), "listeners = -1: must not be negative"),
+        (("room.log.gz", "--robots", "2", "--listeners", "1"), "has one robot, and 1 have none"),
         (("--topic", "/scan"), "only bags have topics"),
         (("--strategy", "meier"), "No such option: --strategy"),
         (("other.log",), "other.log: no such log"),

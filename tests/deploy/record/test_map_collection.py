@@ -14,6 +14,7 @@ from protocol import map_parts
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
 from protocol.grid import UNKNOWN
+from protocol.map_parts import FinalMaps
 from protocol.messages import PART_CELLS, MapPart
 from tests.system.team import small_plan
 
@@ -24,8 +25,8 @@ ON_THE_WAY = 4 << 20
 
 
 def cells() -> np.ndarray[tuple[int], np.dtype[np.uint8]]:
-    own, planning, settled = np.random.default_rng(1).integers(0, 3, (3, *SHAPE), np.uint8)
-    return map_parts.join(own, planning, (settled == 0) & (own != UNKNOWN))
+    own, planning, shared, settled = np.random.default_rng(1).integers(0, 3, (4, *SHAPE), np.uint8)
+    return map_parts.join(FinalMaps(own, planning, shared, (settled == 0) & (own != UNKNOWN)))
 
 
 class Congestion:
@@ -75,7 +76,7 @@ def test_maps_arrive_part_by_part_and_unchanged() -> None:
     assert collection.take(3, MapPart(0, map_parts.encode(sent, 0))) is None
     grids = collection.take(3, MapPart(1, map_parts.encode(sent, 1)))
     assert grids is not None
-    assert (map_parts.join(*grids) == sent).all()
+    assert (map_parts.join(grids) == sent).all()
     assert collection.parts_received == 2
     assert collection.under_way == []
 
@@ -100,7 +101,8 @@ def test_only_a_few_robots_send_at_the_same_time_and_a_lost_one_makes_room() -> 
         MapPart(0, zlib.compress(PART_CELLS * b"\x03")),
         MapPart(0, zlib.compress(PART_CELLS * b"\x0c")),
         MapPart(0, zlib.compress(PART_CELLS * b"\x10")),
-        MapPart(0, zlib.compress(PART_CELLS * b"\x21")),
+        MapPart(0, zlib.compress(PART_CELLS * b"\x61")),
+        MapPart(0, zlib.compress(PART_CELLS * b"\x81")),
     ],
     ids=lambda part: f"{part.part}-{len(part.cells)}",
 )

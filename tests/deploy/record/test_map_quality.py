@@ -132,16 +132,16 @@ def test_without_true_walls_there_is_no_score() -> None:
 @given(
     owns=st.lists(GRIDS, min_size=2, max_size=3),
     settled=st.lists(MASKS, min_size=3, max_size=3),
-    plannings=st.lists(GRIDS, min_size=3, max_size=3),
+    copies=st.lists(GRIDS, min_size=3, max_size=3),
     tolerance=st.integers(0, 3),
 )
 def test_the_walls_that_teammates_hold_are_those_of_the_plain_reference(
-    owns: list[Grid], settled: list[Mask], plannings: list[Grid], tolerance: int
+    owns: list[Grid], settled: list[Mask], copies: list[Grid], tolerance: int
 ) -> None:
     walls = {author: (own == OCCUPIED) & settled[author] for author, own in enumerate(owns)}
-    planning = dict(enumerate(plannings))
-    held = walls_held(walls, planning, tolerance)
-    for holder, grid in planning.items():
+    shared = dict(enumerate(copies))
+    held = walls_held(walls, shared, tolerance)
+    for holder, grid in shared.items():
         expected = {
             author: share_near(cells_of(mask), set(cells_of(grid == OCCUPIED)), tolerance)
             for author, mask in walls.items()
@@ -156,24 +156,26 @@ def test_agreement_has_the_mean_and_the_worst_pair() -> None:
     half[:20][half[:20] == OCCUPIED] = UNKNOWN
     planning = {0: truth, 1: room(wall=6), 2: half}
     walls = dict.fromkeys(planning, truth == OCCUPIED)
-    figures = robot_figures(planning, walls, TrueWalls(truth != FREE, truth == FREE), 1)
+    shared = {0: half, 1: truth, 2: room(wall=6)}
+    figures = robot_figures(planning, shared, walls, TrueWalls(truth != FREE, truth == FREE), 1)
     team = team_figures(figures, 0)
-    held = figures[2]["walls_within_tolerance"]
+    held = figures[0]["walls_within_tolerance"]
     assert held == pytest.approx(0.5, abs=0.02)
-    assert figures[0]["walls_within_tolerance"] == figures[1]["walls_within_tolerance"] == 1
+    assert figures[1]["walls_within_tolerance"] == figures[2]["walls_within_tolerance"] == 1
     assert team["worst_walls_within_tolerance"] == held
     assert team["walls_within_tolerance"] == pytest.approx((2 + held) / 3)
     assert team["claimed_wall_f1"] == 1
     assert team["claimed_worst_wall_f1"] == figures[2]["wall_f1"]
     assert team["claimed_mean_wall_recall"] == pytest.approx((2 + 0.5) / 3, abs=0.02)
-    exact = robot_figures(planning, walls, TrueWalls(truth != FREE, truth == FREE), 0)
+    exact = robot_figures(planning, shared, walls, TrueWalls(truth != FREE, truth == FREE), 0)
     same = (truth == OCCUPIED) & (room(wall=6) == OCCUPIED)
-    assert exact[1]["walls_within_tolerance"] == pytest.approx(same.sum() / (truth == OCCUPIED).sum())
+    assert exact[2]["walls_within_tolerance"] == pytest.approx(same.sum() / (truth == OCCUPIED).sum())
 
 
 def test_a_single_robot_has_no_agreement() -> None:
     truth = room()
-    figures = robot_figures({0: truth}, {0: truth == OCCUPIED}, TrueWalls(truth != FREE, truth == FREE), 1)
+    maps = {0: truth}
+    figures = robot_figures(maps, maps, {0: truth == OCCUPIED}, TrueWalls(truth != FREE, truth == FREE), 1)
     assert figures[0]["walls_within_tolerance"] is None
     team = team_figures(figures, 0)
     assert team["walls_within_tolerance"] is team["worst_walls_within_tolerance"] is None
