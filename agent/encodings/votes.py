@@ -7,7 +7,7 @@ reports do not count any more, if
 - this robot sees `MANY` of its cells otherwise; or
 - at least two others report `MANY` of its cells otherwise, each of which fewer robots contradict.
 
-Maps of noisy lasers differ although all robots are honest: then no robot is doubted.
+Maps of noisy lasers, and copies within a tolerance, differ although all robots are honest: then no robot is doubted.
 
 All maps of a robot, one per incarnation, count as one voter. A doubt ends only with the votes: if entries turn out not
 to be their author's, all logs are decoded and counted again.
@@ -46,7 +46,7 @@ class Votes:
     def __init__(self, settings: Settings) -> None:
         self.received: Grid = np.full((settings.height, settings.width), UNKNOWN, np.uint8)
         self._robot, self._robots = settings.robot, settings.robots
-        self._judges = settings.robots <= VOTERS and settings.laser is None
+        self._judges = settings.robots <= VOTERS and not settings.shares_tiles
         self.reset()
 
     def reset(self) -> None:

@@ -3,7 +3,7 @@
 A tile is ready if its cells have not changed for `QUIET_STEPS` steps, or if it has waited for `LONGEST_WAIT` steps. A
 tile that is sent while the robot still maps it costs more: it is sent again later, and the irregular border of its
 known part takes more bytes than a complete tile. Ready tiles wait until there are `ENOUGH_TILES` of them, because each
-update has a head of some bytes. They are sent earlier if the robot stands still, or if one has waited for long.
+update has a head of some bytes. Fewer suffice if one has waited for `LONGEST_WAIT` steps, or if the robot stands still.
 """
 
 from __future__ import annotations

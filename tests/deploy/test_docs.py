@@ -22,6 +22,7 @@ from agent.outline.edits import NumberedPolygons
 from agent.outline.receiver import Receiver
 from agent.outline.simplify import refine
 from agent.predictive.scan_updates import MAX_SCANS
+from agent.predictive.tile_author import ENOUGH_TILES, INTERVAL, LONGEST_WAIT, QUIET_STEPS
 from agent.replication import handshakes, neighbors
 from agent.replication.base import Replication
 from agent.replication.policies import DISSEMINATIONS
@@ -453,3 +454,14 @@ def test_every_purpose_of_a_random_draw_is_named() -> None:
             text = path.read_text(encoding="utf-8")
             drawn_for.update(re.findall(r'\b(?:keyed_random\([^"()]*|_?drawn?\()"([^"]+)"', text))
     assert table == drawn_for
+
+
+def test_the_page_of_the_predictive_encoding_tells_when_tiles_are_sent() -> None:
+    text = " ".join((DOCS / "predictive.md").read_text(encoding="utf-8").split())
+    for rule in (
+        f"have not changed for {QUIET_STEPS} steps",
+        f"when it has waited for {LONGEST_WAIT} steps",
+        f"when {ENOUGH_TILES} ready tiles violate it",
+        f"at least {INTERVAL} steps must have passed",
+    ):
+        assert rule in text

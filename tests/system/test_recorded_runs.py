@@ -77,7 +77,7 @@ def test_a_run_directory_repeats_the_run_without_the_log(room: Path, tmp_path: P
 
 
 def test_a_run_goes_on_after_the_last_scan_until_all_maps_are_delivered(room: Path) -> None:
-    slow, fast = (play(room, bandwidth=bandwidth, keep=False) for bandwidth in (20, "unlimited"))
+    slow, fast = (play(room, bandwidth=bandwidth, keep=False) for bandwidth in (8, "unlimited"))
     late = slow.summary["steps_after_scans"]
     assert late > fast.summary["steps_after_scans"]
     assert slow.summary["backlog_after_scans"] > slow.summary["backlog"] == 0

@@ -37,6 +37,7 @@ class Mapper:
         self.own: Grid = np.zeros((HEIGHT, WIDTH), np.uint8)
         self.log_odds = np.zeros((HEIGHT, WIDTH), np.int8)
         self.step = 0
+        self.stands = False
 
     def draw(self, box: Box, state: int) -> Change:
         """Give all cells of a box a settled state; return the change."""
@@ -45,10 +46,14 @@ class Mapper:
         self.log_odds[y0:y1, x0:x1] = np.array([0, -40, 40])[state]
         return Change((x1 - x0) * (y1 - y0), box)
 
+    def add(self, change: Change) -> None:
+        """Begin a step, in which the robot drives to another cell unless it stands still."""
+        self.step += 1
+        self.author.add(Scan(3 if self.stands else self.step % 2, 4, np.empty(0, np.uint16)), change)
+
     def play(self, change: Change | None = None, most: float = math.inf) -> list[DecodedUpdate]:
         """Play a step; return the updates that the author writes, of `most` bytes as the encoding counts them."""
-        self.step += 1
-        self.author.add(Scan(3, 4, np.empty(0, np.uint16)), change or Change(0, NO_BOX))
+        self.add(change or Change(0, NO_BOX))
         updates: list[DecodedUpdate] = []
         if self.author.has_changes and self.author.is_due(self.own, self.log_odds, self.own):
             while most > 0 and (encoded := self.author.encode(self.own, self.log_odds, most)) is not None:
@@ -97,6 +102,14 @@ def test_a_few_tiles_wait_for_others() -> None:
     assert not mapper.author.has_changes
 
 
+def test_a_robot_that_stands_still_sends_a_few_tiles_as_soon_as_they_have_stopped_changing() -> None:
+    mapper = Mapper()
+    mapper.stands = True
+    assert not any(mapper.play() for _ in range(INTERVAL))
+    sent = [bool(mapper.play(mapper.draw(SMALL, FREE)))] + [bool(mapper.play()) for _ in range(QUIET_STEPS)]
+    assert sent == [False] * QUIET_STEPS + [True]
+
+
 def test_changes_within_the_bound_are_not_sent() -> None:
     mapper = Mapper()
     mapper.draw(LARGE, FREE)
@@ -131,10 +144,10 @@ def test_an_attempt_that_finds_nothing_to_send_does_not_replace_what_a_retractio
     change = mapper.draw(SMALL, FREE)
     mapper.play(Change(change.cells, SMALL))
     for _ in range(QUIET_STEPS):
-        mapper.author.add(Scan(3, 4, np.empty(0, np.uint16)), Change(0, NO_BOX))
-    mapper.author.add(Scan(3, 4, np.empty(0, np.uint16)), Change(1, (40, 40, 41, 41)))
+        mapper.add(Change(0, NO_BOX))
+    mapper.add(Change(1, (40, 40, 41, 41)))
     for _ in range(QUIET_STEPS):
-        mapper.author.add(Scan(3, 4, np.empty(0, np.uint16)), Change(0, NO_BOX))
+        mapper.add(Change(0, NO_BOX))
     assert mapper.author.encode(mapper.own, mapper.log_odds, 1) is not None
     assert mapper.author.encode(mapper.own, mapper.log_odds, 1) is None
     mapper.retract()

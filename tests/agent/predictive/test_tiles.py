@@ -12,7 +12,7 @@ from agent.predictive.coder import check_end, reader, writer, written
 from agent.predictive.mixer import INPUTS, LOGISTIC, LOGIT, OLDEST, RATES, MixingCoder, mixing_coder
 from agent.predictive.tiles import BOX_BITS, code_tiles, start_model
 from protocol.errors import ProtocolError
-from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
+from protocol.grid import FREE, MAX_SIDE, OCCUPIED, UNKNOWN, Grid
 
 HEIGHT, WIDTH = 40, 56
 FLAG = 4
@@ -207,3 +207,8 @@ def test_the_tables_are_those_of_the_formulas() -> None:
     assert (np.diff(LOGISTIC) >= 0).all()
     assert (LOGISTIC[LOGIT[1:] + 2048] >= np.arange(1, 4096).clip(max=LOGISTIC[-1])).all()
     assert np.allclose(RATES / 65536, 1 / (np.arange(OLDEST + 1) + 1.6), atol=1e-4)
+
+
+def test_the_box_of_an_update_may_lie_anywhere_on_the_largest_grid() -> None:
+    tiles = -(-MAX_SIDE // TILE)
+    assert 2 * tiles <= 1 << BOX_BITS

@@ -69,7 +69,7 @@ def test_help_of_explore_names_defaults_and_choices() -> None:
     output = " ".join(murmur("explore", "--help").stdout.split())
     for words in (
         "number of robots (default 3)",
-        "map encoding: polygons, scans, cells, predictive, none (default predictive)",
+        "map encoding: polygons, scans, cells, predictive, slam-toolbox, zstd-maps, none (default predictive)",
         "bytes per step for the whole team (default 1000)",
         "communication range: meters, or % of the map's diagonal (default 100%)",
     ):
