@@ -57,3 +57,9 @@ def test_a_listener_holds_the_walls_of_a_short_log() -> None:
     assert (summary["scans"], summary["finished"]) == (46, True)
     assert summary["worst_walls_within_tolerance"] >= 0.99
     assert 0 < summary["bytes_per_scan"] < 150
+
+
+def test_no_wall_is_forgotten_on_a_scarce_medium() -> None:
+    summary = play("intel.log.gz", robots=4, recording={"every": 10}, bandwidth=30)
+    assert summary["finished"]
+    assert summary["worst_walls_within_tolerance"] >= 0.99
