@@ -40,6 +40,10 @@ from worldsim.restarts import Restarts
 OUT_OF_STEPS, ALL_LOST = "out of steps", "all robots are lost"
 
 
+LONE_REPORT_STEPS = 10
+"""Steps after which the report of one robot ends a run with real sensors, if no teammate agrees."""
+
+
 class WorldNode:
     """The world's end of the bus; `done` once the run is recorded and it may end.
 
@@ -83,6 +87,8 @@ class WorldNode:
         """Whether the relay has closed the medium of this step; robots move only then."""
         self._protocol_errors: Counter[str] = Counter()
         """Malformed or inconsistent messages in this step, by sender."""
+        self._report_steps: dict[int, int] = {}
+        """For how many steps in a row each robot has reported `explored`."""
         self._refuted: set[int] = set()
         """Robots that have reported `explored` too early."""
 
@@ -163,7 +169,7 @@ class WorldNode:
         wanted = 1
         if self._world.settings.ends_with_all:
             wanted = len(moves)
-        elif len(explored) >= self._least_reports(len(moves)):
+        elif self._suffice(explored, len(moves)):
             explored = self._confirmed(explored)
         else:
             explored = []
@@ -180,12 +186,17 @@ class WorldNode:
         else:
             self._open_step(moves)
 
-    def _least_reports(self, active: int) -> int:
-        """Return how many of the active robots must report `explored`.
+    def _suffice(self, explored: Sequence[int], active: int) -> bool:
+        """Return whether enough of the active robots report `explored` in this step.
 
-        Usually one. With sensors that have errors, false walls may enclose a robot: two must agree then.
+        Usually one is enough. With sensors that have errors, false walls may enclose a robot: then two must agree, or
+        one must report it for `LONE_REPORT_STEPS` steps, in which teammates may open a way for it.
         """
-        return 1 if self._world.settings.sensors is None else min(active, 2)
+        self._report_steps = {robot: self._report_steps.get(robot, 0) + 1 for robot in explored}
+        if self._world.settings.sensors is None:
+            return len(explored) > 0
+        longest = max(self._report_steps.values(), default=0)
+        return len(explored) >= min(active, 2) or longest >= LONE_REPORT_STEPS
 
     def _confirmed(self, explored: Sequence[int]) -> list[int]:
         """Return the robots whose report `explored` ends the run; report the others.

@@ -491,8 +491,9 @@ def test_no_frame_stops_a_robots_process(steps: list[tuple[list[bytes], ...]]) -
     deliver(RequestMaps(0, len(steps), 0))
     part = antenna.sent[-1]
     assert isinstance(part, MapPart)
-    known, plan, _ = map_parts.split(map_parts.decode(part.cells, 0, WIDTH * HEIGHT), (HEIGHT, WIDTH))
-    assert (plan[known != UNKNOWN] == known[known != UNKNOWN]).all()
+    maps = map_parts.split(map_parts.decode(part.cells, 0, WIDTH * HEIGHT), (HEIGHT, WIDTH))
+    known = maps.own != UNKNOWN
+    assert (maps.planning[known] == maps.own[known]).all()
 
 
 def _is_a_broadcast(frame: bytes) -> bool:

@@ -32,8 +32,11 @@ from protocol.messages import (
     points_to_bytes,
     unpack,
 )
+from protocol.range_scans import Laser
 from worldsim.base import EXPLORED, STALLED
-from worldsim.process import ALL_LOST, OUT_OF_STEPS, WorldNode
+from worldsim.process import ALL_LOST, LONE_REPORT_STEPS, OUT_OF_STEPS, WorldNode
+from worldsim.sensor_options import LaserOptions, PoseOptions
+from worldsim.sensors import SensorSettings
 from worldsim.world import Body, World, WorldSettings
 
 KEYS = Keys("world")
@@ -301,3 +304,35 @@ def test_robot_drives_toward_waypoints_beyond_the_world(far: int) -> None:
     run.move(0, Move(1, b"", 1, explored=False, points=points))
     assert run.world.step == 2
     assert run.world.driven[0] <= 1.0
+
+
+def real_sensors(robots: int) -> SensorSettings:
+    lasers = (Laser(8, 0, 57_344, 300),) * robots
+    return SensorSettings(LaserOptions(range_error_m=0.01), PoseOptions(), lasers, 0.1)
+
+
+def ends(run: Run) -> list[End]:
+    return [message for message in run.received(names.RELAY) if isinstance(message, End)]
+
+
+def test_with_real_sensors_two_reports_end_a_run() -> None:
+    run = Run(steps=40, sensors=real_sensors(2))
+    run.stay(0, explored=True)
+    run.stay(1)
+    assert ends(run) == []
+    run.stay(0, 1, explored=True)
+    assert [end.reason for end in ends(run)] == [EXPLORED]
+
+
+def test_with_real_sensors_one_robot_ends_a_run_only_if_it_reports_for_some_steps() -> None:
+    run = Run(steps=40, sensors=real_sensors(2))
+    for reports in (LONE_REPORT_STEPS - 1, 0, LONE_REPORT_STEPS - 1):
+        for _ in range(reports):
+            run.stay(0, explored=True)
+            run.stay(1)
+        assert ends(run) == []
+        if not reports:
+            run.stay(0, 1)
+    run.stay(0, explored=True)
+    run.stay(1)
+    assert [end.first for end in ends(run)] == [0]
