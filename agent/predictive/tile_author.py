@@ -3,7 +3,8 @@
 A tile is ready if its cells have not changed for `QUIET_STEPS` steps, or if it has waited for `LONGEST_WAIT` steps. A
 tile that is sent while the robot still maps it costs more: it is sent again later, and the irregular border of its
 known part takes more bytes than a complete tile. Ready tiles wait until there are `ENOUGH_TILES` of them, because each
-update has a head of some bytes. Fewer suffice if one has waited for `LONGEST_WAIT` steps, or if the robot stands still.
+update begins with some bytes of its own. Fewer suffice if one has waited for `LONGEST_WAIT` steps, or if the robot
+stands still.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ ENOUGH_TILES = 64
 """Tiles of an update that is sent at once."""
 
 INTERVAL = 8
-"""Steps between shorter updates, which are sent for tiles that have waited for long."""
+"""Steps between updates of fewer than `ENOUGH_TILES` tiles."""
 
 TILE_BYTES = 0.75
 """Typical bytes of a tile in an update."""
@@ -82,7 +83,10 @@ class TileAuthor(Author[TileStream]):
         np.minimum(waiting, self._step, out=waiting)
 
     def is_due(self, own: Grid, log_odds: Int8Grid, received: Grid) -> bool:
-        """Return whether enough tiles are ready, or one has waited for long; drop those that fulfill the bound."""
+        """Return whether enough tiles are ready, or fewer that should wait no longer.
+
+        Ready tiles that fulfill the bound stop waiting.
+        """
         del received
         ready = self._ready()
         if not ready.any():
@@ -90,10 +94,11 @@ class TileAuthor(Author[TileStream]):
         violate = self.stream.violations(own, log_odds, self._bound, ready.view(np.uint8))
         since = self._waiting_since
         since[ready & ~violate] = _NEVER
-        is_late = violate.any() and self._arrived <= self._step - QUIET_STEPS
-        is_late = is_late or (since[violate] <= self._step - LONGEST_WAIT).any()
-        may_be_short = is_late and self._step >= self._last_step + INTERVAL
-        return bool(may_be_short or np.count_nonzero(violate) >= ENOUGH_TILES)
+        if np.count_nonzero(violate) >= ENOUGH_TILES:
+            return True
+        stands_still = violate.any() and self._arrived <= self._step - QUIET_STEPS
+        is_late = (since[violate] <= self._step - LONGEST_WAIT).any()
+        return bool((stands_still or is_late) and self._step >= self._last_step + INTERVAL)
 
     def _ready(self) -> NDArray[np.bool_]:
         """Return the tiles that may be encoded."""
