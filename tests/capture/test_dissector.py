@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
 import random
 from collections import Counter
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 
 from deploy.record import run_directory
@@ -91,7 +91,7 @@ def test_every_packet_is_shown_by_name_and_field(tshark: Tshark, tmp_path: Path)
         assert layout == [type(packet).__name__]
         assert kind == [packet.name]
         assert size == [str(len(payload))]
-        wanted: dict[str, Any] = dataclasses.asdict(packet)
+        wanted: dict[str, Any] = msgspec.structs.asdict(packet)
         assert map_id == ["2", str(wanted.pop("map"))] if "map" in wanted else ["2"]
         found = {name: value[0] for name, value in zip(VALUES, values, strict=True) if value}
         there = {name: v for name, v in wanted.items() if v not in (None, b"")}
