@@ -48,7 +48,7 @@ SURE_AFTER = 10
 """Steps for which a map with assumptions must have nothing left to explore before a robot reports that it is done:
 by then teammates have sent more of areas that looked insignificant when they first saw them."""
 
-SURE_AFTER_NOISE = 5
+SURE_AFTER_NOISE = 1
 """The same for maps of noisy lasers, where a false wall may close a doorway for some steps."""
 
 SURE_AFTER_LOG = 20

@@ -288,16 +288,17 @@ class Fragment(Packet, frozen=True):
 
 
 class Update(Packet, frozen=True):
-    """Fragment of a map update of the predictive scan encoding (`agent.predictive`).
+    """Fragment of a map update of the predictive encoding (`agent.predictive`).
 
-    Fragments of `UPDATE_DATA` bytes, and a last one of up to `LAST_UPDATE_DATA`, make up an update. The last one has
-    the update's `number` in its map's log, modulo `UPDATE_NUMBERS`; in the others `number` is None. An update without
-    content withdraws the last update that has not been withdrawn.
+    Short fragments have `UPDATE_DATA` bytes, and no `number`: another one always follows. Long ones have up to
+    `LONG_UPDATE_DATA` bytes and the update's `number` in its map's log, modulo `UPDATE_NUMBERS`; another one follows if
+    `more` is 1. An update without content withdraws the last update that has not been withdrawn.
     """
 
     name, size, code = "update", 9, "11110100"
     number: int | None
     data: bytes
+    more: int = 0
 
 
 SHORT_HEAD = 2
@@ -307,12 +308,11 @@ FRAGMENT_DATA = Fragment.size - 1
 """Bytes of content of a full fragment."""
 
 UPDATE_DATA = Update.size - 1
-"""Bytes of content of each fragment of an update but the last."""
-LAST_UPDATE_DATA = 63
-"""The most bytes of content of an update's last fragment."""
-UPDATE_NUMBERS = 4
+"""Bytes of content of a short fragment of an update."""
+LONG_UPDATE_DATA = 63
+"""The most bytes of content of a long fragment."""
+UPDATE_NUMBERS = 2
 """Numbers of updates are sent modulo this one."""
-_NUMBER_BITS = 2
 
 Edit = Insert | Replace | Delete | Emerge | Change | Remove | Save
 Handshake = Offer | Answer | Block
@@ -335,10 +335,13 @@ _SHORT_FRAGMENT = Layout(
     "Fragment", Fragment.name, SHORT_HEAD, "11110010",
     ((LENGTH, Bits(8, "n", "bytes of content")),), (1, FRAGMENT_DATA - 1),
 )  # fmt: skip
-_UPDATE_NUMBER = Bits(_NUMBER_BITS, "u", "number of the update, modulo 4")
-_LAST_UPDATE = Layout(
+_LONG_UPDATE = Layout(
     "Update", Update.name, SHORT_HEAD, "11110101",
-    ((LENGTH, Bits(6, "n", "bytes of content")), ("number", _UPDATE_NUMBER)), (0, LAST_UPDATE_DATA),
+    (
+        (LENGTH, Bits(6, "n", "bytes of content")),
+        ("number", Bits(1, "u", "number of the update, modulo 2")),
+        ("more", Bits(1, "f", "1: another fragment of the update follows")),
+    ), (0, LONG_UPDATE_DATA),
 )  # fmt: skip
 
 LAYOUTS: tuple[Layout, ...] = (
@@ -346,7 +349,7 @@ LAYOUTS: tuple[Layout, ...] = (
     Layout("Fragment", Fragment.name, Fragment.size, Fragment.code, (), (FRAGMENT_DATA, FRAGMENT_DATA)),
     _SHORT_FRAGMENT,
     Layout("Update", Update.name, Update.size, Update.code, (), (UPDATE_DATA, UPDATE_DATA)),
-    _LAST_UPDATE,
+    _LONG_UPDATE,
 )
 """All layouts: one for each packet without content, two for each with."""
 
@@ -373,7 +376,7 @@ _CLASS: list[Any] = [None if layout is None else _PACKETS[layout.packet] for lay
 """For each first byte the class of the packet; None: no packet starts with it."""
 
 _FULL, _SHORT = int(Fragment.code, 2), int(_SHORT_FRAGMENT.code, 2)
-_UPDATE, _LAST = int(Update.code, 2), int(_LAST_UPDATE.code, 2)
+_UPDATE, _LONG = int(Update.code, 2), int(_LONG_UPDATE.code, 2)
 
 
 def _index_row(layout: Layout | None) -> tuple[int, ...]:
@@ -422,16 +425,17 @@ def _write_fragment(packet: Fragment, offset: int) -> bytes:
 
 
 def _write_update(packet: Update, offset: int) -> bytes:
-    size, number = len(packet.data), packet.number
+    size, number, more = len(packet.data), packet.number, packet.more
     if number is None:
         if size != UPDATE_DATA:
             reason = f"{size} bytes of content instead of {UPDATE_DATA}"
             raise ProtocolError(packet.name, offset, reason)
         return bytes([_UPDATE]) + packet.data
-    if size > LAST_UPDATE_DATA or not 0 <= number < UPDATE_NUMBERS:
-        limits = f"0 to {UPDATE_NUMBERS - 1} or 0 to {LAST_UPDATE_DATA}"
-        raise ProtocolError(packet.name, offset, f"number {number} or size {size} is outside {limits}")
-    return bytes([_LAST, size << _NUMBER_BITS | number]) + packet.data
+    if size > LONG_UPDATE_DATA or not (0 <= number < UPDATE_NUMBERS and 0 <= more <= 1):
+        limits = f"0 to {UPDATE_NUMBERS - 1}, 0 to {LONG_UPDATE_DATA} or 0 to 1"
+        reason = f"number {number}, size {size} or flag {more} is outside {limits}"
+        raise ProtocolError(packet.name, offset, reason)
+    return bytes([_LONG, size << 2 | number << 1 | more]) + packet.data
 
 
 def length(buffer: bytes, offset: int = 0) -> int:
@@ -519,7 +523,7 @@ def _read(buffer: bytes, offset: int, size: int) -> AnyPacket:
     if kind is Update and first == _UPDATE:
         return Update(None, packet[1:])
     if kind is Update:
-        return Update(packet[1] & UPDATE_NUMBERS - 1, packet[SHORT_HEAD:])
+        return Update(packet[1] >> 1 & 1, packet[SHORT_HEAD:], packet[1] & 1)
     fixed_mask, fixed, places = _FORM[kind]
     number = int.from_bytes(packet, "big")
     if number & fixed_mask != fixed:

@@ -8,6 +8,8 @@ from typing import Any, ClassVar, Literal
 
 MAX_USE = 100
 """Largest `medium_use`."""
+MAX_PATIENCE = 100
+"""Largest `patience`."""
 
 
 @dataclass(frozen=True)
@@ -79,3 +81,11 @@ class PredictiveOptions:
     base: Literal["team", "own"] = "team"
     """The map from which a robot predicts its scans. ``team``: its own updates and all that it has received. ``own``:
     its own updates; each log can then be decoded alone, and takes up to three times the bytes."""
+    patience: int = 1
+    """Factor of the times for which changed tiles of noisy maps wait until they are sent (`agent.predictive.tile_author`).
+    With a larger one, teammates receive changes later, in fewer bytes. The default for recorded runs, in which no robot
+    plans with the maps of others, is 2."""
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.patience <= MAX_PATIENCE:
+            raise ValueError(f"patience = {self.patience}: must be 1 to {MAX_PATIENCE}")

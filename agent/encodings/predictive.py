@@ -39,7 +39,7 @@ from agent.settings import Settings
 from protocol.errors import ProtocolError
 from protocol.grid import Grid, ray_table
 from protocol.packets import (
-    LAST_UPDATE_DATA,
+    LONG_UPDATE_DATA,
     SHORT_HEAD,
     UPDATE_DATA,
     UPDATE_NUMBERS,
@@ -59,6 +59,7 @@ FAIR_SHARE = 28
 PATIENCE = 8
 """Steps for which a robot waits until updates on which its own ones depend have arrived again."""
 
+LONG = int(__import__('os').environ.get('LONG','32'))
 PACKETS_A_STEP = 3
 """Packets are short enough that the budget of one step holds this many: a packet that does not fit into the rest of
 a budget leaves that rest unused."""
@@ -87,7 +88,9 @@ class _Limits:
     """Sizes and waiting times that depend on the bandwidth."""
 
     packet_bytes: int
-    """Content of the last packet of an update, in bytes."""
+    """The most bytes of content of a packet."""
+    fragment_bytes: int
+    """Bytes of content of a packet that another one of the same update follows."""
     step_bytes: float
     """Bytes after which a step encodes no more: changes that wait can still be merged with later ones."""
     wait_steps: int
@@ -96,7 +99,7 @@ class _Limits:
     @classmethod
     def of(cls, settings: Settings) -> _Limits:
         """Derive the limits from the team's budget and the frame size."""
-        size, step_bytes, wait_steps = LAST_UPDATE_DATA, math.inf, 1
+        size, step_bytes, wait_steps = LONG_UPDATE_DATA, math.inf, 1
         if (bandwidth := settings.bandwidth.limit) is not None:
             size = bandwidth // PACKETS_A_STEP - SHORT_HEAD
             step_bytes = max(bandwidth, 1)
@@ -104,7 +107,8 @@ class _Limits:
             wait_steps = min(max(math.ceil(scarcity), 1), ENOUGH_STEPS)
         if settings.frame_bytes is not None:
             size = min(size, settings.frame_bytes - SHORT_HEAD)
-        return cls(min(max(size, UPDATE_DATA), LAST_UPDATE_DATA), step_bytes, wait_steps)
+        size = min(max(size, UPDATE_DATA), LONG_UPDATE_DATA)
+        return cls(size, size if settings.shares_tiles and size >= LONG else UPDATE_DATA, step_bytes, wait_steps)
 
 
 class PredictiveEncoding(GridEncoding):
@@ -145,7 +149,8 @@ class PredictiveEncoding(GridEncoding):
         if isinstance(stream, ScanStream):
             return ScanAuthor(stream, self._limits.wait_steps)
         assert isinstance(stream, TileStream)
-        return TileAuthor(stream, Bound(settings.tolerance, 1 if settings.laser is None else SETTLED))
+        bound = Bound(settings.tolerance, 1 if settings.laser is None else SETTLED)
+        return TileAuthor(stream, bound, self._options.patience)
 
     def _stream(self, map_id: int, histories: Sequence[History]) -> Stream:
         """Make the encoder or decoder of a log, at its beginning."""
@@ -206,7 +211,7 @@ class PredictiveEncoding(GridEncoding):
                 break
             message, self._last = encoded
             self._count_votes(self._last)
-            packets += fragments(message, log.updates, self._limits.packet_bytes)
+            packets += _fragments(message, log.updates, self._limits)
             log.ends.append(log.packets + len(packets))
             log.updates += 1
             self._note_dependency(map_id, self._last)
@@ -298,6 +303,8 @@ class PredictiveEncoding(GridEncoding):
             if packet.number != updates % UPDATE_NUMBERS:
                 reason = f"update {packet.number}, expected {updates % UPDATE_NUMBERS}"
                 raise ProtocolError(Update.name, 0, reason)
+            if packet.more:
+                continue
             updates += 1
             if fragments:
                 new.append((fragments, count))
@@ -427,10 +434,11 @@ class PredictiveEncoding(GridEncoding):
             self.received_changed(update.box)
 
 
-def fragments(message: bytes, number: int, most: int) -> list[bytes]:
-    """Split an update into packets; the last packet has at most `most` bytes of content."""
-    packets = []
-    while len(message) > most:
-        packets.append(encode([Update(None, message[:UPDATE_DATA])]))
-        message = message[UPDATE_DATA:]
-    return [*packets, encode([Update(number % UPDATE_NUMBERS, message)])]
+def _fragments(message: bytes, number: int, limits: _Limits) -> list[bytes]:
+    """Split an update into packets."""
+    number %= UPDATE_NUMBERS
+    size, packets = limits.fragment_bytes, []
+    while len(message) > limits.packet_bytes:
+        part, message = message[:size], message[size:]
+        packets.append(Update(None, part) if size == UPDATE_DATA else Update(number, part, 1))
+    return [encode([packet]) for packet in (*packets, Update(number, message))]

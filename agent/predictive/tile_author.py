@@ -5,6 +5,8 @@ tile that is sent while the robot still maps it costs more: it is sent again lat
 known part takes more bytes than a complete tile. Ready tiles wait until there are `ENOUGH_TILES` of them, because each
 update begins with some bytes of its own. Fewer suffice if one has waited for `LONGEST_WAIT` steps, or if the robot
 stands still.
+
+The option `patience` multiplies all of these numbers but `QUIET_STEPS`.
 """
 
 from __future__ import annotations
@@ -45,8 +47,10 @@ _NEVER = 1 << 40
 class TileAuthor(Author[TileStream]):
     """Encodes the tiles in which receivers' copies may lie outside the tolerance."""
 
-    def __init__(self, stream: TileStream, bound: Bound) -> None:
+    def __init__(self, stream: TileStream, bound: Bound, patience: int = 1) -> None:
         super().__init__(stream)
+        self._enough_tiles, self._interval = patience * ENOUGH_TILES, patience * INTERVAL
+        self._longest_wait = patience * LONGEST_WAIT
         height, width = stream.grid.shape
         shape = tiles_of(height, width)
         self._bound = bound
@@ -94,16 +98,16 @@ class TileAuthor(Author[TileStream]):
         violate = self.stream.violations(own, log_odds, self._bound, ready.view(np.uint8))
         since = self._waiting_since
         since[ready & ~violate] = _NEVER
-        if np.count_nonzero(violate) >= ENOUGH_TILES:
+        if np.count_nonzero(violate) >= self._enough_tiles:
             return True
         stands_still = violate.any() and self._arrived <= self._step - QUIET_STEPS
-        is_late = (since[violate] <= self._step - LONGEST_WAIT).any()
-        return bool((stands_still or is_late) and self._step >= self._last_step + INTERVAL)
+        is_late = (since[violate] <= self._step - self._longest_wait).any()
+        return bool((stands_still or is_late) and self._step >= self._last_step + self._interval)
 
     def _ready(self) -> NDArray[np.bool_]:
         """Return the tiles that may be encoded."""
         is_quiet = self._changed <= self._step - QUIET_STEPS
-        is_late = self._waiting_since <= self._step - LONGEST_WAIT
+        is_late = self._waiting_since <= self._step - self._longest_wait
         ready: NDArray[np.bool_] = (self._waiting_since != _NEVER) & (is_quiet | is_late)
         return ready
 
@@ -130,7 +134,7 @@ class TileAuthor(Author[TileStream]):
     def retract(self) -> None:
         """Take back the last update; its tiles wait again."""
         super().retract()
-        self._last_step = self._step - INTERVAL
+        self._last_step = self._step - self._interval
         np.minimum(self._waiting_since, self._encoded, out=self._waiting_since)
 
     def restart(self, stream: TileStream, withdrawn: Sequence[DecodedUpdate]) -> None:

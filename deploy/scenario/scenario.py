@@ -53,6 +53,8 @@ DEFAULT_STRATEGY = "repairmen"
 PLAYBACK = "playback"
 """The strategy of recorded runs."""
 
+RECORDED_PATIENCE = 2
+"""`predictive.patience` of recorded runs."""
 RECORDED_RANGE_M = 10.0
 """Default of `sensor_range` in recorded runs."""
 
@@ -231,6 +233,9 @@ class Scenario(Table):
         defaults = {"strategy": PLAYBACK, "sensor_range": RECORDED_RANGE_M, "min_coverage": 0.0}
         if len(files) > 1 and isinstance(listeners, int):
             defaults["robots"] = len(files) + listeners
+        predictive = data.get("predictive", {})
+        if isinstance(predictive, dict):
+            data = data | {"predictive": {"patience": RECORDED_PATIENCE} | predictive}
         return defaults | data
 
     @model_validator(mode="before")
