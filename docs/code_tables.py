@@ -11,7 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from agent.encodings.options import PolygonOptions, PredictiveOptions
+from agent.encoding_options import PolygonOptions, PredictiveOptions
 from deploy.run.hosts import Host, Hosts
 from deploy.scenario.scenario import Scenario
 from deploy.scenario.tables import ChangeTable, FaultTable, RobotOverride

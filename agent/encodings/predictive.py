@@ -23,7 +23,6 @@ from typing import Any
 import numpy as np
 
 from agent.encodings.base import NO_SENDER, Dependency
-from agent.encodings.options import PredictiveOptions
 from agent.encodings.received_grid import GridEncoding
 from agent.mapping.bound import Bound
 from agent.mapping.estimator import SETTLED
@@ -97,13 +96,13 @@ class _Limits:
     def of(cls, settings: Settings) -> _Limits:
         """Derive the limits from the team's budget and the frame size."""
         size, step_bytes, wait_steps = LAST_UPDATE_DATA, math.inf, 1
-        if (bandwidth := settings.bandwidth.limit) is not None:
+        if (bandwidth := settings.medium.bandwidth.limit) is not None:
             size = bandwidth // PACKETS_A_STEP - SHORT_HEAD
             step_bytes = max(bandwidth, 1)
             scarcity = FAIR_SHARE * settings.robots / max(bandwidth, 1)
             wait_steps = min(max(math.ceil(scarcity), 1), ENOUGH_STEPS)
-        if settings.frame_bytes is not None:
-            size = min(size, settings.frame_bytes - SHORT_HEAD)
+        if settings.medium.frame_bytes is not None:
+            size = min(size, settings.medium.frame_bytes - SHORT_HEAD)
         return cls(min(max(size, UPDATE_DATA), LAST_UPDATE_DATA), step_bytes, wait_steps)
 
 
@@ -114,7 +113,7 @@ class PredictiveEncoding(GridEncoding):
 
     def __init__(self, settings: Settings) -> None:
         super().__init__(settings)
-        self._options = PredictiveOptions(**settings.predictive)
+        self._options = settings.encoding.predictive
         self._limits = _Limits.of(settings)
         self._histories = [History() for _ in range(settings.maps)]
         self._scratch = np.empty((2 * settings.height * settings.width, 2), np.int32)
@@ -145,7 +144,9 @@ class PredictiveEncoding(GridEncoding):
         if isinstance(stream, ScanStream):
             return ScanAuthor(stream, self._limits.wait_steps)
         assert isinstance(stream, TileStream)
-        return TileAuthor(stream, Bound(settings.tolerance, 1 if settings.laser is None else SETTLED))
+        return TileAuthor(
+            stream, Bound(settings.encoding.tolerance, 1 if settings.laser is None else SETTLED)
+        )
 
     def _stream(self, map_id: int, histories: Sequence[History]) -> Stream:
         """Make the encoder or decoder of a log, at its beginning."""
@@ -154,7 +155,7 @@ class PredictiveEncoding(GridEncoding):
         maps, team = settings.robots, self._options.base == "team"
         if settings.shares_tiles:
             return TileStream(map_id, grid, histories, self._scratch, team=team, base_maps=maps)
-        beams = ray_table(settings.ranges_cells[settings.author_of(map_id)], settings.beams)
+        beams = ray_table(settings.bodies[settings.author_of(map_id)].range_cells, settings.beams)
         return ScanStream(map_id, grid, beams, histories, self._scratch, team=team, base_maps=maps)
 
     def _decoder(self, map_id: int) -> Stream | CachedReader:
@@ -285,7 +286,7 @@ class PredictiveEncoding(GridEncoding):
         probably received other entries of the maps on which it depends. It waits until the author withdraws it.
         """
         log, history = self._states[map_id], self._histories[map_id]
-        if log.error and not self.settings.digests:
+        if log.error and not self.settings.replication.digests:
             raise ProtocolError(Update.name, 0, log.error)
         self._step = step
         packets = decode_kind(frame, Update)
@@ -320,7 +321,7 @@ class PredictiveEncoding(GridEncoding):
                 self._decode_next(map_id, step, sender)
             except ProtocolError as error:
                 message = log.messages[kept]
-                if not (self.settings.digests and message == log.refused):
+                if not (self.settings.replication.digests and message == log.refused):
                     log.refused = message
                     del log.messages[kept:], log.ends[kept:]
                     raise

@@ -233,7 +233,7 @@ def honest_updates() -> list[tuple[bytes, object]]:
     for step in range(1, 1 + STEPS):
         sense = sensed(step)
         scan = Scan(sense.x, sense.y, np.frombuffer(sense.readings, np.uint16).copy())
-        change = draw(own, ray_table(settings.range_cells), scan.x, scan.y, scan.readings)
+        change = draw(own, ray_table(settings.body.range_cells), scan.x, scan.y, scan.readings)
         entries = map_encoding.encode_changes(own, scan, change, delivered=True)
         updates.append((b"".join(entries), canonical(map_encoding.polygons[2])))
     return updates

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 from typing import Any
 
 import numpy as np
@@ -11,8 +10,10 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from agent.encoding_options import PredictiveOptions
 from agent.encodings.predictive import ENOUGH_STEPS, PredictiveEncoding, fragments
-from agent.settings import Settings
+from agent.settings import EncodingSettings, MediumSettings, ReplicationSettings, Settings
+from protocol.body import Body
 from protocol.budget import UNLIMITED, Budget
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, ray_table
@@ -27,11 +28,12 @@ WIDTH, HEIGHT = 20, 14
 seeds = st.integers(0, 2**32 - 1)
 
 
-def settings_of(robot: int, **more: Any) -> Settings:
+def settings_of(robot: int, base: Any = "team", bandwidth: Budget = UNLIMITED) -> Settings:
     return Settings(
-        robot=robot, robots=3, width=WIDTH, height=HEIGHT, ranges_cells=RANGES, beams=BEAMS, speed_cells=1.0,
-        seed=0, map_encoding="predictive", strategy="meier", dissemination="gossip", reach_cells=math.inf,
-        **({"bandwidth": UNLIMITED} | more),
+        robot=robot, bodies=tuple(Body(cells, 360.0, 1.0) for cells in RANGES), width=WIDTH, height=HEIGHT,
+        beams=BEAMS, seed=0, strategy="meier",
+        encoding=EncodingSettings("predictive", predictive=PredictiveOptions(base)),
+        replication=ReplicationSettings("gossip"), medium=MediumSettings(bandwidth),
     )  # fmt: skip
 
 
@@ -91,7 +93,7 @@ def test_every_team_member_ends_with_the_cells_that_any_of_them_observed(
     seed: int, base: str, noise: int
 ) -> None:
     truth = world(seed)
-    team = [Explorer(robot, seed, predictive={"base": base}) for robot in range(3)]
+    team = [Explorer(robot, seed, base=base) for robot in range(3)]
     for _ in range(6):
         sent = [(each.robot, each.scan(truth, noise=noise)) for each in team]
         for each in team:
@@ -234,10 +236,7 @@ def test_shared_decoding_gives_each_robot_the_result_of_decoding_alone(
 ) -> None:
     """At their own pace, with retracted updates; a byzantine robot sends different updates to each of them."""
     truth, rng = world(seed), np.random.default_rng(seed)
-    teams = [
-        [Explorer(robot, seed, common, predictive={"base": base}) for robot in range(3)]
-        for common in (None, {})
-    ]
+    teams = [[Explorer(robot, seed, common, base=base) for robot in range(3)] for common in (None, {})]
     reported = [[0] * 3 for _ in range(3)]
     for _ in range(12):
         sender = int(rng.integers(3))
