@@ -272,11 +272,8 @@ class Robot:
 
     def _verifying_steps(self) -> int:
         """Return for how many further steps it waits for digests, which may show that forwarded entries are forged."""
-        return (
-            VERIFY_STEPS
-            if self.settings.replication.digests and self.replication.replica.has_forwarded()
-            else 0
-        )
+        verifies = self.settings.replication.digests and self.replication.replica.has_forwarded()
+        return VERIFY_STEPS if verifies else 0
 
     def _apply(self, decision: Decision) -> None:
         """Take over a decision, and prepare what teammates are sent of it."""

@@ -132,7 +132,10 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @classmethod
     def decode(cls, data: bytes) -> Settings:
-        """Read encoded settings; ProtocolError if a setting is missing, unknown or of the wrong type."""
+        """Read encoded settings; ProtocolError if a setting is missing, unknown or of the wrong type.
+
+        Unknown options of encodings are ignored.
+        """
         try:
             return _decode(data)
         except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:

@@ -96,13 +96,14 @@ class _Limits:
     def of(cls, settings: Settings) -> _Limits:
         """Derive the limits from the team's budget and the frame size."""
         size, step_bytes, wait_steps = LAST_UPDATE_DATA, math.inf, 1
-        if (bandwidth := settings.medium.bandwidth.limit) is not None:
+        medium = settings.medium
+        if (bandwidth := medium.bandwidth.limit) is not None:
             size = bandwidth // PACKETS_A_STEP - SHORT_HEAD
             step_bytes = max(bandwidth, 1)
             scarcity = FAIR_SHARE * settings.robots / max(bandwidth, 1)
             wait_steps = min(max(math.ceil(scarcity), 1), ENOUGH_STEPS)
-        if settings.medium.frame_bytes is not None:
-            size = min(size, settings.medium.frame_bytes - SHORT_HEAD)
+        if medium.frame_bytes is not None:
+            size = min(size, medium.frame_bytes - SHORT_HEAD)
         return cls(min(max(size, UPDATE_DATA), LAST_UPDATE_DATA), step_bytes, wait_steps)
 
 
@@ -144,9 +145,8 @@ class PredictiveEncoding(GridEncoding):
         if isinstance(stream, ScanStream):
             return ScanAuthor(stream, self._limits.wait_steps)
         assert isinstance(stream, TileStream)
-        return TileAuthor(
-            stream, Bound(settings.encoding.tolerance, 1 if settings.laser is None else SETTLED)
-        )
+        settled = 1 if settings.laser is None else SETTLED
+        return TileAuthor(stream, Bound(settings.encoding.tolerance, settled))
 
     def _stream(self, map_id: int, histories: Sequence[History]) -> Stream:
         """Make the encoder or decoder of a log, at its beginning."""

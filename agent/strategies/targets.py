@@ -149,9 +149,8 @@ class TargetStrategy(Strategy):
         """Return whether to choose a target; always true without a target, and if the robot `herds`."""
         if self.options.replan == "after-turn":
             is_there = self.target in (None, situation.here)
-            return (is_there and self._scanner_steps >= self.settings.body.turn_steps) or self.herds(
-                situation
-            )
+            has_scanned = is_there and self._scanner_steps >= self.settings.body.turn_steps
+            return has_scanned or self.herds(situation)
         return (
             self.target is None
             or self.is_spent(situation, self.target, situation.here)
@@ -222,9 +221,8 @@ class TargetStrategy(Strategy):
 
     def planner(self, situation: Situation) -> PathPlanner:
         """Return a path planner on the planning grid."""
-        return PathPlanner(
-            situation.grid, self.options.costs, self.settings.body.radius_cells, cache=self._cache
-        )
+        radius = self.settings.body.radius_cells
+        return PathPlanner(situation.grid, self.options.costs, radius, cache=self._cache)
 
     def goals(self, situation: Situation, planner: PathPlanner) -> Cells:
         """Return the goals."""
