@@ -29,9 +29,9 @@ class Announcements:
     """One robot's pose and target, and which teammates know them."""
 
     def __init__(self, settings: Settings) -> None:
-        gossip = settings.dissemination == GOSSIP
-        self._target_slack = settings.range_cells / TARGET_SLACK if gossip else 0.0
-        self._pose_slack = settings.range_cells / POSE_SLACK
+        gossip = settings.replication.dissemination == GOSSIP
+        self._target_slack = settings.body.range_cells / TARGET_SLACK if gossip else 0.0
+        self._pose_slack = settings.body.range_cells / POSE_SLACK
         self._pose: packets.Pose | None = None
         self._target: Cell | None = None
         """A target to be sent."""

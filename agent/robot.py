@@ -48,7 +48,7 @@ SURE_AFTER = 10
 """Steps for which a map with assumptions must have nothing left to explore before a robot reports that it is done:
 by then teammates have sent more of areas that looked insignificant when they first saw them."""
 
-SURE_AFTER_NOISE = 1
+SURE_AFTER_NOISE = 3
 """The same for maps of noisy lasers, where a false wall may close a doorway for some steps."""
 
 SURE_AFTER_LOG = 20
@@ -69,9 +69,9 @@ def sure_after(settings: Settings) -> int:
     """
     if not strategy(settings.strategy).explores:
         return SURE_AFTER_LOG
-    if not encoding_class(settings.map_encoding).infers_cells(settings):
+    if not encoding_class(settings.encoding.name).infers_cells(settings):
         return 0 if settings.laser is None else SURE_AFTER_NOISE
-    return 2 * SURE_AFTER if settings.requires_acks else SURE_AFTER
+    return 2 * SURE_AFTER if settings.replication.requires_acks else SURE_AFTER
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class Robot:
         """The self-explored grid."""
         self.planning: Grid = self.own.copy()
         """The planning grid: the self-explored one merged with teammates' maps."""
-        narrow = narrow_cells(settings.radius_cells, settings.resolution)
+        narrow = narrow_cells(settings.body.radius_cells, settings.resolution)
         has_noise = settings.laser is not None
         self._noisy_grid = NoisyGrid(settings.height, settings.width, narrow) if has_noise else None
         self._encoding = make_encoding(settings)
@@ -164,7 +164,7 @@ class Robot:
         scan, change = self._mapper.add(sense)
         self._sense = sense
         self._team.perceive(sense)
-        if self.settings.digests:
+        if self.settings.replication.digests:
             self.replication.salt = zlib.crc32(sense.readings + sense.range_scan, sense.step) % SALTS
         encoding, replication = self._encoding, self.replication
         if encoding.retractable and not self._withheld and replication.retract(encoding.retractable):
@@ -248,7 +248,7 @@ class Robot:
             return self.planning
         self._noisy_grid.drive(sense.x, sense.y)
         if sense.blocked == WALL:
-            self._noisy_grid.bump(*cell_ahead(sense, self.settings.radius_cells))
+            self._noisy_grid.bump(*cell_ahead(sense, self.settings.body.radius_cells))
         return self._noisy_grid.clean(self.planning)
 
     def _look_again(self, situation: Situation, decision: Decision) -> Decision:
@@ -265,14 +265,15 @@ class Robot:
         """Report robots whose maps others contradict; with digests, only once their authors could disown entries."""
         doubted = self._encoding.doubted
         self._doubted_steps = {peer: self._doubted_steps.get(peer, 0) + 1 for peer in doubted}
-        wait = INTERVAL * self.settings.robots if self.settings.digests else 0
+        wait = INTERVAL * self.settings.robots if self.settings.replication.digests else 0
         new = {peer for peer, steps in self._doubted_steps.items() if steps > wait} - self.disbelieved
         self.faults += [Fault(peer, doubted[peer], "false map") for peer in sorted(new)]
         self.disbelieved |= new
 
     def _verifying_steps(self) -> int:
         """Return for how many further steps it waits for digests, which may show that forwarded entries are forged."""
-        return VERIFY_STEPS if self.settings.digests and self.replication.replica.has_forwarded() else 0
+        verifies = self.settings.replication.digests and self.replication.replica.has_forwarded()
+        return VERIFY_STEPS if verifies else 0
 
     def _apply(self, decision: Decision) -> None:
         """Take over a decision, and prepare what teammates are sent of it."""

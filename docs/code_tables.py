@@ -11,7 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from agent.encodings.options import PolygonOptions, PredictiveOptions
+from agent.encoding_options import PolygonOptions, PredictiveOptions
 from deploy.run.hosts import Host, Hosts
 from deploy.scenario.scenario import Scenario
 from deploy.scenario.tables import ChangeTable, FaultTable, RobotOverride
@@ -38,7 +38,8 @@ OPTIONS = {
         "exact_error": "also measure the error of an exact approximation (`approximation_error_net`)",
     },
     "predictive": {
-        "base": 'logs that an entry may depend on: `"team"`, all that its author has received; `"own"`, its own'
+        "base": 'logs that an entry may depend on: `"team"`, all that its author has received; `"own"`, its own',
+        "patience": "factor of the times for which changed tiles of noisy maps wait; recorded runs: 2",
     },
     "laser": {
         "preset": "a [laser by name](real-sensors.md#lasers), for values that the scenario does not give",

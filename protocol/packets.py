@@ -287,7 +287,7 @@ class Fragment(Packet, frozen=True):
     data: bytes
 
 
-class Update(Packet, frozen=True):
+class Update(Packet, frozen=True, repr_omit_defaults=True):
     """Fragment of a map update of the predictive encoding (`agent.predictive`).
 
     Short fragments have `UPDATE_DATA` bytes, and no `number`: another one always follows. Long ones have up to

@@ -40,7 +40,7 @@ from worldsim.restarts import Restarts
 OUT_OF_STEPS, ALL_LOST = "out of steps", "all robots are lost"
 
 
-LONE_REPORT_STEPS = 3
+LONE_REPORT_STEPS = 5
 """Steps after which the report of one robot ends a run with real sensors, if no teammate agrees."""
 
 

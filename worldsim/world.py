@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.arrays import BoolRows
+from protocol.body import Body
 from protocol.grid import FREE, Grid, RayTable, disc, enlarge, ray_table
 from protocol.kernels import kernel
 from protocol.keyed_random import keyed_random
@@ -38,22 +39,6 @@ from worldsim.sensors import Sensors, SensorSettings
 
 MOVES_AS_PLANNED = 0.7
 """Probability that a robot close to another moves as planned (Burgard et al., section IV)."""
-
-
-@dataclass(frozen=True)
-class Body:
-    """One robot's hardware."""
-
-    range_cells: float
-    """Sensor range in cells."""
-    field_of_view: float
-    """Degrees, centered on the heading."""
-    speed: float
-    """Cells per step."""
-    scanner_turn: float = 0.0
-    """Degrees that the scanner turns and covers per step; 0 if it covers the whole field of view at once."""
-    radius_cells: float = 0.0
-    """Radius of the robot, a disc, in cells; 0 for a point."""
 
 
 @dataclass(frozen=True)

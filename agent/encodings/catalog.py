@@ -44,4 +44,4 @@ def encoding_class(name: str) -> type[MapEncoding]:
 
 def make_encoding(settings: Settings) -> MapEncoding:
     """Make the encoding that the settings name; ValueError lists the known names."""
-    return encoding_class(settings.map_encoding)(settings)
+    return encoding_class(settings.encoding.name)(settings)

@@ -52,9 +52,10 @@ class CellEncoding(GridEncoding):
     def __init__(self, settings: Settings) -> None:
         super().__init__(settings)
         shape = settings.height, settings.width
-        self._most = settings.frame_bytes or packets.Fragment.size
-        if settings.bandwidth.limit is not None:
-            self._most = min(self._most, max(settings.bandwidth.limit // PACKETS_A_STEP, LEAST))
+        medium = settings.medium
+        self._most = medium.frame_bytes or packets.Fragment.size
+        if medium.bandwidth.limit is not None:
+            self._most = min(self._most, max(medium.bandwidth.limit // PACKETS_A_STEP, LEAST))
         self._encoded: Grid = np.zeros(shape, np.uint8)
         """The self-explored grid as the patches so far describe it."""
         self._pending = NO_BOXES

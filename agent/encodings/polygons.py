@@ -12,7 +12,6 @@ from dataclasses import fields, replace
 from typing import Any
 
 from agent.encodings.base import MapEncoding
-from agent.encodings.options import PolygonOptions
 from agent.encodings.received_grid import ChangedCells
 from agent.memo_cache import NO_CACHE, MemoCache
 from agent.outline.approximation import Marks, approximation, repair
@@ -38,14 +37,14 @@ class PolygonEncoding(MapEncoding):
 
     def __init__(self, settings: Settings) -> None:
         super().__init__(settings)
-        options = PolygonOptions(**settings.polygons)
+        options = settings.encoding.polygons
         shape = settings.height, settings.width
         self._options = options
         self._drawing = Drawing(**{part.name: getattr(options, part.name) for part in fields(Drawing)})
         self._allowance = SplitAllowance(
             settings.robots,
-            settings.bandwidth.limit,
-            settings.reach_cells,
+            settings.medium.bandwidth.limit,
+            settings.medium.reach_cells,
             settings.width,
             settings.height,
             options.medium_use,
@@ -90,7 +89,7 @@ class PolygonEncoding(MapEncoding):
     @classmethod
     def infers_cells(cls, settings: Settings) -> bool:
         """Whether wide walls or closed slivers are inferred."""
-        options = PolygonOptions(**settings.polygons)
+        options = settings.encoding.polygons
         return settings.robots > 1 and (options.wide_walls or options.close_slivers)
 
     @property

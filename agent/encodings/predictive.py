@@ -23,7 +23,6 @@ from typing import Any
 import numpy as np
 
 from agent.encodings.base import NO_SENDER, Dependency
-from agent.encodings.options import PredictiveOptions
 from agent.encodings.received_grid import GridEncoding
 from agent.mapping.bound import Bound
 from agent.mapping.estimator import SETTLED
@@ -59,10 +58,13 @@ FAIR_SHARE = 28
 PATIENCE = 8
 """Steps for which a robot waits until updates on which its own ones depend have arrived again."""
 
-LONG = int(__import__('os').environ.get('LONG','32'))
 PACKETS_A_STEP = 3
 """Packets are short enough that the budget of one step holds this many: a packet that does not fit into the rest of
 a budget leaves that rest unused."""
+
+LONG_FRAGMENT = 32
+"""Bytes of content of a packet from which updates of tiles, most of which take several packets, are split into packets
+of equal size. Below, short fragments fill the budget of a step better."""
 
 
 @dataclass
@@ -100,15 +102,17 @@ class _Limits:
     def of(cls, settings: Settings) -> _Limits:
         """Derive the limits from the team's budget and the frame size."""
         size, step_bytes, wait_steps = LONG_UPDATE_DATA, math.inf, 1
-        if (bandwidth := settings.bandwidth.limit) is not None:
+        medium = settings.medium
+        if (bandwidth := medium.bandwidth.limit) is not None:
             size = bandwidth // PACKETS_A_STEP - SHORT_HEAD
             step_bytes = max(bandwidth, 1)
             scarcity = FAIR_SHARE * settings.robots / max(bandwidth, 1)
             wait_steps = min(max(math.ceil(scarcity), 1), ENOUGH_STEPS)
-        if settings.frame_bytes is not None:
-            size = min(size, settings.frame_bytes - SHORT_HEAD)
+        if medium.frame_bytes is not None:
+            size = min(size, medium.frame_bytes - SHORT_HEAD)
         size = min(max(size, UPDATE_DATA), LONG_UPDATE_DATA)
-        return cls(size, size if settings.shares_tiles and size >= LONG else UPDATE_DATA, step_bytes, wait_steps)
+        splits_long = settings.shares_tiles and size >= LONG_FRAGMENT
+        return cls(size, size if splits_long else UPDATE_DATA, step_bytes, wait_steps)
 
 
 class PredictiveEncoding(GridEncoding):
@@ -118,7 +122,7 @@ class PredictiveEncoding(GridEncoding):
 
     def __init__(self, settings: Settings) -> None:
         super().__init__(settings)
-        self._options = PredictiveOptions(**settings.predictive)
+        self._options = settings.encoding.predictive
         self._limits = _Limits.of(settings)
         self._histories = [History() for _ in range(settings.maps)]
         self._scratch = np.empty((2 * settings.height * settings.width, 2), np.int32)
@@ -149,8 +153,9 @@ class PredictiveEncoding(GridEncoding):
         if isinstance(stream, ScanStream):
             return ScanAuthor(stream, self._limits.wait_steps)
         assert isinstance(stream, TileStream)
-        bound = Bound(settings.tolerance, 1 if settings.laser is None else SETTLED)
-        return TileAuthor(stream, bound, self._options.patience)
+        settled = 1 if settings.laser is None else SETTLED
+        encoding = settings.encoding
+        return TileAuthor(stream, Bound(encoding.tolerance, settled), encoding.predictive.patience)
 
     def _stream(self, map_id: int, histories: Sequence[History]) -> Stream:
         """Make the encoder or decoder of a log, at its beginning."""
@@ -159,7 +164,7 @@ class PredictiveEncoding(GridEncoding):
         maps, team = settings.robots, self._options.base == "team"
         if settings.shares_tiles:
             return TileStream(map_id, grid, histories, self._scratch, team=team, base_maps=maps)
-        beams = ray_table(settings.ranges_cells[settings.author_of(map_id)], settings.beams)
+        beams = ray_table(settings.bodies[settings.author_of(map_id)].range_cells, settings.beams)
         return ScanStream(map_id, grid, beams, histories, self._scratch, team=team, base_maps=maps)
 
     def _decoder(self, map_id: int) -> Stream | CachedReader:
@@ -199,19 +204,19 @@ class PredictiveEncoding(GridEncoding):
     def _encode_pending(self, own: Grid) -> list[bytes]:
         """Encode updates up to the budget of a step; the rest stays pending."""
         map_id = self.settings.own_map
-        author, log = self._author, self._states[map_id]
+        author, log, limits = self._author, self._states[map_id], self._limits
         author.stream.avoided = {
             each for each in range(self.settings.maps) if self.settings.author_of(each) in self.doubted
         }
         packets: list[bytes] = []
         size = updates = 0
-        while author.has_changes and size < self._limits.step_bytes:
-            encoded = author.encode(own, self.log_odds, self._limits.step_bytes - size)
+        while author.has_changes and size < limits.step_bytes:
+            encoded = author.encode(own, self.log_odds, limits.step_bytes - size)
             if encoded is None:
                 break
             message, self._last = encoded
             self._count_votes(self._last)
-            packets += _fragments(message, log.updates, self._limits)
+            packets += fragments(message, log.updates, limits.packet_bytes, limits.fragment_bytes)
             log.ends.append(log.packets + len(packets))
             log.updates += 1
             self._note_dependency(map_id, self._last)
@@ -290,7 +295,7 @@ class PredictiveEncoding(GridEncoding):
         probably received other entries of the maps on which it depends. It waits until the author withdraws it.
         """
         log, history = self._states[map_id], self._histories[map_id]
-        if log.error and not self.settings.digests:
+        if log.error and not self.settings.replication.digests:
             raise ProtocolError(Update.name, 0, log.error)
         self._step = step
         packets = decode_kind(frame, Update)
@@ -327,7 +332,7 @@ class PredictiveEncoding(GridEncoding):
                 self._decode_next(map_id, step, sender)
             except ProtocolError as error:
                 message = log.messages[kept]
-                if not (self.settings.digests and message == log.refused):
+                if not (self.settings.replication.digests and message == log.refused):
                     log.refused = message
                     del log.messages[kept:], log.ends[kept:]
                     raise
@@ -434,11 +439,11 @@ class PredictiveEncoding(GridEncoding):
             self.received_changed(update.box)
 
 
-def _fragments(message: bytes, number: int, limits: _Limits) -> list[bytes]:
-    """Split an update into packets."""
+def fragments(message: bytes, number: int, most: int, size: int = UPDATE_DATA) -> list[bytes]:
+    """Split an update into packets of `size` bytes of content, and a last one of at most `most` bytes."""
     number %= UPDATE_NUMBERS
-    size, packets = limits.fragment_bytes, []
-    while len(message) > limits.packet_bytes:
+    packets = []
+    while len(message) > most:
         part, message = message[:size], message[size:]
-        packets.append(Update(None, part) if size == UPDATE_DATA else Update(number, part, 1))
+        packets.append(Update(None, part) if size == UPDATE_DATA else Update(number, part, more=1))
     return [encode([packet]) for packet in (*packets, Update(number, message))]

@@ -24,9 +24,9 @@ class ReachabilityCheck:
 
     def __init__(self, settings: Settings) -> None:
         self._author_of = settings.author_of
-        self._speed = max(settings.fastest_cells, settings.speed_cells)
-        self._ranges = settings.ranges_cells
-        self._perfect = not settings.requires_acks
+        self._speed = max(body.speed for body in settings.bodies)
+        self._ranges = [body.range_cells for body in settings.bodies]
+        self._perfect = not settings.replication.requires_acks
         self._reported: dict[int, Box] = {}
         self._entries: dict[int, int] = {}
         self._poses: dict[int, tuple[int, int, int]] = {}

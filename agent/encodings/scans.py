@@ -39,7 +39,7 @@ class ScanEncoding(GridEncoding):
     def __init__(self, settings: Settings) -> None:
         super().__init__(settings)
         self._format = self.make_format(settings)
-        self._most = settings.frame_bytes or packets.Fragment.size
+        self._most = settings.medium.frame_bytes or packets.Fragment.size
         self._partial: dict[int, bytes] = {}
         self._last = b""
 
@@ -98,7 +98,7 @@ class ExactScans:
     def __init__(self, settings: Settings) -> None:
         self.size = scan_size(settings.beams)
         self._author_of = settings.author_of
-        self._ray_tables = [ray_table(cells, settings.beams) for cells in settings.ranges_cells]
+        self._ray_tables = [ray_table(body.range_cells, settings.beams) for body in settings.bodies]
 
     def encode(self, scan: Scan | RangeScan) -> bytes:
         """Encode a scan; nothing if it has no readings."""

@@ -42,7 +42,7 @@ class ZstdMapEncoding(GridEncoding):
 
     def __init__(self, settings: Settings) -> None:
         super().__init__(settings)
-        self._most = settings.frame_bytes or packets.Fragment.size
+        self._most = settings.medium.frame_bytes or packets.Fragment.size
         self._partial: dict[int, bytes] = {}
         self._maps: dict[int, Grid] = {}
         """The last received map, by map ID."""

@@ -49,7 +49,7 @@ class ExactMapper(Mapper):
     def __init__(self, settings: Settings) -> None:
         self.states = np.full((settings.height, settings.width), UNKNOWN, np.uint8)
         self.log_odds = self.states.view(np.int8)
-        self._ray_table = ray_table(settings.range_cells, settings.beams)
+        self._ray_table = ray_table(settings.body.range_cells, settings.beams)
 
     def add(self, sense: Sense) -> tuple[Scan, Change]:
         """Draw the readings."""
@@ -67,7 +67,7 @@ class EstimatingMapper(Mapper):
     def __init__(self, settings: Settings, laser: Laser) -> None:
         self._estimator = Estimator(settings.height, settings.width)
         self.states, self.log_odds = self._estimator.states, self._estimator.log_odds
-        self._laser, self._resolution, self._radius = laser, settings.resolution, settings.radius_cells
+        self._laser, self._resolution, self._radius = laser, settings.resolution, settings.body.radius_cells
 
     def add(self, sense: Sense) -> tuple[RangeScan, Change]:
         """Add the scan of a real laser."""

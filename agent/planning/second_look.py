@@ -45,7 +45,7 @@ class SecondLook:
     """What one robot remembers of its planning grid, uint8 of shape (h, w), and where it looks again."""
 
     def __init__(self, settings: Settings) -> None:
-        self._radius, self._speed = settings.radius_cells, settings.speed_cells
+        self._radius, self._speed = settings.body.radius_cells, settings.body.speed
         self._small = SMALL_M2 / settings.resolution**2
         self._segment = SEGMENT_M / settings.resolution
         self._free_steps: NDArray[np.uint8] = np.zeros((settings.height, settings.width), np.uint8)

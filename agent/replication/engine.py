@@ -36,15 +36,16 @@ def make_replication(
     `consume` decodes received entries; `dependencies` returns log ranges that depend on other logs, by map number;
     `rebuild` decodes all logs again after entries were dropped.
     """
+    replication = settings.replication
     maps = map_ids(settings.robots, settings.incarnations)
     own = maps[settings.own_map]
-    replica = Replica(own, maps, consume, rebuild, ordered=not settings.requires_acks)
-    if settings.dissemination == GOSSIP:
-        acks = Acks(replica.peers, reliable=not settings.requires_acks)
+    replica = Replica(own, maps, consume, rebuild, ordered=not replication.requires_acks)
+    if replication.dissemination == GOSSIP:
+        acks = Acks(replica.peers, reliable=not replication.requires_acks)
         return Gossip(replica, acks, dependencies)
-    policy = POLICIES.get(settings.dissemination)
+    policy = POLICIES.get(replication.dissemination)
     if policy is None:
         known = ", ".join(DISSEMINATIONS)
-        raise ValueError(f"unknown dissemination {settings.dissemination!r}; choose from: {known}")
-    unicast = AckedFrames if settings.requires_acks else Handshakes
-    return unicast(replica, policy, forwards=settings.forward_maps)
+        raise ValueError(f"unknown dissemination {replication.dissemination!r}; choose from: {known}")
+    unicast = AckedFrames if replication.requires_acks else Handshakes
+    return unicast(replica, policy, forwards=replication.forward_maps)

@@ -185,7 +185,7 @@ class Strategy(ABC):
         A robot with a limited field of view that a wall has stopped turns by an eighth of a turn per step: its disc
         may touch an obstacle beside its way.
         """
-        if situation.blocked == "wall" and self.settings.field_of_view < FULL_TURN:
+        if situation.blocked == "wall" and self.settings.body.field_of_view < FULL_TURN:
             return (situation.heading + 1) % 8
         return situation.facing_the_unknown() if is_there else situation.heading
 

@@ -91,7 +91,7 @@ class Burgard(TeamStrategy):
         return PathPlanner(
             situation.grid,
             self.options.costs,
-            self.settings.radius_cells,
+            self.settings.body.radius_cells,
             occ_max=self.options.occ_max,
             cache=self._cache,
         )

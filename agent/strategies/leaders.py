@@ -80,7 +80,7 @@ class PotentialField(Strategy):
         self._field = forces.Field(*(getattr(self.options, name) for name in forces.Field._fields))
         self._velocity = np.zeros(2)
         self._route = Route()
-        self._yielding = YieldBehavior(settings.seed, settings.robot, settings.range_cells)
+        self._yielding = YieldBehavior(settings.seed, settings.robot, settings.body.range_cells)
         self._anchor: tuple[float, float] = (0.0, 0.0)
         self._anchor_step = 0
         self._known = -1
@@ -116,7 +116,7 @@ class PotentialField(Strategy):
         """Return the motion of the next second: by forces, or along a leader's way."""
         size = self.settings.resolution
         at = situation.x + situation.offset[0] / FINE, situation.y + situation.offset[1] / FINE
-        planner = PathPlanner(situation.grid, radius_cells=self.settings.radius_cells)
+        planner = PathPlanner(situation.grid, radius_cells=self.settings.body.radius_cells)
         frontier = planner.frontier(*situation.here)
         if situation.blocked:
             self._velocity = np.zeros(2)
@@ -135,7 +135,7 @@ class PotentialField(Strategy):
             robots = [situation.poses[peer][:2] for peer in situation.peers if peer in situation.poses]
             path, self._velocity = forces.glide(
                 planner.floor, size, at, self._velocity, frontier,
-                np.array(robots, np.float64).reshape(-1, 2), self._field, self.settings.speed_cells * size,
+                np.array(robots, np.float64).reshape(-1, 2), self._field, self.settings.body.speed * size,
             )  # fmt: skip
             gap = (frontier[:, 0] - at[0]) ** 2 + (frontier[:, 1] - at[1]) ** 2
             target = frontier[np.argmin(gap)]
@@ -172,14 +172,14 @@ class PotentialField(Strategy):
             points = corners(planner.floor, start, self._route.cells)
         else:
             target = (points[-1] + FINE // 2) // FINE
-        self._route.cells = crossed(start, points, self.settings.speed_cells)
+        self._route.cells = crossed(start, points, self.settings.body.speed)
         return target, points
 
     def _is_stalled(self, situation: Situation, at: tuple[float, float]) -> bool:
         """Whether neither the robot's place nor its map has changed for `STALL_STEPS`."""
         known = int(np.count_nonzero(situation.grid))
         away = np.hypot(at[0] - self._anchor[0], at[1] - self._anchor[1]) * self.settings.resolution
-        enough = min(STALL_METRES, STALL_STEPS / 2 * self.settings.speed_cells * self.settings.resolution)
+        enough = min(STALL_METRES, STALL_STEPS / 2 * self.settings.body.speed * self.settings.resolution)
         if known != self._known or away > enough:
             self._known, self._anchor, self._anchor_step = known, at, situation.step
         return situation.step - self._anchor_step >= STALL_STEPS

@@ -195,7 +195,7 @@ class Repairmen(TeamStrategy):
     def table(self, situation: Situation, goals: Cells, planner: PathPlanner) -> Table:
         """Return the costs of all robots and goals; ways between goals come from the same search."""
         team = self.team(situation)
-        radii = {self.settings.radius_of(robot) for robot in team}
+        radii = {self.settings.bodies[robot].radius_cells for robot in team}
         if len(radii) > 1:
             _, self._between = planner.of_radius(min(radii)).costs_among(goals[:0], goals)
             return super().table(situation, goals, planner)
@@ -223,13 +223,13 @@ class Repairmen(TeamStrategy):
             return target
         if target in self._observed_in_vain:
             return target
-        reach = min(self.options.viewpoint_range, 1.0) * self.settings.range_cells
-        around = ray_table(self.settings.range_cells, self.settings.beams)
+        reach = min(self.options.viewpoint_range, 1.0) * self.settings.body.range_cells
+        around = ray_table(self.settings.body.range_cells, self.settings.beams)
         views = (
             viewpoint_cells(situation.grid, (x, y), around, reach) if is_small else None
             for (x, y), is_small in zip(goals.tolist(), are_small, strict=True)
         )
-        found = best_viewpoint(planner, situation.here, views, goals, self.settings.speed_cells)
+        found = best_viewpoint(planner, situation.here, views, goals, self.settings.body.speed)
         if found is None:
             self._observed_in_vain.add(target)
         return found or target
@@ -237,7 +237,7 @@ class Repairmen(TeamStrategy):
     def _uses_viewpoints(self) -> bool:
         """Whether one scan, in any heading, observes everything within range."""
         settings = self.settings
-        full_turn = settings.field_of_view >= 360.0 and settings.turn_steps == 1
+        full_turn = settings.body.field_of_view >= 360.0 and settings.body.turn_steps == 1
         return full_turn and self.options.replan != "at-goal" and self.options.viewpoint_range > 0
 
     def _is_stranded(self, here: Cell) -> bool:

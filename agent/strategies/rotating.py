@@ -110,7 +110,7 @@ class ShengBid(TargetStrategy):
         sensor ranges, the longest of the team; lambda is minus the straight distance to the nearest teammate whose
         pose is known.
         """
-        range_cells, scale = self.settings.range_cells, self.settings.scale_cells
+        range_cells, scale = self.settings.body.range_cells, self.settings.scale_cells
         poses = [pose[:2] for pose in situation.poses.values()]
         others = poses + list(situation.targets.values())
         ranges = self.settings.ranges_of([*situation.poses, *situation.targets])

@@ -110,7 +110,7 @@ class TargetStrategy(Strategy):
         self.target: Cell | None = None
         self._route = Route()
         self._goal: Cell | None = None
-        self._yielding = YieldBehavior(settings.seed, settings.robot, settings.range_cells)
+        self._yielding = YieldBehavior(settings.seed, settings.robot, settings.body.range_cells)
         self._blocked_near_home = 0
         self._cut_off = 0
         self._scanner_steps = 0
@@ -149,7 +149,8 @@ class TargetStrategy(Strategy):
         """Return whether to choose a target; always true without a target, and if the robot `herds`."""
         if self.options.replan == "after-turn":
             is_there = self.target in (None, situation.here)
-            return (is_there and self._scanner_steps >= self.settings.turn_steps) or self.herds(situation)
+            has_scanned = is_there and self._scanner_steps >= self.settings.body.turn_steps
+            return has_scanned or self.herds(situation)
         return (
             self.target is None
             or self.is_spent(situation, self.target, situation.here)
@@ -174,7 +175,7 @@ class TargetStrategy(Strategy):
         own_x, own_y = self.target
         return any(
             other < self.settings.robot
-            and (x - own_x) ** 2 + (y - own_y) ** 2 < self.settings.ranges_cells[other] ** 2
+            and (x - own_x) ** 2 + (y - own_y) ** 2 < self.settings.bodies[other].range_cells ** 2
             and in_sight(situation.grid, x, y, own_x, own_y)
             for other, (x, y) in situation.new_targets.items()
         )
@@ -210,7 +211,7 @@ class TargetStrategy(Strategy):
         self._scans = self.options.scan == "always" or at_rest
         return Decision(
             target=self.target,
-            path=self._route.next_cells(int(self.settings.speed_cells) + 2),
+            path=self._route.next_cells(int(self.settings.body.speed) + 2),
             heading=self.heading(situation, is_there=self.target == here),
             explored=not left and (self.options.mission == "open" or is_home),
             look=self._scans,
@@ -220,7 +221,8 @@ class TargetStrategy(Strategy):
 
     def planner(self, situation: Situation) -> PathPlanner:
         """Return a path planner on the planning grid."""
-        return PathPlanner(situation.grid, self.options.costs, self.settings.radius_cells, cache=self._cache)
+        radius = self.settings.body.radius_cells
+        return PathPlanner(situation.grid, self.options.costs, radius, cache=self._cache)
 
     def goals(self, situation: Situation, planner: PathPlanner) -> Cells:
         """Return the goals."""
@@ -307,7 +309,7 @@ class TargetStrategy(Strategy):
 
     def _is_near_home(self, situation: Situation, planner: PathPlanner) -> bool:
         """Whether the way home is at most twice as long as a queue of all robots."""
-        berth = max(1.0, 2 * self.settings.radius_cells, MIN_BERTH_M / self.settings.resolution)
+        berth = max(1.0, 2 * self.settings.body.radius_cells, MIN_BERTH_M / self.settings.resolution)
         way = planner.path(situation.here, situation.home)
         return way is not None and len(way) <= 2 * self.settings.robots * berth
 

@@ -119,7 +119,7 @@ class TeamStrategy(TargetStrategy):
     def costs_of(self, team: Mapping[int, Cell], goals: Cells, planner: PathPlanner) -> Costs:
         """Return the cost of each member's way to each goal, shape (m, n), with obstacles enlarged by its radius."""
         costs = np.empty((len(team), len(goals)))
-        radii = np.array([self.settings.radius_of(robot) for robot in team])
+        radii = np.array([self.settings.bodies[robot].radius_cells for robot in team])
         cells = np.array(list(team.values()), np.int32)
         for radius in np.unique(radii):
             alike = radii == radius
@@ -129,7 +129,7 @@ class TeamStrategy(TargetStrategy):
     def frontier(self, situation: Situation, planner: PathPlanner) -> Cells:
         """Return the frontier cells that this robot, or with mixed radii any member, can reach."""
         team = self.team(situation)
-        radii = {robot: self.settings.radius_of(robot) for robot in team}
+        radii = {robot: self.settings.bodies[robot].radius_cells for robot in team}
         if len(set(radii.values())) == 1:
             return super().frontier(situation, planner)
         found = {
@@ -163,7 +163,7 @@ def unclaimed(situation: Situation, goals: Cells, targets: Mapping[int, Cell], s
     """Return the goals not within sensor range and in sight of a robot's target; all goals if none would be left."""
     keep = [
         all(
-            (x - tx) ** 2 + (y - ty) ** 2 >= settings.ranges_cells[robot] ** 2
+            (x - tx) ** 2 + (y - ty) ** 2 >= settings.bodies[robot].range_cells ** 2
             or not in_sight(situation.grid, x, y, tx, ty)
             for robot, (tx, ty) in targets.items()
         )

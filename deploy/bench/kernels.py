@@ -28,6 +28,7 @@ from agent.outline.polygons import Polygons
 from agent.outline.simplify import refine
 from agent.planning.cost_field import Field, costs
 from agent.planning.frontier import Floor
+from agent.settings import EncodingSettings, MediumSettings, ReplicationSettings
 from deploy.bench import baselines
 from deploy.bench.estimation import estimation
 from deploy.bench.explorations import SAMPLES, Moment, beams, explore, office, samples
@@ -35,7 +36,6 @@ from deploy.bench.measurement import Measurement, compare, timed
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import Scenario
-from protocol.budget import UNLIMITED
 from protocol.grid import Grid
 from protocol.scans import draw
 from worldsim import maps
@@ -165,7 +165,10 @@ def _cost_field(moments: Sequence[Moment], graph: Any) -> Measurement:
 def _predictive(plan: Plan, moments: Sequence[Moment]) -> Iterator[Measurement]:
     """Encode and decode scans with the predictive encoding; baseline: drawing the scans."""
     settings = replace(
-        plan.robot_settings[0], map_encoding="predictive", dissemination="gossip", bandwidth=UNLIMITED
+        plan.robot_settings[0],
+        encoding=EncodingSettings("predictive"),
+        replication=ReplicationSettings("gossip"),
+        medium=MediumSettings(),
     )
     encoder, decoder = PredictiveEncoding(settings), PredictiveEncoding(replace(settings, robot=1))
     drawn, rays = np.zeros_like(moments[0].grid), beams(plan)

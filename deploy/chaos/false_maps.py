@@ -39,7 +39,8 @@ LIES: dict[str, Callable[[Grid], Grid]] = {
 def with_false_map(plan: Plan, robot: int, lie: str) -> Plan:
     """Return a plan in which one robot's map is false, in the same way in each step."""
     settings = plan.robot_settings[robot]
-    false = replace(settings, map_encoding=f"{__name__}:{settings.map_encoding}_{lie}")
+    encoding = replace(settings.encoding, name=f"{__name__}:{settings.encoding.name}_{lie}")
+    false = replace(settings, encoding=encoding)
     return dataclasses.replace(plan, robot_settings=plan.robot_settings | {robot: false})
 
 
@@ -60,7 +61,7 @@ def _encoding_of(lie: str, encoding: Any) -> type[MapEncoding]:
             around = slice(max(y - 1, 0), y + 2), slice(max(x - 1, 0), x + 2)
             false[around] = own[around]
             if lie == "free":  # also beyond walls, as far as the laser reaches
-                reach = int(self.settings.range_cells)
+                reach = int(self.settings.body.range_cells)
                 false[max(y - reach, 0) : y + reach, max(x - reach, 0) : x + reach] = FREE
                 false[self._false == FREE] = FREE
             rows, columns = np.nonzero(false != self._false)
@@ -69,7 +70,7 @@ def _encoding_of(lie: str, encoding: Any) -> type[MapEncoding]:
                 box = int(columns.min()), int(rows.min()), int(columns.max()) + 1, int(rows.max()) + 1
             self._false[:] = false
             solid, no_robots = np.maximum(false, FREE), np.zeros(false.shape, np.bool_)
-            beams = ray_table(self.settings.range_cells, self.settings.beams)
+            beams = ray_table(self.settings.body.range_cells, self.settings.beams)
             seen = Scan(x, y, cast(solid, no_robots, beams, x, y))
             entries: list[bytes] = super().encode_changes(
                 self._false, seen, Change(len(rows), box), delivered=delivered

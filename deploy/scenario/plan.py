@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
+from msgspec.structs import replace
 
 from agent.replication.policies import GOSSIP
-from agent.settings import Settings
+from agent.settings import EncodingSettings, MediumSettings, ReplicationSettings, Settings
 from agent.strategies.registry import strategy
 from deploy.scenario.finding_maps import find_map
 from deploy.scenario.recording import Recording, load_recording
@@ -16,6 +17,7 @@ from deploy.scenario.scenario import Scenario, ScenarioError
 from deploy.scenario.tables import RobotOverride
 from netshaper.settings import RadioSettings
 from protocol import faults
+from protocol.body import Body
 from protocol.budget import Budget
 from protocol.errors import shown
 from protocol.grid import MAX_SIDE, disc, enlarge
@@ -27,7 +29,7 @@ from worldsim.people import PeopleSettings
 from worldsim.recorded.world import RecordedWorld
 from worldsim.sensors import SensorSettings
 from worldsim.starts import Cell, check_free, jittered, start_cells
-from worldsim.world import Body, World, WorldSettings
+from worldsim.world import World, WorldSettings
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,40 +194,36 @@ def _robot_settings(
     sensors: SensorSettings | None,
     record_maps: bool,
 ) -> dict[int, Settings]:
+    encoding = EncodingSettings(
+        scenario.map_encoding, scenario.polygons, scenario.predictive, scenario.tolerance
+    )
+    replication = ReplicationSettings(
+        scenario.dissemination,
+        forward_maps=scenario.forward_maps,
+        requires_acks=not radio.perfect or (radio.gossip and faults.deafen(scenario.faults)),
+        digests=scenario.digests,
+    )
+    medium = MediumSettings(radio.budget, radio.range_cells, radio.packet_bytes)
     return {
         number: Settings(
             robot=number,
-            robots=scenario.robots,
+            bodies=tuple(bodies),
             width=world_map.width,
             height=world_map.height,
-            ranges_cells=[body.range_cells for body in bodies],
             beams=scenario.beams,
-            speed_cells=body.speed,
             seed=scenario.seed,
-            map_encoding=scenario.map_encoding,
             strategy=scenario.strategy,
-            dissemination=scenario.dissemination,
-            bandwidth=radio.budget,
-            reach_cells=radio.range_cells,
-            polygons=asdict(scenario.polygons),
-            predictive=asdict(scenario.predictive),
+            encoding=encoding,
+            replication=replication,
+            medium=medium,
             options=scenario.options,
             resolution=world_map.resolution,
-            radii_cells=[body.radius_cells for body in bodies],
-            field_of_view=body.field_of_view,
-            scanner_turn=body.scanner_turn,
-            forward_maps=scenario.forward_maps,
-            digests=scenario.digests,
-            requires_acks=not radio.perfect or (radio.gossip and faults.deafen(scenario.faults)),
-            fastest_cells=max(body.speed for body in bodies),
-            frame_bytes=radio.packet_bytes,
-            incarnations=radio.incarnations,
-            record_maps=record_maps,
             laser=None if sensors is None else sensors.geometries[number],
             people=scenario.people.number > 0,
-            tolerance=scenario.tolerance,
+            incarnations=radio.incarnations,
+            record_maps=record_maps,
         )
-        for number, body in enumerate(bodies)
+        for number in range(scenario.robots)
     }
 
 

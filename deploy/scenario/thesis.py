@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-from agent.encodings.options import THESIS_OPTIONS, PolygonOptions
+from agent.encoding_options import THESIS_OPTIONS, PolygonOptions
 
 ENCODING, DISSEMINATIONS, STRATEGY = "polygons", "thesis", "meier"
 

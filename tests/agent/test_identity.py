@@ -7,11 +7,13 @@ from msgspec.structs import replace
 
 from agent.identity import Identity
 from agent.journal import Journal, JournalError
-from agent.settings import Settings
+from agent.settings import EncodingSettings, ReplicationSettings, Settings
+from protocol.body import Body
 
 SETTINGS = Settings(
-    1, 3, 20, 10, [5.0] * 3, 36, 5.0, 0, "polygons", "meier", "backoff", 1000.0, 50.0, incarnations=3
-)
+    robot=1, bodies=(Body(5.0, 360.0, 5.0),) * 3, width=20, height=10, beams=36, seed=0, strategy="meier",
+    encoding=EncodingSettings("polygons"), replication=ReplicationSettings("backoff"), incarnations=3,
+)  # fmt: skip
 
 
 def test_each_incarnation_has_its_own_map_id_and_the_home_of_the_first() -> None:

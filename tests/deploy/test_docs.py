@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from agent.encoding_options import THESIS_OPTIONS, PolygonOptions
 from agent.encodings.catalog import ENCODINGS
-from agent.encodings.options import THESIS_OPTIONS, PolygonOptions
 from agent.encodings.predictive import PredictiveEncoding
 from agent.outline.approximation import approximation, repair
 from agent.outline.contour import contours
@@ -26,7 +26,7 @@ from agent.predictive.tile_author import ENOUGH_TILES, INTERVAL, LONGEST_WAIT, Q
 from agent.replication import handshakes, neighbors
 from agent.replication.base import Replication
 from agent.replication.policies import DISSEMINATIONS
-from agent.settings import Settings
+from agent.settings import EncodingSettings, ReplicationSettings, Settings
 from deploy.record.columns import SUMMARY
 from deploy.run.exploration import explore
 from deploy.run.in_memory import MemoryRun
@@ -37,7 +37,7 @@ from netshaper import access
 from netshaper.ledger import CAUSES
 from netshaper.presets import PRESETS
 from protocol import messages, packet_index, packets
-from protocol.budget import UNLIMITED
+from protocol.body import Body
 from protocol.grid import MAX_ROBOTS, MAX_SIDE, UNKNOWN, Grid, ray_table
 from protocol.keys import Keys
 from protocol.messages import Delivery, RoundReport, SendReport
@@ -162,8 +162,8 @@ def updates_example() -> str:
     truth = np.array([["?.#".index(cell) for cell in row] for row in rows], np.uint8)
     height, width = truth.shape
     settings = Settings(
-        robot=0, robots=3, width=width, height=height, ranges_cells=[5.0] * 3, beams=72, speed_cells=3.0, seed=0,
-        map_encoding="predictive", strategy="meier", dissemination="gossip", bandwidth=UNLIMITED, reach_cells=100.0,
+        robot=0, bodies=(Body(5.0, 360.0, 3.0),) * 3, width=width, height=height, beams=72, seed=0,
+        strategy="meier", encoding=EncodingSettings("predictive"), replication=ReplicationSettings("gossip"),
     )  # fmt: skip
     maker, gossip, receiver = (
         PredictiveEncoding(settings),

@@ -20,17 +20,18 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 from PIL import Image
 
+from agent.encoding_options import PolygonOptions
 from agent.encodings.catalog import ENCODINGS, make_encoding
-from agent.encodings.options import PolygonOptions
 from agent.identity import Identity
 from agent.journal import Journal, JournalError
 from agent.outline.receiver import Receiver
 from agent.replication.base import Replication
-from agent.settings import Settings
+from agent.settings import EncodingSettings, MediumSettings, ReplicationSettings, Settings
 from deploy.scenario import plan as plans
 from deploy.scenario.scenario import Scenario, ScenarioError, lay, parse
 from netshaper.radio_options import RadioOptions
 from protocol import packet_index, packets
+from protocol.body import Body
 from protocol.budget import Budget
 from protocol.errors import ProtocolError
 from protocol.keys import Keys
@@ -48,22 +49,10 @@ EXAMPLES = int(os.environ.get("FUZZ_EXAMPLES", "60"))
 """How many inputs each reader gets."""
 
 SETTINGS = Settings(
-    1,
-    3,
-    40,
-    30,
-    [8.0] * 3,
-    36,
-    5.0,
-    0,
-    "polygons",
-    "meier",
-    "backoff",
-    Budget(1000),
-    50.0,
-    radii_cells=[0.0] * 3,
-    incarnations=2,
-)
+    robot=1, bodies=(Body(8.0, 360.0, 5.0),) * 3, width=40, height=30, beams=36, seed=0, strategy="meier",
+    encoding=EncodingSettings("polygons"), replication=ReplicationSettings("backoff"),
+    medium=MediumSettings(Budget(1000), 50.0), incarnations=2,
+)  # fmt: skip
 
 
 LASER = Laser(5, 0, 50_000, 8000)
@@ -99,7 +88,7 @@ def read_polygons(data: bytes) -> None:
 def apply_entries(data: bytes) -> None:
     for name, kind in ENCODINGS.items():
         laser = LASER if kind.needs_range_scans else None
-        encoding = make_encoding(replace(SETTINGS, map_encoding=name, laser=laser))
+        encoding = make_encoding(replace(SETTINGS, encoding=EncodingSettings(name), laser=laser))
         try:
             encoding.apply(0, data, step=1000, sender=0)
         except ProtocolError:
@@ -108,7 +97,7 @@ def apply_entries(data: bytes) -> None:
 
 def apply_range_scans(data: bytes) -> None:
     """Apply the bytes as whole scans at positions on the grid and around it, as an author would fragment them."""
-    encoding = make_encoding(replace(SETTINGS, map_encoding="scans", laser=LASER))
+    encoding = make_encoding(replace(SETTINGS, encoding=EncodingSettings("scans"), laser=LASER))
     size = range_scan_size(LASER)
     scan = (data + bytes(size))[:size]
     near = scan[1:4] + scan[5:8]

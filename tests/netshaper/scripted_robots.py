@@ -102,7 +102,7 @@ class Gossiper(Robot):
             packets.Insert(1, 2, 3, 0, 1),
             packets.Fragment(bytes(63)),
             packets.Update(None, bytes(8)),
-            packets.Update(2, b"new"),
+            packets.Update(0, b"new"),
             packets.FromEarly(1, 7),
             packets.Held(0, 300),
             packets.Gone(1),

@@ -17,8 +17,8 @@ from protocol.packets import (
     DECLINED,
     FRAGMENT_DATA,
     KINDS,
-    LAST_UPDATE_DATA,
     LAYOUTS,
+    LONG_UPDATE_DATA,
     UPDATE_DATA,
     UPDATE_NUMBERS,
     Answer,
@@ -112,8 +112,9 @@ EXAMPLES: list[AnyPacket] = [
     Check(0x29B1),
     LogDigest(513, 1, 100, 0xBEEF),
     Update(None, bytes(range(8))),
-    Update(2, b"residual"),
-    Update(3, b""),
+    Update(0, b"residual"),
+    Update(1, b""),
+    Update(1, bytes(range(63)), 1),
 ]
 
 
@@ -128,7 +129,9 @@ def packets_of(kind: type[Packet]) -> st.SearchStrategy[Any]:
 fragments = st.builds(Fragment, st.binary(min_size=1, max_size=FRAGMENT_DATA))
 updates = st.one_of(
     st.builds(Update, st.none(), st.binary(min_size=UPDATE_DATA, max_size=UPDATE_DATA)),
-    st.builds(Update, st.integers(0, UPDATE_NUMBERS - 1), st.binary(max_size=LAST_UPDATE_DATA)),
+    st.builds(
+        Update, st.integers(0, UPDATE_NUMBERS - 1), st.binary(max_size=LONG_UPDATE_DATA), st.integers(0, 1)
+    ),
 )
 streams = st.lists(st.one_of(*map(packets_of, LIMITS), fragments, updates), max_size=12)
 
@@ -169,7 +172,7 @@ def documented_bits(packet: AnyPacket) -> str:
             size = len(packet.data)
             expected = ("11110001" if size == 63 else f"11110010{size:08b}") + bits(packet.data)
         case Update():
-            last = f"11110101{len(packet.data):06b}{packet.number or 0:02b}"
+            last = f"11110101{len(packet.data):06b}{packet.number or 0:b}{packet.more:b}"
             expected = ("11110100" if packet.number is None else last) + bits(packet.data)
         case From() | Held():
             expected = f"1111011{packet.code[-1]}{packet.map:08b}{packet.index:024b}"
@@ -398,9 +401,10 @@ def test_bytes_that_are_no_whole_packets_of_this_kind_are_rejected(packet: bytes
     [
         Update(None, bytes(UPDATE_DATA - 1)),
         Update(None, bytes(UPDATE_DATA + 1)),
-        Update(0, bytes(LAST_UPDATE_DATA + 1)),
+        Update(0, bytes(LONG_UPDATE_DATA + 1)),
         Update(UPDATE_NUMBERS, b""),
         Update(-1, b""),
+        Update(0, b"", 2),
     ],
     ids=repr,
 )

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from agent.encodings.options import THESIS_OPTIONS
+from agent.encoding_options import THESIS_OPTIONS
 from deploy.run import exploration
 from deploy.scenario.scenario import parse
 from tests.agent.encodings.names import EXACT

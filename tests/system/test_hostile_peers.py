@@ -233,7 +233,7 @@ def honest_updates() -> list[tuple[bytes, object]]:
     for step in range(1, 1 + STEPS):
         sense = sensed(step)
         scan = Scan(sense.x, sense.y, np.frombuffer(sense.readings, np.uint16).copy())
-        change = draw(own, ray_table(settings.range_cells), scan.x, scan.y, scan.readings)
+        change = draw(own, ray_table(settings.body.range_cells), scan.x, scan.y, scan.readings)
         entries = map_encoding.encode_changes(own, scan, change, delivered=True)
         updates.append((b"".join(entries), canonical(map_encoding.polygons[2])))
     return updates
@@ -311,7 +311,7 @@ def test_a_robot_that_forwards_one_of_two_versions_of_a_byzantine_robot_s_map_is
 
 MALFORMED_UPDATES: dict[str, list[Packet]] = {
     "an entry of noise": [Update(0, bytes(range(1, 60)))],
-    "another entry than its next": [Update(3, b"ab")],
+    "another entry than its next": [Update(1, b"ab")],
     "raw scans": [Fragment(b"noise")],
     "another's map": [FromEarly(2, 0), Update(0, bytes(range(1, 60)))],
     "reports of maps that no robot has": [Held(2, 4000), Held(0, 4000), Gone(0), Gone(2)],

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from agent.encodings.options import THESIS_OPTIONS
+from agent.encoding_options import THESIS_OPTIONS
 from agent.outline.claims import Drawing
 from agent.outline.merge import rendered
 from agent.robot import SURE_AFTER

@@ -197,7 +197,7 @@ NOISE = (
             packets.From(63, 4095),
             packets.Held(63, 4095),
             packets.Gone(0),
-            packets.Update(3, b"noise"),
+            packets.Update(1, b"noise"),
         )
     ),
 )

@@ -9,11 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from protocol.body import Body
 from protocol.grid import FREE, OCCUPIED, enlarge
 from protocol.messages import Move, points_to_bytes
 from protocol.scans import NONE
 from worldsim.motion import FINE, cell_of, glide
-from worldsim.world import Body, World, WorldSettings, beams_outside, reachable_by
+from worldsim.world import World, WorldSettings, beams_outside, reachable_by
 
 POINT = Body(range_cells=5.0, field_of_view=360.0, speed=4.0)
 

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from protocol.body import Body
 from protocol.grid import FREE, OCCUPIED, Grid, enlarge
 from protocol.keyed_random import keyed_random
 from protocol.messages import Move, Sense, cells_to_bytes
@@ -20,7 +21,7 @@ from worldsim.people_options import PeopleOptions
 from worldsim.range_laser import RangeLaser
 from worldsim.sensor_options import LaserOptions, PoseOptions
 from worldsim.sensors import SensorSettings
-from worldsim.world import Body, World, WorldSettings, scans_in
+from worldsim.world import World, WorldSettings, scans_in
 
 Cell = tuple[int, int]
 CELL = 0.1

@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import ndimage
 
+from protocol.body import Body
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, disc, ray_table
 from protocol.messages import FaultEvent, Move, Sense, cells_from_bytes, cells_to_bytes, points_to_bytes
 from protocol.range_scans import TURN, Laser
@@ -20,7 +21,7 @@ from worldsim.motion import INTERFERENCE, NOT_BLOCKED, ROBOT, WALL
 from worldsim.sensor_options import LaserOptions, PoseOptions
 from worldsim.sensors import SensorSettings
 from worldsim.starts import start_cells
-from worldsim.world import MOVES_AS_PLANNED, Body, World, WorldSettings, reachable_by
+from worldsim.world import MOVES_AS_PLANNED, World, WorldSettings, reachable_by
 
 Cell = tuple[int, int]
 seeds = st.integers(0, 2**32 - 1)

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol import keys as names
+from protocol.body import Body
 from protocol.bus import Bus
 from protocol.grid import FREE
 from protocol.keys import Keys
@@ -37,7 +38,7 @@ from worldsim.base import EXPLORED, STALLED
 from worldsim.process import ALL_LOST, LONE_REPORT_STEPS, OUT_OF_STEPS, WorldNode
 from worldsim.sensor_options import LaserOptions, PoseOptions
 from worldsim.sensors import SensorSettings
-from worldsim.world import Body, World, WorldSettings
+from worldsim.world import World, WorldSettings
 
 KEYS = Keys("world")
 STARTS = ((2, 2), (4, 2), (6, 2))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.encodings.cells import RUNS, SAME, ZSTD, CellEncoding, pack, pack_runs, unpack, unpack_runs
-from agent.settings import Settings
-from protocol.budget import UNLIMITED
+from agent.settings import EncodingSettings, ReplicationSettings, Settings
+from protocol.body import Body
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.packets import Fragment, Save, encode
@@ -25,9 +24,8 @@ seeds = st.integers(0, 2**32 - 1)
 
 def settings_of(robot: int) -> Settings:
     return Settings(
-        robot=robot, robots=3, width=WIDTH, height=HEIGHT, ranges_cells=[6.0] * 3, beams=36, speed_cells=1.0,
-        seed=0, map_encoding="cells", strategy="meier", dissemination="gossip", bandwidth=UNLIMITED,
-        reach_cells=math.inf,
+        robot=robot, bodies=(Body(6.0, 360.0, 1.0),) * 3, width=WIDTH, height=HEIGHT, beams=36, seed=0,
+        strategy="meier", encoding=EncodingSettings("cells"), replication=ReplicationSettings("gossip"),
     )  # fmt: skip
 
 

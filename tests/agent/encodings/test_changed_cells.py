@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,8 @@ from numpy.typing import NDArray
 from agent.encodings.base import MapEncoding
 from agent.encodings.catalog import make_encoding
 from agent.encodings.received_grid import ChangedCells
-from agent.settings import Settings
+from agent.settings import EncodingSettings, MediumSettings, ReplicationSettings, Settings
+from protocol.body import Body
 from protocol.budget import UNLIMITED, Budget
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, ray_table
 from protocol.scans import Change, Scan, draw
@@ -37,9 +37,9 @@ def house() -> Grid:
 def settings_of(kind: str, robot: int, bandwidth: Budget) -> Settings:
     world = house()
     return Settings(
-        robot=robot, robots=ROBOTS, width=world.shape[1], height=world.shape[0], ranges_cells=[RANGE] * ROBOTS,
-        beams=BEAMS, speed_cells=3.0, seed=0, map_encoding=kind, strategy="meier", dissemination="backoff",
-        bandwidth=bandwidth, reach_cells=math.inf,
+        robot=robot, bodies=(Body(RANGE, 360.0, 3.0),) * ROBOTS, width=world.shape[1], height=world.shape[0],
+        beams=BEAMS, seed=0, strategy="meier", encoding=EncodingSettings(kind),
+        replication=ReplicationSettings("backoff"), medium=MediumSettings(bandwidth),
     )  # fmt: skip
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from agent.encoding_options import THESIS_OPTIONS, PolygonOptions
 from agent.encodings.catalog import make_encoding
-from agent.encodings.options import THESIS_OPTIONS, PolygonOptions
 from agent.encodings.polygons import PolygonEncoding
 from agent.outline.approximation import repair
 from agent.outline.claims import Drawing
@@ -21,8 +21,9 @@ from agent.outline.merge import TeamMap, approximation_error
 from agent.outline.objects import Objects
 from agent.outline.polygons import Polygons
 from agent.outline.simplify import refine
-from agent.settings import Settings
+from agent.settings import EncodingSettings, MediumSettings, ReplicationSettings, Settings
 from protocol import packets
+from protocol.body import Body
 from protocol.budget import UNLIMITED, Budget
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
@@ -35,15 +36,22 @@ from tests.agent.outline.edit_scripts import canonical
 
 EXACT: dict[str, Any] = {"bandwidth": UNLIMITED}
 NO_NEWS = Change(0, (0, 0, 0, 0))
+DEFAULT_BANDWIDTH, DEFAULT_OPTIONS = Budget(1000), PolygonOptions()
 WORLD_SEED, STEPS = 4, 25
 
 
-def settings_of(shape: tuple[int, int], robot: int = 0, robots: int = 3, **more: Any) -> Settings:
-    known: dict[str, Any] = {
-        "ranges_cells": [20.0] * robots, "beams": 360, "speed_cells": 5.0, "seed": 0, "map_encoding": "polygons",
-        "strategy": "meier", "dissemination": "backoff", "bandwidth": Budget(1000), "reach_cells": 1000.0,
-    }  # fmt: skip
-    return Settings(robot, robots, shape[1], shape[0], **(known | more))
+def settings_of(
+    shape: tuple[int, int],
+    robot: int = 0,
+    robots: int = 3,
+    bandwidth: Budget = DEFAULT_BANDWIDTH,
+    options: PolygonOptions = DEFAULT_OPTIONS,
+) -> Settings:
+    return Settings(
+        robot=robot, bodies=(Body(20.0, 360.0, 5.0),) * robots, width=shape[1], height=shape[0], beams=360,
+        seed=0, strategy="meier", encoding=EncodingSettings("polygons", options),
+        replication=ReplicationSettings("backoff"), medium=MediumSettings(bandwidth, 1000.0),
+    )  # fmt: skip
 
 
 def maker(shape: tuple[int, int], robot: int = 0, **more: Any) -> PolygonEncoding:
@@ -159,7 +167,7 @@ def test_a_step_without_new_cells_refines_at_the_splitting_frequency() -> None:
 
 
 def test_without_bandwidth_the_approximation_is_still_repaired() -> None:
-    one = maker((60, 80), bandwidth=Budget(0), **with_options(unknown_pairs=True))
+    one = maker((60, 80), bandwidth=Budget(0), options=PolygonOptions(unknown_pairs=True))
     for grid, cell in walk():
         record(one, grid, cell)
     assert not is_exact(one.polygons[0], grid, cell)
@@ -179,10 +187,10 @@ def test_more_bandwidth_makes_a_smaller_error() -> None:
 
 
 def test_bytes_per_split_are_measured_unless_given() -> None:
-    fixed = {"bytes_per_split": 1000.0}
+    fixed = PolygonOptions(bytes_per_split=1000.0)
     measured, given_ = (
         maker((60, 80), bandwidth=Budget(600)),
-        maker((60, 80), bandwidth=Budget(600), polygons=fixed),
+        maker((60, 80), bandwidth=Budget(600), options=fixed),
     )
     for grid, cell in walk():
         record(measured, grid, cell)
@@ -265,13 +273,9 @@ def test_malformed_data_is_rejected_and_changes_nothing(entries: list[bytes]) ->
 # --- options -------------------------------------------------------------------------------------------
 
 
-def with_options(**changed: Any) -> dict[str, Any]:
-    return {"polygons": asdict(replace(PolygonOptions(), **changed))}
-
-
 def test_a_lazy_robot_logs_once_after_its_last_entries_were_delivered() -> None:
     first, *between, last = walk(6)
-    lazy, eager = maker((60, 80)), maker((60, 80), **with_options(lazy=False))
+    lazy, eager = maker((60, 80)), maker((60, 80), options=PolygonOptions(lazy=False))
     for one in (lazy, eager):
         record(one, *first)
     waited = [record(lazy, *step, delivered=False) for step in between]
@@ -287,8 +291,11 @@ def test_edges_that_stand_for_walls_and_for_nothing_known_come_first_if_wished()
     grid, cell = walk()[-1]
     walls = {}
     for wished in (True, False):
-        options = with_options(mixed_first=wished)
-        one, other = maker((60, 80), 0, bandwidth=Budget(200), **options), maker((60, 80), 1, **options)
+        options = PolygonOptions(mixed_first=wished)
+        one, other = (
+            maker((60, 80), 0, bandwidth=Budget(200), options=options),
+            maker((60, 80), 1, options=options),
+        )
         for _ in range(6):
             other.apply(0, b"".join(record(one, grid, cell)), **LATE)
         walls[wished] = ((other.merge(np.zeros_like(grid)) == OCCUPIED) & (grid == OCCUPIED)).sum()
@@ -299,8 +306,11 @@ def test_free_inside_edges_are_drawn_if_wished() -> None:
     grid, cell = walk(3)[-1]
     claims = {}
     for wished in (True, False):
-        options = with_options(free_inside_edges=wished)
-        one, other = maker((60, 80), 0, bandwidth=Budget(100), **options), maker((60, 80), 1, **options)
+        options = PolygonOptions(free_inside_edges=wished)
+        one, other = (
+            maker((60, 80), 0, bandwidth=Budget(100), options=options),
+            maker((60, 80), 1, options=options),
+        )
         other.apply(0, b"".join(record(one, grid, cell)), **LATE)
         claims[wished] = other.merge(np.zeros_like(grid)) == FREE
     assert claims[True].sum() > claims[False].sum()
@@ -312,8 +322,8 @@ def test_unknown_pairs_are_sent_and_drawn_only_if_enabled() -> None:
     grid[5, 20] = OCCUPIED
     objects, free = {}, {}
     for wished in (True, False):
-        options = with_options(unknown_pairs=wished, bytes_per_split=10.0, close_slivers=False)
-        six_splits = options | {"bandwidth": Budget(3 * 2 * 10 * 6)}
+        options = PolygonOptions(unknown_pairs=wished, bytes_per_split=10.0, close_slivers=False)
+        six_splits: dict[str, Any] = {"options": options, "bandwidth": Budget(3 * 2 * 10 * 6)}
         one, other = maker((30, 30), 0, **six_splits), maker((30, 30), 1, **six_splits)
         other.apply(0, b"".join(record(one, grid, (1, 1))), **LATE)
         objects[wished] = other.polygons[0].objects
@@ -327,8 +337,8 @@ def test_walls_are_wide_if_wished_while_their_robot_is_in_range() -> None:
     nothing = np.zeros_like(grid)
     walls = {}
     for wished in (True, False):
-        options = with_options(wide_walls=wished)
-        one, other = maker((60, 80), 0, **options), maker((60, 80), 1, **options)
+        options = PolygonOptions(wide_walls=wished)
+        one, other = maker((60, 80), 0, options=options), maker((60, 80), 1, options=options)
         other.apply(0, b"".join(record(one, grid, cell)), **LATE)
         near, far = (int((other.merge(nothing, peers) == OCCUPIED).sum()) for peers in ((0,), (2,)))
         walls[wished] = near, far
@@ -341,8 +351,8 @@ def test_slivers_are_closed_if_wished() -> None:
     left[1:10, 1:8] = right[1:10, 9:16] = FREE
     free = {}
     for wished in (True, False):
-        options = with_options(close_slivers=wished, wide_walls=False)
-        one, other = maker((20, 20), 0, **options), maker((20, 20), 1, **options)
+        options = PolygonOptions(close_slivers=wished, wide_walls=False)
+        one, other = maker((20, 20), 0, options=options), maker((20, 20), 1, options=options)
         other.apply(0, b"".join(record(one, left, (2, 2))), **LATE)
         free[wished] = other.merge(right)[1:10, 8].tolist()
     assert free == {True: [FREE] * 9, False: [UNKNOWN] * 9}
@@ -355,7 +365,7 @@ def test_the_thesis_plain_rules_are_a_set_of_options() -> None:
         "close_slivers": False, "splits_per_step": 0.0, "exact_error": False,
     }  # fmt: skip
     shape = (60, 80)
-    one, other = (maker(shape, robot, polygons=asdict(THESIS_OPTIONS)) for robot in (0, 1))
+    one, other = (maker(shape, robot, options=THESIS_OPTIONS) for robot in (0, 1))
     for grid, cell in walk():
         other.apply(0, b"".join(record(one, grid, cell, delivered=False)), **LATE)
         assert canonical(other.polygons[0]) == canonical(one.polygons[0])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 from typing import Any
 
 import numpy as np
@@ -11,12 +10,23 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from agent.encoding_options import PredictiveOptions
 from agent.encodings.predictive import ENOUGH_STEPS, PredictiveEncoding, fragments
-from agent.settings import Settings
+from agent.settings import EncodingSettings, MediumSettings, ReplicationSettings, Settings
+from protocol.body import Body
 from protocol.budget import UNLIMITED, Budget
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, ray_table
-from protocol.packets import LAST_UPDATE_DATA, UPDATE_DATA, Delete, Fragment, Update, decode_kind, encode
+from protocol.packets import (
+    LONG_UPDATE_DATA,
+    UPDATE_DATA,
+    UPDATE_NUMBERS,
+    Delete,
+    Fragment,
+    Update,
+    decode_kind,
+    encode,
+)
 from protocol.scans import Change, Scan, draw
 from tests.agent.encodings.arrival import LATE
 from worldsim.laser import cast
@@ -27,11 +37,12 @@ WIDTH, HEIGHT = 20, 14
 seeds = st.integers(0, 2**32 - 1)
 
 
-def settings_of(robot: int, **more: Any) -> Settings:
+def settings_of(robot: int, base: Any = "team", bandwidth: Budget = UNLIMITED) -> Settings:
     return Settings(
-        robot=robot, robots=3, width=WIDTH, height=HEIGHT, ranges_cells=RANGES, beams=BEAMS, speed_cells=1.0,
-        seed=0, map_encoding="predictive", strategy="meier", dissemination="gossip", reach_cells=math.inf,
-        **({"bandwidth": UNLIMITED} | more),
+        robot=robot, bodies=tuple(Body(cells, 360.0, 1.0) for cells in RANGES), width=WIDTH, height=HEIGHT,
+        beams=BEAMS, seed=0, strategy="meier",
+        encoding=EncodingSettings("predictive", predictive=PredictiveOptions(base)),
+        replication=ReplicationSettings("gossip"), medium=MediumSettings(bandwidth),
     )  # fmt: skip
 
 
@@ -91,7 +102,7 @@ def test_every_team_member_ends_with_the_cells_that_any_of_them_observed(
     seed: int, base: str, noise: int
 ) -> None:
     truth = world(seed)
-    team = [Explorer(robot, seed, predictive={"base": base}) for robot in range(3)]
+    team = [Explorer(robot, seed, base=base) for robot in range(3)]
     for _ in range(6):
         sent = [(each.robot, each.scan(truth, noise=noise)) for each in team]
         for each in team:
@@ -234,10 +245,7 @@ def test_shared_decoding_gives_each_robot_the_result_of_decoding_alone(
 ) -> None:
     """At their own pace, with retracted updates; a byzantine robot sends different updates to each of them."""
     truth, rng = world(seed), np.random.default_rng(seed)
-    teams = [
-        [Explorer(robot, seed, common, predictive={"base": base}) for robot in range(3)]
-        for common in (None, {})
-    ]
+    teams = [[Explorer(robot, seed, common, base=base) for robot in range(3)] for common in (None, {})]
     reported = [[0] * 3 for _ in range(3)]
     for _ in range(12):
         sender = int(rng.integers(3))
@@ -288,7 +296,7 @@ def units_of(seed: int) -> list[bytes]:
 WRONG = {
     "another kind": [encode([Delete(3)])],
     "a raw scan": [encode([Fragment(b"scan")])],
-    "another update than the next": [encode([Update(3, b"\x12\x34")])],
+    "another update than the next": [encode([Update(1, b"\x12\x34")])],
     "bytes that are no update": [encode([Update(0, bytes(range(40)))])],
 }
 
@@ -314,7 +322,7 @@ def test_malformed_data_is_rejected_and_changes_nothing(wrong: str, behind: bool
     assert receiver.merge(unknown()).any()
 
 
-@given(st.lists(st.tuples(st.integers(0, 1), st.binary(max_size=LAST_UPDATE_DATA)), max_size=12), seeds)
+@given(st.lists(st.tuples(st.integers(0, 1), st.binary(max_size=LONG_UPDATE_DATA)), max_size=12), seeds)
 def test_a_byzantine_robot_changes_no_map_but_its_own(forged: list[tuple[int, bytes]], seed: int) -> None:
     truth = world(seed)
     author, receiver = Explorer(0, seed), PredictiveEncoding(settings_of(1))
@@ -322,7 +330,7 @@ def test_a_byzantine_robot_changes_no_map_but_its_own(forged: list[tuple[int, by
     for number, (_, data) in enumerate(forged):
         packets = author.scan(truth)
         with contextlib.suppress(ProtocolError):
-            receiver.apply(2, encode([Update(number % 4, data)]), **LATE)
+            receiver.apply(2, encode([Update(number % UPDATE_NUMBERS, data)]), **LATE)
         receiver.apply(0, b"".join(packets), **LATE)
         plain.apply(0, b"".join(packets), **LATE)
     known = plain.merge(unknown())
@@ -330,12 +338,18 @@ def test_a_byzantine_robot_changes_no_map_but_its_own(forged: list[tuple[int, by
     assert (receiver.merge(unknown())[known == FREE] != UNKNOWN).all()
 
 
-@given(st.binary(max_size=300), st.integers(0, 100), st.integers(UPDATE_DATA, LAST_UPDATE_DATA))
-def test_fragments_reassemble_to_the_update(message: bytes, number: int, most: int) -> None:
-    cut = decode_kind(b"".join(fragments(message, number, most)), Update)
-    assert b"".join(piece.data for piece in cut) == message
-    assert [piece.number for piece in cut] == [None] * (len(cut) - 1) + [number % 4]
-    assert len(cut[-1].data) <= most
+sizes = st.integers(UPDATE_DATA, LONG_UPDATE_DATA)
+
+
+@given(st.binary(max_size=300), st.integers(0, 100), sizes, sizes)
+def test_fragments_reassemble_to_the_update(message: bytes, number: int, most: int, size: int) -> None:
+    size = min(size, most)
+    *cut, last = decode_kind(b"".join(fragments(message, number, most, size)), Update)
+    assert b"".join(piece.data for piece in (*cut, last)) == message
+    assert all(len(piece.data) == size and (piece.number is None or piece.more) for piece in cut)
+    assert last.number == number % UPDATE_NUMBERS
+    assert not last.more
+    assert len(last.data) <= most
 
 
 @given(seeds, st.booleans())

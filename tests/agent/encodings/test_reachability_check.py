@@ -12,7 +12,8 @@ from protocol.errors import ProtocolError
 from tests.system.team import small_plan
 
 RANGE, SPEED = 30, 5.0
-SETTINGS = replace(small_plan(robots=3).robot_settings[0], fastest_cells=SPEED)
+PLANNED = small_plan(robots=3).robot_settings[0]
+SETTINGS = replace(PLANNED, bodies=tuple(replace(body, speed=SPEED) for body in PLANNED.bodies))
 
 
 def seen_from(x: int, y: int) -> tuple[int, int, int, int]:

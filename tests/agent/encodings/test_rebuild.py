@@ -115,7 +115,8 @@ def test_own_updates_that_depended_on_dropped_ones_are_withdrawn_for_all_robots(
 
     author, forger = Writer("predictive", 1), Writer("predictive", 1, forges_from=1)
     deceived, third = make("predictive", 0), make("predictive", 2)
-    patient = make_encoding(replace(plan("predictive").robot_settings[2], digests=True))
+    settings = plan("predictive").robot_settings[2]
+    patient = make_encoding(replace(settings, replication=replace(settings.replication, digests=True)))
     own: Grid = np.full((HEIGHT, WIDTH), UNKNOWN, np.uint8)
     true: list[bytes] = []
     log: list[bytes] = []

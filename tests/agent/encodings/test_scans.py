@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import math
-from typing import Any
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from msgspec.structs import replace
 
 from agent.encodings.catalog import ENCODINGS, make_encoding
 from agent.encodings.none import NoEncoding
 from agent.encodings.scans import ScanEncoding
 from agent.encodings.votes import MANY
-from agent.settings import Settings
-from protocol.budget import UNLIMITED
+from agent.settings import EncodingSettings, ReplicationSettings, Settings
+from protocol.body import Body
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, ray_table
 from protocol.packets import Delete, Fragment, Save, encode
@@ -30,12 +26,11 @@ NOTHING = Change(0, (WIDTH, HEIGHT, 0, 0))
 seeds = st.integers(0, 2**32 - 1)
 
 
-def settings_of(robot: int, **more: Any) -> Settings:
+def settings_of(robot: int, map_encoding: str = "scans") -> Settings:
     return Settings(
-        robot=robot, robots=3, width=WIDTH, height=HEIGHT, ranges_cells=RANGES, beams=BEAMS, speed_cells=1.0,
-        seed=0, map_encoding="scans", strategy="meier", dissemination="backoff", bandwidth=UNLIMITED,
-        reach_cells=math.inf,
-        **more,
+        robot=robot, bodies=tuple(Body(cells, 360.0, 1.0) for cells in RANGES), width=WIDTH, height=HEIGHT,
+        beams=BEAMS, seed=0, strategy="meier", encoding=EncodingSettings(map_encoding),
+        replication=ReplicationSettings("backoff"),
     )  # fmt: skip
 
 
@@ -199,4 +194,4 @@ def test_map_encodings_are_found_by_name() -> None:
     assert {"scans", "none"} <= set(ENCODINGS)
     assert isinstance(make_encoding(settings_of(0)), ScanEncoding)
     with pytest.raises(ValueError, match=r"no map encoding is called 'smoke'; there are: .*scans"):
-        make_encoding(replace(settings_of(0), map_encoding="smoke"))
+        make_encoding(settings_of(0, "smoke"))

@@ -14,8 +14,8 @@ from msgspec.structs import replace
 from agent.encodings.catalog import make_encoding
 from agent.encodings.slam_toolbox import CDR, LocalizedScans, SlamToolboxEncoding
 from agent.mapping.estimator import Estimator
-from agent.settings import Settings
-from protocol.budget import UNLIMITED
+from agent.settings import EncodingSettings, ReplicationSettings, Settings
+from protocol.body import Body
 from protocol.errors import ProtocolError
 from protocol.grid import UNKNOWN, Grid
 from protocol.range_scans import NO_MEASUREMENT, NOTHING, TURN, UNIT, Laser, RangeScan, beam_ends
@@ -29,9 +29,9 @@ NO_CHANGE = Change(0, (WIDTH, HEIGHT, 0, 0))
 
 def settings_of(robot: int) -> Settings:
     return Settings(
-        robot=robot, robots=3, width=WIDTH, height=HEIGHT, ranges_cells=[40.0] * 3, beams=36, speed_cells=10.0,
-        seed=0, map_encoding="slam-toolbox", strategy="meier", dissemination="gossip", bandwidth=UNLIMITED,
-        reach_cells=math.inf, resolution=CELL, laser=LASER,
+        robot=robot, bodies=(Body(40.0, 360.0, 10.0),) * 3, width=WIDTH, height=HEIGHT, beams=36, seed=0,
+        strategy="meier", encoding=EncodingSettings("slam-toolbox"), replication=ReplicationSettings("gossip"),
+        resolution=CELL, laser=LASER,
     )  # fmt: skip
 
 

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from msgspec.structs import replace
 
 from agent.encodings.compression import compress
 from agent.encodings.zstd_maps import HEAD, INTERVAL, OVERHEAD, VALUES, ZstdMapEncoding
-from agent.settings import Settings
-from protocol.budget import UNLIMITED
+from agent.settings import EncodingSettings, ReplicationSettings, Settings
+from protocol.body import Body
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.packets import Save, encode
@@ -26,11 +23,10 @@ CHANGE = Change(1, (0, 0, WIDTH, HEIGHT))
 seeds = st.integers(0, 2**32 - 1)
 
 
-def settings_of(robot: int) -> Settings:
+def settings_of(robot: int, range_cells: float = 50.0) -> Settings:
     return Settings(
-        robot=robot, robots=3, width=WIDTH, height=HEIGHT, ranges_cells=[50.0] * 3, beams=36, speed_cells=1.0,
-        seed=0, map_encoding="zstd-maps", strategy="meier", dissemination="backoff", bandwidth=UNLIMITED,
-        reach_cells=math.inf,
+        robot=robot, bodies=(Body(range_cells, 360.0, 1.0),) * 3, width=WIDTH, height=HEIGHT, beams=36, seed=0,
+        strategy="meier", encoding=EncodingSettings("zstd-maps"), replication=ReplicationSettings("backoff"),
     )  # fmt: skip
 
 
@@ -130,7 +126,7 @@ def test_cells_have_the_values_of_an_occupancy_grid() -> None:
 
 
 def test_a_map_that_its_author_cannot_have_seen_is_rejected() -> None:
-    receiver = ZstdMapEncoding(replace(settings_of(1), ranges_cells=[1.0] * 3))
+    receiver = ZstdMapEncoding(settings_of(1, range_cells=1.0))
     with pytest.raises(ProtocolError, match="can have observed"):
         receiver.apply(0, b"".join(sent(1)), step=1, sender=0)
     assert not receiver.merge(empty()).any()

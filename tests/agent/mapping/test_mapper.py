@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 
 from agent.mapping.mapper import make_mapper
-from agent.settings import Settings
-from protocol.budget import UNLIMITED
+from agent.settings import EncodingSettings, ReplicationSettings, Settings
+from protocol.body import Body
 from protocol.grid import FREE, OCCUPIED, UNKNOWN
 from protocol.messages import Sense
 from protocol.range_scans import NO_MEASUREMENT, TURN, UNIT, Laser, RangeScan, encode_range_scan
@@ -28,9 +26,8 @@ def sense(step: int, blocked: str = "", range_mm: int = NO_MEASUREMENT) -> Sense
 @pytest.mark.parametrize(("blocked", "ahead"), [("wall", OCCUPIED), ("person", UNKNOWN), ("robot", UNKNOWN)])
 def test_only_a_bump_into_a_wall_marks_the_cell_ahead(blocked: str, ahead: int) -> None:
     settings = Settings(
-        robot=0, robots=1, width=30, height=30, ranges_cells=[20.0], beams=36, speed_cells=5.0, seed=0,
-        map_encoding="none", strategy="meier", dissemination="gossip", bandwidth=UNLIMITED, reach_cells=math.inf,
-        laser=LASER,
+        robot=0, bodies=(Body(20.0, 360.0, 5.0),), width=30, height=30, beams=36, seed=0, strategy="meier",
+        encoding=EncodingSettings("none"), replication=ReplicationSettings("gossip"), laser=LASER,
     )  # fmt: skip
     mapper = make_mapper(settings)
     mapper.add(sense(1, blocked))

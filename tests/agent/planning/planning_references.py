@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import heapq
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from agent.settings import Settings
-from protocol.budget import UNLIMITED
+from agent.settings import EncodingSettings, MediumSettings, ReplicationSettings, Settings
+from protocol.body import Body
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 
 Cell = tuple[int, int]
@@ -110,11 +111,29 @@ def whole_lengths(grid: Grid, x: int, y: int) -> NDArray[np.float64]:
     return field
 
 
-def settings_for(grid: Grid, robot: int = 0, robots: int = 2, **others: object) -> Settings:
-    """A robot's task on a small grid."""
-    given: dict[str, object] = {
-        "robot": robot, "robots": robots, "width": grid.shape[1], "height": grid.shape[0],
-        "ranges_cells": [5.0] * robots, "beams": 360, "speed_cells": 3.0, "seed": 0, "map_encoding": "none",
-        "strategy": "meier", "dissemination": "backoff", "bandwidth": UNLIMITED, "reach_cells": 100.0,
+def settings_for(
+    grid: Grid,
+    robot: int = 0,
+    robots: int = 2,
+    *,
+    ranges_cells: Sequence[float] = (),
+    radii_cells: Sequence[float] = (),
+    speed_cells: float = 3.0,
+    field_of_view: float = 360.0,
+    scanner_turn: float = 0.0,
+    map_encoding: str = "none",
+    dissemination: str = "backoff",
+    **others: Any,
+) -> Settings:
+    """A robot's task on a small grid; without ranges and radii, all robots are points that see 5 cells far."""
+    ranges, radii = ranges_cells or [5.0] * robots, radii_cells or [0.0] * robots
+    bodies = [
+        Body(cells, field_of_view, speed_cells, scanner_turn, radius)
+        for cells, radius in zip(ranges, radii, strict=True)
+    ]
+    given: dict[str, Any] = {
+        "robot": robot, "bodies": tuple(bodies), "width": grid.shape[1], "height": grid.shape[0], "beams": 360,
+        "seed": 0, "strategy": "meier", "encoding": EncodingSettings(map_encoding),
+        "replication": ReplicationSettings(dissemination), "medium": MediumSettings(reach_cells=100.0),
     }  # fmt: skip
-    return Settings(**(given | others))  # type: ignore[arg-type]
+    return Settings(**(given | others))

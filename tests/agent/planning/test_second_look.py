@@ -21,7 +21,7 @@ def rooms(door: int, *, unknown: int = 6) -> Grid:
 
 
 def way_to_look_again(grid: Grid, here: tuple[int, int], radius_cells: float, *earlier: Grid) -> Cells | None:
-    second_look = SecondLook(settings_for(grid, radii_cells=[radius_cells]))
+    second_look = SecondLook(settings_for(grid, radii_cells=[radius_cells] * 2))
     for each in (*earlier, grid):
         second_look.note(each, explored=True)
     return second_look.way(grid, here)

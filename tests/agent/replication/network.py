@@ -19,9 +19,9 @@ from agent.replication.gossip_policy import Dependencies, no_dependencies
 from agent.replication.peers import MapId
 from agent.replication.policies import DISSEMINATIONS
 from agent.replication.replica import Consume, Rebuild, Rejected
-from agent.settings import Settings
+from agent.settings import EncodingSettings, ReplicationSettings, Settings
 from protocol import packet_index
-from protocol.budget import UNLIMITED
+from protocol.body import Body
 from protocol.errors import ProtocolError
 from protocol.messages import (
     EVERYONE,
@@ -55,8 +55,11 @@ def make_engine(
     rebuild: Rebuild = lambda _logs: None,
 ) -> Replication:
     """A replication engine; nothing but its arguments concerns it of a robot's settings."""
-    task = (robot, robots, 1, 1, [1.0] * robots, 4, 1.0, 0, "none", "meier", dissemination, UNLIMITED, 1.0)
-    settings = Settings(*task, requires_acks=requires_acks, incarnations=incarnations)
+    settings = Settings(
+        robot=robot, bodies=(Body(1.0, 360.0, 1.0),) * robots, width=1, height=1, beams=4, seed=0,
+        strategy="meier", encoding=EncodingSettings("none"),
+        replication=ReplicationSettings(dissemination, requires_acks=requires_acks), incarnations=incarnations,
+    )  # fmt: skip
     return make_replication(settings, consume, dependencies, rebuild)
 
 

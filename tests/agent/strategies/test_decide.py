@@ -10,7 +10,6 @@ import pytest
 
 from agent.planning.path_planner import PathPlanner
 from agent.planning.route import crossed
-from agent.settings import Settings
 from agent.strategies.base import Cell, Decision, Pose, Situation, Strategy
 from agent.strategies.burgard import Nearest
 from agent.strategies.leaders import STALL_STEPS, elect
@@ -18,6 +17,7 @@ from agent.strategies.registry import strategy
 from agent.strategies.rotating import ShengBid
 from agent.strategies.targets import HOME_AFTER
 from agent.strategies.team import PLAN_ALONE_AFTER
+from protocol.body import Body
 from protocol.grid import FREE, UNKNOWN, Grid
 from tests.agent.planning.planning_references import drawn, settings_for
 
@@ -337,7 +337,7 @@ def test_stop_scan_replan_stays_for_a_full_turn_and_then_publishes() -> None:
     assert [decision.target for decision in decisions] == [None] * 4 + [(0, 1)]
     assert [decision.publish for decision in decisions] == [True] * 5
     assert not swarm.decide(robot_at(3)).publish
-    assert settings_for(CORRIDOR, **settings).turn_steps == 5
+    assert settings_for(CORRIDOR, **settings).body.turn_steps == 5
 
 
 def test_classical_does_not_scan_on_the_way() -> None:
@@ -509,11 +509,10 @@ def test_a_slow_leader_that_drives_is_not_stalled() -> None:
     assert not any(leader.decide(situation).stalled for situation in steps)
 
 
-def test_the_settings_define_the_steps_of_a_full_turn() -> None:
+def test_the_angle_of_a_scanner_defines_the_steps_of_a_full_turn() -> None:
     turns = {0.0: 1, 72.0: 5, 18.0: 20, 100.0: 4, 360.0: 1}
     for degrees, steps in turns.items():
-        settings: Settings = settings_for(CORRIDOR, scanner_turn=degrees)
-        assert settings.turn_steps == steps
+        assert Body(5.0, 360.0, 3.0, degrees).turn_steps == steps
 
 
 def test_a_strategy_may_choose_any_goal_and_nothing_else() -> None:

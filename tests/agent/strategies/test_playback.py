@@ -3,17 +3,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from agent.settings import Settings
+from agent.settings import EncodingSettings, ReplicationSettings, Settings
 from agent.strategies.base import Decision, Situation
 from agent.strategies.playback import PATIENCE, Playback
 from agent.strategies.registry import strategies, strategy
-from protocol.budget import UNLIMITED
+from protocol.body import Body
 
 
 def settings(robots: int) -> Settings:
     return Settings(
-        robot=0, robots=robots, width=4, height=4, ranges_cells=[5.0] * robots, beams=36, speed_cells=3.0, seed=0,
-        map_encoding="predictive", strategy="playback", dissemination="gossip", bandwidth=UNLIMITED, reach_cells=9.0,
+        robot=0, bodies=(Body(5.0, 360.0, 3.0),) * robots, width=4, height=4, beams=36, seed=0,
+        strategy="playback", encoding=EncodingSettings("predictive"), replication=ReplicationSettings("gossip"),
     )  # fmt: skip
 
 

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from msgspec import structs
 
 from agent.planning.path_planner import PathPlanner
 from agent.settings import Settings
@@ -200,7 +199,8 @@ def test_small_frontiers_are_observed_from_viewpoints_unless_an_earlier_scan_sho
     assert decided.target == (20, 2)
     assert (x, y) in {(19, 9), (20, 9)}
     assert ends(Repairmen({"viewpoint_range": 0.0}, alone), here) == (20, 2)
-    assert ends(Repairmen({}, structs.replace(alone, field_of_view=90.0)), here) == (20, 2)
+    narrow = settings_for(grid, 0, 1, ranges_cells=[12.0], speed_cells=40.0, field_of_view=90.0)
+    assert ends(Repairmen({}, narrow), here) == (20, 2)
     # A teammate blocked the view, so the scan changed no cell: the robot drives in, whatever it sees on the way.
     assert ends(robot, replace(robot_at(x, y, grid), step=2)) == (20, 2)
     grid[9, 1] = OCCUPIED

@@ -63,7 +63,7 @@ def tables(name: str, seed: int, ranges: list[float], radii: list[float] | None 
     for robot, situation in enumerate(views(random, grid, len(ranges) - 1)):
         sizes = {"ranges_cells": ranges, "radii_cells": radii or []}
         planning_robot: Any = strategy(name)({}, settings_for(grid, robot, len(ranges), **sizes))
-        planner = PathPlanner(grid, radius_cells=planning_robot.settings.radius_cells)
+        planner = PathPlanner(grid, radius_cells=planning_robot.settings.body.radius_cells)
         goals = planning_robot.goals(situation, planner)
         if len(goals):
             table = planning_robot.table(situation, goals, planner)

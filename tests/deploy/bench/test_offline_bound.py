@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from deploy.bench.offline_bound import Cell, KnownBuilding, offline_steps, offline_tours
+from protocol.body import Body
 from protocol.grid import FREE, OCCUPIED, Grid
 from protocol.messages import Move, cells_to_bytes
 from worldsim import generators
-from worldsim.world import Body, World, WorldSettings
+from worldsim.world import World, WorldSettings
 
 RANGE, SPEED = 12.0, 2.5
 

@@ -120,7 +120,7 @@ def test_receivers_accept_as_fast_a_robot_as_the_log_has(tmp_path: Path) -> None
     plan = make(
         parse({"recording": {"files": [str(write_carmen(tmp_path / "a.log", scans=4))]}, "robots": 2})
     )
-    assert plan.robot_settings[0].fastest_cells == pytest.approx(20, abs=0.5)  # 2 m between scans
+    assert plan.robot_settings[0].body.speed == pytest.approx(20, abs=0.5)  # 2 m between scans
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from agent.encoding_options import PolygonOptions
 from agent.encodings.catalog import ENCODINGS
-from agent.encodings.options import PolygonOptions
 from agent.replication.policies import DISSEMINATIONS
 from agent.strategies.meier import Meier
 from deploy.scenario.scenario import SHIPPED, Scenario, ScenarioError, load, parse

@@ -61,6 +61,6 @@ def test_each_robot_may_have_its_own_radius_and_scanner() -> None:
     plan = make(Scenario(robots=2, robot=own, scanner_turn=18.0, motion="cells", robots_collide=False), HALL)
     assert [body.radius_cells for body in plan.world.bodies] == [0.0, 2.0]
     assert [body.scanner_turn for body in plan.world.bodies] == [18.0, 72.0]
-    assert plan.robot_settings[0].radii_cells == [0.0, 2.0]
+    assert plan.robot_settings[0].bodies == plan.world.bodies
     assert plan.world.cell_steps
     assert not plan.world.robots_collide

@@ -3,11 +3,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from protocol.body import Body
 from protocol.grid import FREE
 from protocol.messages import Move, Sense
 from protocol.range_scans import Laser, RangeScan, decode_range_scan
 from worldsim.recorded.world import RecordedWorld, Stretch
-from worldsim.world import Body, WorldSettings
+from worldsim.world import WorldSettings
 
 LASER = Laser(3, -100, 200, 5000)
 BODY = Body(50.0, 180.0, 1.0)

@@ -82,9 +82,9 @@ class PredictiveOptions:
     """The map from which a robot predicts its scans. ``team``: its own updates and all that it has received. ``own``:
     its own updates; each log can then be decoded alone, and takes up to three times the bytes."""
     patience: int = 1
-    """Factor of the times for which changed tiles of noisy maps wait until they are sent (`agent.predictive.tile_author`).
-    With a larger one, teammates receive changes later, in fewer bytes. The default for recorded runs, in which no robot
-    plans with the maps of others, is 2."""
+    """Factor of the times for which changed tiles of noisy maps wait (`agent.predictive.tile_author`). The larger, the
+    later teammates receive changes, and the fewer bytes these take. In recorded runs, where no robot plans with the
+    maps of others, the default is 2."""
 
     def __post_init__(self) -> None:
         if not 1 <= self.patience <= MAX_PATIENCE:
