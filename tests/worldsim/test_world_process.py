@@ -35,7 +35,8 @@ from protocol.messages import (
 )
 from protocol.range_scans import Laser
 from worldsim.base import EXPLORED, STALLED
-from worldsim.process import ALL_LOST, LONE_REPORT_STEPS, OUT_OF_STEPS, WorldNode
+from worldsim.ending import ALL_LOST, LONE_REPORT_STEPS, OUT_OF_STEPS
+from worldsim.process import WorldNode
 from worldsim.sensor_options import LaserOptions, PoseOptions
 from worldsim.sensors import SensorSettings
 from worldsim.world import World, WorldSettings
