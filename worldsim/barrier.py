@@ -1,4 +1,4 @@
-"""The step barrier: a step ends when all robots that take part in it have moved, and the next one may be held.
+"""The step barrier: the moves of a step, which ends by a clock (`worldsim.clock`), and the beginning of the next one.
 
 Restarts that a fault requests hold the next step until the robots have rejoined (`worldsim.restarts`).
 """
@@ -10,14 +10,18 @@ from collections.abc import Mapping
 from protocol.errors import ProtocolError
 from protocol.messages import Move
 from worldsim.base import BaseWorld
+from worldsim.clock import StepClock
 from worldsim.restarts import Restarts
 
 
 class Barrier:
     """The moves of the current step, and the decision when it ends and the next one begins."""
 
-    def __init__(self, world: BaseWorld, restarts: Restarts) -> None:
+    def __init__(self, world: BaseWorld, restarts: Restarts, clock: StepClock) -> None:
         self.restarts = restarts
+        self.clock = clock
+        self.late: list[int] = []
+        """Robots that took part in the last step and did not move in time."""
         self.running = False
         """Whether a step has begun, and the run has not ended."""
         self.medium_closed = False
@@ -37,12 +41,17 @@ class Barrier:
         """Return the robots that the next step waits for: for their return, or for their moves."""
         if self.restarts.awaited:
             return sorted(self.restarts.awaited - self.restarts.rejoined)
-        waits = self.running and self.medium_closed
+        waits = self.running and self.medium_closed and self.clock.waits
         return [robot for robot in self._world.active_robots() if robot not in self._moves] if waits else []
 
     def take_move(self, robot: int, move: Move) -> None:
-        """Accept the move of an active robot, its first of this step; ProtocolError if it is not."""
+        """Accept the move of an active robot, its first of this step; ProtocolError if it is not.
+
+        Late moves have no effect.
+        """
         step = self._world.step
+        if self.clock.is_late(robot, move.step):
+            return
         if not self.running or move.step != step:
             raise ProtocolError("Move", 0, f"for step {move.step}, while step {step} is under way")
         if robot in self._moves:
@@ -52,13 +61,22 @@ class Barrier:
 
     def step_is_over(self) -> bool:
         """Return whether a step is under way that ends now."""
-        if not self.running or self.restarts.awaited:
+        if not self.running or self.restarts.awaited or not self.medium_closed:
             return False
-        return len(self._moves) >= self._world.active_count
+        return self.clock.is_over(len(self._moves), self._world.active_count)
+
+    def deadline(self, now_ns: int) -> int | None:
+        """Return the time at which this step ends, in nanoseconds; None: it does not end by the time."""
+        if not self.running or self.restarts.awaited:
+            return None
+        due = self.clock.deadline(now_ns)
+        return due if self.medium_closed else None
 
     def end_step(self) -> Mapping[int, Move]:
-        """End the step and return its moves."""
+        """End the step and return its moves; `late` names the robots that missed it."""
         moves, self._moves = self._moves, {}
+        self.late = [robot for robot in self._world.active_robots() if robot not in moves]
+        self.clock.end(self._world.step, moves, self.late)
         return moves
 
     def is_deserted(self) -> bool:
@@ -76,11 +94,14 @@ class Barrier:
         """Put the robots that have rejoined back into the world, and return the moves of the last step."""
         for robot in self.restarts.take_rejoined():
             self._world.restore(robot)
+        absent = self.clock.begin(self._world.step + 1)
+        self._world.absent = set(self._world.present_robots()).intersection(absent)
         moves, self._held_moves = self._held_moves, {}
         return moves
 
     def remove(self, robot: int) -> None:
         """Remove a robot from the world, and its moves."""
         self._world.remove(robot)
+        self.clock.forget(robot)
         self._moves.pop(robot, None)
         self._held_moves.pop(robot, None)

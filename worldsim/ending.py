@@ -27,19 +27,20 @@ class Ending:
         """Robots that have reported `explored` too early."""
         self._early: list[tuple[int, str]] = []
 
-    def check(self, moves: Mapping[int, Move], *, deserted: bool) -> End | None:
+    def check(self, moves: Mapping[int, Move], robots: int, *, deserted: bool) -> End | None:
         """Return the end of the run if a step with these moves ends it, else None.
 
-        `deserted`: no robot takes part in the run, and none will.
+        `robots`: number of robots that could have moved; by the wall clock, some may have missed the step. `deserted`:
+        no robot takes part in the run, and none will.
         """
         world = self._world
         may_end = world.may_end()
         explored = sorted(robot for robot, move in moves.items() if move.explored and may_end)
-        if finished := self._finished(explored, len(moves)):
+        if finished := self._finished(explored, robots):
             return self._end(world.finished, finished[0])
         if deserted:
             return self._end(ALL_LOST)
-        if may_end and world.is_stalled(moves):
+        if may_end and len(moves) >= robots and world.is_stalled(moves):
             return self._end(world.stalled)
         if self.stop_reason:
             return self._end(self.stop_reason)
@@ -53,14 +54,14 @@ class Ending:
     def _end(self, reason: str, first: int = -1) -> End:
         return End(self._world.step, reason, first)
 
-    def _finished(self, explored: Sequence[int], active: int) -> Sequence[int]:
+    def _finished(self, explored: Sequence[int], robots: int) -> Sequence[int]:
         """Return those of the robots that report `explored` which end the run, the first one first."""
         if self._world.settings.ends_with_all:
-            return explored if len(explored) >= active else []
-        return self._confirmed(explored) if self._suffice(explored, active) else []
+            return explored if len(explored) >= robots else []
+        return self._confirmed(explored) if self._suffice(explored, robots) else []
 
-    def _suffice(self, explored: Sequence[int], active: int) -> bool:
-        """Return whether enough of the active robots report `explored` in this step.
+    def _suffice(self, explored: Sequence[int], robots: int) -> bool:
+        """Return whether enough of the robots report `explored` in this step.
 
         Usually one is enough. With sensors that have errors, false walls may enclose a robot: then two must agree, or
         one must report it for `LONE_REPORT_STEPS` steps, in which teammates may open a way for it.
@@ -69,7 +70,7 @@ class Ending:
         if self._world.settings.sensors is None:
             return len(explored) > 0
         longest = max(self._report_steps.values(), default=0)
-        return len(explored) >= min(active, 2) or longest >= LONE_REPORT_STEPS
+        return len(explored) >= min(robots, 2) or longest >= LONE_REPORT_STEPS
 
     def _confirmed(self, explored: Sequence[int]) -> list[int]:
         """Return the robots whose report `explored` ends the run; note the others as early.

@@ -38,6 +38,7 @@ from protocol.messages import (
 from protocol.rights import MAX_PROTOCOL_ERRORS, TOO_MANY_ERRORS
 from worldsim.barrier import Barrier
 from worldsim.base import BaseWorld
+from worldsim.clock import MOVE, STEP, StepClock
 from worldsim.ending import Ending
 from worldsim.motion import FINE
 from worldsim.restarts import Restarts
@@ -48,7 +49,8 @@ class WorldNode:
 
     `steps` is the last step; cells are `cell_mm` wide in reports. `wait` is called before each step is opened, which it
     may delay. With `revive`, robots whose processes end unexpectedly are restarted; each robot may start `incarnations`
-    times. `resend` sends the last messages to a robot again, after its connection was restored.
+    times. `resend` sends the last messages to a robot again, after its connection was restored. `clock` ends the steps;
+    by default, they wait for all robots.
     """
 
     def __init__(
@@ -63,6 +65,7 @@ class WorldNode:
         revive: bool = False,
         incarnations: int = 1,
         resend: Callable[[str], object] = lambda _: None,
+        clock: StepClock | None = None,
     ) -> None:
         self.done = False
         self._bus = bus
@@ -73,7 +76,7 @@ class WorldNode:
         self._wait = wait
         self._resend = resend
         self._restarts = Restarts(world.cells, incarnations - 1, automatic=revive)
-        self._barrier = Barrier(world, self._restarts)
+        self._barrier = Barrier(world, self._restarts, StepClock() if clock is None else clock)
         self._ending = Ending(world, steps)
         self._has_viewer = False
         self._protocol_errors: Counter[str] = Counter()
@@ -89,8 +92,16 @@ class WorldNode:
                 self._take_note(content)
         except ProtocolError as error:
             self._report_error(names.parts(message.key)[3], str(error))
-        while self._barrier.step_is_over():
-            self._end_step()
+        self._end_steps()
+
+    def deadline(self, now_ns: int) -> int | None:
+        """Return the time at which `tick` should be called, in nanoseconds; None: never."""
+        return self._barrier.deadline(now_ns)
+
+    def tick(self, now_ns: int) -> None:
+        """End the step if its time is over. Call this when no message is waiting."""
+        self._barrier.clock.tick(now_ns)
+        self._end_steps()
 
     @property
     def phase(self) -> tuple[object, ...]:
@@ -135,10 +146,17 @@ class WorldNode:
         elif isinstance(note, Shutdown):
             self.done = True
 
+    def _end_steps(self) -> None:
+        """End the steps that are over: the current one, and further ones in which no robot takes part."""
+        while self._barrier.step_is_over():
+            self._end_step()
+
     def _end_step(self) -> None:
         """End the run if this step ends it, else open the next step."""
         moves = self._barrier.end_step()
-        end = self._ending.check(moves, deserted=self._barrier.is_deserted())
+        self._report_missed(MOVE, self._barrier.late)
+        robots = len(self._world.present_robots())
+        end = self._ending.check(moves, robots, deserted=self._barrier.is_deserted())
         for robot, reason in self._ending.take_early_reports():
             self._report(messages.ErrorReport(names.robot(robot), reason))
         if end is not None:
@@ -213,6 +231,13 @@ class WorldNode:
         for robot, sense in senses:
             self._send(robot, sense)
         self._report(self._world_report())
+        self._report_missed(STEP, sorted(world.absent))
+
+    def _report_missed(self, phase: str, robots: list[int]) -> None:
+        """Report the robots, if any, that miss a phase of this step."""
+        if robots:
+            missed = pack(messages.Missed(self._world.step, phase, 0, robots))
+            self._bus.put(self._keys.control(names.RECORDER, names.WORLD), missed)
 
     def _report_error(self, sender: str, reason: str) -> None:
         """Report a malformed or inconsistent message; give up on a robot that sends too many in one step."""
