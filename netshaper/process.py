@@ -7,11 +7,12 @@ without a robot that the relay reports as lost. A viewer may join and leave; the
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import TypeGuard
 
 from msgspec.structs import replace
 
+from netshaper.phase_clock import PhaseClock
 from netshaper.radio import Radio
 from netshaper.settings import RadioSettings
 from protocol import keys as names
@@ -32,6 +33,7 @@ from protocol.messages import (
     FaultEvent,
     Lost,
     MediumEvent,
+    Missed,
     Positions,
     RadioReport,
     Reconnected,
@@ -72,6 +74,8 @@ class RelayNode:
         `give_up_on` is called: only its connection may have been cut. Without it, such a robot is lost at once.
     may_return : bool
         Whether a lost robot may take part again, as a new incarnation.
+    clock : PhaseClock, optional
+        Ends phases of the medium; by default, they wait for all robots.
 
     Attributes
     ----------
@@ -88,6 +92,7 @@ class RelayNode:
         captures: bool = True,
         resend: Callable[[str], object] | None = None,
         may_return: bool = True,
+        clock: PhaseClock | None = None,
     ) -> None:
         self.done = False
         self.away: set[int] = set()
@@ -100,6 +105,7 @@ class RelayNode:
         self._bus = bus
         self._keys = keys
         self._radio = Radio(settings)
+        self._clock = PhaseClock() if clock is None else clock
         self._captures = captures
         robots = [names.robot(number) for number in range(settings.robots)]
         self._keys_to_robots = [keys.radio_rx(robot, names.RELAY) for robot in robots]
@@ -133,7 +139,17 @@ class RelayNode:
 
     def waiting_for(self) -> list[int]:
         """Robots whose messages the relay is waiting for."""
-        return self._radio.waiting_for()
+        return self._radio.waiting_for() if self._clock.waits else []
+
+    def deadline(self, now_ns: int) -> int | None:
+        """Return the time at which `tick` should be called, in nanoseconds; None: never."""
+        return self._clock.deadline(self._radio.phase, now_ns)
+
+    def tick(self, now_ns: int) -> None:
+        """End the phase if its time is over. Call this when no message is waiting."""
+        due = self.deadline(now_ns)
+        if due is not None and now_ns >= due:
+            self._continue_without(self._radio.waiting_for())
 
     def handle(self, message: Message) -> None:
         """Take one message from the bus."""
@@ -146,6 +162,8 @@ class RelayNode:
                 self._take(sender, rights.read(key, payload), payload)
             except ProtocolError as error:
                 self._fault(sender, str(error))
+        while missed := self._clock.missed(self._radio.phase):
+            self._continue_without(missed)
         if self._radio.protocol_errors:
             self._report_protocol_errors()
         self.done = self.shutting_down and not self._present
@@ -160,6 +178,13 @@ class RelayNode:
             self._put(names.WORLD, pack(Lost(robot, cause)))
             self._radio.lost(robot)
             self._send_events()
+
+    def _continue_without(self, robots: Collection[int]) -> None:
+        """Continue the step without robots that miss this phase of the medium."""
+        step, number, phase = self._radio.phase
+        self._put(names.RECORDER, pack(Missed(step, phase, number, list(robots))))
+        self._radio.skip(robots)
+        self._send_events()
 
     def _presence(self, name: str, *, came: bool) -> None:
         """A participant has joined or left the bus."""

@@ -13,14 +13,16 @@ A round of handshakes, on a perfect radio without gossip, has three phases:
 Every other round has one phase: robots broadcast, or send frames to one robot, and the relay puts them on the air by
 priority and fair share. Replies follow in the next round. Senders learn which bytes were on the air, not which arrived.
 
-A phase ends when all robots that it concerns have answered or are dead. A further round begins while some budget is
-left. A frame that is malformed, out of range or out of turn is logged as such and delivered to no robot.
+A phase ends when all robots that it concerns have answered or are dead. By the wall clock, it ends without those that
+are late (`netshaper.phase_clock`): they miss the step's further phases, as if their radios were mute. A further round
+begins while some budget is left. A frame that is malformed, out of range or out of turn is logged as such and delivered
+to no robot.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from operator import attrgetter
 from typing import TypeVar
@@ -32,6 +34,7 @@ from netshaper.airtime import Shares
 from netshaper.frame_log import Connection, Content, Frame
 from netshaper.ledger import ANSWER, DATA, EVERYONE, NEWS, OFFER
 from netshaper.medium import Account, Medium
+from netshaper.phase_clock import PHASES
 from netshaper.settings import RadioSettings
 from netshaper.topology import Topology
 from protocol.budget import UNLIMITED, Budget
@@ -57,8 +60,6 @@ Item = TypeVar("Item")
 
 _STEP = attrgetter("step")
 _FRAME = attrgetter("frame")
-
-PHASES = ("offers", "answers", "data")
 
 NOT_FOR_ALL = "sent to all, where maps are offered to one robot"
 NOT_FOR_ONE = "news are a broadcast: sent to one robot"
@@ -139,7 +140,9 @@ class Radio:
         if sender in self._topology.dead:
             return
         if sender not in self._waiting or (submitted.step, submitted.round, submitted.phase) != self.phase:
-            self._refuse_out_of_turn(sender, submitted)
+            is_late = sender in self._topology.late and submitted.step <= self._step
+            if not is_late:
+                self._refuse_out_of_turn(sender, submitted)
             return
         self._submitted[sender] = submitted
         self._waiting.discard(sender)
@@ -149,6 +152,12 @@ class Radio:
         """Stop waiting for a robot that is dead."""
         self._topology.dead.add(robot)
         self._waiting.discard(robot)
+        self._advance()
+
+    def skip(self, robots: Collection[int]) -> None:
+        """Stop waiting for robots that miss this phase; they take no part in the step's further phases."""
+        self._topology.note_missed(robots)
+        self._waiting.difference_update(robots)
         self._advance()
 
     def back(self, robot: int) -> None:
@@ -181,10 +190,10 @@ class Radio:
         self._first += len(self._connections)
         self._connections = []
         self._broadcast_sent = {}
-        living = self._topology.living()
-        self._expect("offers", living)
+        participants = self._topology.participants()
+        self._expect("offers", participants)
         detected, room = self._topology.detected_by, self._medium.airtime.room
-        self.events += [(r, Open(self._step, self._round, detected(r), room(r))) for r in living]
+        self.events += [(r, Open(self._step, self._round, detected(r), room(r))) for r in participants]
 
     def _expect(self, phase: str, robots: Sequence[int]) -> None:
         self._phase = phase
@@ -368,7 +377,7 @@ class Radio:
 
     def _deliver(self, kind: int) -> None:
         """Deliver all frames of a kind in the drawn order, and ask their receivers for the next phase."""
-        receiving = self._topology.receiving()
+        receiving = self._topology.receiving() - self._topology.absent
         arrived: defaultdict[int, list[Delivery]] = defaultdict(list)
         for connection in self._connections:
             if len(connection.frames) > kind:

@@ -40,6 +40,8 @@ class RadioSettings:
         Scheduled changes of budget and range.
     faults : tuple of FaultEvent
         Scheduled faults of radios (`protocol.faults.RADIO_KINDS`).
+    step_ns : int or None
+        Duration of a step by the wall clock, in nanoseconds; None: phases wait for all robots.
     """
 
     robots: int
@@ -56,6 +58,7 @@ class RadioSettings:
     receive: tuple[int, ...] = ()
     changes: tuple[Change, ...] = ()
     faults: tuple[FaultEvent, ...] = ()
+    step_ns: int | None = None
 
     @property
     def maps(self) -> int:

@@ -20,6 +20,10 @@ class Topology:
         """Robots whose radios cannot send."""
         self.deaf: set[int] = set()
         """Robots whose radios cannot receive."""
+        self.absent: set[int] = set()
+        """Robots that missed a phase of this step; they take no part in the rest of its phases, but receive."""
+        self.late: set[int] = set()
+        """Robots that missed a phase in any step; their answers may still come."""
 
     def begin(
         self,
@@ -30,12 +34,21 @@ class Topology:
         deaf: Iterable[int],
     ) -> None:
         """Begin a step, with the true cell (x, y) of each robot."""
-        self.mute, self.deaf = set(mute), set(deaf)
+        self.mute, self.deaf, self.absent = set(mute), set(deaf), set()
         self.in_range = links(settings, step, {r: cell for r, cell in cells.items() if r not in self.dead})
 
     def living(self) -> list[int]:
         """Return the robots that take part in the step and are not dead."""
         return sorted(self.in_range.keys() - self.dead)
+
+    def participants(self) -> list[int]:
+        """Return the living robots that have missed no phase of the step."""
+        return sorted(self.in_range.keys() - self.dead - self.absent)
+
+    def note_missed(self, robots: Iterable[int]) -> None:
+        """Note that robots have missed a phase of this step."""
+        self.absent.update(robots)
+        self.late |= self.absent
 
     def detected_by(self, robot: int) -> list[int]:
         """Return the teammates in range that a robot can detect."""

@@ -468,6 +468,19 @@ class Outlines(Record, tag=21, frozen=True):
             raise ValueError(f"{len(self.vertices)} bytes of vertices are not rows of four int16")
 
 
+class Missed(Record, tag=30, frozen=True):
+    """World or relay to recorder: by the wall clock, robots missed a phase of a step (docs/clocks.md).
+
+    `phase`: of the medium, with its `round`; from the world ``step`` if they took no part in the step, and ``move`` if
+    their moves were late.
+    """
+
+    step: Step
+    phase: Name
+    round: Round
+    robots: RobotNumbers
+
+
 class ErrorReport(Record, tag=18, frozen=True):
     """Relay, world or robot to recorder: `participant` caused a protocol error; the run continues."""
 

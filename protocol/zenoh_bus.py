@@ -2,7 +2,7 @@
 
 The hub is the relay's own session: it routes what its access control allows (`netshaper.access`) and nothing
 else. A session has one subscription, read in the main loop. A thread sends a tick to it four times a second, so
-that waits can time out and a client detects the loss of its hub.
+that a client detects the loss of its hub, and one whenever a wait times out.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from protocol import keys as names
+from protocol.alarm import Alarm
 from protocol.bus import BusClosed, Message
 from protocol.files import read_file
 from protocol.keys import Keys
@@ -138,6 +139,7 @@ class ZenohBus:
             )
         else:
             self._token = session.liveliness().declare_token(keys.alive(name))
+        self._alarm = Alarm()
         self._ticker = threading.Thread(target=self._tick, name=f"{name}-ticks", daemon=True)
         self._ticker.start()
 
@@ -171,11 +173,13 @@ class ZenohBus:
                     self._publishers[key].put(numbered)
 
     def receive(self, timeout_s: float | None = None) -> Message | None:
-        """Wait for the next message, at most `timeout_s` seconds plus one tick; see `protocol.bus.Bus`."""
+        """Wait for the next message, at most `timeout_s` seconds; see `protocol.bus.Bus`."""
         deadline = None if timeout_s is None else time.monotonic() + timeout_s
         while True:
             if self._closing.is_set():
                 raise BusClosed(f"{self._name}: this end of the bus is closed")
+            if deadline is not None:
+                self._alarm.set(deadline)
             try:
                 sample = self._inbox.recv() if timeout_s != 0 else self._inbox.try_recv()
             except zenoh.ZError as error:
@@ -197,6 +201,7 @@ class ZenohBus:
         """Leave the bus."""
         if not self._closing.is_set():
             self._closing.set()
+            self._alarm.close()
             self._ticker.join()
             for part in (self._watch, self._token, self._subscriber):
                 if part is not None:
@@ -221,10 +226,16 @@ class ZenohBus:
             )
 
     def _tick(self) -> None:
-        missing = 0
-        while not self._closing.wait(TICK_S):
-            missing = 0 if self._is_hub or self._session.info.routers_zid() else missing + 1
-            self._hub_gone = self._hub_gone or missing > self._misses
+        missing, due = 0, time.monotonic() + TICK_S
+        while True:
+            self._alarm.sleep(due)
+            if self._closing.is_set():
+                break
+            now = time.monotonic()
+            if now >= due:
+                due = now + TICK_S
+                missing = 0 if self._is_hub or self._session.info.routers_zid() else missing + 1
+                self._hub_gone = self._hub_gone or missing > self._misses
             self._session.put(self._tick_key, b"", allowed_destination=zenoh.Locality.SESSION_LOCAL)
 
 

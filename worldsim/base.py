@@ -51,6 +51,8 @@ class BaseWorld(ABC):
         self.seen_cells = 0
         """Number of reachable free cells that the team has seen."""
         self.faults = FaultSchedule(settings.faults)
+        self.absent: set[int] = set()
+        """Robots in the world that take no part in this step, because they still work on an earlier one."""
         self._last_cells = dict(self.cells)
         """Last cell of each robot that has been removed."""
 
@@ -92,6 +94,7 @@ class BaseWorld(ABC):
         """Remove a robot from the world; the others no longer collide with it."""
         if robot in self.cells:
             self._last_cells[robot] = self.cells.pop(robot)
+            self.absent.discard(robot)
             self.faults.active["stop"].pop(robot, None)
 
     def due_faults(self) -> list[FaultEvent]:
@@ -99,25 +102,31 @@ class BaseWorld(ABC):
         return self.faults.due(self.step + 1, self.cells)
 
     def is_active(self, robot: int) -> bool:
-        """Return whether a robot takes part in this step: it is in the world and not stopped."""
-        return robot in self.cells and robot not in self.faults.active["stop"]
+        """Return whether a robot takes part in this step: it is in the world, not stopped and not absent."""
+        return robot in self.cells and robot not in self.faults.active["stop"] and robot not in self.absent
 
     def active_robots(self) -> list[int]:
         """Return the robots that take part in this step, in ascending order."""
+        return sorted(self.cells.keys() - self.faults.active["stop"].keys() - self.absent)
+
+    def present_robots(self) -> list[int]:
+        """Return the robots that are in the world and not stopped, absent ones included, in ascending order."""
         return sorted(self.cells.keys() - self.faults.active["stop"].keys())
 
     @property
     def active_count(self) -> int:
         """Number of robots that take part in this step."""
-        return len(self.cells) - len(self.faults.active["stop"])
+        return len(self.cells) - len(self.faults.active["stop"]) - len(self.absent)
 
     def is_deserted(self) -> bool:
         """Return whether no robot takes part in this step, and none will take part again by the schedule."""
+        if self.absent:
+            return False
         restarts = any(fault.kind == "restart" for fault in self.faults.pending)
         recovers = any(until < math.inf for until in self.faults.active["stop"].values())
         return not self.active_count and not restarts and not recovers
 
     def smallest_robots(self) -> list[int]:
-        """Return the active robots of the smallest radius; they reach all that any robot reaches."""
-        radii = {robot: self.settings.bodies[robot].radius_cells for robot in self.active_robots()}
+        """Return the robots of the smallest radius; they reach all that any robot reaches."""
+        radii = {robot: self.settings.bodies[robot].radius_cells for robot in self.present_robots()}
         return [robot for robot, radius in radii.items() if radius == min(radii.values())]

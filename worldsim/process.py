@@ -1,9 +1,12 @@
-"""The world's process: it opens a step, waits until all active robots have sent their moves, and opens the next."""
+"""The world's process: it opens a step, collects the robots' moves until the step ends, and opens the next.
+
+`worldsim.barrier` decides when a step ends, `worldsim.ending` when the run does.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -33,15 +36,12 @@ from protocol.messages import (
     pack,
 )
 from protocol.rights import MAX_PROTOCOL_ERRORS, TOO_MANY_ERRORS
+from worldsim.barrier import Barrier
 from worldsim.base import BaseWorld
+from worldsim.clock import MOVE, STEP, StepClock
+from worldsim.ending import Ending
 from worldsim.motion import FINE
 from worldsim.restarts import Restarts
-
-OUT_OF_STEPS, ALL_LOST = "out of steps", "all robots are lost"
-
-
-LONE_REPORT_STEPS = 5
-"""Steps after which the report of one robot ends a run with real sensors, if no teammate agrees."""
 
 
 class WorldNode:
@@ -49,7 +49,8 @@ class WorldNode:
 
     `steps` is the last step; cells are `cell_mm` wide in reports. `wait` is called before each step is opened, which it
     may delay. With `revive`, robots whose processes end unexpectedly are restarted; each robot may start `incarnations`
-    times. `resend` sends the last messages to a robot again, after its connection was restored.
+    times. `resend` sends the last messages to a robot again, after its connection was restored. `clock` ends the steps;
+    by default, they wait for all robots.
     """
 
     def __init__(
@@ -64,58 +65,52 @@ class WorldNode:
         revive: bool = False,
         incarnations: int = 1,
         resend: Callable[[str], object] = lambda _: None,
+        clock: StepClock | None = None,
     ) -> None:
         self.done = False
         self._bus = bus
         self._keys = keys
         self._world = world
         self._body_keys = {robot: keys.body(names.robot(robot), names.WORLD) for robot in world.cells}
-        self._steps = steps
         self._cell_mm = cell_mm
         self._wait = wait
         self._resend = resend
         self._restarts = Restarts(world.cells, incarnations - 1, automatic=revive)
-        self._moves: dict[int, Move] = {}
-        """The moves received in this step, by robot."""
-        self._held_moves: dict[int, Move] = {}
-        """The moves of the last step, until the next one is opened; restarts may hold it."""
-        self._stop_reason = ""
-        """Why the recorder asked for the run to end after this step; empty if it did not."""
-        self._running = False
+        self._barrier = Barrier(world, self._restarts, StepClock() if clock is None else clock)
+        self._ending = Ending(world, steps)
         self._has_viewer = False
-        self._medium_closed = False
-        """Whether the relay has closed the medium of this step; robots move only then."""
         self._protocol_errors: Counter[str] = Counter()
         """Malformed or inconsistent messages in this step, by sender."""
-        self._report_steps: dict[int, int] = {}
-        """For how many steps in a row each robot has reported `explored`."""
-        self._refuted: set[int] = set()
-        """Robots that have reported `explored` too early."""
 
     def handle(self, message: Message) -> None:
         """Process one message from the bus."""
         try:
             content = rights.read(*message)
             if isinstance(content, Move):
-                self._take_move(names.number(names.parts(message.key)[3]), content)
+                self._barrier.take_move(names.number(names.parts(message.key)[3]), content)
             else:
                 self._take_note(content)
         except ProtocolError as error:
             self._report_error(names.parts(message.key)[3], str(error))
-        while self._running and not self._restarts.awaited and len(self._moves) >= self._world.active_count:
-            self._end_step()
+        self._end_steps()
+
+    def deadline(self, now_ns: int) -> int | None:
+        """Return the time at which `tick` should be called, in nanoseconds; None: never."""
+        return self._barrier.deadline(now_ns)
+
+    def tick(self, now_ns: int) -> None:
+        """End the step if its time is over. Call this when no message is waiting."""
+        self._barrier.clock.tick(now_ns)
+        self._end_steps()
 
     @property
     def phase(self) -> tuple[object, ...]:
         """The state of the barrier: it changes whenever the run makes progress."""
-        return self._world.step, self._medium_closed, len(self._restarts.awaited)
+        return self._barrier.phase
 
     def waiting_for(self) -> list[int]:
         """Return the robots that the next step waits for: for their return, or for their moves."""
-        if self._restarts.awaited:
-            return sorted(self._restarts.awaited - self._restarts.rejoined)
-        waits = self._running and self._medium_closed
-        return [robot for robot in self._world.active_robots() if robot not in self._moves] if waits else []
+        return self._barrier.waiting_for()
 
     def give_up_on(self, robot: int, cause: str) -> None:
         """Continue without a robot; the relay removes it from the run."""
@@ -129,12 +124,12 @@ class WorldNode:
     def _take_note(self, note: object) -> None:
         """Process a message of the relay."""
         if isinstance(note, Begin):
-            self._running = True
+            self._barrier.running = True
             self._open_step({})
         elif isinstance(note, Lost):
             self._take_loss(note.robot)
         elif isinstance(note, Close):
-            self._medium_closed = note.step == self._world.step
+            self._barrier.medium_closed = note.step == self._world.step
         elif isinstance(note, Back):
             self._restarts.note_return(note.robot)
             self._start_awaited()
@@ -143,91 +138,39 @@ class WorldNode:
         elif isinstance(note, FaultEvent):
             self._schedule(note)
         elif isinstance(note, Stop):
-            self._stop_reason = note.reason
-            if self._running and self._restarts.awaited:
-                self._end(self._stop_reason, -1)
+            self._ending.stop_reason = note.reason
+            if self._barrier.running and self._restarts.awaited:
+                self._end(End(self._world.step, note.reason, -1))
         elif isinstance(note, Watched):
             self._has_viewer = note.here
         elif isinstance(note, Shutdown):
             self.done = True
 
-    def _take_move(self, robot: int, move: Move) -> None:
-        """Accept the move of an active robot, its first of this step."""
-        step = self._world.step
-        if not self._running or move.step != step:
-            raise ProtocolError("Move", 0, f"for step {move.step}, while step {step} is under way")
-        if robot in self._moves:
-            raise ProtocolError("Move", 0, f"a second one for step {step}")
-        if self._world.is_active(robot):
-            self._moves[robot] = move
+    def _end_steps(self) -> None:
+        """End the steps that are over: the current one, and further ones in which no robot takes part."""
+        while self._barrier.step_is_over():
+            self._end_step()
 
     def _end_step(self) -> None:
         """End the run if this step ends it, else open the next step."""
-        moves, self._moves = self._moves, {}
-        may_end = self._world.may_end()
-        explored = sorted(robot for robot, move in moves.items() if move.explored and may_end)
-        wanted = 1
-        if self._world.settings.ends_with_all:
-            wanted = len(moves)
-        elif self._suffice(explored, len(moves)):
-            explored = self._confirmed(explored)
-        else:
-            explored = []
-        if explored and len(explored) >= wanted:
-            self._end(self._world.finished, explored[0])
-        elif self._world.is_deserted() and not self._restarts.rejoined and not self._restarts.recovering:
-            self._end(ALL_LOST, -1)
-        elif may_end and self._world.is_stalled(moves):
-            self._end(self._world.stalled, -1)
-        elif self._stop_reason:
-            self._end(self._stop_reason, -1)
-        elif self._world.step >= self._steps:
-            self._end(OUT_OF_STEPS, -1)
+        moves = self._barrier.end_step()
+        self._report_missed(MOVE, self._barrier.late)
+        robots = len(self._world.present_robots())
+        end = self._ending.check(moves, robots, deserted=self._barrier.is_deserted())
+        for robot, reason in self._ending.take_early_reports():
+            self._report(messages.ErrorReport(names.robot(robot), reason))
+        if end is not None:
+            self._end(end)
         else:
             self._open_step(moves)
-
-    def _suffice(self, explored: Sequence[int], active: int) -> bool:
-        """Return whether enough of the active robots report `explored` in this step.
-
-        Usually one is enough. With sensors that have errors, false walls may enclose a robot: then two must agree, or
-        one must report it for `LONE_REPORT_STEPS` steps, in which teammates may open a way for it.
-        """
-        self._report_steps = {robot: self._report_steps.get(robot, 0) + 1 for robot in explored}
-        if self._world.settings.sensors is None:
-            return len(explored) > 0
-        longest = max(self._report_steps.values(), default=0)
-        return len(explored) >= min(active, 2) or longest >= LONE_REPORT_STEPS
-
-    def _confirmed(self, explored: Sequence[int]) -> list[int]:
-        """Return the robots whose report `explored` ends the run; report the others.
-
-        Only robots of the smallest radius can know that all is explored. The team must have seen enough for a report,
-        and everything if the robot has reported too early before, unless all of these robots agree.
-        """
-        smallest = self._world.smallest_robots()
-        reporting = [robot for robot in smallest if robot in explored]
-        least = self._world.settings.min_coverage
-        seen = {robot: self._world.share_seen(robot) for robot in reporting}
-        confirmed = [robot for robot in reporting if seen[robot] >= (1 if robot in self._refuted else least)]
-        if confirmed or len(reporting) == len(smallest):
-            return sorted(confirmed or reporting, key=self._refuted.__contains__)
-        for robot in sorted(set(reporting) - self._refuted):
-            share = f"{100 * seen[robot]:.1f} % of the cells that it can reach"
-            reason = f"robot {robot} reported 'explored' when the team had seen {share}"
-            self._report(messages.ErrorReport(names.robot(robot), reason))
-        self._refuted.update(reporting)
-        return []
 
     def _open_step(self, moves: Mapping[int, Move]) -> None:
         """Apply the faults of the next step; open it unless restarts hold it."""
         self._wait()
-        self._medium_closed = False
         self._protocol_errors.clear()
         for fault in self._world.due_faults():
             self._apply(fault)
-        self._held_moves = dict(moves)
-        if self._world.is_deserted():
-            self._restarts.await_recovering()
+        self._barrier.hold(moves)
         if self._restarts.awaited:
             self._start_awaited()
         else:
@@ -256,40 +199,31 @@ class WorldNode:
             self._report(killed)
             self._bus.put(self._keys.control_tx(names.WORLD), pack(killed))
             self._send(robot, killed)
-            self._remove(robot)
+            self._barrier.remove(robot)
         elif here and fault.kind != "restart":
             self._report(FaultEvent(step, robot, fault.kind, fault.steps))
         if here and fault.kind == "death":
-            self._remove(robot)
+            self._barrier.remove(robot)
 
     def _take_loss(self, robot: int) -> None:
         """Process the end of a robot's process, by a fault or unexpected."""
         unexpected = robot in self._world.cells or robot in self._restarts.rejoined
-        self._remove(robot)
+        self._barrier.remove(robot)
         if self._restarts.note_end(robot, unexpected=unexpected):
             self._report(FaultEvent(self._world.step, robot, "restart"))
         self._start_awaited()
-
-    def _remove(self, robot: int) -> None:
-        """Remove a robot from the world, and its moves from this step."""
-        self._world.remove(robot)
-        self._moves.pop(robot, None)
-        self._held_moves.pop(robot, None)
 
     def _start_awaited(self) -> None:
         """Ask the launcher to restart awaited robots whose processes have ended; continue once all have rejoined."""
         for robot in self._restarts.take_startable():
             self._report(FaultEvent(self._world.step + 1, robot, "restart"))
-        if self._running and self._restarts.complete():
+        if self._barrier.running and self._restarts.complete():
             self._advance()
 
     def _advance(self) -> None:
         """Open the next step: send the relay all positions, then each robot its scan as soon as it is computed."""
         world = self._world
-        for robot in self._restarts.take_rejoined():
-            world.restore(robot)
-        moves, self._held_moves = self._held_moves, {}
-        senses = world.move_robots(moves)
+        senses = world.move_robots(self._barrier.begin_step())
         robots = world.active_robots()
         x, y = ([world.cells[robot][axis] for robot in robots] for axis in range(2))
         positions = Positions(world.step, robots, x, y)
@@ -297,6 +231,13 @@ class WorldNode:
         for robot, sense in senses:
             self._send(robot, sense)
         self._report(self._world_report())
+        self._report_missed(STEP, sorted(world.absent))
+
+    def _report_missed(self, phase: str, robots: list[int]) -> None:
+        """Report the robots, if any, that miss a phase of this step."""
+        if robots:
+            missed = pack(messages.Missed(self._world.step, phase, 0, robots))
+            self._bus.put(self._keys.control(names.RECORDER, names.WORLD), missed)
 
     def _report_error(self, sender: str, reason: str) -> None:
         """Report a malformed or inconsistent message; give up on a robot that sends too many in one step."""
@@ -335,11 +276,10 @@ class WorldNode:
         scale = self._cell_mm / FINE
         return round((x * FINE + offset_x) * scale), round((y * FINE + offset_y) * scale)
 
-    def _end(self, reason: str, first: int) -> None:
-        """End the run; `first` is the robot that finished first, or -1."""
-        self._running = False
-        end = pack(End(self._world.step, reason, first))
-        self._bus.put(self._keys.control_tx(names.WORLD), end)
+    def _end(self, end: End) -> None:
+        """End the run."""
+        self._barrier.running = False
+        self._bus.put(self._keys.control_tx(names.WORLD), pack(end))
 
     def _send(self, robot: int, message: Record) -> None:
         self._bus.put(self._body_keys[robot], pack(message))

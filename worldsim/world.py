@@ -71,6 +71,8 @@ class WorldSettings:
     """People in the building; only sensors with errors see them."""
     scan_rate: float = 1.0
     """Scans per step, at most 1."""
+    step_ns: int | None = None
+    """Duration of a step by the wall clock, in nanoseconds; None: steps wait for all robots."""
 
 
 class World(BaseWorld):

@@ -91,8 +91,11 @@ def replay(
     ] = False,
     as_json: JsonFlag = False,
 ) -> None:
-    """Repeat a run from its directory, and check that its digest is the same."""
-    from deploy.record import run_directory  # noqa: PLC0415
+    """Repeat a run from its directory, and check that its digest is the same.
+
+    A run by the wall clock is repeated on the memory bus: the robots miss the same phases of its steps.
+    """
+    from deploy.record import missed_phases, run_directory  # noqa: PLC0415
     from deploy.run import exploration  # noqa: PLC0415
     from deploy.run.control import why_unrepeatable  # noqa: PLC0415
 
@@ -100,12 +103,19 @@ def replay(
     before = run_directory.read_summary(directory)
     if reason := why_unrepeatable(before):
         raise ScenarioError(f"{directory}: cannot be repeated: {reason}")
-    run_directory.check_scans(directory, before)
+    run_directory.check_inputs(directory, before)
     if not trust:
         _confirm_local_code(directory, recorded)
+    missed = None
+    if recorded.clock == "wall":
+        if bus == "zenoh":
+            raise ValueError(
+                "bus = 'zenoh': a run by the wall clock is repeated on the memory bus; omit --bus"
+            )
+        bus, missed = "memory", missed_phases.read(directory / missed_phases.MISSED)
     scenario = load(directory / run_directory.SCENARIO, {"bus": bus})
     with progress(shown=not as_json) as watch:
-        result = exploration.explore(scenario, keep=False, watch=watch)
+        result = exploration.explore(scenario, keep=False, watch=watch, missed=missed)
     report_deaths(result.deaths)
     if result.exit_code == exploration.BROKEN_OFF:
         raise typer.Exit(exploration.BROKEN_OFF)

@@ -22,6 +22,7 @@ from deploy.commands.flags import (
     ScenarioFile,
     ViewAs,
     command_family,
+    duration_s,
     named_values,
     setting_flags,
 )
@@ -34,9 +35,9 @@ app = command_family()
 
 NESTED = {
     "radio.preset": "--radio", "laser.preset": "--laser", "pose.preset": "--pose",
-    "map_options.resolution": "--resolution", "people.number": "--people",
+    "map_options.resolution": "--resolution", "people.number": "--people", "step_s": "--step",
 }  # fmt: skip
-"""Keys of tables that have a flag of their own."""
+"""Keys of tables, and settings with other units, that have a flag of their own."""
 
 
 def _option(metavar: str, help: str, group: str, *names: str) -> Any:
@@ -73,6 +74,9 @@ def explore(
     people: Annotated[
         int | None, _option("N", "people who walk about in the building (docs/real-sensors.md)", WORLD)
     ] = None,
+    step: Annotated[
+        str | None, _option("DURATION", "duration of a step with --clock wall, as 200ms (default 1s)", RUN)
+    ] = None,
     thesis: Annotated[
         bool, _switch("--thesis", "the rules of the thesis, without later additions", RADIO)
     ] = False,
@@ -106,7 +110,8 @@ def explore(
     The run directory contains all results: summary.json, tables, pictures, maps, and scenario.toml, from which
     `murmur replay` repeats the run. docs/settings.md lists all settings.
     """
-    for name, value in zip(NESTED, (radio, laser, pose, resolution, people), strict=True):
+    step_s = duration_s(step) if step is not None else None
+    for name, value in zip(NESTED, (radio, laser, pose, resolution, people, step_s), strict=True):
         settings |= {name: value} if value is not None else {}
     overrides = settings | other_settings(set_ or [], settings)
     if option:

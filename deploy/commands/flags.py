@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import inspect
 import json
+import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -22,7 +23,7 @@ SETTINGS = {
         "range": "METERS|P%", "bandwidth": "BYTES|unlimited", "map_encoding": "NAME", "dissemination": "NAME",
         "tolerance": "CELLS",
     },
-    "Run": {"seed": "S", "steps": "MAX", "bus": "zenoh|memory"},
+    "Run": {"seed": "S", "steps": "MAX", "bus": "zenoh|memory", "clock": "barrier|wall"},
 }  # fmt: skip
 """Settings of a scenario with a flag of their own, by group of the help, each with the metavar of its value."""
 
@@ -155,6 +156,14 @@ def position(text: str) -> tuple[float, float]:
     except ValueError:
         raise ValueError(f"start = {text!r}: must be two numbers in meters, as 3.5,12") from None
     return x, y
+
+
+def duration_s(text: str) -> float:
+    """Parse a duration, as 200ms or 1.5s, in seconds; ValueError if it is malformed."""
+    parts = re.fullmatch(r"([0-9]*\.?[0-9]+) ?(ms|s)", text.strip())
+    if parts is None:
+        raise ValueError(f"step = {text!r}: must be a duration, as 200ms or 1.5s")
+    return float(parts[1]) / 1000 if parts[2] == "ms" else float(parts[1])
 
 
 def named_values(texts: list[str], flag: str, example: str) -> dict[str, Any]:

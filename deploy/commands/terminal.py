@@ -128,11 +128,24 @@ def summary_lines(summary: dict[str, Any], directory: Path | None, *, noisy: boo
         f"{KIND_LABELS.get(kind, kind)} {100 * size / total:.1f} %" for kind, size in kinds if size
     )
     lines.append(f"Transmitted: {total:,} B" + (f" ({shares})." if shares else "."))
+    if summary["clock"] == "wall":
+        lines.append(_missed_line(summary))
     lines.append(f"{summary['wall_s']:.1f} s, {summary['steps_per_s']} steps/s on the {summary['bus']} bus.")
     if directory is not None:
         shown = [str(directory / name) for name in (PICTURE, PICTURES) if (directory / name).exists()]
         lines.append(f"Results: {directory}" + (f" (pictures: {', '.join(shown)})" if shown else ""))
     return lines
+
+
+def _missed_line(summary: dict[str, Any]) -> str:
+    """The steps that robots missed by the wall clock."""
+    by_robot = {robot: steps for robot, steps in enumerate(summary["missed_steps_by_robot"]) if steps}
+    steps = ", ".join(f"robot {robot}: {steps}" for robot, steps in by_robot.items())
+    return (
+        f"Steps of {1000 * summary['step_s']:g} ms; missed steps: {summary['missed_steps']}"
+        + (f" ({steps})" if steps else "")
+        + f", missed phases of the radio: {summary['missed_phases']}."
+    )
 
 
 def _wall_line(summary: dict[str, Any]) -> list[str]:

@@ -65,6 +65,14 @@ OUTLINES = (
 )
 """One row per changed set of outlines (``outlines.parquet``); only for the polygon encoding."""
 
+MISSED = (
+    Column("step", "int32", "the step, from 1"),
+    Column("phase", "string", "step: took no part in it; move: moved too late; else the phase of the medium"),
+    Column("round", "int16", "the round of the medium, from 0"),
+    Column("robot", "int16", "the robot that missed it"),
+)
+"""One row per robot and phase of a step that it missed (``missed.parquet``); only for runs by the wall clock."""
+
 SUMMARY = {
     "finished": "whether a robot finished, and the team has seen at least `min_coverage`",
     "reason": "why the run ended; `robot R stopped too early` if the team has seen less",
@@ -90,6 +98,10 @@ SUMMARY = {
     "overlap": "cells seen by more than one robot over cells seen; null if a robot was lost with its grid",
     "path_length": "meters, one value per robot",
     "robots, seed, map, bus, strategy, map_encoding, bandwidth, range_m": "settings",
+    "clock, step_s": "settings",
+    "missed_steps, missed_steps_by_robot": "by the wall clock: steps in which robots did not move in time, in total "
+    "and one value per robot; 0 with the barrier",
+    "missed_phases": "by the wall clock: phases of the medium that robots did not answer in time; 0 with the barrier",
     "tolerance": "cells by which walls on maps of different robots may differ: the setting `tolerance`, and at least 1 "
     "if lasers or poses have errors",
     "bytes, packets": "transmitted, by kind of packet",
@@ -121,6 +133,7 @@ FILES = {
     "ledger.parquet": LEDGER,
     "map_changes.parquet": MAP_CHANGES,
     "outlines.parquet": OUTLINES,
+    "missed.parquet": MISSED,
 }
 
 

@@ -31,6 +31,7 @@ from protocol.messages import (
     Lost,
     MapChanges,
     MapPart,
+    Missed,
     Outlines,
     RadioReport,
     Reconnected,
@@ -61,7 +62,8 @@ class Records:
     certain (`protocol.map_parts.FinalMaps`). `world` has one report per step, `statuses` one list per robot, `rows` the
     rows of the ledger per step. `lost` has the cause of each unexpected failure by robot, `killed` the robots that a
     fault event killed and none restarted, `returned` step and robot of each return after an unexpected failure,
-    `reconnected` of each connection that was cut and restored. `protocol_errors` has sender and text of the first
+    `reconnected` of each connection that was cut and restored. `missed` has the phases of steps that robots missed by
+    the wall clock: with the scenario, they repeat the run. `protocol_errors` has sender and text of the first
     `MAX_PROTOCOL_ERROR_TEXTS` protocol errors of each sender. `carried` is the number of bytes transmitted in the last
     step.
     """
@@ -81,8 +83,8 @@ class Records:
     killed: set[int] = field(default_factory=set)
     returned: list[tuple[int, int]] = field(default_factory=list)
     reconnected: list[tuple[int, int]] = field(default_factory=list)
+    missed: list[Missed] = field(default_factory=list)
     protocol_errors: list[str] = field(default_factory=list)
-    protocol_error_count: int = 0
     _error_texts: Counter[str] = field(default_factory=Counter)
     end: End | None = None
     carried: int = 0
@@ -109,9 +111,13 @@ class Records:
         ended = {event.kind for event in self.fault_events} & {"kill", "restart"}
         return not (self.lost or self.returned or ended)
 
+    @property
+    def protocol_error_count(self) -> int:
+        """Number of protocol errors."""
+        return self._error_texts.total()
+
     def note_protocol_error(self, sender: str, text: str) -> None:
         """Record a protocol error of a sender."""
-        self.protocol_error_count += 1
         self._error_texts[sender] += 1
         if self._error_texts[sender] <= MAX_PROTOCOL_ERROR_TEXTS:
             self.protocol_errors.append(f"{sender}: {text}")
@@ -252,6 +258,8 @@ class RecorderNode:
                     records.returned.append((records.step, robot))
             case Reconnected(robot=robot):
                 records.reconnected.append((records.step, robot))
+            case Missed():
+                records.missed.append(message)
             case FaultEvent():
                 self._record_fault_event(message)
             case Change():

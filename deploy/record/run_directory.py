@@ -23,9 +23,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.plugins import without_import
+from deploy.record import missed_phases
 from deploy.record.columns import FILES, schema
 from deploy.record.columns import STEPS as STEP_COLUMNS
 from deploy.record.map_history import MAP_CHANGES
+from deploy.record.missed_phases import MISSED
 from deploy.record.records import Records
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
@@ -203,12 +205,13 @@ def read_summary(directory: Path) -> dict[str, Any]:
     return found
 
 
-def check_scans(directory: Path, summary: dict[str, Any]) -> None:
-    """Raise ScenarioError if the scans that a run replayed have changed since."""
+def check_inputs(directory: Path, summary: dict[str, Any]) -> None:
+    """Raise ScenarioError if the scans that a run replayed, or the steps that its robots missed, have changed since."""
     digests = summary.get("tables")
     for name, digest in digests.items() if isinstance(digests, dict) else ():
         path = directory / name
-        if path.suffix == scan_file.SUFFIX and path.is_file() and sha256(path) != digest:
+        is_input = path.suffix == scan_file.SUFFIX or name == MISSED
+        if is_input and path.is_file() and sha256(path) != digest:
             raise ScenarioError(f"{path}: has changed since the run: its SHA-256 is not that in {SUMMARY}")
 
 
@@ -251,6 +254,8 @@ def write_results(
         ),
         MAP_CHANGES: lambda: records.maps.write(out),
     }
+    if plan.scenario.clock == "wall":
+        writers[MISSED] = lambda: missed_phases.write(out / MISSED, records.missed)
     for name, each in found.items():
         if (each.cells == 1).any():
             writers[f"{name}.yaml"] = partial(maps.save, each, out / f"{name}.yaml")

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from agent.robot import sure_after
 from deploy.record.map_quality import Figures, Mask, is_refuted, robot_figures, team_figures, true_walls_of
+from deploy.record.missed_phases import figures as figures_of_missed
 from deploy.record.recorded_runs import recorded_figures
 from deploy.record.records import Records
 from deploy.record.versions import versions
@@ -65,6 +66,9 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "map_encoding": scenario.map_encoding,
         "bandwidth": scenario.bandwidth,
         "range_m": plan.range_m,
+        "clock": scenario.clock,
+        "step_s": scenario.step_s,
+        **figures_of_missed(records.missed, scenario.robots),
         "tolerance": tolerance(plan),
         "bytes": sizes,
         "raw_scan_bytes": steps * SCAN_VALUES * VALUE_BYTES * scenario.robots * (scenario.robots - 1),

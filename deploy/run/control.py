@@ -152,5 +152,7 @@ def why_unrepeatable(summary: dict[str, Any]) -> str:
     )
     if back:
         return f"{back}, unexpectedly"
+    if summary.get("clock") == "wall" and summary["reconnected"]:
+        return "connections were cut and restored, by the wall clock"
     lost = "; ".join(f"robot {robot} was lost: {cause}" for robot, cause in summary["lost"].items())
     return f"{lost}, unexpectedly" if lost else ""

@@ -7,7 +7,7 @@ import contextlib
 import io
 import shutil
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from html import escape
@@ -26,7 +26,7 @@ from deploy.run import launch, limits, memory
 from deploy.run.control import Control, as_it_went
 from deploy.run.crash_report import traceback_of
 from deploy.run.hosts import Hosts
-from deploy.run.in_memory import MemoryRun
+from deploy.run.in_memory import MemoryRun, check_clock
 from deploy.run.interrupt import Interrupt
 from deploy.run.ssh import Fleet
 from deploy.scenario import plan as plans
@@ -35,6 +35,7 @@ from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import Scenario, ScenarioError, check_incarnations, parse
 from protocol import keys as names
 from protocol.grid import Grid
+from protocol.messages import Missed
 from worldsim.pace import Pace
 
 if TYPE_CHECKING:
@@ -157,6 +158,7 @@ def explore(
     hosts: Hosts | None = None,
     control: Control | None = None,
     restart: bool = False,
+    missed: Sequence[Missed] | None = None,
     **settings: Any,
 ) -> Result:
     """Run a scenario. Viewing and pace do not affect its results.
@@ -182,6 +184,8 @@ def explore(
     restart : bool
         Whether to restart processes that end unexpectedly: robots, up to `INCARNATIONS` times each; after the end of
         relay or world the whole run, up to the step that it had reached and on (docs/reliability.md).
+    missed : sequence of Missed, optional
+        The record of a run by the wall clock, which this run repeats on the memory bus (docs/clocks.md).
     **settings
         Settings that replace those of `scenario`: ``explore(robots=5, bandwidth=1000)``.
 
@@ -198,6 +202,8 @@ def explore(
     _check_output(out, window, keep=keep)
     limits.check_memory()
     scenario = scenario_of(scenario, settings)
+    if scenario.bus == "memory":
+        check_clock(scenario, missed)
     incarnations = _incarnations(scenario, hosts) if restart else 1
     plan = plans.make(scenario, incarnations=incarnations, record_maps=keep)
     _check_pace_and_hosts(pace, hosts, scenario)
@@ -219,7 +225,7 @@ def explore(
     ):
         directory = run_directory.create(Path(out) if out is not None else None, plan) if keep else None
         return _Execution(
-            directory, watch, notify, window, pace, fleet, control, interrupt, restart
+            directory, watch, notify, window, pace, fleet, control, interrupt, restart, missed
         ).complete(plan)
 
 
@@ -236,6 +242,7 @@ class _Execution:
     control: Control | None
     interrupt: Interrupt
     restart: bool
+    missed: Sequence[Missed] | None
 
     def complete(self, plan: Plan) -> Result:
         """Run a plan to its end, write the results, and return them."""
@@ -305,7 +312,13 @@ class _Execution:
         with watching(task) if task is not None else contextlib.nullcontext() as view:
             ready()
             records = MemoryRun(
-                plan, capture, view=view, wait=wait, on_crash=note_crash, journals=self._journals
+                plan,
+                capture,
+                view=view,
+                wait=wait,
+                on_crash=note_crash,
+                journals=self._journals,
+                missed=self.missed,
             ).complete(self._observer(plan), heed=self._heed)
         return launch.Outcome(records, deaths)
 
@@ -362,9 +375,11 @@ def _check_output(out: Path | str | None, window: Window | None, *, keep: bool) 
 
 
 def _check_pace_and_hosts(pace: float | None, hosts: Hosts | None, scenario: Scenario) -> None:
-    """Raise ValueError if the pace is too slow, ScenarioError if the scenario cannot run on several hosts."""
+    """Raise ValueError if the pace is too slow or not needed, ScenarioError if the scenario cannot run on hosts."""
     if pace is not None:
         Pace(pace)
+        if scenario.clock == "wall":
+            raise ValueError("pace: with clock = 'wall', step_s sets the speed (--step); omit the pace")
     if hosts is None:
         return
     if scenario.bus == "memory":

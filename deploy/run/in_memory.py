@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol
@@ -11,11 +11,14 @@ from agent.journal import Journal, journal_name
 from agent.process import AgentNode
 from deploy.record.records import RecorderNode, Records
 from deploy.scenario.plan import Plan
+from deploy.scenario.scenario import Scenario, ScenarioError
+from netshaper.phase_clock import RecordedPhases
 from netshaper.process import RelayNode
 from protocol import keys as names
 from protocol.bus import Bus, BusClosed, Message
 from protocol.memory_bus import MemoryHub
-from protocol.messages import Change, FaultEvent
+from protocol.messages import Change, FaultEvent, Missed
+from worldsim.clock import RecordedClock
 from worldsim.process import WorldNode
 
 
@@ -38,7 +41,10 @@ class MemoryRun:
     `capture` receives the radio frames; `wrap` is called with each participant's name and end of the bus, and returns
     the end to use; `view` is a viewer; `wait` is called before each step, which it may delay. `on_crash` is called when
     a robot's code raises, which loses the robot; without it, the exception propagates. `journals` is the directory for
-    journals of robots that may be restarted; by default, they are kept in memory.
+    journals of robots that may be restarted; by default, they are kept in memory. `missed` is the record of a run by
+    the wall clock (`Records.missed`), which this run repeats.
+
+    Raises ScenarioError if the scenario's clock is the wall clock, and there is no record.
     """
 
     def __init__(
@@ -51,7 +57,9 @@ class MemoryRun:
         wait: Callable[[], object] = lambda: None,
         on_crash: OnCrash | None = None,
         journals: Path | None = None,
+        missed: Sequence[Missed] | None = None,
     ) -> None:
+        check_clock(plan.scenario, missed)
         robots = plan.scenario.robots
         self._robots = [names.robot(number) for number in range(robots)]
         watching = [names.VIEW] if view is not None else []
@@ -85,8 +93,15 @@ class MemoryRun:
             1000 * plan.map.resolution,
             wait=wait,
             incarnations=plan.incarnations,
+            clock=RecordedClock(missed) if missed is not None else None,
         )
-        self._relay = RelayNode(self._buses[names.RELAY], keys, plan.radio, captures=capture is not None)
+        self._relay = RelayNode(
+            self._buses[names.RELAY],
+            keys,
+            plan.radio,
+            captures=capture is not None,
+            clock=RecordedPhases(missed) if missed is not None else None,
+        )
         self._nodes: dict[str, Node] = {
             names.RELAY: self._relay,
             names.WORLD: self._world,
@@ -202,6 +217,14 @@ class MemoryRun:
 
     def _is_done(self) -> bool:
         return all(node.done for node in self._nodes.values())
+
+
+def check_clock(scenario: Scenario, missed: Sequence[Missed] | None) -> None:
+    """Raise ScenarioError if a scenario in this process needs the wall clock: only its repetition does not."""
+    if scenario.clock == "wall" and missed is None:
+        raise ScenarioError(
+            "clock = 'wall': robots of one process cannot be late; with this clock, bus must be 'zenoh'"
+        )
 
 
 def _note_restarts(due: list[int]) -> Callable[[FaultEvent], object]:

@@ -25,6 +25,7 @@ from deploy.run.crash_report import traceback_of
 from deploy.run.gate import LONGEST_PAUSE_S, Gate
 from deploy.run.reply_timeout import REPLY_TIMEOUT_S, ReplyTimeout
 from netshaper.hub import open_hub
+from netshaper.phase_clock import WallPhases
 from netshaper.process import DISCONNECTED, RelayNode
 from netshaper.router import Router
 from netshaper.settings import RadioSettings
@@ -33,6 +34,7 @@ from protocol.bus import Bus, BusClosed
 from protocol.keys import Keys
 from protocol.zenoh_bus import RECONNECT_S, Certificate, Credential, ZenohBus, join, send_along
 from worldsim.base import BaseWorld
+from worldsim.clock import WallClock
 from worldsim.pace import Pace
 from worldsim.process import WorldNode
 
@@ -73,7 +75,7 @@ class WorldTask:
         """Maximum pause between two steps in seconds."""
         if self.gate is not None:
             return LONGEST_PAUSE_S
-        return 1 / self.pace if self.pace else 0.0
+        return max(1 / self.pace if self.pace else 0.0, (self.world.settings.step_ns or 0) / 1e9)
 
     @property
     def wait(self) -> Callable[[], object]:
@@ -126,14 +128,15 @@ def relay(
     they change. Unless the relay `waits`, the run ends if no participant joins within `reply_timeout_s`. Lost robots
     take part again if they `may_return`.
     """
-    node = RelayNode(bus, Keys(run), settings, captures=captures, resend=bus.resend, may_return=may_return)
+    clock = None if settings.step_ns is None else WallPhases(settings.step_ns, settings)
+    node = RelayNode(
+        bus, Keys(run), settings, captures=captures, resend=bus.resend, may_return=may_return, clock=clock
+    )
     reply_timeout = ReplyTimeout(node, reply_timeout_s)
     away: dict[int, float] = {}
     reported: list[str] = []
     while not node.done:
-        message = bus.receive(POLL_S)
-        if message is not None:
-            node.handle(message)
+        work(bus, node)
         away = _awaited(node, away) if node.away or away else {}
         idle = reply_timeout.check()
         if node.shutting_down and idle > FAREWELL_S:
@@ -146,6 +149,20 @@ def relay(
         if missing != reported:
             reported = missing
             notify(f"waiting for {', '.join(missing)}" if missing else "all participants have joined")
+
+
+def work(bus: Bus, node: RelayNode | WorldNode) -> None:
+    """Wait for a message, at most `POLL_S` seconds and not beyond the node's deadline, and process it.
+
+    If none comes, the node notes the time: messages that are waiting count as in time.
+    """
+    due = node.deadline(time.monotonic_ns())
+    left_s = POLL_S if due is None else min(POLL_S, max(0, due - time.monotonic_ns()) / 1e9)
+    message = bus.receive(left_s)
+    if message is not None:
+        node.handle(message)
+    else:
+        node.tick(time.monotonic_ns())
 
 
 def _awaited(node: RelayNode, since: Mapping[int, float]) -> dict[int, float]:
@@ -168,6 +185,7 @@ def serve_world(credential: Credential, task: WorldTask, wrap: Wrap | None = Non
     joined = _joined(credential)
     bus = _wrapped(joined, credential, wrap)
     keys = Keys(credential.run)
+    step_ns = task.world.settings.step_ns
     node = WorldNode(
         bus,
         keys,
@@ -178,8 +196,13 @@ def serve_world(credential: Credential, task: WorldTask, wrap: Wrap | None = Non
         revive=task.revive,
         incarnations=task.incarnations,
         resend=joined.resend,
+        clock=None if step_ns is None else WallClock(step_ns),
     )
-    _serve(bus, node, ReplyTimeout(node, task.reply_timeout_s))
+    reply_timeout = ReplyTimeout(node, task.reply_timeout_s)
+    with closing(bus):
+        while not node.done:
+            work(bus, node)
+            reply_timeout.check()
 
 
 def serve_router(credential: Credential, endpoint: str, credentials: Mapping[str, Credential]) -> None:
@@ -206,7 +229,7 @@ def serve_agent(credential: Credential, journal: Path | None = None, wrap: Wrap 
         schedule_as_batch()
         joined = _joined(credential)
         bus = _wrapped(joined, credential, wrap)
-        _serve(bus, AgentNode(bus, Keys(credential.run), number, kept, resend=joined.resend))
+        _serve_robot(bus, AgentNode(bus, Keys(credential.run), number, kept, resend=joined.resend))
     except (JournalError, OSError) as error:
         if isinstance(error, ConnectionError):
             raise
@@ -230,18 +253,14 @@ def _wrapped(bus: ZenohBus, credential: Credential, wrap: Wrap | None) -> Bus:
     return bus if wrap is None else wrap(credential.name, bus)
 
 
-def _serve(bus: Bus, node: WorldNode | AgentNode, reply_timeout: ReplyTimeout | None = None) -> None:
-    try:
+def _serve_robot(bus: Bus, node: AgentNode) -> None:
+    with closing(bus):
         while not node.done:
-            message = bus.receive(None if reply_timeout is None else POLL_S)
+            message = bus.receive()
             if message is not None:
                 node.handle(message)
-            if reply_timeout is not None:
-                reply_timeout.check()
-        if isinstance(node, AgentNode) and node.killed:
+        if node.killed:
             os.kill(os.getpid(), signal.SIGKILL)
-    finally:
-        bus.close()
 
 
 def in_background(name: str, log: Path, serve: Callable[..., None], *args: object) -> None:

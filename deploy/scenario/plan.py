@@ -97,6 +97,7 @@ def make(
         sensors=_sensors(scenario, bodies, cell, recording),
         people=_people(scenario, cell),
         scan_rate=scenario.laser.rate,
+        step_ns=scenario.step_ns,
     )
     _check_people(world_map, world)
     radio = _radio_settings(scenario, world_map, range_m, incarnations)
@@ -182,6 +183,7 @@ def _radio_settings(scenario: Scenario, world_map: Map, range_m: float, incarnat
         tuple(robot.receive_bytes or 0 for robot in hardware),
         scenario.changes(world_map.diagonal_m),
         tuple(fault for fault in scenario.faults if fault.kind in faults.RADIO_KINDS),
+        scenario.step_ns,
     )
 
 

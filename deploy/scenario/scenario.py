@@ -116,6 +116,12 @@ class Scenario(Table):
     bus: Literal["zenoh", "memory"] = Field(
         "zenoh", description="zenoh: one process per participant; memory: all in one process"
     )
+    clock: Literal["barrier", "wall"] = Field(
+        "barrier", description="barrier: a step waits for all robots; wall: it ends on time (docs/clocks.md)"
+    )
+    step_s: float = Field(
+        1.0, strict=True, ge=0.01, le=60.0, description="duration of a step by the wall clock, seconds"
+    )
     steps: Whole = Field(10000, ge=1, le=MAX_INTEGER, description="maximum number of steps")
     start: tuple[Meters, Meters] | None = Field(
         None, description="start position, meters in the map's frame; drawn from the seed by default"
@@ -296,6 +302,8 @@ class Scenario(Table):
 
         strategy(self.strategy).check(self.options)
         self._check_recording()
+        if self.clock != "wall" and self.step_s != Scenario.model_fields["step_s"].default:
+            raise ValueError(f"step_s = {self.step_s:g}: steps have a duration only with clock = 'wall'")
         if self.robots > self.most_maps and self.map_encoding != "none":
             raise ValueError(
                 f"robots = {self.robots}: packets can address the maps of {self.most_maps} robots; "
@@ -369,6 +377,11 @@ class Scenario(Table):
                 None
             }:
                 raise ValueError(f"[[robot]] {entry.robot}: {NOT_RECORDED_REASON}")
+
+    @property
+    def step_ns(self) -> int | None:
+        """Duration of a step in nanoseconds; None: steps wait for all robots."""
+        return round(1e9 * self.step_s) if self.clock == "wall" else None
 
     @property
     def is_recorded(self) -> bool:

@@ -47,6 +47,7 @@ EXAMPLES: tuple[messages.Record, ...] = (
     messages.MapPart(0, b"\x01"),
     messages.RequestMaps(0, 3, 0),
     messages.ErrorReport("r0", "I say so"),
+    messages.Missed(3, "offers", 0, [0]),
     messages.Watched(here=True),
     messages.Back(0),
     messages.Reconnected(0),

@@ -18,6 +18,7 @@ from protocol.keys import Keys
 from protocol.memory_bus import MemoryHub
 from protocol.messages import (
     Begin,
+    Close,
     End,
     ErrorReport,
     FaultEvent,
@@ -35,7 +36,9 @@ from protocol.messages import (
 )
 from protocol.range_scans import Laser
 from worldsim.base import EXPLORED, STALLED
-from worldsim.process import ALL_LOST, LONE_REPORT_STEPS, OUT_OF_STEPS, WorldNode
+from worldsim.clock import StepClock
+from worldsim.ending import ALL_LOST, LONE_REPORT_STEPS, OUT_OF_STEPS
+from worldsim.process import WorldNode
 from worldsim.sensor_options import LaserOptions, PoseOptions
 from worldsim.sensors import SensorSettings
 from worldsim.world import World, WorldSettings
@@ -47,7 +50,15 @@ STARTS = ((2, 2), (4, 2), (6, 2))
 class Run:
     """A world on the memory bus, and the ends of all other participants, which the test uses."""
 
-    def __init__(self, robots: int = 2, steps: int = 9, *, begun: bool = True, **settings: Any) -> None:
+    def __init__(
+        self,
+        robots: int = 2,
+        steps: int = 9,
+        *,
+        begun: bool = True,
+        clock: StepClock | None = None,
+        **settings: Any,
+    ) -> None:
         hub = MemoryHub(KEYS.run)
         self.ends: dict[str, Bus] = {}
         for name in (names.RELAY, names.WORLD, names.RECORDER, *map(names.robot, range(robots))):
@@ -55,7 +66,8 @@ class Run:
         bodies = tuple(Body(3.0, 360.0, 1.0) for _ in range(robots))
         world = World(np.full((5, 9), FREE, np.uint8), WorldSettings(bodies, STARTS[:robots], 4, **settings))
         self.world = world
-        self.node = WorldNode(self.ends[names.WORLD], KEYS, world, steps, 100.0)
+        self.closed = 0
+        self.node = WorldNode(self.ends[names.WORLD], KEYS, world, steps, 100.0, clock=clock)
         self.received(names.RELAY)
         if begun:
             self.control(Begin())
@@ -63,6 +75,13 @@ class Run:
     def work(self) -> None:
         while (message := self.ends[names.WORLD].receive()) is not None:
             self.node.handle(message)
+            self.close()
+
+    def close(self) -> None:
+        """Close the medium of a step that has begun, as the relay does."""
+        if self.world.step > self.closed:
+            self.closed = self.world.step
+            self.ends[names.RELAY].put(KEYS.control(names.WORLD, names.RELAY), pack(Close(self.closed)))
 
     def control(self, message: object) -> None:
         self.ends[names.RELAY].put(KEYS.control(names.WORLD, names.RELAY), pack(message))

@@ -68,7 +68,7 @@ class RecordedWorld(BaseWorld):
 
     def may_end(self) -> bool:
         """Return whether all robots have replayed their stretch."""
-        return all(self.step >= self._stretches[robot].steps[-1] for robot in self.active_robots())
+        return all(self.step >= self._stretches[robot].steps[-1] for robot in self.present_robots())
 
     def is_stalled(self, moves: Mapping[int, Move]) -> bool:
         """Return whether no robot that sends these moves makes progress, but for those that have finished."""

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import pytest
 from pyarrow import parquet
 
+from deploy.record import missed_phases
 from deploy.record.columns import FILES
+from deploy.record.missed_phases import MISSED
+from deploy.scenario.scenario import ScenarioError
 from netshaper.ledger import CAUSES, ROW
+from protocol.messages import Missed
 from tests.deploy.small_run import small_directory
 
 
-def test_each_file_has_the_described_columns() -> None:
+def test_each_file_has_the_described_columns(tmp_path: Path) -> None:
+    missed_phases.write(tmp_path / MISSED, [])
     for name, columns in FILES.items():
-        schema = parquet.read_schema(small_directory() / name)
+        schema = parquet.read_schema((tmp_path if name == MISSED else small_directory()) / name)
         assert [(field.name, str(field.type)) for field in schema] == [
             (column.name, column.type) for column in columns
         ]
@@ -20,3 +28,20 @@ def test_each_file_has_the_described_columns() -> None:
 def test_the_relay_writes_the_described_ledger() -> None:
     assert [column.name for column in FILES["ledger.parquet"]] == list(ROW.names or ())
     assert CAUSES[0] == ""
+
+
+def test_missed_phases_are_read_as_they_were_written(tmp_path: Path) -> None:
+    record = [Missed(1, "offers", 1, [0, 2]), Missed(1, "move", 0, [2]), Missed(2, "step", 0, [2])]
+    missed_phases.write(tmp_path / MISSED, record)
+    assert missed_phases.read(tmp_path / MISSED) == record
+
+
+def test_a_damaged_or_missing_record_of_missed_phases_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ScenarioError, match="is missing"):
+        missed_phases.read(tmp_path / MISSED)
+    (tmp_path / MISSED).write_bytes(b"PAR1")
+    with pytest.raises(ScenarioError, match="damaged table"):
+        missed_phases.read(tmp_path / MISSED)
+    parquet.write_table(parquet.read_table(small_directory() / "steps.parquet"), tmp_path / MISSED)
+    with pytest.raises(ScenarioError, match="damaged table"):
+        missed_phases.read(tmp_path / MISSED)

@@ -1,0 +1,65 @@
+"""Phases of steps that robots missed by the wall clock: the input that repeats such a run (``missed.parquet``)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from deploy.record.columns import MISSED as COLUMNS
+from deploy.record.columns import schema
+from deploy.scenario.scenario import ScenarioError
+from protocol.messages import Missed
+from worldsim.atomic_files import write_whole
+from worldsim.clock import MOVE, STEP
+
+MISSED = "missed.parquet"
+
+
+def write(path: Path, record: Iterable[Missed]) -> None:
+    """Write a record, in its order."""
+    import pyarrow as pa  # noqa: PLC0415  half a second to import
+    from pyarrow import parquet  # noqa: PLC0415
+
+    rows = [
+        {"step": missed.step, "phase": missed.phase, "round": missed.round, "robot": robot}
+        for missed in record
+        for robot in missed.robots
+    ]
+    table = pa.Table.from_pylist(rows, schema=schema(COLUMNS))
+    write_whole(path, lambda file: parquet.write_table(table, file))
+
+
+def read(path: Path) -> list[Missed]:
+    """Read a record that `write` has written; ScenarioError if the file is missing or damaged."""
+    from pyarrow import ArrowException, parquet  # noqa: PLC0415  half a second to import
+
+    robots: dict[tuple[int, str, int], list[int]] = {}
+    try:
+        for row in parquet.read_table(path).to_pylist():
+            robots.setdefault((row["step"], row["phase"], row["round"]), []).append(row["robot"])
+        rows = [[step, phase, number, named] for (step, phase, number), named in robots.items()]
+        return msgspec.convert([[_TAG, *row] for row in rows], list[Missed])
+    except FileNotFoundError:
+        raise ScenarioError(
+            f"{path}: is missing: without it, a run by the wall clock cannot be repeated"
+        ) from None
+    except (ArrowException, OSError, KeyError, msgspec.ValidationError) as error:
+        raise ScenarioError(f"{path}: damaged table ({' '.join(str(error).split())})") from None
+
+
+_TAG = Missed.__struct_config__.tag
+
+
+def figures(record: Iterable[Missed], robots: int) -> dict[str, Any]:
+    """Return the keys of ``summary.json`` that count missed steps, in which a robot did not move in time."""
+    steps, phases = [0] * robots, 0
+    for missed in record:
+        if missed.phase in (STEP, MOVE):
+            for robot in missed.robots:
+                steps[robot] += 1
+        else:
+            phases += len(missed.robots)
+    return {"missed_steps": sum(steps), "missed_steps_by_robot": steps, "missed_phases": phases}
