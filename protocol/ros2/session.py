@@ -1,0 +1,44 @@
+"""Zenoh sessions as ROS 2 has them: clients of a router on this host, messages with time stamps, no multicast."""
+
+from __future__ import annotations
+
+import zenoh
+
+from protocol.zenoh_bus import insert, plain_config
+
+ROUTER = "tcp/localhost:7447"
+"""Where the router of rmw_zenoh listens."""
+CONNECT_S = 5.0
+
+
+def open_client(router: str = ROUTER, timeout_s: float = CONNECT_S) -> zenoh.Session:
+    """Open a session of a node; ConnectionError if no router answers within `timeout_s`."""
+    config = plain_config("client")
+    insert(config, "timestamping/enabled", True)
+    try:
+        insert(config, "connect/endpoints", [router])
+    except zenoh.ZError:
+        raise ValueError(f"{router!r} is not the address of a router, as {ROUTER}") from None
+    insert(config, "connect/timeout_ms", int(1000 * timeout_s))
+    insert(config, "connect/exit_on_failure", True)
+    try:
+        return zenoh.open(config)
+    except zenoh.ZError:
+        raise ConnectionError(
+            f"no Zenoh router answers at {router} within {timeout_s:g} s; "
+            "with ROS 2, start it with: ros2 run rmw_zenoh_cpp rmw_zenohd"
+        ) from None
+
+
+def open_router(endpoint: str = ROUTER) -> zenoh.Session:
+    """Open a router, for hosts without that of ROS 2; ConnectionError if it cannot listen at `endpoint`."""
+    config = plain_config("router")
+    insert(config, "timestamping/enabled", True)
+    insert(config, "listen/endpoints", [endpoint])
+    insert(config, "listen/exit_on_failure", True)
+    try:
+        return zenoh.open(config)
+    except zenoh.ZError:
+        raise ConnectionError(
+            f"cannot listen at {endpoint}: the address is in use, or not one of this host"
+        ) from None
