@@ -64,8 +64,8 @@ _ID = ("goal_id", named("unique_identifier_msgs/msg/UUID"))
 
 def fields_of(text: str) -> tuple[list[Any], Fields]:
     """Return constants and fields of a message definition."""
-    ((_, definition),) = get_types_from_msg(text, "murmur/msg/Definition").items()
-    return definition
+    ((constants, fields),) = get_types_from_msg(text, "murmur/msg/Definition").values()
+    return constants, fields
 
 
 def service(name: str, request: Fields, response: Fields) -> Definitions:

@@ -10,7 +10,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 
 from protocol.errors import ProtocolError, there_are
-from protocol.ros2.interfaces import EVENT_INFO, definitions
+from protocol.ros2.interfaces import EVENT_INFO, Definitions, definitions
 from protocol.ros2.names import NO_HASH
 
 DISTROS = ("humble", "jazzy", "kilted", "lyrical", "rolling")
@@ -51,7 +51,7 @@ class Messages:
         known = "lyrical" if distro == "rolling" else distro
         self._store = get_typestore(_STORES[known])
         self._store.fielddefs.pop(EVENT_INFO, None)
-        self._store.register(definitions(known))
+        self.register(definitions(known))
         self._hashes: dict[str, str] = {}
 
     def __getitem__(self, name: str) -> Any:
@@ -60,6 +60,10 @@ class Messages:
             return self._store.types[name]
         except KeyError:
             raise ValueError(f"{self.distro} has no type {name!r}; {self._similar(name)}") from None
+
+    def register(self, types: Definitions) -> None:
+        """Add types, as those of `protocol.ros2.interfaces.service`."""
+        self._store.register(types)
 
     def new(self, name: str, **fields: Any) -> Any:
         """Return a message with these fields; all others are zero, empty, or false."""

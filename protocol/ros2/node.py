@@ -117,7 +117,7 @@ class Ros2Node:
         while self._endpoints:
             self._endpoints.pop().close()
         if not self._session.is_closed():
-            self._liveliness.undeclare()
+            self._liveliness.undeclare()  # type: ignore[no-untyped-call]
             self._session.close()  # type: ignore[no-untyped-call]
 
     def __enter__(self) -> Self:

@@ -41,7 +41,7 @@ class Request:
         attachment = Attachment(self.source.sequence, now_ns, self.source.gid)
         query, self._query = self._query, None
         query.reply(self._server.key, payload, attachment=attachment.encode())
-        query.drop()
+        query.drop()  # type: ignore[no-untyped-call]
 
 
 OnRequest = Callable[[Request, int], None]
@@ -102,10 +102,11 @@ class ServiceClient(Receiver):
         self._sequence += 1
         sequence = self._sequence
         self._waiting[sequence] = on_response
+        arrive: zenoh.handlers.Callback[zenoh.Reply] = zenoh.handlers.Callback(
+            lambda reply: self.put((sequence, reply)), lambda: self.put((sequence, None))
+        )
         self._querier.get(
-            zenoh.handlers.Callback(
-                lambda reply: self.put((sequence, reply)), lambda: self.put((sequence, None))
-            ),
+            arrive,
             payload=payload,
             attachment=Attachment(sequence, now_ns, self.gid).encode(),
         )
