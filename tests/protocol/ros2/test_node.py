@@ -16,8 +16,9 @@ from protocol.ros2.interfaces import CANCEL_GOAL
 from protocol.ros2.node import Ros2Node
 from protocol.ros2.qos import DEFAULT, LATCHED, SENSOR, Qos
 from protocol.ros2.services import Request, ServiceClient
-from protocol.ros2.session import open_client
+from protocol.ros2.session import open_client, open_router
 from protocol.ros2.tokens import Kind, gid
+from protocol.ros2.topics import Publisher
 from tests.protocol.ros2.waiting import spin_until
 
 OpenNode = Callable[..., Ros2Node]
@@ -28,18 +29,48 @@ def collect(into: Received) -> Callable[[Any, Attachment], None]:
     return lambda message, source: into.append((message, source))
 
 
+def wait_for_subscription(publisher: Publisher) -> None:
+    """Wait until the session of a volatile publisher knows a subscription."""
+    spin_until(lambda: publisher._publisher.matching_status.matching)
+
+
 def test_a_subscription_receives_messages_in_order_with_number_time_and_gid(node: OpenNode) -> None:
     sender, receiver = node("sender", "r1"), node("receiver", "/r1")
     received: Received = []
     receiver.subscription("chatter", names.STRING, DEFAULT, collect(received))
     publisher = sender.publisher("chatter", names.STRING)
     sent = [sender.messages[names.STRING](data=f"message {number}") for number in range(5)]
+    wait_for_subscription(publisher)
     for number, each in enumerate(sent):
         publisher.publish(each, 1000 + number)
     spin_until(lambda: len(received) == 5, receiver)
     assert [message.data for message, _ in received] == [each.data for each in sent]
     expected = [Attachment(number + 1, 1000 + number, gid(str(publisher.token))) for number in range(5)]
     assert [source for _, source in received] == expected
+
+
+def test_a_message_on_the_wire_has_key_cdr_and_attachment(node: OpenNode, router: str) -> None:
+    sender = node("sender", "r1", 7)
+    samples: list[tuple[str, bytes, bytes, str]] = []
+    with open_client(router) as stranger:
+
+        def arrive(sample: zenoh.Sample) -> None:
+            assert sample.attachment is not None
+            content = sample.payload.to_bytes(), sample.attachment.to_bytes()
+            samples.append((str(sample.key_expr), *content, str(sample.encoding)))
+
+        stranger.declare_subscriber("7/**", arrive)
+        publisher = sender.publisher("chatter", names.STRING)
+        wait_for_subscription(publisher)
+        publisher.publish(sender.messages[names.STRING](data="a"), 0x1122334455667788)
+        spin_until(lambda: samples)
+    key = (
+        "7/r1/chatter/std_msgs::msg::dds_::String_/"
+        "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
+    )
+    cdr = bytes.fromhex("00010000020000006100")
+    attachment = bytes.fromhex("0100000000000000887766554433221110") + gid(str(publisher.token))
+    assert samples == [(key, cdr, attachment, "zenoh/bytes")]
 
 
 def test_a_late_subscription_receives_the_last_transient_local_message_only(node: OpenNode) -> None:
@@ -59,9 +90,8 @@ def test_a_slow_subscription_keeps_the_last_messages(node: OpenNode) -> None:
     sender, receiver = node("sender"), node("receiver")
     received: Received = []
     subscription = receiver.subscription("scan", names.STRING, Qos(depth=2), collect(received))
-    done: Received = []
-    receiver.subscription("done", names.STRING, DEFAULT, collect(done))
     publisher = sender.publisher("scan", names.STRING, SENSOR)
+    wait_for_subscription(publisher)
     for number in range(6):
         publisher.publish(sender.messages[names.STRING](data=str(number)), number)
     spin_until(lambda: subscription.inbox and subscription.inbox[-1][1].startswith(b"\x06"))
@@ -76,7 +106,9 @@ def test_nodes_in_other_domains_are_not_heard(node: OpenNode) -> None:
     fence: Received = []
     receiver.subscription("fence", names.STRING, DEFAULT, collect(fence))
     sender.publisher("chatter", names.STRING).publish(sender.messages[names.STRING](data="a"), 0)
-    node("third", "/", 2).publisher("fence", names.STRING).publish(sender.messages[names.STRING](data="b"), 0)
+    third = node("third", "/", 2).publisher("fence", names.STRING)
+    wait_for_subscription(third)
+    third.publish(sender.messages[names.STRING](data="b"), 0)
     spin_until(lambda: fence, receiver)
     assert received == []
 
@@ -97,6 +129,8 @@ def test_a_malformed_message_is_counted_and_the_next_one_received(
     received: Received = []
     subscription = receiver.subscription("chatter", names.STRING, DEFAULT, collect(received))
     with open_client(router) as stranger:
+        route = stranger.declare_publisher(subscription.key)
+        spin_until(lambda: route.matching_status.matching)
         stranger.put(subscription.key, payload, attachment=attachment)
         stranger.put(
             subscription.key, b"\0\1\0\0\2\0\0\0a\0", attachment=Attachment(1, 2, bytes(16)).encode()
@@ -121,10 +155,7 @@ def test_tokens_appear_with_an_endpoint_and_vanish_with_it(node: OpenNode, route
     murmur.server("cancel", CANCEL_GOAL, lambda *_: None)
     murmur.client("cancel", CANCEL_GOAL)
     graph = watcher.graph()
-    assert [each.full_name for each in graph.nodes] in (
-        ["/r1/murmur", "/watcher"],
-        ["/watcher", "/r1/murmur"],
-    )
+    assert {each.full_name for each in graph.nodes} == {"/r1/murmur", "/watcher"}
     assert graph.topics == {
         "/r1/map": ["nav_msgs/msg/OccupancyGrid"],
         "/r1/scan": ["sensor_msgs/msg/LaserScan"],
@@ -210,17 +241,38 @@ def test_a_malformed_request_is_counted_and_gets_no_response(node: OpenNode, rou
         "cancel", CANCEL_GOAL, lambda *_: pytest.fail("a malformed request was handed on")
     )
     with open_client(router) as stranger:
+        route = stranger.declare_querier(service.key)
+        spin_until(lambda: route.matching_status.matching)
         replies = stranger.get(service.key, payload=b"\0\1\0\0", target=zenoh.QueryTarget.ALL_COMPLETE)
         spin_until(lambda: service.rejected, server)
         assert list(replies) == []
     assert "none instead of 33 bytes" in server.rejected["/cancel"]
 
 
+def test_nodes_find_each_other_again_after_the_router_has_restarted() -> None:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        address = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    router = open_router(address)
+    received: Received = []
+    with Ros2Node("sender", router=address) as sender, Ros2Node("receiver", router=address) as receiver:
+        receiver.subscription("chatter", names.STRING, DEFAULT, collect(received))
+        publisher = sender.publisher("chatter", names.STRING)
+        wait_for_subscription(publisher)
+        router.close()
+        spin_until(lambda: not publisher._publisher.matching_status.matching)
+        router = open_router(address)
+        message = sender.messages[names.STRING](data="again")
+        spin_until(lambda: publisher.publish(message, 0) or received, receiver)
+        spin_until(lambda: len(receiver.graph().nodes) == 2)
+    router.close()
+
+
 def test_without_a_router_a_node_says_what_to_do() -> None:
     with socket.socket() as unused:
         unused.bind(("127.0.0.1", 0))
         address = f"tcp/127.0.0.1:{unused.getsockname()[1]}"
-        with pytest.raises(ConnectionError, match="no Zenoh router answers at .* rmw_zenohd"):
+        with pytest.raises(ConnectionError, match=r"no Zenoh router answers at .* rmw_zenohd"):
             open_client(address, timeout_s=0.2)
 
 
