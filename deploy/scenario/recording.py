@@ -19,11 +19,12 @@ from numpy.typing import NDArray
 from agent.mapping.estimator import Estimator
 from deploy.scenario.scenario import Scenario, ScenarioError
 from protocol.grid import FREE, MAX_SIDE, UNKNOWN
+from protocol.metric_scans import BeamAngles
 from protocol.range_scans import MAX_REACH_M, NO_MEASUREMENT, TURN, UNIT, Laser, RangeScan, beam_ends
 from worldsim.map_error import MapError
 from worldsim.maps import Map
 from worldsim.recorded import reading
-from worldsim.recorded.log import BeamAngles, LogError, RecordedLog
+from worldsim.recorded.log import LogError, RecordedLog
 from worldsim.recorded.options import RECORDED
 from worldsim.recorded.world import Stretch
 from worldsim.starts import Cell

@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.files import open_file
-from worldsim.recorded.log import BeamAngles, LogError, RecordedLog, millimeters
+from protocol.metric_scans import BeamAngles, millimeters
+from worldsim.recorded.log import LogError, RecordedLog
 
 SUFFIXES = (".log", ".clf", ".log.gz", ".clf.gz")
 

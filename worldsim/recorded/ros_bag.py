@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 
 from protocol.errors import there_are
-from worldsim.recorded.log import BeamAngles, LogError, RecordedLog, millimeters
-from worldsim.recorded.transforms import Pose, TransformBuffer, pose_of
+from protocol.metric_scans import BeamAngles, millimeters
+from protocol.transforms import Pose, TransformBuffer, pose_of
+from worldsim.recorded.log import LogError, RecordedLog
 
 SUFFIXES = (".bag", ".mcap", ".db3")
 

@@ -14,9 +14,10 @@ import numpy as np
 from protocol.errors import shown
 from protocol.files import open_file
 from protocol.messages import MAX_BEAMS
+from protocol.metric_scans import BeamAngles
 from protocol.range_scans import TURN
 from worldsim.atomic_files import write_whole
-from worldsim.recorded.log import BeamAngles, LogError, RecordedLog
+from worldsim.recorded.log import LogError, RecordedLog
 
 SUFFIX = ".npz"
 

@@ -7,8 +7,11 @@ those of pyzeros from another implementation of CDR and type hashes.
 from __future__ import annotations
 
 import asyncio
+import os
+import sys
 from collections.abc import Callable, Coroutine, Iterator
 from dataclasses import fields
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,6 +31,9 @@ from tests.protocol.ros2.peer_messages import NOW_NS, plain, sample
 from tests.protocol.ros2.test_attachments import attachments
 from tests.protocol.ros2.test_tokens import endpoints
 from tests.protocol.ros2.waiting import LIMIT_S, spin_until
+
+# What pyzeros compiles belongs to the environment, not into the working directory.
+os.environ.setdefault("CYDR_CACHE_DIR", str(Path(sys.prefix) / "cache" / "cydr"))
 
 sdk = pytest.importorskip("zenoh_ros2_sdk")
 pyzeros = pytest.importorskip("pyzeros")
@@ -65,6 +71,17 @@ REQUEST, RESPONSE = "bool data", "bool success\nstring message"
 
 def collect(into: Received) -> Callable[[Any, Attachment], None]:
     return lambda message, source: into.append((message, source))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiled() -> None:
+    """Let pyzeros compile its attachments, which it does once per environment, in some 10 s."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CFLAGS", "-O0")
+        try:
+            PyzerosAttachment().serialize()
+        except Exception as error:  # Cython and setuptools raise errors of many types
+            pytest.skip(f"pyzeros cannot compile its messages: {error}")
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from worldsim.recorded.transforms import Pose, TransformBuffer, pose_of
+from protocol.transforms import Pose, TransformBuffer, pose_of
 
 
 def plain(first: Pose, second: Pose) -> tuple[complex, complex]:
@@ -74,3 +74,22 @@ def test_frames_that_are_not_level_have_no_pose(
 def test_a_small_tilt_is_projected_into_the_plane() -> None:
     tilt = math.radians(5) / 2
     assert pose_of(1.0, 2.0, math.sin(tilt), 0.0, 0.0, math.cos(tilt)) == Pose(1.0, 2.0, 0.0)
+
+
+def test_a_pose_and_its_inverse_cancel() -> None:
+    random = np.random.default_rng(1)
+    for x, y, yaw in random.uniform(-3, 3, (20, 3)).tolist():
+        pose = Pose(x, y, yaw)
+        assert pose.then(pose.inverse()) == pytest.approx((0, 0, 0))
+        assert pose.inverse().then(pose) == pytest.approx((0, 0, 0))
+
+
+def test_forgotten_poses_are_gone_and_later_ones_can_still_be_interpolated() -> None:
+    transforms = TransformBuffer()
+    transforms.add("base", "laser", 0, Pose(0, 1, 0), is_static=True)
+    for stamp in (2, 0, 1, 3):  # not in the order of time
+        transforms.add("map", "base", stamp, Pose(stamp, 0, 0), is_static=False)
+    transforms.forget(1.5)
+    assert transforms.pose("laser", "map", 0.5) is None
+    assert transforms.pose("laser", "map", 1.5) == pytest.approx((1.5, 1, 0))
+    assert transforms.pose("laser", "map", 3) == pytest.approx((3, 1, 0))

@@ -7,7 +7,7 @@ interpolated.
 from __future__ import annotations
 
 import math
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -21,6 +21,11 @@ class Pose(NamedTuple):
     x: float
     y: float
     yaw: float
+
+    def inverse(self) -> Pose:
+        """Return the pose of the parent in this frame."""
+        cos, sin = math.cos(self.yaw), math.sin(self.yaw)
+        return Pose(-cos * self.x - sin * self.y, sin * self.x - cos * self.y, -self.yaw)
 
     def then(self, inner: Pose) -> Pose:
         """Return the pose of a frame that has the pose `inner` in this frame."""
@@ -56,6 +61,13 @@ class _Edge:
     poses: list[Pose] = field(default_factory=list)
     is_sorted: bool = True
 
+    def sort(self) -> None:
+        """Sort the poses by time."""
+        if not self.is_sorted:
+            order = sorted(range(len(self.stamps)), key=self.stamps.__getitem__)
+            self.stamps, self.poses = [self.stamps[at] for at in order], [self.poses[at] for at in order]
+            self.is_sorted = True
+
 
 class TransformBuffer:
     """The poses of all frames in their parents; names of frames begin without a slash."""
@@ -71,6 +83,14 @@ class TransformBuffer:
         edge.is_sorted = edge.is_sorted and (not edge.stamps or edge.stamps[-1] <= stamp)
         edge.stamps.append(stamp)
         edge.poses.append(pose)
+
+    def forget(self, before: float) -> None:
+        """Forget poses of earlier times, but keep the last of them, so that those after it can be interpolated."""
+        for edge in self._edges.values():
+            edge.sort()
+            first = bisect_right(edge.stamps, before) - 1
+            if not edge.is_static and first > 0:
+                del edge.stamps[:first], edge.poses[:first]
 
     def ancestors(self, frame: str) -> list[str]:
         """Return a frame, its parent, and so on up to the root."""
@@ -99,13 +119,7 @@ class TransformBuffer:
         """Interpolate a pose."""
         if edge.is_static:
             return edge.poses[0]
-        if not edge.is_sorted:
-            order = sorted(range(len(edge.stamps)), key=edge.stamps.__getitem__)
-            edge.stamps, edge.poses = (
-                [edge.stamps[at] for at in order],
-                [edge.poses[at] for at in order],
-            )
-            edge.is_sorted = True
+        edge.sort()
         after = bisect_left(edge.stamps, stamp)
         if after == len(edge.stamps):
             return None
