@@ -97,9 +97,9 @@ SENSOR = Qos(Reliability.BEST_EFFORT, depth=5)
 """For scans: the last ones count."""
 LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
 """For maps: whoever joins later gets the last one."""
-STATIC_TRANSFORMS = Qos(durability=Durability.TRANSIENT_LOCAL, depth=100)
-"""For a subscription to ``tf_static``: several publishers, each with its last message."""
-TRANSFORMS = Qos(depth=100)
+TF = Qos(depth=100)
+TF_STATIC = Qos(durability=Durability.TRANSIENT_LOCAL, depth=100)
+"""For a subscription to ``tf_static``: it has several publishers, each with its last message."""
 
 
 def parse_qos(text: str) -> Qos:
