@@ -7,12 +7,14 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 
 import pytest
+import zenoh
 
 pytest.importorskip("rosbags", reason="rosbags is not installed: pip install 'murmur-robots[ros2]'")
 pytest.importorskip("xxhash", reason="xxhash is not installed: pip install 'murmur-robots[ros2]'")
 
 from protocol.ros2.node import Ros2Node
-from protocol.ros2.session import open_router
+from protocol.ros2.session import open_client, open_router
+from tests.protocol.ros2.waiting import spin_until
 
 
 @pytest.fixture(scope="session")
@@ -25,9 +27,16 @@ def router() -> Iterator[str]:
         yield address
 
 
+@pytest.fixture(scope="session")
+def observer(router: str) -> Iterator[zenoh.Session]:
+    """Open a session that has no node."""
+    with open_client(router) as session:
+        yield session
+
+
 @pytest.fixture
-def node(router: str) -> Iterator[Callable[..., Ros2Node]]:
-    """Return a function that opens a node at the router."""
+def node(router: str, observer: zenoh.Session) -> Iterator[Callable[..., Ros2Node]]:
+    """Return a function that opens a node at the router; at the end, wait until all nodes are gone."""
     opened: list[Ros2Node] = []
 
     def open_node(name: str, *args: object, **options: object) -> Ros2Node:
@@ -37,3 +46,4 @@ def node(router: str) -> Iterator[Callable[..., Ros2Node]]:
     yield open_node
     for each in opened:
         each.close()
+    spin_until(lambda: not list(observer.liveliness().get("@ros2_lv/**")))

@@ -154,6 +154,7 @@ def test_tokens_appear_with_an_endpoint_and_vanish_with_it(node: OpenNode, route
     murmur.subscription("scan", names.LASER_SCAN, SENSOR, lambda *_: None)
     murmur.server("cancel", CANCEL_GOAL, lambda *_: None)
     murmur.client("cancel", CANCEL_GOAL)
+    spin_until(lambda: len(watcher.graph().endpoints) == 4)
     graph = watcher.graph()
     assert {each.full_name for each in graph.nodes} == {"/r1/murmur", "/watcher"}
     assert graph.topics == {
@@ -170,7 +171,7 @@ def test_tokens_appear_with_an_endpoint_and_vanish_with_it(node: OpenNode, route
     spin_until(lambda: "/r1/map" not in watcher.graph().topics)
     murmur.close()
     spin_until(lambda: [each.full_name for each in watcher.graph().nodes] == ["/watcher"])
-    assert watcher.graph().endpoints == ()
+    spin_until(lambda: watcher.graph().endpoints == ())
 
 
 def test_a_token_that_cannot_be_read_is_listed_as_malformed(node: OpenNode, router: str) -> None:

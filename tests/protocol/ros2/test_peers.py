@@ -211,7 +211,7 @@ def test_the_endpoints_of_both_peers_are_in_the_graph(node: OpenNode, router: st
 
     async def look(other: Any) -> None:
         subscription = pyzeros.Sub(pyzeros_type(names.LASER_SCAN), "scan", session=other)
-        spin_until(lambda: len(murmur.graph().topics) == 2)
+        spin_until(lambda: len(murmur.graph().topics) == 2 and len(murmur.graph().nodes) == 3)
         graph = murmur.graph()
         assert {each.full_name for each in graph.nodes} == {"/r1/murmur", "/r1/peer", "/r2/lidar"}
         assert graph.topics == {"/r1/scan": [names.LASER_SCAN], "/r2/scan": [names.LASER_SCAN]}
