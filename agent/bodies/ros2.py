@@ -121,12 +121,15 @@ class Ros2Body:
         offset = _offset(scan.place[0]), _offset(scan.place[1])
         return Sense(step, scan.x, scan.y, heading, b"", b"", "", *offset, encode_range_scan(scan))
 
-    def goal(self, move: Move) -> Pose | None:
-        """Return where a move leads, in the robot's map frame; None if it stays.
+    def goal(self, move: Move, target: tuple[int, int] | None = None) -> Pose | None:
+        """Return where a robot is to drive, in its map frame; None if it stays.
 
-        The pose is the last one of the path on cells that the robot's map knows, if there is a map.
+        That is its target, to which it finds its own way, or else the end of the move. If the robot's map does not know
+        this cell, it is the last cell of the move that it knows.
         """
         way = self._way(move)
+        if target is not None and len(way):
+            way = np.concatenate([way, np.array([target]) + 0.5])
         if self._scan is None or not len(way):
             return None
         here = np.array([self._scan.place], np.float64) / UNIT

@@ -230,6 +230,15 @@ def test_waypoints_lead_to_the_same_goal_as_cells() -> None:
     assert by_points == pytest.approx(body.goal(driving((25, 50), (30, 50))))
 
 
+def test_a_robot_drives_to_its_target_although_the_move_ends_before_it() -> None:
+    body = robot()
+    scan_at(body, AT_ORIGIN)
+    body.sense(1)
+    goal = body.goal(driving((21, 49), (22, 49)), (22, 44))
+    assert goal is not None
+    assert (goal.x, goal.y, goal.yaw) == pytest.approx((0.25, 0.55, math.pi / 2))
+
+
 def test_a_robot_that_stays_has_no_goal() -> None:
     body = robot()
     scan_at(body, AT_ORIGIN)
@@ -254,6 +263,9 @@ def test_a_goal_stays_on_cells_that_the_robots_map_knows() -> None:
     assert goal is not None
     assert (goal.x, goal.y) == pytest.approx((0.15, 0.05))
     assert body.goal(driving((22, 49))) is None
+    assert body.goal(driving(*path), (60, 49)) == body.goal(driving(*path)), (
+        "its map does not know the target"
+    )
 
 
 @pytest.mark.parametrize("start", [AT_ORIGIN, Pose(1.0, 0.5, 2.0)])
