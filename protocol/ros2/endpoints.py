@@ -24,7 +24,7 @@ class Undeclarable(Protocol):
     """A declaration of Zenoh."""
 
     def undeclare(self) -> None:
-        """Take it back."""
+        """Withdraw the declaration."""
 
 
 class Link:

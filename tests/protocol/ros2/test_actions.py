@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from protocol.ros2.actions import ActionClient, ClientGoal, ServerGoal, Status
-from protocol.ros2.interfaces import NAVIGATE_TO_POSE
+from protocol.ros2.interfaces import CANCEL_GOAL, NAVIGATE_TO_POSE
 from protocol.ros2.messages import POSE_STAMPED
 from protocol.ros2.node import Ros2Node
 from tests.protocol.ros2.waiting import spin_until
@@ -131,6 +131,37 @@ def test_a_goal_without_a_server_ends_as_aborted(node: OpenNode) -> None:
     client.send(murmur.messages.new(f"{NAVIGATE_TO_POSE}_Goal"), 0, ended.append)
     spin_until(lambda: ended, murmur)
     assert ended[0].status is Status.ABORTED
+
+
+def ask(navigation: Navigation, service: str, type_name: str) -> Any:
+    """Send an empty request to a service of the action; return the response."""
+    murmur = navigation.murmur
+    client = murmur.client(f"navigate_to_pose/_action/{service}", type_name)
+    spin_until(lambda: client.is_available)
+    responses: list[Any] = []
+    client.call(murmur.messages.new(f"{type_name}_Request"), 7, lambda each, _: responses.append(each))
+    navigation.until(lambda: responses)
+    return responses[0]
+
+
+def test_the_result_of_an_unknown_goal_has_status_unknown(navigation: Navigation) -> None:
+    response = ask(navigation, "get_result", f"{NAVIGATE_TO_POSE}_GetResult")
+    assert response.status == Status.UNKNOWN
+
+
+def test_a_request_to_cancel_without_an_id_cancels_all_running_goals(navigation: Navigation) -> None:
+    sent = [navigation.send(float(number)) for number in range(3)]
+    navigation.until(lambda: len(navigation.goals) == 3 and all(each.waiting for each in navigation.goals))
+    navigation.goals[0].end(Status.SUCCEEDED, navigation.of("Result"), 6)
+    response = ask(navigation, "cancel_goal", CANCEL_GOAL)
+    assert response.return_code == 0
+    canceled = {bytes(bytearray(each.goal_id.uuid)) for each in response.goals_canceling}
+    assert canceled == {goal.id for goal in sent[1:]}
+    navigation.until(lambda: [goal.status for goal in sent[1:]] == [Status.CANCELING] * 2)
+
+
+def test_a_request_to_cancel_without_goals_is_rejected(navigation: Navigation) -> None:
+    assert ask(navigation, "cancel_goal", CANCEL_GOAL).return_code == 1
 
 
 def test_goals_of_one_client_have_different_ids(navigation: Navigation) -> None:

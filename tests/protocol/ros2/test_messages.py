@@ -133,6 +133,16 @@ def test_any_bytes_are_decoded_or_refused(name: str, data: bytes) -> None:
             assert name in str(error)
 
 
+def test_without_rosbags_the_error_says_what_to_install() -> None:
+    code = (
+        "import importlib.util as util; find = util.find_spec\n"
+        "util.find_spec = lambda name: None if name == 'rosbags' else find(name)\n"
+        "import protocol.ros2"
+    )
+    result = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True, text=True)
+    assert "ROS 2 needs the package rosbags: pip install 'murmur-robots[ros2]'" in result.stderr
+
+
 @pytest.mark.parametrize(
     "module", ["murmur", "protocol.zenoh_bus", "agent.process", "worldsim.recorded.ros_bag"]
 )

@@ -99,7 +99,7 @@ def test_a_slow_subscription_keeps_the_last_messages(node: OpenNode) -> None:
     assert [message.data for message, _ in received] == ["4", "5"]
 
 
-def test_nodes_in_other_domains_are_not_heard(node: OpenNode) -> None:
+def test_messages_stay_in_their_domain(node: OpenNode) -> None:
     sender, receiver = node("sender", "/", 1), node("receiver", "/", 2)
     received: Received = []
     receiver.subscription("chatter", names.STRING, DEFAULT, collect(received))
@@ -234,6 +234,22 @@ def test_a_call_to_a_server_that_leaves_has_no_response(node: OpenNode) -> None:
     server.close()
     spin_until(lambda: responses, caller)
     assert responses == [None]
+
+
+def test_a_reply_to_a_client_that_has_left_is_dropped(node: OpenNode) -> None:
+    server, caller = node("server"), node("caller")
+    requests: list[Request] = []
+    server.server("cancel", CANCEL_GOAL, lambda request, _: requests.append(request))
+    client = caller.client("cancel", CANCEL_GOAL)
+    spin_until(lambda: client.is_available)
+    client.call(
+        caller.messages.new(f"{CANCEL_GOAL}_Request"), 5, lambda *_: pytest.fail("the client has left")
+    )
+    spin_until(lambda: requests, server)
+    caller.close()
+    spin_until(lambda: len(server.graph().nodes) == 1)
+    requests[0].reply(server.messages.new(f"{CANCEL_GOAL}_Response"), 6)
+    assert call(server.client("cancel", CANCEL_GOAL), server) == [None]
 
 
 def test_a_malformed_request_is_counted_and_gets_no_response(node: OpenNode, router: str) -> None:
