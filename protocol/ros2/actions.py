@@ -162,10 +162,10 @@ class ActionServer:
             chosen = [each for each in self._goals.values() if not until_ns or each.accepted_ns <= until_ns]
         running = [each for each in chosen if not each.status.is_end]
         canceling = [each for each in running if self._on_cancel(each)]
-        if canceling:
+        if running:
+            code = _ACCEPTED if canceling else _REJECTED
+        elif not any(goal_id):
             code = _ACCEPTED
-        elif running or not any(goal_id):
-            code = _REJECTED
         else:
             code = _GOAL_ENDED if chosen else _UNKNOWN_GOAL
         response = self._messages[f"{CANCEL_GOAL}_Response"](

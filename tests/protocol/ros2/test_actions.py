@@ -160,7 +160,14 @@ def test_a_request_to_cancel_without_an_id_cancels_all_running_goals(navigation:
     navigation.until(lambda: [goal.status for goal in sent[1:]] == [Status.CANCELING] * 2)
 
 
-def test_a_request_to_cancel_without_goals_is_rejected(navigation: Navigation) -> None:
+def test_a_request_to_cancel_all_goals_succeeds_without_any(navigation: Navigation) -> None:
+    assert ask(navigation, "cancel_goal", CANCEL_GOAL).return_code == 0
+
+
+def test_a_refused_request_to_cancel_all_goals_is_rejected(navigation: Navigation) -> None:
+    navigation.cancels = False
+    navigation.send(1.0)
+    navigation.until(lambda: navigation.goals and navigation.goals[0].waiting)
     assert ask(navigation, "cancel_goal", CANCEL_GOAL).return_code == 1
 
 
