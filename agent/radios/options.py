@@ -1,0 +1,144 @@
+"""Options of a radio without a relay, and the pacing and transport that follow from them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+from agent.radios.pacing import SECOND, DutyCycle, Pacer, TokenBucket
+from agent.radios.peer_medium import FRAME_OVERHEAD, Timing
+from agent.radios.serial_modem import BAUD_RATES, SerialModem
+from agent.radios.transport import Transport
+from agent.radios.udp import GROUP, MAX_DATAGRAM, PORT, UdpRadio
+from protocol.errors import there_are
+from protocol.presets import PRESETS
+
+MIN_PACKETS = 16
+"""Minimum bytes of packets in a frame: the longest packet that cannot be split, a broadcast, and a checksum."""
+
+MIN_FRAME = FRAME_OVERHEAD + MIN_PACKETS
+"""Minimum bytes of the longest frame."""
+
+MAX_FRAME = 4096
+"""Maximum bytes of a frame over a serial port."""
+
+BACKOFF_FRAMES = 4
+"""Airtimes of a full frame for which a frame waits at most."""
+
+
+@dataclass(frozen=True)
+class LinkOptions:
+    """Options of a robot's radio.
+
+    Attributes
+    ----------
+    medium : str
+        ``udp`` or ``serial``.
+    preset : str
+        The radio whose frames, rate and airtime apply (`protocol.presets`). Default: ``wifi`` for UDP; a serial modem
+        without a preset needs `bytes_per_s` and `frame_bytes`.
+    bytes_per_s : int
+        Bytes that this robot may send per second, all overhead of frames included. 0: as the preset.
+    frame_bytes : int
+        Bytes of the longest frame. 0: as the preset.
+    duty_cycle : float
+        Share of each hour in which this robot may send; 0.01 is 1 %.
+    neighbor_timeout_s, hello_s : float
+        A teammate is in range for so long after its last frame; and the silence after which this robot sends one.
+    interface, address, udp_port : str, str, int
+        For ``udp``: the only interface that is used, and the multicast group or broadcast address.
+    serial_port, baud : str, int
+        For ``serial``.
+    """
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
+
+    medium: Literal["udp", "serial"]
+    preset: str = ""
+    bytes_per_s: int = 0
+    frame_bytes: int = 0
+    duty_cycle: float = 1.0
+    neighbor_timeout_s: float = 30.0
+    hello_s: float = 8.0
+    interface: str = ""
+    address: str = GROUP
+    udp_port: int = PORT
+    serial_port: str = ""
+    baud: int = 57600
+
+    def __post_init__(self) -> None:
+        if self.medium not in ("udp", "serial"):
+            raise ValueError(f"medium = {self.medium!r}: must be 'udp' or 'serial'")
+        if self.preset and self.preset not in PRESETS:
+            raise ValueError(f"preset = {self.preset!r}: {there_are(PRESETS, self.preset)}")
+        if self.medium == "udp" and not self.interface:
+            raise ValueError("interface is missing: name the one that frames go through, as 'wlan0'")
+        if self.medium == "serial" and not self.serial_port:
+            raise ValueError("serial_port is missing: name the modem's device, as '/dev/ttyUSB0'")
+        if self.medium == "serial" and not self.preset and not (self.bytes_per_s and self.frame_bytes):
+            raise ValueError("a serial modem needs a preset, or bytes_per_s and frame_bytes")
+        if self.baud not in BAUD_RATES:
+            raise ValueError(f"baud = {self.baud}: must be one of {', '.join(map(str, BAUD_RATES))}")
+        if not 0 < self.duty_cycle <= 1:
+            raise ValueError(f"duty_cycle = {self.duty_cycle:g}: must be above 0, and 1 at most (no limit)")
+        if not 0 < self.udp_port < 1 << 16:
+            raise ValueError(f"udp_port = {self.udp_port}: must be 1 to 65535")
+        if self.bytes_per_s < 0:
+            raise ValueError(f"bytes_per_s = {self.bytes_per_s}: must be 1 or more, or 0 for the preset's")
+        most = MAX_DATAGRAM if self.medium == "udp" else MAX_FRAME
+        if self.frame_bytes and not MIN_FRAME <= self.frame_bytes <= most:
+            raise ValueError(f"frame_bytes = {self.frame_bytes}: must be {MIN_FRAME} to {most}")
+        if not (math.isfinite(self.neighbor_timeout_s) and math.isfinite(self.hello_s)):
+            raise ValueError("neighbor_timeout_s and hello_s must be finite")
+        self.timing()
+
+    @property
+    def _preset(self) -> str:
+        return self.preset or ("wifi" if self.medium == "udp" else "")
+
+    @property
+    def longest(self) -> int:
+        """Bytes of the longest frame."""
+        most = MAX_DATAGRAM if self.medium == "udp" else MAX_FRAME
+        return self.frame_bytes or min(PRESETS[self._preset].frame_bytes, most)
+
+    @property
+    def packet_bytes(self) -> int:
+        """Bytes of packets that the longest frame holds: the robot's setting `frame_bytes`."""
+        return self.longest - FRAME_OVERHEAD
+
+    @property
+    def rate(self) -> int:
+        """Bytes that this robot may send per second."""
+        return self.bytes_per_s or PRESETS[self._preset].bandwidth
+
+    def airtime(self, size: int) -> int:
+        """Return the airtime in nanoseconds of a frame of `size` bytes."""
+        if not self._preset:
+            return size * SECOND // self.rate
+        return round(PRESETS[self._preset].airtime_s(size) * SECOND)
+
+    def timing(self) -> Timing:
+        """Return the durations in nanoseconds; ValueError if they do not fit each other."""
+        return Timing(round(self.neighbor_timeout_s * SECOND), round(self.hello_s * SECOND))
+
+    def pacer(self, seed: int, robot: int, now: int) -> Pacer:
+        """Return the pacing of a robot that starts at `now`."""
+        capacity = max(self.longest, self.rate)
+        return Pacer(
+            TokenBucket(self.rate, capacity, self.longest, now),
+            DutyCycle(round(self.duty_cycle * 1_000_000)),
+            self.airtime,
+            self.longest,
+            BACKOFF_FRAMES * self.airtime(self.longest),
+            seed,
+            robot,
+        )
+
+    def open_transport(self) -> Transport:
+        """Open the interface or the port; TransportError if that fails."""
+        if self.medium == "udp":
+            return UdpRadio(self.interface, self.address, self.udp_port, self.longest)
+        return SerialModem(Path(self.serial_port), self.baud, self.longest)
