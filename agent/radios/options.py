@@ -47,6 +47,8 @@ class LinkOptions:
         Share of each hour in which this robot may send; 0.01 is 1 %.
     neighbor_timeout_s, hello_s : float
         A teammate is in range for so long after its last frame; and the silence after which this robot sends one.
+    interval_s : float
+        Least time between two frames of this robot; packets wait for each other, and share the overhead of a frame.
     interface, address, udp_port : str, str, int
         For ``udp``: the only interface that is used, and the multicast group or broadcast address.
     serial_port, baud : str, int
@@ -62,6 +64,7 @@ class LinkOptions:
     duty_cycle: float = 1.0
     neighbor_timeout_s: float = 30.0
     hello_s: float = 8.0
+    interval_s: float = 3.0
     interface: str = ""
     address: str = GROUP
     udp_port: int = PORT
@@ -90,8 +93,8 @@ class LinkOptions:
         most = MAX_DATAGRAM if self.medium == "udp" else MAX_FRAME
         if self.frame_bytes and not MIN_FRAME <= self.frame_bytes <= most:
             raise ValueError(f"frame_bytes = {self.frame_bytes}: must be {MIN_FRAME} to {most}")
-        if not (math.isfinite(self.neighbor_timeout_s) and math.isfinite(self.hello_s)):
-            raise ValueError("neighbor_timeout_s and hello_s must be finite")
+        if not all(map(math.isfinite, self._durations)):
+            raise ValueError("interval_s, hello_s, and neighbor_timeout_s must be finite")
         self.timing()
 
     @property
@@ -122,7 +125,11 @@ class LinkOptions:
 
     def timing(self) -> Timing:
         """Return the durations in nanoseconds; ValueError if they do not fit each other."""
-        return Timing(round(self.neighbor_timeout_s * SECOND), round(self.hello_s * SECOND))
+        return Timing(*(round(seconds * SECOND) for seconds in self._durations))
+
+    @property
+    def _durations(self) -> tuple[float, float, float]:
+        return self.neighbor_timeout_s, self.hello_s, self.interval_s
 
     def pacer(self, seed: int, robot: int, now: int) -> Pacer:
         """Return the pacing of a robot that starts at `now`."""

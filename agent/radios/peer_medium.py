@@ -81,16 +81,19 @@ class Timing:
         A teammate is in range for so long after its last frame.
     hello : int
         Silence after which a robot sends a frame in any case.
+    interval : int
+        Least time between two frames of a robot; packets wait for each other, and share the overhead of a frame.
     """
 
-    neighbor_timeout: int = 30_000_000_000
-    hello: int = 8_000_000_000
+    neighbor_timeout: int
+    hello: int
+    interval: int
 
     def __post_init__(self) -> None:
-        if not 0 < self.hello < self.neighbor_timeout:
+        if not 0 <= self.interval <= self.hello < self.neighbor_timeout:
             raise ValueError(
-                f"hello = {self.hello} ns, neighbor_timeout = {self.neighbor_timeout} ns: a robot must send "
-                "more often than its teammates give up on it"
+                f"interval = {self.interval} ns, hello = {self.hello} ns, neighbor_timeout = "
+                f"{self.neighbor_timeout} ns: each must be less than the next"
             )
 
 
@@ -130,7 +133,7 @@ class PeerMedium:
         self._sealer = sealer
         self._opener = opener
         self._pacer = pacer
-        self._hello = timing.hello
+        self._timing = timing
         self._neighbors = Neighbors(timing.neighbor_timeout)
         self._accepted = accepted
         self._step = 0
@@ -148,7 +151,7 @@ class PeerMedium:
     @property
     def dropped(self) -> dict[str, int]:
         """Received frames that were dropped, by reason (`agent.radios.sealing.Reason`)."""
-        return dict(self._opener.dropped)
+        return {str(reason): count for reason, count in self._opener.dropped.items()}
 
     # --- the robot's side
 
@@ -156,7 +159,8 @@ class PeerMedium:
         """Begin a step; return the event that lets the robot send."""
         self._step = step
         self._sent = RoundReport(step, 0, [], [], [], broadcast_sent=False)
-        self._room = 0 if self._due else self._pacer.room(now)
+        waits = self._due or self._silence(now) < self._timing.interval
+        self._room = 0 if waits else self._pacer.room(now)
         self._space = self._room - FRAME_OVERHEAD if self._room >= self._worthwhile else 0
         return Open(step, 0, self._neighbors.current(now), Budget(self._space))
 
@@ -224,7 +228,11 @@ class PeerMedium:
 
     def _is_hello_due(self, now: int) -> bool:
         """Return whether this robot has been silent for so long that it must send a frame, and may."""
-        return self._room >= OVERHEAD and (self._last_sent is None or now - self._last_sent >= self._hello)
+        return self._room >= OVERHEAD and self._silence(now) >= self._timing.hello
+
+    def _silence(self, now: int) -> int:
+        """Return the time since this robot's last frame."""
+        return self._timing.hello if self._last_sent is None else now - self._last_sent
 
     def _schedule(self, broadcast: bytes, gossip: bytes, now: int) -> None:
         """Seal a frame, and put it into the queue."""

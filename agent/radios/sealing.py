@@ -129,28 +129,30 @@ class Opener:
     def open(self, frame: bytes) -> Opened | None:
         """Return an authentic frame that has not been received before; count and drop any other."""
         if len(frame) < OVERHEAD:
-            return self._drop("truncated")
+            self.dropped["truncated"] += 1
+            return None
         header, content = frame[: _HEADER.size], frame[_HEADER.size :]
         sender, session, high, low = _HEADER.unpack(header)
         counter = high << 16 | low
         if sender >= len(self._windows):
-            return self._drop("unknown sender")
+            self.dropped["unknown sender"] += 1
+            return None
         if sender == self._robot:
-            return self._drop("own number")
+            self.dropped["own number"] += 1
+            return None
         try:
             payload = self._cipher.decrypt(_NONCE + header, content, self._context)
         except (InvalidTag, ValueError):
-            return self._drop("not authentic")
+            self.dropped["not authentic"] += 1
+            return None
         if not session or not self._windows[sender].accept(frame_number(session, counter)):
-            return self._drop("replayed")
+            self.dropped["replayed"] += 1
+            return None
         return Opened(sender, session, counter, payload)
 
     def highest(self, sender: int) -> int:
         """Return the highest frame number that was accepted from a sender; 0 if there is none."""
         return self._windows[sender].highest
-
-    def _drop(self, reason: Reason) -> None:
-        self.dropped[reason] += 1
 
 
 def _cipher(key: bytes) -> AESCCM:

@@ -6,7 +6,6 @@ that it receives as one frame, and write each received frame as one line; docs/f
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import fcntl
 import os
@@ -20,6 +19,8 @@ from agent.radios.transport import MAX_PER_CALL, TransportError
 BAUD_RATES = (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200, 230400)
 
 _CHUNK = 1 << 14
+_NOTHING_NOW = (errno.EAGAIN, errno.EINTR, errno.EIO, errno.ENXIO, errno.ENODEV)
+"""Errors of a port that is full, has nothing to read, or has been unplugged."""
 
 
 class SerialModem:
@@ -64,22 +65,21 @@ class SerialModem:
 
     def send(self, frame: bytes) -> bool:
         """Write a frame; return False if it is too long, or the port still holds the last one."""
-        self._flush()
-        if len(frame) > self.longest or self._unsent or self._port < 0:
+        if len(frame) > self.longest or not self._flush():
             return False
         self._unsent = line(frame)
         self._flush()
         return True
 
     def receive(self) -> list[bytes]:
-        """Return the frames that have arrived; an unplugged port receives nothing."""
+        """Return the frames that have arrived; a modem that was unplugged neither receives nor sends."""
         self._flush()
         frames: list[bytes] = []
         while self._port >= 0 and len(frames) < MAX_PER_CALL:
             try:
                 data = os.read(self._port, _CHUNK)
             except OSError as error:
-                if error.errno not in (errno.EAGAIN, errno.EINTR, errno.EIO):
+                if error.errno not in _NOTHING_NOW:
                     raise
                 break
             if not data:
@@ -112,8 +112,14 @@ class SerialModem:
         except (termios.error, OSError) as error:
             raise TransportError(f"port {port} is no serial port: {error}") from None
 
-    def _flush(self) -> None:
-        """Write what the port has room for."""
-        if self._unsent and self._port >= 0:
-            with contextlib.suppress(BlockingIOError, InterruptedError):
-                self._unsent = self._unsent[os.write(self._port, self._unsent) :]
+    def _flush(self) -> bool:
+        """Write what the port has room for; return whether it may take another line."""
+        if self._port < 0:
+            return False
+        try:
+            self._unsent = self._unsent[os.write(self._port, self._unsent) :]
+        except OSError as error:
+            if error.errno not in _NOTHING_NOW:
+                raise
+            return False
+        return not self._unsent

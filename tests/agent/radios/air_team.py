@@ -31,21 +31,21 @@ Join = Callable[[int], Transport]
 class Member:
     """A robot, its radio, and the files that survive its process."""
 
-    def __init__(self, plan: Plan, number: int, options: LinkOptions, transport: Transport, state: Path) -> None:
+    def __init__(
+        self, plan: Plan, number: int, options: LinkOptions, transport: Transport, state: Path
+    ) -> None:
         settings = plan.robot_settings[number]
-        incarnation = len(list(state.glob(f"r{number}.start*")))
-        (state / f"r{number}.start{incarnation}").touch()
+        self.transport = transport
+        self.file = SessionFile(state / f"r{number}.session", KEY, number, settings.robots)
         self.robot = Robot(
             replace(
                 settings,
-                dissemination="gossip",
                 requires_acks=True,
                 frame_bytes=options.packet_bytes,
-                incarnation=incarnation,
+                incarnations=2,
+                incarnation=self.file.session - 1,
             )
         )
-        self.transport = transport
-        self.file = SessionFile(state / f"r{number}.session", KEY, number, settings.robots)
         self.medium = PeerMedium(
             number,
             options.longest,
