@@ -5,22 +5,21 @@ The steps of all robots begin at the same time, as if their clocks agreed; frame
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
+import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from agent.radio_events import respond
+from agent.field import FieldFiles, FieldRobot
 from agent.radios.options import LinkOptions
 from agent.radios.pacing import SECOND
-from agent.radios.peer_medium import PeerMedium
-from agent.radios.sealing import KEY_BYTES, Opener, Sealer
-from agent.radios.session_file import SessionFile
+from agent.radios.sealing import KEY_BYTES
 from agent.radios.transport import Transport
 from agent.robot import Robot
 from deploy.scenario.plan import Plan
-from protocol.messages import Move
+from protocol.messages import Move, Sense
 
 KEY = bytes(range(KEY_BYTES))
 
@@ -28,53 +27,50 @@ Join = Callable[[int], Transport]
 """Opens the transport of a robot."""
 
 
+class Wire:
+    """A transport that keeps all frames that it sends."""
+
+    def __init__(self, transport: Transport) -> None:
+        self.longest = transport.longest
+        self.sent: list[bytes] = []
+        self.receive, self.fileno, self.close = transport.receive, transport.fileno, transport.close
+        self._transport = transport
+
+    def send(self, frame: bytes) -> bool:
+        self.sent.append(frame)
+        return self._transport.send(frame)
+
+
+class WorldBody:
+    """The body of a robot in a simulated world: the world sets `sensed`, and takes `moved`."""
+
+    def __init__(self) -> None:
+        self.sensed: Sense | None = None
+        self.moved: Move | None = None
+        self.stops = 0
+
+    def sense(self, step: int) -> Sense | None:
+        return self.sensed
+
+    def move(self, move: Move) -> None:
+        self.moved = move
+
+    def stop(self) -> None:
+        self.moved = None
+        self.stops += 1
+
+
 class Member:
-    """A robot, its radio, and the files that survive its process."""
+    """A robot in the field, the session of its radio, and the frames that it sent."""
 
     def __init__(
         self, plan: Plan, number: int, options: LinkOptions, transport: Transport, state: Path
     ) -> None:
-        settings = plan.robot_settings[number]
-        self.transport = transport
-        self.file = SessionFile(state / f"r{number}.session", KEY, number, settings.robots)
-        self.robot = Robot(
-            replace(
-                settings,
-                requires_acks=True,
-                frame_bytes=options.packet_bytes,
-                incarnations=2,
-                incarnation=self.file.session - 1,
-            )
-        )
-        self.medium = PeerMedium(
-            number,
-            options.longest,
-            Sealer(KEY, number, self.file.session),
-            Opener(KEY, number, settings.robots, self.file.highest),
-            options.pacer(settings.seed, number, 0),
-            options.timing(),
-            self.file.note,
-        )
-        self.sent: list[bytes] = []
-        """All sealed frames."""
-
-    def begin_step(self, step: int, now: int) -> None:
-        frames = respond(self.robot, self.medium.begin_step(step, now), pytest.fail)
-        assert frames is not None
-        self.medium.submit(frames, now)
-
-    def exchange(self, now: int) -> None:
-        """Send the frames that are due, and receive those that have arrived."""
-        for frame in self.medium.poll(now):
-            self.sent.append(frame)
-            assert self.transport.send(frame)
-        for frame in self.transport.receive():
-            self.medium.receive(frame, now)
-
-    def end_step(self) -> Move:
-        for event in self.medium.end_step():
-            respond(self.robot, event, pytest.fail)
-        return self.robot.decide()
+        settings = replace(plan.robot_settings[number], incarnations=2)
+        self.files = FieldFiles.open(state, KEY, settings)
+        self.body, self.wire = WorldBody(), Wire(transport)
+        self.field = FieldRobot(settings, options, self.files, self.body, self.wire, 0, pytest.fail)
+        self.robot, self.medium, self.sent = self.field.robot, self.field.medium, self.wire.sent
 
 
 class AirTeam:
@@ -91,7 +87,6 @@ class AirTeam:
         self.plan = plan
         self.world = plan.make_world()
         self.step = 0
-        self.moves: dict[int, Move] = {}
         self._options, self._join, self._state, self._set_time = options, join, state, set_time
         self.members = {number: self._start(number) for number in plan.robot_settings}
 
@@ -99,30 +94,37 @@ class AirTeam:
     def robots(self) -> list[Robot]:
         return [member.robot for _, member in sorted(self.members.items())]
 
+    @property
+    def moves(self) -> Mapping[int, Move]:
+        return {number: each.body.moved for number, each in self.members.items() if each.body.moved}
+
     def sent_bytes(self) -> int:
         return sum(len(frame) for member in self.members.values() for frame in member.sent)
 
     def restart(self, number: int) -> None:
         """Kill a robot's process and start it again."""
-        self.members[number].file.close()
-        self.members[number].transport.close()
+        self.members[number].files.session.close()
+        self.members[number].wire.close()
         self.members[number] = self._start(number)
 
     def play(self, *, moving: bool = True, ticks: int = 20) -> None:
         """Play one step of a second; frames travel at `ticks` times in it."""
         self.step += 1
-        still = {robot: Move(move.step, b"", move.heading, False) for robot, move in self.moves.items()}
-        senses = self.world.advance(self.moves if moving else still)
+        moves = self.moves
+        if not moving:
+            moves = {robot: Move(move.step, b"", move.heading, False) for robot, move in moves.items()}
+        senses = self.world.advance(moves)
         begin = self.step * SECOND
         for number, sense in senses.items():
-            self.members[number].robot.perceive(sense)
-            self.members[number].begin_step(self.step, begin)
+            self.members[number].body.sensed = sense
+            self.members[number].field.begin_step(self.step, begin)
         for tick in range(ticks):
             now = begin + tick * SECOND // ticks
             self._set_time(now)
             for number in senses:
-                self.members[number].exchange(now)
-        self.moves = {number: self.members[number].end_step() for number in senses}
+                self.members[number].field.exchange(now)
+        for number in senses:
+            self.members[number].field.end_step()
 
     def explore(self, steps: int) -> None:
         """Explore until a robot is done, for at most `steps` steps."""
@@ -134,5 +136,27 @@ class AirTeam:
         for _ in range(steps):
             self.play(moving=False)
 
+    def close(self) -> None:
+        """Stop all robots."""
+        for member in self.members.values():
+            member.field.stop()
+
     def _start(self, number: int) -> Member:
         return Member(self.plan, number, self._options, self._join(number), self._state)
+
+
+def exchange_all(team: AirTeam, steps: int) -> None:
+    """Stand still until all robots hold all maps, for at most `steps` steps."""
+    last = team.step + steps
+    while team.step < last and any(robot.replication.undelivered() for robot in team.robots):
+        team.stand(1)
+
+
+def assert_maps_agree(team: AirTeam) -> None:
+    first, *others = team.robots
+    lengths = first.replication.replica.lengths()
+    for robot in others:
+        assert np.array_equal(robot.replication.replica.lengths(), lengths)
+        assert np.array_equal(robot.planning, first.planning)
+    known = first.planning != 0
+    assert np.array_equal(first.planning[known], team.plan.map.cells[known])

@@ -18,8 +18,8 @@ from agent.radios.pacing import SECOND
 from agent.radios.serial_modem import SerialModem
 from agent.radios.transport import Transport, TransportError
 from protocol.keyed_random import keyed_random
-from tests.agent.radios.air_team import AirTeam
-from tests.agent.radios.test_teams_on_the_air import TEAM, assert_maps_agree, exchange_all
+from tests.agent.radios.air_team import AirTeam, assert_maps_agree, exchange_all
+from tests.agent.radios.test_teams_on_the_air import TEAM
 from tests.system.team import small_plan
 
 LONGEST = 222

@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from agent.field import team_context
 from agent.radios.memory_air import Faults, MemoryAir
 from agent.radios.options import LinkOptions
 from agent.radios.pacing import SECOND
 from agent.radios.sealing import KEY_BYTES, Sealer
 from agent.radios.transport import Transport
-from tests.agent.radios.air_team import KEY, AirTeam
+from tests.agent.radios.air_team import KEY, AirTeam, assert_maps_agree, exchange_all
 from tests.system.team import small_plan
 
 TEAM: dict[str, Any] = {
@@ -47,23 +48,6 @@ def on_the_air(
 
     air = MemoryAir(7, ROUGH, separated)
     return AirTeam(small_plan(robots=robots, **TEAM), options, join, state, set_time)
-
-
-def exchange_all(team: AirTeam, steps: int) -> None:
-    """Stand still until all robots hold all maps, for at most `steps` steps."""
-    last = team.step + steps
-    while team.step < last and any(robot.replication.undelivered() for robot in team.robots):
-        team.stand(1)
-
-
-def assert_maps_agree(team: AirTeam) -> None:
-    first, *others = team.robots
-    lengths = first.replication.replica.lengths()
-    for robot in others:
-        assert np.array_equal(robot.replication.replica.lengths(), lengths)
-        assert np.array_equal(robot.planning, first.planning)
-    known = first.planning != 0
-    assert np.array_equal(first.planning[known], team.plan.map.cells[known])
 
 
 def test_maps_agree_after_loss_and_a_partition(tmp_path: Path) -> None:
@@ -129,7 +113,7 @@ def test_a_restarted_robot_continues_and_frames_of_its_former_life_are_dropped(t
     team.explore(300)
     exchange_all(team, 200)
     restarted = team.members[1]
-    assert restarted.file.session == 2
+    assert restarted.files.session.session == 2
     assert restarted.robot.settings.incarnation == 1
     assert_maps_agree(team)
     peer = team.members[0].medium
@@ -149,5 +133,5 @@ def test_a_restarted_receiver_takes_no_recorded_frame_again(tmp_path: Path) -> N
     for frame in recorded:
         receiver.receive(frame, team.step * SECOND)
     assert len(receiver.records) <= 1  # the last one, if it was lost before
-    receiver.receive(Sealer(KEY, 0, 2).seal(b""), team.step * SECOND)
+    receiver.receive(Sealer(KEY, 0, 2, team_context(team.robots[0].settings)).seal(b""), team.step * SECOND)
     assert receiver.begin_step(team.step, team.step * SECOND).peers == [0]

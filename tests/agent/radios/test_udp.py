@@ -15,9 +15,9 @@ from agent.radios.pacing import SECOND
 from agent.radios.transport import Transport, TransportError
 from agent.radios.udp import GROUP, MAX_DATAGRAM, PORT, UdpRadio
 from protocol.keyed_random import keyed_random
-from tests.agent.radios.air_team import AirTeam
+from tests.agent.radios.air_team import AirTeam, assert_maps_agree, exchange_all
 from tests.agent.radios.namespaces import BROADCAST, INTERFACE, Hosts, hosts, why_not
-from tests.agent.radios.test_teams_on_the_air import TEAM, assert_maps_agree, exchange_all
+from tests.agent.radios.test_teams_on_the_air import TEAM
 from tests.system.team import Team, small_plan
 
 REASON = why_not()
@@ -140,8 +140,7 @@ def test_four_robots_agree_after_a_tenth_of_loss_and_a_minute_of_partition(
     team = AirTeam(plan, options, join, tmp_path, set_time)
     team.explore(300)
     exchange_all(team, 300)
-    for member in team.members.values():
-        member.transport.close()
+    team.close()
     assert_maps_agree(team)
     assert np.count_nonzero(team.robots[0].planning) > 2000
 
