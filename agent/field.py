@@ -139,7 +139,8 @@ class FieldRobot:
         self._body = body
         self._transport = transport
         self._report = report
-        self._record = record
+        self.record = record
+        """Called at the end of each step, with its number and the frames that were sent and received."""
         self._step = 0
         self._senses = False
 
@@ -177,7 +178,7 @@ class FieldRobot:
             self._report(f"{fault.kind} from robot {fault.peer}: {fault.reason}")
         self.robot.faults.clear()
         records, self.medium.records = self.medium.records, []
-        self._record(self._step, records)
+        self.record(self._step, records)
         self._files.session.sync()
 
     def stop(self) -> None:
