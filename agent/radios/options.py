@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
-from agent.radios.pacing import SECOND, DutyCycle, Pacer, TokenBucket
-from agent.radios.peer_medium import FRAME_OVERHEAD, Timing
+from agent.radios.pacing import ALWAYS, SECOND, DutyCycle, Pacer, TokenBucket
+from agent.radios.peer_medium import FRAME_OVERHEAD, WORTHWHILE, Timing
 from agent.radios.serial_modem import BAUD_RATES, SerialModem
 from agent.radios.transport import Transport
 from agent.radios.udp import GROUP, MAX_DATAGRAM, PORT, UdpRadio
@@ -23,6 +23,9 @@ MIN_FRAME = FRAME_OVERHEAD + MIN_PACKETS
 
 MAX_FRAME = 4096
 """Maximum bytes of a frame over a serial port."""
+
+MIN_HELLO_S, HELLOS = 8.0, 4
+"""Least silence, in seconds, before a hello, unless the options give another; and hellos within a neighbor timeout."""
 
 BACKOFF_FRAMES = 4
 """Airtimes of a full frame for which a frame waits at most."""
@@ -46,7 +49,8 @@ class LinkOptions:
     duty_cycle : float
         Share of each hour in which this robot may send; 0.01 is 1 %.
     neighbor_timeout_s, hello_s : float
-        A teammate is in range for so long after its last frame; and the silence after which this robot sends one.
+        A teammate is in range for so long after its last frame; and the silence after which this robot sends one
+        without packets. 0: as the rate and the duty cycle require. All robots of a team should have the same.
     interval_s : float
         Least time between two frames of this robot; packets wait for each other, and share the overhead of a frame.
     interface, address, udp_port : str, str, int
@@ -62,8 +66,8 @@ class LinkOptions:
     bytes_per_s: int = 0
     frame_bytes: int = 0
     duty_cycle: float = 1.0
-    neighbor_timeout_s: float = 30.0
-    hello_s: float = 8.0
+    neighbor_timeout_s: float = 0.0
+    hello_s: float = 0.0
     interval_s: float = 3.0
     interface: str = ""
     address: str = GROUP
@@ -93,9 +97,11 @@ class LinkOptions:
         most = MAX_DATAGRAM if self.medium == "udp" else MAX_FRAME
         if self.frame_bytes and not MIN_FRAME <= self.frame_bytes <= most:
             raise ValueError(f"frame_bytes = {self.frame_bytes}: must be {MIN_FRAME} to {most}")
-        if not all(map(math.isfinite, self._durations)):
-            raise ValueError("interval_s, hello_s, and neighbor_timeout_s must be finite")
+        durations = self.interval_s, self.hello_s, self.neighbor_timeout_s
+        if not all(math.isfinite(each) and each >= 0 for each in durations):
+            raise ValueError("interval_s, hello_s, and neighbor_timeout_s must be 0 or more")
         self.timing()
+        self.pacer(seed=0, robot=0, now=0)
 
     @property
     def _preset(self) -> str:
@@ -125,24 +131,29 @@ class LinkOptions:
 
     def timing(self) -> Timing:
         """Return the durations in nanoseconds; ValueError if they do not fit each other."""
-        return Timing(*(round(seconds * SECOND) for seconds in self._durations))
-
-    @property
-    def _durations(self) -> tuple[float, float, float]:
-        return self.neighbor_timeout_s, self.hello_s, self.interval_s
+        hello_s = self.hello_s or max(MIN_HELLO_S, self.interval_s, self._saving_s())
+        timeout_s = self.neighbor_timeout_s or HELLOS * hello_s
+        return Timing(round(timeout_s * SECOND), round(hello_s * SECOND), round(self.interval_s * SECOND))
 
     def pacer(self, seed: int, robot: int, now: int) -> Pacer:
-        """Return the pacing of a robot that starts at `now`."""
-        capacity = max(self.longest, self.rate)
+        """Return the pacing of a robot that starts at `now`; ValueError if the duty cycle has no room for a frame."""
+        airtime = self.airtime(self.longest)
+        backoff = BACKOFF_FRAMES * airtime
         return Pacer(
-            TokenBucket(self.rate, capacity, self.longest, now),
-            DutyCycle(round(self.duty_cycle * 1_000_000)),
+            TokenBucket(self.rate, max(self.longest, self.rate), self.longest, now),
+            DutyCycle(round(self.duty_cycle * ALWAYS), airtime, backoff + airtime, now),
             self.airtime,
             self.longest,
-            BACKOFF_FRAMES * self.airtime(self.longest),
+            backoff,
             seed,
             robot,
         )
+
+    def _saving_s(self) -> float:
+        """Return the seconds in which a robot earns a frame that is worthwhile."""
+        size = min(self.longest, WORTHWHILE)
+        on_air_s = self.airtime(size) / SECOND
+        return max(size / self.rate, on_air_s / self.duty_cycle if self.duty_cycle < 1 else 0.0)
 
     def open_transport(self) -> Transport:
         """Open the interface or the port; TransportError if that fails."""

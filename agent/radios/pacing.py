@@ -3,14 +3,13 @@
 Four rules hold at the same time, each a small class or function of its own:
 
     bytes per second   a token bucket (as in RFC 2697) that holds at least one frame
-    duty cycle         the airtime within any hour is at most a share of it (ETSI EN 300 220)
+    duty cycle         a token bucket of airtime, with at most a share of any hour (ETSI EN 300 220)
     one at a time      a frame begins after the airtime of the last one
     random back-off    a frame waits a random time first, so that robots with equal steps rarely collide
 """
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable
 
 from protocol.keyed_random import keyed_random
@@ -18,6 +17,12 @@ from protocol.keyed_random import keyed_random
 SECOND = 1_000_000_000
 """Nanoseconds of a second."""
 HOUR = 3600 * SECOND
+
+ALWAYS = 1_000_000
+"""The share of time of a duty cycle without a limit, in parts per million."""
+
+AT_ONCE = 10
+"""The part of an hour's airtime that can be used at once, as a divisor."""
 
 
 class TokenBucket:
@@ -52,26 +57,55 @@ class TokenBucket:
 
 
 class DutyCycle:
-    """Airtime of the last hour, which is at most `share` of it, given in parts per million."""
+    """A token bucket of airtime, full at first, with which no hour has more than its share of airtime.
 
-    def __init__(self, share: int) -> None:
-        if not 0 < share <= 1_000_000:
-            raise ValueError(f"duty cycle of {share} parts per million: must be 1 to 1000000")
-        self._most = HOUR * share // 1_000_000
-        self._used = 0
-        self._sent: deque[tuple[int, int]] = deque()
-        """The end and the airtime of each frame of the last hour."""
+    What the bucket holds and what flows in within an hour are together that share. So airtime is spread over the hour:
+    a tenth of it, or the airtime of the longest frame if that is more, can be used at once.
+
+    Parameters
+    ----------
+    share : int
+        Share of each hour, in parts per million; `ALWAYS` for no limit.
+    longest : int
+        Airtime of the longest frame, in nanoseconds.
+    delay : int
+        Nanoseconds between the call of `take` and the end of the frame, at most.
+    now : int
+
+    Raises
+    ------
+    ValueError
+        The share is outside 1 to `ALWAYS`, or an hour has no room for the longest frame.
+    """
+
+    def __init__(self, share: int, longest: int, delay: int, now: int) -> None:
+        if not 0 < share <= ALWAYS:
+            raise ValueError(f"duty cycle of {share} parts per million: must be 1 to {ALWAYS}")
+        most = HOUR * share // ALWAYS
+        capacity = max(most // AT_ONCE, longest)
+        if capacity > most:
+            allowed = f"{most / SECOND:.3g} s of airtime per hour"
+            raise ValueError(f"a duty cycle of {allowed} has no room for a frame of {longest / SECOND:.3g} s")
+        self._unlimited = share == ALWAYS
+        self._span = HOUR + delay
+        """Nanoseconds in which `_flow` nanoseconds of airtime flow in."""
+        self._flow = most - capacity
+        self._capacity = capacity * self._span
+        self._credit = self._capacity
+        """Airtime times `_span`: an integer at every nanosecond."""
+        self._now = now
 
     def room(self, now: int) -> int:
         """Return the airtime, in nanoseconds, that is left now."""
-        while self._sent and self._sent[0][0] <= now - HOUR:
-            self._used -= self._sent.popleft()[1]
-        return self._most - self._used
+        if self._unlimited:
+            return HOUR
+        self._credit = min(self._credit + self._flow * max(0, now - self._now), self._capacity)
+        self._now = max(now, self._now)
+        return max(0, self._credit // self._span)
 
-    def take(self, end: int, airtime: int) -> None:
-        """Note a frame that ends at `end`, no earlier than those before it."""
-        self._sent.append((end, airtime))
-        self._used += airtime
+    def take(self, airtime: int) -> None:
+        """Take airtime out of the bucket, as it was at the last call of `room`."""
+        self._credit -= airtime * self._span
 
 
 class Pacer:
@@ -136,5 +170,5 @@ class Pacer:
         airtime = self._airtime(size)
         self._free = start + airtime
         self._bucket.take(size)
-        self._duty_cycle.take(self._free, airtime)
+        self._duty_cycle.take(airtime)
         return start

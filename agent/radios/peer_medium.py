@@ -80,7 +80,7 @@ class Timing:
     neighbor_timeout : int
         A teammate is in range for so long after its last frame.
     hello : int
-        Silence after which a robot sends a frame in any case.
+        Silence after which a robot sends a frame without packets.
     interval : int
         Least time between two frames of a robot; packets wait for each other, and share the overhead of a frame.
     """
@@ -137,10 +137,8 @@ class PeerMedium:
         self._neighbors = Neighbors(timing.neighbor_timeout)
         self._accepted = accepted
         self._step = 0
-        self._room = 0
-        """Bytes of the longest frame that may be sent in this step."""
         self._space = 0
-        """Bytes of packets in it; 0 if it is not worth a frame yet."""
+        """Bytes of packets that may be sent in this step; 0 if they are not worth a frame yet."""
         self._last_sent: int | None = None
         """When the last frame was scheduled."""
         self._due: deque[tuple[int, bytes]] = deque()
@@ -160,8 +158,8 @@ class PeerMedium:
         self._step = step
         self._sent = RoundReport(step, 0, [], [], [], broadcast_sent=False)
         waits = self._due or self._silence(now) < self._timing.interval
-        self._room = 0 if waits else self._pacer.room(now)
-        self._space = self._room - FRAME_OVERHEAD if self._room >= self._worthwhile else 0
+        room = 0 if waits else self._pacer.room(now)
+        self._space = room - FRAME_OVERHEAD if room >= self._worthwhile else 0
         return Open(step, 0, self._neighbors.current(now), Budget(self._space))
 
     def submit(self, frames: RobotFrames, now: int) -> None:
@@ -227,8 +225,11 @@ class PeerMedium:
             self.records.append(self._received[-1])
 
     def _is_hello_due(self, now: int) -> bool:
-        """Return whether this robot has been silent for so long that it must send a frame, and may."""
-        return self._room >= OVERHEAD and self._silence(now) >= self._timing.hello
+        """Return whether this robot has been silent for long, and could have sent packets if it had any.
+
+        A robot that saves for a frame says no hello: it would never have enough.
+        """
+        return self._space > 0 and self._silence(now) >= self._timing.hello
 
     def _silence(self, now: int) -> int:
         """Return the time since this robot's last frame."""

@@ -5,6 +5,9 @@ A transport may lose, repeat, reorder, and damage frames. It holds what arrives 
 
 from __future__ import annotations
 
+import select
+import time
+from collections.abc import Callable
 from typing import Protocol
 
 
@@ -33,3 +36,16 @@ class Transport(Protocol):
 
 MAX_PER_CALL = 256
 """Frames that one call of `Transport.receive` returns at most, so that a flood does not hold up the robot."""
+
+
+def waiting(transport: Transport) -> Callable[[int], None]:
+    """Return a function that waits for so many nanoseconds, or until frames have arrived."""
+
+    def wait(duration: int) -> None:
+        seconds = max(0, duration) / 1e9
+        if transport.fileno() < 0:
+            time.sleep(seconds)
+        else:
+            select.select([transport], [], [], seconds)
+
+    return wait

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.radios.neighbors import Neighbors
-from agent.radios.pacing import HOUR, SECOND, DutyCycle, Pacer, TokenBucket
+from agent.radios.pacing import ALWAYS, HOUR, SECOND, DutyCycle, Pacer, TokenBucket
 from protocol.presets import PRESETS
 
 GAPS = st.lists(st.tuples(st.integers(0, 20 * SECOND), st.integers(1, 300)), max_size=60)
@@ -45,29 +45,42 @@ def test_a_clock_that_goes_back_gives_no_tokens() -> None:
 
 
 @given(
-    st.lists(st.tuples(st.integers(0, HOUR // 20), st.integers(1, 60 * SECOND)), max_size=80),
-    st.integers(1_000, 200_000),
+    st.lists(st.tuples(st.integers(0, HOUR // 5), st.integers(1, 60 * SECOND)), max_size=80),
+    st.integers(50_000, 999_999),
+    st.integers(0, 30 * SECOND),
 )
-def test_no_hour_has_more_airtime_than_the_duty_cycle(frames: list[tuple[int, int]], share: int) -> None:
-    duty, now, sent = DutyCycle(share), 0, list[tuple[int, int]]()
+def test_a_duty_cycle_agrees_with_exact_fractions_and_holds_in_every_hour(
+    frames: list[tuple[int, int]], share: int, delay: int
+) -> None:
+    now, sent = 0, list[tuple[int, int]]()
+    duty, most = DutyCycle(share, 60 * SECOND, delay + 60 * SECOND, now), HOUR * share // ALWAYS
+    capacity = max(most // 10, 60 * SECOND)
+    level = Fraction(capacity)
     for gap, airtime in frames:
         now += gap
-        used = sum(length for end, length in sent if end > now - HOUR)
-        assert duty.room(now) == HOUR * share // 1_000_000 - used
-        if airtime <= duty.room(now):
-            now += airtime
-            duty.take(now, airtime)
-            sent.append((now, airtime))
+        level += Fraction((most - capacity) * gap, HOUR + delay + 60 * SECOND)
+        level = min(level, Fraction(capacity))
+        assert duty.room(now) == int(level)
+        if airtime <= level:
+            duty.take(airtime)
+            level -= airtime
+            sent.append((now + len(sent) % 2 * delay + airtime, airtime))
     for end, _ in sent:
-        within = sum(length for other, length in sent if end - HOUR < other <= end)
-        assert within <= HOUR * share // 1_000_000
+        assert sum(airtime for other, airtime in sent if end - HOUR <= other <= end) <= most
+
+
+def test_a_duty_cycle_without_room_for_a_frame_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"3.6 s of airtime per hour has no room for a frame of 4 s"):
+        DutyCycle(1000, 4 * SECOND, 0, 0)
+    with pytest.raises(ValueError, match="must be 1 to 1000000"):
+        DutyCycle(0, SECOND, 0, 0)
 
 
 def pacer(rate: int, capacity: int, *, share: int = 1_000_000, backoff: int = 0, robot: int = 0) -> Pacer:
     """A radio of 1 ms per byte."""
     return Pacer(
         TokenBucket(rate, capacity, 100, 0),
-        DutyCycle(share),
+        DutyCycle(share, 100 * SECOND // 1000, backoff + 100 * SECOND // 1000, 0),
         lambda size: size * SECOND // 1000,
         100,
         backoff,
@@ -103,12 +116,12 @@ def test_the_back_off_differs_between_robots_and_frames_but_not_between_runs() -
 
 
 def test_where_the_duty_cycle_leaves_less_airtime_the_frame_is_shorter() -> None:
-    pace = pacer(1000, 1000, share=100)  # 360 ms of airtime per hour
-    for second, expected in enumerate((100, 100, 100, 60, 0)):
+    pace = pacer(1000, 1000, share=700)  # 2.52 s of airtime per hour, 252 ms at once
+    for second, expected in enumerate((100, 100, 53, 0)):
         assert pace.room(second * SECOND) == expected
         if expected:
             pace.schedule(expected, second * SECOND)
-    assert pace.room(HOUR + SECOND) == 100
+    assert pace.room(HOUR) == 100
 
 
 @pytest.mark.parametrize("name", PRESETS)

@@ -85,7 +85,7 @@ def test_a_robot_without_neighbors_says_hello_and_continues() -> None:
         receiver.receive(frame, number * SECOND)
     assert receiver.end_step()[0] == RoundReport(0, 0, [], [], [], False)
     assert receiver.begin_step(30, 30 * SECOND).peers == [0]
-    assert receiver.begin_step(59, 59 * SECOND).peers == []
+    assert receiver.begin_step(62, 62 * SECOND).peers == []
 
 
 def test_a_robot_never_sends_more_than_its_budget_and_its_interval_allow() -> None:
@@ -184,9 +184,11 @@ def test_memory_air_loses_repeats_and_delays_the_same_frames_in_each_run() -> No
         ({"bytes_per_s": -1}, "bytes_per_s = -1"),
         ({"frame_bytes": MIN_FRAME - 1}, f"must be {MIN_FRAME} to 1400"),
         ({"frame_bytes": 1401}, "must be"),
-        ({"hello_s": float("nan")}, "finite"),
-        ({"interval_s": 9.0}, "each must be less"),
-        ({"hello_s": 30.0}, "each must be less"),
+        ({"hello_s": float("nan")}, "must be 0 or more"),
+        ({"interval_s": -1.0}, "must be 0 or more"),
+        ({"duty_cycle": 1e-4, "preset": "lora-sf12"}, "no room for a frame"),
+        ({"interval_s": 9.0, "hello_s": 8.0}, "each must be less"),
+        ({"hello_s": 30.0, "neighbor_timeout_s": 30.0}, "each must be less"),
     ],
 )
 def test_options_that_cannot_work_are_refused(settings: dict[str, Any], problem: str) -> None:
@@ -199,3 +201,13 @@ def test_a_preset_gives_frames_rate_and_airtime() -> None:
     assert (lora.longest, lora.rate, lora.packet_bytes) == (115, 169, 115 - FRAME_OVERHEAD)
     assert lora.airtime(115) == pytest.approx(0.6769 * SECOND, rel=1e-3)
     assert LinkOptions("udp", interface="wlan0").longest == 1400
+    assert lora.timing().hello > 50 * SECOND  # a frame of 90 bytes per minute is all that 1 % allows
+    assert lora.timing().neighbor_timeout == 4 * lora.timing().hello
+
+
+def test_a_robot_that_must_save_for_a_frame_sends_packets_and_no_hellos() -> None:
+    options = dataclasses.replace(OPTIONS, bytes_per_s=2)
+    end = medium(0, options)
+    sizes = [len(frame) for number in range(1, 600) for frame in step(end, number, b"", REPORT * 25)[1]]
+    assert min(sizes) > WORTHWHILE - len(REPORT)
+    assert sum(sizes) > 1000

@@ -16,7 +16,7 @@ from agent.radios.cobs import LineReader, line
 from agent.radios.options import LinkOptions
 from agent.radios.pacing import SECOND
 from agent.radios.serial_modem import SerialModem
-from agent.radios.transport import Transport, TransportError
+from agent.radios.transport import Transport, TransportError, waiting
 from protocol.keyed_random import keyed_random
 from tests.agent.radios.air_team import AirTeam, assert_maps_agree, exchange_all
 from tests.agent.radios.test_teams_on_the_air import TEAM
@@ -145,13 +145,26 @@ def test_ports_that_cannot_be_used_are_refused(terminal: Terminal, tmp_path: Pat
     SerialModem(terminal.path, 9600, LONGEST).close()
 
 
-def test_an_unplugged_modem_receives_nothing() -> None:
-    terminal = Terminal()
-    modem = SerialModem(terminal.path, 9600, LONGEST)
-    os.close(terminal.side)
+def test_a_modem_that_is_unplugged_and_plugged_in_again_continues(tmp_path: Path) -> None:
+    first, second, port = Terminal(), Terminal(), tmp_path / "modem"
+    port.symlink_to(first.path)
+    modem = SerialModem(port, 9600, LONGEST)
+    os.close(first.side)
+    port.unlink()
     assert modem.receive() == []
+    assert modem.fileno() == -1
     assert not modem.send(b"frame")
+    waiting(modem)(1000)
+    port.symlink_to(second.path)
+    assert modem.send(b"frame")
+    assert select.select([second.side], [], [], PATIENCE_S)[0]
+    assert second.read() == line(b"frame")
+    os.write(second.side, line(b"reply"))
+    waiting(modem)(PATIENCE_S * SECOND)
+    assert modem.receive() == [b"reply"]
     modem.close()
+    assert not modem.send(b"frame")
+    os.close(second.side)
 
 
 def test_two_robots_share_an_office_over_modems_of_200_bytes_per_second_that_lose_a_tenth(
