@@ -1,47 +1,59 @@
 """What a robot in the field records of its radio: every frame that it sent, or received from a teammate.
 
-Its directory has the files of a run, as far as one robot knows them:
-
-    radio.pcapng    the packets of each frame, for Wireshark; written in each step
+    radio.pcapng    the packets of each frame, for Wireshark
+    frames.csv      one line per frame: when, and its number, by which the directories of several robots are joined
     ledger.parquet  one row per frame and kind of packet; the bytes of packets, without those of sealing
-    frames.parquet  one row per frame: when, and its number, by which the directories of several robots can be joined
 
-In capture and ledger, `connection` is the counter of the sealed frame. A frame that this robot sent has no receivers
-there: a sender without a relay does not know them. Broadcast and gossip of one frame are two rows.
+The first two are written in each step, so that they survive the end of the process at any moment; `LinkRecorder.close`
+writes the last one. In capture and ledger, `connection` is the counter of the sealed frame. A frame that this robot
+sent has no receivers there: a sender without a relay does not know them. Broadcast and gossip of one frame are two
+rows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import csv
+from collections.abc import Iterable, Sequence
+from io import StringIO
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import NamedTuple
 
 import numpy as np
 
 from agent.radios.peer_medium import FrameRecord
-from deploy.record.columns import Column, schema
 from deploy.record.run_directory import CAPTURE, LEDGER, CaptureFile, ledger_table
 from netshaper import capture
 from netshaper.frame_log import Content, FrameLog
 from netshaper.ledger import BROADCAST, CAUSES, EVERYONE, NEWS, ROW
 from protocol.errors import ProtocolError
+from protocol.files import open_file
 from protocol.packet_index import NO_PACKETS, index_of
 from worldsim.atomic_files import write_whole
 
-FRAMES = "frames.parquet"
+FRAMES = "frames.csv"
 
-FRAME_COLUMNS = (
-    Column("time_ns", "int64", "when it was sent or arrived, by this robot's clock"),
-    Column("step", "int32", "the step of this robot"),
-    Column("sender", "int16", "the robot that sent it"),
-    Column("session", "int32", "how often the sender had started"),
-    Column("counter", "int32", "frames of that session before it"),
-    Column("bytes", "int32", "bytes of the sealed frame"),
-    Column("received", "bool", "whether this robot received it; else it sent it"),
-)
-"""One row per frame (``frames.parquet``)."""
 
-_CARRIED = CAUSES.index("")
+class FrameLine(NamedTuple):
+    """A line of ``frames.csv``. All columns are integers.
+
+    `robot`: the robot that recorded it, and `time_ns` when, by its clock. `sender`, `session`, `counter`: the number of
+    the frame. `bytes`: of the sealed frame. `broadcast`, `gossip`: bytes of its packets.
+    """
+
+    robot: int
+    time_ns: int
+    step: int
+    sender: int
+    session: int
+    counter: int
+    bytes: int
+    broadcast: int
+    gossip: int
+
+
+def contents(broadcast: bytes, gossip: bytes) -> list[Content]:
+    """Return the parts of a frame that are not empty, for a log."""
+    return [_content(kind, packets) for kind, packets in ((BROADCAST, broadcast), (NEWS, gossip)) if packets]
 
 
 def frame_log(robot: int, records: Sequence[FrameRecord]) -> FrameLog:
@@ -51,12 +63,11 @@ def frame_log(robot: int, records: Sequence[FrameRecord]) -> FrameLog:
         received = each.sender != robot
         number = f"frame {each.counter} of session {each.session}, {each.size} bytes sealed"
         fate = f"received by r{robot}: {number}" if received else f"sent: {number}"
-        for kind, packets in ((BROADCAST, each.broadcast), (NEWS, each.gossip)):
-            if packets:
-                log.add(
-                    0, _content(kind, packets), _CARRIED, each.sender, EVERYONE, connection=each.counter,
-                    receivers=(robot,) if received else (), fate=fate,
-                )  # fmt: skip
+        for content in contents(each.broadcast, each.gossip):
+            log.add(
+                0, content, CAUSES.index(""), each.sender, EVERYONE, connection=each.counter,
+                receivers=(robot,) if received else (), fate=fate,
+            )  # fmt: skip
     return log
 
 
@@ -65,12 +76,13 @@ class LinkRecorder:
 
     def __init__(self, folder: Path, robot: int) -> None:
         folder.mkdir(parents=True, exist_ok=True)
-        self._folder = folder
+        self.folder = folder
         self._robot = robot
         self._capture = CaptureFile(folder / CAPTURE, "xb")
         self._capture.write(capture.head(f"radio of robot {robot} in the field"))
+        self._frames = CaptureFile(folder / FRAMES, "xb")
+        self._frames.write(_lines([FrameLine._fields]))
         self._rows: list[bytes] = []
-        self._frames: list[tuple[int, int, int, int, int, int, bool]] = []
 
     def record(self, step: int, records: Sequence[FrameRecord]) -> None:
         """Take the frames of a step; those of equal steps may come in several calls."""
@@ -78,32 +90,58 @@ class LinkRecorder:
         if len(log):
             self._capture.write(capture.encode(step, log))
             self._rows.append(log.ledger_rows(step))
-        self._frames += [
-            (each.time, step, each.sender, each.session, each.counter, each.size, each.sender != self._robot)
-            for each in records
-        ]
+        self._frames.write(
+            _lines(
+                FrameLine(
+                    self._robot, each.time, step, each.sender, each.session, each.counter, each.size,
+                    len(each.broadcast), len(each.gossip),
+                )
+                for each in records
+            )
+        )  # fmt: skip
 
     def close(self) -> None:
-        """Write the tables; OSError if a file could not be written."""
-        import pyarrow as pa  # noqa: PLC0415
-        from pyarrow import parquet  # noqa: PLC0415
-
-        self._capture.close()
-        rows = np.frombuffer(b"".join(self._rows), ROW)
-        names = [column.name for column in FRAME_COLUMNS]
-        frames = [dict(zip(names, frame, strict=True)) for frame in self._frames]
-        tables: dict[str, Any] = {
-            LEDGER: ledger_table(rows),
-            FRAMES: pa.Table.from_pylist(frames, schema=schema(FRAME_COLUMNS)),
-        }
-        for name, table in tables.items():
-            write_whole(self._folder / name, _writer(parquet.write_table, table))
-        if self._capture.failure is not None:
-            raise self._capture.failure
+        """Write the ledger; OSError if one of the files could not be written."""
+        for file in (self._capture, self._frames):
+            file.close()
+        write_ledger(self.folder, self._rows)
+        for file in (self._capture, self._frames):
+            if file.failure is not None:
+                raise file.failure
 
 
-def _writer(write: Callable[[Any, BinaryIO], object], table: Any) -> Callable[[BinaryIO], object]:
-    return lambda file: write(table, file)
+def write_ledger(folder: Path, rows: Sequence[bytes]) -> None:
+    """Write ``ledger.parquet`` from the rows of all steps."""
+    from pyarrow import parquet  # noqa: PLC0415  takes half a second to import
+
+    table = ledger_table(np.frombuffer(b"".join(rows), ROW))
+    write_whole(folder / LEDGER, lambda file: parquet.write_table(table, file))
+
+
+def read_frames(folder: Path) -> list[FrameLine]:
+    """Read ``frames.csv``, up to its last whole line; ValueError if it is no such file."""
+    path = folder / FRAMES
+    with open_file(path) as file:
+        text = file.read().decode("ascii", "replace")
+    head, *lines = csv.reader(StringIO(text[: text.rfind("\n") + 1])) if text else [[]]
+    if tuple(head) != FrameLine._fields:
+        raise ValueError(
+            f"{path}: not the frames of a robot: the first line must be {','.join(FrameLine._fields)}"
+        )
+    frames = []
+    for number, line in enumerate(lines, 2):
+        try:
+            frames.append(FrameLine(*map(int, line)))
+        except (TypeError, ValueError):
+            fields = len(FrameLine._fields)
+            raise ValueError(f"{path}, line {number}: expected {fields} integers") from None
+    return frames
+
+
+def _lines(rows: Iterable[Sequence[object]]) -> bytes:
+    out = StringIO()
+    csv.writer(out, lineterminator="\n").writerows(rows)
+    return out.getvalue().encode()
 
 
 def _content(kind: int, packets: bytes) -> Content:
