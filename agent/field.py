@@ -6,7 +6,8 @@ A step begins when the last one has lasted for its time, whether or not other ro
     exchange  send the frame when it is due, and take what arrives, until the step is over
     end       merge the maps that arrived, choose a target, and let the body move
 
-A body that gives no readings, because it does not know its pose, keeps the robot silent and still in that step.
+A body that gives no readings, because it does not know its pose, keeps the robot silent and still in that step. So does
+a pose that has jumped (`agent.pose_guard`).
 `FieldRobot` reads no clock: its caller passes the time. `drive` is the loop around it.
 """
 
@@ -23,6 +24,7 @@ from msgspec.structs import replace
 
 from agent.identity import Identity
 from agent.journal import Journal, journal_name
+from agent.pose_guard import PoseGuard
 from agent.radio_events import ReportError, respond
 from agent.radios.options import LinkOptions
 from agent.radios.peer_medium import FrameRecord, PeerMedium
@@ -39,7 +41,7 @@ class Body(Protocol):
     """What provides a robot's readings and takes its moves."""
 
     def sense(self, step: int) -> Sense | None:
-        """Return the readings of this step; None if the pose is not known, or has jumped and is not settled."""
+        """Return the readings of this step; None if the pose is not known."""
 
     def move(self, move: Move) -> None:
         """Begin to move; a move that is still under way ends."""
@@ -100,6 +102,7 @@ class FieldRobot:
         Begins a new incarnation of the robot, and a new session of its radio.
     body : Body
     transport : Transport
+    guard : PoseGuard
     now : int
         The time in nanoseconds.
     report : callable
@@ -115,6 +118,7 @@ class FieldRobot:
         files: FieldFiles,
         body: Body,
         transport: Transport,
+        guard: PoseGuard,
         now: int,
         report: ReportError = lambda _: None,
         record: Callable[[int, list[FrameRecord]], object] = lambda _step, _records: None,
@@ -132,12 +136,13 @@ class FieldRobot:
             session.note,
         )
         self.move: Move | None = None
-        """The last move; None in steps in which the body did not know its pose."""
+        """The last move; None in steps without readings that can be relied on."""
         self.unsent = 0
         """Frames that the transport did not take."""
         self._files = files
         self._body = body
         self._transport = transport
+        self._guard = guard
         self._report = report
         self.record = record
         """Called at the end of each step, with its number and the frames that were sent and received."""
@@ -148,6 +153,8 @@ class FieldRobot:
         """Take the body's readings, and schedule this step's frame."""
         self._step = step
         sense = self._body.sense(step)
+        if sense is not None and not self._guard.accept(*_position(sense), now):
+            sense = None
         self._senses = sense is not None
         if sense is None:
             return
@@ -186,6 +193,11 @@ class FieldRobot:
         self._body.stop()
         self._transport.close()
         self._files.session.close()
+
+
+def _position(sense: Sense) -> tuple[float, float]:
+    """Return the position of a body, in cells."""
+    return sense.x + sense.offset_x / 1000, sense.y + sense.offset_y / 1000
 
 
 def drive(

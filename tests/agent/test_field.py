@@ -8,6 +8,7 @@ import pytest
 from msgspec.structs import replace
 
 from agent.field import FieldFiles, FieldRobot, drive, field_settings, team_context
+from agent.pose_guard import PoseGuard
 from agent.radios.memory_air import Faults, MemoryAir
 from agent.radios.options import LinkOptions
 from agent.radios.pacing import SECOND
@@ -26,17 +27,23 @@ STEP = SECOND // 5
 
 
 class Alone(WorldBody):
-    """The body of the only robot that moves in a world; it loses its pose in the steps `lost`."""
+    """The body of the only robot that moves in a world.
 
-    def __init__(self, world: BaseWorld, lost: range = range(0)) -> None:
+    It loses its pose in the steps `lost`; in step `jump`, its position jumps by 50 cells, and back in the next.
+    """
+
+    def __init__(self, world: BaseWorld, lost: range = range(0), jump: int = 0) -> None:
         super().__init__()
         self.steps: list[int] = []
-        self._world, self._lost = world, lost
+        self._world, self._lost, self._jump = world, lost, jump
 
     def sense(self, step: int) -> Sense | None:
         self.steps.append(step)
         senses = self._world.advance({} if self.moved is None else {0: self.moved})
-        return None if step in self._lost else replace(senses[0], step=step)
+        sense = replace(senses[0], step=step)
+        if step == self._jump:
+            sense = replace(sense, x=(sense.x + 50) % PLAN.map.width)
+        return None if step in self._lost else sense
 
 
 class Clock:
@@ -57,7 +64,9 @@ class Clock:
 
 def field_robot(folder: Path, body: WorldBody, settings: Settings = PLAN.robot_settings[0]) -> FieldRobot:
     wire = Wire(MemoryAir(1, Faults()).join(0, OPTIONS.longest))
-    robot = FieldRobot(settings, OPTIONS, FieldFiles.open(folder, KEY, settings), body, wire, 5 * SECOND)
+    guard = PoseGuard(5 * settings.body.speed, slack=1.0, settle=3 * SECOND)
+    files = FieldFiles.open(folder, KEY, settings)
+    robot = FieldRobot(settings, OPTIONS, files, body, wire, guard, 5 * SECOND)
     robot.sent = wire.sent  # type: ignore[attr-defined]
     return robot
 
@@ -99,6 +108,21 @@ def test_a_body_that_does_not_know_its_pose_stands_still_and_the_robot_is_silent
     assert body.stops == 19 + 1
     sent = robot.sent  # type: ignore[attr-defined]
     assert len(sent) == 1
+
+
+def test_a_robot_whose_pose_jumps_stays_silent_until_it_has_settled(tmp_path: Path) -> None:
+    body, clock = Alone(PLAN.make_world(), jump=4), Clock()
+    robot = field_robot(tmp_path, body)
+    still: list[int] = []
+
+    def is_over(step: int) -> bool:
+        if robot.move is None:
+            still.append(step)
+        return step == 12
+
+    drive(robot, SECOND, clock, clock.wait, is_over)
+    # Before the first step; the jump, the jump back, and three seconds without one.
+    assert still == [0, 4, 5, 6, 7]
 
 
 def test_the_body_stops_and_the_files_are_released_if_the_robot_fails(tmp_path: Path) -> None:

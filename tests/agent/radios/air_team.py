@@ -13,6 +13,7 @@ import pytest
 from msgspec.structs import replace
 
 from agent.field import FieldFiles, FieldRobot
+from agent.pose_guard import PoseGuard
 from agent.radios.options import LinkOptions
 from agent.radios.pacing import SECOND
 from agent.radios.sealing import KEY_BYTES
@@ -68,8 +69,9 @@ class Member:
     ) -> None:
         settings = replace(plan.robot_settings[number], incarnations=2)
         self.files = FieldFiles.open(state, KEY, settings)
+        guard = PoseGuard(settings.body.speed, slack=1.0, settle=5 * SECOND)
         self.body, self.wire = WorldBody(), Wire(transport)
-        self.field = FieldRobot(settings, options, self.files, self.body, self.wire, 0, pytest.fail)
+        self.field = FieldRobot(settings, options, self.files, self.body, self.wire, guard, 0, pytest.fail)
         self.robot, self.medium, self.sent = self.field.robot, self.field.medium, self.wire.sent
 
 
