@@ -40,6 +40,8 @@ class SessionFile:
         self._path = path
         self._robot = robot
         self._size = _FINGERPRINT + robots * _SLOT.size
+        self._synced = True
+        """Whether the disk has all numbers."""
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
@@ -83,10 +85,13 @@ class SessionFile:
     def note(self, sender: int, number: int) -> None:
         """Write the highest frame number accepted from a teammate."""
         os.pwrite(self._file, _SLOT.pack(number), _FINGERPRINT + sender * _SLOT.size)
+        self._synced = False
 
     def sync(self) -> None:
         """Wait until the disk has all that was written."""
-        os.fdatasync(self._file)
+        if not self._synced:
+            os.fdatasync(self._file)
+            self._synced = True
 
     def close(self) -> None:
         """Close and unlock the file."""
