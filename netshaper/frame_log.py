@@ -111,14 +111,16 @@ class FrameLog:
         *,
         receivers: Sequence[int] = (),
         reason: str = "",
+        fate: str = "",
     ) -> None:
         """Log a frame, or a part of one, with one verdict.
 
-        `receivers`: robots that received it. `reason`: why it was refused, or a note on its delivery.
+        `receivers`: robots that received it. `reason`: why it was refused, or a note on its delivery. `fate`: comment
+        in the capture instead of the one that follows from the others.
         """
         payload, text = content.payload, verdict
-        if reason or receiver == EVERYONE:
-            words = comment(verdict, receiver, tuple(receivers), reason)
+        if fate or reason or receiver == EVERYONE:
+            words = fate or comment(verdict, receiver, tuple(receivers), reason)
             text = self.texts.setdefault(words, len(self.texts))
         count = len(content.packets.kinds) or (MALFORMED if payload else 0)
         self._rows += (

@@ -51,7 +51,7 @@ class RadioOptions:
     Attributes
     ----------
     preset : str
-        The radio whose figures apply where the scenario gives none (`netshaper.presets`).
+        The radio whose figures apply where the scenario gives none (`protocol.presets`).
     frame_bytes : int
         Maximum bytes of packets in a frame; longer frames are split. 0: no limit.
     model : str

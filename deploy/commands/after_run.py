@@ -197,3 +197,23 @@ def show_capture(
     table = capture.lines(directory, wanted, every_packet=packets)
     for line in capture.json_lines(directory, wanted) if as_json else table:
         print(line)
+
+
+@app.command()
+def merge(
+    directories: Annotated[
+        list[Path], typer.Argument(metavar="DIR...", help="what each robot in the field recorded")
+    ],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="the new directory")],
+) -> None:
+    """Join what robots in the field recorded of their radios: one capture and one ledger, on one clock."""
+    from deploy.after import merge as merging  # noqa: PLC0415
+
+    if (out / "radio.pcapng").exists():
+        raise ScenarioError(f"{out} already exists: choose another name, or delete it")
+    merged = merging.merge(directories, out)
+    known = merged.error_ns < merging.UNKNOWN
+    bound = f"within {merged.error_ns / 1e6:.1f} ms" if known else "by frames in one direction only"
+    screen.print(
+        f"{out}: {merged.frames} frames, {merged.lost} of which no robot recorded as received; clocks agree {bound}"
+    )

@@ -28,7 +28,7 @@ from deploy.commands.flags import (
 )
 from deploy.scenario.scenario import SHIPPED, Scenario, load, read_toml
 from deploy.scenario.thesis import STRATEGY, thesis_settings
-from netshaper.presets import PRESETS
+from protocol.presets import PRESETS
 from worldsim.sensor_options import LASERS, POSES
 
 app = command_family()

@@ -35,12 +35,24 @@ def keys(
         ),
     ] = None,
     days: Annotated[int, typer.Option(metavar="N", min=1, max=3650, help="days until they expire")] = 30,
+    team_key: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="create only this file: the key of a team in the field"),
+    ] = None,
 ) -> None:
     """Create a certificate authority for a run, and a certificate and private key for each participant.
 
     The authority's key is not stored, so that certificates cannot be added later. Use it for processes started by hand
     (murmur run netshaper --keys DIR); `murmur explore --hosts` creates its own certificates for each run.
+
+    Robots without a relay need no certificates, but a key that all of them have (--team-key, docs/field.md).
     """
+    if team_key is not None:
+        from agent.radios.team_key import create_key  # noqa: PLC0415
+
+        create_key(team_key)
+        screen.print(f"{team_key}: copy it to each robot of the team; whoever has it can send in their names")
+        return
     from netshaper import certificates  # noqa: PLC0415
 
     known_as = address or ["127.0.0.1"]

@@ -20,7 +20,7 @@ from deploy.commands.flags import (
     setting_flags,
 )
 from deploy.scenario.scenario import NOT_RECORDED, NOT_RECORDED_REASON, load
-from netshaper.presets import PRESETS
+from protocol.presets import PRESETS
 from worldsim.recorded.options import PACES
 
 app = command_family()

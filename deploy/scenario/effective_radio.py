@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from deploy.scenario.plan import Plan
-from netshaper.presets import PRESETS
 from netshaper.radio_options import RadioOptions
 from protocol.budget import WORD_FOR_UNLIMITED
+from protocol.presets import PRESETS
 
 
 def effective_radio(plan: Plan) -> str:

@@ -32,7 +32,6 @@ from deploy.scenario.tables import (
     check_types,
     range_in_meters,
 )
-from netshaper.presets import PRESETS
 from netshaper.radio_options import Partition, RadioOptions
 from protocol import faults
 from protocol.budget import WORD_FOR_UNLIMITED, Budget
@@ -41,6 +40,7 @@ from protocol.files import read_file
 from protocol.grid import MAX_ROBOTS
 from protocol.messages import Change, FaultEvent
 from protocol.packets import MAX_GOSSIP_MAPS, MAX_MAPS
+from protocol.presets import PRESETS
 from worldsim.people_options import PeopleOptions
 from worldsim.recorded.options import RecordingOptions
 from worldsim.sensor_options import IDEAL, LASERS, POSES, LaserOptions, PoseOptions

@@ -35,12 +35,12 @@ from deploy.scenario.scenario import SHIPPED, Scenario, ScenarioError, load
 from docs import code_tables, made_pages, packet_tables
 from netshaper import access
 from netshaper.ledger import CAUSES
-from netshaper.presets import PRESETS
 from protocol import messages, packet_index, packets
 from protocol.body import Body
 from protocol.grid import MAX_ROBOTS, MAX_SIDE, UNKNOWN, Grid, ray_table
 from protocol.keys import Keys
 from protocol.messages import Delivery, RoundReport, SendReport
+from protocol.presets import PRESETS
 from protocol.scans import Scan, draw, encode_scan, fragments
 from tests.agent.outline.edit_scripts import canonical, edit_script
 from tests.agent.replication.network import make_engine

@@ -7,7 +7,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from netshaper.presets import PRESETS
+from protocol.presets import PRESETS
 from tests.deploy.commands.office_floor import explore, murmur
 
 

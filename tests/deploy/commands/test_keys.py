@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from agent.radios.team_key import read_key
 from deploy.commands.app import app
 from deploy.run.by_hand import serve_netshaper, serve_routing
 from deploy.scenario.scenario import ScenarioError, parse
@@ -131,3 +132,14 @@ def test_keys_of_a_smaller_run_are_refused_by_the_hub(tmp_path: Path) -> None:
             tmp_path / "keys",
         )
     assert not (tmp_path / "credentials").exists()
+
+
+def test_the_key_of_a_team_in_the_field_is_written_once(tmp_path: Path) -> None:
+    path = tmp_path / "team.key"
+    result = murmur("keys", "--team-key", str(path))
+    assert result.exit_code == 0, result.stderr
+    assert len(read_key(path)) == 32
+    assert [each.name for each in tmp_path.iterdir()] == ["team.key"]
+    again = murmur("keys", "--team-key", str(path))
+    assert again.exit_code == 2
+    assert "already exists" in again.stderr

@@ -1,4 +1,4 @@
-"""Radio presets: payload of a frame, throughput, and indoor range (docs/radios.md).
+"""Radio presets: payload of a frame, throughput, and indoor range (docs/radios.md), of simulated and of real radios.
 
 All figures follow from sources. The standard or the datasheet gives a frame's time on the air; frames sent back to back
 give the rate. The range follows from the site-general model of ITU-R P.1238 in an office.
@@ -35,6 +35,8 @@ class Preset:
         Airtime of a full frame in seconds, including the gap to the next frame.
     range_m : int
         Typical indoor range.
+    spreading : int
+        Spreading factor of LoRa; 0 for other radios.
     """
 
     description: str
@@ -42,6 +44,13 @@ class Preset:
     frame_bytes: int
     frame_s: float
     range_m: int
+    spreading: int = 0
+
+    def airtime_s(self, size: int) -> float:
+        """Return the airtime in seconds of a frame of `size` bytes of payload."""
+        if self.spreading:
+            return lora_airtime(self.spreading, size + LORA_HEAD)
+        return self.frame_s - (self.frame_bytes - size) * 8 / self.bits_per_s
 
     @property
     def bandwidth(self) -> int:
@@ -73,6 +82,7 @@ def _lora(spreading: int, payload: int, sensitivity_dbm: float) -> Preset:
         payload,
         lora_airtime(spreading, payload + LORA_HEAD),
         indoor_range_m(14, sensitivity_dbm, 868, OFFICE_900),
+        spreading,
     )
 
 

@@ -1,0 +1,232 @@
+"""A robot in the field: it runs by its own clock, with a real body and a radio without a relay (docs/field.md).
+
+A step begins when the last one has lasted for its time, whether or not other robots have finished theirs:
+
+    begin     take the readings of the body, draw the map, schedule a frame
+    exchange  send the frame when it is due, and take what arrives, until the step is over
+    end       merge the maps that arrived, choose a target, and let the body move
+
+A body that gives no readings, because it does not know its pose, keeps the robot silent and still in that step. So does
+a pose that has jumped (`agent.pose_guard`).
+`FieldRobot` reads no clock: its caller passes the time. `drive` is the loop around it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import msgspec
+from msgspec.structs import replace
+
+from agent.identity import Identity
+from agent.journal import Journal, journal_name
+from agent.pose_guard import PoseGuard
+from agent.radio_events import ReportError, respond
+from agent.radios.options import LinkOptions
+from agent.radios.peer_medium import FrameRecord, PeerMedium
+from agent.radios.sealing import Opener, Sealer
+from agent.radios.session_file import SessionFile
+from agent.radios.transport import Transport
+from agent.replication.policies import GOSSIP
+from agent.robot import Robot
+from agent.settings import Settings
+from protocol.messages import Move, Sense
+
+
+class Body(Protocol):
+    """What provides a robot's readings and takes its moves."""
+
+    def sense(self, step: int) -> Sense | None:
+        """Return the readings of this step; None if the pose is not known."""
+
+    def move(self, move: Move) -> None:
+        """Begin to move; a move that is still under way ends."""
+
+    def stop(self) -> None:
+        """Stand still."""
+
+
+def field_settings(settings: Settings, options: LinkOptions) -> Settings:
+    """Return a robot's settings with those that a radio without a relay requires; ValueError if it cannot have them."""
+    if settings.replication.dissemination != GOSSIP:
+        raise ValueError(
+            f"dissemination = {settings.replication.dissemination!r}: must be {GOSSIP!r} without a relay"
+        )
+    replication = replace(settings.replication, requires_acks=True)
+    medium = replace(settings.medium, frame_bytes=options.packet_bytes)
+    return replace(settings, replication=replication, medium=medium)
+
+
+def team_context(settings: Settings) -> bytes:
+    """Return a hash of the settings that all robots of a team must have in common (`agent.radios.sealing`)."""
+    common = (
+        settings.robots,
+        settings.incarnations,
+        settings.width,
+        settings.height,
+        settings.resolution,
+        settings.encoding,
+        settings.replication.digests,
+    )
+    return hashlib.sha256(msgspec.json.encode(common)).digest()[:8]
+
+
+@dataclass(frozen=True)
+class FieldFiles:
+    """The files of one robot that survive its process, open and locked."""
+
+    key: bytes
+    session: SessionFile
+    identity: Identity
+
+    @classmethod
+    def open(cls, folder: Path, key: bytes, settings: Settings) -> FieldFiles:
+        """Open or create the files in a directory; SessionFileError or JournalError if they do not fit the robot."""
+        session = SessionFile(folder / f"r{settings.robot}.session", key, settings.robot, settings.robots)
+        return cls(key, session, Identity(Journal.open(folder / journal_name(settings.robot))))
+
+
+class FieldRobot:
+    """One robot in the field.
+
+    Parameters
+    ----------
+    settings : Settings
+        As of a run with gossip.
+    options : LinkOptions
+    files : FieldFiles
+        Begins a new incarnation of the robot, and a new session of its radio.
+    body : Body
+    transport : Transport
+    guard : PoseGuard
+    now : int
+        The time in nanoseconds.
+    report : callable
+        Called with each error of a teammate, as text.
+    record : callable
+        Called at the end of each step, with its number and the frames that were sent and received.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        options: LinkOptions,
+        files: FieldFiles,
+        body: Body,
+        transport: Transport,
+        guard: PoseGuard,
+        now: int,
+        report: ReportError = lambda _: None,
+        record: Callable[[int, list[FrameRecord]], object] = lambda _step, _records: None,
+    ) -> None:
+        settings = files.identity.begin(field_settings(settings, options))
+        key, session, context = files.key, files.session, team_context(settings)
+        self.robot = Robot(settings)
+        self.medium = PeerMedium(
+            settings.robot,
+            options.longest,
+            Sealer(key, settings.robot, session.session, context),
+            Opener(key, settings.robot, settings.robots, session.highest, context),
+            options.pacer(settings.seed, settings.robot, now),
+            options.timing(),
+            session.note,
+        )
+        self.move: Move | None = None
+        """The last move; None in steps without readings that can be relied on."""
+        self.unsent = 0
+        """Frames that the transport did not take."""
+        self._files = files
+        self._body = body
+        self._transport = transport
+        self._guard = guard
+        self._report = report
+        self.record = record
+        """Called at the end of each step, with its number and the frames that were sent and received."""
+        self._step = 0
+        self._senses = False
+
+    def begin_step(self, step: int, now: int) -> None:
+        """Take the body's readings, and schedule this step's frame."""
+        self._step = step
+        sense = self._body.sense(step)
+        if sense is not None and not self._guard.accept(*_position(sense), now):
+            sense = None
+        self._senses = sense is not None
+        if sense is None:
+            return
+        self._files.identity.settle(sense.x, sense.y)
+        self.robot.perceive(sense)
+        frames = respond(self.robot, self.medium.begin_step(step, now), self._report)
+        if frames is not None:
+            self.medium.submit(frames, now)
+
+    def exchange(self, now: int) -> None:
+        """Send the frames that are due, and take those that have arrived."""
+        for frame in self.medium.poll(now):
+            self.unsent += not self._transport.send(frame)
+        for frame in self._transport.receive():
+            self.medium.receive(frame, now)
+
+    def end_step(self) -> None:
+        """Merge what arrived, decide, and let the body move; without readings, let it stand still."""
+        if self._senses:
+            for event in self.medium.end_step():
+                respond(self.robot, event, self._report)
+            self.move = self.robot.decide()
+            self._body.move(self.move)
+        else:
+            self.move = None
+            self._body.stop()
+        for fault in self.robot.faults:
+            self._report(f"{fault.kind} from robot {fault.peer}: {fault.reason}")
+        self.robot.faults.clear()
+        records, self.medium.records = self.medium.records, []
+        self.record(self._step, records)
+        self._files.session.sync()
+
+    def stop(self) -> None:
+        """Let the body stand still, and close the radio and the files."""
+        self._body.stop()
+        self._transport.close()
+        self._files.session.close()
+
+
+def _position(sense: Sense) -> tuple[float, float]:
+    """Return the position of a body, in cells."""
+    return sense.x + sense.offset_x / 1000, sense.y + sense.offset_y / 1000
+
+
+def drive(
+    robot: FieldRobot,
+    step_ns: int,
+    clock: Callable[[], int],
+    wait: Callable[[int], object],
+    is_over: Callable[[int], bool],
+) -> int:
+    """Play steps of `step_ns` nanoseconds until `is_over`, called with the number of steps so far; return late steps.
+
+    `clock` returns the time in nanoseconds; `wait` waits for so many of them, or until a frame has arrived. A step
+    that begins late, because the last one took too long, shifts all later ones. In any case, the body then stops.
+    """
+    step, late = 0, 0
+    begin = clock()
+    try:
+        while not is_over(step):
+            step += 1
+            robot.begin_step(step, begin)
+            end = begin + step_ns
+            robot.exchange(now := clock())
+            late += now >= end
+            while now < end:
+                due = robot.medium.deadline()
+                wait((end if due is None else max(now, min(due, end))) - now)
+                robot.exchange(now := clock())
+            robot.end_step()
+            begin = max(end, now)
+    finally:
+        robot.stop()
+    return late

@@ -1,0 +1,174 @@
+"""Pacing: when this robot may send its next frame, in integer nanoseconds.
+
+Four rules hold at the same time, each a small class or function of its own:
+
+    bytes per second   a token bucket (as in RFC 2697) that holds at least one frame
+    duty cycle         a token bucket of airtime, with at most a share of any hour (ETSI EN 300 220)
+    one at a time      a frame begins after the airtime of the last one
+    random back-off    a frame waits a random time first, so that robots with equal steps rarely collide
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from protocol.keyed_random import keyed_random
+
+SECOND = 1_000_000_000
+"""Nanoseconds of a second."""
+HOUR = 3600 * SECOND
+
+ALWAYS = 1_000_000
+"""The share of time of a duty cycle without a limit, in parts per million."""
+
+AT_ONCE = 10
+"""The part of an hour's airtime that can be used at once, as a divisor."""
+
+
+class TokenBucket:
+    """Bytes that may be sent: `rate` more per second, and `capacity` at most; full at first.
+
+    Raises
+    ------
+    ValueError
+        The rate is not positive, or the bucket does not hold a frame of `frame_bytes`.
+    """
+
+    def __init__(self, rate: int, capacity: int, frame_bytes: int, now: int) -> None:
+        if rate < 1:
+            raise ValueError(f"{rate} bytes per second: must be 1 or more")
+        if capacity < frame_bytes:
+            raise ValueError(f"a bucket of {capacity} bytes never holds a frame of {frame_bytes} bytes")
+        self._rate = rate
+        self._capacity = capacity * SECOND
+        self._credit = self._capacity
+        """Bytes times `SECOND`: an integer at every nanosecond."""
+        self._now = now
+
+    def room(self, now: int) -> int:
+        """Return how many bytes may be sent now."""
+        self._credit = min(self._credit + self._rate * max(0, now - self._now), self._capacity)
+        self._now = max(now, self._now)
+        return max(0, self._credit // SECOND)
+
+    def take(self, size: int) -> None:
+        """Take bytes out of the bucket, as it was at the last call of `room`."""
+        self._credit -= size * SECOND
+
+
+class DutyCycle:
+    """A token bucket of airtime, full at first, with which no hour has more than its share of airtime.
+
+    What the bucket holds and what flows in within an hour are together that share. So airtime is spread over the hour:
+    a tenth of it, or the airtime of the longest frame if that is more, can be used at once.
+
+    Parameters
+    ----------
+    share : int
+        Share of each hour, in parts per million; `ALWAYS` for no limit.
+    longest : int
+        Airtime of the longest frame, in nanoseconds.
+    delay : int
+        Nanoseconds between the call of `take` and the end of the frame, at most.
+    now : int
+
+    Raises
+    ------
+    ValueError
+        The share is outside 1 to `ALWAYS`, or an hour has no room for the longest frame.
+    """
+
+    def __init__(self, share: int, longest: int, delay: int, now: int) -> None:
+        if not 0 < share <= ALWAYS:
+            raise ValueError(f"duty cycle of {share} parts per million: must be 1 to {ALWAYS}")
+        most = HOUR * share // ALWAYS
+        capacity = max(most // AT_ONCE, longest)
+        if capacity > most:
+            allowed = f"{most / SECOND:.3g} s of airtime per hour"
+            raise ValueError(f"a duty cycle of {allowed} has no room for a frame of {longest / SECOND:.3g} s")
+        self._unlimited = share == ALWAYS
+        self._span = HOUR + delay
+        """Nanoseconds in which `_flow` nanoseconds of airtime flow in."""
+        self._flow = most - capacity
+        self._capacity = capacity * self._span
+        self._credit = self._capacity
+        """Airtime times `_span`: an integer at every nanosecond."""
+        self._now = now
+
+    def room(self, now: int) -> int:
+        """Return the airtime, in nanoseconds, that is left now."""
+        if self._unlimited:
+            return HOUR
+        self._credit = min(self._credit + self._flow * max(0, now - self._now), self._capacity)
+        self._now = max(now, self._now)
+        return max(0, self._credit // self._span)
+
+    def take(self, airtime: int) -> None:
+        """Take airtime out of the bucket, as it was at the last call of `room`."""
+        self._credit -= airtime * self._span
+
+
+class Pacer:
+    """Decides when the next frame may be sent, and how long it may be.
+
+    Parameters
+    ----------
+    bucket : TokenBucket
+    duty_cycle : DutyCycle
+    airtime : callable
+        Airtime in nanoseconds of a frame of so many bytes.
+    frame_bytes : int
+        Bytes of the longest frame.
+    backoff : int
+        Frames wait less than so many nanoseconds.
+    seed, robot : int
+        Key of the random waiting times.
+    """
+
+    def __init__(
+        self,
+        bucket: TokenBucket,
+        duty_cycle: DutyCycle,
+        airtime: Callable[[int], int],
+        frame_bytes: int,
+        backoff: int,
+        seed: int,
+        robot: int,
+    ) -> None:
+        self._bucket = bucket
+        self._duty_cycle = duty_cycle
+        self._airtime = airtime
+        self._frame_bytes = frame_bytes
+        self._backoff = backoff
+        self._key = seed, robot
+        self._frames = 0
+        self._free = 0
+        """When the airtime of the last frame ends."""
+
+    def room(self, now: int) -> int:
+        """Return the bytes of the longest frame that may be sent now; 0 if another one is still to end."""
+        if now < self._free:
+            return 0
+        room = min(self._bucket.room(now), self._frame_bytes)
+        left = self._duty_cycle.room(now)
+        if self._airtime(room) <= left:
+            return room
+        low, high = 0, room  # the airtime grows with the size
+        while low < high:
+            middle = (low + high + 1) // 2
+            low, high = (middle, high) if self._airtime(middle) <= left else (low, middle - 1)
+        return low
+
+    def schedule(self, size: int, now: int) -> int:
+        """Note a frame of `size` bytes, for which there is room now; return when to send it."""
+        seed, robot = self._key
+        wait = 0
+        if self._backoff:
+            wait = int(keyed_random(seed, "radio back-off", robot, self._frames).integers(self._backoff))
+        self._frames += 1
+        start = max(now, self._free) + wait
+        airtime = self._airtime(size)
+        self._free = start + airtime
+        self._bucket.take(size)
+        self._duty_cycle.take(airtime)
+        return start

@@ -1,0 +1,151 @@
+"""What a robot in the field records of its radio: every frame that it sent, or received from a teammate.
+
+    radio.pcapng    the packets of each frame, for Wireshark
+    frames.csv      one line per frame: when, and its number, by which the directories of several robots are joined
+    ledger.parquet  one row per frame and kind of packet; the bytes of packets, without those of sealing
+
+The first two are written in each step, so that they survive the end of the process at any moment; `LinkRecorder.close`
+writes the last one. In capture and ledger, `connection` is the counter of the sealed frame. A frame that this robot
+sent has no receivers there: a sender without a relay does not know them. Broadcast and gossip of one frame are two
+rows.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable, Sequence
+from io import StringIO
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from agent.radios.peer_medium import FrameRecord
+from deploy.record.run_directory import CAPTURE, LEDGER, CaptureFile, ledger_table
+from netshaper import capture
+from netshaper.frame_log import Content, FrameLog
+from netshaper.ledger import BROADCAST, CAUSES, EVERYONE, NEWS, ROW
+from protocol.errors import ProtocolError
+from protocol.files import open_file
+from protocol.packet_index import NO_PACKETS, index_of
+from worldsim.atomic_files import write_whole
+
+FRAMES = "frames.csv"
+
+
+class FrameLine(NamedTuple):
+    """A line of ``frames.csv``. All columns are integers.
+
+    `robot`: the robot that recorded it, and `time_ns` when, by its clock. `sender`, `session`, `counter`: the number of
+    the frame. `bytes`: of the sealed frame. `broadcast`, `gossip`: bytes of its packets.
+    """
+
+    robot: int
+    time_ns: int
+    step: int
+    sender: int
+    session: int
+    counter: int
+    bytes: int
+    broadcast: int
+    gossip: int
+
+
+def contents(broadcast: bytes, gossip: bytes) -> list[Content]:
+    """Return the parts of a frame that are not empty, for a log."""
+    return [_content(kind, packets) for kind, packets in ((BROADCAST, broadcast), (NEWS, gossip)) if packets]
+
+
+def frame_log(robot: int, records: Sequence[FrameRecord]) -> FrameLog:
+    """Return the frames of a step of one robot as a log, for ledger and capture."""
+    log = FrameLog()
+    for each in records:
+        received = each.sender != robot
+        number = f"frame {each.counter} of session {each.session}, {each.size} bytes sealed"
+        fate = f"received by r{robot}: {number}" if received else f"sent: {number}"
+        for content in contents(each.broadcast, each.gossip):
+            log.add(
+                0, content, CAUSES.index(""), each.sender, EVERYONE, connection=each.counter,
+                receivers=(robot,) if received else (), fate=fate,
+            )  # fmt: skip
+    return log
+
+
+class LinkRecorder:
+    """Writes the directory of one robot; FileExistsError if it has a capture already."""
+
+    def __init__(self, folder: Path, robot: int) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self.folder = folder
+        self._robot = robot
+        self._capture = CaptureFile(folder / CAPTURE, "xb")
+        self._capture.write(capture.head(f"radio of robot {robot} in the field"))
+        self._frames = CaptureFile(folder / FRAMES, "xb")
+        self._frames.write(_lines([FrameLine._fields]))
+        self._rows: list[bytes] = []
+
+    def record(self, step: int, records: Sequence[FrameRecord]) -> None:
+        """Take the frames of a step; those of equal steps may come in several calls."""
+        log = frame_log(self._robot, records)
+        if len(log):
+            self._capture.write(capture.encode(step, log))
+            self._rows.append(log.ledger_rows(step))
+        self._frames.write(
+            _lines(
+                FrameLine(
+                    self._robot, each.time, step, each.sender, each.session, each.counter, each.size,
+                    len(each.broadcast), len(each.gossip),
+                )
+                for each in records
+            )
+        )  # fmt: skip
+
+    def close(self) -> None:
+        """Write the ledger; OSError if one of the files could not be written."""
+        for file in (self._capture, self._frames):
+            file.close()
+        write_ledger(self.folder, self._rows)
+        for file in (self._capture, self._frames):
+            if file.failure is not None:
+                raise file.failure
+
+
+def write_ledger(folder: Path, rows: Sequence[bytes]) -> None:
+    """Write ``ledger.parquet`` from the rows of all steps."""
+    from pyarrow import parquet  # noqa: PLC0415  takes half a second to import
+
+    table = ledger_table(np.frombuffer(b"".join(rows), ROW))
+    write_whole(folder / LEDGER, lambda file: parquet.write_table(table, file))
+
+
+def read_frames(folder: Path) -> list[FrameLine]:
+    """Read ``frames.csv``, up to its last whole line; ValueError if it is no such file."""
+    path = folder / FRAMES
+    with open_file(path) as file:
+        text = file.read().decode("ascii", "replace")
+    head, *lines = csv.reader(StringIO(text[: text.rfind("\n") + 1])) if text else [[]]
+    if tuple(head) != FrameLine._fields:
+        raise ValueError(
+            f"{path}: not the frames of a robot: the first line must be {','.join(FrameLine._fields)}"
+        )
+    frames = []
+    for number, line in enumerate(lines, 2):
+        try:
+            frames.append(FrameLine(*map(int, line)))
+        except (TypeError, ValueError):
+            fields = len(FrameLine._fields)
+            raise ValueError(f"{path}, line {number}: expected {fields} integers") from None
+    return frames
+
+
+def _lines(rows: Iterable[Sequence[object]]) -> bytes:
+    out = StringIO()
+    csv.writer(out, lineterminator="\n").writerows(rows)
+    return out.getvalue().encode()
+
+
+def _content(kind: int, packets: bytes) -> Content:
+    try:
+        return Content(kind, packets, index_of(packets))
+    except ProtocolError as error:
+        return Content(kind, packets, NO_PACKETS, -1, str(error))

@@ -1,0 +1,190 @@
+"""Serial modems, played by pseudo-terminals: framing, ports that cannot be used, and a team at 200 B/s."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import tty
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agent.radios.cobs import LineReader, line
+from agent.radios.options import LinkOptions
+from agent.radios.pacing import SECOND
+from agent.radios.serial_modem import SerialModem
+from agent.radios.transport import Transport, TransportError, waiting
+from protocol.keyed_random import keyed_random
+from tests.agent.radios.air_team import AirTeam, assert_maps_agree, exchange_all
+from tests.agent.radios.test_teams_on_the_air import TEAM
+from tests.system.team import small_plan
+
+LONGEST = 222
+RATE = 200
+"""Bytes per second of the modems, and how many of them a robot may use."""
+PATIENCE_S = 5
+
+
+class Terminal:
+    """A pseudo-terminal: robots open its `path`, and the test has the other side."""
+
+    def __init__(self) -> None:
+        self.side, terminal = os.openpty()
+        tty.setraw(self.side)
+        os.set_blocking(self.side, False)
+        self.path = Path(os.ttyname(terminal))
+        os.close(terminal)
+
+    def read(self) -> bytes:
+        with contextlib.suppress(OSError):  # EIO while no process has the terminal open
+            return os.read(self.side, 1 << 16)
+        return b""
+
+
+class Modems:
+    """Modems that carry frames between terminals at `RATE`, half duplex, and lose a share of them."""
+
+    def __init__(self, robots: int, loss: float) -> None:
+        self.terminals = [Terminal() for _ in range(robots)]
+        self.frames = self.lost = 0
+        self._loss = loss
+        self._readers = [LineReader(LONGEST) for _ in range(robots)]
+        self._on_air: list[tuple[int, int, bytes]] = []
+        """When each frame ends, its sender, and the frame."""
+        self._free = 0
+
+    def carry(self, now: int) -> None:
+        for number, terminal in enumerate(self.terminals):
+            for frame in self._readers[number].feed(terminal.read()):
+                self._free = max(self._free, now) + len(frame) * SECOND // RATE
+                self._on_air.append((self._free, number, frame))
+        while self._on_air and self._on_air[0][0] <= now:
+            _, sender, frame = self._on_air.pop(0)
+            self.frames += 1
+            for receiver, terminal in enumerate(self.terminals):
+                if receiver != sender:
+                    if keyed_random(3, "modem", self.frames, receiver).random() < self._loss:
+                        self.lost += 1
+                    else:
+                        os.write(terminal.side, line(frame))
+
+    def close(self) -> None:
+        for terminal in self.terminals:
+            os.close(terminal.side)
+
+
+@pytest.fixture
+def terminal() -> Iterator[Terminal]:
+    made = Terminal()
+    yield made
+    os.close(made.side)
+
+
+def arrived(modem: SerialModem) -> list[bytes]:
+    """The next frames; the kernel passes bytes on a moment after they are written."""
+    assert select.select([modem], [], [], PATIENCE_S)[0]
+    return modem.receive()
+
+
+def test_frames_cross_a_terminal_whatever_bytes_they_hold(terminal: Terminal) -> None:
+    modem = SerialModem(terminal.path, 57600, LONGEST)
+    frames = [bytes(range(LONGEST)), b"\x03\x04\x11\x13\r\n\0\x7f\xff" * 20, b""]
+    for frame in frames:
+        os.write(terminal.side, line(frame))
+        assert arrived(modem) == [frame]
+        assert modem.send(frame)
+        assert select.select([terminal.side], [], [], PATIENCE_S)[0]
+        assert terminal.read() == line(frame)
+    assert not modem.send(bytes(LONGEST + 1))
+    modem.close()
+    assert not modem.send(b"")
+    assert modem.receive() == []
+
+
+def test_a_damaged_line_is_counted_and_the_next_one_arrives(terminal: Terminal) -> None:
+    modem = SerialModem(terminal.path, 9600, LONGEST)
+    damaged = bytearray(line(b"damaged"))
+    damaged[3] ^= 1
+    os.write(terminal.side, bytes(damaged) + line(b"next"))
+    assert arrived(modem) == [b"next"]
+    assert modem.damaged == 1
+    modem.close()
+
+
+def test_a_port_that_no_modem_reads_fills_up_without_stopping_the_robot(terminal: Terminal) -> None:
+    modem = SerialModem(terminal.path, 9600, LONGEST)
+    sent = 0
+    while modem.send(b"x" * LONGEST):
+        sent += 1
+    assert sent > 3
+    reader = LineReader(LONGEST)
+    received = 0
+    while select.select([terminal.side], [], [], 0.2)[0]:
+        received += len(reader.feed(terminal.read()))
+        modem.receive()  # writes the rest of the last line
+    assert (received, reader.damaged) == (sent, 0)
+    assert modem.send(b"again")
+    modem.close()
+
+
+def test_ports_that_cannot_be_used_are_refused(terminal: Terminal, tmp_path: Path) -> None:
+    with pytest.raises(TransportError, match="No such file"):
+        SerialModem(tmp_path / "ttyUSB0", 9600, LONGEST)
+    with pytest.raises(TransportError, match="baud = 1234"):
+        SerialModem(terminal.path, 1234, LONGEST)
+    (tmp_path / "file").touch()
+    with pytest.raises(TransportError, match="no serial port"):
+        SerialModem(tmp_path / "file", 9600, LONGEST)
+    modem = SerialModem(terminal.path, 9600, LONGEST)
+    with pytest.raises(TransportError, match="in use"):
+        SerialModem(terminal.path, 9600, LONGEST)
+    modem.close()
+    SerialModem(terminal.path, 9600, LONGEST).close()
+
+
+def test_a_modem_that_is_unplugged_and_plugged_in_again_continues(tmp_path: Path) -> None:
+    first, second, port = Terminal(), Terminal(), tmp_path / "modem"
+    port.symlink_to(first.path)
+    modem = SerialModem(port, 9600, LONGEST)
+    os.close(first.side)
+    port.unlink()
+    assert modem.receive() == []
+    assert modem.fileno() == -1
+    assert not modem.send(b"frame")
+    waiting(modem)(1000)
+    port.symlink_to(second.path)
+    assert modem.send(b"frame")
+    assert select.select([second.side], [], [], PATIENCE_S)[0]
+    assert second.read() == line(b"frame")
+    os.write(second.side, line(b"reply"))
+    waiting(modem)(PATIENCE_S * SECOND)
+    assert modem.receive() == [b"reply"]
+    modem.close()
+    assert not modem.send(b"frame")
+    os.close(second.side)
+
+
+def test_two_robots_share_an_office_over_modems_of_200_bytes_per_second_that_lose_a_tenth(
+    tmp_path: Path,
+) -> None:
+    modems = Modems(2, loss=0.1)
+
+    def join(number: int) -> Transport:
+        return LinkOptions(
+            "serial",
+            serial_port=str(modems.terminals[number].path),
+            bytes_per_s=RATE // 2,
+            frame_bytes=LONGEST,
+        ).open_transport()
+
+    options = LinkOptions("serial", serial_port="as above", bytes_per_s=RATE // 2, frame_bytes=LONGEST)
+    team = AirTeam(small_plan(robots=2, **TEAM), options, join, tmp_path, modems.carry)
+    team.explore(400)
+    exchange_all(team, 200)
+    assert_maps_agree(team)
+    assert modems.lost > 0
+    assert np.count_nonzero(team.robots[0].planning) > 2000
+    modems.close()

@@ -1,0 +1,137 @@
+"""Teams without a relay: maps agree after loss and a partition, attackers change nothing, robots restart."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agent.field import team_context
+from agent.radios.memory_air import Faults, MemoryAir
+from agent.radios.options import LinkOptions
+from agent.radios.pacing import SECOND
+from agent.radios.sealing import KEY_BYTES, Sealer
+from agent.radios.transport import Transport
+from tests.agent.radios.air_team import KEY, AirTeam, assert_maps_agree, exchange_all
+from tests.system.team import small_plan
+
+TEAM: dict[str, Any] = {
+    "side_m": 10.0, "map_encoding": "predictive", "strategy": "repairmen", "dissemination": "gossip", "seed": 4,
+}  # fmt: skip
+OPTIONS = LinkOptions("udp", interface="lo", bytes_per_s=1000)
+ROUGH = Faults(loss=0.1, duplication=0.1, delay=SECOND // 2)
+
+Tap = Callable[[Transport, int], Transport]
+
+
+def on_the_air(
+    state: Path,
+    robots: int,
+    *,
+    options: LinkOptions = OPTIONS,
+    apart: range = range(0),
+    tap: Tap | None = None,
+) -> AirTeam:
+    """A team on an air that loses frames; during the seconds `apart`, the first two robots are out of range."""
+
+    def separated(sender: int, receiver: int, now: int) -> bool:
+        return now // SECOND in apart and (sender < 2) != (receiver < 2)
+
+    def set_time(now: int) -> None:
+        air.now = now
+
+    def join(number: int) -> Transport:
+        end = air.join(number, options.longest)
+        return end if tap is None else tap(end, number)
+
+    air = MemoryAir(7, ROUGH, separated)
+    return AirTeam(small_plan(robots=robots, **TEAM), options, join, state, set_time)
+
+
+def test_maps_agree_after_loss_and_a_partition(tmp_path: Path) -> None:
+    team = on_the_air(tmp_path, 4, apart=range(15, 75))
+    team.explore(50)
+    cells = [int(np.count_nonzero(robot.planning)) for robot in team.robots]
+    assert len(set(cells)) > 1
+    team.explore(300)
+    exchange_all(team, 200)
+    assert_maps_agree(team)
+
+
+def test_a_team_with_fifty_bytes_per_second_shares_its_map(tmp_path: Path) -> None:
+    options = LinkOptions("udp", interface="lo", bytes_per_s=25, frame_bytes=100)
+    team = on_the_air(tmp_path, 2, options=options)
+    team.explore(300)
+    exchange_all(team, 300)
+    assert_maps_agree(team)
+    assert team.sent_bytes() <= 2 * (100 + 25 * (team.step + 1))
+
+
+class Attacked:
+    """A transport near attackers, which repeat and damage all frames that arrive, and send their own."""
+
+    def __init__(self, transport: Transport, number: int) -> None:
+        self.longest = transport.longest
+        self._transport = transport
+        self._recorded: list[bytes] = []
+        self._stranger = Sealer(bytes(KEY_BYTES), 1 - number % 2, 9)
+        self.send, self.fileno, self.close = transport.send, transport.fileno, transport.close
+
+    def receive(self) -> list[bytes]:
+        frames = self._transport.receive()
+        self._recorded += frames
+        forged = [self._stranger.seal(frame) for frame in frames]
+        damaged = [frame[:-1] + bytes([frame[-1] ^ 1]) for frame in frames]
+        return [*forged, *damaged, *frames, *(self._recorded if frames else [])]
+
+
+def test_a_stranger_and_a_replaying_attacker_change_nothing(tmp_path: Path) -> None:
+    plain = on_the_air(tmp_path / "plain", 3, apart=range(10, 30))
+    attacked = on_the_air(tmp_path / "attacked", 3, apart=range(10, 30), tap=Attacked)
+    for _ in range(45):
+        plain.play()
+        attacked.play()
+        for one, other in zip(plain.robots, attacked.robots, strict=True):
+            assert np.array_equal(one.planning, other.planning)
+        assert plain.moves == attacked.moves
+    for number, member in attacked.members.items():
+        assert member.sent == plain.members[number].sent
+        dropped = member.medium.dropped
+        assert dropped["replayed"] > 20
+        assert dropped["not authentic"] > 20
+        assert not member.robot.faults
+
+
+def test_a_restarted_robot_continues_and_frames_of_its_former_life_are_dropped(tmp_path: Path) -> None:
+    team = on_the_air(tmp_path, 3)
+    for _ in range(25):
+        team.play()
+    before = team.members[1]
+    team.restart(1)
+    team.explore(300)
+    exchange_all(team, 200)
+    restarted = team.members[1]
+    assert restarted.files.session.session == 2
+    assert restarted.robot.settings.incarnation == 1
+    assert_maps_agree(team)
+    peer = team.members[0].medium
+    dropped = peer.dropped.get("replayed", 0)
+    for frame in before.sent[-3:]:
+        peer.receive(frame, team.step * SECOND)
+    assert peer.dropped["replayed"] == dropped + 3
+
+
+def test_a_restarted_receiver_takes_no_recorded_frame_again(tmp_path: Path) -> None:
+    team = on_the_air(tmp_path, 2)
+    for _ in range(25):
+        team.play()
+    recorded = team.members[0].sent
+    team.restart(1)
+    receiver = team.members[1].medium
+    for frame in recorded:
+        receiver.receive(frame, team.step * SECOND)
+    assert len(receiver.records) <= 1  # the last one, if it was lost before
+    receiver.receive(Sealer(KEY, 0, 2, team_context(team.robots[0].settings)).seal(b""), team.step * SECOND)
+    assert receiver.begin_step(team.step, team.step * SECOND).peers == [0]

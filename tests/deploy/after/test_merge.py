@@ -1,0 +1,150 @@
+"""`murmur merge`: recordings of several robots become one, on one clock."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cache
+from pathlib import Path
+
+import pytest
+from pyarrow import parquet
+
+from agent.radios.memory_air import Faults, MemoryAir
+from agent.radios.options import LinkOptions
+from agent.radios.pacing import SECOND
+from agent.radios.peer_medium import FrameRecord
+from deploy.after.merge import UNKNOWN, align, join, merge, read_recording
+from deploy.record.link_records import FRAMES, LinkRecorder
+from netshaper import capture, pcapng
+from netshaper.ledger import CAUSES
+from tests.agent.radios.air_team import AirTeam
+from tests.deploy.commands.office_floor import murmur
+from tests.system.team import small_plan
+
+AHEAD = (0, 1000 * SECOND, -500 * SECOND)
+"""How far each robot's clock is ahead."""
+
+
+@cache
+def sent_frames(folder: Path) -> dict[tuple[int, int], int]:
+    """Let three robots record to ``folder/rN``, with clocks that differ; return the bytes of all sealed frames."""
+    plan = small_plan(side_m=10.0, map_encoding="predictive", dissemination="gossip", robots=3, seed=1)
+    air = MemoryAir(3, Faults(loss=0.2, delay=SECOND // 10))
+    options = LinkOptions("udp", interface="lo", bytes_per_s=1000)
+
+    def set_time(now: int) -> None:
+        air.now = now
+
+    team = AirTeam(plan, options, lambda number: air.join(number, 1400), folder / "state", set_time)
+
+    def recording(recorder: LinkRecorder, ahead: int) -> None:
+        def record(step: int, records: list[FrameRecord]) -> None:
+            recorder.record(step, [each._replace(time=each.time + ahead) for each in records])
+
+        team.members[int(recorder.folder.name[1:])].field.record = record
+
+    recorders = [LinkRecorder(folder / f"r{number}", number) for number in range(3)]
+    for recorder, ahead in zip(recorders, AHEAD, strict=True):
+        recording(recorder, ahead)
+    for _ in range(30):
+        team.play()
+    for recorder in recorders:
+        recorder.close()
+    return {
+        (number, counter): len(frame)
+        for number, member in team.members.items()
+        for counter, frame in enumerate(member.sent)
+    }
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = tmp_path_factory.mktemp("merge")
+    sent_frames(made)
+    return made
+
+
+def test_frames_of_all_robots_are_joined_on_one_clock(folder: Path, tmp_path: Path) -> None:
+    folders = [folder / f"r{number}" for number in range(3)]
+    recordings = [read_recording(each) for each in folders]
+    offsets, error = align(recordings)
+    assert error < SECOND // 10
+    for offset, ahead in zip(offsets, AHEAD, strict=True):
+        assert abs(offset + ahead) <= error
+    frames = join(recordings, offsets)
+    assert {(number.sender, number.counter): each.size for number, each in frames.items()} == sent_frames(
+        folder
+    )
+    times = [each.time_ns for each in frames.values()]
+    assert times == sorted(times)
+    for number, each in frames.items():
+        holders = {other.robot for other in recordings if number in other.received}
+        assert each.receivers == holders
+
+    merged = merge(folders, tmp_path / "team")
+    assert merged.frames == len(frames)
+    assert 0 < merged.lost < merged.frames / 4
+    with (tmp_path / "team" / "radio.pcapng").open("rb") as file:
+        captured = list(capture.read(pcapng.Reader(file)))
+    assert {(each.sender, each.connection) for each in captured} <= {(n.sender, n.counter) for n in frames}
+    by_frame = {(number.sender, number.counter): each for number, each in frames.items()}
+    for packet in captured:
+        assert set(packet.receivers) == by_frame[packet.sender, packet.connection].receivers
+        assert CAUSES[packet.cause] == ("" if packet.receivers else "loss")
+    ledger = parquet.read_table(tmp_path / "team" / "ledger.parquet").to_pylist()
+    assert sum(row["bytes"] for row in ledger) == sum(sum(map(len, each.packets)) for each in frames.values())
+
+
+def test_the_command_prints_what_it_joined_and_overwrites_nothing(folder: Path, tmp_path: Path) -> None:
+    folders = [str(folder / f"r{number}") for number in range(3)]
+    result = murmur("merge", *folders, "--out", str(tmp_path / "team"))
+    assert result.exit_code == 0, result.stderr
+    assert "clocks agree within" in result.stdout
+    again = murmur("merge", *folders, "--out", str(tmp_path / "team"))
+    assert again.exit_code == 2
+    assert "already exists" in again.stderr
+    shown = murmur("capture", str(tmp_path / "team"), "--robot", "2")
+    assert shown.exit_code == 0
+    assert "received by" in shown.stdout
+
+
+def test_clocks_can_be_aligned_over_a_third_robot_and_by_frames_in_one_direction(folder: Path) -> None:
+    one, two, three = (read_recording(folder / f"r{number}") for number in range(3))
+    apart = [
+        dataclasses.replace(one, received={k: v for k, v in one.received.items() if k.sender == 1}),
+        two,
+        dataclasses.replace(
+            three, received={k: v for k, v in three.received.items() if k.sender == 1}, sent={}
+        ),
+    ]
+    offsets, error = align(apart)
+    assert error >= UNKNOWN
+    assert all(abs(offset + ahead) < SECOND // 5 for offset, ahead in zip(offsets, AHEAD, strict=True))
+
+
+def test_robots_that_exchanged_no_frames_and_damaged_files_are_refused(folder: Path, tmp_path: Path) -> None:
+    one, two = (read_recording(folder / f"r{number}") for number in range(2))
+    with pytest.raises(ValueError, match="clocks cannot be aligned"):
+        align([dataclasses.replace(one, received={}), dataclasses.replace(two, received={})])
+    lines = (folder / "r0" / FRAMES).read_text().splitlines(keepends=True)
+    first = next(at for at, line in enumerate(lines) if at and line.split(",")[-2:] != ["0", "0\n"])
+    for text, problem in (
+        ("".join(lines[:1]), "has no frames"),
+        ("a,b\n", "the first line must be robot,time_ns"),
+        ("".join([*lines[:3], "1,2,x\n"]), "line 4: expected 9 integers"),
+        ("".join(lines[:first] + lines[first + 1 :]), "is not the one in the capture"),
+        ("".join([*lines, *lines[-9:]]), "the capture ends before frame"),
+    ):
+        (tmp_path / FRAMES).write_text(text)
+        (tmp_path / "radio.pcapng").write_bytes((folder / "r0" / "radio.pcapng").read_bytes())
+        with pytest.raises(ValueError, match=problem):
+            read_recording(tmp_path)
+
+
+def test_what_a_killed_robot_recorded_is_read_up_to_the_last_whole_line(folder: Path, tmp_path: Path) -> None:
+    text = (folder / "r0" / FRAMES).read_bytes()
+    (tmp_path / FRAMES).write_bytes(text[: len(text) // 2 + 3])
+    (tmp_path / "radio.pcapng").write_bytes((folder / "r0" / "radio.pcapng").read_bytes())
+    recording, whole = read_recording(tmp_path), read_recording(folder / "r0")
+    assert 0 < len(recording.packets) < len(whole.packets)
+    assert recording.packets.items() <= whole.packets.items()
