@@ -3,8 +3,8 @@
 Between beams and beside walls, noise leaves gaps of unknown cells. They are no frontiers: a robot has nothing to enter
 there. So an unknown cell counts only if it lies in a square of unknown cells as wide as the narrowest opening. Every
 other one counts as a wall if a wall touches it, else as free. Likewise, noise opens walls: a free cell beside unknown
-ones counts as a wall if it does not lie in a square of as many cells without walls. And a few beams of a coarse laser
-leave frontiers of a few cells behind walls: the unknown cells beside such a short frontier count as walls.
+ones counts as a wall if it does not lie in a square of as many cells without walls. The unknown cells beside a frontier
+that is shorter than the narrowest opening count as walls, too, or if a few beams of a coarse laser can make it.
 
 False walls can enclose a robot, which would then report that it has nothing left to explore. So the cells that it has
 driven over count as free, unless it bumped into something there later.
@@ -81,10 +81,13 @@ def narrow_cells(radius_cells: float, resolution: float) -> int:
     return max(LEAST_CELLS, round(OPENING_M / resolution), math.ceil(2 * radius_cells))
 
 
-def shortest_frontier(laser: Laser, range_cells: float) -> int:
-    """Return the number of cells of the shortest frontier worth exploring: one that `FEW_BEAMS` beams do not make."""
+def shortest_frontier(laser: Laser, range_cells: float, narrow: int) -> int:
+    """Return the number of cells of the shortest frontier worth exploring.
+
+    It is as long as the narrowest opening, and longer than one that `FEW_BEAMS` beams make.
+    """
     apart = 2 * math.pi * laser.span / TURN / max(laser.beams - 1, 1)
-    return min(max(1, math.ceil(FEW_BEAMS * apart * range_cells)), LONGEST_SPECK)
+    return max(narrow, min(math.ceil(FEW_BEAMS * apart * range_cells), LONGEST_SPECK))
 
 
 @kernel
