@@ -21,7 +21,7 @@ from agent.encodings.base import MapEncoding
 from agent.encodings.catalog import encoding_class, make_encoding
 from agent.mapping.mapper import WALL, cell_ahead, make_mapper
 from agent.outline.polygons import Polygons
-from agent.planning.noisy_grid import NoisyGrid, narrow_cells
+from agent.planning.noisy_grid import NoisyGrid, narrow_cells, shortest_frontier
 from agent.planning.second_look import SecondLook
 from agent.replication.digests import INTERVAL
 from agent.replication.engine import make_replication
@@ -94,8 +94,10 @@ class Robot:
         self.planning: Grid = self.own.copy()
         """The planning grid: the self-explored one merged with teammates' maps."""
         narrow = narrow_cells(settings.body.radius_cells, settings.resolution)
-        has_noise = settings.laser is not None
-        self._noisy_grid = NoisyGrid(settings.height, settings.width, narrow) if has_noise else None
+        self._noisy_grid = None
+        if settings.laser is not None:
+            shortest = shortest_frontier(settings.laser, settings.body.range_cells, narrow)
+            self._noisy_grid = NoisyGrid(settings.height, settings.width, narrow, shortest)
         self._encoding = make_encoding(settings)
         self._encoding.use_log_odds(self._mapper.log_odds)
         self._team = TeamState(settings)

@@ -37,6 +37,9 @@ MAX_REACH_M = 65.0
 DIRECTION_LENGTH = 1 << 14
 """Length of the vectors in `directions`."""
 
+Vector = tuple[int, int]
+"""A direction (x, y), of any length."""
+
 _HEAD = struct.Struct(">iiH")
 
 MAX_COORDINATE = 2 * MAX_SIDE * UNIT
@@ -111,6 +114,41 @@ def beam_ends(scan: RangeScan, laser: Laser, resolution: float) -> tuple[Int32Ro
     found: tuple[Int32Rows, Bools] = _ends(
         x, y, scan.heading, _angles(laser), scan.ranges, laser.reach_mm, scale, directions()
     )
+    return found
+
+
+def smoothed(scan: RangeScan, laser: Laser) -> RangeScan:
+    """Return a scan in which each range is the median of itself and its two neighbors.
+
+    This removes single wrong beams, and reduces errors along walls, but keeps edges. A beam without a measurement
+    remains so, and one without two measured neighbors keeps its range.
+    """
+    return RangeScan(scan.place, scan.heading, _medians(scan.ranges, _sees_all_around(laser)))
+
+
+def directions_between(scan: RangeScan, laser: Laser) -> tuple[Vector, Vector]:
+    """Return the directions of the first and last beam, as vectors; both are (0, 0) if the laser sees all around."""
+    if _sees_all_around(laser):
+        return (0, 0), (0, 0)
+    angles = scan.heading + laser.first + np.array([0, laser.span])
+    (x, y), (last_x, last_y) = directions()[angles & (TURN - 1)].tolist()
+    return (x, y), (last_x, last_y)
+
+
+def _sees_all_around(laser: Laser) -> bool:
+    """Return whether the last beam is as near to the first one as to the one before it."""
+    return (TURN - laser.span) * (laser.beams - 1) <= laser.span + laser.beams
+
+
+@kernel
+def _medians(ranges: Uint16s, wraps: bool) -> Uint16s:
+    found, count = ranges.copy(), len(ranges)
+    for beam in range(count):
+        if not wraps and (beam == 0 or beam == count - 1):
+            continue
+        before, here, after = ranges[beam - 1], ranges[beam], ranges[(beam + 1) % count]
+        if min(before, here, after) > NO_MEASUREMENT:
+            found[beam] = max(min(before, here), min(max(before, here), after))
     return found
 
 

@@ -24,6 +24,7 @@ from protocol.range_scans import (
     decode_range_scan,
     encode_range_scan,
     range_scan_size,
+    smoothed,
 )
 from protocol.scans import NONE, Change, Scan, contents, decode_scan, encode_scan, fragments, scan_size
 
@@ -145,7 +146,8 @@ class RangeScans:
         assert isinstance(scan, RangeScan)
         height, width = received.shape
         estimator = self._estimators.setdefault(map_id, Estimator(height, width))
-        change = estimator.add(*scan.place, *beam_ends(scan, self._laser, self._settings.resolution))
+        ends = beam_ends(smoothed(scan, self._laser), self._laser, self._settings.resolution)
+        change = estimator.add(*scan.place, *ends)
         x0, y0, x1, y1 = change.box
         states = estimator.states[y0:y1, x0:x1]
         rows, columns = np.nonzero(states)

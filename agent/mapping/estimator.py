@@ -18,6 +18,7 @@ from protocol.arrays import Bools, Int32Rows
 from protocol.boxes import NO_BOX, Box
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.kernels import kernel
+from protocol.range_scans import Vector
 from protocol.scans import Change
 
 Int16Grid = Annotated[NDArray[np.int16], "int16[:,::1]"]
@@ -37,6 +38,10 @@ SETTLED = 24
 """Absolute log odds from which a cell is settled."""
 
 
+NEAR_LOOKS = 3
+"""Scans from nearby in which no beam enters an unknown cell in sight, after which it counts as a wall."""
+
+
 class Estimator:
     """Log odds and states of a grid, shape (h, w); `add` returns the cells whose state or settledness changes."""
 
@@ -46,6 +51,7 @@ class Estimator:
         self.log_odds: NDArray[np.int8] = np.zeros((height, width), np.int8)
         self.states: Grid = np.full((height, width), UNKNOWN, np.uint8)
         self._marks: NDArray[np.int16] = np.zeros((height, width), np.int16)
+        self._looks: NDArray[np.uint8] = np.zeros((height, width), np.uint8)
 
     def add(self, x: int, y: int, ends: NDArray[np.int32], hits: NDArray[np.bool_]) -> Change:
         """Add a scan taken at (x, y).
@@ -68,6 +74,18 @@ class Estimator:
         self.log_odds[y, x] = min(self.log_odds[y, x], CLEAR - 1 - PASS)
         self._marks[y, x] = TOUCHED - 1
         return self._apply((x, y, x + 1, y + 1))
+
+    def close(self, x: int, y: int, reach: int, first: Vector, last: Vector) -> Change:
+        """Note that a scan from cell (x, y) has not entered the unknown cells in sight within `reach` cells.
+
+        Beams cross every open cell that near. After `NEAR_LOOKS` scans such a cell is a wall, until a beam crosses it:
+        walls right beside a robot are nearer than a laser can measure, or lost to the errors of poses. `first` and
+        `last` are the directions between which the laser sees, as vectors; both are (0, 0) if it sees all around.
+        """
+        known, *box = _close(self.states, self._looks, x, y, reach, *first, *last)
+        self.known_cells += known
+        x0, y0, x1, y1 = box
+        return Change(known, (x0, y0, x1, y1) if known else NO_BOX)
 
     def _apply(self, touched: Box) -> Change:
         known, changed, *box = _apply(self.log_odds, self.states, self._marks, *touched)
@@ -147,3 +165,75 @@ def _apply(
                 changed += 1
                 left, right, top, bottom = min(left, x), max(right, x + 1), min(top, y), max(bottom, y + 1)
     return known, changed, left, top, right, bottom
+
+
+@kernel
+def _in_sight(states: Grid, x: int, y: int, to_x: int, to_y: int) -> bool:
+    """Whether all cells on the line between two cells are free, without the second one."""
+    dx, dy = to_x - x, to_y - y
+    steps = max(abs(dx), abs(dy))
+    for step in range(steps):
+        column = x + (2 * dx * step + steps) // (2 * steps)
+        row = y + (2 * dy * step + steps) // (2 * steps)
+        if states[row, column] != FREE:
+            return False
+    return True
+
+
+@kernel
+def _in_view(dx: int, dy: int, first_x: int, first_y: int, last_x: int, last_y: int) -> bool:
+    """Whether a direction lies between the first and the last one of a laser; always if both are 0."""
+    behind_first = first_x * dy - first_y * dx >= 0
+    before_last = dx * last_y - dy * last_x >= 0
+    if first_x * last_y - first_y * last_x > 0:
+        return behind_first and before_last
+    return behind_first or before_last
+
+
+@kernel
+def _close(
+    states: Grid,
+    looks: Grid,
+    x: int,
+    y: int,
+    reach: int,
+    first_x: int,
+    first_y: int,
+    last_x: int,
+    last_y: int,
+) -> tuple[int, int, int, int, int]:
+    """Count the looks at unknown cells beside free ones in sight; the cells with enough of them become walls.
+
+    Returns their number and a box around them.
+    """
+    height, width = states.shape
+    left, top, right, bottom = width, height, 0, 0
+    closed = 0
+    for row in range(max(1, y - reach), min(height - 1, y + reach + 1)):
+        for column in range(max(1, x - reach), min(width - 1, x + reach + 1)):
+            if states[row, column] != UNKNOWN:
+                continue
+            is_beside = (
+                states[row, column - 1] == FREE
+                or states[row, column + 1] == FREE
+                or states[row - 1, column] == FREE
+                or states[row + 1, column] == FREE
+            )
+            if not (
+                is_beside
+                and _in_view(column - x, row - y, first_x, first_y, last_x, last_y)
+                and _in_sight(states, x, y, column, row)
+            ):
+                continue
+            looks[row, column] += 1
+            if looks[row, column] >= NEAR_LOOKS:
+                looks[row, column] = 0
+                states[row, column] = OCCUPIED
+                closed += 1
+                left, right, top, bottom = (
+                    min(left, column),
+                    max(right, column + 1),
+                    min(top, row),
+                    max(bottom, row + 1),
+                )
+    return closed, left, top, right, bottom

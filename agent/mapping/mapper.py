@@ -13,11 +13,23 @@ from agent.settings import Settings
 from protocol.errors import ProtocolError
 from protocol.grid import UNKNOWN, Grid, ray_table
 from protocol.messages import Sense, cells_from_bytes
-from protocol.range_scans import Laser, RangeScan, beam_ends, decode_range_scan
+from protocol.range_scans import (
+    NO_MEASUREMENT,
+    TURN,
+    Laser,
+    RangeScan,
+    beam_ends,
+    decode_range_scan,
+    directions_between,
+    smoothed,
+)
 from protocol.scans import Change, Scan, check_readings, draw
 
 WALL = "wall"
 """Why a move stopped short (`Sense.blocked`), if the robot bumped into something."""
+
+NEAR_M = 1.0
+"""Distance in meters up to which beams of a scan cross every open cell in sight."""
 
 
 class Mapper(ABC):
@@ -68,6 +80,7 @@ class EstimatingMapper(Mapper):
         self._estimator = Estimator(settings.height, settings.width)
         self.states, self.log_odds = self._estimator.states, self._estimator.log_odds
         self._laser, self._resolution, self._radius = laser, settings.resolution, settings.body.radius_cells
+        self._near = _near_cells(laser, settings.resolution)
 
     def add(self, sense: Sense) -> tuple[RangeScan, Change]:
         """Add the scan of a real laser."""
@@ -77,8 +90,12 @@ class EstimatingMapper(Mapper):
             raise ProtocolError(
                 "range scan", 0, f"cell ({scan.x}, {scan.y}) is outside the {width} x {height} grid"
             )
-        change = self._estimator.add(*scan.place, *beam_ends(scan, self._laser, self._resolution))
+        ends = beam_ends(smoothed(scan, self._laser), self._laser, self._resolution)
+        change = self._estimator.add(*scan.place, *ends)
         change = change.joined(self._estimator.stand(scan.x, scan.y))
+        if 2 * np.count_nonzero(scan.ranges != NO_MEASUREMENT) >= len(scan.ranges):
+            view = directions_between(scan, self._laser)
+            change = change.joined(self._estimator.close(scan.x, scan.y, self._near, *view))
         if sense.blocked == WALL:
             change = change.joined(self._estimator.strike(*cell_ahead(sense, self._radius)))
         self.known_cells = self._estimator.known_cells
@@ -87,6 +104,13 @@ class EstimatingMapper(Mapper):
     def settled(self) -> NDArray[np.bool_]:
         """Return the cells whose log odds are far from 0."""
         return np.abs(self._estimator.log_odds) >= SETTLED
+
+
+def _near_cells(laser: Laser, resolution: float) -> int:
+    """Return the distance in cells up to which beams are at most half a cell apart, and `NEAR_M` at most."""
+    near = min(NEAR_M, laser.reach_mm / 1000) / resolution
+    apart = 2 * math.pi * laser.span / TURN / max(laser.beams - 1, 1)
+    return int(min(near, 0.5 / apart)) if laser.beams > 1 else 0
 
 
 def cell_ahead(sense: Sense, radius_cells: float) -> tuple[int, int]:

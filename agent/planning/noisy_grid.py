@@ -3,7 +3,8 @@
 Between beams and beside walls, noise leaves gaps of unknown cells. They are no frontiers: a robot has nothing to enter
 there. So an unknown cell counts only if it lies in a square of unknown cells as wide as the narrowest opening. Every
 other one counts as a wall if a wall touches it, else as free. Likewise, noise opens walls: a free cell beside unknown
-ones counts as a wall if it does not lie in a square of as many cells without walls.
+ones counts as a wall if it does not lie in a square of as many cells without walls. The unknown cells beside a frontier
+that is shorter than the narrowest opening count as walls, too, or if a few beams of a coarse laser can make it.
 
 False walls can enclose a robot, which would then report that it has nothing left to explore. So the cells that it has
 driven over count as free, unless it bumped into something there later.
@@ -17,6 +18,7 @@ import numpy as np
 
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.kernels import kernel
+from protocol.range_scans import TURN, Laser
 
 OPENING_M = 0.3
 """Width of the narrowest opening that is worth exploring, in meters; wider robots need at least their own width."""
@@ -27,15 +29,22 @@ LEAST_CELLS = 2
 _UNKNOWN_SQUARE, _OPEN_SQUARE = 1, 2
 """Marks of cells in squares of unknown cells, and of cells without walls."""
 
+FEW_BEAMS = 3
+"""Neighboring beams that may end behind a wall by errors; at the end of the range, they are some cells apart."""
+
+LONGEST_SPECK = 5
+"""Most cells of the shortest frontier that is worth exploring, whatever the laser."""
+
 
 class NoisyGrid:
     """The planning grid of one robot as its strategy sees it; all grids are uint8 arrays of shape (h, w).
 
-    `narrow` is the width of the narrowest opening in cells (`narrow_cells`).
+    `narrow` is the width of the narrowest opening (`narrow_cells`), `shortest` the number of cells of the shortest
+    frontier (`shortest_frontier`).
     """
 
-    def __init__(self, height: int, width: int, narrow: int) -> None:
-        self._narrow = narrow
+    def __init__(self, height: int, width: int, narrow: int, shortest: int = 1) -> None:
+        self._narrow, self._shortest = narrow, shortest
         self._trail: Grid = np.zeros((height, width), np.uint8)
         self._marks: Grid = np.zeros((height, width), np.uint8)
         self._here: tuple[int, int] | None = None
@@ -62,12 +71,23 @@ class NoisyGrid:
         found = np.empty_like(planning)
         _without_gaps(planning, self._narrow, self._marks, found)
         found[self._trail != 0] = FREE
+        if self._shortest > 1:
+            _close_specks(found, self._shortest, self._marks)
         return found
 
 
 def narrow_cells(radius_cells: float, resolution: float) -> int:
     """Return the width in cells of the narrowest opening that a robot explores; cells are `resolution` meters wide."""
     return max(LEAST_CELLS, round(OPENING_M / resolution), math.ceil(2 * radius_cells))
+
+
+def shortest_frontier(laser: Laser, range_cells: float, narrow: int) -> int:
+    """Return the number of cells of the shortest frontier worth exploring.
+
+    It is as long as the narrowest opening, and longer than one that `FEW_BEAMS` beams make.
+    """
+    apart = 2 * math.pi * laser.span / TURN / max(laser.beams - 1, 1)
+    return max(narrow, min(math.ceil(FEW_BEAMS * apart * range_cells), LONGEST_SPECK))
 
 
 @kernel
@@ -113,3 +133,45 @@ def _without_gaps(grid: Grid, narrow: int, marks: Grid, out: Grid) -> None:
                 out[y, x] = OCCUPIED if _touches(grid, OCCUPIED, x, y) else FREE
             elif state == FREE and not mark & _OPEN_SQUARE and _touches(grid, UNKNOWN, x, y):
                 out[y, x] = OCCUPIED
+
+
+@kernel
+def _is_frontier(grid: Grid, x: int, y: int) -> bool:
+    """Whether a cell is free and has an unknown 4-neighbor."""
+    height, width = grid.shape
+    return bool(grid[y, x] == FREE) and bool(
+        (x > 0 and grid[y, x - 1] == UNKNOWN)
+        or (x + 1 < width and grid[y, x + 1] == UNKNOWN)
+        or (y > 0 and grid[y - 1, x] == UNKNOWN)
+        or (y + 1 < height and grid[y + 1, x] == UNKNOWN)
+    )
+
+
+@kernel
+def _close_specks(grid: Grid, shortest: int, marks: Grid) -> None:
+    """Turn unknown cells beside frontier cells into walls unless there are `shortest` such cells near by.
+
+    Near by are cells with a distance below `shortest`, the frontier cell itself included. `marks` is a buffer.
+    """
+    height, width = grid.shape
+    for y in range(height):
+        for x in range(width):
+            marks[y, x] = _is_frontier(grid, x, y)
+    for y in range(height):
+        for x in range(width):
+            if not marks[y, x]:
+                continue
+            count = 0
+            for row in range(max(0, y - shortest + 1), min(height, y + shortest)):
+                for column in range(max(0, x - shortest + 1), min(width, x + shortest)):
+                    count += marks[row, column]
+            if count < shortest:
+                _close_beside(grid, x, y)
+
+
+@kernel
+def _close_beside(grid: Grid, x: int, y: int) -> None:
+    """Turn the unknown 4-neighbors of a cell into walls."""
+    for row, column in ((y, x - 1), (y, x + 1), (y - 1, x), (y + 1, x)):
+        if 0 <= row < grid.shape[0] and 0 <= column < grid.shape[1] and grid[row, column] == UNKNOWN:
+            grid[row, column] = OCCUPIED

@@ -20,7 +20,7 @@ from agent.settings import Settings
 from protocol.arrays import Cells
 from protocol.grid import FREE, OCCUPIED, Grid
 
-PATIENCE = 60
+PATIENCE = 20
 """Steps for which a robot looks, besides the time that it needs to drive there: people move on, and fade from maps."""
 
 BUSY = 10

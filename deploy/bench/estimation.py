@@ -16,7 +16,7 @@ from deploy.bench.explorations import Moment, beams
 from deploy.bench.measurement import Measurement, compare, timed
 from deploy.scenario.plan import Plan
 from protocol.keyed_random import keyed_random
-from protocol.range_scans import TURN, UNIT, Laser, RangeScan, beam_ends
+from protocol.range_scans import TURN, UNIT, Laser, RangeScan, beam_ends, smoothed
 from protocol.scans import Change, draw
 from worldsim.range_laser import RangeLaser
 from worldsim.sensor_options import LaserOptions
@@ -73,7 +73,7 @@ def _replay(
     all_tiles, changed = np.ones(tiles_of(*shape), np.uint8), np.zeros(tiles_of(*shape), np.uint8)
 
     def add(scan: RangeScan) -> Change:
-        change = estimator.add(*scan.place, *beam_ends(scan, laser, resolution))
+        change = estimator.add(*scan.place, *beam_ends(smoothed(scan, laser), laser, resolution))
         return change.joined(estimator.stand(scan.x, scan.y))
 
     estimated, exact, bounded, on_all = [], [], [], []

@@ -21,6 +21,7 @@ from protocol.range_scans import (
     decode_range_scan,
     encode_range_scan,
     range_scan_size,
+    smoothed,
 )
 
 LASER = Laser(7, -TURN // 4, TURN // 2, 8000)
@@ -63,3 +64,19 @@ def test_beams_end_where_trigonometry_says() -> None:
 def test_beams_cover_the_field_of_view() -> None:
     assert LASER.angles.tolist()[0] == -TURN // 4
     assert LASER.angles.tolist()[-1] == TURN // 4
+
+
+ALL_AROUND = Laser(8, 0, TURN * 7 // 8, 8000)
+
+
+@pytest.mark.parametrize(("laser", "wraps"), [(Laser(8, 0, TURN // 2, 8000), False), (ALL_AROUND, True)])
+@given(ranges=st.lists(st.sampled_from([NO_MEASUREMENT, 100, 101, 250, NOTHING]), min_size=8, max_size=8))
+def test_a_smoothed_range_is_the_median_of_three_measured_ones(
+    laser: Laser, wraps: bool, ranges: list[int]
+) -> None:
+    scan = smoothed(RangeScan((5, 6), 7, np.array(ranges, np.uint16)), laser)
+    assert (scan.place, scan.heading) == ((5, 6), 7)
+    for beam, found in enumerate(scan.ranges.tolist()):
+        three = [ranges[beam - 1], ranges[beam], ranges[(beam + 1) % 8]]
+        changes = NO_MEASUREMENT not in three and (wraps or 0 < beam < 7)
+        assert found == (sorted(three)[1] if changes else ranges[beam])

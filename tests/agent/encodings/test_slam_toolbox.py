@@ -18,7 +18,7 @@ from agent.settings import EncodingSettings, ReplicationSettings, Settings
 from protocol.body import Body
 from protocol.errors import ProtocolError
 from protocol.grid import UNKNOWN, Grid
-from protocol.range_scans import NO_MEASUREMENT, NOTHING, TURN, UNIT, Laser, RangeScan, beam_ends
+from protocol.range_scans import NO_MEASUREMENT, NOTHING, TURN, UNIT, Laser, RangeScan, beam_ends, smoothed
 from protocol.scans import Change, fragments
 from tests.agent.encodings.arrival import LATE
 
@@ -138,7 +138,7 @@ def test_receivers_estimate_the_map_of_the_author_from_the_sent_scans() -> None:
         log += packets
         if packets:
             receiver.apply(0, b"".join(packets), **LATE)
-            estimator.add(*scan.place, *beam_ends(scan, LASER, CELL))
+            estimator.add(*scan.place, *beam_ends(smoothed(scan, LASER), LASER, CELL))
     assert (estimator.states != UNKNOWN).any()
     assert receiver.merge(empty()).tolist() == estimator.states.tolist()
     for packet in log:

@@ -8,7 +8,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from agent.mapping.estimator import CLEAR, LEAST, MOST, PASS, STRIKE, STRUCK, WALL, Estimator
+from agent.mapping.estimator import CLEAR, LEAST, MOST, NEAR_LOOKS, PASS, STRIKE, STRUCK, WALL, Estimator
 from protocol.grid import FREE, OCCUPIED, UNKNOWN
 from protocol.range_scans import UNIT
 
@@ -81,3 +81,38 @@ def test_a_false_wall_disappears_after_beams_have_passed_through_it() -> None:
     for _ in range(scans):
         estimator.add(128, 128, beyond, np.array([True]))
     assert estimator.states[0, 5] == FREE
+
+
+def test_unknown_cells_that_no_scan_from_nearby_enters_are_walls_until_a_beam_does() -> None:
+    estimator = Estimator(9, 9)
+    estimator.states[4, 2:6] = FREE
+    estimator.states[3, 4] = OCCUPIED
+    for _ in range(NEAR_LOOKS - 1):
+        assert not estimator.close(2, 4, 4, (0, 0), (0, 0)).cells
+    change = estimator.close(2, 4, 4, (0, 0), (0, 0))
+    closed = np.argwhere(estimator.states == OCCUPIED).tolist()
+    assert {(1, 4), (6, 4), (2, 3), (2, 5)} <= {(x, y) for y, x in closed}
+    assert change.cells == len(closed) - 1 == estimator.known_cells
+    assert estimator.states[2, 4] == UNKNOWN, "behind the wall"
+    middle = np.array([[6 * UNIT + 128, 4 * UNIT + 128]], np.int32)
+    estimator.add(2 * UNIT + 128, 4 * UNIT + 128, middle, np.array([False]))
+    assert estimator.states[4, 6] == FREE
+
+
+@pytest.mark.parametrize(
+    ("first", "last", "seen"),
+    [
+        ((1, -1), (1, 1), {(5, 4)}),
+        ((0, -1), (0, 1), {(5, 4), (4, 3), (4, 5)}),
+        ((-1, -1), (-1, 1), {(5, 4), (4, 3), (4, 5)}),
+        ((0, 0), (0, 0), {(5, 4), (4, 3), (4, 5), (3, 4)}),
+    ],
+)
+def test_only_cells_in_the_field_of_view_are_closed(
+    first: tuple[int, int], last: tuple[int, int], seen: set[tuple[int, int]]
+) -> None:
+    estimator = Estimator(9, 9)
+    estimator.states[4, 4] = FREE
+    for _ in range(NEAR_LOOKS):
+        estimator.close(4, 4, 2, first, last)
+    assert {(x, y) for y, x in np.argwhere(estimator.states == OCCUPIED).tolist()} == seen

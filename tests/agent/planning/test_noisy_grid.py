@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from agent.planning.noisy_grid import NoisyGrid, narrow_cells
+from agent.planning.noisy_grid import LONGEST_SPECK, NoisyGrid, narrow_cells, shortest_frontier
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
+from protocol.range_scans import TURN, Laser
 
 
 def in_squares(cells: NDArray[np.bool_], narrow: int) -> NDArray[np.bool_]:
@@ -75,3 +77,20 @@ def test_openings_are_as_wide_as_the_robot_and_at_least_30_cm() -> None:
     assert narrow_cells(0.0, 0.1) == 3
     assert narrow_cells(0.0, 0.2) == 2
     assert narrow_cells(2.5, 0.1) == 5
+
+
+@pytest.mark.parametrize(("shortest", "state"), [(1, UNKNOWN), (3, UNKNOWN), (4, OCCUPIED)])
+def test_frontiers_that_are_too_short_do_not_count(shortest: int, state: int) -> None:
+    grid = np.full((20, 20), UNKNOWN, np.uint8)
+    grid[12:], grid[11] = FREE, OCCUPIED
+    grid[11, 6:9] = FREE
+    cleaned = NoisyGrid(20, 20, 3, shortest).clean(grid)
+    assert (cleaned[10, 6:9] == state).all()
+    assert (cleaned[:10] == UNKNOWN).all()
+
+
+def test_the_shortest_frontier_depends_on_how_far_beams_are_apart() -> None:
+    fine, coarse = (Laser(beams, 0, TURN * 3 // 4, 5000) for beams in (1081, 271))
+    assert shortest_frontier(fine, 50.0, 2) == 2
+    assert shortest_frontier(coarse, 50.0, 2) == 3
+    assert shortest_frontier(Laser(4, 0, TURN * 3 // 4, 5000), 50.0, 2) == LONGEST_SPECK
