@@ -32,7 +32,7 @@ import msgspec
 from netshaper.admission import read_broadcast, readers, refused
 from netshaper.airtime import Shares
 from netshaper.frame_log import Connection, Content, Frame
-from netshaper.ledger import ANSWER, DATA, EVERYONE, NEWS, OFFER
+from netshaper.ledger import ANSWER, BROADCAST, DATA, EVERYONE, NEWS, OFFER
 from netshaper.medium import Account, Medium
 from netshaper.phase_clock import PHASES
 from netshaper.settings import RadioSettings
@@ -276,7 +276,9 @@ class Radio:
                     self._refuse(sender, receiver, content, "lost")
                 else:
                     sent.add(pair)
-                    frames.append(Frame(sender, receiver, content, position, first + position))
+                    frames.append(
+                        Frame(sender, receiver, content, content.map_id, -1, position, first + position)
+                    )
         return broadcasts, frames
 
     def _drawn(self, purpose: str, items: list[Item]) -> list[Item]:
@@ -306,7 +308,7 @@ class Radio:
                 self._broadcast_sent[sender] = False
             else:
                 receivers = self._topology.receivers_of(sender)
-                self._broadcast_sent[sender] = medium.broadcast(frame, receivers)
+                self._broadcast_sent[sender] = medium.carry(frame, receivers) > 0
 
     def _deliver_broadcasts(self) -> dict[int, list[Delivery]]:
         """Deliver the broadcasts that have arrived by now, and return for each robot the other arrivals."""
@@ -314,7 +316,7 @@ class Radio:
         others: defaultdict[int, list[Delivery]] = defaultdict(list)
         receiving = self._topology.receiving()
         for arrival in self._medium.arrivals():
-            by_robot = poses if arrival.is_broadcast else others
+            by_robot = poses if arrival.kind == BROADCAST else others
             for robot in arrival.receivers:
                 if robot in receiving:
                     by_robot[robot].append(arrival.delivery)
@@ -335,9 +337,7 @@ class Radio:
             self._shares.book(sender, sent)
             reports[sender].append(SendReport(frame.position, sent))
         arrived = self._deliver_broadcasts()
-        for robot in sorted({*reports, *arrived, *self._broadcast_sent} - self._topology.dead):
-            mine = sorted(reports.get(robot, ()), key=_FRAME)
-            self._report(robot, [], mine, arrived.get(robot, []))
+        self._report({}, reports, arrived)
         self._next_round(
             busy=bool(arrived) or any(report.sent for mine in reports.values() for report in mine)
         )
@@ -353,14 +353,18 @@ class Radio:
 
     def _report(
         self,
-        robot: int,
-        connections: list[ConnectionReport],
-        sent: list[SendReport],
-        deliveries: list[Delivery],
+        connections: Mapping[int, list[ConnectionReport]],
+        sent: Mapping[int, list[SendReport]],
+        arrived: Mapping[int, list[Delivery]],
     ) -> None:
-        broadcast = self._broadcast_sent.get(robot, False)
-        report = RoundReport(self._step, self._round, connections, sent, deliveries, broadcast)
-        self.events.append((robot, report))
+        """Report the end of a round to each robot that sent or received anything."""
+        for robot in sorted({*connections, *sent, *arrived, *self._broadcast_sent} - self._topology.dead):
+            mine = sorted(sent.get(robot, ()), key=_FRAME)
+            deliveries, broadcast = arrived.get(robot, []), self._broadcast_sent.get(robot, False)
+            report = RoundReport(
+                self._step, self._round, connections.get(robot, []), mine, deliveries, broadcast
+            )
+            self.events.append((robot, report))
 
     # --- rounds of handshakes
 
@@ -369,10 +373,9 @@ class Radio:
         broadcasts, offers = self._admit(OFFER)
         self._send_broadcasts(broadcasts)
         self._deliver_broadcasts()
-        offers.sort(key=lambda frame: (frame.sender, frame.receiver, frame.content.map_id))
+        offers.sort(key=lambda frame: (frame.sender, frame.receiver, frame.map_id))
         for number, frame in enumerate(self._drawn("contention", offers), self._first):
-            sender, receiver, content = frame.sender, frame.receiver, frame.content
-            self._connections.append(Connection(number, sender, receiver, content.map_id, [content]))
+            self._connections.append(Connection(number, [msgspec.structs.replace(frame, connection=number)]))
         self._deliver(OFFER)
 
     def _deliver(self, kind: int) -> None:
@@ -381,10 +384,12 @@ class Radio:
         arrived: defaultdict[int, list[Delivery]] = defaultdict(list)
         for connection in self._connections:
             if len(connection.frames) > kind:
-                sender, receiver = connection.ends(kind)
-                if receiver in receiving:
-                    payload = connection.frames[kind].payload
-                    arrived[receiver].append(Delivery(sender, payload, connection.number, connection.map_id))
+                frame = connection.frames[kind]
+                if frame.receiver in receiving:
+                    payload = frame.content.payload
+                    arrived[frame.receiver].append(
+                        Delivery(frame.sender, payload, frame.connection, frame.map_id)
+                    )
                 else:
                     connection.lost = kind
         self._expect(PHASES[kind + 1], sorted(arrived))
@@ -403,24 +408,18 @@ class Radio:
                 elif content.problem:
                     self._refuse(sender, each.receiver, content, "protocol", content.problem)
                 else:
-                    connection.frames.append(content)
+                    map_id = connection.offer.map_id
+                    connection.frames.append(Frame(sender, each.receiver, content, map_id, connection.number))
 
     def _end_data(self) -> None:
         """Play the connections, and report to both ends of each."""
         self._collect(DATA)
-        dead = self._topology.dead
-        for connection in self._connections:
-            if len(connection.frames) > DATA and connection.receiver in dead:
-                connection.lost = DATA
         reports: defaultdict[int, list[ConnectionReport]] = defaultdict(list)
-        arrived: defaultdict[int, list[Delivery]] = defaultdict(list)
-        for connection, report in zip(self._connections, self._medium.play(self._connections), strict=True):
-            reports[connection.sender].append(report)
-            reports[connection.receiver].append(report)
-            if report.data:
-                payload = connection.frames[DATA].payload[: report.data]
-                delivery = Delivery(connection.sender, payload, connection.number, connection.map_id)
-                arrived[connection.receiver].append(delivery)
-        for robot in sorted({*reports, *self._broadcast_sent} - dead):
-            self._report(robot, reports.get(robot, []), [], arrived.get(robot, []))
+        for connection in self._connections:
+            if len(connection.frames) > DATA and connection.offer.receiver in self._topology.dead:
+                connection.lost = DATA
+            report = self._medium.play(connection)
+            reports[connection.offer.sender].append(report)
+            reports[connection.offer.receiver].append(report)
+        self._report(reports, {}, self._deliver_broadcasts())
         self._next_round(busy=True)
