@@ -59,7 +59,6 @@ class Gossip(Replication):
         self._policy = GossipPolicy(peers, replica.logs, self._neighbors, dependencies)
         self._informed = peers.new_table()
         """``_informed[peer, map]``: entries that the peer knows this robot to hold."""
-        self._step = 0
         self._in_range: list[int] = []
         self._parted = False
         """Whether any robot has ever been out of range."""
@@ -74,17 +73,16 @@ class Gossip(Replication):
     def open_round(self, number: int, in_range: list[int], budget: int | None) -> list[OutgoingFrame]:
         """Return the broadcast of this round, if there is anything to send."""
         if number == 0:
-            self._step += 1
-            self.replica.step = self._step
-            self._meetings.begin_step(self._step, in_range)
+            self.replica.step += 1
+            self._meetings.begin_step(self.replica.step, in_range)
             self._cursors.begin_step(in_range)
             self._in_range = in_range
             self._parted = self._parted or len(in_range) < self.peers.robots - 1
         for dropped in self.replica.take_dropped():
             self._entries_dropped(dropped)
-        self._delivery.open_round(self._step, budget if number == 0 else None)
+        self._delivery.open_round(self.replica.step, budget if number == 0 else None)
         lengths = self.replica.lengths()
-        self._policy.compare(self._step, self._meetings.known(self._in_range), lengths)
+        self._policy.compare(self.replica.step, self._meetings.known(self._in_range), lengths)
         self._builder = FrameBuilder(budget)
         if not in_range:
             return []
@@ -93,10 +91,14 @@ class Gossip(Replication):
         payload = self._builder.payload
         if not payload:
             self._builder = FrameBuilder()  # without handlers, which refer to this object
-            self._idle_since = self._step
+            self._idle_since = self.replica.step
         unfinished = self.replica.last_append < self.shared < len(self.replica.own_log)
         self.priority = self._policy.priority(
-            served, len(payload), self._step - self._idle_since, parted=self._parted, unfinished=unfinished
+            served,
+            len(payload),
+            self.replica.step - self._idle_since,
+            parted=self._parted,
+            unfinished=unfinished,
         )
         return [OutgoingFrame(EVERYONE, payload)] if payload else []
 
@@ -125,7 +127,7 @@ class Gossip(Replication):
             sent = max((each.sent for each in report.sent), default=0)
             self._builder.sent(sent)
             if sent:
-                self._idle_since = self._step
+                self._idle_since = self.replica.step
             self._builder = FrameBuilder()
         for peer, frame in frames:
             for control in frame.controls:
@@ -150,8 +152,8 @@ class Gossip(Replication):
             if builder.fits(near):
                 builder.add(near, partial(self._neighbors.inform, self._in_range, robot, here))
         digest = self._next_digest()
-        if digest is not None and builder.fits(packet := packets.encode([digest])):
-            builder.add(packet, self._digest_sent)
+        if digest and builder.fits(digest):
+            builder.add(digest, self._digest_sent)
         end = 0
         for number in self._reports_due(lengths, owed).nonzero()[0].tolist():
             held = report(number, len(self.logs[number]))
@@ -161,7 +163,7 @@ class Gossip(Replication):
 
     def _reports_due(self, lengths: Table, owed: list[int]) -> Mask:
         """Return the mask of maps of which some peer should know how much this robot holds."""
-        robots, step = self.peers.robots, self._step
+        robots, step = self.peers.robots, self.replica.step
         due = np.zeros(len(lengths), np.bool_)
         for peer in owed:
             due |= self._informed[peer] < lengths
@@ -187,15 +189,11 @@ class Gossip(Replication):
 
     # --- what was on the air
 
-    def _digest_sent(self) -> None:
-        """The digest of this robot's log was on the air."""
-        self.replica.digest_length = None
-
     def _report_sent(self, number: int) -> None:
         """This robot's report of a map was on the air."""
         self.replica.asked(number)
         length = len(self.logs[number])
-        self._reported[number] = self._step
+        self._reported[number] = self.replica.step
         self._gaps.discard(number)
         self._inform(self._in_range, number, length)
         self._delivery.report_sent(number, length)
@@ -256,7 +254,7 @@ class Gossip(Replication):
                     dropped = length < self.peers.expected.item(peer, number)
                     if dropped and number == self.peers.own and self._delivery.reliable:
                         self.replica.request_digest(length)
-                    self._delivery.report_received(peer, number, length, self._step)
+                    self._delivery.report_received(peer, number, length, self.replica.step)
                     self._meetings.on(peer, "reported")
                     self._neighbors.near[peer, self.peers.robot] = True
                 case LogDigest():
@@ -282,7 +280,6 @@ class Gossip(Replication):
         end = max(first, self._possible(number, first + len(entries)))
         if end == first:
             return
-        entries = entries[: end - first]
         self._delivery.entries_received(peer, number, end, len(log))
         if number == self.peers.current[peer]:
             self._cursors.received(peer, end)
@@ -312,7 +309,3 @@ class Gossip(Replication):
     def _inform(self, peers: Robots, number: int, length: int) -> None:
         """Peers know that this robot holds so many entries of a map."""
         self._informed[peers, number] = np.maximum(self._informed[peers, number], length)
-
-    def _possible(self, number: int, length: int) -> int:
-        """Bound a log length that a peer claims: of this robot's map none holds what was not on the air."""
-        return min(length, self.shared) if number == self.peers.own else length
