@@ -9,7 +9,7 @@ from functools import lru_cache
 import msgspec
 import numpy as np
 
-from netshaper.ledger import CAUSES, EVERYONE, FIRST_ON_AIR, ROW
+from netshaper.ledger import CAUSES, EVERYONE, FIRST_ON_AIR, MALFORMED, ROW
 from protocol.arrays import Int64Rows, ReadOnlyInt32s, ReadOnlyUint8s
 from protocol.kernels import kernel
 from protocol.packet_index import KINDS, PacketIndex
@@ -17,10 +17,8 @@ from protocol.packet_index import KINDS, PacketIndex
 ROUND, CONNECTION, FRAME, SENDER, RECEIVER, MAP, VERDICT, COMMENT, RECEIVERS, BYTES, PACKETS = range(11)
 COLUMNS = 11
 """Columns of a row, one row per frame or part of a frame with one verdict: `FRAME` counts in `netshaper.ledger.FRAMES`,
-`VERDICT` in `CAUSES`, and `COMMENT` in `FrameLog.texts`. The last three are numbers of robots, bytes and packets."""
-
-MALFORMED = -1
-"""In `PACKETS`: the bytes do not decode as packets."""
+`VERDICT` in `CAUSES`, and `COMMENT` in `FrameLog.texts`. The last three are numbers of robots, bytes and packets
+(`MALFORMED` if the bytes do not decode as packets)."""
 
 TEXT_OF_CAUSE = (
     "delivered", "cut by budget", "out of range", "refused", "a partner died", "the sender is mute",

@@ -86,7 +86,7 @@ class Radio:
         self._readers = readers(settings)
         """For each kind of frame the function that reads it."""
         self._medium = Medium(settings)
-        self._shares = Shares(settings.budget)
+        self._shares = Shares()
         self._step = 0
         self._round = 0
         self._phase = ""
@@ -177,7 +177,6 @@ class Radio:
         self.changed.append(change)
         if change.budget is not None:
             self.settings = replace(self.settings, budget=change.budget)
-            self._shares.budget = change.budget
             self._medium.airtime.set_budget(change.budget)
         if change.range_mm is not None:
             cells = change.range_mm / 1000 / self.settings.cell_m
@@ -345,7 +344,7 @@ class Radio:
     def _by_priority(self, frames: list[Frame]) -> list[Frame]:
         """Put frames into the order in which they go on the air: acknowledgments first, then by rank."""
         ranks = {
-            sender: self._shares.rank(sender, submitted.priority)
+            sender: self._shares.rank(sender, submitted.priority, self.settings.budget)
             for sender, submitted in self._submitted.items()
         }
         order = self._drawn("back-off" if self.settings.perfect else "contention", frames)
