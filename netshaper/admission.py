@@ -96,11 +96,11 @@ def read_broadcast(payload: bytes, round_number: int) -> Content:
     problem = (
         "broadcast something other than poses, targets, a digest and log lengths, at the start of a step"
     )
-    return refused(BROADCAST, payload, "" if not round_number and is_broadcast(payload) else problem)
+    return content_of(BROADCAST, payload, "" if not round_number and is_broadcast(payload) else problem)
 
 
-def refused(kind: int, payload: bytes, problem: str) -> Content:
-    """Return a frame with a problem; its bytes need not be packets."""
+def content_of(kind: int, payload: bytes, problem: str = "") -> Content:
+    """Return the content of a frame whose bytes need not be packets."""
     try:
         index = index_of(payload)
     except ProtocolError:
@@ -113,11 +113,11 @@ def read_offer(maps: int, payload: bytes) -> Content:
     try:
         content = packets.handshake(payload)
     except ProtocolError as error:
-        return refused(OFFER, payload, str(error))
+        return content_of(OFFER, payload, str(error))
     offer = content[0] if len(content) == 1 else None
     if isinstance(offer, Offer) and offer.map < maps:
         return Content(OFFER, payload, index_of(payload), offer.map)
-    return refused(OFFER, payload, "an offer frame is one offer of a known map")
+    return content_of(OFFER, payload, "an offer frame is one offer of a known map")
 
 
 @_cache_handshakes
@@ -126,10 +126,10 @@ def read_answer(payload: bytes) -> Content:
     try:
         kinds = [type(packet) for packet in packets.handshake(payload)]
     except ProtocolError as error:
-        return refused(ANSWER, payload, str(error))
+        return content_of(ANSWER, payload, str(error))
     is_answer = kinds[-1:] == [packets.Answer] and kinds[:-1] in ([], [packets.Block], 2 * [packets.Block])
     problem = "an answer frame is an answer behind at most two blocks, or a decline"
-    return refused(ANSWER, payload, "" if is_answer or payload == packets.DECLINE else problem)
+    return content_of(ANSWER, payload, "" if is_answer or payload == packets.DECLINE else problem)
 
 
 @cache_short(64)

@@ -90,11 +90,9 @@ class Medium:
         account, self._log = Account(self._step, self.carried, self._log), FrameLog()
         return account
 
-    def refuse(self, sender: int, receiver: int, content: Content, cause: str, reason: str = "") -> None:
+    def refuse(self, frame: Frame, cause: str, reason: str = "") -> None:
         """Log a frame that does not go on the air, and why."""
-        self._log.add(
-            self._round, Frame(sender, receiver, content), content, CAUSES.index(cause), reason=reason
-        )
+        self._log.add(self._round, frame, frame.content, CAUSES.index(cause), reason=reason)
 
     def carry(self, frame: Frame, receivers: Sequence[int]) -> int:
         """Put a frame on the air as far as the budget allows; return the bytes of its packets that were carried.

@@ -29,9 +29,9 @@ from typing import TypeVar
 
 import msgspec
 
-from netshaper.admission import read_broadcast, readers, refused
+from netshaper.admission import content_of, read_broadcast, readers
 from netshaper.airtime import Shares
-from netshaper.frame_log import Connection, Content, Frame
+from netshaper.frame_log import Connection, Frame
 from netshaper.ledger import ANSWER, BROADCAST, DATA, EVERYONE, NEWS, OFFER
 from netshaper.medium import Account, Medium
 from netshaper.phase_clock import PHASES
@@ -230,10 +230,10 @@ class Radio:
 
     # --- admission and order
 
-    def _refuse(self, sender: int, receiver: int, content: Content, cause: str, reason: str = "") -> None:
-        self._medium.refuse(sender, receiver, content, cause, reason)
+    def _refuse(self, frame: Frame, cause: str, reason: str = "") -> None:
+        self._medium.refuse(frame, cause, reason)
         if reason:
-            self.protocol_errors.append((sender, reason))
+            self.protocol_errors.append((frame.sender, reason))
 
     def _refuse_out_of_turn(self, sender: int, submitted: RobotFrames) -> None:
         at = f"round {submitted.round} of step {submitted.step}"
@@ -242,7 +242,7 @@ class Radio:
         frames = [OutgoingFrame(EVERYONE, submitted.broadcast)] if submitted.broadcast else []
         reason = "spoke out of turn"
         for each in [*frames, *submitted.frames]:
-            self._refuse(sender, each.receiver, refused(DATA, each.payload, reason), "protocol", reason)
+            self._refuse(Frame(sender, each.receiver, content_of(DATA, each.payload)), "protocol", reason)
 
     def _admit(self, kind: int) -> tuple[list[Frame], list[Frame]]:
         """Return the admitted broadcasts of poses and targets, and the other admitted frames of the first phase."""
@@ -251,11 +251,11 @@ class Radio:
         read, receiving = self._readers[kind], self._topology.receiving()
         for sender, submitted in sorted(self._submitted.items()):
             if submitted.broadcast:
-                content = read_broadcast(submitted.broadcast, self._round)
-                if content.problem:
-                    self._refuse(sender, EVERYONE, content, "protocol", content.problem)
+                frame = Frame(sender, EVERYONE, read_broadcast(submitted.broadcast, self._round))
+                if frame.content.problem:
+                    self._refuse(frame, "protocol", frame.content.problem)
                 else:
-                    broadcasts.append(Frame(sender, EVERYONE, content))
+                    broadcasts.append(frame)
             reachable = {EVERYONE, *self._topology.in_range.get(sender, ())}
             mute, first = sender in self._topology.mute, int(bool(submitted.broadcast))
             sent: set[tuple[int, int]] = set()
@@ -266,13 +266,13 @@ class Radio:
                 if kind == NEWS and (receiver == EVERYONE) != self.settings.gossip:
                     problem = NOT_FOR_ALL if receiver == EVERYONE else NOT_FOR_ONE
                 if receiver not in reachable:
-                    self._refuse(sender, receiver, content, "range")
+                    self._refuse(Frame(sender, receiver, content), "range")
                 elif problem:
-                    self._refuse(sender, receiver, content, "protocol", problem)
+                    self._refuse(Frame(sender, receiver, content), "protocol", problem)
                 elif mute:
-                    self._refuse(sender, receiver, content, "mute")
+                    self._refuse(Frame(sender, receiver, content), "mute")
                 elif kind != OFFER and receiver != EVERYONE and receiver not in receiving:
-                    self._refuse(sender, receiver, content, "lost")
+                    self._refuse(Frame(sender, receiver, content), "lost")
                 else:
                     sent.add(pair)
                     frames.append(
@@ -299,11 +299,11 @@ class Radio:
         if self.settings.gossip and self.settings.budget.limit is not None:
             share = Budget(self.settings.budget.limit // (len(self._asked) + 1))
         for frame in self._drawn("targets", broadcasts):
-            sender, receiver, content = frame.sender, frame.receiver, frame.content
+            sender = frame.sender
             if sender in self._topology.mute:
-                self._refuse(sender, receiver, content, "mute")
-            elif medium.carried and not share.fits(medium.carried + len(content.payload)):
-                self._refuse(sender, receiver, content, "budget")
+                self._refuse(frame, "mute")
+            elif medium.carried and not share.fits(medium.carried + len(frame.content.payload)):
+                self._refuse(frame, "budget")
                 self._broadcast_sent[sender] = False
             else:
                 receivers = self._topology.receivers_of(sender)
@@ -399,16 +399,17 @@ class Radio:
         """Match the submitted frames to their connections; refuse those that belong to none."""
         for sender, submitted in sorted(self._submitted.items()):
             for each in submitted.frames:
-                content, at = self._readers[kind](each.payload), each.connection - self._first
+                receiver, content = each.receiver, self._readers[kind](each.payload)
+                at = each.connection - self._first
                 connection = self._connections[at] if 0 <= at < len(self._connections) else None
-                if connection is None or not connection.accepts(kind, sender, each.receiver):
+                if connection is None or not connection.accepts(kind, sender, receiver):
                     reason = "a frame of no connection of its own"
-                    self._refuse(sender, each.receiver, content, "protocol", reason)
+                    self._refuse(Frame(sender, receiver, content), "protocol", reason)
                 elif content.problem:
-                    self._refuse(sender, each.receiver, content, "protocol", content.problem)
+                    self._refuse(Frame(sender, receiver, content), "protocol", content.problem)
                 else:
                     map_id = connection.offer.map_id
-                    connection.frames.append(Frame(sender, each.receiver, content, map_id, connection.number))
+                    connection.frames.append(Frame(sender, receiver, content, map_id, connection.number))
 
     def _end_data(self) -> None:
         """Play the connections, and report to both ends of each."""

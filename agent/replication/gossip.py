@@ -48,14 +48,14 @@ Robots = list[int] | NDArray[np.intp]
 class Gossip(Replication):
     """One robot's broadcasts and what it learns from those of others."""
 
-    def __init__(self, replica: Replica, delivery: Acks, dependencies: Dependencies) -> None:
+    def __init__(self, replica: Replica, acks: Acks, dependencies: Dependencies) -> None:
         super().__init__(replica)
         peers = self.peers
         robot, robots, first_incarnation = peers.robot, peers.robots, peers.own < peers.robots
-        self._delivery = delivery
+        self._acks = acks
         self._neighbors = Neighbors(robot, robots)
         self._meetings = Meetings(robots, settled=first_incarnation)
-        self._cursors = BroadcastCursors(robot, robots, known=first_incarnation, reliable=delivery.reliable)
+        self._cursors = BroadcastCursors(robot, robots, known=first_incarnation, reliable=acks.reliable)
         self._policy = GossipPolicy(peers, replica.logs, self._neighbors, dependencies)
         self._informed = peers.new_table()
         """``_informed[peer, map]``: entries that the peer knows this robot to hold."""
@@ -80,14 +80,14 @@ class Gossip(Replication):
             self._parted = self._parted or len(in_range) < self.peers.robots - 1
         for dropped in self.replica.take_dropped():
             self._entries_dropped(dropped)
-        self._delivery.open_round(self.replica.step, budget if number == 0 else None)
+        self._acks.open_round(self.replica.step, budget if number == 0 else None)
         lengths = self.replica.lengths()
         self._policy.compare(self.replica.step, self._meetings.known(self._in_range), lengths)
         self._builder = FrameBuilder(budget)
         if not in_range:
             return []
         self._add_reports(lengths)
-        served = self._policy.serve(self._in_range, self._delivery.turn, self._add_range)
+        served = self._policy.serve(self._in_range, self._acks.turn, self._add_range)
         payload = self._builder.payload
         if not payload:
             self._builder = FrameBuilder()  # without handlers, which refer to this object
@@ -104,11 +104,11 @@ class Gossip(Replication):
 
     def announcements(self) -> bytes:
         """Return the requests for dropped entries, unless frames of gossip have them: a late report is no request."""
-        return b"" if self._delivery.reliable else self._requests()
+        return b"" if self._acks.reliable else self._requests()
 
     def announced(self) -> None:
         """Note that this step's broadcast was on the air."""
-        if not self._delivery.reliable:
+        if not self._acks.reliable:
             self._requests_sent()
 
     def close_round(self, report: RoundReport) -> list[Rejected]:
@@ -167,14 +167,14 @@ class Gossip(Replication):
         due = np.zeros(len(lengths), np.bool_)
         for peer in owed:
             due |= self._informed[peer] < lengths
-        if self._delivery.reliable:
+        if self._acks.reliable:
             due[self.replica.maps_to_ask_for()] = True
         for number in self._gaps:
-            due[number] |= step >= self._reported[number] + self._delivery.gap_interval
+            due[number] |= step >= self._reported[number] + self._acks.gap_interval
         if self._parted and step % REFRESH == self.peers.robot % REFRESH:
             numbers = np.arange(len(lengths))
             due |= (numbers % robots == step // REFRESH % robots) & ((numbers < robots) | (lengths > 0))
-        self._delivery.add_due(due, lengths, step, self._reported)
+        self._acks.add_due(due, lengths, step, self._reported)
         due[self.peers.own] = False
         return due
 
@@ -196,7 +196,7 @@ class Gossip(Replication):
         self._reported[number] = self.replica.step
         self._gaps.discard(number)
         self._inform(self._in_range, number, length)
-        self._delivery.report_sent(number, length)
+        self._acks.report_sent(number, length)
 
     def _reports_sent(self, owed: list[int]) -> None:
         """All reports that this robot owed to peers were on the air."""
@@ -224,19 +224,19 @@ class Gossip(Replication):
         """This robot dropped entries of a map, so peers know that it holds more than it does."""
         length = len(self.logs[number])
         self._informed[:, number] = np.minimum(self._informed[:, number], length)
-        self._delivery.report_sent(number, length)
+        self._acks.report_sent(number, length)
 
     def _peer_dropped(self, peer: int, number: int, length: int) -> None:
         """A peer dropped entries, so it lacks them."""
         super()._peer_dropped(peer, number, length)
-        self._delivery.dropped(peer, number)
+        self._acks.dropped(peer, number)
 
     def _note_restart(self, peer: int, frame: ParsedFrame) -> None:
         """A peer that broadcasts a map of a new incarnation of its own lost its state."""
         for control in frame.controls:
             if isinstance(control, Header) and self.peers.restarted(peer, control.map):
                 self._informed[peer] = 0
-                for part in (self._delivery, self._cursors, self._neighbors):
+                for part in (self._acks, self._cursors, self._neighbors):
                     part.restarted(peer)
                 self._meetings.on(peer, "restarted")
 
@@ -252,9 +252,9 @@ class Gossip(Replication):
                 ):
                     length = self._possible(number, offset(held, len(logs[number])))
                     dropped = length < self.peers.expected.item(peer, number)
-                    if dropped and number == self.peers.own and self._delivery.reliable:
+                    if dropped and number == self.peers.own and self._acks.reliable:
                         self.replica.request_digest(length)
-                    self._delivery.report_received(peer, number, length, self.replica.step)
+                    self._acks.report_received(peer, number, length, self.replica.step)
                     self._meetings.on(peer, "reported")
                     self._neighbors.near[peer, self.peers.robot] = True
                 case LogDigest():
@@ -280,14 +280,14 @@ class Gossip(Replication):
         end = max(first, self._possible(number, first + len(entries)))
         if end == first:
             return
-        self._delivery.entries_received(peer, number, end, len(log))
+        self._acks.entries_received(peer, number, end, len(log))
         if number == self.peers.current[peer]:
             self._cursors.received(peer, end)
         self.peers.expect(peer, number, end)
         if first > len(log):
             self._gaps.add(number)
             if not replica.refuses(peer, number):
-                self._delivery.store(peer, number, first, entries)
+                self._acks.store(peer, number, first, entries)
         else:
             self._gaps.discard(number)
         if first <= len(log) < end and not self.peers.is_own(number):
@@ -297,7 +297,7 @@ class Gossip(Replication):
         if len(log) >= end:
             receivers[[peer, self.peers.robot]] = True
             self._inform(receivers.nonzero()[0], number, end)
-        while (stored := self._delivery.stored(number, len(log))) is not None:
+        while (stored := self._acks.stored(number, len(log))) is not None:
             self._gaps.add(number)
             replica.accept(stored[0], number, stored[1])
 

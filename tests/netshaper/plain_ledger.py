@@ -10,7 +10,7 @@ from typing import NamedTuple
 from hypothesis import strategies as st
 
 from netshaper import pcapng
-from netshaper.admission import refused
+from netshaper.admission import content_of
 from netshaper.capture import HEAD, KEPT, PART, VERSION, WIDE, WIDE_HEAD
 from netshaper.frame_log import Frame, FrameLog, comment
 from netshaper.ledger import CAUSES, KIND_NUMBER, MALFORMED, on_air
@@ -62,7 +62,7 @@ def log_of(seen: Iterable[LoggedFrame]) -> FrameLog:
     """A log of these frames."""
     log = FrameLog()
     for each in seen:
-        content, receivers = refused(each.frame, each.payload, ""), received_by(each)
+        content, receivers = content_of(each.frame, each.payload), received_by(each)
         frame = Frame(each.sender, each.receiver, content, each.map, each.connection)
         log.add(each.round, frame, content, each.verdict, receivers=receivers, reason=each.reason)
     return log
