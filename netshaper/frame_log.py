@@ -66,12 +66,12 @@ class Connection(msgspec.Struct, eq=False, gc=False):
     """A connection of a round of handshakes: an offer, its answer and its data.
 
     `number`: counted in a step, in the order in which connections go on the air. `frames`: those sent so far. `lost`:
-    the kind of the frame whose receiver could not receive it; -1 for none.
+    whether the receiver of the last one cannot receive it.
     """
 
     number: int
     frames: list[Frame]
-    lost: int = -1
+    lost: bool = False
 
     @property
     def offer(self) -> Frame:
@@ -81,7 +81,7 @@ class Connection(msgspec.Struct, eq=False, gc=False):
     def accepts(self, kind: int, sender: int, receiver: int) -> bool:
         """Return whether a frame of a kind is its next one, and goes back to the sender of the last one."""
         last = self.frames[-1]
-        return (sender, receiver, kind) == (last.receiver, last.sender, len(self.frames)) and self.lost < 0
+        return (sender, receiver, kind) == (last.receiver, last.sender, len(self.frames)) and not self.lost
 
 
 class FrameLog:

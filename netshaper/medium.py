@@ -22,7 +22,7 @@ from protocol.budget import Budget
 from protocol.messages import ConnectionReport, Delivery, RadioReport
 from protocol.packet_index import index_of
 
-_CARRIED, _BUDGET, _LOST, _LIMIT, _FULL = map(CAUSES.index, ("", "budget", "lost", "limit", "full"))
+_CARRIED, _BUDGET, _LIMIT, _FULL = map(CAUSES.index, ("", "budget", "limit", "full"))
 
 _MISSED = {LOSS: "lost to", DAMAGED: "damaged at", _FULL: "too much for"}
 
@@ -113,14 +113,11 @@ class Medium:
         return len(content.payload) - len(rest.payload)
 
     def play(self, connection: Connection) -> ConnectionReport:
-        """Put a connection on the air frame by frame, except for the one that is lost; return the carried bytes."""
-        sent = []
-        for kind, frame in enumerate(connection.frames):
-            if kind == connection.lost:
-                self._log.add(self._round, frame, frame.content, _LOST)
-                sent.append(0)
-            else:
-                sent.append(self.carry(frame, [frame.receiver]))
+        """Put a connection on the air frame by frame, except for a lost one; return the carried bytes."""
+        frames = connection.frames[:-1] if connection.lost else connection.frames
+        sent = [self.carry(frame, [frame.receiver]) for frame in frames]
+        if connection.lost:
+            self.refuse(connection.frames[-1], "lost")
         return ConnectionReport(connection.number, *sent)
 
     def arrivals(self) -> list[Arrival]:

@@ -390,7 +390,7 @@ class Radio:
                         Delivery(frame.sender, payload, frame.connection, frame.map_id)
                     )
                 else:
-                    connection.lost = kind
+                    connection.lost = True
         self._expect(PHASES[kind + 1], sorted(arrived))
         for robot, deliveries in sorted(arrived.items()):
             self.events.append((robot, PhaseDelivery(self._step, self._round, PHASES[kind], deliveries)))
@@ -417,7 +417,7 @@ class Radio:
         reports: defaultdict[int, list[ConnectionReport]] = defaultdict(list)
         for connection in self._connections:
             if len(connection.frames) > DATA and connection.offer.receiver in self._topology.dead:
-                connection.lost = DATA
+                connection.lost = True
             report = self._medium.play(connection)
             reports[connection.offer.sender].append(report)
             reports[connection.offer.receiver].append(report)
