@@ -78,7 +78,7 @@ class Replication(ABC):
         return len(self.replica.own_log) * (self.peers.robots - 1) - sum(acked)
 
     def announcements(self) -> bytes:
-        """Return what to broadcast about logs in this step: the digest that is due, and requests for lost entries."""
+        """Return the packets about logs to broadcast in this step: the digest that is due, and requests for entries."""
         return self._next_digest() + self._requests()
 
     def announced(self) -> None:
@@ -87,7 +87,7 @@ class Replication(ABC):
         self._requests_sent()
 
     def receive_announcement(self, peer: int, packet: LogDigest | Held | HeldEarly) -> list[Rejected]:
-        """Take what a peer broadcasts about logs; return the rejections of entries that do not match its digest."""
+        """Process a packet about logs that a peer broadcast; return the rejections of entries that its digest refutes."""
         if isinstance(packet, LogDigest):
             self.replica.receive_digest(peer, packet)
         elif packet.map < len(self.logs):

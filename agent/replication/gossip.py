@@ -1,4 +1,4 @@
-"""Gossip: dissemination by broadcast, so one transmission serves all robots in range (no paper's; docs/replication.md).
+"""Gossip: dissemination by broadcast, so one transmission serves all robots in range (docs/replication.md).
 
 Robots broadcast entries of their own logs as they write them, and forward others' entries to peers that lack them:
 anti-entropy (Demers et al., 1987) over a shared medium. Each robot keeps a version vector for each peer and the radio
@@ -72,17 +72,18 @@ class Gossip(Replication):
 
     def open_round(self, number: int, in_range: list[int], budget: int | None) -> list[OutgoingFrame]:
         """Return the broadcast of this round, if there is anything to send."""
+        self.replica.step += number == 0
+        step = self.replica.step
         if number == 0:
-            self.replica.step += 1
-            self._meetings.begin_step(self.replica.step, in_range)
+            self._meetings.begin_step(step, in_range)
             self._cursors.begin_step(in_range)
             self._in_range = in_range
             self._parted = self._parted or len(in_range) < self.peers.robots - 1
         for dropped in self.replica.take_dropped():
             self._entries_dropped(dropped)
-        self._acks.open_round(self.replica.step, budget if number == 0 else None)
+        self._acks.open_round(step, budget if number == 0 else None)
         lengths = self.replica.lengths()
-        self._policy.compare(self.replica.step, self._meetings.known(self._in_range), lengths)
+        self._policy.compare(step, self._meetings.known(self._in_range), lengths)
         self._builder = FrameBuilder(budget)
         if not in_range:
             return []
@@ -91,14 +92,10 @@ class Gossip(Replication):
         payload = self._builder.payload
         if not payload:
             self._builder = FrameBuilder()  # without handlers, which refer to this object
-            self._idle_since = self.replica.step
+            self._idle_since = step
         unfinished = self.replica.last_append < self.shared < len(self.replica.own_log)
         self.priority = self._policy.priority(
-            served,
-            len(payload),
-            self.replica.step - self._idle_since,
-            parted=self._parted,
-            unfinished=unfinished,
+            served, len(payload), step - self._idle_since, parted=self._parted, unfinished=unfinished
         )
         return [OutgoingFrame(EVERYONE, payload)] if payload else []
 
@@ -123,12 +120,11 @@ class Gossip(Replication):
             self._note_restart(peer, frame)
         for peer, frame in frames:  # reports describe the state before this round
             self._read_reports(peer, frame)
-        if self._builder.payload:
-            sent = max((each.sent for each in report.sent), default=0)
-            self._builder.sent(sent)
-            if sent:
-                self._idle_since = self.replica.step
-            self._builder = FrameBuilder()
+        sent = max((each.sent for each in report.sent), default=0)
+        self._builder.sent(sent)
+        if sent:
+            self._idle_since = self.replica.step
+        self._builder = FrameBuilder()
         for peer, frame in frames:
             for control in frame.controls:
                 if isinstance(control, LogDigest):

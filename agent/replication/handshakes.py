@@ -1,9 +1,9 @@
 """Unicast dissemination on a perfect medium: offer, answer, data, in three phases a round.
 
-The medium acknowledges: its send report says how much of each frame was carried, and what was carried has arrived. What
-was not carried did not happen, so the peer table moves only with the report. A policy chooses the offers; a peer that
-answers with its log length is sent the entries from there on (thesis, section 5.1.2, Algorithm 8). A peer that claims
-fewer entries than it was sent does not want them: it counts as level. `TRANSITIONS` has the states of both ends.
+The medium acknowledges: its send report says how much of each frame was carried, and all carried bytes have arrived. So
+the peer table changes only with the report. A policy chooses the offers. A peer answers an offer with its log length,
+and is sent the entries from there on (thesis, section 5.1.2, Algorithm 8). A peer that claims fewer entries than it was
+sent does not want them: it counts as level. `TRANSITIONS` has the states of both ends.
 """
 
 from __future__ import annotations
