@@ -87,7 +87,7 @@ class Replication(ABC):
         self._requests_sent()
 
     def receive_announcement(self, peer: int, packet: LogDigest | Held | HeldEarly) -> list[Rejected]:
-        """Process a packet about logs that a peer broadcast; return the rejections of entries that its digest refutes."""
+        """Process a packet about logs that a peer broadcast; return the rejections of entries that it refutes."""
         if isinstance(packet, LogDigest):
             self.replica.receive_digest(peer, packet)
         elif packet.map < len(self.logs):
