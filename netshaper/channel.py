@@ -77,21 +77,18 @@ class Channel:
             arrived: list[bytes] = []
             cause = RECEIVED
             for index, frame in enumerate(frames):
-                received: bytes | None = frame
                 if mine[2 * index] < lost:
                     cause = LOSS
                     break
+                received = frame
                 if mine[2 * index + 1] < chance_of_damage(len(frame), options.bit_errors):
                     key = (step, round_number, sender, number, receiver, index)
-                    received = without_checksum(
-                        flip(frame, options.bit_errors, keyed_random(self._seed, "flips", *key))
-                    )
-                elif options.sums:
-                    received = without_checksum(frame)
-                if received is None:
+                    received = flip(frame, options.bit_errors, keyed_random(self._seed, "flips", *key))
+                content = without_checksum(received) if options.sums else received
+                if content is None:
                     cause = DAMAGED
                     break
-                arrived.append(received)
+                arrived.append(content)
             delay = options.delay + int(later * (options.jitter + 1))
             copies = 2 if twice < options.duplication else 1
             receptions.append(Reception([receiver], arrived, cause, delay, copies))
