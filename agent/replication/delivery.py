@@ -73,15 +73,10 @@ class Acks:
         self._stored: defaultdict[int, dict[int, tuple[int, bytes]]] = defaultdict(dict)
         """Entries of each map that came behind a gap, by offset, with their senders."""
 
-    def open_round(self, step: int, lengths: Table, budget: int | None) -> None:
-        """Drop expectations whose retransmission timeout is over.
-
-        `lengths`: of this robot's logs, which are shorter if it dropped entries. `budget`: bytes of a step that begins,
-        else None.
-        """
+    def open_round(self, step: int, budget: int | None) -> None:
+        """Drop expectations whose retransmission timeout is over; `budget`: bytes of a step that begins, else None."""
         if self.reliable:
             return
-        self._reported = np.minimum(self._reported, lengths)
         if budget:
             robots = self._peers.robots
             self._interval = max(PATIENCE, math.ceil(SHARE * Held.size * robots * (robots - 1) / budget))

@@ -79,9 +79,10 @@ class Gossip(Replication):
             self._cursors.begin_step(in_range)
             self._in_range = in_range
             self._parted = self._parted or len(in_range) < self.peers.robots - 1
+        for dropped in self.replica.take_dropped():
+            self._entries_dropped(dropped)
+        self._acks.open_round(step, budget if number == 0 else None)
         lengths = self.replica.lengths()
-        self._informed = np.minimum(self._informed, lengths)  # the replica may have dropped entries
-        self._acks.open_round(step, lengths, budget if number == 0 else None)
         self._policy.compare(step, self._meetings.known(self._in_range), lengths)
         self._builder = FrameBuilder(budget)
         if not in_range:
@@ -214,6 +215,12 @@ class Gossip(Replication):
         """Reject a frame that is malformed; where the peer's next broadcast begins is no longer known."""
         self._cursors.missed(peer)
         self.replica.reject(peer, self.peers.current[peer], reason)
+
+    def _entries_dropped(self, number: int) -> None:
+        """This robot dropped entries of a map, so peers know that it holds more than it does."""
+        length = len(self.logs[number])
+        self._informed[:, number] = np.minimum(self._informed[:, number], length)
+        self._acks.report_sent(number, length)
 
     def _peer_dropped(self, peer: int, number: int, length: int) -> None:
         """A peer dropped entries, so it lacks them."""

@@ -104,6 +104,8 @@ class Replica:
         """Peers that sent entries of each map which are not verified."""
         self._failed: dict[int, tuple[int, int]] = {}
         """Length of a log at which entries could not be decoded, and how often."""
+        self._dropped: set[int] = set()
+        """Maps of which entries were dropped since the last call of `take_dropped`."""
         self._consume = consume
         self._rebuild = rebuild
         self._rejected: list[Rejected] = []
@@ -164,6 +166,11 @@ class Replica:
             self._drop(number)
         else:
             self._ask(number, length + 1)
+
+    def take_dropped(self) -> set[int]:
+        """Return the numbers of the maps of which entries were dropped since the last call."""
+        dropped, self._dropped = self._dropped, set()
+        return dropped
 
     def take_rejected(self) -> list[Rejected]:
         """Return the rejections since the last call."""
@@ -230,6 +237,7 @@ class Replica:
         self._senders.pop(number, None)
         self._failed.pop(number, None)
         self._ask(number, before)
+        self._dropped.add(number)
         self._rebuild([log.read(0) for log in self.logs])
 
     def _ask(self, number: int, length: int) -> None:
