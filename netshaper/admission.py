@@ -7,8 +7,8 @@ count packets. The relay trusts no robot, and accepts only these frames:
     offer       one offer of an existing map, for one robot, once per round
     answer      an answer after at most two blocks, or a decline
     data        whole packets, no offers, broadcasts or checksums
-    news        as data and reports, for all robots, once per round (gossip)
-    other       reports and offers, then log entries, for one robot, once per round (imperfect radio, no gossip)
+    news        reports, then log entries, once per round: for all robots (gossip), or with offers for one robot
+                (imperfect radio, no gossip)
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ MAX_REPORTS = 1 << 12
 
 Begins = Offer | From | FromEarly
 """Packets that select the map of the packets after them."""
-
+OfMap = Begins | Held | HeldEarly
+"""Packets of robots that require acknowledgments: each concerns one map."""
 
 Reader = Callable[[bytes], Content]
 
@@ -46,7 +47,7 @@ def readers(settings: RadioSettings) -> dict[int, Reader]:
         OFFER: _cache_handshakes(partial(read_offer, settings.maps)),
         ANSWER: read_answer,
         DATA: _limited(read_data, settings),
-        NEWS: _limited(read_news if settings.gossip else partial(read_any, settings.maps), settings),
+        NEWS: _limited(partial(read_news, settings), settings),
     }
 
 
@@ -95,11 +96,11 @@ def read_broadcast(payload: bytes, round_number: int) -> Content:
     problem = (
         "broadcast something other than poses, targets, a digest and log lengths, at the start of a step"
     )
-    return refused(BROADCAST, payload, "" if not round_number and is_broadcast(payload) else problem)
+    return content_of(BROADCAST, payload, "" if not round_number and is_broadcast(payload) else problem)
 
 
-def refused(kind: int, payload: bytes, problem: str) -> Content:
-    """Return a frame with a problem; its bytes need not be packets."""
+def content_of(kind: int, payload: bytes, problem: str = "") -> Content:
+    """Return the content of a frame whose bytes need not be packets."""
     try:
         index = index_of(payload)
     except ProtocolError:
@@ -112,11 +113,11 @@ def read_offer(maps: int, payload: bytes) -> Content:
     try:
         content = packets.handshake(payload)
     except ProtocolError as error:
-        return refused(OFFER, payload, str(error))
+        return content_of(OFFER, payload, str(error))
     offer = content[0] if len(content) == 1 else None
     if isinstance(offer, Offer) and offer.map < maps:
         return Content(OFFER, payload, index_of(payload), offer.map)
-    return refused(OFFER, payload, "an offer frame is one offer of a known map")
+    return content_of(OFFER, payload, "an offer frame is one offer of a known map")
 
 
 @_cache_handshakes
@@ -125,10 +126,10 @@ def read_answer(payload: bytes) -> Content:
     try:
         kinds = [type(packet) for packet in packets.handshake(payload)]
     except ProtocolError as error:
-        return refused(ANSWER, payload, str(error))
+        return content_of(ANSWER, payload, str(error))
     is_answer = kinds[-1:] == [packets.Answer] and kinds[:-1] in ([], [packets.Block], 2 * [packets.Block])
     problem = "an answer frame is an answer behind at most two blocks, or a decline"
-    return refused(ANSWER, payload, "" if is_answer or payload == packets.DECLINE else problem)
+    return content_of(ANSWER, payload, "" if is_answer or payload == packets.DECLINE else problem)
 
 
 @cache_short(64)
@@ -143,47 +144,37 @@ def read_data(payload: bytes) -> Content:
     return Content(DATA, payload, index, -1, problem)
 
 
-def read_news(payload: bytes) -> Content:
-    """Read a frame of gossip: log entries and reports."""
+def read_news(settings: RadioSettings, payload: bytes) -> Content:
+    """Read a frame of a round without connections: reports and offers, then log entries."""
     try:
         index = index_of(payload)
         reports = _conn_packets(payload, index)
     except ProtocolError as error:
-        return Content(NEWS, payload, NO_PACKETS, -1, f"{_NEWS}: {error}")
-    odd = _first_of(index, _NO_ENTRIES)
-    for piece in reports:
-        if not odd and not isinstance(piece, packets.Gossip):
-            odd = piece.name
-    problem = f"no {odd} of this kind" if odd else "" if payload else "nothing in it"
-    return Content(NEWS, payload, index, -1, f"{_NEWS}: {problem}" if problem else "")
-
-
-def read_any(maps: int, payload: bytes) -> Content:
-    """Read a frame of a robot that requires acknowledgments: reports and offers, then log entries."""
-    try:
-        index = index_of(payload)
-        reports = _conn_packets(payload, index)
-    except ProtocolError as error:
-        return Content(DATA, payload, NO_PACKETS, -1, str(error))
+        return Content(NEWS if settings.gossip else DATA, payload, NO_PACKETS, -1, str(error))
+    problem = _wrong_in_news(settings, index, reports)
+    if settings.gossip:
+        return Content(NEWS, payload, index, -1, problem)
     if len(reports) < len(index.kinds):
         kind = DATA
     else:
         kind = OFFER if any(isinstance(each, Offer) for each in reports) else ANSWER
     begun = [each.map for each in reports if isinstance(each, Begins)]
     held = [each.map for each in reports if isinstance(each, Held | HeldEarly)]
-    return Content(kind, payload, index, (begun or held or [-1])[0], _wrong_in_any(index, reports, maps))
+    return Content(kind, payload, index, (begun or held or [-1])[0], problem)
 
 
-def _wrong_in_any(index: PacketIndex, reports: Sequence[packets.AnyPacket], maps: int) -> str:
+def _wrong_in_news(settings: RadioSettings, index: PacketIndex, reports: Sequence[packets.AnyPacket]) -> str:
     """Return the error text of a frame of reports and offers, then log entries; empty if it is valid."""
-    if not index.kinds:
-        return "nothing in it"
-    of_a_map = [each for each in reports if isinstance(each, Begins | Held | HeldEarly)]
-    odd = [type(each).__name__ for each in reports if not isinstance(each, Begins | Held | HeldEarly)]
+    allowed = packets.Gossip if settings.gossip else OfMap
+    odd = [type(each).__name__ for each in reports if not isinstance(each, allowed)]
     odd += filter(None, [_first_of(index, _NO_ENTRIES)])
     if odd:
         return f"no {odd[0]} of this kind"
-    if any(each.map >= maps for each in of_a_map):
+    if not index.kinds:
+        return "nothing in it"
+    if settings.gossip:
+        return ""
+    if any(isinstance(each, OfMap) and each.map >= settings.maps for each in reports):
         return "the map of a robot that does not exist"
     first = next((at for at, kind in enumerate(index.kinds) if kind != _CONN), len(index.kinds))
     if first < len(index.kinds) and not any(isinstance(each, From | FromEarly) for each in reports[:first]):
@@ -210,4 +201,3 @@ def _conn_packets(payload: bytes, index: PacketIndex) -> list[packets.AnyPacket]
 _CONN = KIND_NUMBER[Offer.name]
 _NO_ENTRIES = (packets.Target.name, packets.Pose.name, Check.name)
 _NO_DATA = (Offer.name, *_NO_ENTRIES)
-_NEWS = "news are one broadcast of log entries"

@@ -6,6 +6,7 @@ than half of the recent airtime sends after all others.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 
 from protocol.budget import UNLIMITED, Budget
@@ -14,36 +15,26 @@ from protocol.packet_index import PacketIndex
 RECENT = 8
 """Time constant, in steps, of the exponential average of bytes that a robot sent."""
 
-MAX_PRIORITY = 255
-"""The highest priority; higher values are clipped to it."""
-
 
 class Shares:
-    """Recent airtime of each robot.
+    """Recent airtime of each robot."""
 
-    Parameters
-    ----------
-    budget : Budget
-        Bytes per step that all robots share.
-    """
+    def __init__(self) -> None:
+        self._sent: Counter[int] = Counter()
 
-    def __init__(self, budget: Budget) -> None:
-        self.budget = budget
-        self._sent: dict[int, int] = {}
-
-    def rank(self, robot: int, priority: int) -> tuple[bool, int]:
-        """Return the rank of a robot's frames: the lowest is sent first."""
-        limit = self.budget.limit
-        over_half = limit is not None and 2 * self._sent.get(robot, 0) > limit * RECENT
-        return over_half, -min(max(priority, 0), MAX_PRIORITY)
+    def rank(self, robot: int, priority: int, budget: Budget) -> tuple[bool, int]:
+        """Return the rank of a robot's frames, given the budget of a step: the lowest is sent first."""
+        over_half = budget.limit is not None and 2 * self._sent[robot] > budget.limit * RECENT
+        return over_half, -priority
 
     def book(self, robot: int, size: int) -> None:
         """Record that a robot has sent `size` bytes."""
-        self._sent[robot] = self._sent.get(robot, 0) + size
+        self._sent[robot] += size
 
     def next_step(self) -> None:
         """Discount older bytes."""
-        self._sent = {robot: sent * (RECENT - 1) // RECENT for robot, sent in self._sent.items()}
+        for robot in self._sent:
+            self._sent[robot] = self._sent[robot] * (RECENT - 1) // RECENT
 
 
 HOUR = 3600

@@ -28,13 +28,14 @@ class Reception(msgspec.Struct, frozen=True, gc=False):
     """The part of a frame sequence that robots receive.
 
     `frames`: those before the first missing one, without checksums; frames after a gap are discarded. `cause`: the
-    cause of missing frames, in `CAUSES`. `delays`: for each copy, the steps until it arrives.
+    cause of missing frames, in `CAUSES`. `delay`: steps until it arrives. `copies`: how often it arrives.
     """
 
     receivers: Sequence[int]
     frames: Sequence[bytes]
     cause: int
-    delays: list[int]
+    delay: int = 0
+    copies: int = 1
 
 
 class Channel:
@@ -66,7 +67,7 @@ class Channel:
         """
         options = self._options
         if options.lossless:
-            return [Reception(receivers, frames, RECEIVED, [0])]
+            return [Reception(receivers, frames, RECEIVED)]
         random = keyed_random(self._seed, "channel", step, round_number, sender, number)
         draws = random.random((len(self._bad), 2 * len(frames) + 2))
         receptions = []
@@ -76,24 +77,21 @@ class Channel:
             arrived: list[bytes] = []
             cause = RECEIVED
             for index, frame in enumerate(frames):
-                received: bytes | None = frame
                 if mine[2 * index] < lost:
                     cause = LOSS
                     break
+                received = frame
                 if mine[2 * index + 1] < chance_of_damage(len(frame), options.bit_errors):
                     key = (step, round_number, sender, number, receiver, index)
-                    received = without_checksum(
-                        flip(frame, options.bit_errors, keyed_random(self._seed, "flips", *key))
-                    )
-                elif options.sums:
-                    received = without_checksum(frame)
-                if received is None:
+                    received = flip(frame, options.bit_errors, keyed_random(self._seed, "flips", *key))
+                content = without_checksum(received) if options.sums else received
+                if content is None:
                     cause = DAMAGED
                     break
-                arrived.append(received)
+                arrived.append(content)
             delay = options.delay + int(later * (options.jitter + 1))
-            delays = [delay, delay] if twice < options.duplication else [delay]
-            receptions.append(Reception([receiver], arrived, cause, delays))
+            copies = 2 if twice < options.duplication else 1
+            receptions.append(Reception([receiver], arrived, cause, delay, copies))
         return receptions
 
 

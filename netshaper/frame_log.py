@@ -9,7 +9,7 @@ from functools import lru_cache
 import msgspec
 import numpy as np
 
-from netshaper.ledger import ANSWER, CAUSES, EVERYONE, FIRST_ON_AIR, ROW
+from netshaper.ledger import CAUSES, EVERYONE, FIRST_ON_AIR, MALFORMED, ROW
 from protocol.arrays import Int64Rows, ReadOnlyInt32s, ReadOnlyUint8s
 from protocol.kernels import kernel
 from protocol.packet_index import KINDS, PacketIndex
@@ -17,10 +17,8 @@ from protocol.packet_index import KINDS, PacketIndex
 ROUND, CONNECTION, FRAME, SENDER, RECEIVER, MAP, VERDICT, COMMENT, RECEIVERS, BYTES, PACKETS = range(11)
 COLUMNS = 11
 """Columns of a row, one row per frame or part of a frame with one verdict: `FRAME` counts in `netshaper.ledger.FRAMES`,
-`VERDICT` in `CAUSES`, and `COMMENT` in `FrameLog.texts`. The last three are numbers of robots, bytes and packets."""
-
-MALFORMED = -1
-"""In `PACKETS`: the bytes do not decode as packets."""
+`VERDICT` in `CAUSES`, and `COMMENT` in `FrameLog.texts`. The last three are numbers of robots, bytes and packets
+(`MALFORMED` if the bytes do not decode as packets)."""
 
 TEXT_OF_CAUSE = (
     "delivered", "cut by budget", "out of range", "refused", "a partner died", "the sender is mute",
@@ -51,12 +49,15 @@ class Content(msgspec.Struct, frozen=True, gc=False):
 class Frame(msgspec.Struct, frozen=True, gc=False):
     """A frame that a robot sends.
 
-    `position`: among the frames that it submitted. `number`: the same, its broadcast included.
+    `map_id`, `connection`: -1 for none. `position`: among the frames that it submitted. `number`: the same, its
+    broadcast included.
     """
 
     sender: int
     receiver: int
     content: Content
+    map_id: int = -1
+    connection: int = -1
     position: int = -1
     number: int = 0
 
@@ -64,24 +65,23 @@ class Frame(msgspec.Struct, frozen=True, gc=False):
 class Connection(msgspec.Struct, eq=False, gc=False):
     """A connection of a round of handshakes: an offer, its answer and its data.
 
-    `number`: counted in a step, in the order in which connections go on the air. `sender`, `receiver`, `map_id`: of the
-    offer. `frames`: those sent so far. `lost`: the kind of the frame whose receiver could not receive it; -1 for none.
+    `number`: counted in a step, in the order in which connections go on the air. `frames`: those sent so far. `lost`:
+    whether the receiver of the last one cannot receive it.
     """
 
     number: int
-    sender: int
-    receiver: int
-    map_id: int
-    frames: list[Content]
-    lost: int = -1
+    frames: list[Frame]
+    lost: bool = False
 
-    def ends(self, kind: int) -> tuple[int, int]:
-        """Return sender and receiver of its frame of a kind."""
-        return (self.receiver, self.sender) if kind == ANSWER else (self.sender, self.receiver)
+    @property
+    def offer(self) -> Frame:
+        """Its first frame."""
+        return self.frames[0]
 
     def accepts(self, kind: int, sender: int, receiver: int) -> bool:
-        """Return whether a frame of a kind is its next one, and between the right robots."""
-        return self.ends(kind) == (sender, receiver) and len(self.frames) == kind and self.lost < 0
+        """Return whether a frame of a kind is its next one, and goes back to the sender of the last one."""
+        last = self.frames[-1]
+        return (sender, receiver, kind) == (last.receiver, last.sender, len(self.frames)) and not self.lost
 
 
 class FrameLog:
@@ -102,46 +102,30 @@ class FrameLog:
     def add(
         self,
         round_number: int,
+        frame: Frame,
         content: Content,
         verdict: int,
-        sender: int,
-        receiver: int,
-        map_id: int = -1,
-        connection: int = -1,
         *,
         receivers: Sequence[int] = (),
         reason: str = "",
         fate: str = "",
     ) -> None:
-        """Log a frame, or a part of one, with one verdict.
+        """Log the content of a frame, or a part of it, with one verdict.
 
         `receivers`: robots that received it. `reason`: why it was refused, or a note on its delivery. `fate`: comment
         in the capture instead of the one that follows from the others.
         """
         payload, text = content.payload, verdict
-        if fate or reason or receiver == EVERYONE:
-            words = fate or comment(verdict, receiver, tuple(receivers), reason)
+        if fate or reason or frame.receiver == EVERYONE:
+            words = fate or comment(verdict, frame.receiver, tuple(receivers), reason)
             text = self.texts.setdefault(words, len(self.texts))
         count = len(content.packets.kinds) or (MALFORMED if payload else 0)
         self._rows += (
-            round_number, connection, content.kind, sender, receiver, map_id, verdict, text, len(receivers),
-            len(payload), count,
+            round_number, frame.connection, content.kind, frame.sender, frame.receiver, frame.map_id, verdict, text,
+            len(receivers), len(payload), count,
         )  # fmt: skip
         self.receivers += receivers
         self.contents.append(content)
-
-    def add_connection(self, round_number: int, connection: Connection) -> None:
-        """Log the offer, answer and data of a connection, in this order, as carried."""
-        number, map_id = connection.number, connection.map_id
-        sender, receiver = connection.sender, connection.receiver
-        for content in connection.frames:
-            self._rows += (
-                round_number, number, content.kind, sender, receiver, map_id, 0, 0, 1, len(content.payload),
-                len(content.packets.kinds),
-            )  # fmt: skip
-            self.receivers.append(receiver)
-            sender, receiver = receiver, sender
-        self.contents += connection.frames
 
     def rows(self) -> Int64Rows:
         """Return a row per frame, shape (frames, `COLUMNS`); packing is four times as fast as `numpy.array`."""

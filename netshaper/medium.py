@@ -1,8 +1,8 @@
 """The medium: it carries frames as far as the budget allows, and logs every frame and its fate.
 
 All bytes on the air count against the budget, a broadcast once; unused budget lapses. A frame of several packets
-is cut at a packet boundary where the budget ends. In a round of handshakes the first packet that does not fit closes
-the medium for the rest of the step; in other rounds a shorter frame may still use the rest.
+is cut at a packet boundary where the budget ends. On a perfect radio, the first packet that does not fit closes the
+medium for the rest of the step, except for a packet of news: there a shorter frame may still use the rest.
 """
 
 from __future__ import annotations
@@ -16,21 +16,13 @@ from netshaper import capture
 from netshaper.airtime import Airtime, cut_into_frames
 from netshaper.channel import DAMAGED, LOSS, Channel, Reception, with_checksum
 from netshaper.frame_log import Connection, Content, Frame, FrameLog
-from netshaper.ledger import BROADCAST, CAUSES, DATA, NEWS
+from netshaper.ledger import CAUSES, DATA, NEWS
 from netshaper.settings import RadioSettings
 from protocol.budget import Budget
 from protocol.messages import ConnectionReport, Delivery, RadioReport
 from protocol.packet_index import index_of
 
-_CARRIED, _BUDGET, _LOST, _LIMIT, _FULL = map(CAUSES.index, ("", "budget", "lost", "limit", "full"))
-
-_NO_LIMIT = 1 << 62
-
-
-def _limit(budget: Budget) -> int:
-    """Return the bytes of a budget, a number beyond all sizes if it has no limit."""
-    return _NO_LIMIT if budget.limit is None else budget.limit
-
+_CARRIED, _BUDGET, _LIMIT, _FULL = map(CAUSES.index, ("", "budget", "limit", "full"))
 
 _MISSED = {LOSS: "lost to", DAMAGED: "damaged at", _FULL: "too much for"}
 
@@ -51,12 +43,12 @@ class Account(msgspec.Struct, frozen=True, gc=False):
 
 
 class Arrival(msgspec.Struct, frozen=True, gc=False):
-    """A frame that reaches its receivers at the beginning of step `due`."""
+    """A frame that reaches its receivers at the beginning of step `due`; `kind`: as in `netshaper.ledger.FRAMES`."""
 
     due: int
     receivers: Sequence[int]
     delivery: Delivery
-    is_broadcast: bool
+    kind: int
 
 
 class Medium:
@@ -98,76 +90,35 @@ class Medium:
         account, self._log = Account(self._step, self.carried, self._log), FrameLog()
         return account
 
-    def refuse(self, sender: int, receiver: int, content: Content, cause: str, reason: str = "") -> None:
+    def refuse(self, frame: Frame, cause: str, reason: str = "") -> None:
         """Log a frame that does not go on the air, and why."""
-        self._log.add(self._round, content, CAUSES.index(cause), sender, receiver, reason=reason)
-
-    def broadcast(self, frame: Frame, receivers: Sequence[int]) -> bool:
-        """Put a pose and target on the air, whole or not at all; return whether they were carried."""
-        carried = self.carry(frame, receivers) > 0
-        if not carried and self._closes:
-            self.airtime.left = Budget(0)
-        return carried
+        self._log.add(self._round, frame, frame.content, CAUSES.index(cause), reason=reason)
 
     def carry(self, frame: Frame, receivers: Sequence[int]) -> int:
         """Put a frame on the air as far as the budget allows; return the bytes of its packets that were carried.
 
         Data and news are cut at a packet boundary; other frames are sent whole or not at all.
         """
-        sender, receiver, content = frame.sender, frame.receiver, frame.content
-        shared = self.airtime.shared(sender)
-        room = shared.least(self.airtime.own(sender))
+        content = frame.content
+        shared = self.airtime.shared(frame.sender)
+        room = shared.least(self.airtime.own(frame.sender))
         pieces, rest = self._cut(content, room)
         if pieces:
             self._transmit(frame, pieces, receivers)
         if rest is None:
             return len(content.payload)
-        cause = _BUDGET if room == shared else _LIMIT
-        self._log.add(self._round, rest, cause, sender, receiver, content.map_id)
+        self._log.add(self._round, frame, rest, _BUDGET if room == shared else _LIMIT)
+        if self._closes and content.kind != NEWS:
+            self.airtime.left = Budget(0)
         return len(content.payload) - len(rest.payload)
 
-    def play(self, connections: Sequence[Connection]) -> list[ConnectionReport]:
-        """Put connections on the air one by one, frame by frame, as far as the budget allows.
-
-        A frame that is lost is the last of its connection. Return for each connection what went on the air.
-        """
-        left, most = _limit(self.airtime.left), _limit(self._frame_limit)
-        played: list[ConnectionReport] = []
-        for connection in connections:
-            frames = connection.frames
-            sizes = [len(content.payload) for content in frames]
-            size = sum(sizes)
-            if connection.lost < 0 and size <= left and (size <= most or max(sizes) <= most):
-                self._log.add_connection(self._round, connection)
-                left -= size
-                self.carried += size
-            else:
-                sizes, left = self._play_in_part(connection, left)
-                self.carried += sum(sizes)
-            played.append(ConnectionReport(connection.number, *sizes))
-        if not self.airtime.left.unlimited:
-            self.airtime.left = Budget(left)
-        return played
-
-    def _play_in_part(self, connection: Connection, left: int) -> tuple[list[int], int]:
-        """Put a connection on the air that is lost or has to be cut, with `left` bytes of the budget.
-
-        Return the bytes of each of its frames that were on the air, and the remaining budget.
-        """
-        played: list[int] = []
-        for kind, content in enumerate(connection.frames):
-            sender, receiver = connection.ends(kind)
-            ends = sender, receiver, connection.map_id, connection.number
-            lost = connection.lost == kind
-            pieces, rest = ([], content) if lost else self._cut(content, Budget(left))
-            for piece in pieces:
-                self._log.add(self._round, piece, _CARRIED, *ends, receivers=(receiver,))
-            played.append(sum([len(piece.payload) for piece in pieces]))
-            left -= played[-1]
-            if rest is not None:
-                self._log.add(self._round, rest, _LOST if lost else _BUDGET, *ends)
-                left = left if lost else 0  # too small for the next packet: the medium closes
-        return played, left
+    def play(self, connection: Connection) -> ConnectionReport:
+        """Put a connection on the air frame by frame, except for a lost one; return the carried bytes."""
+        frames = connection.frames[:-1] if connection.lost else connection.frames
+        sent = [self.carry(frame, [frame.receiver]) for frame in frames]
+        if connection.lost:
+            self.refuse(connection.frames[-1], "lost")
+        return ConnectionReport(connection.number, *sent)
 
     def arrivals(self) -> list[Arrival]:
         """Remove and return the frames that have arrived by now."""
@@ -204,20 +155,22 @@ class Medium:
         )
         if self.airtime.limits_reception:
             receptions = [self._accept(each, robot) for each in receptions for robot in each.receivers]
-        for reception in receptions:
-            payload = b"".join(reception.frames)
-            delivery = Delivery(frame.sender, payload)
-            is_broadcast = frame.content.kind == BROADCAST
-            for delay in reception.delays if payload else ():
-                self._coming.append(Arrival(self._step + delay, reception.receivers, delivery, is_broadcast))
         for number, piece in enumerate(pieces):
             self._log_piece(frame, number, piece, receptions)
+        kind = frame.content.kind
+        if frame.connection >= 0 and kind != DATA:
+            return  # robots have received offers and answers in their phases
+        for reception in receptions:
+            if payload := b"".join(reception.frames):
+                delivery = Delivery(frame.sender, payload, frame.connection)
+                arrival = Arrival(self._step + reception.delay, reception.receivers, delivery, kind)
+                self._coming += reception.copies * [arrival]
 
     def _accept(self, reception: Reception, receiver: int) -> Reception:
         """Return the part of a reception within the limit of bytes that one of its robots can receive per step."""
         for number, payload in enumerate(reception.frames):
             if not self.airtime.receives(receiver, len(payload) + self._tail):
-                return Reception([receiver], reception.frames[:number], _FULL, reception.delays)
+                return replace(reception, receivers=[receiver], frames=reception.frames[:number], cause=_FULL)
         return replace(reception, receivers=[receiver])
 
     def _log_piece(self, frame: Frame, number: int, piece: Content, receptions: Sequence[Reception]) -> None:
@@ -230,14 +183,14 @@ class Medium:
                 missed += [(reception.cause, robot) for robot in reception.receivers]
                 continue
             received += reception.receivers
-            delay, *again = reception.delays
-            for robot in reception.receivers if delay or again else ():
-                late += [f"heard by r{robot} in step {self._step + delay}"] if delay else []
-                late += [f"twice by r{robot}"] if again else []
+            if reception.delay:
+                due = self._step + reception.delay
+                late += [f"heard by r{robot} in step {due}" for robot in reception.receivers]
+            if reception.copies > 1:
+                late += [f"twice by r{robot}" for robot in reception.receivers]
         verdict, reason = _CARRIED, ""
-        if received:
-            reason = ", ".join([f"{_MISSED[cause]} r{robot}" for cause, robot in missed] + late)
-        elif missed:
+        if missed and not received:
             verdict = max(missed)[0]
-        ends = frame.sender, frame.receiver, frame.content.map_id
-        self._log.add(self._round, piece, verdict, *ends, receivers=received, reason=reason)
+        elif missed or late:
+            reason = ", ".join([f"{_MISSED[cause]} r{robot}" for cause, robot in missed] + late)
+        self._log.add(self._round, frame, piece, verdict, receivers=received, reason=reason)

@@ -29,10 +29,10 @@ from typing import TypeVar
 
 import msgspec
 
-from netshaper.admission import read_broadcast, readers, refused
+from netshaper.admission import content_of, read_broadcast, readers
 from netshaper.airtime import Shares
-from netshaper.frame_log import Connection, Content, Frame
-from netshaper.ledger import ANSWER, DATA, EVERYONE, NEWS, OFFER
+from netshaper.frame_log import Connection, Frame
+from netshaper.ledger import ANSWER, BROADCAST, DATA, EVERYONE, NEWS, OFFER
 from netshaper.medium import Account, Medium
 from netshaper.phase_clock import PHASES
 from netshaper.settings import RadioSettings
@@ -86,7 +86,7 @@ class Radio:
         self._readers = readers(settings)
         """For each kind of frame the function that reads it."""
         self._medium = Medium(settings)
-        self._shares = Shares(settings.budget)
+        self._shares = Shares()
         self._step = 0
         self._round = 0
         self._phase = ""
@@ -177,7 +177,6 @@ class Radio:
         self.changed.append(change)
         if change.budget is not None:
             self.settings = replace(self.settings, budget=change.budget)
-            self._shares.budget = change.budget
             self._medium.airtime.set_budget(change.budget)
         if change.range_mm is not None:
             cells = change.range_mm / 1000 / self.settings.cell_m
@@ -231,10 +230,10 @@ class Radio:
 
     # --- admission and order
 
-    def _refuse(self, sender: int, receiver: int, content: Content, cause: str, reason: str = "") -> None:
-        self._medium.refuse(sender, receiver, content, cause, reason)
+    def _refuse(self, frame: Frame, cause: str, reason: str = "") -> None:
+        self._medium.refuse(frame, cause, reason)
         if reason:
-            self.protocol_errors.append((sender, reason))
+            self.protocol_errors.append((frame.sender, reason))
 
     def _refuse_out_of_turn(self, sender: int, submitted: RobotFrames) -> None:
         at = f"round {submitted.round} of step {submitted.step}"
@@ -243,7 +242,7 @@ class Radio:
         frames = [OutgoingFrame(EVERYONE, submitted.broadcast)] if submitted.broadcast else []
         reason = "spoke out of turn"
         for each in [*frames, *submitted.frames]:
-            self._refuse(sender, each.receiver, refused(DATA, each.payload, reason), "protocol", reason)
+            self._refuse(Frame(sender, each.receiver, content_of(DATA, each.payload)), "protocol", reason)
 
     def _admit(self, kind: int) -> tuple[list[Frame], list[Frame]]:
         """Return the admitted broadcasts of poses and targets, and the other admitted frames of the first phase."""
@@ -252,11 +251,11 @@ class Radio:
         read, receiving = self._readers[kind], self._topology.receiving()
         for sender, submitted in sorted(self._submitted.items()):
             if submitted.broadcast:
-                content = read_broadcast(submitted.broadcast, self._round)
-                if content.problem:
-                    self._refuse(sender, EVERYONE, content, "protocol", content.problem)
+                frame = Frame(sender, EVERYONE, read_broadcast(submitted.broadcast, self._round))
+                if frame.content.problem:
+                    self._refuse(frame, "protocol", frame.content.problem)
                 else:
-                    broadcasts.append(Frame(sender, EVERYONE, content))
+                    broadcasts.append(frame)
             reachable = {EVERYONE, *self._topology.in_range.get(sender, ())}
             mute, first = sender in self._topology.mute, int(bool(submitted.broadcast))
             sent: set[tuple[int, int]] = set()
@@ -267,16 +266,18 @@ class Radio:
                 if kind == NEWS and (receiver == EVERYONE) != self.settings.gossip:
                     problem = NOT_FOR_ALL if receiver == EVERYONE else NOT_FOR_ONE
                 if receiver not in reachable:
-                    self._refuse(sender, receiver, content, "range")
+                    self._refuse(Frame(sender, receiver, content), "range")
                 elif problem:
-                    self._refuse(sender, receiver, content, "protocol", problem)
+                    self._refuse(Frame(sender, receiver, content), "protocol", problem)
                 elif mute:
-                    self._refuse(sender, receiver, content, "mute")
+                    self._refuse(Frame(sender, receiver, content), "mute")
                 elif kind != OFFER and receiver != EVERYONE and receiver not in receiving:
-                    self._refuse(sender, receiver, content, "lost")
+                    self._refuse(Frame(sender, receiver, content), "lost")
                 else:
                     sent.add(pair)
-                    frames.append(Frame(sender, receiver, content, position, first + position))
+                    frames.append(
+                        Frame(sender, receiver, content, content.map_id, -1, position, first + position)
+                    )
         return broadcasts, frames
 
     def _drawn(self, purpose: str, items: list[Item]) -> list[Item]:
@@ -298,15 +299,15 @@ class Radio:
         if self.settings.gossip and self.settings.budget.limit is not None:
             share = Budget(self.settings.budget.limit // (len(self._asked) + 1))
         for frame in self._drawn("targets", broadcasts):
-            sender, receiver, content = frame.sender, frame.receiver, frame.content
+            sender = frame.sender
             if sender in self._topology.mute:
-                self._refuse(sender, receiver, content, "mute")
-            elif medium.carried and not share.fits(medium.carried + len(content.payload)):
-                self._refuse(sender, receiver, content, "budget")
+                self._refuse(frame, "mute")
+            elif medium.carried and not share.fits(medium.carried + len(frame.content.payload)):
+                self._refuse(frame, "budget")
                 self._broadcast_sent[sender] = False
             else:
                 receivers = self._topology.receivers_of(sender)
-                self._broadcast_sent[sender] = medium.broadcast(frame, receivers)
+                self._broadcast_sent[sender] = medium.carry(frame, receivers) > 0
 
     def _deliver_broadcasts(self) -> dict[int, list[Delivery]]:
         """Deliver the broadcasts that have arrived by now, and return for each robot the other arrivals."""
@@ -314,7 +315,7 @@ class Radio:
         others: defaultdict[int, list[Delivery]] = defaultdict(list)
         receiving = self._topology.receiving()
         for arrival in self._medium.arrivals():
-            by_robot = poses if arrival.is_broadcast else others
+            by_robot = poses if arrival.kind == BROADCAST else others
             for robot in arrival.receivers:
                 if robot in receiving:
                     by_robot[robot].append(arrival.delivery)
@@ -335,9 +336,7 @@ class Radio:
             self._shares.book(sender, sent)
             reports[sender].append(SendReport(frame.position, sent))
         arrived = self._deliver_broadcasts()
-        for robot in sorted({*reports, *arrived, *self._broadcast_sent} - self._topology.dead):
-            mine = sorted(reports.get(robot, ()), key=_FRAME)
-            self._report(robot, [], mine, arrived.get(robot, []))
+        self._report({}, reports, arrived)
         self._next_round(
             busy=bool(arrived) or any(report.sent for mine in reports.values() for report in mine)
         )
@@ -345,7 +344,7 @@ class Radio:
     def _by_priority(self, frames: list[Frame]) -> list[Frame]:
         """Put frames into the order in which they go on the air: acknowledgments first, then by rank."""
         ranks = {
-            sender: self._shares.rank(sender, submitted.priority)
+            sender: self._shares.rank(sender, submitted.priority, self.settings.budget)
             for sender, submitted in self._submitted.items()
         }
         order = self._drawn("back-off" if self.settings.perfect else "contention", frames)
@@ -353,14 +352,18 @@ class Radio:
 
     def _report(
         self,
-        robot: int,
-        connections: list[ConnectionReport],
-        sent: list[SendReport],
-        deliveries: list[Delivery],
+        connections: Mapping[int, list[ConnectionReport]],
+        sent: Mapping[int, list[SendReport]],
+        arrived: Mapping[int, list[Delivery]],
     ) -> None:
-        broadcast = self._broadcast_sent.get(robot, False)
-        report = RoundReport(self._step, self._round, connections, sent, deliveries, broadcast)
-        self.events.append((robot, report))
+        """Report the end of a round to each robot that sent or received anything."""
+        for robot in sorted({*connections, *sent, *arrived, *self._broadcast_sent} - self._topology.dead):
+            mine = sorted(sent.get(robot, ()), key=_FRAME)
+            deliveries, broadcast = arrived.get(robot, []), self._broadcast_sent.get(robot, False)
+            report = RoundReport(
+                self._step, self._round, connections.get(robot, []), mine, deliveries, broadcast
+            )
+            self.events.append((robot, report))
 
     # --- rounds of handshakes
 
@@ -369,10 +372,9 @@ class Radio:
         broadcasts, offers = self._admit(OFFER)
         self._send_broadcasts(broadcasts)
         self._deliver_broadcasts()
-        offers.sort(key=lambda frame: (frame.sender, frame.receiver, frame.content.map_id))
+        offers.sort(key=lambda frame: (frame.sender, frame.receiver, frame.map_id))
         for number, frame in enumerate(self._drawn("contention", offers), self._first):
-            sender, receiver, content = frame.sender, frame.receiver, frame.content
-            self._connections.append(Connection(number, sender, receiver, content.map_id, [content]))
+            self._connections.append(Connection(number, [msgspec.structs.replace(frame, connection=number)]))
         self._deliver(OFFER)
 
     def _deliver(self, kind: int) -> None:
@@ -381,12 +383,14 @@ class Radio:
         arrived: defaultdict[int, list[Delivery]] = defaultdict(list)
         for connection in self._connections:
             if len(connection.frames) > kind:
-                sender, receiver = connection.ends(kind)
-                if receiver in receiving:
-                    payload = connection.frames[kind].payload
-                    arrived[receiver].append(Delivery(sender, payload, connection.number, connection.map_id))
+                frame = connection.frames[kind]
+                if frame.receiver in receiving:
+                    payload = frame.content.payload
+                    arrived[frame.receiver].append(
+                        Delivery(frame.sender, payload, frame.connection, frame.map_id)
+                    )
                 else:
-                    connection.lost = kind
+                    connection.lost = True
         self._expect(PHASES[kind + 1], sorted(arrived))
         for robot, deliveries in sorted(arrived.items()):
             self.events.append((robot, PhaseDelivery(self._step, self._round, PHASES[kind], deliveries)))
@@ -395,32 +399,27 @@ class Radio:
         """Match the submitted frames to their connections; refuse those that belong to none."""
         for sender, submitted in sorted(self._submitted.items()):
             for each in submitted.frames:
-                content, at = self._readers[kind](each.payload), each.connection - self._first
+                receiver, content = each.receiver, self._readers[kind](each.payload)
+                at = each.connection - self._first
                 connection = self._connections[at] if 0 <= at < len(self._connections) else None
-                if connection is None or not connection.accepts(kind, sender, each.receiver):
+                if connection is None or not connection.accepts(kind, sender, receiver):
                     reason = "a frame of no connection of its own"
-                    self._refuse(sender, each.receiver, content, "protocol", reason)
+                    self._refuse(Frame(sender, receiver, content), "protocol", reason)
                 elif content.problem:
-                    self._refuse(sender, each.receiver, content, "protocol", content.problem)
+                    self._refuse(Frame(sender, receiver, content), "protocol", content.problem)
                 else:
-                    connection.frames.append(content)
+                    map_id = connection.offer.map_id
+                    connection.frames.append(Frame(sender, receiver, content, map_id, connection.number))
 
     def _end_data(self) -> None:
         """Play the connections, and report to both ends of each."""
         self._collect(DATA)
-        dead = self._topology.dead
-        for connection in self._connections:
-            if len(connection.frames) > DATA and connection.receiver in dead:
-                connection.lost = DATA
         reports: defaultdict[int, list[ConnectionReport]] = defaultdict(list)
-        arrived: defaultdict[int, list[Delivery]] = defaultdict(list)
-        for connection, report in zip(self._connections, self._medium.play(self._connections), strict=True):
-            reports[connection.sender].append(report)
-            reports[connection.receiver].append(report)
-            if report.data:
-                payload = connection.frames[DATA].payload[: report.data]
-                delivery = Delivery(connection.sender, payload, connection.number, connection.map_id)
-                arrived[connection.receiver].append(delivery)
-        for robot in sorted({*reports, *self._broadcast_sent} - dead):
-            self._report(robot, reports.get(robot, []), [], arrived.get(robot, []))
+        for connection in self._connections:
+            if len(connection.frames) > DATA and connection.offer.receiver in self._topology.dead:
+                connection.lost = True
+            report = self._medium.play(connection)
+            reports[connection.offer.sender].append(report)
+            reports[connection.offer.receiver].append(report)
+        self._report(reports, {}, self._deliver_broadcasts())
         self._next_round(busy=True)

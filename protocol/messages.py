@@ -179,7 +179,10 @@ class OutgoingFrame(Part, frozen=True):
 
 
 class Delivery(Part, frozen=True):
-    """In a relay event: a received frame. `connection` and `map_id`: -1 for none."""
+    """In a relay event: a received frame.
+
+    `connection`: -1 for none. `map_id`: the map of an offer, and of its answer; -1 for other frames.
+    """
 
     sender: RobotNumber
     payload: Frame

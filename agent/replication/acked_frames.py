@@ -169,7 +169,7 @@ class AckedFrames(Replication):
             if number == self.peers.own:
                 self.replica.check_own(peer, first, entries)
             self._owe_report(peer, number)
-            self._learn(peer, number, end)
+            self.peers.expect(peer, number, self._possible(number, end))
             if first <= length < end and not self.peers.is_own(number):
                 self.replica.accept(peer, number, b"".join(entries[length - first :]))
 
@@ -195,7 +195,7 @@ class AckedFrames(Replication):
         """A peer reports how many entries of a map it holds; after restarts, a late report may claim too many."""
         if len(self.logs) > self.peers.robots:
             self.peers.expected[peer, number] = 0
-        self._learn(peer, number, length)
+        self.peers.expect(peer, number, self._possible(number, length))
         timer, now = self._timers[peer, number], self._rounds.now
         timer.reported = now
         if timer.sent is not None and (timer.tries == 1 or timer.round_trip is None):
@@ -204,9 +204,3 @@ class AckedFrames(Replication):
         if timer.round_trip is not None:
             timer.wait = min(max(MIN_TIMEOUT, timer.round_trip + 1), MAX_TIMEOUT)
         self._rounds.due[peer, number] = now
-
-    def _learn(self, peer: int, number: int, length: int) -> None:
-        """A peer holds at least so many entries; of this robot's map none that was not on the air."""
-        if number == self.peers.own:
-            length = min(length, self.shared)
-        self.peers.expect(peer, number, length)

@@ -44,7 +44,11 @@ class Replication(ABC):
 
     def retract(self, count: int) -> bool:
         """Remove the last `count` entries of this robot's log if no other robot can hold any; return whether it did."""
-        return self.replica.own_log.retract(count, self.shared)
+        left = len(self.replica.own_log) - count
+        if left < self.shared:
+            return False
+        self.replica.own_log.cut(left)
+        return True
 
     @abstractmethod
     def open_round(self, number: int, in_range: list[int], budget: int | None) -> list[OutgoingFrame]:
@@ -74,17 +78,16 @@ class Replication(ABC):
         return len(self.replica.own_log) * (self.peers.robots - 1) - sum(acked)
 
     def announcements(self) -> bytes:
-        """Return what to broadcast about logs in this step: the digest that is due, and requests for lost entries."""
-        digest = self._next_digest()
-        return (packets.encode([digest]) if digest is not None else b"") + self._requests()
+        """Return the packets about logs to broadcast in this step: the digest that is due, and requests for entries."""
+        return self._next_digest() + self._requests()
 
     def announced(self) -> None:
         """Note that this step's broadcast was on the air."""
-        self.replica.digest_length = None
+        self._digest_sent()
         self._requests_sent()
 
     def receive_announcement(self, peer: int, packet: LogDigest | Held | HeldEarly) -> list[Rejected]:
-        """Take what a peer broadcasts about logs; return the rejections of entries that do not match its digest."""
+        """Process a packet about logs that a peer broadcast; return the rejections of entries that it refutes."""
         if isinstance(packet, LogDigest):
             self.replica.receive_digest(peer, packet)
         elif packet.map < len(self.logs):
@@ -95,8 +98,8 @@ class Replication(ABC):
                 self._peer_dropped(peer, number, length)
         return self.replica.take_rejected()
 
-    def _next_digest(self) -> LogDigest | None:
-        """Return the digest of this robot's log if it is time to send one, or a peer may hold other entries."""
+    def _next_digest(self) -> bytes:
+        """Return the digest of this robot's log, empty unless one is due or a peer may hold other entries."""
         replica, robots = self.replica, self.peers.robots
         if replica.step >= self._digest_step:
             replica.request_digest(len(replica.own_log))
@@ -104,8 +107,13 @@ class Replication(ABC):
             self._digest_step = replica.step + wait - (replica.step + INTERVAL * self.peers.robot) % wait
         length = 0 if replica.digest_length is None else min(replica.digest_length, self.shared)
         if self.salt is None or not length:
-            return None
-        return replica.verifiers[self.peers.own].digest(length, self.salt, complete=length == self.shared)
+            return b""
+        verifier = replica.verifiers[self.peers.own]
+        return packets.encode([verifier.digest(length, self.salt, complete=length == self.shared)])
+
+    def _digest_sent(self) -> None:
+        """Note that the digest of this robot's log was on the air."""
+        self.replica.digest_length = None
 
     def _requests(self) -> bytes:
         """Return the log lengths of the maps to ask for."""
@@ -115,6 +123,10 @@ class Replication(ABC):
         """Note that peers received the requests."""
         for number in self.replica.maps_to_ask_for():
             self.replica.asked(number)
+
+    def _possible(self, number: int, length: int) -> int:
+        """Bound a log length that a peer claims: of this robot's map none holds what was not on the air."""
+        return min(length, self.shared) if number == self.peers.own else length
 
     def _peer_dropped(self, peer: int, number: int, length: int) -> None:
         """A peer dropped the entries of a map from offset `length` on."""

@@ -17,7 +17,7 @@ from agent.replication.acked_frames import AckedFrames
 from agent.replication.base import Replication
 from agent.replication.delivery import Acks
 from agent.replication.gossip import Gossip
-from agent.replication.gossip_policy import Dependencies, no_dependencies
+from agent.replication.gossip_policy import Dependencies
 from agent.replication.handshakes import Handshakes
 from agent.replication.peers import map_ids
 from agent.replication.policies import DISSEMINATIONS, GOSSIP, POLICIES
@@ -26,10 +26,7 @@ from agent.settings import Settings
 
 
 def make_replication(
-    settings: Settings,
-    consume: Consume,
-    dependencies: Dependencies = no_dependencies,
-    rebuild: Rebuild = lambda _logs: None,
+    settings: Settings, consume: Consume, dependencies: Dependencies, rebuild: Rebuild
 ) -> Replication:
     """Return a robot's end of the replication, by its settings; ValueError if there is no such dissemination.
 

@@ -1,4 +1,4 @@
-"""Gossip: dissemination by broadcast, so one transmission serves all robots in range (no paper's; docs/replication.md).
+"""Gossip: dissemination by broadcast, so one transmission serves all robots in range (docs/replication.md).
 
 Robots broadcast entries of their own logs as they write them, and forward others' entries to peers that lack them:
 anti-entropy (Demers et al., 1987) over a shared medium. Each robot keeps a version vector for each peer and the radio
@@ -48,18 +48,17 @@ Robots = list[int] | NDArray[np.intp]
 class Gossip(Replication):
     """One robot's broadcasts and what it learns from those of others."""
 
-    def __init__(self, replica: Replica, delivery: Acks, dependencies: Dependencies) -> None:
+    def __init__(self, replica: Replica, acks: Acks, dependencies: Dependencies) -> None:
         super().__init__(replica)
         peers = self.peers
         robot, robots, first_incarnation = peers.robot, peers.robots, peers.own < peers.robots
-        self._delivery = delivery
+        self._acks = acks
         self._neighbors = Neighbors(robot, robots)
         self._meetings = Meetings(robots, settled=first_incarnation)
-        self._cursors = BroadcastCursors(robot, robots, known=first_incarnation, reliable=delivery.reliable)
+        self._cursors = BroadcastCursors(robot, robots, known=first_incarnation, reliable=acks.reliable)
         self._policy = GossipPolicy(peers, replica.logs, self._neighbors, dependencies)
         self._informed = peers.new_table()
         """``_informed[peer, map]``: entries that the peer knows this robot to hold."""
-        self._step = 0
         self._in_range: list[int] = []
         self._parted = False
         """Whether any robot has ever been out of range."""
@@ -73,40 +72,40 @@ class Gossip(Replication):
 
     def open_round(self, number: int, in_range: list[int], budget: int | None) -> list[OutgoingFrame]:
         """Return the broadcast of this round, if there is anything to send."""
+        self.replica.step += number == 0
+        step = self.replica.step
         if number == 0:
-            self._step += 1
-            self.replica.step = self._step
-            self._meetings.begin_step(self._step, in_range)
+            self._meetings.begin_step(step, in_range)
             self._cursors.begin_step(in_range)
             self._in_range = in_range
             self._parted = self._parted or len(in_range) < self.peers.robots - 1
         for dropped in self.replica.take_dropped():
             self._entries_dropped(dropped)
-        self._delivery.open_round(self._step, budget if number == 0 else None)
+        self._acks.open_round(step, budget if number == 0 else None)
         lengths = self.replica.lengths()
-        self._policy.compare(self._step, self._meetings.known(self._in_range), lengths)
+        self._policy.compare(step, self._meetings.known(self._in_range), lengths)
         self._builder = FrameBuilder(budget)
         if not in_range:
             return []
         self._add_reports(lengths)
-        served = self._policy.serve(self._in_range, self._delivery.turn, self._add_range)
+        served = self._policy.serve(self._in_range, self._acks.turn, self._add_range)
         payload = self._builder.payload
         if not payload:
             self._builder = FrameBuilder()  # without handlers, which refer to this object
-            self._idle_since = self._step
+            self._idle_since = step
         unfinished = self.replica.last_append < self.shared < len(self.replica.own_log)
         self.priority = self._policy.priority(
-            served, len(payload), self._step - self._idle_since, parted=self._parted, unfinished=unfinished
+            served, len(payload), step - self._idle_since, parted=self._parted, unfinished=unfinished
         )
         return [OutgoingFrame(EVERYONE, payload)] if payload else []
 
     def announcements(self) -> bytes:
         """Return the requests for dropped entries, unless frames of gossip have them: a late report is no request."""
-        return b"" if self._delivery.reliable else self._requests()
+        return b"" if self._acks.reliable else self._requests()
 
     def announced(self) -> None:
         """Note that this step's broadcast was on the air."""
-        if not self._delivery.reliable:
+        if not self._acks.reliable:
             self._requests_sent()
 
     def close_round(self, report: RoundReport) -> list[Rejected]:
@@ -121,12 +120,11 @@ class Gossip(Replication):
             self._note_restart(peer, frame)
         for peer, frame in frames:  # reports describe the state before this round
             self._read_reports(peer, frame)
-        if self._builder.payload:
-            sent = max((each.sent for each in report.sent), default=0)
-            self._builder.sent(sent)
-            if sent:
-                self._idle_since = self._step
-            self._builder = FrameBuilder()
+        sent = max((each.sent for each in report.sent), default=0)
+        self._builder.sent(sent)
+        if sent:
+            self._idle_since = self.replica.step
+        self._builder = FrameBuilder()
         for peer, frame in frames:
             for control in frame.controls:
                 if isinstance(control, LogDigest):
@@ -150,8 +148,8 @@ class Gossip(Replication):
             if builder.fits(near):
                 builder.add(near, partial(self._neighbors.inform, self._in_range, robot, here))
         digest = self._next_digest()
-        if digest is not None and builder.fits(packet := packets.encode([digest])):
-            builder.add(packet, self._digest_sent)
+        if digest and builder.fits(digest):
+            builder.add(digest, self._digest_sent)
         end = 0
         for number in self._reports_due(lengths, owed).nonzero()[0].tolist():
             held = report(number, len(self.logs[number]))
@@ -161,18 +159,18 @@ class Gossip(Replication):
 
     def _reports_due(self, lengths: Table, owed: list[int]) -> Mask:
         """Return the mask of maps of which some peer should know how much this robot holds."""
-        robots, step = self.peers.robots, self._step
+        robots, step = self.peers.robots, self.replica.step
         due = np.zeros(len(lengths), np.bool_)
         for peer in owed:
             due |= self._informed[peer] < lengths
-        if self._delivery.reliable:
+        if self._acks.reliable:
             due[self.replica.maps_to_ask_for()] = True
         for number in self._gaps:
-            due[number] |= step >= self._reported[number] + self._delivery.gap_interval
+            due[number] |= step >= self._reported[number] + self._acks.gap_interval
         if self._parted and step % REFRESH == self.peers.robot % REFRESH:
             numbers = np.arange(len(lengths))
             due |= (numbers % robots == step // REFRESH % robots) & ((numbers < robots) | (lengths > 0))
-        self._delivery.add_due(due, lengths, step, self._reported)
+        self._acks.add_due(due, lengths, step, self._reported)
         due[self.peers.own] = False
         return due
 
@@ -187,18 +185,14 @@ class Gossip(Replication):
 
     # --- what was on the air
 
-    def _digest_sent(self) -> None:
-        """The digest of this robot's log was on the air."""
-        self.replica.digest_length = None
-
     def _report_sent(self, number: int) -> None:
         """This robot's report of a map was on the air."""
         self.replica.asked(number)
         length = len(self.logs[number])
-        self._reported[number] = self._step
+        self._reported[number] = self.replica.step
         self._gaps.discard(number)
         self._inform(self._in_range, number, length)
-        self._delivery.report_sent(number, length)
+        self._acks.report_sent(number, length)
 
     def _reports_sent(self, owed: list[int]) -> None:
         """All reports that this robot owed to peers were on the air."""
@@ -226,19 +220,19 @@ class Gossip(Replication):
         """This robot dropped entries of a map, so peers know that it holds more than it does."""
         length = len(self.logs[number])
         self._informed[:, number] = np.minimum(self._informed[:, number], length)
-        self._delivery.report_sent(number, length)
+        self._acks.report_sent(number, length)
 
     def _peer_dropped(self, peer: int, number: int, length: int) -> None:
         """A peer dropped entries, so it lacks them."""
         super()._peer_dropped(peer, number, length)
-        self._delivery.dropped(peer, number)
+        self._acks.dropped(peer, number)
 
     def _note_restart(self, peer: int, frame: ParsedFrame) -> None:
         """A peer that broadcasts a map of a new incarnation of its own lost its state."""
         for control in frame.controls:
             if isinstance(control, Header) and self.peers.restarted(peer, control.map):
                 self._informed[peer] = 0
-                for part in (self._delivery, self._cursors, self._neighbors):
+                for part in (self._acks, self._cursors, self._neighbors):
                     part.restarted(peer)
                 self._meetings.on(peer, "restarted")
 
@@ -254,9 +248,9 @@ class Gossip(Replication):
                 ):
                     length = self._possible(number, offset(held, len(logs[number])))
                     dropped = length < self.peers.expected.item(peer, number)
-                    if dropped and number == self.peers.own and self._delivery.reliable:
+                    if dropped and number == self.peers.own and self._acks.reliable:
                         self.replica.request_digest(length)
-                    self._delivery.report_received(peer, number, length, self._step)
+                    self._acks.report_received(peer, number, length, self.replica.step)
                     self._meetings.on(peer, "reported")
                     self._neighbors.near[peer, self.peers.robot] = True
                 case LogDigest():
@@ -282,15 +276,14 @@ class Gossip(Replication):
         end = max(first, self._possible(number, first + len(entries)))
         if end == first:
             return
-        entries = entries[: end - first]
-        self._delivery.entries_received(peer, number, end, len(log))
+        self._acks.entries_received(peer, number, end, len(log))
         if number == self.peers.current[peer]:
             self._cursors.received(peer, end)
         self.peers.expect(peer, number, end)
         if first > len(log):
             self._gaps.add(number)
             if not replica.refuses(peer, number):
-                self._delivery.store(peer, number, first, entries)
+                self._acks.store(peer, number, first, entries)
         else:
             self._gaps.discard(number)
         if first <= len(log) < end and not self.peers.is_own(number):
@@ -300,7 +293,7 @@ class Gossip(Replication):
         if len(log) >= end:
             receivers[[peer, self.peers.robot]] = True
             self._inform(receivers.nonzero()[0], number, end)
-        while (stored := self._delivery.stored(number, len(log))) is not None:
+        while (stored := self._acks.stored(number, len(log))) is not None:
             self._gaps.add(number)
             replica.accept(stored[0], number, stored[1])
 
@@ -312,7 +305,3 @@ class Gossip(Replication):
     def _inform(self, peers: Robots, number: int, length: int) -> None:
         """Peers know that this robot holds so many entries of a map."""
         self._informed[peers, number] = np.maximum(self._informed[peers, number], length)
-
-    def _possible(self, number: int, length: int) -> int:
-        """Bound a log length that a peer claims: of this robot's map none holds what was not on the air."""
-        return min(length, self.shared) if number == self.peers.own else length

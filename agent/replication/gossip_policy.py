@@ -46,12 +46,6 @@ MAX_LENGTH = 1 << 62
 """Longer than any log; stands for what a peer holds of its own map."""
 
 
-def no_dependencies(number: int) -> Sequence[Dependency]:
-    """Return nothing: every entry can be decoded after those before it."""
-    del number
-    return ()
-
-
 class GossipPolicy:
     """What peers in range lack, since when, and which of that this robot broadcasts."""
 

@@ -1,9 +1,9 @@
 """Unicast dissemination on a perfect medium: offer, answer, data, in three phases a round.
 
-The medium acknowledges: its send report says how much of each frame was carried, and what was carried has arrived. What
-was not carried did not happen, so the peer table moves only with the report. A policy chooses the offers; a peer that
-answers with its log length is sent the entries from there on (thesis, section 5.1.2, Algorithm 8). A peer that claims
-fewer entries than it was sent does not want them: it counts as level. `TRANSITIONS` has the states of both ends.
+The medium acknowledges: its send report says how much of each frame was carried, and all carried bytes have arrived. So
+the peer table changes only with the report. A policy chooses the offers. A peer answers an offer with its log length,
+and is sent the entries from there on (thesis, section 5.1.2, Algorithm 8). A peer that claims fewer entries than it was
+sent does not want them: it counts as level. `TRANSITIONS` has the states of both ends.
 """
 
 from __future__ import annotations
@@ -67,20 +67,15 @@ class Handshakes(Replication):
     def __init__(self, replica: Replica, policy: Policy, *, forwards: bool) -> None:
         super().__init__(replica)
         self._rounds = Rounds(replica, policy, forwards=forwards)
-        self._waits: dict[tuple[int, int], int] = {}
-        """Rounds for which a map is not offered to a peer after its next refusal; 1 if missing."""
+        self._waits = self.peers.new_table() + 1
+        """``_waits[peer, map]``: rounds for which a map is not offered to the peer after its next refusal."""
         self._offered: dict[tuple[int, int], Connection] = {}
         self._answered: dict[int, Connection] = {}
         self._received: dict[int, Connection] = {}
-        self._own_maps = range(self.peers.own, len(self.logs), self.peers.robots)
-        """The maps that only this robot may write, in this incarnation and later ones."""
-        self._unwanted = set(self._own_maps)
-        """Those maps, and the ones that are received in this round."""
 
     def open_round(self, number: int, in_range: list[int], budget: int | None) -> list[OutgoingFrame]:
         """Return this round's offers."""
         self._offered, self._answered, self._received = {}, {}, {}
-        self._unwanted = set(self._own_maps)
         frames = []
         for peer, offered, first in self._rounds.open(number, in_range, budget):
             connection = self._offered[peer, offered] = Connection(peer, offered, first)
@@ -91,18 +86,19 @@ class Handshakes(Replication):
     def answer(self, offers: Sequence[Delivery]) -> list[OutgoingFrame]:
         """Answer offers; ProtocolError if a frame is no offer."""
         frames = []
+        taken: set[int] = set()
         for delivery in offers:
             sender, offered = delivery.sender, read_offer(delivery.payload)
             number = offered.map
             if number >= len(self.logs):
                 raise ProtocolError(offered.name, 0, f"map {number} of {len(self.logs)} robots")
             connection = self._received[delivery.connection] = Connection(sender, number)
-            if number in self._unwanted or self.replica.refuses(sender, number):
+            if number in taken or self.peers.is_own(number) or self.replica.refuses(sender, number):
                 connection.on("unwanted offer")
                 reply = DECLINE
             else:
                 connection.on("first offer")
-                self._unwanted.add(number)
+                taken.add(number)
                 reply = answer(len(self.logs[number]), offered.block)
             frames.append(OutgoingFrame(sender, reply, delivery.connection))
         return frames
@@ -134,11 +130,10 @@ class Handshakes(Replication):
             connection = self._answered.get(carried.connection)
             if connection is not None and carried.answer:
                 self._settle(connection, carried.data)
-        if len(self.logs) > self.peers.robots:
-            for carried in report.connections:
-                connection = self._received.get(carried.connection)
-                if connection is not None and carried.offer:
-                    self._note_restart(connection.peer, connection.number)
+        for carried in report.connections:
+            connection = self._received.get(carried.connection)
+            if connection is not None and carried.offer:
+                self._note_restart(connection.peer, connection.number)
         for delivery in report.deliveries:
             connection = self._received.get(delivery.connection)
             if connection is None or connection.state != "taking":
@@ -153,7 +148,7 @@ class Handshakes(Replication):
         own, length, in_range = self.peers.own, len(self.replica.own_log), self._rounds.in_range
         expected = self.peers.expected[:, own].tolist()
         return bool(in_range) and all(
-            expected[peer] == length or self._waits.get((peer, own), 1) > STUBBORN for peer in in_range
+            expected[peer] == length or self._waits[peer, own] > STUBBORN for peer in in_range
         )
 
     def _read_answer(self, connection: Connection, payload: bytes) -> Event:
@@ -169,10 +164,10 @@ class Handshakes(Replication):
         """An answer was carried, and so many bytes of data after it."""
         pair, reached = (connection.peer, connection.number), connection.length
         if connection.state == "refused":
-            wait = self._waits.get(pair, 1)
+            wait = self._waits.item(pair)
             self._rounds.due[pair], self._waits[pair] = self._rounds.now + wait, min(2 * wait, MAX_WAIT)
         elif connection.state == "sending":
-            self._waits.pop(pair, None)
+            self._waits[pair] = 1
             reached = self.logs[connection.number].offset_after(reached, sent)
         if connection.number == self.peers.own:
             self.shared = max(self.shared, reached)
@@ -182,10 +177,10 @@ class Handshakes(Replication):
         """A peer dropped entries: offer them at once."""
         super()._peer_dropped(peer, number, length)
         self._rounds.due[peer, number] = 0
-        self._waits.pop((peer, number), None)
+        self._waits[peer, number] = 1
 
     def _note_restart(self, peer: int, number: int) -> None:
         """A peer that offers a map of a new incarnation of its own lost all entries that it was sent."""
         if self.peers.restarted(peer, number):
             self._rounds.due[peer] = 0
-            self._waits = {pair: wait for pair, wait in self._waits.items() if pair[0] != peer}
+            self._waits[peer] = 1

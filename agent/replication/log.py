@@ -1,7 +1,7 @@
 """A log of encoded map updates, stored as one run of bytes.
 
-Entries have offsets from 0. The author may retract entries at the end while no other robot can hold them. A receiver
-drops entries at the end that are not the author's.
+Entries have offsets from 0. The author may remove entries at the end while no other robot can hold them; a receiver
+removes entries at the end that are not the author's.
 """
 
 from __future__ import annotations
@@ -34,17 +34,6 @@ class Log:
         before = len(self._bytes)
         self._ends.extend([before + end for end in ends])
         self._bytes += frame
-
-    def retract(self, count: int, shared: int) -> bool:
-        """Remove the last `count` entries, unless that removes a shared one; return whether it did.
-
-        `shared` is the offset before which other robots may hold entries.
-        """
-        left = len(self) - count
-        if left < shared:
-            return False
-        self.cut(left)
-        return True
 
     def cut(self, length: int) -> None:
         """Remove all entries but the first `length`."""

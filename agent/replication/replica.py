@@ -80,7 +80,7 @@ class Replica:
         own: MapId,
         maps: list[MapId],
         consume: Consume,
-        rebuild: Rebuild = lambda _logs: None,
+        rebuild: Rebuild,
         *,
         ordered: bool = True,
     ) -> None:

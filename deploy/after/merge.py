@@ -17,7 +17,7 @@ from typing import NamedTuple
 from deploy.record.link_records import FrameLine, contents, read_frames, write_ledger
 from deploy.record.run_directory import CAPTURE, CaptureFile
 from netshaper import capture, pcapng
-from netshaper.frame_log import FrameLog
+from netshaper.frame_log import Frame, FrameLog
 from netshaper.ledger import BROADCAST, CAUSES, EVERYONE
 from protocol.files import open_file
 
@@ -192,8 +192,7 @@ def _logs(frames: dict[FrameId, Joined]) -> list[tuple[int, FrameLog]]:
         sealed = f"frame {number.counter} of session {number.session}, {frame.size} bytes sealed"
         cause = "" if frame.receivers else "loss"
         for content in contents(*frame.packets):
-            logs[step].add(
-                0, content, CAUSES.index(cause), number.sender, EVERYONE, connection=number.counter,
-                receivers=sorted(frame.receivers), fate=f"received by {names}: {sealed}",
-            )  # fmt: skip
+            sent = Frame(number.sender, EVERYONE, content, connection=number.counter)
+            receivers, fate = sorted(frame.receivers), f"received by {names}: {sealed}"
+            logs[step].add(0, sent, content, CAUSES.index(cause), receivers=receivers, fate=fate)
     return list(logs.items())

@@ -23,7 +23,7 @@ import numpy as np
 from agent.radios.peer_medium import FrameRecord
 from deploy.record.run_directory import CAPTURE, LEDGER, CaptureFile, ledger_table
 from netshaper import capture
-from netshaper.frame_log import Content, FrameLog
+from netshaper.frame_log import Content, Frame, FrameLog
 from netshaper.ledger import BROADCAST, CAUSES, EVERYONE, NEWS, ROW
 from protocol.errors import ProtocolError
 from protocol.files import open_file
@@ -64,10 +64,9 @@ def frame_log(robot: int, records: Sequence[FrameRecord]) -> FrameLog:
         number = f"frame {each.counter} of session {each.session}, {each.size} bytes sealed"
         fate = f"received by r{robot}: {number}" if received else f"sent: {number}"
         for content in contents(each.broadcast, each.gossip):
-            log.add(
-                0, content, CAUSES.index(""), each.sender, EVERYONE, connection=each.counter,
-                receivers=(robot,) if received else (), fate=fate,
-            )  # fmt: skip
+            frame = Frame(each.sender, EVERYONE, content, connection=each.counter)
+            receivers = (robot,) if received else ()
+            log.add(0, frame, content, CAUSES.index(""), receivers=receivers, fate=fate)
     return log
 
 

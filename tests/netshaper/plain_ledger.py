@@ -10,9 +10,9 @@ from typing import NamedTuple
 from hypothesis import strategies as st
 
 from netshaper import pcapng
-from netshaper.admission import refused
+from netshaper.admission import content_of
 from netshaper.capture import HEAD, KEPT, PART, VERSION, WIDE, WIDE_HEAD
-from netshaper.frame_log import FrameLog, comment
+from netshaper.frame_log import Frame, FrameLog, comment
 from netshaper.ledger import CAUSES, KIND_NUMBER, MALFORMED, on_air
 from protocol import packets
 from protocol.errors import ProtocolError
@@ -62,11 +62,9 @@ def log_of(seen: Iterable[LoggedFrame]) -> FrameLog:
     """A log of these frames."""
     log = FrameLog()
     for each in seen:
-        content, receivers = refused(each.frame, each.payload, ""), received_by(each)
-        log.add(
-            each.round, content, each.verdict, each.sender, each.receiver, each.map, each.connection,
-            receivers=receivers, reason=each.reason,
-        )  # fmt: skip
+        content, receivers = content_of(each.frame, each.payload), received_by(each)
+        frame = Frame(each.sender, each.receiver, content, each.map, each.connection)
+        log.add(each.round, frame, content, each.verdict, receivers=receivers, reason=each.reason)
     return log
 
 

@@ -80,7 +80,7 @@ def test_news_of_the_highest_priority_go_first_and_a_shorter_packet_may_use_the_
 @pytest.mark.parametrize(
     ("payload", "receiver", "reason"),
     [
-        (encode([Offer(1, 0)]), EVERYONE, "no conn of this kind"),
+        (encode([Offer(1, 0)]), EVERYONE, "no Offer of this kind"),
         (encode([Target(1, 2), Save()]), EVERYONE, "no targ of this kind"),
         (6 * b"\xff", EVERYONE, "no packet begins with 0xffff"),
         (b"", EVERYONE, "nothing in it"),

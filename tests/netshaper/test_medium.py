@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from netshaper.admission import refused
+from netshaper.admission import content_of
 from netshaper.frame_log import Connection, Frame
 from netshaper.ledger import BROADCAST, CAUSES, EVERYONE, OFFER, ROW
 from netshaper.medium import Medium
@@ -52,11 +52,14 @@ def a_medium(budget: Budget, step: int = 1) -> Medium:
 def play(medium: Medium, event: object) -> None:
     frames = [encode(packets_) for _, packets_ in frames_of(event)]
     if isinstance(event, bool):
-        frame = Frame(0, EVERYONE, refused(BROADCAST, frames[0], ""))
-        medium.broadcast(frame, [1] if event else [])
+        frame = Frame(0, EVERYONE, content_of(BROADCAST, frames[0]))
+        medium.carry(frame, [1] if event else [])
     else:
-        contents = [refused(kind, payload, "") for kind, payload in enumerate(frames)]
-        medium.play([Connection(0, 0, 1, contents[0].map_id, contents)])
+        ends = ((0, 1), (1, 0), (0, 1))
+        sent = [
+            Frame(*ends[kind], content_of(kind, payload), connection=0) for kind, payload in enumerate(frames)
+        ]
+        medium.play(Connection(0, sent))
 
 
 def rows(medium: Medium) -> list[tuple[int, ...]]:
@@ -113,12 +116,12 @@ def test_rows_count_packets_kind_by_kind(events_: list[object], budget: Budget) 
 
 def test_a_broadcast_is_logged_with_its_number_of_receivers() -> None:
     medium = a_medium(Budget(10), step=3)
-    assert medium.broadcast(Frame(2, EVERYONE, refused(BROADCAST, encode([Target(1, 2)]), "")), [0, 1, 4])
+    assert medium.carry(Frame(2, EVERYONE, content_of(BROADCAST, encode([Target(1, 2)]))), [0, 1, 4])
     assert rows(medium) == [(3, 0, -1, 3, 2, EVERYONE, -1, packets.ALL_KINDS.index("targ"), 1, 3, 1, 0, 3)]
 
 
 def test_a_refused_frame_costs_nothing() -> None:
     medium = a_medium(Budget(10))
-    medium.refuse(1, 2, refused(OFFER, encode([Offer(0, 0)]), ""), "range")
+    medium.refuse(Frame(1, 2, content_of(OFFER, encode([Offer(0, 0)]))), "range")
     assert (medium.airtime.shared(1), medium.carried) == (Budget(10), 0)
     assert [CAUSES[row[11]] for row in rows(medium)] == ["range"]

@@ -323,7 +323,7 @@ def test_the_budget_is_spent_on_targets_then_connection_by_connection_packet_by_
     (_, report), (_, other) = step.reports
     assert report.connections == [ConnectionReport(0, *carried[1:])]
     assert report.broadcast_sent == (carried[0] > 0)
-    assert other.deliveries == ([Delivery(0, data[: carried[3]], 0, 0)] if carried[3] else [])
+    assert other.deliveries == ([Delivery(0, data[: carried[3]], 0)] if carried[3] else [])
 
 
 def test_once_closed_the_medium_stays_closed_for_smaller_frames_and_later_rounds() -> None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from agent.replication.base import Replication
 from agent.replication.engine import make_replication
-from agent.replication.gossip_policy import Dependencies, no_dependencies
+from agent.replication.gossip_policy import Dependencies
 from agent.replication.peers import MapId
 from agent.replication.policies import DISSEMINATIONS
 from agent.replication.replica import Consume, Rebuild, Rejected
@@ -51,7 +51,7 @@ def make_engine(
     *,
     requires_acks: bool = False,
     incarnations: int = 1,
-    dependencies: Dependencies = no_dependencies,
+    dependencies: Dependencies = lambda _number: (),
     rebuild: Rebuild = lambda _logs: None,
 ) -> Replication:
     """A replication engine; nothing but its arguments concerns it of a robot's settings."""

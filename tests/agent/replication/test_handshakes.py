@@ -308,7 +308,7 @@ def test_backoff_offers_by_its_rule(team: Any, number: int, now: int, single: bo
     robot = int(rng.integers(robots))
     peers = [peer for peer in range(robots) if peer != robot]
     maps = map_ids(robots)
-    replica = Replica(maps[robot], maps, lambda *received: packet_index.ends(received[-1]))
+    replica = Replica(maps[robot], maps, lambda *received: packet_index.ends(received[-1]), lambda _: None)
     for log, length in zip(replica.logs, lengths.tolist(), strict=True):
         log.append([b"entry"] * length)
     rounds = Rounds(replica, backoff, forwards=True)
