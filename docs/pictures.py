@@ -1,6 +1,7 @@
 """Draw the pictures of docs/concepts.md: python docs/pictures.py [FOLDER].
 
-``python docs/pictures.py gallery FILE.png`` draws the paths of a team with each strategy instead (docs/strategies.md).
+``python docs/pictures.py gallery FILE.png`` draws the paths of a team with each strategy instead (docs/strategies.md), and
+``python docs/pictures.py noisy FILE.png`` maps of noisy lasers (docs/real-sensors.md).
 """
 
 from __future__ import annotations
@@ -8,6 +9,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib import pyplot as plt
@@ -127,6 +129,28 @@ def gallery(path: Path) -> None:
     figure.savefig(path, dpi=80)
 
 
+def noisy(path: Path) -> None:
+    """Let teams with different lasers and encodings explore an office, and draw the map of a robot of each."""
+    good = {"laser": {"preset": "utm-30lx"}, "pose": {"preset": "graph-slam"}}
+    poor = {"laser": {"preset": "rplidar-a1"}, "pose": {"preset": "particle-filter"}, "people": {"number": 3}}
+    teams: dict[str, dict[str, Any]] = {
+        "exact sensors": {},
+        "utm-30lx, graph-slam": good,
+        "rplidar-a1, particle-filter, 3 people": poor,
+        "utm-30lx, graph-slam: zstd-maps": good | {"map_encoding": "zstd-maps", "bandwidth": "unlimited"},
+        "utm-30lx, graph-slam: slam-toolbox": good | {"map_encoding": "slam-toolbox", "bandwidth": "unlimited"},
+    }
+    figure, panels = plt.subplots(2, 3, figsize=(10.5, 8), layout="constrained")
+    common = {"map": "office", "robots": 5, "bandwidth": 60, "dissemination": "gossip"}
+    _draw(panels.flat[0], plan.make(parse(common)).map.cells, "the building")
+    for axes, (title, team) in zip(panels.flat[1:], teams.items(), strict=True):
+        size = 0
+        for step in steps(**common | team):
+            size += int(step.traffic.filter(step.traffic["carried"])["bytes"].sum())
+        _draw(axes, step.robots[1].planning, f"{title}\n{step.number} steps, {size:,} bytes")
+    figure.savefig(path, dpi=80)
+
+
 def _bytes(step: Step, kinds: tuple[str, ...]) -> int:
     rows = step.traffic
     return int(rows.filter(rows["carried"] & rows["kind"].is_in(kinds))["bytes"].sum())
@@ -157,5 +181,7 @@ def _save(figure: plt.Figure, path: Path) -> None:
 
 if __name__ == "__main__" and sys.argv[1:2] == ["gallery"]:
     gallery(Path(sys.argv[2]))
+elif __name__ == "__main__" and sys.argv[1:2] == ["noisy"]:
+    noisy(Path(sys.argv[2]))
 elif __name__ == "__main__":
     main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent / "concepts")
