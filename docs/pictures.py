@@ -138,7 +138,8 @@ def noisy(path: Path) -> None:
         "utm-30lx, graph-slam": good,
         "rplidar-a1, particle-filter, 3 people": poor,
         "utm-30lx, graph-slam: zstd-maps": good | {"map_encoding": "zstd-maps", "bandwidth": "unlimited"},
-        "utm-30lx, graph-slam: slam-toolbox": good | {"map_encoding": "slam-toolbox", "bandwidth": "unlimited"},
+        "utm-30lx, graph-slam: slam-toolbox": good
+        | {"map_encoding": "slam-toolbox", "bandwidth": "unlimited"},
     }
     figure, panels = plt.subplots(2, 3, figsize=(10.5, 8), layout="constrained")
     common = {"map": "office", "robots": 5, "bandwidth": 60, "dissemination": "gossip"}
