@@ -4,7 +4,7 @@ Between beams and beside walls, noise leaves gaps of unknown cells. They are no 
 there. So an unknown cell counts only if it lies in a square of unknown cells as wide as the narrowest opening. Every
 other one counts as a wall if a wall touches it, else as free. Likewise, noise opens walls: a free cell beside unknown
 ones counts as a wall if it does not lie in a square of as many cells without walls. The unknown cells beside a frontier
-that is shorter than the narrowest opening count as walls, too, or if a few beams of a coarse laser can make it.
+of a single cell count as walls, too, and those beside one that a few beams of a coarse laser can make.
 
 False walls can enclose a robot, which would then report that it has nothing left to explore. So the cells that it has
 driven over count as free, unless it bumped into something there later.
@@ -24,7 +24,7 @@ OPENING_M = 0.3
 """Width of the narrowest opening that is worth exploring, in meters; wider robots need at least their own width."""
 
 LEAST_CELLS = 2
-"""The same in cells, at least."""
+"""The same in cells, at least; also the least cells of a frontier."""
 
 _UNKNOWN_SQUARE, _OPEN_SQUARE = 1, 2
 """Marks of cells in squares of unknown cells, and of cells without walls."""
@@ -81,13 +81,10 @@ def narrow_cells(radius_cells: float, resolution: float) -> int:
     return max(LEAST_CELLS, round(OPENING_M / resolution), math.ceil(2 * radius_cells))
 
 
-def shortest_frontier(laser: Laser, range_cells: float, narrow: int) -> int:
-    """Return the number of cells of the shortest frontier worth exploring.
-
-    It is as long as the narrowest opening, and longer than one that `FEW_BEAMS` beams make.
-    """
+def shortest_frontier(laser: Laser, range_cells: float) -> int:
+    """Return the number of cells of the shortest frontier worth exploring: one that `FEW_BEAMS` beams do not make."""
     apart = 2 * math.pi * laser.span / TURN / max(laser.beams - 1, 1)
-    return max(narrow, min(math.ceil(FEW_BEAMS * apart * range_cells), LONGEST_SPECK))
+    return max(LEAST_CELLS, min(math.ceil(FEW_BEAMS * apart * range_cells), LONGEST_SPECK))
 
 
 @kernel

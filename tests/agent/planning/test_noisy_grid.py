@@ -91,6 +91,6 @@ def test_frontiers_that_are_too_short_do_not_count(shortest: int, state: int) ->
 
 def test_the_shortest_frontier_depends_on_how_far_beams_are_apart() -> None:
     fine, coarse = (Laser(beams, 0, TURN * 3 // 4, 5000) for beams in (1081, 271))
-    assert shortest_frontier(fine, 50.0, 2) == 2
-    assert shortest_frontier(coarse, 50.0, 2) == 3
-    assert shortest_frontier(Laser(4, 0, TURN * 3 // 4, 5000), 50.0, 2) == LONGEST_SPECK
+    assert shortest_frontier(fine, 50.0) == 2
+    assert shortest_frontier(coarse, 50.0) == 3
+    assert shortest_frontier(Laser(4, 0, TURN * 3 // 4, 5000), 50.0) == LONGEST_SPECK
