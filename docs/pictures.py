@@ -1,7 +1,7 @@
 """Draw the pictures of docs/concepts.md: python docs/pictures.py [FOLDER].
 
-``python docs/pictures.py gallery FILE.png`` draws the paths of a team with each strategy instead (docs/strategies.md), and
-``python docs/pictures.py noisy FILE.png`` maps of noisy lasers (docs/real-sensors.md).
+``python docs/pictures.py gallery FILE.png`` draws the paths of a team with each strategy instead (docs/strategies.md).
+``python docs/pictures.py noisy FILE.png`` draws maps of noisy lasers (docs/real-sensors.md).
 """
 
 from __future__ import annotations
