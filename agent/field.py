@@ -71,6 +71,7 @@ def team_context(settings: Settings) -> bytes:
         settings.resolution,
         settings.encoding,
         settings.replication.digests,
+        settings.shares_tiles,
     )
     return hashlib.sha256(msgspec.json.encode(common)).digest()[:8]
 
@@ -87,7 +88,11 @@ class FieldFiles:
     def open(cls, folder: Path, key: bytes, settings: Settings) -> FieldFiles:
         """Open or create the files in a directory; SessionFileError or JournalError if they do not fit the robot."""
         session = SessionFile(folder / f"r{settings.robot}.session", key, settings.robot, settings.robots)
-        return cls(key, session, Identity(Journal.open(folder / journal_name(settings.robot))))
+        try:
+            return cls(key, session, Identity(Journal.open(folder / journal_name(settings.robot))))
+        except Exception:
+            session.close()
+            raise
 
 
 class FieldRobot:
@@ -190,9 +195,11 @@ class FieldRobot:
 
     def stop(self) -> None:
         """Let the body stand still, and close the radio and the files."""
-        self._body.stop()
-        self._transport.close()
-        self._files.session.close()
+        try:
+            self._body.stop()
+        finally:
+            self._transport.close()
+            self._files.session.close()
 
 
 def _position(sense: Sense) -> tuple[float, float]:

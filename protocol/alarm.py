@@ -34,5 +34,5 @@ class Alarm:
         with self._changed:
             self._wakes = min(self._wakes, until)
             while not self._is_closed and (left := self._wakes - time.monotonic()) > 0:
-                self._changed.wait(left)
+                self._changed.wait(min(left, threading.TIMEOUT_MAX))
             self._wakes = math.inf

@@ -30,8 +30,8 @@ class BeamAngles:
         """Return the angles of a laser that a log describes: in radians, counterclockwise; ValueError if invalid."""
         if not 2 <= beams <= MAX_BEAMS:
             raise ValueError(f"{beams} beams; a scan must have 2 to {MAX_BEAMS}")
-        span = (beams - 1) * abs(increment)
-        if not (math.isfinite(first) and 0 < span <= 2 * math.pi + abs(increment)):
+        span, turn = (beams - 1) * abs(increment), 2 * math.pi
+        if not (abs(first) <= turn and abs(increment) <= turn and 0 < span <= turn + abs(increment)):
             raise ValueError(f"beams from {first:g} rad, {increment:g} rad apart, are not those of a laser")
         last = first + (beams - 1) * increment
         return cls(beams, _units(-max(first, last)), _units(span))

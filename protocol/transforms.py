@@ -13,6 +13,8 @@ from typing import NamedTuple
 
 LEAST_UPRIGHT = math.cos(math.radians(20))
 """Cosine of the largest angle between the vertical axes of two frames."""
+FARTHEST_M = 1e9
+"""Largest coordinate of a frame, in meters: larger ones are errors of a sender."""
 
 
 class Pose(NamedTuple):
@@ -43,8 +45,8 @@ def pose_of(x: float, y: float, q_x: float, q_y: float, q_z: float, q_w: float) 
     norm = q_x * q_x + q_y * q_y + q_z * q_z + q_w * q_w
     if not 0.5 < norm < 2:
         raise ValueError("its rotation is no unit quaternion")
-    if not (math.isfinite(x) and math.isfinite(y)):
-        raise ValueError("its position is not a number")
+    if not (abs(x) <= FARTHEST_M and abs(y) <= FARTHEST_M):
+        raise ValueError(f"its position is not a number, or beyond {FARTHEST_M:g} m")
     if (q_w * q_w + q_z * q_z - q_x * q_x - q_y * q_y) / norm < LEAST_UPRIGHT:
         raise ValueError("it is tilted or upside down; lasers must be level")
     yaw = math.atan2(2 * (q_w * q_z + q_x * q_y), q_w * q_w + q_x * q_x - q_y * q_y - q_z * q_z)

@@ -47,10 +47,10 @@ class Barrier:
     def take_move(self, robot: int, move: Move) -> None:
         """Accept the move of an active robot, its first of this step; ProtocolError if it is not.
 
-        Late moves have no effect.
+        Late moves have no effect, nor have those of a robot that has been removed meanwhile.
         """
         step = self._world.step
-        if self.clock.is_late(robot, move.step):
+        if self.clock.is_late(robot, move.step) or robot not in self._world.cells:
             return
         if not self.running or move.step != step:
             raise ProtocolError("Move", 0, f"for step {move.step}, while step {step} is under way")

@@ -20,7 +20,7 @@ from protocol.messages import Move, Sense, cells_from_bytes, points_from_bytes
 from protocol.metric_scans import BeamAngles, millimeters
 from protocol.range_scans import NO_MEASUREMENT, TURN, UNIT, Laser, RangeScan, encode_range_scan
 from protocol.ros2.messages import nanoseconds
-from protocol.transforms import Pose, TransformBuffer, pose_of
+from protocol.transforms import FARTHEST_M, Pose, TransformBuffer, pose_of
 
 HEADINGS = 8
 FINE = 1000
@@ -28,7 +28,9 @@ FINE = 1000
 WAITING_SCANS = 32
 """Scans that wait for the transform at their time."""
 REMEMBERED_NS = 10 * 10**9
-"""Age up to which transforms are kept."""
+"""Age up to which transforms are kept, relative to the last scan with a known pose."""
+UNUSED_NS = 60 * 10**9
+"""Age up to which transforms are kept, relative to the last transform, while no scan has a known pose."""
 SETTLE_NS = 2 * 10**9
 """Time for which poses must be plausible again after a jump."""
 JUMP_M = 0.5
@@ -56,6 +58,7 @@ class Ros2Body:
         self._grid = grid
         self._settings = settings
         self._transforms = TransformBuffer()
+        self._last_transform_ns = 0
         self._refused: dict[str, str] = {}
         self._beams: _Beams | None = None
         self._waiting: deque[tuple[int, Any]] = deque(maxlen=WAITING_SCANS)
@@ -88,7 +91,10 @@ class Ros2Body:
             except ValueError as error:
                 self._refused[child] = str(error)
                 continue
-            self._transforms.add(parent, child, nanoseconds(each.header.stamp), pose, is_static=is_static)
+            stamp = nanoseconds(each.header.stamp)
+            self._transforms.add(parent, child, stamp, pose, is_static=is_static)
+            if not is_static:
+                self._last_transform_ns = stamp
 
     def add_scan(self, message: Any) -> None:
         """Take a message of ``scan``; one that is no scan is noted in `problem`."""
@@ -101,8 +107,19 @@ class Ros2Body:
         self._waiting.append((nanoseconds(message.header.stamp), message))
 
     def add_map(self, message: Any) -> None:
-        """Take the robot's own map: goals then stay on its known cells."""
-        self._map = message
+        """Take the robot's own map: goals then stay on its known cells. A malformed one is noted in `problem`."""
+        info = message.info
+        origin = info.origin
+        angles = origin.orientation.z, origin.orientation.w
+        corner = origin.position.x, origin.position.y
+        if not (all(map(math.isfinite, angles)) and all(abs(each) <= FARTHEST_M for each in corner)):
+            self.problem = "map: its origin is not a pose"
+        elif not 1e-3 <= info.resolution <= 1e3:
+            self.problem = f"map: its resolution is {info.resolution:g} m"
+        elif len(message.data) != info.width * info.height:
+            self.problem = f"map: {len(message.data)} cells instead of {info.width} x {info.height}"
+        else:
+            self._map = message
 
     def sense(self, step: int) -> Sense | None:
         """Return what the robot senses in a step: its newest scan since the last step, or where it was, without one.
@@ -110,6 +127,7 @@ class Ros2Body:
         None before the first scan whose pose is known.
         """
         self._take_newest_scan()
+        self._transforms.forget(self._last_transform_ns - UNUSED_NS)
         if self._scan is None:
             return None
         scan = self._scan

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
@@ -23,6 +22,12 @@ MIN_FRAME = FRAME_OVERHEAD + MIN_PACKETS
 
 MAX_FRAME = 4096
 """Maximum bytes of a frame over a serial port."""
+
+MAX_RATE = 1 << 30
+"""Maximum bytes per second."""
+
+MAX_DURATION_S = 7 * 24 * 3600
+"""Longest duration of an option, in seconds: a week."""
 
 MIN_HELLO_S, HELLOS = 8.0, 4
 """Least silence, in seconds, before a hello, unless the options give another; and hellos within a neighbor timeout."""
@@ -88,18 +93,20 @@ class LinkOptions:
             raise ValueError("a serial modem needs a preset, or bytes_per_s and frame_bytes")
         if self.baud not in BAUD_RATES:
             raise ValueError(f"baud = {self.baud}: must be one of {', '.join(map(str, BAUD_RATES))}")
-        if not 0 < self.duty_cycle <= 1:
-            raise ValueError(f"duty_cycle = {self.duty_cycle:g}: must be above 0, and 1 at most (no limit)")
+        if not 1 / ALWAYS <= self.duty_cycle <= 1:
+            raise ValueError(f"duty_cycle = {self.duty_cycle:g}: must be {1 / ALWAYS:g} to 1 (no limit)")
         if not 0 < self.udp_port < 1 << 16:
             raise ValueError(f"udp_port = {self.udp_port}: must be 1 to 65535")
-        if self.bytes_per_s < 0:
-            raise ValueError(f"bytes_per_s = {self.bytes_per_s}: must be 1 or more, or 0 for the preset's")
+        if not 0 <= self.bytes_per_s <= MAX_RATE:
+            raise ValueError(
+                f"bytes_per_s = {self.bytes_per_s}: must be 1 to {MAX_RATE}, or 0 for the preset's"
+            )
         most = MAX_DATAGRAM if self.medium == "udp" else MAX_FRAME
         if self.frame_bytes and not MIN_FRAME <= self.frame_bytes <= most:
             raise ValueError(f"frame_bytes = {self.frame_bytes}: must be {MIN_FRAME} to {most}")
-        durations = self.interval_s, self.hello_s, self.neighbor_timeout_s
-        if not all(math.isfinite(each) and each >= 0 for each in durations):
-            raise ValueError("interval_s, hello_s, and neighbor_timeout_s must be 0 or more")
+        for name in ("interval_s", "hello_s", "neighbor_timeout_s"):
+            if not 0 <= getattr(self, name) <= MAX_DURATION_S:
+                raise ValueError(f"{name} = {getattr(self, name):g}: must be 0 to {MAX_DURATION_S} (a week)")
         self.timing()
         self.pacer(seed=0, robot=0, now=0)
 

@@ -26,7 +26,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from agent.radios.neighbors import Neighbors
-from agent.radios.pacing import Pacer
+from agent.radios.pacing import SECOND, Pacer
 from agent.radios.sealing import OVERHEAD, Opener, Sealer
 from protocol.budget import Budget
 from protocol.messages import (
@@ -91,9 +91,10 @@ class Timing:
 
     def __post_init__(self) -> None:
         if not 0 <= self.interval <= self.hello < self.neighbor_timeout:
+            seconds = [f"{each / SECOND:g}" for each in (self.interval, self.hello, self.neighbor_timeout)]
             raise ValueError(
-                f"interval = {self.interval} ns, hello = {self.hello} ns, neighbor_timeout = "
-                f"{self.neighbor_timeout} ns: each must be less than the next"
+                f"interval_s = {seconds[0]}, hello_s = {seconds[1]}, neighbor_timeout_s = {seconds[2]}: the interval "
+                "must not exceed the silence before a hello, which must be shorter than the timeout"
             )
 
 

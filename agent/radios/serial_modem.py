@@ -18,7 +18,8 @@ from agent.radios.transport import MAX_PER_CALL, TransportError
 
 BAUD_RATES = (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200, 230400)
 
-_CHUNK = 1 << 14
+_CHUNK, _CHUNKS = 1 << 12, 64
+"""Bytes of one read, and reads of one call of `SerialModem.receive` at most."""
 
 
 class SerialModem:
@@ -45,6 +46,8 @@ class SerialModem:
         self.longest = longest
         self._path, self._baud = port, baud
         self._reader = LineReader(longest)
+        self._arrived: list[bytes] = []
+        """Frames that `receive` has not returned yet."""
         self._unsent = b""
         """The rest of a line that the port had no room for."""
         self._closed = False
@@ -72,8 +75,9 @@ class SerialModem:
     def receive(self) -> list[bytes]:
         """Return the frames that have arrived; a modem that is gone receives nothing."""
         self._flush()
-        frames: list[bytes] = []
-        while self._port >= 0 and len(frames) < MAX_PER_CALL:
+        for _ in range(_CHUNKS):
+            if self._port < 0 or len(self._arrived) >= MAX_PER_CALL:
+                break
             try:
                 data = os.read(self._port, _CHUNK)
             except (BlockingIOError, InterruptedError):
@@ -82,7 +86,8 @@ class SerialModem:
                 data = b""
             if not data:
                 self._hang_up()
-            frames += self._reader.feed(data)
+            self._arrived += self._reader.feed(data)
+        frames, self._arrived = self._arrived[:MAX_PER_CALL], self._arrived[MAX_PER_CALL:]
         return frames
 
     def fileno(self) -> int:
@@ -100,6 +105,8 @@ class SerialModem:
             port = os.open(self._path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
         except OSError as error:
             raise TransportError(f"port {self._path}: {error.strerror}") from None
+        except ValueError as error:
+            raise TransportError(f"port {str(self._path)!r}: {error}") from None
         try:
             fcntl.flock(port, fcntl.LOCK_EX | fcntl.LOCK_NB)
             tty.setraw(port, termios.TCSANOW)

@@ -4,7 +4,8 @@ A robot writes the number of its session before it sends the first frame of it, 
 writes the highest frame number of each teammate when it accepts a frame, so no frame is accepted again after a restart.
 
 The file has the fingerprint of the key, 8 bytes, and for each robot of the team the highest frame number, as a
-big-endian u64; this robot's own slot holds its session. With another key, all numbers begin anew.
+big-endian u64; this robot's own slot holds its session. With another key, all numbers begin anew. A file that is
+neither empty nor of this form is refused: if it was damaged, numbers could repeat under the same key.
 
 A number that was written survives the end of the process at any moment. It survives a loss of power only after `sync`.
 """
@@ -17,7 +18,7 @@ import os
 import struct
 from pathlib import Path
 
-from agent.radios.replay_window import COUNTER_BITS, MAX_SESSION, frame_number
+from agent.radios.replay_window import COUNTER_BITS, MAX_COUNTER, MAX_SESSION, frame_number
 
 _SLOT = struct.Struct(">Q")
 _FINGERPRINT = 8
@@ -33,7 +34,8 @@ class SessionFile:
     Raises
     ------
     SessionFileError
-        Another process has the file open, it belongs to another team, or the robot has used up its sessions.
+        Another process has the file open, it is damaged or belongs to another team, or the robot has used up its
+        sessions.
     """
 
     def __init__(self, path: Path, key: bytes, robot: int, robots: int) -> None:
@@ -59,17 +61,25 @@ class SessionFile:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             raise SessionFileError(f"{self._path} is in use: another process runs as this robot") from None
-        data = os.pread(self._file, self._size + 1, 0)
+        length = os.fstat(self._file).st_size
+        data = os.pread(self._file, self._size, 0)
+        if length and (length <= _FINGERPRINT or (length - _FINGERPRINT) % _SLOT.size):
+            raise SessionFileError(
+                f"{self._path} is no session file, or damaged ({length} bytes): create a new team key"
+            )
         if data[:_FINGERPRINT] != fingerprint:
             data = fingerprint + bytes(self._size - _FINGERPRINT)
-        elif len(data) != self._size:
-            reason = f"{len(data)} bytes instead of {self._size}, so it belongs to a team of another size"
+        elif length != self._size:
+            reason = f"{length} bytes instead of {self._size}, so it belongs to a team of another size"
             raise SessionFileError(f"{self._path} has {reason}: create a new team key")
         numbers = [number for (number,) in _SLOT.iter_unpack(data[_FINGERPRINT:])]
         self.session = (numbers[self._robot] >> COUNTER_BITS) + 1
         """The number of this session, from 1; no earlier session with this key had it."""
         if self.session > MAX_SESSION:
             raise SessionFileError(f"{self._path}: {MAX_SESSION} sessions are used up: create a new team key")
+        if max(numbers) > frame_number(MAX_SESSION, MAX_COUNTER):
+            reason = f"damaged: no frame has the number {max(numbers)}"
+            raise SessionFileError(f"{self._path} is {reason}; create a new team key")
         numbers[self._robot] = frame_number(self.session, 0)
         self.highest = {robot: number for robot, number in enumerate(numbers) if robot != self._robot}
         """The highest frame number accepted from each teammate before this session; 0 for none."""
@@ -94,5 +104,7 @@ class SessionFile:
             self._synced = True
 
     def close(self) -> None:
-        """Close and unlock the file."""
-        os.close(self._file)
+        """Close and unlock the file; later calls do nothing."""
+        if self._file >= 0:
+            os.close(self._file)
+            self._file = -1

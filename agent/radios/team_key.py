@@ -43,6 +43,8 @@ def read_key(path: Path) -> bytes:
         file = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     except OSError as error:
         raise KeyFileError(f"{path}: {error.strerror}; copy the team's key file to this robot") from None
+    except ValueError as error:
+        raise KeyFileError(f"{str(path)!r}: {error}") from None
     try:
         status = os.fstat(file)
         if not stat.S_ISREG(status.st_mode):

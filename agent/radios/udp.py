@@ -54,7 +54,7 @@ class UdpRadio:
         self._sent: deque[bytes] = deque(maxlen=_ECHOES)
         try:
             number = socket.if_nametoindex(interface)
-        except OSError:
+        except (OSError, ValueError):
             known = ", ".join(name for _, name in socket.if_nameindex())
             raise TransportError(f"interface {interface!r} does not exist; there are: {known}") from None
         try:

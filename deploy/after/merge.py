@@ -20,6 +20,7 @@ from netshaper import capture, pcapng
 from netshaper.frame_log import Frame, FrameLog
 from netshaper.ledger import BROADCAST, CAUSES, EVERYONE
 from protocol.files import open_file
+from protocol.messages import MAX_STEPS
 
 STEP_NS = 1_000_000_000
 """Nanoseconds of a step of the joined capture and ledger."""
@@ -183,11 +184,13 @@ def _delays(sender: Recording, receiver: Recording) -> list[int]:
 
 
 def _logs(frames: dict[FrameId, Joined]) -> list[tuple[int, FrameLog]]:
-    """Return the log of each step, from 1, in which there are frames."""
+    """Return the log of each step, from 1, in which there are frames; ValueError if there are too many steps."""
     logs: defaultdict[int, FrameLog] = defaultdict(FrameLog)
     begin = min((frame.time_ns for frame in frames.values()), default=0)
     for number, frame in frames.items():
         step = 1 + (frame.time_ns - begin) // STEP_NS
+        if step > MAX_STEPS:
+            raise ValueError(f"the frames are {step} seconds apart: one of the clocks was set in between")
         names = ", ".join(f"r{robot}" for robot in sorted(frame.receivers)) or "none"
         sealed = f"frame {number.counter} of session {number.session}, {frame.size} bytes sealed"
         cause = "" if frame.receivers else "loss"

@@ -112,7 +112,7 @@ def replay(
             raise ValueError(
                 "bus = 'zenoh': a run by the wall clock is repeated on the memory bus; omit --bus"
             )
-        bus, missed = "memory", missed_phases.read(directory / missed_phases.MISSED)
+        bus, missed = "memory", missed_phases.read(directory / missed_phases.MISSED, recorded.robots)
     scenario = load(directory / run_directory.SCENARIO, {"bus": bus})
     with progress(shown=not as_json) as watch:
         result = exploration.explore(scenario, keep=False, watch=watch, missed=missed)

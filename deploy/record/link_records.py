@@ -20,13 +20,17 @@ from typing import NamedTuple
 
 import numpy as np
 
+from agent.radios.options import MAX_FRAME
 from agent.radios.peer_medium import FrameRecord
+from agent.radios.replay_window import MAX_COUNTER, MAX_SESSION
 from deploy.record.run_directory import CAPTURE, LEDGER, CaptureFile, ledger_table
 from netshaper import capture
 from netshaper.frame_log import Content, Frame, FrameLog
 from netshaper.ledger import BROADCAST, CAUSES, EVERYONE, NEWS, ROW
 from protocol.errors import ProtocolError
 from protocol.files import open_file
+from protocol.grid import MAX_ROBOTS
+from protocol.messages import MAX_STEPS
 from protocol.packet_index import NO_PACKETS, index_of
 from worldsim.atomic_files import write_whole
 
@@ -49,6 +53,12 @@ class FrameLine(NamedTuple):
     bytes: int
     broadcast: int
     gossip: int
+
+
+_MOST = FrameLine(
+    MAX_ROBOTS - 1, 2**63 - 1, MAX_STEPS, MAX_ROBOTS - 1, MAX_SESSION, MAX_COUNTER, *(3 * [MAX_FRAME])
+)
+"""The largest value of each column; times may be negative."""
 
 
 def contents(broadcast: bytes, gossip: bytes) -> list[Content]:
@@ -118,22 +128,26 @@ def write_ledger(folder: Path, rows: Sequence[bytes]) -> None:
 
 
 def read_frames(folder: Path) -> list[FrameLine]:
-    """Read ``frames.csv``, up to its last whole line; ValueError if it is no such file."""
+    """Read ``frames.csv``, up to its last whole line; ValueError if it is no such file, or damaged."""
     path = folder / FRAMES
     with open_file(path) as file:
-        text = file.read().decode("ascii", "replace")
-    head, *lines = csv.reader(StringIO(text[: text.rfind("\n") + 1])) if text else [[]]
-    if tuple(head) != FrameLine._fields:
+        head, *lines = file.read().decode("ascii", "replace").split("\n")
+    if tuple(head.split(",")) != FrameLine._fields:
         raise ValueError(
             f"{path}: not the frames of a robot: the first line must be {','.join(FrameLine._fields)}"
         )
     frames = []
-    for number, line in enumerate(lines, 2):
+    for number, line in enumerate(lines[:-1], 2):
         try:
-            frames.append(FrameLine(*map(int, line)))
+            frame = FrameLine(*map(int, line.split(",")))
         except (TypeError, ValueError):
             fields = len(FrameLine._fields)
             raise ValueError(f"{path}, line {number}: expected {fields} integers") from None
+        for name, value, most in zip(FrameLine._fields, frame, _MOST, strict=True):
+            least = -most if name == "time_ns" else 0
+            if not least <= value <= most:
+                raise ValueError(f"{path}, line {number}: {name} = {value} is not from {least} to {most}")
+        frames.append(frame)
     return frames
 
 

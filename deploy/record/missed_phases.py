@@ -11,6 +11,7 @@ import msgspec
 from deploy.record.columns import MISSED as COLUMNS
 from deploy.record.columns import schema
 from deploy.scenario.scenario import ScenarioError
+from netshaper.phase_clock import PHASES
 from protocol.messages import Missed
 from worldsim.atomic_files import write_whole
 from worldsim.clock import MOVE, STEP
@@ -32,21 +33,27 @@ def write(path: Path, record: Iterable[Missed]) -> None:
     write_whole(path, lambda file: parquet.write_table(table, file))
 
 
-def read(path: Path) -> list[Missed]:
-    """Read a record that `write` has written; ScenarioError if the file is missing or damaged."""
+def read(path: Path, robots: int) -> list[Missed]:
+    """Read the record of a run of so many robots; ScenarioError if the file is missing or damaged."""
     from pyarrow import ArrowException, parquet  # noqa: PLC0415  half a second to import
 
-    robots: dict[tuple[int, str, int], list[int]] = {}
+    found: dict[tuple[int, str, int], list[int]] = {}
     try:
         for row in parquet.read_table(path).to_pylist():
-            robots.setdefault((row["step"], row["phase"], row["round"]), []).append(row["robot"])
-        rows = [[step, phase, number, named] for (step, phase, number), named in robots.items()]
-        return msgspec.convert([[_TAG, *row] for row in rows], list[Missed])
+            found.setdefault((row["step"], row["phase"], row["round"]), []).append(row["robot"])
+        rows = [[_TAG, step, phase, number, named] for (step, phase, number), named in found.items()]
+        record = msgspec.convert(rows, list[Missed])
+        for missed in record:
+            if missed.phase not in (STEP, MOVE, *PHASES):
+                raise ValueError(f"step {missed.step} has an unknown phase, {missed.phase!r}")
+            if max(missed.robots) >= robots:
+                raise ValueError(f"step {missed.step} names robot {max(missed.robots)} of {robots} robots")
+        return record
     except FileNotFoundError:
         raise ScenarioError(
             f"{path}: is missing: without it, a run by the wall clock cannot be repeated"
         ) from None
-    except (ArrowException, OSError, KeyError, msgspec.ValidationError) as error:
+    except (ArrowException, OSError, KeyError, TypeError, ValueError) as error:
         raise ScenarioError(f"{path}: damaged table ({' '.join(str(error).split())})") from None
 
 

@@ -248,7 +248,7 @@ class ActionClient:
         self._cancel.call(request, now_ns, lambda *_: None)
 
     def _take_result(self, goal: ClientGoal, response: Any) -> None:
-        if response is None or not Status(response.status).is_end:
+        if response is None or response.status not in (Status.SUCCEEDED, Status.CANCELED, Status.ABORTED):
             self._end(goal, Status.ABORTED, None)
         else:
             self._end(goal, Status(response.status), response.result)

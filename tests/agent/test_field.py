@@ -8,6 +8,7 @@ import pytest
 from msgspec.structs import replace
 
 from agent.field import FieldFiles, FieldRobot, drive, field_settings, team_context
+from agent.journal import journal_name
 from agent.pose_guard import PoseGuard
 from agent.radios.memory_air import Faults, MemoryAir
 from agent.radios.options import LinkOptions
@@ -16,6 +17,7 @@ from agent.radios.sealing import KEY_BYTES, Sealer
 from agent.radios.session_file import SessionFileError
 from agent.settings import Settings
 from protocol.messages import Move, Sense
+from protocol.range_scans import Laser
 from tests.agent.radios.air_team import Wire, WorldBody
 from tests.system.team import small_plan
 from worldsim.base import BaseWorld
@@ -141,11 +143,33 @@ def test_the_body_stops_and_the_files_are_released_if_the_robot_fails(tmp_path: 
         field_robot(tmp_path, body)
 
 
+def test_the_files_are_released_if_the_body_cannot_stop_or_the_journal_cannot_be_opened(
+    tmp_path: Path,
+) -> None:
+    settings = replace(PLAN.robot_settings[0], incarnations=3)
+    body = Alone(PLAN.make_world())
+    robot = field_robot(tmp_path, body, settings)
+
+    def fail() -> None:
+        raise OSError("the motors do not answer")
+
+    body.stop = fail  # type: ignore[method-assign]
+    with pytest.raises(OSError, match="do not answer"):
+        robot.stop()
+    field_robot(tmp_path, Alone(PLAN.make_world()), settings).stop()
+    folder = tmp_path / "no journal"
+    (folder / journal_name(0)).mkdir(parents=True)
+    for _ in range(2):
+        with pytest.raises(IsADirectoryError):
+            FieldFiles.open(folder, KEY, settings)
+
+
 def test_frames_of_robots_with_other_maps_do_not_open(tmp_path: Path) -> None:
     settings = PLAN.robot_settings[0]
     robot = field_robot(tmp_path, Alone(PLAN.make_world()))
     other = replace(settings, robot=1, width=settings.width + 1)
     assert team_context(settings) == team_context(PLAN.robot_settings[1]) != team_context(other)
+    assert team_context(replace(settings, laser=Laser(4, 0, 49152, 8000))) != team_context(settings)
     robot.medium.receive(Sealer(KEY, 1, 1, team_context(other)).seal(b""), 0)
     robot.medium.receive(Sealer(KEY, 1, 1, team_context(settings)).seal(b""), 0)
     assert robot.medium.dropped == {"not authentic": 1}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 
@@ -53,3 +54,17 @@ def test_a_closed_alarm_ends_all_sleep() -> None:
     thread.join(LONG_S / 2)
     assert times
     alarm.sleep(time.monotonic() + LONG_S)
+
+
+def test_a_thread_may_sleep_until_an_alarm_without_a_time_of_its_own() -> None:
+    alarm, times = Alarm(), list[float]()
+
+    def sleep() -> None:
+        alarm.sleep(math.inf)
+        times.append(time.monotonic())
+
+    thread = threading.Thread(target=sleep, daemon=True)
+    thread.start()
+    alarm.set(time.monotonic() + 0.05)
+    thread.join(LONG_S / 2)
+    assert times

@@ -71,6 +71,14 @@ def test_frames_that_are_not_level_have_no_pose(
         pose_of(0.0, 0.0, *quaternion)
 
 
+@pytest.mark.parametrize("x", [math.nan, math.inf, -1e300])
+def test_a_position_that_no_robot_can_have_is_refused(x: float) -> None:
+    with pytest.raises(ValueError, match="not a number, or beyond"):
+        pose_of(x, 0.0, 0.0, 0.0, 0.0, 1.0)
+    with pytest.raises(ValueError, match="not a number, or beyond"):
+        pose_of(0.0, x, 0.0, 0.0, 0.0, 1.0)
+
+
 def test_a_small_tilt_is_projected_into_the_plane() -> None:
     tilt = math.radians(5) / 2
     assert pose_of(1.0, 2.0, math.sin(tilt), 0.0, 0.0, math.cos(tilt)) == Pose(1.0, 2.0, 0.0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from protocol import keys as names
-from protocol.messages import Missed, Move, Positions, Sense
+from protocol.messages import ErrorReport, FaultEvent, Missed, Move, Positions, Sense
 from tests.worldsim.test_world_process import Run
 from worldsim.clock import MOVE, STEP, RecordedClock, WallClock
 
@@ -125,3 +125,17 @@ def test_a_recorded_clock_drops_the_moves_that_were_late() -> None:
     assert [message.step for message in run.received("r1") if isinstance(message, Sense)] == [1, 3]
     run.stay(0)
     assert run.world.step == 3
+
+
+def test_the_late_move_of_a_robot_that_a_fault_has_removed_is_no_error() -> None:
+    run = WallRun(3)
+    run.wait(0)
+    run.stay(0, 2)
+    run.wait(STEP_NS)
+    run.control(FaultEvent(3, 1, "kill"))
+    run.stay(0, 2)
+    run.wait(2 * STEP_NS)
+    assert run.world.step == 3
+    for step in (1, 2):
+        run.move(1, Move(step, b"", 0, explored=False))
+    assert not [each for each in run.received(names.RECORDER) if isinstance(each, ErrorReport)]

@@ -319,3 +319,49 @@ def test_cells_of_the_team_map_lie_where_goals_lead(
     cell = corner.then(Pose((column + 0.5) * info.resolution, (79 - row + 0.5) * info.resolution, 0.0))
     assert goal is not None
     assert (goal.x, goal.y) == pytest.approx((cell.x, cell.y), abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "problem"),
+    [
+        ("resolution", 0.0, "its resolution is 0 m"),
+        ("resolution", math.nan, "its resolution is nan m"),
+        ("width", 4_000_000_000, "100 cells instead of 4000000000 x 10"),
+        ("origin", MESSAGES.pose(math.inf, 0.0, 0.0), "its origin is not a pose"),
+        ("origin", MESSAGES.pose(1e300, 0.0, 0.0), "its origin is not a pose"),
+        ("origin", MESSAGES.pose(0.0, 0.0, math.nan), "its origin is not a pose"),
+    ],
+)
+def test_a_malformed_map_is_noted_and_has_no_effect(field: str, value: Any, problem: str) -> None:
+    body = robot()
+    scan_at(body, AT_ORIGIN)
+    body.sense(1)
+    own = MESSAGES.new(names.OCCUPANCY_GRID, data=np.full(100, -1, np.int8))
+    own.info.width = own.info.height = 10
+    own.info.resolution, own.info.origin = 0.1, MESSAGES.pose(0.0, 0.0, 0.0)
+    setattr(own.info, field, value)
+    body.add_map(own)
+    assert body.problem == f"map: {problem}"
+    assert body.goal(driving((21, 49), (22, 49))) is not None
+
+
+def test_transforms_are_forgotten_after_a_minute_without_scans() -> None:
+    body = robot()
+    for second in range(200):
+        stand(body, AT_ORIGIN, second * SECOND)
+        body.sense(second)
+    body.add_scan(laser_scan([1.0] * 4, 100 * SECOND))
+    assert body.sense(200) is None
+    assert "not of the time of the scans" in body.problem
+    body.add_scan(laser_scan([1.0] * 4, 150 * SECOND))
+    assert body.sense(201) is not None
+
+
+def test_poses_and_beams_beyond_all_bounds_are_noted() -> None:
+    body = robot()
+    scan_at(body, Pose(1e300, 0.0, 0.0))
+    assert body.sense(1) is None
+    assert "beyond 1e+09 m" in body.problem
+    other = robot()
+    other.add_scan(laser_scan([1.0] * 4, angle_increment=math.inf))
+    assert "not those of a laser" in other.problem

@@ -124,3 +124,26 @@ def test_a_robot_that_has_used_up_its_sessions_needs_a_new_key(tmp_path: Path) -
     path.write_bytes(data)
     with pytest.raises(SessionFileError, match="create a new team key"):
         SessionFile(path, KEY, 0, 2)
+
+
+def test_a_file_that_is_no_session_file_is_refused_and_not_changed(tmp_path: Path) -> None:
+    path = tmp_path / "r0.session"
+    SessionFile(path, KEY, 0, 2).close()
+    whole = path.read_bytes()
+    for data in (whole[:3], whole[:8], whole[:20], b"not a session file", whole[:16] + b"\xff" * 8):
+        path.write_bytes(data)
+        with pytest.raises(SessionFileError, match="damaged"):
+            SessionFile(path, KEY, 0, 2)
+        assert path.read_bytes() == data
+
+
+def test_a_session_file_can_be_closed_twice(tmp_path: Path) -> None:
+    session = SessionFile(tmp_path / "r0.session", KEY, 0, 2)
+    session.close()
+    session.close()
+    SessionFile(tmp_path / "r0.session", KEY, 0, 2).close()
+
+
+def test_a_path_with_a_zero_byte_is_no_key_file() -> None:
+    with pytest.raises(KeyFileError, match="null byte"):
+        read_key(Path("team\0.key"))

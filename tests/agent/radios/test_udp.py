@@ -101,6 +101,9 @@ def test_datagrams_are_not_forwarded_and_only_the_group_is_listened_to(net: Host
 def test_interfaces_and_addresses_that_do_not_exist_are_refused() -> None:
     with pytest.raises(TransportError, match=r"interface 'radio9' does not exist; there are: .*lo"):
         UdpRadio("radio9")
+    for name in ("radio\0", "\ud800", "r" * 300):
+        with pytest.raises(TransportError, match="does not exist"):
+            UdpRadio(name)
     with pytest.raises(TransportError, match="no IPv4 address"):
         UdpRadio("lo", "group")
     with pytest.raises(TransportError, match=r"on interface lo: .*is the interface up"):

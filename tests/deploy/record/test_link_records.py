@@ -11,7 +11,7 @@ from agent.radios.memory_air import Faults, MemoryAir
 from agent.radios.options import LinkOptions
 from agent.radios.pacing import SECOND
 from agent.radios.peer_medium import FrameRecord
-from deploy.record.link_records import LinkRecorder, frame_log, read_frames
+from deploy.record.link_records import FRAMES, LinkRecorder, frame_log, read_frames
 from netshaper import capture, pcapng
 from protocol.packets import HeldEarly, Pose, encode
 from tests.agent.radios.air_team import AirTeam
@@ -76,3 +76,29 @@ def test_an_existing_capture_is_never_overwritten(tmp_path: Path) -> None:
     LinkRecorder(tmp_path, 0).close()
     with pytest.raises(FileExistsError):
         LinkRecorder(tmp_path, 0)
+
+
+HEAD = b"robot,time_ns,step,sender,session,counter,bytes,broadcast,gossip\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        (b"", "the first line must be robot"),
+        (b"no end of a line", "the first line must be robot"),
+        (HEAD + b"1\r2\n", "line 2: expected 9 integers"),
+        (HEAD + b'"' + b"1" * 200_000 + b"\n", "line 2: expected 9 integers"),
+        (HEAD + b"1,0,1,0,1,0,14,0,0\n1,0,1,256,1,0,14,0,0\n", "line 3: sender = 256 is not from 0 to 255"),
+        (HEAD + b"1,0,-1,0,1,0,14,0,0\n", "line 2: step = -1"),
+        (HEAD + b"1," + b"9" * 30 + b",1,0,1,0,14,0,0\n", "line 2: time_ns = 9"),
+    ],
+)
+def test_damaged_frame_lists_are_refused(tmp_path: Path, text: bytes, problem: str) -> None:
+    (tmp_path / FRAMES).write_bytes(text)
+    with pytest.raises(ValueError, match=problem):
+        read_frames(tmp_path)
+
+
+def test_a_line_that_was_being_written_is_ignored(tmp_path: Path) -> None:
+    (tmp_path / FRAMES).write_bytes(HEAD + b"1,5,1,0,1,0,14,0,0\n1,6,1,0,1,")
+    assert [line.time_ns for line in read_frames(tmp_path)] == [5]

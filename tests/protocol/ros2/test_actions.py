@@ -87,6 +87,15 @@ def test_a_goal_that_cannot_be_reached_is_aborted_with_its_result(navigation: Na
     assert sent.result is not None
 
 
+@pytest.mark.parametrize("status", [42, -1, Status.EXECUTING])
+def test_a_goal_whose_result_has_no_final_status_ends_as_aborted(navigation: Navigation, status: int) -> None:
+    sent = navigation.send(1.0)
+    navigation.until(lambda: navigation.goals and navigation.goals[0].waiting)
+    navigation.goals[0].waiting[0].reply(navigation.of("GetResult_Response", status=status), 5)
+    navigation.until(lambda: navigation.ended)
+    assert (sent.status, sent.result) == (Status.ABORTED, None)
+
+
 def test_a_rejected_goal_ends_as_aborted(navigation: Navigation) -> None:
     navigation.accepts = False
     sent = navigation.send(1.0)
