@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import fields
 from io import BytesIO
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import pytest
@@ -25,8 +26,18 @@ from agent.encodings.catalog import ENCODINGS, make_encoding
 from agent.identity import Identity
 from agent.journal import Journal, JournalError
 from agent.outline.receiver import Receiver
+from agent.radio_events import respond
+from agent.radios.cobs import LineReader, line, stuff, unstuff
+from agent.radios.options import LinkOptions
+from agent.radios.peer_medium import PeerMedium
+from agent.radios.sealing import KEY_BYTES, Opener, Sealer
+from agent.radios.session_file import SessionFile, SessionFileError
+from agent.radios.team_key import KeyFileError, read_key
 from agent.replication.base import Replication
+from agent.robot import Robot
 from agent.settings import EncodingSettings, MediumSettings, ReplicationSettings, Settings
+from deploy.record import missed_phases
+from deploy.record.link_records import FRAMES, FrameLine, read_frames
 from deploy.scenario import plan as plans
 from deploy.scenario.scenario import Scenario, ScenarioError, lay, parse
 from netshaper.radio_options import RadioOptions
@@ -35,7 +46,7 @@ from protocol.body import Body
 from protocol.budget import Budget
 from protocol.errors import ProtocolError
 from protocol.keys import Keys
-from protocol.messages import ConnectionReport, Delivery, Record, RoundReport, unpack
+from protocol.messages import ConnectionReport, Delivery, Missed, Record, RoundReport, unpack
 from protocol.range_scans import Laser, range_scan_size
 from protocol.rights import RIGHTS, read
 from protocol.scans import fragments
@@ -56,6 +67,7 @@ SETTINGS = Settings(
 
 
 LASER = Laser(5, 0, 50_000, 8000)
+KEY = bytes(range(KEY_BYTES))
 
 
 def read_packets(data: bytes) -> None:
@@ -148,6 +160,56 @@ def read_map(data: bytes, folder: Path) -> None:
     maps.load(str(path))
 
 
+def read_serial_lines(data: bytes) -> None:
+    reader = LineReader(40)
+    frames = reader.feed(data)
+    assert all(len(frame) <= 40 for frame in frames)
+    assert unstuff(stuff(data)) == data
+    assert [data[:40]] == reader.feed(b"\0" + line(data[:40]))
+
+
+def receive_frames(data: bytes) -> None:
+    """Receive the bytes as a frame, and as packets that a teammate has sealed."""
+    options = LinkOptions("udp", interface="lo", frame_bytes=1400)
+    medium = PeerMedium(
+        0, 1400, Sealer(KEY, 0, 1), Opener(KEY, 0, 3), options.pacer(0, 0, 0), options.timing()
+    )
+    robot = Robot(replace(SETTINGS, robot=0, replication=ReplicationSettings("gossip", requires_acks=True)))
+    for frame in (data, Sealer(KEY, 1, 1).seal(data), Sealer(KEY, 2, 1).seal(bytes([len(data)]) + 2 * data)):
+        medium.receive(frame, 1)
+    for event in medium.end_step():
+        respond(robot, event, lambda error: None)
+    assert len(medium.records) <= 2
+
+
+def read_settings(data: bytes) -> None:
+    assert Settings.decode(Settings.decode(data).encode()) == Settings.decode(data)
+
+
+def read_session_file(data: bytes) -> None:
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "r0.session"
+        path.write_bytes(data)
+        session = SessionFile(path, KEY, 0, 2)
+        session.close()
+        assert session.session >= 1
+
+
+def read_key_file(data: bytes) -> None:
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "team.key"
+        path.write_bytes(data)
+        path.chmod(0o600)
+        assert len(read_key(path)) == KEY_BYTES
+
+
+def read_frame_list(data: bytes) -> None:
+    head = ",".join(FrameLine._fields).encode()
+    with TemporaryDirectory() as folder:
+        (Path(folder) / FRAMES).write_bytes(head + b"\n" + data)
+        read_frames(Path(folder))
+
+
 READERS: dict[Callable[[bytes], None], type[Exception]] = {
     read_packets: ProtocolError,
     read_messages: ProtocolError,
@@ -160,6 +222,12 @@ READERS: dict[Callable[[bytes], None], type[Exception]] = {
     read_journal: JournalError,
     read_scenario: ScenarioError,
     read_credential: ValueError,
+    read_serial_lines: ProtocolError,
+    receive_frames: ProtocolError,
+    read_settings: ProtocolError,
+    read_session_file: SessionFileError,
+    read_key_file: KeyFileError,
+    read_frame_list: ValueError,
 }
 
 KINDS = b"".join(
@@ -313,4 +381,43 @@ def test_any_map_is_read_or_rejected_with_a_message(
     try:
         read_map(data, tmp_path_factory.mktemp("map"))
     except MapError as error:
+        assert str(error)
+
+
+CUTS = st.lists(st.tuples(st.integers(0, 2000), st.integers(0, 8), st.binary(max_size=8)), max_size=3)
+"""Place, length, and replacement of bytes of valid data; places are counted modulo its length."""
+
+
+def mutated(data: bytes, cuts: list[tuple[int, int, bytes]]) -> bytes:
+    changed = bytearray(data)
+    for place, length, replacement in cuts:
+        at = place % (len(changed) + 1)
+        changed[at : at + length] = replacement
+    return bytes(changed)
+
+
+@settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck))
+@given(cuts=CUTS)
+def test_any_record_of_missed_phases_is_read_or_rejected_with_a_message(
+    tmp_path_factory: pytest.TempPathFactory, cuts: list[tuple[int, int, bytes]]
+) -> None:
+    path = tmp_path_factory.mktemp("missed") / missed_phases.MISSED
+    missed_phases.write(path, [Missed(3, "offers", 0, [1]), Missed(3, "move", 0, [1, 2])])
+    path.write_bytes(mutated(path.read_bytes(), cuts))
+    try:
+        record = missed_phases.read(path, 3)
+    except ScenarioError as error:
+        assert str(error)
+    else:
+        assert all(robot < 3 for missed in record for robot in missed.robots)
+
+
+@settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=list(HealthCheck))
+@given(cuts=CUTS)
+def test_any_changed_settings_of_a_robot_are_read_or_rejected_with_a_message(
+    cuts: list[tuple[int, int, bytes]],
+) -> None:
+    try:
+        read_settings(mutated(SETTINGS.encode(), cuts))
+    except ProtocolError as error:
         assert str(error)
