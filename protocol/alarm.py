@@ -14,7 +14,7 @@ class Alarm:
         self._is_closed = False
         self._changed = threading.Condition()
         self._wakes = math.inf
-        """When the thread wakes up; while it is awake, when it will at the latest after it falls asleep again."""
+        """The earliest time that is set; a time that is set while the thread is awake applies to its next sleep."""
 
     def set(self, at: float) -> None:
         """Wake the thread at `at`, unless it wakes up before."""
@@ -30,7 +30,7 @@ class Alarm:
             self._changed.notify()
 
     def sleep(self, until: float) -> None:
-        """Sleep until `until`, until a time that is set, or until this alarm is closed."""
+        """Sleep until `until` or the earliest time that is set; at most until this alarm is closed."""
         with self._changed:
             self._wakes = min(self._wakes, until)
             while not self._is_closed and (left := self._wakes - time.monotonic()) > 0:

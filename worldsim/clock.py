@@ -46,11 +46,11 @@ class StepClock:
         return False
 
     def is_over(self, moved: int, active: int) -> bool:
-        """Return whether the step ends, of which `moved` of `active` robots have moved, and the medium is closed."""
+        """Return whether the step ends now: the medium is closed, and `moved` of `active` robots have moved."""
         return moved >= active
 
     def end(self, step: int, moved: Iterable[int], late: Iterable[int]) -> None:
-        """End a step, in which these robots moved, and those did not although they took part."""
+        """End a step; `moved`: robots that moved in it, `late`: robots that took part and did not move in time."""
 
     def forget(self, robot: int) -> None:
         """Note that the process of a robot has ended."""
@@ -70,7 +70,7 @@ class WallClock(StepClock):
         self._deadline: int | None = None
         """The end of this step; None before the first one."""
         self._has_begun = False
-        """Whether a step has begun whose end is not known yet."""
+        """Whether a step has begun and its end is not set yet."""
         self._is_over = False
         self._owed: defaultdict[int, list[int]] = defaultdict(list)
         """The steps that each robot has missed, and for which it has not sent a move since, in ascending order."""
@@ -107,7 +107,7 @@ class WallClock(StepClock):
         return self._is_over
 
     def end(self, step: int, moved: Iterable[int], late: Iterable[int]) -> None:
-        """End a step: note who has missed it, and that those who moved have finished all earlier ones."""
+        """End a step: robots that moved have finished all earlier steps, and `late` ones have missed this one."""
         for robot in moved:
             self.forget(robot)
         for robot in late:
@@ -143,5 +143,5 @@ class RecordedClock(StepClock):
         return robot in self._robots.get((step, MOVE), ())
 
     def is_over(self, moved: int, active: int) -> bool:
-        """Return whether all robots have moved whose moves were in time."""
+        """Return whether all robots have moved that moved in time in the recorded run."""
         return moved >= active - len(self._robots.get((self._step, MOVE), ()))

@@ -1,1 +1,1 @@
-"""Bodies: where a robot's `Sense` comes from, and where its `Move` goes."""
+"""Bodies: the sensors and motors of real robots, behind `Sense` and `Move`."""

@@ -68,7 +68,7 @@ class Ros2Body:
         self._pose: tuple[int, Pose] | None = None
         """Time and pose of the last scan in the map frame of the robot."""
         self._settled_ns = 0
-        """Time from which poses are believed again."""
+        """Time from which poses are used again after a jump."""
         self._map: Any = None
         self.problem = "no laser scan has arrived"
         """Why there is no new scan; empty if there is one."""
@@ -221,7 +221,7 @@ class Ros2Body:
         return pose
 
     def _is_plausible(self, stamp: int, pose: Pose) -> bool:
-        """Return whether a pose may be believed: it did not jump, nor did one shortly before."""
+        """Return whether a pose is plausible: neither it nor one of the last `SETTLE_NS` has jumped."""
         before, self._pose = self._pose, (stamp, pose)
         if before is not None:
             elapsed_s = max(0, stamp - before[0]) / 10**9

@@ -30,7 +30,7 @@ MAX_DURATION_S = 7 * 24 * 3600
 """Longest duration of an option, in seconds: a week."""
 
 MIN_HELLO_S, HELLOS = 8.0, 4
-"""Least silence, in seconds, before a hello, unless the options give another; and hellos within a neighbor timeout."""
+"""Minimum of the default `hello_s`, in seconds, and the default `neighbor_timeout_s` as a multiple of `hello_s`."""
 
 BACKOFF_FRAMES = 4
 """Airtimes of a full frame for which a frame waits at most."""
@@ -54,8 +54,9 @@ class LinkOptions:
     duty_cycle : float
         Share of each hour in which this robot may send; 0.01 is 1 %.
     neighbor_timeout_s, hello_s : float
-        A teammate is in range for so long after its last frame; and the silence after which this robot sends one
-        without packets. 0: as the rate and the duty cycle require. All robots of a team should have the same.
+        Time after its last frame for which a teammate counts as in range, and silence after which this robot sends a
+        frame without packets; at most a week. 0: derived from the rate and the duty cycle. All robots of a team should
+        have the same values.
     interval_s : float
         Least time between two frames of this robot; packets wait for each other, and share the overhead of a frame.
     interface, address, udp_port : str, str, int

@@ -228,7 +228,7 @@ class PeerMedium:
     def _is_hello_due(self, now: int) -> bool:
         """Return whether this robot has been silent for long, and could have sent packets if it had any.
 
-        A robot that saves for a frame says no hello: it would never have enough.
+        A robot that may not send a whole frame yet sends no hello: hellos would use up its budget.
         """
         return self._space > 0 and self._silence(now) >= self._timing.hello
 

@@ -1,6 +1,7 @@
 """The team's key file: 32 random bytes in hexadecimal, which only its owner may read.
 
-All robots of a team have a copy of the same file. Whoever has it can send frames in the name of every robot.
+All robots of a team have a copy of the same file. Any process that has the key can send frames
+in the name of every robot.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""ROS 2 over Zenoh, without ROS: a node that those of rmw_zenoh take for one of theirs ([ROS 2](docs/ros2.md)).
+"""ROS 2 over Zenoh, without ROS: a node that nodes with rmw_zenoh see as one of theirs (docs/ros2.md).
 
 `names`, `qos`, `attachments`, and `tokens` are the texts and bytes on the wire. `messages` and `interfaces` encode
 messages. `node` offers topics, services (`services`), and actions (`actions`); `graph` lists what other nodes offer.

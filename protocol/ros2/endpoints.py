@@ -71,7 +71,7 @@ class Endpoint:
 
 
 class Receiver(Endpoint):
-    """An endpoint with an inbox of at most `most` items; older ones give way to new ones."""
+    """An endpoint with an inbox of at most `most` items, None for no limit; a new item replaces the oldest one."""
 
     def __init__(self, link: Link, token: EndpointToken, most: int | None) -> None:
         super().__init__(link, token)

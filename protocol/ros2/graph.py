@@ -1,4 +1,4 @@
-"""What is on a ROS 2 domain: nodes, and who publishes, subscribes, or serves what, read from liveliness tokens."""
+"""Nodes of a ROS 2 domain, and their publishers, subscriptions, and services, read from liveliness tokens."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ class History(IntEnum):
 
 
 class Liveliness(IntEnum):
-    """Who tells that an endpoint is alive; rmw_zenoh implements only the first."""
+    """How an endpoint shows that it is alive; rmw_zenoh implements only the first way."""
 
     AUTOMATIC = 1
     MANUAL_BY_NODE = 2
@@ -96,7 +96,7 @@ DEFAULT = Qos()
 SENSOR = Qos(Reliability.BEST_EFFORT, depth=5)
 """For scans: the last ones count."""
 LATCHED = Qos(durability=Durability.TRANSIENT_LOCAL, depth=1)
-"""For maps: whoever joins later gets the last one."""
+"""For maps: a subscription that joins later gets the last one."""
 TF = Qos(depth=100)
 TF_STATIC = Qos(durability=Durability.TRANSIENT_LOCAL, depth=100)
 """For a subscription to ``tf_static``: it has several publishers, each with its last message."""
