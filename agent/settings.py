@@ -14,6 +14,7 @@ from agent.encoding_options import PolygonOptions, PredictiveOptions
 from protocol.body import Body
 from protocol.budget import UNLIMITED, Budget
 from protocol.errors import ProtocolError
+from protocol.messages import SideLength
 from protocol.range_scans import Laser
 
 
@@ -59,8 +60,8 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The number of this robot."""
     bodies: tuple[Body, ...]
     """The hardware of each robot of the team."""
-    width: int
-    height: int
+    width: SideLength
+    height: SideLength
     """Size of the grid in cells."""
     beams: int
     """Laser beams per full turn."""
@@ -87,6 +88,10 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Start cell of the first incarnation; None: the start cell of this one."""
     record_maps: bool = False
     """Whether to report map changes to the recorder."""
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.robot < len(self.bodies):
+            raise ValueError(f"robot = {self.robot}: the team has {len(self.bodies)} robots, from 0")
 
     @property
     def robots(self) -> int:
