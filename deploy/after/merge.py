@@ -19,6 +19,7 @@ from deploy.record.run_directory import CAPTURE, CaptureFile
 from netshaper import capture, pcapng
 from netshaper.frame_log import Frame, FrameLog
 from netshaper.ledger import BROADCAST, CAUSES, EVERYONE
+from netshaper.pcapng import CaptureError
 from protocol.files import open_file
 from protocol.messages import MAX_STEPS
 
@@ -82,11 +83,12 @@ def merge(folders: Sequence[Path], out: Path) -> Merged:
     recordings = [read_recording(folder) for folder in folders]
     offsets, error = align(recordings)
     frames = join(recordings, offsets)
+    logs = _logs(frames)
     out.mkdir(parents=True, exist_ok=True)
     rows: list[bytes] = []
     with CaptureFile(out / CAPTURE, "xb") as file:
         file.write(capture.head(f"radio of {len({each.robot for each in recordings})} robots in the field"))
-        for step, log in _logs(frames):
+        for step, log in logs:
             file.write(capture.encode(step, log))
             rows.append(log.ledger_rows(step))
         if file.failure is not None:
@@ -102,7 +104,10 @@ def read_recording(folder: Path) -> Recording:
         raise ValueError(f"{folder} has no frames")
     recording = Recording(folder, lines[0].robot, {}, {}, {})
     with open_file(folder / CAPTURE) as file:
-        captured = iter(list(capture.read(pcapng.Reader(file))))
+        try:
+            captured = iter(list(capture.read(pcapng.Reader(file))))
+        except CaptureError as error:
+            raise ValueError(f"{folder / CAPTURE}: {error}") from None
     for line in lines:
         frame = FrameId(line.sender, line.session, line.counter)
         parts = [next(captured, None) for size in (line.broadcast, line.gossip) if size]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import shutil
 from functools import cache
 from pathlib import Path
 
@@ -148,3 +149,25 @@ def test_what_a_killed_robot_recorded_is_read_up_to_the_last_whole_line(folder: 
     recording, whole = read_recording(tmp_path), read_recording(folder / "r0")
     assert 0 < len(recording.packets) < len(whole.packets)
     assert recording.packets.items() <= whole.packets.items()
+
+
+def test_damaged_recordings_are_named_and_nothing_is_written(folder: Path, tmp_path: Path) -> None:
+    def copied(name: str) -> list[Path]:
+        copies = [tmp_path / name / f"r{number}" for number in range(2)]
+        for copy in copies:
+            shutil.copytree(folder / copy.name, copy)
+        return copies
+
+    cut, apart = copied("cut"), copied("apart")
+    capture_file = cut[0] / "radio.pcapng"
+    whole = capture_file.read_bytes()
+    capture_file.write_bytes(whole[:500] + whole[503:])
+    with pytest.raises(ValueError, match=r"cut/r0/radio.pcapng: malformed at byte"):
+        merge(cut, tmp_path / "team")
+    lines = (apart[0] / FRAMES).read_text().splitlines()
+    first = lines[1].split(",")
+    first[1] = str(-(2**62))
+    (apart[0] / FRAMES).write_text("\n".join([lines[0], ",".join(first), *lines[2:], ""]))
+    with pytest.raises(ValueError, match="seconds apart: one of the clocks was set"):
+        merge(apart, tmp_path / "team")
+    assert not (tmp_path / "team").exists()
