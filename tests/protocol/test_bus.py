@@ -22,6 +22,8 @@ KEYS = Keys("contract")
 RELAY, WORLD, RECORDER, R0, R1 = names.RELAY, names.WORLD, names.RECORDER, "r0", "r1"
 SOON_S = 5.0
 """Maximum time until a message arrives."""
+LOSS_S = 60.0
+"""Maximum time until a robot detects that the hub is gone; usually 4.25 s, as it may only have lost its connection."""
 
 
 @dataclass
@@ -250,12 +252,11 @@ def test_after_the_hub_leaves_its_last_messages_arrive_and_then_the_bus_is_close
     received = []
     began = time.monotonic()
     with pytest.raises(BusClosed):
-        while time.monotonic() - began < SOON_S:
-            message = rendezvous[R0].receive(SOON_S)
+        while time.monotonic() - began < LOSS_S:
+            message = rendezvous[R0].receive(LOSS_S)
             if message is not None:
                 received.append(message.payload)
     assert received == [b"%d" % n for n in range(500)]
-    assert time.monotonic() - began < SOON_S
 
 
 def test_a_waiting_end_detects_the_loss_of_the_hub(rendezvous: Rendezvous) -> None:
@@ -263,7 +264,7 @@ def test_a_waiting_end_detects_the_loss_of_the_hub(rendezvous: Rendezvous) -> No
     began = time.monotonic()
     for name in (R0, R1, WORLD, RECORDER):
         with pytest.raises(BusClosed, match=name):
-            while time.monotonic() - began < SOON_S:
+            while time.monotonic() - began < LOSS_S:
                 rendezvous[name].receive()
 
 
