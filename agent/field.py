@@ -88,11 +88,7 @@ class FieldFiles:
     def open(cls, folder: Path, key: bytes, settings: Settings) -> FieldFiles:
         """Open or create the files in a directory; SessionFileError or JournalError if they do not fit the robot."""
         session = SessionFile(folder / f"r{settings.robot}.session", key, settings.robot, settings.robots)
-        try:
-            return cls(key, session, Identity(Journal.open(folder / journal_name(settings.robot))))
-        except Exception:
-            session.close()
-            raise
+        return cls(key, session, Identity(Journal.open(folder / journal_name(settings.robot))))
 
 
 class FieldRobot:

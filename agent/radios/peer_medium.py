@@ -212,6 +212,7 @@ class PeerMedium:
             return
         sender, session, counter, payload = opened
         self._accepted(sender, self._opener.highest(sender))
+        self._neighbors.received(sender, now)
         end = LENGTH_FIELD + payload[0] if payload else 0
         if end > len(payload):
             self._opener.dropped["malformed"] += 1
@@ -219,7 +220,6 @@ class PeerMedium:
             self._opener.dropped["too many"] += 1
         else:
             broadcast, gossip = payload[LENGTH_FIELD:end], payload[end:]
-            self._neighbors.received(sender, now)
             self._received.append(
                 FrameRecord(now, self._step, sender, session, counter, len(frame), broadcast, gossip)
             )

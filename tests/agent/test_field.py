@@ -8,7 +8,6 @@ import pytest
 from msgspec.structs import replace
 
 from agent.field import FieldFiles, FieldRobot, drive, field_settings, team_context
-from agent.journal import journal_name
 from agent.pose_guard import PoseGuard
 from agent.radios.memory_air import Faults, MemoryAir
 from agent.radios.options import LinkOptions
@@ -143,7 +142,7 @@ def test_the_body_stops_and_the_files_are_released_if_the_robot_fails(tmp_path: 
         field_robot(tmp_path, body)
 
 
-def test_the_files_are_released_if_the_body_cannot_stop_or_the_journal_cannot_be_opened(
+def test_the_files_are_released_if_the_body_cannot_stop(
     tmp_path: Path,
 ) -> None:
     settings = replace(PLAN.robot_settings[0], incarnations=3)
@@ -157,11 +156,6 @@ def test_the_files_are_released_if_the_body_cannot_stop_or_the_journal_cannot_be
     with pytest.raises(OSError, match="do not answer"):
         robot.stop()
     field_robot(tmp_path, Alone(PLAN.make_world()), settings).stop()
-    folder = tmp_path / "no journal"
-    (folder / journal_name(0)).mkdir(parents=True)
-    for _ in range(2):
-        with pytest.raises(IsADirectoryError):
-            FieldFiles.open(folder, KEY, settings)
 
 
 def test_frames_of_robots_with_other_maps_do_not_open(tmp_path: Path) -> None:

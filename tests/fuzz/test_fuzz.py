@@ -189,7 +189,10 @@ def read_settings(data: bytes) -> None:
 def read_session_file(data: bytes) -> None:
     with TemporaryDirectory() as folder:
         path = Path(folder) / "r0.session"
-        path.write_bytes(data)
+        session = SessionFile(path, KEY, 0, 2)
+        session.close()
+        whole = session.path.read_bytes()
+        session.path.write_bytes(data if len(data) < len(whole) else whole[:8] + data[: len(whole) - 8])
         session = SessionFile(path, KEY, 0, 2)
         session.close()
         assert session.session >= 1

@@ -88,13 +88,16 @@ def test_numbers_survive_a_process_that_is_killed(tmp_path: Path) -> None:
     with_state.close()
 
 
-def test_with_another_key_all_numbers_begin_anew(tmp_path: Path) -> None:
+def test_each_key_has_numbers_of_its_own_that_continue_when_the_robot_returns_to_it(tmp_path: Path) -> None:
     path = tmp_path / "r0.session"
     first = SessionFile(path, KEY, 0, 2)
     first.note(1, frame_number(3, 3))
     first.close()
-    again = SessionFile(path, OTHER, 0, 4)
-    assert (again.session, again.highest) == (1, {1: 0, 2: 0, 3: 0})
+    other = SessionFile(path, OTHER, 0, 4)
+    assert (other.session, other.highest) == (1, {1: 0, 2: 0, 3: 0})
+    other.close()
+    again = SessionFile(path, KEY, 0, 2)
+    assert (again.session, again.highest) == (2, {1: frame_number(3, 3)})
     again.close()
 
 
@@ -107,33 +110,38 @@ def test_a_second_process_cannot_use_the_same_session_file(tmp_path: Path) -> No
     SessionFile(path, KEY, 0, 2).close()
 
 
+def created(folder: Path) -> Path:
+    """The path of a session file that has been used once."""
+    session = SessionFile(folder / "r0.session", KEY, 0, 2)
+    session.close()
+    return session.path
+
+
 def test_a_file_of_a_team_of_another_size_is_refused_and_not_changed(tmp_path: Path) -> None:
-    path = tmp_path / "r0.session"
-    SessionFile(path, KEY, 0, 2).close()
+    path = created(tmp_path)
     before = path.read_bytes()
     with pytest.raises(SessionFileError, match="create a new team key"):
-        SessionFile(path, KEY, 0, 3)
+        SessionFile(tmp_path / "r0.session", KEY, 0, 3)
     assert path.read_bytes() == before
 
 
 def test_a_robot_that_has_used_up_its_sessions_needs_a_new_key(tmp_path: Path) -> None:
-    path = tmp_path / "r0.session"
-    SessionFile(path, KEY, 0, 2).close()
+    path = created(tmp_path)
     data = bytearray(path.read_bytes())
     data[8:16] = frame_number(MAX_SESSION, 0).to_bytes(8, "big")
     path.write_bytes(data)
     with pytest.raises(SessionFileError, match="create a new team key"):
-        SessionFile(path, KEY, 0, 2)
+        SessionFile(tmp_path / "r0.session", KEY, 0, 2)
 
 
-def test_a_file_that_is_no_session_file_is_refused_and_not_changed(tmp_path: Path) -> None:
-    path = tmp_path / "r0.session"
-    SessionFile(path, KEY, 0, 2).close()
+def test_a_damaged_session_file_is_refused_and_not_changed(tmp_path: Path) -> None:
+    path = created(tmp_path)
     whole = path.read_bytes()
-    for data in (whole[:3], whole[:8], whole[:20], b"not a session file", whole[:16] + b"\xff" * 8):
+    changed = bytes([whole[0] ^ 1]) + whole[1:]
+    for data in (whole[:3], whole[:20], changed, b"not a session file", whole[:16] + b"\xff" * 8):
         path.write_bytes(data)
         with pytest.raises(SessionFileError, match="damaged"):
-            SessionFile(path, KEY, 0, 2)
+            SessionFile(tmp_path / "r0.session", KEY, 0, 2)
         assert path.read_bytes() == data
 
 

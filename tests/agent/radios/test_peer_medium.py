@@ -137,6 +137,10 @@ def test_frames_that_do_not_hold_what_they_announce_and_floods_are_counted() -> 
     assert end.dropped == {"malformed": 1, "too many": 3}
     end.receive(Sealer(bytes(KEY_BYTES), 2, 9).seal(b""), SECOND)
     assert end.dropped == {"malformed": 1, "too many": 3, "not authentic": 1}
+    end.receive(Sealer(KEY, 1, 1).seal(b""), 2 * SECOND)
+    assert end.begin_step(0, 2 * SECOND).peers == [1, 2], (
+        "a teammate is in range even if its frame was dropped"
+    )
     (broadcasts, *_) = end.end_step()
     assert broadcasts == Broadcasts(0, [Delivery(2, POSE)] * MAX_WAITING)
 
