@@ -30,7 +30,7 @@ WAITING_SCANS = 32
 REMEMBERED_NS = 10 * 10**9
 """Age up to which transforms are kept, relative to the last scan with a known pose."""
 UNUSED_NS = 60 * 10**9
-"""Age up to which transforms are kept, relative to the last transform, while no scan has a known pose."""
+"""Age up to which transforms are kept while no scan has a known pose, relative to the last transform."""
 SETTLE_NS = 2 * 10**9
 """Time for which poses must be plausible again after a jump."""
 JUMP_M = 0.5
@@ -58,7 +58,6 @@ class Ros2Body:
         self._grid = grid
         self._settings = settings
         self._transforms = TransformBuffer()
-        self._last_transform_ns = 0
         self._refused: dict[str, str] = {}
         self._beams: _Beams | None = None
         self._waiting: deque[tuple[int, Any]] = deque(maxlen=WAITING_SCANS)
@@ -94,7 +93,7 @@ class Ros2Body:
             stamp = nanoseconds(each.header.stamp)
             self._transforms.add(parent, child, stamp, pose, is_static=is_static)
             if not is_static:
-                self._last_transform_ns = stamp
+                self._transforms.forget(stamp - UNUSED_NS)
 
     def add_scan(self, message: Any) -> None:
         """Take a message of ``scan``; one that is no scan is noted in `problem`."""
@@ -127,7 +126,6 @@ class Ros2Body:
         None before the first scan whose pose is known.
         """
         self._take_newest_scan()
-        self._transforms.forget(self._last_transform_ns - UNUSED_NS)
         if self._scan is None:
             return None
         scan = self._scan
