@@ -45,6 +45,7 @@ COMMANDS = {
     "reproduce": Entry("studies", "Repeat the experiments of the papers, and judge their claims."),
     "chaos": Entry("chaos", "Run swarms under random faults, and check their invariants."),
     "keys": Entry("keys", "Create certificates for the participants of a run."),
+    "serve-ros2": Entry("serve", "Serve simulated robots that look like ROS 2 robots over Zenoh."),
     "run": Entry("by_hand", "Start one process of a run by hand."),
     "bench": Entry("machine", "Benchmark this machine: ratios to references of the same run."),
     "doctor": Entry("machine", "Check that this installation works."),

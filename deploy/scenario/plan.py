@@ -137,7 +137,7 @@ def _sensors(
     if recording is not None:
         lasers = (recording.laser,) * len(bodies)
     else:
-        lasers = tuple(_geometry(scenario, body, cell) for body in bodies)
+        lasers = tuple(laser_of(scenario, body, cell) for body in bodies)
     return SensorSettings(scenario.laser, scenario.pose, lasers, cell)
 
 
@@ -156,7 +156,7 @@ def _check_people(world_map: Map, settings: WorldSettings) -> None:
             raise ScenarioError(f"people.number on map {world_map.name}: {error}") from None
 
 
-def _geometry(scenario: Scenario, body: Body, cell: float) -> Laser:
+def laser_of(scenario: Scenario, body: Body, cell: float) -> Laser:
     """Return the beams of one robot's laser, from the right to the left end of its field of view."""
     span = round(body.field_of_view / 360 * TURN)
     beams = scenario.laser.beams or max(2, round(scenario.beams * body.field_of_view / 360))

@@ -1,0 +1,197 @@
+"""`murmur serve-ros2`: simulated robots that look like ROS 2 robots, a swarm to develop against."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import math
+import re
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from deploy.commands.console import errors, screen
+from deploy.commands.explore import other_settings
+from deploy.commands.flags import ROBOTS, WORLD, GroupedCommand, command_family, setting_flags
+from deploy.scenario.scenario import Scenario, ScenarioError, load
+from worldsim.sensor_options import LASERS, POSES
+
+if TYPE_CHECKING:
+    from deploy.serve.process import ServeSettings
+    from deploy.serve.swarm import Swarm
+
+app = command_family()
+
+ROS = "ROS 2"
+RADIUS_M = 0.2
+"""Default of `radius`: robots that ROS drives are no points."""
+MIN_RATE, MAX_RATE = 1.0, 100.0
+NOT_SERVED = (
+    "strategy", "range", "bandwidth", "map_encoding", "dissemination", "tolerance", "steps", "bus", "clock",
+)  # fmt: skip
+"""Settings of runs with agents, radio, and records."""
+
+
+def _option(metavar: str, help: str, group: str) -> Any:
+    return typer.Option(metavar=metavar, help=help, rich_help_panel=group)
+
+
+def _switch(name: str, help: str, group: str) -> Any:
+    return typer.Option(name, help=help, rich_help_panel=group)
+
+
+@app.command("serve-ros2", cls=GroupedCommand)
+@setting_flags(*NOT_SERVED)
+def serve_ros2(
+    names: Annotated[str | None, _option("A,B,...", "namespaces (default r0,r1,...)", ROS)] = None,
+    resolution: Annotated[
+        float | None, _option("METERS", "cell size of a generated map or a picture", WORLD)
+    ] = None,
+    people: Annotated[
+        int | None, _option("N", "people who walk about in the building (docs/real-sensors.md)", WORLD)
+    ] = None,
+    radius: Annotated[
+        float | None, _option("METERS", f"radius of the robots (default {RADIUS_M:g})", ROBOTS)
+    ] = None,
+    laser: Annotated[
+        str | None, _option("NAME", f"a laser with its errors: {', '.join(LASERS)}", ROBOTS)
+    ] = None,
+    pose: Annotated[
+        str | None, _option("NAME", f"errors of the robots' poses: {', '.join(POSES)}", ROBOTS)
+    ] = None,
+    sees_robots: Annotated[
+        bool, _switch("--sees-robots", "lasers see other robots, instead of filtering them", ROBOTS)
+    ] = False,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="any other setting, as start_spacing=2; repeatable"),
+    ] = None,
+    rate: Annotated[float, _option("HZ", "scans and transforms per second", ROS)] = 10.0,
+    domain: Annotated[int, _option("ID", "ROS_DOMAIN_ID", ROS)] = 0,
+    distro: Annotated[str, _option("NAME", "distribution, as jazzy or humble", ROS)] = "jazzy",
+    router: Annotated[
+        str | None, _option("ADDRESS", "use this router, as tcp/localhost:7447; start none", ROS)
+    ] = None,
+    listen: Annotated[
+        str | None, _option("ADDRESS", "of the router that it starts (default tcp/localhost:7447)", ROS)
+    ] = None,
+    sim_time: Annotated[
+        bool, _switch("--sim-time", "publish /clock, and use simulated time in stamps", ROS)
+    ] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="print the robots, and at the end the coverage, as lines of JSON")
+    ] = False,
+    *,
+    settings: dict[str, Any],
+) -> None:
+    """Serve simulated robots that look like ROS 2 robots over Zenoh, until Ctrl-C.
+
+    Each robot publishes scan, tf, tf_static, odom, and map in its namespace. It accepts goal_pose, cmd_vel, and the
+    action navigate_to_pose. docs/ros2.md describes them.
+    """
+    given = {
+        "laser.preset": laser, "pose.preset": pose, "people.number": people,
+        "map_options.resolution": resolution, "radius": radius,
+    }  # fmt: skip
+    settings |= {name: value for name, value in given.items() if value is not None}
+    scenario = _scenario(settings | other_settings(set_ or [], settings))
+    if router is not None and listen is not None:
+        raise ValueError(f"listen = {listen!r}: --router starts no router; remove one of them")
+    if not MIN_RATE <= rate <= MAX_RATE:
+        raise ValueError(f"rate = {rate:g}: must be {MIN_RATE:g} to {MAX_RATE:g} Hz")
+    for package in ("rosbags", "xxhash"):
+        if importlib.util.find_spec(package) is None:
+            raise ValueError(f"serve-ros2 needs the package {package}: pip install 'murmur-robots[ros2]'")
+    from deploy.scenario.plan import make  # noqa: PLC0415
+    from deploy.serve.process import ServeSettings, serve  # noqa: PLC0415
+    from deploy.serve.swarm import SwarmSettings  # noqa: PLC0415
+    from protocol.ros2.session import ROUTER  # noqa: PLC0415
+
+    chosen = ServeSettings(
+        namespaces=_namespaces(names, scenario.robots),
+        domain=domain,
+        distro=distro,
+        router=router or listen or ROUTER,
+        own_router=router is None,
+        sim_time=sim_time,
+        swarm=SwarmSettings(rate, sees_robots),
+    )
+    show = _print_json if as_json else _print_text
+    swarm = serve(make(scenario), chosen, lambda swarm: show(scenario, swarm, chosen), errors.print)
+    if as_json:
+        print(json.dumps({"coverage": swarm.world.coverage, "seconds": swarm.time_ns / 10**9}), flush=True)
+    else:
+        screen.print(f"The robots have seen {swarm.world.coverage:.1%} of what they can reach.")
+
+
+def _scenario(settings: dict[str, Any]) -> Scenario:
+    """Return the scenario of the simulated robots; ScenarioError for settings that only runs have."""
+    for name in settings:
+        if name.partition(".")[0] in (*NOT_SERVED, "radio", "options", "recording", "fault", "scanner_turn"):
+            raise ScenarioError(f"set = '{name}=...': has no meaning for robots that ROS drives; omit it")
+    radius = settings.setdefault("radius", RADIUS_M)
+    if isinstance(radius, int | float):
+        settings.setdefault("start_spacing", max(0.3, 4.0 * radius))
+    return load(None, settings)
+
+
+def _namespaces(names: str | None, robots: int) -> tuple[str, ...]:
+    """Return one namespace per robot; ValueError if names are malformed, too few, or too many."""
+    if names is None:
+        return tuple(f"r{robot}" for robot in range(robots))
+    found = tuple(names.split(","))
+    for name in found:
+        if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name):
+            raise ValueError(
+                f"names = {names!r}: {name!r} is no namespace: letters, digits, and underscores, no digit first"
+            )
+    if len(set(found)) != robots or len(found) != robots:
+        raise ValueError(f"names = {names!r}: give {robots} different names, one per robot, or --robots")
+    return found
+
+
+def _print_json(scenario: Scenario, swarm: Swarm, chosen: ServeSettings) -> None:
+    starts = [[*robot.start[:2], math.degrees(robot.start.yaw)] for robot in swarm.robots]
+    found = {
+        "router": chosen.router, "domain": chosen.domain, "distro": chosen.distro, "map": scenario.map,
+        "grid": _grid(swarm), "robots": dict(zip(chosen.namespaces, starts, strict=True)),
+    }  # fmt: skip
+    print(json.dumps(found), flush=True)
+
+
+def _print_text(scenario: Scenario, swarm: Swarm, chosen: ServeSettings) -> None:
+    """Print what is served, and for each robot what the settings file of its agent needs."""
+    started = "a router started" if chosen.own_router else "the router"
+    screen.print(
+        f"{scenario.robots} robots on map {scenario.map}, at {started} at {chosen.router}, "
+        f"domain {chosen.domain}, {chosen.distro}. Ctrl-C ends them.\n\nSettings of their agents:"
+    )
+    for number, (namespace, robot) in enumerate(zip(chosen.namespaces, swarm.robots, strict=True)):
+        x, y, yaw = robot.start
+        ros2 = {
+            "namespace": namespace, "map_pose": [round(x, 3), round(y, 3), round(math.degrees(yaw), 1)],
+            "router": chosen.router, "domain": chosen.domain, "distro": chosen.distro,
+        }  # fmt: skip
+        lines = {
+            "robot": number, "robots": scenario.robots, "sensor_range": scenario.sensor_range,
+            "speed": scenario.speed, "radius": scenario.radius, "grid": _grid(swarm), "ros2": ros2,
+        }  # fmt: skip
+        screen.print(f"\n# {namespace}.toml")
+        for name, value in lines.items():
+            screen.print(f"{name} = {_toml(value)}")
+
+
+def _toml(value: Any) -> str:
+    """Return a value of TOML, tables on one line."""
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{name} = {_toml(each)}" for name, each in value.items()) + " }"
+    return json.dumps(value)
+
+
+def _grid(swarm: Swarm) -> dict[str, float]:
+    """Return the grid of the true map in the common frame, in meters."""
+    frame = swarm.world.frame
+    return {
+        "x": frame.x, "y": frame.y, "width_m": round(frame.width * frame.resolution, 6),
+        "height_m": round(frame.height * frame.resolution, 6), "resolution": frame.resolution,
+    }  # fmt: skip

@@ -1,0 +1,89 @@
+"""Runs the simulated robots by the wall clock: their nodes, and a router for them unless there is one."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from deploy.run.interrupt import signals_as_ctrl_c
+from deploy.scenario.plan import Plan
+from deploy.serve.ros_robot import RosRobot
+from deploy.serve.swarm import Swarm, SwarmSettings
+from protocol.ros2 import messages as names
+from protocol.ros2.node import Ros2Node
+from protocol.ros2.qos import Qos, Reliability
+from protocol.ros2.session import ROUTER, open_router
+
+CLOCK_QOS = Qos(Reliability.BEST_EFFORT, depth=1)
+NODE = "murmur_simulator"
+
+
+@dataclass(frozen=True)
+class ServeSettings:
+    """How robots appear in ROS.
+
+    Attributes
+    ----------
+    namespaces : tuple of str
+        One per robot, without slash.
+    domain : int
+        ROS_DOMAIN_ID.
+    distro : str
+        Distribution of ROS 2.
+    router : str
+        Address of the router.
+    own_router : bool
+        Whether to start a router at this address.
+    sim_time : bool
+        Whether stamps are simulated time, which ``/clock`` tells; else they are the time of this host.
+    """
+
+    namespaces: tuple[str, ...]
+    domain: int = 0
+    distro: str = "jazzy"
+    router: str = ROUTER
+    own_router: bool = True
+    sim_time: bool = False
+    swarm: SwarmSettings = field(default_factory=SwarmSettings)
+
+
+def serve(
+    plan: Plan, settings: ServeSettings, ready: Callable[[Swarm], object], warn: Callable[[str], object]
+) -> Swarm:
+    """Serve robots until Ctrl-C; return them. `ready` is called when all nodes exist, `warn` for ignored messages.
+
+    ConnectionError without a router, or if its address is in use; ValueError for a wrong name or domain.
+    """
+    swarm = Swarm(plan, settings.swarm, time.time_ns())
+    with contextlib.ExitStack() as stack, contextlib.suppress(KeyboardInterrupt), signals_as_ctrl_c():
+        if settings.own_router:
+            stack.callback(open_router(settings.router).close)
+        least = plan.scenario.laser.min_range_m
+        robots = []
+        for namespace, robot in zip(settings.namespaces, swarm.robots, strict=True):
+            node = stack.enter_context(_node(settings, namespace))
+            robots.append(RosRobot(node, robot, least, warn, time.time_ns()))
+        clock = None
+        if settings.sim_time:
+            node = stack.enter_context(_node(settings, "/"))
+            clock = node.publisher("/clock", names.CLOCK, CLOCK_QOS), node.messages
+        ready(swarm)
+        while True:
+            now_ns = time.time_ns()
+            for each in robots:
+                each.receive(now_ns)
+            if swarm.advance(now_ns):
+                stamp_ns = swarm.time_ns if settings.sim_time else swarm.now_ns
+                if clock is not None:
+                    publisher, messages = clock
+                    publisher.publish(messages[names.CLOCK](clock=messages.time(stamp_ns)), now_ns)
+                for each in robots:
+                    each.publish(stamp_ns, now_ns)
+            time.sleep(max(0, swarm.next_ns - time.time_ns()) / 10**9)
+    return swarm
+
+
+def _node(settings: ServeSettings, namespace: str) -> Ros2Node:
+    return Ros2Node(NODE, namespace, settings.domain, distro=settings.distro, router=settings.router)

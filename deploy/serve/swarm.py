@@ -1,0 +1,117 @@
+"""All simulated robots, step by step. The caller passes the time in: equal inputs at equal times have equal results."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import partial
+
+from msgspec.structs import replace as changed
+
+from deploy.scenario.plan import Plan, laser_of
+from deploy.serve.navigator import Navigator
+from deploy.serve.robot import SimulatedRobot
+from protocol.map_frame import MapFrame
+from protocol.range_scans import MAX_REACH_M, Laser
+from protocol.transforms import Pose
+from worldsim.localization import Localization
+from worldsim.sensors import SensorSettings
+from worldsim.velocity_world import VelocityWorld
+
+SECOND = 10**9
+LATEST = 10
+"""Steps by which the simulation may be late; it skips the time beyond them."""
+AVOID_M = 3.0
+"""Distance up to which robots plan around each other."""
+LASER_AHEAD_M = 0.1
+"""How far the laser is ahead of the robot's center, at most half its radius."""
+
+
+@dataclass(frozen=True)
+class SwarmSettings:
+    """Options of the simulation: steps per second, and whether lasers measure the distance to other robots."""
+
+    rate: float = 10.0
+    sees_robots: bool = False
+
+
+class Swarm:
+    """The robots of a plan; they begin at `start_ns`, nanoseconds of the caller's clock."""
+
+    def __init__(self, plan: Plan, settings: SwarmSettings, start_ns: int) -> None:
+        scenario, world_map = plan.scenario, plan.map
+        self.step_ns = round(SECOND / settings.rate)
+        self._start_ns, self._skipped_ns = start_ns, 0
+        x, y, _ = world_map.origin
+        frame = MapFrame(world_map.width, world_map.height, world_map.resolution, x, y)
+        lasers = [_laser(plan, robot) for robot in range(scenario.robots)]
+        sensors = SensorSettings(scenario.laser, scenario.pose, tuple(lasers), world_map.resolution)
+        headings = [robot % 4 * math.pi / 2 for robot in range(scenario.robots)]
+        step_s = self.step_ns / SECOND
+        self.world = VelocityWorld(
+            world_map.cells,
+            frame,
+            replace(plan.world, sensors=sensors),
+            headings,
+            step_s,
+            sees_robots=settings.sees_robots,
+        )
+        self.robots: list[SimulatedRobot] = []
+        for number, laser in enumerate(lasers):
+            start, hardware = self.world.pose(number), scenario.body_of(number)
+            assert hardware.speed is not None
+            assert hardware.radius is not None
+            navigator = Navigator(self.world.floors[number], frame, hardware.speed, step_s)
+            localization = Localization(start, scenario.pose, frame.resolution, scenario.seed, number)
+            mount = Pose(min(LASER_AHEAD_M, hardware.radius / 2), 0.0, 0.0)
+            self.robots.append(
+                SimulatedRobot(start, frame, laser, mount, navigator, localization, hardware.speed)
+            )
+        self._look()
+
+    @property
+    def time_ns(self) -> int:
+        """Time since the start, in simulated nanoseconds: that of the last step."""
+        return self.world.step * self.step_ns
+
+    @property
+    def now_ns(self) -> int:
+        """Time of the last step by the caller's clock."""
+        return self._start_ns + self._skipped_ns + self.time_ns
+
+    @property
+    def next_ns(self) -> int:
+        """Time of the next step by the caller's clock."""
+        return self.now_ns + self.step_ns
+
+    def advance(self, now_ns: int) -> int:
+        """Simulate all steps that are due; return how many."""
+        late = (now_ns - self.now_ns) // self.step_ns - LATEST
+        if late > 0:
+            self._skipped_ns += late * self.step_ns
+        steps = 0
+        while self.next_ns <= now_ns:
+            self._step()
+            steps += 1
+        return steps
+
+    def _step(self) -> None:
+        velocities = [
+            robot.decide(self.next_ns, partial(self.world.near_others, number, AVOID_M))
+            for number, robot in enumerate(self.robots)
+        ]
+        blocked = self.world.advance(velocities)
+        for number, robot in enumerate(self.robots):
+            robot.moved(self.world.pose(number), blocked[number], self.time_ns / SECOND)
+        self._look()
+
+    def _look(self) -> None:
+        for number, robot in enumerate(self.robots):
+            robot.look(self.world.scan(number, robot.laser_pose))
+
+
+def _laser(plan: Plan, robot: int) -> Laser:
+    """Return the beams of a robot's laser, with its largest range."""
+    scenario, body, cell = plan.scenario, plan.world.bodies[robot], plan.map.resolution
+    reach_m = min(scenario.laser.max_range_m or body.range_cells * cell, MAX_REACH_M)
+    return changed(laser_of(scenario, body, cell), reach_mm=round(1000 * reach_m))
