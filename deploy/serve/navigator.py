@@ -67,6 +67,8 @@ class Navigator:
         self.recoveries = 0
         """New plans for this goal because the robot made no progress."""
         self._floor, self._frame, self._speed, self._step_s = floor, frame, speed, step_s
+        self._planned_on = floor
+        """The floor of the last plan, without the cells that others occupied then."""
         self._parts, _ = ndimage.label(floor == FREE)
         self._nobody = np.zeros(floor.shape, np.bool_)
         self._path: NDArray[np.int32] = np.empty((0, 2), np.int32)
@@ -124,7 +126,7 @@ class Navigator:
         end = self._nearest(start, goal, floor)
         if end is None:
             return False
-        self._path = shortest_way(floor, start, end)
+        self._path, self._planned_on = shortest_way(floor, start, end), floor
         return bool(len(self._path)) or start == end
 
     def _nearest(self, start: tuple[int, int], goal: Pose, floor: Grid) -> tuple[int, int] | None:
@@ -169,11 +171,9 @@ class Navigator:
             passed = int(np.argmin(np.hypot(near[:, 0], near[:, 1])))
             self._path = self._path[passed:]
         if len(self._path) <= 1:
-            cell = self._cell(goal)
-            last = tuple(self._path[-1].tolist()) if len(self._path) else self._cell(here)
-            return (
-                goal if cell == last and self._is_straight(place, self._place(goal)) else self._center(last)
-            )
+            last = self._center(tuple(self._path[-1].tolist()) if len(self._path) else self._cell(here))
+            is_near = math.dist(goal[:2], last[:2]) <= TOLERANCE_M
+            return goal if is_near and self._is_straight(place, self._place(goal)) else last
         ahead = min(LOOKAHEAD, len(self._path) - 1)
         while ahead > 1 and not self._is_straight(place, self._path[ahead] + 0.5):
             ahead //= 2
@@ -184,7 +184,7 @@ class Navigator:
         ends = [tuple(round(FINE * (each - 0.5)) for each in place.tolist()) for place in (here, there)]
         (start_x, start_y), (end_x, end_y) = ends
         way = float(np.hypot(*(there - here))) + 1
-        motion = glide(self._floor, self._nobody, (start_x, start_y), [(end_x, end_y)], way)
+        motion = glide(self._planned_on, self._nobody, (start_x, start_y), [(end_x, end_y)], way)
         return motion.blocked == NOT_BLOCKED
 
     def _place(self, pose: Pose) -> NDArray[np.float64]:
