@@ -203,6 +203,6 @@ class VelocityWorld:
         """Count the cells that a robot sees from its cell."""
         table, (x, y) = self._ray_tables[robot], self.cell(robot)
         heading = round(-self._yaws[robot] / math.tau * HEADINGS) % HEADINGS
-        nobody = np.zeros(self._truth.shape, np.bool_)
+        no_robot = np.zeros(self._truth.shape, np.bool_)
         view = self._settings.bodies[robot].field_of_view
-        draw(self.seen, table, x, y, cast(self._truth, nobody, table, x, y, heading, view))
+        draw(self.seen, table, x, y, cast(self._truth, no_robot, table, x, y, heading, view))

@@ -70,7 +70,7 @@ class Navigator:
         self._planned_on = floor
         """The floor of the last plan, without the cells that others occupied then."""
         self._parts, _ = ndimage.label(floor == FREE)
-        self._nobody = np.zeros(floor.shape, np.bool_)
+        self._no_robot = np.zeros(floor.shape, np.bool_)
         self._path: NDArray[np.int32] = np.empty((0, 2), np.int32)
         """The cells ahead."""
         self._anchor = Pose(0.0, 0.0, 0.0)
@@ -184,7 +184,7 @@ class Navigator:
         ends = [tuple(round(FINE * (each - 0.5)) for each in place.tolist()) for place in (here, there)]
         (start_x, start_y), (end_x, end_y) = ends
         way = float(np.hypot(*(there - here))) + 1
-        motion = glide(self._planned_on, self._nobody, (start_x, start_y), [(end_x, end_y)], way)
+        motion = glide(self._planned_on, self._no_robot, (start_x, start_y), [(end_x, end_y)], way)
         return motion.blocked == NOT_BLOCKED
 
     def _place(self, pose: Pose) -> NDArray[np.float64]:
