@@ -6,6 +6,7 @@ import importlib.util
 import json
 import math
 import re
+import sys
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -179,6 +180,7 @@ def _print_text(scenario: Scenario, swarm: Swarm, chosen: ServeSettings) -> None
         screen.print(f"\n# {namespace}.toml")
         for name, value in lines.items():
             screen.print(f"{name} = {_toml(value)}")
+    sys.stdout.flush()  # for a program that reads them
 
 
 def _toml(value: Any) -> str:
