@@ -11,7 +11,9 @@ from deploy.run.interrupt import signals_as_ctrl_c
 from deploy.scenario.plan import Plan
 from deploy.serve.ros_robot import RosRobot
 from deploy.serve.swarm import Swarm, SwarmSettings
+from protocol.errors import shown, there_are
 from protocol.ros2 import messages as names
+from protocol.ros2.names import check_domain, check_node
 from protocol.ros2.node import Ros2Node
 from protocol.ros2.qos import Qos, Reliability
 from protocol.ros2.session import ROUTER, open_router
@@ -38,6 +40,12 @@ class ServeSettings:
         Whether to start a router at this address.
     sim_time : bool
         Whether stamps are simulated time, which ``/clock`` tells; else they are the time of this host.
+    swarm : SwarmSettings
+
+    Raises
+    ------
+    ValueError
+        A namespace, the domain, or the distribution is wrong.
     """
 
     namespaces: tuple[str, ...]
@@ -48,15 +56,28 @@ class ServeSettings:
     sim_time: bool = False
     swarm: SwarmSettings = field(default_factory=SwarmSettings)
 
+    def __post_init__(self) -> None:
+        check_domain(self.domain)
+        if self.distro not in names.DISTROS:
+            raise ValueError(f"distro = {shown(self.distro)}: {there_are(names.DISTROS, self.distro)}")
+        for name in self.namespaces:
+            check_node(NODE, name)
+
 
 def serve(
     plan: Plan, settings: ServeSettings, ready: Callable[[Swarm], object], warn: Callable[[str], object]
 ) -> Swarm:
     """Serve robots until Ctrl-C; return them. `ready` is called when all nodes exist, `warn` for ignored messages.
 
-    ConnectionError without a router, or if its address is in use; ValueError for a wrong name or domain.
+    ConnectionError without a router, or if its address is in use; ValueError if the address is malformed.
     """
-    swarm = Swarm(plan, settings.swarm, time.time_ns())
+    began_ns = time.time_ns() - time.monotonic_ns()
+
+    def clock_ns() -> int:
+        """Return the time since 1970; it never jumps, even if the user sets the clock of this host."""
+        return began_ns + time.monotonic_ns()
+
+    swarm = Swarm(plan, settings.swarm, clock_ns())
     with contextlib.ExitStack() as stack, contextlib.suppress(KeyboardInterrupt), signals_as_ctrl_c():
         if settings.own_router:
             stack.callback(open_router(settings.router).close)
@@ -64,14 +85,14 @@ def serve(
         robots = []
         for namespace, robot in zip(settings.namespaces, swarm.robots, strict=True):
             node = stack.enter_context(_node(settings, namespace))
-            robots.append(RosRobot(node, robot, least, warn, time.time_ns()))
+            robots.append(RosRobot(node, robot, least, warn, clock_ns()))
         clock = None
         if settings.sim_time:
             node = stack.enter_context(_node(settings, "/"))
             clock = node.publisher("/clock", names.CLOCK, CLOCK_QOS), node.messages
         ready(swarm)
         while True:
-            now_ns = time.time_ns()
+            now_ns = clock_ns()
             for each in robots:
                 each.receive(now_ns)
             if swarm.advance(now_ns):
@@ -81,7 +102,7 @@ def serve(
                     publisher.publish(messages[names.CLOCK](clock=messages.time(stamp_ns)), now_ns)
                 for each in robots:
                     each.publish(stamp_ns, now_ns)
-            time.sleep(max(0, swarm.next_ns - time.time_ns()) / 10**9)
+            time.sleep(max(0, swarm.next_ns - clock_ns()) / 10**9)
     return swarm
 
 

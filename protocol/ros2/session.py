@@ -34,7 +34,10 @@ def open_router(endpoint: str = ROUTER) -> zenoh.Session:
     """Open a router, for hosts without that of ROS 2; ConnectionError if it cannot listen at `endpoint`."""
     config = plain_config("router")
     insert(config, "timestamping/enabled", True)
-    insert(config, "listen/endpoints", [endpoint])
+    try:
+        insert(config, "listen/endpoints", [endpoint])
+    except zenoh.ZError:
+        raise ValueError(f"{endpoint!r} is not an address to listen at, as {ROUTER}") from None
     insert(config, "listen/exit_on_failure", True)
     try:
         return zenoh.open(config)

@@ -4,10 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import signal
-import socket
-import subprocess
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
@@ -31,42 +27,22 @@ from protocol.ros2.node import Ros2Node
 from protocol.ros2.qos import DEFAULT, LATCHED, SENSOR, TF, TF_STATIC, Qos, Reliability
 from protocol.transforms import Pose
 from tests.protocol.ros2.waiting import spin_until
+from tests.system.served_robots import Served, serving
 from worldsim import generators
 
-START_S = 120
-"""Time limit of the start: kernels may have to be compiled."""
-SIDE = {"width_m": 10.0, "height_m": 10.0}
-
-
-@dataclass
-class Served:
-    """The process, and what it has printed."""
-
-    process: subprocess.Popen[str]
-    told: dict[str, Any]
+SIDES = {"width_m": 10.0, "height_m": 10.0}
 
 
 @pytest.fixture(scope="module")
 def served() -> Iterator[Served]:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        address = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
-    size = [word for name, meters in SIDE.items() for word in ("--set", f"map_options.{name}={meters}")]
-    command = [
-        sys.executable, "-m", "deploy.commands.main", "serve-ros2", "--map", "office", *size, "--robots", "2",
-        "--speed", "2", "--sim-time", "--listen", address, "--domain", "9", "--names", "ada,bob", "--json",
-    ]  # fmt: skip
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        try:
-            told = json.loads(process.stdout.readline())
-            yield Served(process, told)
-        finally:
-            process.send_signal(signal.SIGINT)
-            output, errors = process.communicate(timeout=30)
-    assert process.returncode == 0, errors
-    assert json.loads(output)["coverage"] > 0.1
-    assert "bob/goal_pose: message ignored, as its frame is 'base_link'" in errors
+    size = [word for name, meters in SIDES.items() for word in ("--set", f"map_options.{name}={meters}")]
+    with serving(
+        "--map", "office", *size, "--robots", "2", "--speed", "2", "--sim-time", "--domain", "9",
+        "--names", "ada,bob", "--json",
+    ) as found:  # fmt: skip
+        yield found
+    assert json.loads(found.output)["coverage"] > 0.1
+    assert "bob/goal_pose: message ignored, as its frame is 'base_link'" in found.errors
 
 
 @dataclass
@@ -114,7 +90,7 @@ class Client:
 
 
 @pytest.fixture(params=["ada", "bob"])
-def client(served: Served, request: pytest.FixtureRequest) -> Iterator[Client]:
+def client(served: Served, request: pytest.FixtureRequest) -> Client:
     robot = request.param
     told = served.told
     grid = told["grid"]
@@ -122,10 +98,9 @@ def client(served: Served, request: pytest.FixtureRequest) -> Iterator[Client]:
     where = MapFrame(cells[0], cells[1], grid["resolution"], grid["x"], grid["y"])
     x, y, degrees = told["robots"][robot]
     start = Pose(x, y, math.radians(degrees))
-    with Ros2Node("client", robot, told["domain"], distro=told["distro"], router=told["router"]) as node:
-        found = Client(node, Ros2Body(where, BodySettings(start, speed=2.0)), robot)
-        found.listen()
-        yield found
+    found = Client(served.node("client", robot), Ros2Body(where, BodySettings(start, speed=2.0)), robot)
+    found.listen()
+    return found
 
 
 def test_a_late_node_receives_map_and_scans_of_the_building(client: Client, served: Served) -> None:
@@ -138,7 +113,7 @@ def test_a_late_node_receives_map_and_scans_of_the_building(client: Client, serv
     assert sense is not None, client.body.problem
     assert client.body.laser is not None
     scan = decode_range_scan(sense.range_scan, client.body.laser)
-    truth = generators.make("office", seed=0, **SIDE).cells
+    truth = generators.make("office", seed=0, **SIDES).cells
     assert truth[scan.y, scan.x] == FREE
     info = client.maps[-1].info
     assert info.width * info.height == len(client.maps[-1].data)

@@ -1,0 +1,36 @@
+"""murmur serve-ros2 refuses bad input before it opens anything; tests/system/test_serve_ros2.py runs it."""
+
+from __future__ import annotations
+
+import pytest
+
+pytest.importorskip("rosbags", reason="rosbags is not installed: pip install 'murmur-robots[ros2]'")
+pytest.importorskip("xxhash", reason="xxhash is not installed: pip install 'murmur-robots[ros2]'")
+
+from tests.deploy.commands.office_floor import murmur
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        ("--names a,b", "names = 'a,b': give 3 different names, one per robot"),
+        ("--names a,b,a", "names = 'a,b,a': give 3 different names"),
+        ("--names a,b,c/d", "a namespace is one name without slash"),
+        ("--names a,b,3", "'murmur_simulator' in namespace '3' is not a name of ROS"),
+        ("--domain 300", "domain 300 is not from 0 to 232"),
+        ("--distro iron", "distro = 'iron': there are: humble, jazzy"),
+        ("--rate 0", "rate = 0: must be 1 to 100 Hz"),
+        ("--router tcp/localhost:1 --listen tcp/localhost:2", "--router starts no router"),
+        ("--listen nowhere", "'nowhere' is not an address to listen at"),
+        ("--laser sick", "laser.preset = 'sick'"),
+        ("--people 3", "choose a laser.preset with errors"),
+        ("--radius 9", "sensor_range = 5 m of robot 0 is less than 9.18 m"),
+        ("--set strategy=meier", "has no meaning for robots that ROS drives"),
+        ("--set radio.loss=0.1", "has no meaning for robots that ROS drives"),
+        ("--map nowhere", "unknown map 'nowhere'"),
+    ],
+)
+def test_bad_input_is_explained(arguments: str, reason: str) -> None:
+    result = murmur("serve-ros2", *arguments.split())
+    assert result.exit_code == 2
+    assert reason in " ".join(result.stderr.split())
