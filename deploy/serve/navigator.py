@@ -78,10 +78,13 @@ class Navigator:
         self._stalled_s = 0.0
         self._touched_wall = False
 
-    def plan(self, here: Pose, goal: Pose) -> bool:
-        """Plan the way to a new goal; return whether there is one."""
-        self.recoveries, self._anchor, self._stalled_s, self._touched_wall = 0, here, 0.0, False
-        return self._plan(here, goal, self._floor)
+    def plan(self, here: Pose, goal: Pose, *, is_new: bool = True) -> bool:
+        """Plan the way to a goal; return whether there is one. A repeated goal keeps what is known of the last."""
+        if is_new:
+            self.recoveries, self._anchor, self._stalled_s, self._touched_wall = 0, here, 0.0, False
+        return self._plan(here, goal, self._floor if is_new else self._planned_on) or self._plan(
+            here, goal, self._floor
+        )
 
     def remaining_m(self, here: Pose) -> float:
         """Return the length of the way that is left."""

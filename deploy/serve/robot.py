@@ -25,6 +25,8 @@ from worldsim.velocity_world import STOP, Velocity
 
 COMMAND_NS = 500_000_000
 """Time for which a velocity command holds."""
+SAME_M = 0.3
+"""Distance between two goals up to which the second one repeats the first: a robot that is stuck remains so."""
 MARGIN_M = 1.0
 """Width of the strip around the true map that a robot's own map has, since its poses have errors."""
 
@@ -85,10 +87,12 @@ class SimulatedRobot:
 
     def go(self, goal: Pose, now_ns: int) -> Task:
         """Drive to a goal from the next step on; it may turn out to be unreachable at once."""
-        if self.task is not None and self.task.outcome is None:
-            self.task.outcome = Outcome.REPLACED
-        self.task = Task(goal, now_ns)
-        if not self.navigator.plan(self.true, self._to_true(goal)):
+        before, self.task = self.task, Task(goal, now_ns)
+        is_new = True
+        if before is not None and before.outcome is None:
+            before.outcome = Outcome.REPLACED
+            is_new = math.dist(before.goal[:2], goal[:2]) > SAME_M
+        if not self.navigator.plan(self.true, self._to_true(goal), is_new=is_new):
             self.task.outcome = Outcome.UNREACHABLE
         return self.task
 

@@ -153,6 +153,15 @@ def test_a_robot_before_a_blocked_door_gives_up() -> None:
     assert task.outcome is Outcome.STUCK
 
 
+def test_a_goal_that_is_sent_again_and_again_does_not_keep_a_robot_from_planning_anew() -> None:
+    team = swarm((0.5, 2.0), (1.5, 2.0))
+    robot = team.robots[0]
+    for _ in range(40):
+        task = robot.go(goal_at(robot, (2.5, 2.0)), team.now_ns)
+        run(team, 0.5)
+    assert task.outcome is Outcome.REACHED
+
+
 def test_beams_of_an_exact_laser_end_in_walls_of_the_true_map() -> None:
     team = swarm(FIRST_ROOM, robots=1)
     robot = team.robots[0]
