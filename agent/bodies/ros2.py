@@ -73,6 +73,33 @@ class Ros2Body:
         """Why there is no new scan; empty if there is one."""
 
     @property
+    def stamp_ns(self) -> int | None:
+        """Time of the last scan whose pose is known, by the robot's clock; None before the first."""
+        return None if self._pose is None else self._pose[0]
+
+    @property
+    def has_jumped(self) -> bool:
+        """Whether the pose has jumped, and has not settled since."""
+        return self._pose is not None and self._pose[0] < self._settled_ns
+
+    @property
+    def has_map(self) -> bool:
+        """Whether the robot's own map has arrived."""
+        return self._map is not None
+
+    def base(self, frame: str) -> Pose | None:
+        """Return the pose of the robot's base, called `frame`, in its map frame at the last scan.
+
+        That of the laser if the base is not on the way to it; None before the first scan.
+        """
+        if self._pose is None:
+            return None
+        stamp, laser = self._pose
+        root = self._settings.map_frame
+        known = root in self._transforms.ancestors(frame)
+        return (self._transforms.pose(frame, root, stamp) if known else None) or laser
+
+    @property
     def laser(self) -> Laser | None:
         """The laser's beams (`agent.settings.Settings.laser`), known from the first scan on."""
         if self._beams is None:

@@ -1,0 +1,246 @@
+"""The loop of a robot in the field: from the first laser scan until nothing is left to explore, or it is stopped."""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import signal
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from agent.field import FieldFiles, FieldRobot, drive
+from agent.radios.pacing import SECOND
+from agent.radios.peer_medium import FrameRecord
+from agent.radios.team_key import read_key
+from agent.radios.transport import Transport
+from deploy.field.robot_file import RobotFile
+from deploy.field.robot_plan import agent_settings, pose_guard
+from deploy.field.ros2_robot import Ros2Robot
+from deploy.field.running import running
+from deploy.record.link_records import LinkRecorder
+
+SLICE_NS = SECOND // 10
+"""Nanoseconds after which a waiting robot looks for messages, signals, and the request to stop."""
+STATUS_S, MARKERS_S, MAP_S = 1.0, 2.0, 2.0
+"""Least seconds between two messages of a kind that the robot publishes."""
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+Say = Callable[[str], object]
+"""Shows a line to the user."""
+
+
+@dataclass(frozen=True)
+class Ending:
+    """How a mission ended: the reason, whether everything is explored and delivered, and some figures."""
+
+    reason: str
+    is_complete: bool
+    steps: int = 0
+    late_steps: int = 0
+    records: Path | None = None
+
+
+class StopRequest:
+    """The request to end: a signal, or a file."""
+
+    def __init__(self, file: Path) -> None:
+        self._file = file
+        self._signal = ""
+
+    @property
+    def reason(self) -> str:
+        """Why to end; empty: not yet."""
+        return self._signal or ("murmur stop" if self._file.exists() else "")
+
+    @contextlib.contextmanager
+    def signals(self) -> Iterator[None]:
+        """Take the signals that end a process as requests (main thread only)."""
+        before = {number: signal.getsignal(number) for number in SIGNALS}
+        for number, handler in before.items():
+            if number != signal.SIGHUP or handler != signal.SIG_IGN:
+                signal.signal(number, self._come)
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+    def _come(self, number: int, _: object) -> None:
+        self._signal = signal.Signals(number).name
+
+
+def explore(file: RobotFile, say: Say) -> Ending:
+    """Run one robot until its mission ends; whatever happens, it then stands still.
+
+    Raises
+    ------
+    ValueError
+        Key, session file, journal, interface, port, or router cannot be used; the message says what to do.
+    """
+    key = read_key(file.key)
+    with contextlib.ExitStack() as stack:
+        stop = StopRequest(stack.enter_context(running(file.record)))
+        stack.enter_context(stop.signals())
+        transport = file.settings.radio.open_transport()
+        stack.callback(transport.close)
+        ros = Ros2Robot(file.settings)
+        stack.callback(ros.close)
+        if not wait_for_laser(ros, stop, say):
+            return Ending(stop.reason, is_complete=False)
+        return Mission(file, key, ros, transport, stop, say).run()
+
+
+def wait_for_laser(ros: Ros2Robot, stop: StopRequest, say: Say) -> bool:
+    """Wait for the first laser scan, which defines the beams; return False if the robot is to stop before."""
+    last = ""
+    while not stop.reason:
+        ros.spin(SLICE_NS / SECOND)
+        if ros.laser is not None:
+            return True
+        if (problem := ros.problem) and not last:
+            say(f"waiting: {problem}")
+            last = problem
+    return False
+
+
+class Mission:
+    """One start of a robot, from its first scan on."""
+
+    def __init__(
+        self, file: RobotFile, key: bytes, ros: Ros2Robot, transport: Transport, stop: StopRequest, say: Say
+    ) -> None:
+        settings = file.settings
+        assert ros.laser is not None
+        agent = agent_settings(settings, ros.laser)
+        files = FieldFiles.open(file.record, key, agent, file.sessions)
+        self._settings, self._ros, self._transport, self._stop, self._say = (
+            settings,
+            ros,
+            transport,
+            stop,
+            say,
+        )
+        self._recorder = LinkRecorder(file.record / f"start-{files.session.session}", settings.robot)
+        self._step_ns = round(settings.step_s * SECOND)
+        self._field = FieldRobot(
+            agent,
+            settings.radio,
+            files,
+            ros,
+            transport,
+            pose_guard(settings),
+            time.monotonic_ns(),
+            say,
+            self._end_step,
+        )
+        self._done_steps = 0
+        """Steps for which nothing has been left to explore or to deliver."""
+        self._reason, self._is_complete = "", False
+        self._published: dict[str, int] = {}
+        self._shown = ""
+        """The last status that the user was shown."""
+
+    def run(self) -> Ending:
+        """Play steps until the end."""
+        steps = 0
+
+        def is_over(step: int) -> bool:
+            nonlocal steps
+            steps = step
+            return self._is_over(step)
+
+        robots = self._settings.robots
+        self._say(f"robot {self._settings.robot} of {robots} explores; records in {self._recorder.folder}")
+        try:
+            late = drive(self._field, self._step_ns, time.monotonic_ns, self._wait, is_over)
+        finally:
+            self._recorder.close()
+        self._publish_all(steps, self._reason)
+        return Ending(self._reason, self._is_complete, steps, late, self._recorder.folder)
+
+    def _wait(self, duration: int) -> None:
+        """Wait for a slice of a step at most, or until a frame arrives, and take the messages of the robot."""
+        seconds = max(0, min(duration, SLICE_NS)) / SECOND
+        descriptor = self._transport.fileno()
+        if descriptor < 0:
+            time.sleep(seconds)
+        else:
+            select.select([descriptor], [], [], seconds)
+        self._ros.spin()
+
+    def _is_over(self, step: int) -> bool:
+        """Return whether the mission ends after `step` steps, and note the reason."""
+        finish = max(1, round(self._settings.finish_s / self._settings.step_s))
+        if self._stop.reason:
+            self._reason = f"stopped by {self._stop.reason}"
+        elif self._done_steps >= finish:
+            self._reason, self._is_complete = (
+                "nothing is left to explore, and teammates hold this robot's map",
+                True,
+            )
+        elif step >= self._settings.steps:
+            self._reason = f"{step} steps are over"
+        return bool(self._reason)
+
+    def _end_step(self, step: int, records: list[FrameRecord]) -> None:
+        """Record and publish at the end of a step, and avoid a target that the robot does not reach."""
+        self._recorder.record(step, records)
+        field = self._field
+        robot = field.robot
+        is_done = field.move is not None and field.move.explored and not robot.replication.undelivered()
+        self._done_steps = self._done_steps + 1 if is_done else 0
+        if self._ros.is_stuck() and robot.target is not None:
+            seconds = self._settings.avoid_s
+            self._say(f"does not reach its target at {robot.target}: avoids it for {seconds:g} s or longer")
+            robot.avoid(robot.target, max(1, round(seconds / self._settings.step_s)))
+        if (status := self._activity()) != self._shown:
+            self._shown = status
+            self._say(status)
+        self._publish(step, status)
+
+    def _activity(self) -> str:
+        """Return what the robot does, as text."""
+        if self._field.move is None:
+            return f"stands still: {self._ros.problem or 'its pose has jumped'}"
+        return self._ros.problem or self._field.robot.status
+
+    def _publish(self, step: int, status: str) -> None:
+        """Publish what is due."""
+        if self._is_due("status", STATUS_S):
+            self._ros.publish_status(self._status(step, status))
+        if self._is_due("map", MAP_S):
+            self._ros.publish_map(self._field.robot)
+        if self._is_due("markers", MARKERS_S):
+            self._ros.publish_markers(self._field.robot)
+
+    def _publish_all(self, step: int, status: str) -> None:
+        """Publish everything at the end."""
+        self._published.clear()
+        self._publish(step, status)
+
+    def _is_due(self, name: str, interval_s: float) -> bool:
+        now = time.monotonic_ns()
+        if now - self._published.get(name, -SECOND * 3600) < interval_s * SECOND:
+            return False
+        self._published[name] = now
+        return True
+
+    def _status(self, step: int, status: str) -> dict[str, Any]:
+        """Return the status that is published."""
+        field = self._field
+        robot, medium = field.robot, field.medium
+        return {
+            "robot": self._settings.robot,
+            "step": step,
+            "status": status,
+            "explored": field.move is not None and field.move.explored,
+            "known_cells": robot.known_cells,
+            "target": robot.target,
+            "neighbors": medium.neighbors(time.monotonic_ns()),
+            "undelivered": robot.replication.undelivered(),
+            "dropped": medium.dropped,
+            "unsent": field.unsent,
+        }
