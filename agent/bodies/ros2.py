@@ -152,7 +152,7 @@ class Ros2Body:
 
         None before the first scan whose pose is known.
         """
-        self._take_newest_scan()
+        self.take_newest_scan()
         if self._scan is None:
             return None
         scan = self._scan
@@ -206,8 +206,11 @@ class Ros2Body:
             return False
         return bool(self._map.data[row * info.width + column] >= 0)
 
-    def _take_newest_scan(self) -> None:
-        """Take the newest waiting scan whose pose is known and plausible; those before it are dropped."""
+    def take_newest_scan(self) -> None:
+        """Take the newest waiting scan whose pose is known and plausible; those before it are dropped.
+
+        `sense` does so, too; between steps, it shows early whether scans still arrive (`stamp_ns`).
+        """
         for number in reversed(range(len(self._waiting))):
             stamp, message = self._waiting[number]
             pose = self._pose_of(_frame(message.header.frame_id), stamp)

@@ -54,7 +54,7 @@ def robot(
         fail(str(error), BAD_INPUT)
     ending = explore(settings, screen.print)
     if ending.records is not None:
-        screen.print(f"{ending.steps} steps, {ending.late_steps} of them late; records in {ending.records}")
+        screen.print(f"{ending.steps} steps; records in {ending.records}")
     screen.print(f"the robot stands still: {ending.reason}")
     raise typer.Exit(0 if ending.is_complete else NOT_FINISHED)
 

@@ -26,21 +26,27 @@ SLICE_NS = SECOND // 10
 """Nanoseconds after which a waiting robot looks for messages, signals, and the request to stop."""
 STATUS_S, MARKERS_S, MAP_S = 1.0, 2.0, 2.0
 """Least seconds between two messages of a kind that the robot publishes."""
+PATIENCE_S = 3.0
+"""Seconds for which the first laser scan is awaited without a message."""
+EXPLORED = "nothing is left to explore, and teammates hold this robot's map"
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
-Say = Callable[[str], object]
+Say = Callable[[str], None]
 """Shows a line to the user."""
 
 
 @dataclass(frozen=True)
 class Ending:
-    """How a mission ended: the reason, whether everything is explored and delivered, and some figures."""
+    """How a mission ended: the reason, and whether everything is explored and delivered."""
 
     reason: str
     is_complete: bool
     steps: int = 0
-    late_steps: int = 0
     records: Path | None = None
+
+
+class StoppedError(Exception):
+    """The robot is to stop now, within a step."""
 
 
 class StopRequest:
@@ -95,14 +101,14 @@ def explore(file: RobotFile, say: Say) -> Ending:
 
 def wait_for_laser(ros: Ros2Robot, stop: StopRequest, say: Say) -> bool:
     """Wait for the first laser scan, which defines the beams; return False if the robot is to stop before."""
-    last = ""
+    shown, begin = "", time.monotonic()
     while not stop.reason:
         ros.spin(SLICE_NS / SECOND)
         if ros.laser is not None:
             return True
-        if (problem := ros.problem) and not last:
+        if (problem := ros.problem) != shown and time.monotonic() - begin > PATIENCE_S:
             say(f"waiting: {problem}")
-            last = problem
+            shown = problem
     return False
 
 
@@ -116,26 +122,15 @@ class Mission:
         assert ros.laser is not None
         agent = agent_settings(settings, ros.laser)
         files = FieldFiles.open(file.record, key, agent, file.sessions)
-        self._settings, self._ros, self._transport, self._stop, self._say = (
-            settings,
-            ros,
-            transport,
-            stop,
-            say,
-        )
+        self._settings, self._ros, self._transport = settings, ros, transport
+        self._stop, self._say = stop, say
         self._recorder = LinkRecorder(file.record / f"start-{files.session.session}", settings.robot)
         self._step_ns = round(settings.step_s * SECOND)
         self._field = FieldRobot(
-            agent,
-            settings.radio,
-            files,
-            ros,
-            transport,
-            pose_guard(settings),
-            time.monotonic_ns(),
-            say,
-            self._end_step,
-        )
+            agent, settings.radio, files, ros, transport, pose_guard(settings), time.monotonic_ns(),
+            say, self._end_step,
+        )  # fmt: skip
+        self._step = 0
         self._done_steps = 0
         """Steps for which nothing has been left to explore or to deliver."""
         self._reason, self._is_complete = "", False
@@ -145,21 +140,20 @@ class Mission:
 
     def run(self) -> Ending:
         """Play steps until the end."""
-        steps = 0
-
-        def is_over(step: int) -> bool:
-            nonlocal steps
-            steps = step
-            return self._is_over(step)
-
         robots = self._settings.robots
         self._say(f"robot {self._settings.robot} of {robots} explores; records in {self._recorder.folder}")
         try:
-            late = drive(self._field, self._step_ns, time.monotonic_ns, self._wait, is_over)
+            late = drive(self._field, self._step_ns, time.monotonic_ns, self._wait, self._is_over)
+            if late:
+                self._say(f"{late} steps took longer than {self._settings.step_s:g} s")
+        except StoppedError:
+            self._recorder.record(self._step, self._field.medium.records)
         finally:
             self._recorder.close()
-        self._publish_all(steps, self._reason)
-        return Ending(self._reason, self._is_complete, steps, late, self._recorder.folder)
+        if self._field.move is not None:
+            self._published.clear()
+            self._publish(self._reason)
+        return Ending(self._reason, self._is_complete, self._step, self._recorder.folder)
 
     def _wait(self, duration: int) -> None:
         """Wait for a slice of a step at most, or until a frame arrives, and take the messages of the robot."""
@@ -170,23 +164,29 @@ class Mission:
         else:
             select.select([descriptor], [], [], seconds)
         self._ros.spin()
+        if self._is_stopped():
+            raise StoppedError
+
+    def _is_stopped(self) -> bool:
+        if self._stop.reason:
+            self._reason = f"stopped by {self._stop.reason}"
+        return bool(self._stop.reason)
 
     def _is_over(self, step: int) -> bool:
         """Return whether the mission ends after `step` steps, and note the reason."""
+        self._step = step
         finish = max(1, round(self._settings.finish_s / self._settings.step_s))
-        if self._stop.reason:
-            self._reason = f"stopped by {self._stop.reason}"
-        elif self._done_steps >= finish:
-            self._reason, self._is_complete = (
-                "nothing is left to explore, and teammates hold this robot's map",
-                True,
-            )
+        if self._is_stopped():
+            return True
+        if self._done_steps >= finish:
+            self._reason, self._is_complete = EXPLORED, True
         elif step >= self._settings.steps:
             self._reason = f"{step} steps are over"
         return bool(self._reason)
 
     def _end_step(self, step: int, records: list[FrameRecord]) -> None:
         """Record and publish at the end of a step, and avoid a target that the robot does not reach."""
+        self._step = step
         self._recorder.record(step, records)
         field = self._field
         robot = field.robot
@@ -199,7 +199,7 @@ class Mission:
         if (status := self._activity()) != self._shown:
             self._shown = status
             self._say(status)
-        self._publish(step, status)
+        self._publish(status)
 
     def _activity(self) -> str:
         """Return what the robot does, as text."""
@@ -207,19 +207,14 @@ class Mission:
             return f"stands still: {self._ros.problem or 'its pose has jumped'}"
         return self._ros.problem or self._field.robot.status
 
-    def _publish(self, step: int, status: str) -> None:
+    def _publish(self, status: str) -> None:
         """Publish what is due."""
         if self._is_due("status", STATUS_S):
-            self._ros.publish_status(self._status(step, status))
+            self._ros.publish_status(self._status(status))
         if self._is_due("map", MAP_S):
             self._ros.publish_map(self._field.robot)
         if self._is_due("markers", MARKERS_S):
             self._ros.publish_markers(self._field.robot)
-
-    def _publish_all(self, step: int, status: str) -> None:
-        """Publish everything at the end."""
-        self._published.clear()
-        self._publish(step, status)
 
     def _is_due(self, name: str, interval_s: float) -> bool:
         now = time.monotonic_ns()
@@ -228,13 +223,13 @@ class Mission:
         self._published[name] = now
         return True
 
-    def _status(self, step: int, status: str) -> dict[str, Any]:
+    def _status(self, status: str) -> dict[str, Any]:
         """Return the status that is published."""
         field = self._field
         robot, medium = field.robot, field.medium
         return {
             "robot": self._settings.robot,
-            "step": step,
+            "step": self._step,
             "status": status,
             "explored": field.move is not None and field.move.explored,
             "known_cells": robot.known_cells,

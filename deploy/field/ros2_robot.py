@@ -110,8 +110,13 @@ class Ros2Robot:
         return self._body.problem or (f"malformed messages: {rejected}" if rejected else "")
 
     def spin(self, timeout_s: float = 0.0) -> None:
-        """Take what has arrived."""
+        """Take what has arrived; without readings for too long, stop the robot."""
         self._node.spin(self._wall_clock(), timeout_s)
+        self._body.take_newest_scan()
+        if (stamp := self._body.stamp_ns) != self._scanned[0]:
+            self._scanned = stamp, self._clock()
+        elif self._is_silent():
+            self.stop()
 
     # --- the body
 
@@ -119,14 +124,11 @@ class Ros2Robot:
         """Return the readings of a step; None without a pose, after a jump, or if no scan arrives any more."""
         self.spin()
         sense = self._body.sense(step)
-        stamp = self._body.stamp_ns
-        if stamp != self._scanned[0]:
-            self._scanned = stamp, self._clock()
         return None if self._is_silent() or self._body.has_jumped else sense
 
     def move(self, move: Move, target: tuple[int, int] | None) -> None:
         """Send the goal of a move if it has changed, or cancel it."""
-        goal = None if self._lacks_map() else self._body.goal(move, target)
+        goal = None if self._is_silent() or self._lacks_map() else self._body.goal(move, target)
         changed = self._tracker.change(goal)
         now = self._clock()
         if goal is None:
