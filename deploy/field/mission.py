@@ -132,7 +132,8 @@ class Mission:
         )  # fmt: skip
         self._step = 0
         self._done_steps = 0
-        """Steps for which nothing has been left to explore or to deliver."""
+        """Steps for which nothing has been left to explore, to deliver, or to receive: teammates may need this robot's
+        acknowledgments."""
         self._reason, self._is_complete = "", False
         self._published: dict[str, int] = {}
         self._shown = ""
@@ -190,7 +191,9 @@ class Mission:
         self._recorder.record(step, records)
         field = self._field
         robot = field.robot
+        receives = any(each.gossip and each.sender != self._settings.robot for each in records)
         is_done = field.move is not None and field.move.explored and not robot.replication.undelivered()
+        is_done = is_done and not receives
         self._done_steps = self._done_steps + 1 if is_done else 0
         if self._ros.is_stuck() and robot.target is not None:
             seconds = self._settings.avoid_s
