@@ -11,10 +11,12 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from agent.radios.team_key import create_key
 from deploy.after.merge import merge
+from protocol.grid import FREE
 from protocol.transforms import Pose
 from tests.agent.bodies.ros_house import house
 from tests.deploy.commands.office_floor import murmur
@@ -71,19 +73,17 @@ def test_a_robot_explores_a_house_and_shows_its_map(start: Any, tmp_path: Path) 
     assert written == {"r0.journal", "robot.lock", "start-1"}
 
 
-def test_two_robots_share_the_house_over_udp(start: Any, tmp_path: Path) -> None:
-    other = {"start": Pose(4.0, 1.2, 2.2), "namespace": "r1"}
-    first, one = start("r0", {"start": AT_ORIGIN, "namespace": "r0"}, robots=2, robot=0, finish_s=3.0)
-    second, two = start("r1", other, robots=2, robot=1, finish_s=3.0)
-    wait_until(lambda: any('"neighbors": [1]' in each for each in first.statuses))
-    wait_until(lambda: len(second.statuses) > 2)
-    codes = {one.wait(), two.wait()}
-    assert codes == {0}, one.output + two.output
-    for ros in (first, second):
-        assert known_share(ros.team_map, house()) > 0.97
-    merged = merge(
-        [tmp_path / "r0" / "record" / "start-1", tmp_path / "r1" / "record" / "start-1"], tmp_path / "team"
-    )
+def test_a_robot_that_cannot_drive_gets_the_map_of_its_teammate_over_udp(start: Any, tmp_path: Path) -> None:
+    first, one = start("r0", {"namespace": "r0"}, robots=2, robot=0, finish_s=3.0)
+    stuck = {"start": Pose(4.0, 1.2, 2.2), "namespace": "r1", "drives": False}
+    second, two = start("r1", stuck, robots=2, robot=1, finish_s=3.0)
+    assert (one.wait(), two.wait()) == (0, 0), one.output + two.output
+    assert any('"neighbors": [1]' in each for each in first.statuses)
+    seen, free = json.loads(second.statuses[-1])["known_cells"], np.count_nonzero(house() == FREE)
+    assert seen < 0.8 * free
+    wait_until(lambda: known_share(second.team_map, house()) > 0.95)
+    folders = [tmp_path / name / "record" / "start-1" for name in ("r0", "r1")]
+    merged = merge(folders, tmp_path / "team")
     assert merged.frames > merged.lost
 
 
