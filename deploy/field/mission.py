@@ -12,15 +12,18 @@ from pathlib import Path
 from typing import Any
 
 from agent.field import FieldFiles, FieldRobot, drive
+from agent.journal import JournalError
 from agent.radios.pacing import SECOND
 from agent.radios.peer_medium import FrameRecord
 from agent.radios.team_key import read_key
 from agent.radios.transport import Transport
+from agent.replication.control_packets import parse
 from deploy.field.robot_file import RobotFile
 from deploy.field.robot_plan import agent_settings, pose_guard
 from deploy.field.ros2_robot import Ros2Robot
 from deploy.field.running import running
 from deploy.record.link_records import LinkRecorder
+from protocol.errors import ProtocolError
 
 SLICE_NS = SECOND // 10
 """Nanoseconds after which a waiting robot looks for messages, signals, and the request to stop."""
@@ -124,16 +127,21 @@ class Mission:
         files = FieldFiles.open(file.record, key, agent, file.sessions)
         self._settings, self._ros, self._transport = settings, ros, transport
         self._stop, self._say = stop, say
-        self._recorder = LinkRecorder(file.record / f"start-{files.session.session}", settings.robot)
         self._step_ns = round(settings.step_s * SECOND)
-        self._field = FieldRobot(
-            agent, settings.radio, files, ros, transport, pose_guard(settings), time.monotonic_ns(),
-            say, self._end_step,
-        )  # fmt: skip
+        try:
+            self._field = FieldRobot(
+                agent, settings.radio, files, ros, transport, pose_guard(settings), time.monotonic_ns(),
+                say, self._end_step,
+            )  # fmt: skip
+        except JournalError as error:
+            raise ValueError(
+                f"{file.record}: {error}; for a new mission, choose a new record.folder"
+            ) from None
+        self._recorder = LinkRecorder(file.record / f"start-{files.session.session}", settings.robot)
         self._step = 0
         self._done_steps = 0
-        """Steps for which nothing has been left to explore, to deliver, or to receive: teammates may need this robot's
-        acknowledgments."""
+        """Steps for which nothing has been left to explore or to deliver, and no teammate has sent entries, which need
+        this robot's acknowledgments."""
         self._reason, self._is_complete = "", False
         self._published: dict[str, int] = {}
         self._shown = ""
@@ -191,7 +199,7 @@ class Mission:
         self._recorder.record(step, records)
         field = self._field
         robot = field.robot
-        receives = any(each.gossip and each.sender != self._settings.robot for each in records)
+        receives = any(each.sender != self._settings.robot and _has_entries(each.gossip) for each in records)
         is_done = field.move is not None and field.move.explored and not robot.replication.undelivered()
         is_done = is_done and not receives
         self._done_steps = self._done_steps + 1 if is_done else 0
@@ -242,3 +250,11 @@ class Mission:
             "dropped": medium.dropped,
             "unsent": field.unsent,
         }
+
+
+def _has_entries(gossip: bytes) -> bool:
+    """Return whether a teammate's gossip has entries of a map, not only reports."""
+    try:
+        return bool(parse(gossip).sections)
+    except ProtocolError:
+        return False

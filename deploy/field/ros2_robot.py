@@ -102,8 +102,7 @@ class Ros2Robot:
     def problem(self) -> str:
         """Why the robot stands still; empty if it does not have to."""
         if self._is_silent():
-            since = (self._clock() - self._scanned[1]) / SECOND
-            return self._body.problem or f"no laser scan has arrived for {since:.0f} s"
+            return self._body.problem or "no laser scan arrives any more"
         if self._lacks_map():
             return f'no map has arrived on {self._names.map}; set ros2.map = "" if the robot has none'
         rejected = "; ".join(f"{name}: {error}" for name, error in self._node.rejected.items())

@@ -100,6 +100,9 @@ NOT_RUN = {
     "murmur play first.bag second.bag --radio lora-sf7 --view",
     # It opens a window; the test runs tshark instead.
     "wireshark office/radio.pcapng",
+    # They run until Ctrl-C; see tests/system/test_serve_ros2.py.
+    "murmur serve-ros2 --map office --robots 3",
+    "murmur serve-ros2 --robots 3 --laser rplidar-a1 --pose graph-slam --people 4 --names ada,bob,eve",
     # They need other hosts; see tests/system/test_hosts.py.
     "murmur explore --robots 4 --hosts hosts.toml",
     "murmur run agent --credential r1.json",

@@ -114,7 +114,7 @@ def test_a_robot_whose_scans_stop_stands_still_until_they_return(start: Any) -> 
     wait_until(lambda: ros.goals)
     ros.sends_scans = False
     wait_until(lambda: ros.goals[-1] == pytest.approx((0.0, 0.0), abs=0.01))
-    wait_until(lambda: "stands still: no laser scan has arrived for" in process.output)
+    wait_until(lambda: "stands still: no laser scan arrives any more" in process.output)
     ros.sends_scans = True
     wait_until(lambda: ros.goals[-1] != pytest.approx((0.0, 0.0), abs=0.01))
 
