@@ -100,15 +100,19 @@ NOT_RUN = {
     "murmur play first.bag second.bag --radio lora-sf7 --view",
     # It opens a window; the test runs tshark instead.
     "wireshark office/radio.pcapng",
-    # They run until Ctrl-C; see tests/system/test_serve_ros2.py.
-    "murmur serve-ros2 --map office --robots 3",
-    "murmur serve-ros2 --robots 3 --laser rplidar-a1 --pose graph-slam --people 4 --names ada,bob,eve",
     # They need other hosts; see tests/system/test_hosts.py.
     "murmur explore --robots 4 --hosts hosts.toml",
     "murmur run agent --credential r1.json",
     f"{RELAY} 192.168.1.10:7447 --keys keys",
     f"{RELAY} 192.168.1.10:7447 --credentials credentials",
     f"{RELAY} 192.168.1.10:7447 --credentials credentials --keys keys",
+    # They need a ROS 2 robot; see tests/deploy/field/test_robot_process.py.
+    "pip install 'murmur-robots[ros2]'",
+    "ros2 run rmw_zenoh_cpp rmw_zenohd",
+    "murmur robot robot.toml",
+    "murmur stop record",
+    "murmur merge r0/start-1 r1/start-1 r2/start-1 --out team",
+    "murmur capture team --robot 2",
     # They need five terminals; see tests/system/test_by_hand.py.
     f"{RELAY} 127.0.0.1:7447 --credentials credentials",
     "murmur run worldsim hand.toml --credential credentials/world.json",
