@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import tomllib
 from dataclasses import fields
 from pathlib import Path
@@ -164,3 +165,19 @@ def test_a_router_that_does_not_answer_is_named(tmp_path: Path) -> None:
     result = murmur("robot", str(file))
     assert result.exit_code == 2
     assert "ros2.router = 'tcp/127.0.0.1:9': no Zenoh router answers" in result.stderr
+
+
+def test_the_guides_list_each_setting_with_its_default() -> None:
+    docs = Path(__file__).parents[3] / "docs"
+    for page, table, without in (
+        ("field.md", RobotSettings, {"grid", "ros2", "radio", "record", "predictive", "polygons"}),
+        ("ros2.md", Ros2Table, set()),
+    ):
+        lines = (docs / page).read_text(encoding="utf-8").splitlines()
+        for name, field in table.model_fields.items():
+            if name in without:
+                continue
+            factory = field.default_factory is not None
+            default = "" if field.is_required() else f"`{json.dumps({} if factory else field.default)}`"
+            row = f"| `{name}` | {default} | {field.description} |"
+            assert row in lines, row

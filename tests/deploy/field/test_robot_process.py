@@ -137,3 +137,13 @@ def test_a_goal_that_the_action_aborts_is_avoided_at_once(start: Any) -> None:
     ros, process = start(body={"has_action": True, "refuses": everywhere}, patience_s=600.0)
     wait_until(lambda: "does not reach its target" in process.output)
     assert len(ros.ended) > 0
+
+
+def test_a_robot_that_has_used_up_its_starts_says_what_to_do(start: Any, tmp_path: Path) -> None:
+    _, process = start(steps=2, starts=1)
+    assert process.wait() == 1, process.output
+    assert "the robot stands still: 2 steps are over" in process.output
+    result = murmur("robot", str(tmp_path / "r0" / "robot.toml"))
+    assert result.exit_code == 2
+    assert "used up its 1 incarnations; for a new mission, choose a new record.folder" in result.stderr
+    assert [path.name for path in (tmp_path / "r0" / "record").glob("start-*")] == ["start-1"]
