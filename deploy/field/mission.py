@@ -137,7 +137,8 @@ class Mission:
             raise ValueError(
                 f"{file.record}: {error}; for a new mission, choose a new record.folder"
             ) from None
-        self._recorder = LinkRecorder(file.record / f"start-{files.session.session}", settings.robot)
+        start = self._field.robot.settings.incarnation + 1
+        self._recorder = LinkRecorder(file.record / f"start-{start}", settings.robot)
         self._step = 0
         self._done_steps = 0
         """Steps for which nothing has been left to explore or to deliver, and no teammate has sent entries, which need
