@@ -147,16 +147,16 @@ class Ros2Body:
         else:
             self._map = message
 
-    def sense(self, step: int) -> Sense | None:
+    def sense(self, step: int, *, measures: bool = True) -> Sense | None:
         """Return what the robot senses in a step: its newest scan since the last step, or where it was, without one.
 
-        None before the first scan whose pose is known.
+        None before the first scan whose pose is known. Without `measures`, only the pose of the scan counts.
         """
         self.take_newest_scan()
         if self._scan is None:
             return None
         scan = self._scan
-        if not self._is_new:
+        if not (self._is_new and measures):
             nothing = np.full_like(scan.ranges, NO_MEASUREMENT)
             scan = RangeScan(scan.place, scan.heading, nothing)
         self._is_new = False

@@ -31,6 +31,8 @@ STATUS_S, MARKERS_S, MAP_S = 1.0, 2.0, 2.0
 """Least seconds between two messages of a kind that the robot publishes."""
 PATIENCE_S = 3.0
 """Seconds for which the first laser scan is awaited without a message."""
+FREEZE = 0.5
+"""Part of `finish_s` after which an explored map does not change any more: noise would always add entries to send."""
 EXPLORED = "nothing is left to explore, and teammates hold this robot's map"
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -140,6 +142,8 @@ class Mission:
         start = self._field.robot.settings.incarnation + 1
         self._recorder = LinkRecorder(file.record / f"start-{start}", settings.robot)
         self._step = 0
+        self._explored_steps = 0
+        """Steps for which nothing has been left to explore."""
         self._done_steps = 0
         """Steps for which nothing has been left to explore or to deliver, and no teammate has sent entries, which need
         this robot's acknowledgments."""
@@ -201,8 +205,10 @@ class Mission:
         field = self._field
         robot = field.robot
         receives = any(each.sender != self._settings.robot and _has_entries(each.gossip) for each in records)
-        is_done = field.move is not None and field.move.explored and not robot.replication.undelivered()
-        is_done = is_done and not receives
+        explored = field.move is not None and field.move.explored
+        self._explored_steps = self._explored_steps + 1 if explored else 0
+        self._ros.measures = self._explored_steps * self._settings.step_s < FREEZE * self._settings.finish_s
+        is_done = explored and not robot.replication.undelivered() and not receives
         self._done_steps = self._done_steps + 1 if is_done else 0
         if self._ros.is_stuck() and robot.target is not None:
             seconds = self._settings.avoid_s

@@ -64,6 +64,8 @@ class Ros2Robot:
         """Time stamp of the last scan with a pose, and when it arrived."""
         self._sent = 0
         """When the goal was sent."""
+        self.measures = True
+        """Whether scans change the robot's map."""
         self._shown: Grid | None = None
         """The team's map that was published last."""
         try:
@@ -122,7 +124,7 @@ class Ros2Robot:
     def sense(self, step: int) -> Sense | None:
         """Return the readings of a step; None without a pose, after a jump, or if no scan arrives any more."""
         self.spin()
-        sense = self._body.sense(step)
+        sense = self._body.sense(step, measures=self.measures)
         return None if self._is_silent() or self._body.has_jumped else sense
 
     def move(self, move: Move, target: tuple[int, int] | None) -> None:
