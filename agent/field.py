@@ -34,6 +34,7 @@ from agent.radios.transport import Transport
 from agent.replication.policies import GOSSIP
 from agent.robot import Robot
 from agent.settings import Settings
+from agent.strategies.base import Cell
 from protocol.messages import Move, Sense
 
 
@@ -43,8 +44,8 @@ class Body(Protocol):
     def sense(self, step: int) -> Sense | None:
         """Return the readings of this step; None if the pose is not known."""
 
-    def move(self, move: Move) -> None:
-        """Begin to move; a move that is still under way ends."""
+    def move(self, move: Move, target: Cell | None) -> None:
+        """Begin to move; a move that is still under way ends. `target` is where the robot finally drives."""
 
     def stop(self) -> None:
         """Stand still."""
@@ -85,9 +86,13 @@ class FieldFiles:
     identity: Identity
 
     @classmethod
-    def open(cls, folder: Path, key: bytes, settings: Settings) -> FieldFiles:
-        """Open or create the files in a directory; SessionFileError or JournalError if they do not fit the robot."""
-        session = SessionFile(folder / f"r{settings.robot}.session", key, settings.robot, settings.robots)
+    def open(cls, folder: Path, key: bytes, settings: Settings, sessions: Path | None = None) -> FieldFiles:
+        """Open or create the files in a directory; SessionFileError or JournalError if they do not fit the robot.
+
+        The session file, which lasts as long as the key, is in the directory `sessions`, if that is given.
+        """
+        path = (sessions or folder) / f"r{settings.robot}.session"
+        session = SessionFile(path, key, settings.robot, settings.robots)
         return cls(key, session, Identity(Journal.open(folder / journal_name(settings.robot))))
 
 
@@ -178,7 +183,7 @@ class FieldRobot:
             for event in self.medium.end_step():
                 respond(self.robot, event, self._report)
             self.move = self.robot.decide()
-            self._body.move(self.move)
+            self._body.move(self.move, self.robot.target)
         else:
             self.move = None
             self._body.stop()

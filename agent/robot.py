@@ -28,7 +28,7 @@ from agent.replication.engine import make_replication
 from agent.replication.peers import MapId
 from agent.replication.replica import Rejected
 from agent.settings import Settings
-from agent.strategies.base import Cell, Decision, Situation
+from agent.strategies.base import Cell, Decision, Pose, Situation
 from agent.strategies.registry import strategy
 from agent.team_state import TeamState
 from protocol import packet_index, packets
@@ -134,6 +134,11 @@ class Robot:
         return self._encoding.polygons
 
     @property
+    def teammates(self) -> Mapping[int, Pose]:
+        """The last known pose of each teammate."""
+        return self._team.poses
+
+    @property
     def distrusted(self) -> set[int]:
         """Teammates that sent map updates which were malformed or not their author's, several times."""
         return self.replication.replica.distrusted
@@ -231,6 +236,7 @@ class Robot:
             backlog=self.replication.undelivered(),
         )
         decision = self._strategy.decide(situation)
+        decision = self._try_again(decision)
         self._idle_steps = self._idle_steps + 1 if decision.explored else 0
         decision = self._look_again(situation, decision)
         self._apply(decision)
@@ -252,6 +258,17 @@ class Robot:
         if sense.blocked == WALL:
             self._noisy_grid.bump(*cell_ahead(sense, self.settings.body.radius_cells))
         return self._noisy_grid.clean(self.planning)
+
+    def avoid(self, target: Cell, steps: int) -> None:
+        """Avoid a target that the robot could not reach for some steps; with exact lasers, this has no effect."""
+        if self._noisy_grid is not None:
+            self._noisy_grid.avoided.add(target, steps)
+
+    def _try_again(self, decision: Decision) -> Decision:
+        """Return a decision that does not end the run yet if the robot avoids targets for a while."""
+        if not decision.explored or self._noisy_grid is None or not self._noisy_grid.avoided.waits:
+            return decision
+        return replace(decision, explored=False, status="waiting to try targets again that it did not reach")
 
     def _look_again(self, situation: Situation, decision: Decision) -> Decision:
         """Return a decision that does not end the run yet if a person may stand before a frontier."""

@@ -155,7 +155,17 @@ def enlarge(grid: Grid, radius_cells: float) -> Grid:
     solid = grid == OCCUPIED
     if not solid.any():
         return grid
-    away = np.rint(ndimage.distance_transform_edt(~solid) ** 2)
+    box = _around(solid, int(radius_cells + _REACH) + 1)
+    away = np.rint(ndimage.distance_transform_edt(~solid[box]) ** 2)
     grown = grid.copy()
-    grown[(away < (radius_cells + _REACH) ** 2) & (grid == FREE)] = OCCUPIED
+    grown[box][(away < (radius_cells + _REACH) ** 2) & (grid[box] == FREE)] = OCCUPIED
     return grown
+
+
+def _around(solid: NDArray[np.bool_], margin: int) -> tuple[slice, slice]:
+    """Return the rows and columns of the smallest box around all true cells, and `margin` cells more on each side."""
+    rows, columns = np.flatnonzero(solid.any(axis=1)), np.flatnonzero(solid.any(axis=0))
+    first, last = np.array([rows[0], columns[0]]) - margin, np.array([rows[-1], columns[-1]]) + margin + 1
+    top, left = np.maximum(first, 0).tolist()
+    bottom, right = last.tolist()
+    return slice(top, bottom), slice(left, right)

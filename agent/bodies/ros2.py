@@ -73,6 +73,33 @@ class Ros2Body:
         """Why there is no new scan; empty if there is one."""
 
     @property
+    def stamp_ns(self) -> int | None:
+        """Time of the last scan whose pose is known, by the robot's clock; None before the first."""
+        return None if self._pose is None else self._pose[0]
+
+    @property
+    def has_jumped(self) -> bool:
+        """Whether the pose has jumped, and has not settled since."""
+        return self._pose is not None and self._pose[0] < self._settled_ns
+
+    @property
+    def has_map(self) -> bool:
+        """Whether the robot's own map has arrived."""
+        return self._map is not None
+
+    def base(self, frame: str) -> Pose | None:
+        """Return the pose of the robot's base, called `frame`, in its map frame at the last scan.
+
+        That of the laser if the base is not on the way to it; None before the first scan.
+        """
+        if self._pose is None:
+            return None
+        stamp, laser = self._pose
+        root = self._settings.map_frame
+        known = root in self._transforms.ancestors(frame)
+        return (self._transforms.pose(frame, root, stamp) if known else None) or laser
+
+    @property
     def laser(self) -> Laser | None:
         """The laser's beams (`agent.settings.Settings.laser`), known from the first scan on."""
         if self._beams is None:
@@ -120,16 +147,16 @@ class Ros2Body:
         else:
             self._map = message
 
-    def sense(self, step: int) -> Sense | None:
+    def sense(self, step: int, *, measures: bool = True) -> Sense | None:
         """Return what the robot senses in a step: its newest scan since the last step, or where it was, without one.
 
-        None before the first scan whose pose is known.
+        None before the first scan whose pose is known. Without `measures`, only the pose of the scan counts.
         """
-        self._take_newest_scan()
+        self.take_newest_scan()
         if self._scan is None:
             return None
         scan = self._scan
-        if not self._is_new:
+        if not (self._is_new and measures):
             nothing = np.full_like(scan.ranges, NO_MEASUREMENT)
             scan = RangeScan(scan.place, scan.heading, nothing)
         self._is_new = False
@@ -179,8 +206,11 @@ class Ros2Body:
             return False
         return bool(self._map.data[row * info.width + column] >= 0)
 
-    def _take_newest_scan(self) -> None:
-        """Take the newest waiting scan whose pose is known and plausible; those before it are dropped."""
+    def take_newest_scan(self) -> None:
+        """Take the newest waiting scan whose pose is known and plausible; those before it are dropped.
+
+        `sense` does so, too; between steps, it shows early whether scans still arrive (`stamp_ns`).
+        """
         for number in reversed(range(len(self._waiting))):
             stamp, message = self._waiting[number]
             pose = self._pose_of(_frame(message.header.frame_id), stamp)

@@ -7,7 +7,8 @@ ones counts as a wall if it does not lie in a square of as many cells without wa
 of a single cell count as walls, too, and those beside one that a few beams of a coarse laser can make.
 
 False walls can enclose a robot, which would then report that it has nothing left to explore. So the cells that it has
-driven over count as free, unless it bumped into something there later.
+driven over count as free, unless it bumped into something there later. Targets that a robot could not reach are drawn
+last (`agent.planning.avoided`).
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import math
 
 import numpy as np
 
+from agent.planning.avoided import AvoidedTargets
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.kernels import kernel
 from protocol.range_scans import TURN, Laser
@@ -44,6 +46,8 @@ class NoisyGrid:
     """
 
     def __init__(self, height: int, width: int, narrow: int, shortest: int = 1) -> None:
+        self.avoided = AvoidedTargets(2 * narrow, narrow / 2)
+        """Targets that the robot could not reach."""
         self._narrow, self._shortest = narrow, shortest
         self._trail: Grid = np.zeros((height, width), np.uint8)
         self._marks: Grid = np.zeros((height, width), np.uint8)
@@ -73,6 +77,8 @@ class NoisyGrid:
         found[self._trail != 0] = FREE
         if self._shortest > 1:
             _close_specks(found, self._shortest, self._marks)
+        if self._here is not None:
+            self.avoided.draw(found, self._here)
         return found
 
 

@@ -152,6 +152,10 @@ class PeerMedium:
         """Received frames that were dropped, by reason (`agent.radios.sealing.Reason`)."""
         return {str(reason): count for reason, count in self._opener.dropped.items()}
 
+    def neighbors(self, now: int) -> list[int]:
+        """Return the teammates in range, in ascending order."""
+        return self._neighbors.current(now)
+
     # --- the robot's side
 
     def begin_step(self, step: int, now: int) -> Open:

@@ -44,6 +44,8 @@ COMMANDS = {
     "size": Entry("studies", "Find the smallest sufficient team, bandwidth and range for a building."),
     "reproduce": Entry("studies", "Repeat the experiments of the papers, and judge their claims."),
     "chaos": Entry("chaos", "Run swarms under random faults, and check their invariants."),
+    "robot": Entry("robot", "Run one robot of a team in the field."),
+    "stop": Entry("robot", "Stop robots in the field that run on this host."),
     "keys": Entry("keys", "Create certificates for the participants of a run."),
     "serve-ros2": Entry("serve", "Serve simulated robots that look like ROS 2 robots over Zenoh."),
     "run": Entry("by_hand", "Start one process of a run by hand."),

@@ -133,6 +133,14 @@ def test_without_a_new_scan_the_robot_stays_and_measures_nothing() -> None:
     assert set(second.ranges.tolist()) == {NO_MEASUREMENT}
 
 
+def test_a_robot_that_does_not_measure_knows_only_its_pose() -> None:
+    body = robot()
+    scan_at(body, Pose(1.0, 0.0, 0.0))
+    scan = scan_of(body, body.sense(1, measures=False))
+    assert scan.x == 30
+    assert set(scan.ranges.tolist()) == {NO_MEASUREMENT}
+
+
 def test_the_newest_scan_with_a_known_pose_counts() -> None:
     body = robot()
     for second in range(4):

@@ -53,7 +53,7 @@ class WorldBody:
     def sense(self, step: int) -> Sense | None:
         return self.sensed
 
-    def move(self, move: Move) -> None:
+    def move(self, move: Move, target: tuple[int, int] | None) -> None:
         self.moved = move
 
     def stop(self) -> None:

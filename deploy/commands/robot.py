@@ -1,0 +1,88 @@
+"""`murmur robot` and `murmur stop`: a robot in the field (docs/field.md)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from deploy.commands.console import BAD_INPUT, BROKEN_OFF, fail, screen
+from deploy.commands.flags import command_family
+
+app = command_family()
+
+NOT_FINISHED = 1
+STOP_S = 30.0
+"""Seconds for which `murmur stop` waits for a robot."""
+
+
+@app.command()
+def robot(
+    file: Annotated[
+        Path | None, typer.Argument(metavar="ROBOT.toml", help="settings file of this robot")
+    ] = None,
+    example: Annotated[
+        bool, typer.Option("--example", help="print a commented settings file, and exit")
+    ] = False,
+    check: Annotated[bool, typer.Option("--check", help="check the settings and the key, and exit")] = False,
+) -> None:
+    """Run one robot of a team in the field: its sensors and motors over ROS 2, its radio without a relay.
+
+    The robot explores until nothing is left and its teammates hold its map. It stands still at the end, on Ctrl-C, on
+    murmur stop, and while no readings arrive. Exit codes: 0 explored, 1 not finished, 2 bad input, 3 aborted.
+    """
+    from deploy.field.robot_file import EXAMPLE, load_robot  # noqa: PLC0415
+
+    if example:
+        print(EXAMPLE.read_text(encoding="utf-8"), end="")
+        return
+    if file is None:
+        fail(
+            "name the settings file of the robot, as robot.toml; murmur robot --example prints one", BAD_INPUT
+        )
+    settings = load_robot(file)
+    if check:
+        from agent.radios.team_key import read_key  # noqa: PLC0415
+
+        read_key(settings.key)
+        screen.print(f"{file}: robot {settings.settings.robot} of {settings.settings.robots}, no errors")
+        return
+    try:
+        from deploy.field.mission import explore  # noqa: PLC0415
+    except ModuleNotFoundError as error:
+        fail(str(error), BAD_INPUT)
+    ending = explore(settings, screen.print)
+    if ending.records is not None:
+        screen.print(f"{ending.steps} steps; records in {ending.records}")
+    screen.print(f"the robot stands still: {ending.reason}")
+    raise typer.Exit(0 if ending.is_complete else NOT_FINISHED)
+
+
+@app.command()
+def stop(
+    folders: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="DIR...", help="record directories of robots that run on this host"),
+    ] = None,
+    every: Annotated[bool, typer.Option("--all", help="stop all robots of this user on this host")] = False,
+) -> None:
+    """Stop robots in the field that run on this host: they stand still, write their records, and end.
+
+    This is no emergency stop: a robot needs up to a second, and only its own driver can brake at once.
+    """
+    from deploy.field import running  # noqa: PLC0415
+
+    if every == bool(folders):
+        fail("name the record directory of a robot, or use --all", BAD_INPUT)
+    chosen = running.robots() if every else folders or []
+    if not chosen:
+        screen.print("no robot of this user runs on this host")
+    for folder in chosen:
+        running.ask_to_stop(folder)
+    late = [str(folder) for folder in chosen if not running.has_ended(folder, STOP_S)]
+    for folder in chosen:
+        if str(folder) not in late:
+            screen.print(f"{folder}: stopped")
+    if late:
+        fail(f"{', '.join(late)}: still running after {STOP_S:.0f} s", BROKEN_OFF)

@@ -1,0 +1,9 @@
+"""A robot in the field as a process: its settings file, its ROS 2 node, its files, and its loop (docs/field.md).
+
+robot_file    the settings of one robot, from TOML
+robot_plan    the settings of its control logic, derived from them
+running       the lock and the request to stop of a robot that runs on this host
+goals         goals over `goal_pose` or `navigate_to_pose`
+ros2_robot    node and body
+mission       the loop from the first laser scan to the end
+"""

@@ -1,0 +1,267 @@
+"""The loop of a robot in the field: from the first laser scan until nothing is left to explore, or it is stopped."""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import signal
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from agent.field import FieldFiles, FieldRobot, drive
+from agent.journal import JournalError
+from agent.radios.pacing import SECOND
+from agent.radios.peer_medium import FrameRecord
+from agent.radios.team_key import read_key
+from agent.radios.transport import Transport
+from agent.replication.control_packets import parse
+from deploy.field.robot_file import RobotFile
+from deploy.field.robot_plan import agent_settings, pose_guard
+from deploy.field.ros2_robot import Ros2Robot
+from deploy.field.running import running
+from deploy.record.link_records import LinkRecorder
+from protocol.errors import ProtocolError
+
+SLICE_NS = SECOND // 10
+"""Nanoseconds after which a waiting robot looks for messages, signals, and the request to stop."""
+STATUS_S, MARKERS_S, MAP_S = 1.0, 2.0, 2.0
+"""Least seconds between two messages of a kind that the robot publishes."""
+PATIENCE_S = 3.0
+"""Seconds for which the first laser scan is awaited without a message."""
+FREEZE = 0.5
+"""Part of `finish_s` after which an explored map does not change any more: noise would always add entries to send."""
+EXPLORED = "nothing is left to explore, and teammates hold this robot's map"
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+Say = Callable[[str], None]
+"""Shows a line to the user."""
+
+
+@dataclass(frozen=True)
+class Ending:
+    """How a mission ended: the reason, and whether everything is explored and delivered."""
+
+    reason: str
+    is_complete: bool
+    steps: int = 0
+    records: Path | None = None
+
+
+class StoppedError(Exception):
+    """The robot is to stop now, within a step."""
+
+
+class StopRequest:
+    """The request to end: a signal, or a file."""
+
+    def __init__(self, file: Path) -> None:
+        self._file = file
+        self._signal = ""
+
+    @property
+    def reason(self) -> str:
+        """Why to end; empty: not yet."""
+        return self._signal or ("murmur stop" if self._file.exists() else "")
+
+    @contextlib.contextmanager
+    def signals(self) -> Iterator[None]:
+        """Take the signals that end a process as requests (main thread only)."""
+        before = {number: signal.getsignal(number) for number in SIGNALS}
+        for number, handler in before.items():
+            if number != signal.SIGHUP or handler != signal.SIG_IGN:
+                signal.signal(number, self._come)
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+    def _come(self, number: int, _: object) -> None:
+        self._signal = signal.Signals(number).name
+
+
+def explore(file: RobotFile, say: Say) -> Ending:
+    """Run one robot until its mission ends; whatever happens, it then stands still.
+
+    Raises
+    ------
+    ValueError
+        Key, session file, journal, interface, port, or router cannot be used; the message says what to do.
+    """
+    key = read_key(file.key)
+    with contextlib.ExitStack() as stack:
+        stop = StopRequest(stack.enter_context(running(file.record)))
+        stack.enter_context(stop.signals())
+        transport = file.settings.radio.open_transport()
+        stack.callback(transport.close)
+        ros = Ros2Robot(file.settings)
+        stack.callback(ros.close)
+        if not wait_for_laser(ros, stop, say):
+            return Ending(stop.reason, is_complete=False)
+        return Mission(file, key, ros, transport, stop, say).run()
+
+
+def wait_for_laser(ros: Ros2Robot, stop: StopRequest, say: Say) -> bool:
+    """Wait for the first laser scan, which defines the beams; return False if the robot is to stop before."""
+    shown, begin = "", time.monotonic()
+    while not stop.reason:
+        ros.spin(SLICE_NS / SECOND)
+        if ros.laser is not None:
+            return True
+        if (problem := ros.problem) != shown and time.monotonic() - begin > PATIENCE_S:
+            say(f"waiting: {problem}")
+            shown = problem
+    return False
+
+
+class Mission:
+    """One start of a robot, from its first scan on."""
+
+    def __init__(
+        self, file: RobotFile, key: bytes, ros: Ros2Robot, transport: Transport, stop: StopRequest, say: Say
+    ) -> None:
+        settings = file.settings
+        assert ros.laser is not None
+        agent = agent_settings(settings, ros.laser)
+        files = FieldFiles.open(file.record, key, agent, file.sessions)
+        self._settings, self._ros, self._transport = settings, ros, transport
+        self._stop, self._say = stop, say
+        self._step_ns = round(settings.step_s * SECOND)
+        try:
+            self._field = FieldRobot(
+                agent, settings.radio, files, ros, transport, pose_guard(settings), time.monotonic_ns(),
+                say, self._end_step,
+            )  # fmt: skip
+        except JournalError as error:
+            raise ValueError(
+                f"{file.record}: {error}; for a new mission, choose a new record.folder"
+            ) from None
+        start = self._field.robot.settings.incarnation + 1
+        self._recorder = LinkRecorder(file.record / f"start-{start}", settings.robot)
+        self._step = 0
+        self._explored_steps = 0
+        """Steps for which nothing has been left to explore."""
+        self._done_steps = 0
+        """Steps for which nothing has been left to explore or to deliver, and no teammate has sent entries, which need
+        this robot's acknowledgments."""
+        self._reason, self._is_complete = "", False
+        self._published: dict[str, int] = {}
+        self._shown = ""
+        """The last status that the user was shown."""
+
+    def run(self) -> Ending:
+        """Play steps until the end."""
+        robots = self._settings.robots
+        self._say(f"robot {self._settings.robot} of {robots} explores; records in {self._recorder.folder}")
+        try:
+            late = drive(self._field, self._step_ns, time.monotonic_ns, self._wait, self._is_over)
+            if late:
+                self._say(f"{late} steps took longer than {self._settings.step_s:g} s")
+        except StoppedError:
+            self._recorder.record(self._step, self._field.medium.records)
+        finally:
+            self._recorder.close()
+        if self._field.move is not None:
+            self._published.clear()
+            self._publish(self._reason)
+        return Ending(self._reason, self._is_complete, self._step, self._recorder.folder)
+
+    def _wait(self, duration: int) -> None:
+        """Wait for a slice of a step at most, or until a frame arrives, and take the messages of the robot."""
+        seconds = max(0, min(duration, SLICE_NS)) / SECOND
+        descriptor = self._transport.fileno()
+        if descriptor < 0:
+            time.sleep(seconds)
+        else:
+            select.select([descriptor], [], [], seconds)
+        self._ros.spin()
+        if self._is_stopped():
+            raise StoppedError
+
+    def _is_stopped(self) -> bool:
+        if self._stop.reason:
+            self._reason = f"stopped by {self._stop.reason}"
+        return bool(self._stop.reason)
+
+    def _is_over(self, step: int) -> bool:
+        """Return whether the mission ends after `step` steps, and note the reason."""
+        self._step = step
+        finish = max(1, round(self._settings.finish_s / self._settings.step_s))
+        if self._is_stopped():
+            return True
+        if self._done_steps >= finish:
+            self._reason, self._is_complete = EXPLORED, True
+        elif step >= self._settings.steps:
+            self._reason = f"{step} steps are over"
+        return bool(self._reason)
+
+    def _end_step(self, step: int, records: list[FrameRecord]) -> None:
+        """Record and publish at the end of a step, and avoid a target that the robot does not reach."""
+        self._step = step
+        self._recorder.record(step, records)
+        field = self._field
+        robot = field.robot
+        receives = any(each.sender != self._settings.robot and _has_entries(each.gossip) for each in records)
+        explored = field.move is not None and field.move.explored
+        self._explored_steps = self._explored_steps + 1 if explored else 0
+        self._ros.measures = self._explored_steps * self._settings.step_s < FREEZE * self._settings.finish_s
+        is_done = explored and not robot.replication.undelivered() and not receives
+        self._done_steps = self._done_steps + 1 if is_done else 0
+        if self._ros.is_stuck() and robot.target is not None:
+            seconds = self._settings.avoid_s
+            self._say(f"does not reach its target at {robot.target}: avoids it for {seconds:g} s or longer")
+            robot.avoid(robot.target, max(1, round(seconds / self._settings.step_s)))
+        if (status := self._activity()) != self._shown:
+            self._shown = status
+            self._say(status)
+        self._publish(status)
+
+    def _activity(self) -> str:
+        """Return what the robot does, as text."""
+        if self._field.move is None:
+            return f"stands still: {self._ros.problem or 'its pose has jumped'}"
+        return self._ros.problem or self._field.robot.status
+
+    def _publish(self, status: str) -> None:
+        """Publish what is due."""
+        if self._is_due("status", STATUS_S):
+            self._ros.publish_status(self._status(status))
+        if self._is_due("map", MAP_S):
+            self._ros.publish_map(self._field.robot)
+        if self._is_due("markers", MARKERS_S):
+            self._ros.publish_markers(self._field.robot)
+
+    def _is_due(self, name: str, interval_s: float) -> bool:
+        now = time.monotonic_ns()
+        if now - self._published.get(name, -SECOND * 3600) < interval_s * SECOND:
+            return False
+        self._published[name] = now
+        return True
+
+    def _status(self, status: str) -> dict[str, Any]:
+        """Return the status that is published."""
+        field = self._field
+        robot, medium = field.robot, field.medium
+        return {
+            "robot": self._settings.robot,
+            "step": self._step,
+            "status": status,
+            "explored": field.move is not None and field.move.explored,
+            "known_cells": robot.known_cells,
+            "target": robot.target,
+            "neighbors": medium.neighbors(time.monotonic_ns()),
+            "undelivered": robot.replication.undelivered(),
+            "dropped": medium.dropped,
+            "unsent": field.unsent,
+        }
+
+
+def _has_entries(gossip: bytes) -> bool:
+    """Return whether a teammate's gossip has entries of a map, not only reports."""
+    try:
+        return bool(parse(gossip).sections)
+    except ProtocolError:
+        return False

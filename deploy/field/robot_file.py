@@ -1,0 +1,249 @@
+"""The settings of a robot in the field, read from a TOML file and validated before anything is opened."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_validator
+
+from agent.encoding_options import PolygonOptions, PredictiveOptions
+from agent.radios.options import LinkOptions
+from deploy.scenario.scenario import DEFAULT_STRATEGY, ScenarioError, explain, read_toml
+from deploy.scenario.tables import (
+    MAX_INTEGER,
+    MAX_TOLERANCE,
+    Meters,
+    NotNegative,
+    Positive,
+    Table,
+    Whole,
+    check_types,
+)
+from protocol.grid import MAX_ROBOTS, MAX_SIDE
+from protocol.packets import MAX_GOSSIP_MAPS
+from protocol.range_scans import MAX_REACH_M
+
+EXAMPLE = Path(__file__).with_name("robot.toml")
+"""The commented settings file that `murmur robot --example` prints."""
+
+Seconds = Annotated[float, Field(strict=True, gt=0, le=86400)]
+Turn = Annotated[float, Field(strict=True, ge=-360, le=360)]
+
+
+class GridTable(Table):
+    """The team's grid in the common frame; it must cover the whole building, and be equal on all robots."""
+
+    x: Meters = Field(description="left edge, meters")
+    y: Meters = Field(description="lower edge, meters")
+    width_m: Positive = Field(description="extent along x, meters")
+    height_m: Positive = Field(description="extent along y, meters")
+    resolution: Positive = Field(0.1, description="side of a cell, meters")
+
+    @property
+    def columns(self) -> int:
+        """Cells along x."""
+        return math.ceil(round(self.width_m / self.resolution, 6))
+
+    @property
+    def rows(self) -> int:
+        """Cells along y."""
+        return math.ceil(round(self.height_m / self.resolution, 6))
+
+    @model_validator(mode="after")
+    def _has_cells(self) -> Self:
+        for name, cells in (("width_m", self.columns), ("height_m", self.rows)):
+            if not 3 <= cells <= MAX_SIDE:
+                raise ValueError(
+                    f"{name}: is {cells} cells of {self.resolution:g} m; must be 3 to {MAX_SIDE}"
+                )
+        return self
+
+
+class Ros2Table(Table):
+    """Names and frames of the robot's ROS 2 nodes; names without a slash in front are relative to the namespace."""
+
+    map_pose: tuple[Meters, Meters, Turn] = Field(
+        description="pose of the robot's map frame in the common frame: x and y in meters, degrees counterclockwise"
+    )
+    router: str = Field("tcp/localhost:7447", description="address of the Zenoh router")
+    domain: Whole = Field(0, ge=0, le=232, description="ROS_DOMAIN_ID")
+    distro: Literal["humble", "jazzy", "kilted", "lyrical", "rolling"] = Field(
+        "jazzy", description="distribution of the robot's nodes"
+    )
+    namespace: str = Field("", description="namespace of the robot, as r1; empty: none")
+    node: str = Field("murmur", description="name of the node")
+    scan: str = Field("scan", description="laser scans (sensor_msgs/LaserScan)")
+    tf: str = Field("tf", description="transforms; some robots have them at /tf")
+    tf_static: str = Field("tf_static", description="static transforms")
+    map: str = Field("map", description="the robot's own map, which limits goals; empty: it has none")
+    goal_pose: str = Field("goal_pose", description="where goals are sent; empty: only to the action")
+    navigate_to_pose: str = Field(
+        "navigate_to_pose", description="action that is used instead while it has a server; empty: never"
+    )
+    team_map: str = Field("team_map", description="where the team's map is published")
+    status: str = Field("murmur/status", description="where the status is published, as JSON")
+    markers: str = Field("murmur/markers", description="where markers for RViz are published")
+    map_frame: str = Field("map", description="the frame of the robot's map")
+    base_frame: str = Field("base_link", description="the frame of the robot's base")
+
+    @model_validator(mode="after")
+    def _takes_goals(self) -> Self:
+        if not self.goal_pose and not self.navigate_to_pose:
+            raise ValueError(
+                "goal_pose and navigate_to_pose are both empty, so that the robot cannot be driven"
+            )
+        return self
+
+
+@dataclass(frozen=True)
+class RadioTable(LinkOptions):
+    """The radio (`agent.radios.options`), and the team's key.
+
+    `key`: the key file. `sessions`: the directory of the session file; by default that of the key.
+    """
+
+    key: str = "team.key"
+    sessions: str = ""
+
+
+class RecordTable(Table):
+    """Where the robot writes its records."""
+
+    folder: str = Field("record", min_length=1, description="directory of journal and records of this robot")
+
+
+class RobotSettings(Table):
+    """All settings of one robot in the field.
+
+    Raises
+    ------
+    ScenarioError
+        Keys or values are wrong; the message lists all of them.
+    """
+
+    def __init__(self, **settings: Any) -> None:
+        try:
+            super().__init__(**settings)
+        except ValidationError as error:
+            errors = [item for item in error.errors() if item["type"] != "default_factory_not_called"]
+            raise ScenarioError("\n".join(dict.fromkeys(explain(item, _KEYS) for item in errors))) from None
+
+    robot: Whole = Field(ge=0, le=MAX_ROBOTS - 1, description="number of this robot, from 0")
+    robots: Whole = Field(ge=1, le=MAX_ROBOTS, description="number of robots of the team")
+    grid: GridTable = Field(description="the team's grid")
+    ros2: Ros2Table = Field(description="the robot's ROS 2 nodes")
+    radio: RadioTable = Field(description="the radio")
+    record: RecordTable = Field(default_factory=RecordTable, description="records")
+    seed: Whole = Field(0, ge=0, le=MAX_INTEGER, description="seed of all random draws")
+    starts: Whole = Field(8, ge=1, le=256, description="how often each robot may start in this mission")
+    strategy: str = Field(DEFAULT_STRATEGY, description="exploration strategy (murmur strategies lists all)")
+    options: dict[str, Any] = Field(default_factory=dict, description="options of the strategy, by name")
+    map_encoding: str = Field("predictive", description="map encoding")
+    predictive: PredictiveOptions = Field(
+        default_factory=PredictiveOptions, description="options of the predictive encoding"
+    )
+    polygons: PolygonOptions = Field(
+        default_factory=PolygonOptions, description="options of the polygon encoding"
+    )
+    tolerance: Whole = Field(
+        1, ge=0, le=MAX_TOLERANCE, description="cells between a wall and its copy on teammates' maps at most"
+    )
+    sensor_range: float = Field(
+        5.0, strict=True, gt=0, le=MAX_REACH_M, description="range up to which scans are mapped, meters"
+    )
+    speed: Positive = Field(0.5, description="largest speed of the robot, meters per second")
+    radius: NotNegative = Field(0.2, description="radius of the robot, meters")
+    step_s: float = Field(1.0, strict=True, ge=0.1, le=60.0, description="duration of a step, seconds")
+    steps: Whole = Field(86400, ge=1, le=MAX_INTEGER, description="maximum number of steps")
+    finish_s: Seconds = Field(
+        30.0, description="the robot ends when it was done for so long: nothing to explore, and all delivered"
+    )
+    dead_man_s: Seconds = Field(
+        3.0, description="the robot stands still if no scan with a pose has arrived for so long, seconds"
+    )
+    patience_s: Seconds = Field(20.0, description="a goal without progress for so long counts as unreachable")
+    avoid_s: Seconds = Field(60.0, description="how long an unreachable goal is avoided, at first")
+
+    @field_validator("polygons", "predictive", "radio", mode="before")
+    @classmethod
+    def _types_are_exact(cls, value: object, info: ValidationInfo) -> object:
+        check_types(cls.model_fields[str(info.field_name)].annotation, value)
+        return value
+
+    @field_validator("map_encoding")
+    @classmethod
+    def _encoding_is_known(cls, value: str) -> str:
+        from agent.encodings.catalog import encoding_class  # noqa: PLC0415  loads numpy, which --help does not need
+
+        encoding_class(value)
+        return value
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        from agent.strategies.registry import strategy  # noqa: PLC0415  loads kernels, which --help does not need
+
+        chosen = strategy(self.strategy)
+        chosen.check(self.options)
+        if not chosen.explores:
+            raise ValueError(f"strategy = {self.strategy!r}: does not explore; choose another one")
+        if self.robot >= self.robots:
+            raise ValueError(
+                f"robot = {self.robot}: the last robot of {self.robots} has number {self.robots - 1}"
+            )
+        if self.robots * self.starts > MAX_GOSSIP_MAPS:
+            raise ValueError(
+                f"starts = {self.starts}: packets can address {MAX_GOSSIP_MAPS} maps, one per start of each robot; "
+                f"{self.robots} robots can start {MAX_GOSSIP_MAPS // self.robots} times each"
+            )
+        if self.sensor_range < 2 * self.grid.resolution:
+            raise ValueError(f"sensor_range = {self.sensor_range:g}: must be two cells of the grid, or more")
+        return self
+
+
+_KEYS = {
+    "": list(RobotSettings.model_fields),
+    "grid": list(GridTable.model_fields),
+    "ros2": list(Ros2Table.model_fields),
+    "record": list(RecordTable.model_fields),
+    "radio": [field.name for field in fields(RadioTable)],
+    "polygons": [field.name for field in fields(PolygonOptions)],
+    "predictive": [field.name for field in fields(PredictiveOptions)],
+}
+"""The valid keys of each table."""
+
+
+@dataclass(frozen=True)
+class RobotFile:
+    """The settings of a robot, and the directory to which paths in them are relative."""
+
+    settings: RobotSettings
+    folder: Path
+
+    @property
+    def record(self) -> Path:
+        """The directory of journal and records."""
+        return self.folder / self.settings.record.folder
+
+    @property
+    def key(self) -> Path:
+        """The team's key file."""
+        return self.folder / self.settings.radio.key
+
+    @property
+    def sessions(self) -> Path:
+        """The directory of the session file."""
+        given = self.settings.radio.sessions
+        return self.folder / given if given else self.key.parent
+
+
+def load_robot(path: Path) -> RobotFile:
+    """Read a robot's settings file; ScenarioError if it cannot be read, or a key or value is wrong."""
+    path, data = read_toml(path, "robot")
+    try:
+        return RobotFile(RobotSettings(**data), path.parent)
+    except ScenarioError as error:
+        lines = str(error).splitlines()
+        raise ScenarioError("\n".join(f"robot {path}: {line}" for line in lines)) from None

@@ -1,0 +1,63 @@
+"""The settings of a robot's control logic and of its radio, derived from its settings file and its laser."""
+
+from __future__ import annotations
+
+from agent.pose_guard import PoseGuard
+from agent.radios.pacing import SECOND
+from agent.replication.policies import GOSSIP
+from agent.settings import EncodingSettings, MediumSettings, ReplicationSettings, Settings
+from deploy.field.robot_file import RobotSettings
+from protocol.body import Body
+from protocol.budget import Budget
+from protocol.map_frame import MapFrame
+from protocol.range_scans import TURN, Laser
+
+JUMP_M = 0.5
+"""Distance that any two poses may differ in addition to what the robot drives: SLAM corrects it."""
+SETTLE_S = 2
+"""Seconds without a jump after which poses count again."""
+BEAMS = 360
+"""Beams per full turn, which only exact lasers use."""
+
+
+def map_frame(settings: RobotSettings) -> MapFrame:
+    """Return where the team's grid lies in the common frame."""
+    grid = settings.grid
+    return MapFrame(grid.columns, grid.rows, grid.resolution, grid.x, grid.y)
+
+
+def agent_settings(settings: RobotSettings, laser: Laser) -> Settings:
+    """Return the settings of the control logic; teammates count as robots with the same hardware."""
+    cell = settings.grid.resolution
+    body = Body(
+        settings.sensor_range / cell,
+        min(360.0, 360 * laser.span / TURN),
+        settings.speed * settings.step_s / cell,
+        radius_cells=settings.radius / cell,
+    )
+    team_bytes = max(1, round(settings.robots * settings.radio.rate * settings.step_s))
+    return Settings(
+        robot=settings.robot,
+        bodies=(body,) * settings.robots,
+        width=settings.grid.columns,
+        height=settings.grid.rows,
+        beams=BEAMS,
+        seed=settings.seed,
+        strategy=settings.strategy,
+        encoding=EncodingSettings(
+            settings.map_encoding, settings.polygons, settings.predictive, settings.tolerance
+        ),
+        replication=ReplicationSettings(GOSSIP),
+        medium=MediumSettings(Budget(team_bytes)),
+        options=settings.options,
+        resolution=cell,
+        laser=laser,
+        incarnations=settings.starts,
+    )
+
+
+def pose_guard(settings: RobotSettings) -> PoseGuard:
+    """Return the check of the robot's poses; within a step, the time of its scans is not known exactly."""
+    cell = settings.grid.resolution
+    slack = (JUMP_M + settings.speed * settings.step_s) / cell
+    return PoseGuard(settings.speed / cell, slack, SETTLE_S * SECOND)

@@ -1,0 +1,203 @@
+"""A ROS 2 robot: the node that talks to it, as the body of a robot's control logic (`agent.field.Body`)."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from agent.bodies.goals import GoalTracker
+from agent.bodies.markers import layers, marker_array
+from agent.bodies.ros2 import BodySettings, Ros2Body
+from agent.bodies.team_map import occupancy_grid
+from agent.radios.pacing import SECOND
+from agent.robot import Robot
+from deploy.field.goals import GoalSender
+from deploy.field.robot_file import RobotSettings
+from deploy.field.robot_plan import map_frame
+from protocol.grid import Grid
+from protocol.messages import Move, Sense
+from protocol.range_scans import Laser
+from protocol.ros2.messages import LASER_SCAN, MARKERS, OCCUPANCY_GRID, STRING, TRANSFORMS
+from protocol.ros2.node import Ros2Node
+from protocol.ros2.qos import LATCHED, SENSOR, TF, TF_STATIC
+from protocol.transforms import Pose
+
+REPEAT_S = 10.0
+"""Seconds after which a goal is sent again if the robot, which may have missed it, has not moved."""
+CANCEL_S = 1.0
+"""Seconds for which the end of the program waits for the answer to a canceled goal."""
+
+
+class Ros2Robot:
+    """The node of one robot, and its body.
+
+    `clock` returns nanoseconds that never go back, `wall_clock` nanoseconds since 1970.
+
+    Raises
+    ------
+    ValueError
+        No router answers, or a name in the settings is wrong.
+    """
+
+    def __init__(
+        self,
+        settings: RobotSettings,
+        clock: Callable[[], int] = time.monotonic_ns,
+        wall_clock: Callable[[], int] = time.time_ns,
+    ) -> None:
+        names = settings.ros2
+        x, y, degrees = names.map_pose
+        self._settings, self._names = settings, names
+        self._clock, self._wall_clock = clock, wall_clock
+        self._grid = map_frame(settings)
+        self._map_pose = Pose(x, y, float(np.radians(degrees)))
+        self._body = Ros2Body(
+            self._grid,
+            BodySettings(self._map_pose, settings.sensor_range, settings.speed, names.map_frame),
+        )
+        self._tracker = GoalTracker(round(settings.patience_s * SECOND))
+        self._scanned: tuple[int | None, int] = (None, clock())
+        """Time stamp of the last scan with a pose, and when it arrived."""
+        self._sent = 0
+        """When the goal was sent."""
+        self.measures = True
+        """Whether scans change the robot's map."""
+        self._shown: Grid | None = None
+        """The team's map that was published last."""
+        try:
+            self._node = Ros2Node(
+                names.node, names.namespace or "/", names.domain, distro=names.distro, router=names.router
+            )
+        except ConnectionError as error:
+            raise ValueError(f"ros2.router = {names.router!r}: {error}") from None
+        try:
+            self._connect()
+        except ValueError:
+            self._node.close()
+            raise
+
+    def _connect(self) -> None:
+        """Declare the endpoints: transforms before scans, which need them."""
+        node, names, body = self._node, self._names, self._body
+        node.subscription(
+            names.tf_static, TRANSFORMS, TF_STATIC, lambda tf, _: body.add_transforms(tf, is_static=True)
+        )
+        node.subscription(names.tf, TRANSFORMS, TF, lambda tf, _: body.add_transforms(tf, is_static=False))
+        if names.map:
+            node.subscription(names.map, OCCUPANCY_GRID, LATCHED, lambda found, _: body.add_map(found))
+        node.subscription(names.scan, LASER_SCAN, SENSOR, lambda scan, _: body.add_scan(scan))
+        self._goals = GoalSender(node, names)
+        self._team_map = node.publisher(names.team_map, OCCUPANCY_GRID, LATCHED)
+        self._status = node.publisher(names.status, STRING)
+        self._markers = node.publisher(names.markers, MARKERS)
+
+    @property
+    def laser(self) -> Laser | None:
+        """The beams of the robot's laser; None before the first scan."""
+        return self._body.laser
+
+    @property
+    def problem(self) -> str:
+        """Why the robot stands still; empty if it does not have to."""
+        if self._is_silent():
+            return self._body.problem or "no laser scan arrives any more"
+        if self._lacks_map():
+            return f'no map has arrived on {self._names.map}; set ros2.map = "" if the robot has none'
+        rejected = "; ".join(f"{name}: {error}" for name, error in self._node.rejected.items())
+        return self._body.problem or (f"malformed messages: {rejected}" if rejected else "")
+
+    def spin(self, timeout_s: float = 0.0) -> None:
+        """Take what has arrived; without readings for too long, stop the robot."""
+        self._node.spin(self._wall_clock(), timeout_s)
+        self._body.take_newest_scan()
+        if (stamp := self._body.stamp_ns) != self._scanned[0]:
+            self._scanned = stamp, self._clock()
+        elif self._is_silent():
+            self.stop()
+
+    # --- the body
+
+    def sense(self, step: int) -> Sense | None:
+        """Return the readings of a step; None without a pose, after a jump, or if no scan arrives any more."""
+        self.spin()
+        sense = self._body.sense(step, measures=self.measures)
+        return None if self._is_silent() or self._body.has_jumped else sense
+
+    def move(self, move: Move, target: tuple[int, int] | None) -> None:
+        """Send the goal of a move if it has changed, or cancel it."""
+        goal = None if self._is_silent() or self._lacks_map() else self._body.goal(move, target)
+        changed = self._tracker.change(goal)
+        now = self._clock()
+        if goal is None:
+            if changed:
+                self._halt()
+        elif changed or (
+            self._goals.is_idle and not self._goals.aborted and now - self._sent > REPEAT_S * SECOND
+        ):
+            assert self._tracker.goal is not None
+            if self._goals.send(self._tracker.goal, self._stamp(), self._wall_clock()):
+                self._sent = now
+
+    def stop(self) -> None:
+        """Cancel the goal."""
+        if self._tracker.change(None):
+            self._halt()
+
+    def is_stuck(self) -> bool:
+        """Return whether the robot does not reach its goal: it has given up, or makes no progress."""
+        here = self._body.base(self._names.base_frame)
+        if self._goals.aborted:
+            self._goals.aborted = False
+            self._tracker.fail()
+        return here is not None and self._tracker.is_stuck(here, self._clock())
+
+    # --- what it publishes
+
+    def publish_map(self, robot: Robot) -> None:
+        """Publish the team's map if it has changed."""
+        if self._shown is not None and np.array_equal(self._shown, robot.planning):
+            return
+        self._shown = robot.planning.copy()
+        now = self._wall_clock()
+        message = occupancy_grid(
+            self._node.messages, self._shown, self._grid, self._map_pose, self._names.map_frame, self._stamp()
+        )
+        self._team_map.publish(message, now)
+
+    def publish_markers(self, robot: Robot) -> None:
+        """Publish the robot's target, its teammates, and the frontiers."""
+        shown = layers(robot.planning, robot.target, [pose[:2] for pose in robot.teammates.values()])
+        message = marker_array(
+            self._node.messages, shown, self._grid, self._map_pose, self._names.map_frame, self._stamp()
+        )
+        self._markers.publish(message, self._wall_clock())
+
+    def publish_status(self, status: Mapping[str, Any]) -> None:
+        """Publish a status as JSON."""
+        message = self._node.messages.new(STRING, data=json.dumps(status))
+        self._status.publish(message, self._wall_clock())
+
+    def close(self) -> None:
+        """Let the robot stand still, and close the node."""
+        self.stop()
+        end = self._clock() + round(CANCEL_S * SECOND)
+        while not self._goals.is_idle and self._clock() < end:
+            self.spin(0.05)
+        self._node.close()
+
+    def _halt(self) -> None:
+        self._goals.stop(self._body.base(self._names.base_frame), self._stamp(), self._wall_clock())
+
+    def _stamp(self) -> int:
+        """Return the time of the last scan: so all stamps are of the robot's clock, which may be a simulator's."""
+        return self._body.stamp_ns or self._wall_clock()
+
+    def _is_silent(self) -> bool:
+        return self._clock() - self._scanned[1] > self._settings.dead_man_s * SECOND
+
+    def _lacks_map(self) -> bool:
+        return bool(self._names.map) and not self._body.has_map

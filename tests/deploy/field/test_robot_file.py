@@ -1,0 +1,183 @@
+"""Settings files of robots: what is wrong, where, and what would be right."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, get_args
+
+import pytest
+
+from deploy.field.robot_file import (
+    EXAMPLE,
+    GridTable,
+    RadioTable,
+    RecordTable,
+    RobotSettings,
+    Ros2Table,
+    load_robot,
+)
+from deploy.field.robot_plan import agent_settings, map_frame
+from deploy.scenario.scenario import ScenarioError
+from protocol.range_scans import TURN, Laser
+from protocol.ros2.messages import DISTROS
+from tests.deploy.commands.office_floor import murmur
+from tests.deploy.field.robot_processes import settings, write
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"robot": 2}, "robot = 2: the last robot of 1 has number 0"),
+        ({"robots": "two"}, "robots = 'two': must be a whole number"),
+        ({"colour": 1}, "colour: unknown setting; there are: robot, robots, grid"),
+        ({"strategy": "meyer"}, "did you mean meier?"),
+        ({"strategy": "playback"}, "strategy = 'playback': does not explore"),
+        ({"options": {"depth": 1}}, "has no option 'depth'"),
+        ({"map_encoding": "jpeg"}, "map_encoding = 'jpeg'"),
+        ({"step_s": 0}, "step_s = 0: must be greater than or equal to 0.1"),
+        ({"starts": 256, "robots": 2}, "starts = 256: packets can address 256 maps"),
+        ({"grid": {"x": 0.0, "y": 0.0, "width_m": 5.0}}, "grid.height_m is missing"),
+        (
+            {"grid": {"x": 0.0, "y": 0.0, "width_m": 1e5, "height_m": 5.0}},
+            "width_m: is 1000000 cells of 0.1 m",
+        ),
+        ({"ros2": {}}, "ros2.map_pose is missing"),
+        ({"ros2": {"map_pose": [0, 0]}}, "ros2.map_pose"),
+        (
+            {"ros2": {"map_pose": [0.0, 0.0, 0.0], "scans": "x"}},
+            "ros2.scans: unknown setting; did you mean scan",
+        ),
+        ({"ros2": {"map_pose": [0.0, 0.0, 0.0], "distro": "foxy"}}, "ros2.distro = 'foxy': must be 'humble'"),
+        (
+            {"ros2": {"map_pose": [0.0, 0.0, 0.0], "goal_pose": "", "navigate_to_pose": ""}},
+            "goal_pose and navigate_to_pose are both empty",
+        ),
+        (
+            {"radio": {"medium": "udp"}},
+            "interface is missing: name the one that frames go through, as 'wlan0'",
+        ),
+        ({"radio": {"medium": "smoke"}}, "radio.medium = 'smoke': must be 'udp' or 'serial'"),
+        (
+            {"radio": {"medium": "udp", "interface": "lo", "baud": "fast"}},
+            "baud = 'fast': must be a whole number",
+        ),
+        (
+            {"radio": {"medium": "udp", "interface": "lo", "keys": ""}},
+            "radio.keys: unknown setting; did you mean key",
+        ),
+        ({"record": {"folder": ""}}, "record.folder = ''"),
+    ],
+)
+def test_a_wrong_setting_is_named_with_what_would_be_right(
+    changes: dict[str, Any], message: str, tmp_path: Path
+) -> None:
+    path = write(tmp_path, settings(**changes))
+    with pytest.raises(ScenarioError) as error:
+        load_robot(path)
+    assert message in str(error.value)
+    assert all(line.startswith(f"robot {path}: ") for line in str(error.value).splitlines())
+
+
+def test_all_errors_are_listed_at_once(tmp_path: Path) -> None:
+    result = murmur("robot", str(write(tmp_path, settings(robots=0, seed=-1, speed=0.0))))
+    assert result.exit_code == 2
+    assert [line.split(": ")[2].split(" =")[0] for line in result.stderr.splitlines()] == [
+        "robots",
+        "seed",
+        "speed",
+    ]
+
+
+def test_the_example_is_valid_and_names_every_setting(tmp_path: Path) -> None:
+    result = murmur("robot", "--example")
+    assert result.exit_code == 0
+    path = tmp_path / "robot.toml"
+    path.write_text(result.stdout, encoding="utf-8")
+    assert load_robot(path).settings.robots == 2
+    radio_of_modems = "frame_bytes", "hello_s", "interval_s", "neighbor_timeout_s"
+    tables = {"polygons", "predictive", "options"}
+    for table in (RobotSettings, GridTable, Ros2Table, RecordTable):
+        for name in table.model_fields:
+            assert name in tables or f"{name} = " in result.stdout or f"[{name}]" in result.stdout, name
+    for name in (each.name for each in fields(RadioTable)):
+        assert name in radio_of_modems or f"{name} = " in result.stdout, name
+
+
+def test_commented_values_of_the_example_are_the_defaults() -> None:
+    text = EXAMPLE.read_text(encoding="utf-8")
+    given = tomllib.loads(text)
+    lines = [
+        line[2:] if line.startswith("# ") and " = " in line.partition("  ")[0] else line
+        for line in text.splitlines()
+        if not line.startswith("# For a modem")
+    ]
+    spelled_out = tomllib.loads("\n".join(lines))
+    assert len(spelled_out) > len(given)
+    assert RobotSettings(**spelled_out) == RobotSettings(**given)
+
+
+def test_distributions_are_those_of_the_node() -> None:
+    assert get_args(Ros2Table.model_fields["distro"].annotation) == DISTROS
+
+
+def test_the_grid_and_the_control_logic_follow_from_the_settings(tmp_path: Path) -> None:
+    file = load_robot(write(tmp_path, settings(robots=3, robot=1, step_s=0.5)))
+    where = map_frame(file.settings)
+    assert (where.width, where.height, where.resolution, where.x, where.y) == (62, 42, 0.1, -1.0, -1.0)
+    agent = agent_settings(file.settings, Laser(91, -TURN // 8, TURN // 4, 4000))
+    assert (agent.robot, agent.robots, agent.width, agent.height) == (1, 3, 62, 42)
+    assert agent.body.speed == pytest.approx(4.0 * 0.5 / 0.1)
+    assert agent.body.field_of_view == 90
+    assert agent.medium.bandwidth.limit == 3 * 500 * 0.5
+
+
+def test_paths_are_relative_to_the_settings_file(tmp_path: Path) -> None:
+    file = load_robot(write(tmp_path / "deep", settings(record={"folder": "runs/r0"})))
+    assert file.record == tmp_path / "deep" / "runs" / "r0"
+    assert (file.key, file.sessions) == (tmp_path / "deep" / "team.key", tmp_path / "deep")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "name the settings file of the robot"),
+        (["missing.toml"], "robot missing.toml: no such file"),
+        (
+            ["--check", "{file}"],
+            "team.key: No such file or directory; copy the team's key file to this robot",
+        ),
+    ],
+)
+def test_the_command_ends_with_code_2(arguments: list[str], message: str, tmp_path: Path) -> None:
+    file = str(write(tmp_path, settings()))
+    result = murmur("robot", *(each.format(file=file) for each in arguments))
+    assert result.exit_code == 2
+    assert message in result.stderr
+
+
+def test_a_router_that_does_not_answer_is_named(tmp_path: Path) -> None:
+    file = write(tmp_path, settings("tcp/127.0.0.1:9", port=17999))
+    assert murmur("keys", "--team-key", str(tmp_path / "team.key")).exit_code == 0
+    assert murmur("robot", "--check", str(file)).exit_code == 0
+    result = murmur("robot", str(file))
+    assert result.exit_code == 2
+    assert "ros2.router = 'tcp/127.0.0.1:9': no Zenoh router answers" in result.stderr
+
+
+def test_the_guides_list_each_setting_with_its_default() -> None:
+    docs = Path(__file__).parents[3] / "docs"
+    for page, table, without in (
+        ("field.md", RobotSettings, {"grid", "ros2", "radio", "record", "predictive", "polygons"}),
+        ("ros2.md", Ros2Table, set()),
+    ):
+        lines = (docs / page).read_text(encoding="utf-8").splitlines()
+        for name, field in table.model_fields.items():
+            if name in without:
+                continue
+            factory = field.default_factory is not None
+            default = "" if field.is_required() else f"`{json.dumps({} if factory else field.default)}`"
+            row = f"| `{name}` | {default} | {field.description} |"
+            assert row in lines, row
