@@ -9,27 +9,35 @@ from typing import Annotated, Any
 
 import typer
 
+from deploy.commands import flags
 from deploy.commands.console import errors, progress, report_result
 from deploy.commands.flags import (
     RADIO,
     ROBOTS,
     RUN,
-    VIEW,
-    WORLD,
     GroupedCommand,
     JsonFlag,
+    LaserOption,
     OutOption,
+    PeopleOption,
+    PicturesFlag,
+    PoseOption,
+    RadioOption,
+    ResolutionOption,
     ScenarioFile,
+    SetOption,
+    SpeedOption,
     ViewAs,
+    ViewAsOption,
+    ViewFlag,
     command_family,
     duration_s,
     named_values,
     setting_flags,
+    switch,
 )
 from deploy.scenario.scenario import SHIPPED, Scenario, load, read_toml
 from deploy.scenario.thesis import STRATEGY, thesis_settings
-from protocol.presets import PRESETS
-from worldsim.sensor_options import LASERS, POSES
 
 app = command_family()
 
@@ -39,67 +47,37 @@ NESTED = {
 }  # fmt: skip
 """Keys of tables, and settings with other units, that have a flag of their own."""
 
-
-def _option(metavar: str, help: str, group: str, *names: str) -> Any:
-    return typer.Option(*names, metavar=metavar, help=help, rich_help_panel=group)
-
-
-def _switch(name: str, help: str, group: str) -> Any:
-    return typer.Option(name, help=help, rich_help_panel=group)
+STRATEGY_OPTION = "an option of the strategy (murmur strategies NAME lists them); repeatable"
 
 
 @app.command(cls=GroupedCommand)
 @setting_flags()
 def explore(
     scenario: ScenarioFile = None,
-    resolution: Annotated[
-        float | None, _option("METERS", "cell size of a generated map or a picture", WORLD)
-    ] = None,
-    option: Annotated[
-        list[str] | None,
-        _option(
-            "NAME=VALUE", "an option of the strategy (murmur strategies NAME lists them); repeatable", ROBOTS
-        ),
-    ] = None,
-    radio: Annotated[
-        str | None,
-        _option("NAME", f"a radio preset (bandwidth, frame size, range): {', '.join(PRESETS)}", RADIO),
-    ] = None,
-    laser: Annotated[
-        str | None, _option("NAME", f"a laser with its errors: {', '.join(LASERS)}", ROBOTS)
-    ] = None,
-    pose: Annotated[
-        str | None, _option("NAME", f"errors of the robots' poses: {', '.join(POSES)}", ROBOTS)
-    ] = None,
-    people: Annotated[
-        int | None, _option("N", "people who walk about in the building (docs/real-sensors.md)", WORLD)
-    ] = None,
+    resolution: ResolutionOption = None,
+    option: Annotated[list[str] | None, flags.option("NAME=VALUE", STRATEGY_OPTION, ROBOTS)] = None,
+    radio: RadioOption = None,
+    laser: LaserOption = None,
+    pose: PoseOption = None,
+    people: PeopleOption = None,
     step: Annotated[
-        str | None, _option("DURATION", "duration of a step with --clock wall, as 200ms (default 1s)", RUN)
+        str | None,
+        flags.option("DURATION", "duration of a step with --clock wall, as 200ms (default 1s)", RUN),
     ] = None,
     thesis: Annotated[
-        bool, _switch("--thesis", "the rules of the thesis, without later additions", RADIO)
+        bool, switch("--thesis", "the rules of the thesis, without later additions", RADIO)
     ] = False,
-    set_: Annotated[
-        list[str] | None,
-        _option(
-            "KEY=VALUE", "any other setting, as radius=0.2 or polygons.lazy=false; repeatable", RUN, "--set"
-        ),
-    ] = None,
+    set_: SetOption = None,
     restart: Annotated[
-        bool, _switch("--restart", "restart processes that die, and continue (docs/reliability.md)", RUN)
+        bool, switch("--restart", "restart processes that die, and continue (docs/reliability.md)", RUN)
     ] = False,
     hosts: Annotated[
-        Path | None, _option("HOSTS.toml", "run robots on other hosts, too (docs/hosts.md)", RUN)
+        Path | None, flags.option("HOSTS.toml", "run robots on other hosts, too (docs/hosts.md)", RUN)
     ] = None,
-    view: Annotated[bool, _switch("--view", "view the run live, in a window or on a web page", VIEW)] = False,
-    view_as: Annotated[
-        str | None, _option("native|web|file", "type of viewer; file: only record", VIEW)
-    ] = None,
-    pace: Annotated[float | None, _option("STEPS_PER_S", "maximum speed, for viewing", VIEW)] = None,
-    pictures: Annotated[
-        bool, _switch("--pictures", "draw the maps over time and the channel load", VIEW)
-    ] = False,
+    view: ViewFlag = False,
+    view_as: ViewAsOption = None,
+    pace: SpeedOption = None,
+    pictures: PicturesFlag = False,
     out: OutOption = None,
     as_json: JsonFlag = False,
     *,

@@ -15,6 +15,8 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from deploy.commands.console import BAD_INPUT, fail
+from protocol.presets import PRESETS
+from worldsim.sensor_options import LASERS, POSES
 
 SETTINGS = {
     "World": {"map": "FILE|NAME", "map_seed": "S", "start": "X,Y"},
@@ -30,6 +32,16 @@ SETTINGS = {
 WORLD, ROBOTS, RADIO, RUN = SETTINGS
 VIEW = "View"
 """Groups of flags in the help of a command."""
+
+
+def option(metavar: str, help: str, group: str, *names: str) -> Any:
+    """Return a flag with a value."""
+    return typer.Option(*names, metavar=metavar, help=help, rich_help_panel=group)
+
+
+def switch(name: str, help: str, group: str) -> Any:
+    """Return a flag without a value."""
+    return typer.Option(name, help=help, rich_help_panel=group)
 
 
 def setting_flags(*without: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
@@ -108,6 +120,29 @@ def output_file(*suffixes: str) -> Callable[[typer.CallbackParam, Path | None], 
     return checked
 
 
+ResolutionOption = Annotated[
+    float | None, option("METERS", "cell size of a generated map or a picture", WORLD)
+]
+PeopleOption = Annotated[
+    int | None, option("N", "people who walk about in the building (docs/real-sensors.md)", WORLD)
+]
+LaserOption = Annotated[str | None, option("NAME", f"a laser with its errors: {', '.join(LASERS)}", ROBOTS)]
+PoseOption = Annotated[str | None, option("NAME", f"errors of the robots' poses: {', '.join(POSES)}", ROBOTS)]
+RadioOption = Annotated[
+    str | None, option("NAME", f"a radio preset (bandwidth, frame size, range): {', '.join(PRESETS)}", RADIO)
+]
+SetOption = Annotated[
+    list[str] | None,
+    option(
+        "KEY=VALUE", "any other setting, as radio.loss=0.1 or polygons.lazy=false; repeatable", RUN, "--set"
+    ),
+]
+ViewFlag = Annotated[bool, switch("--view", "view the run live, in a window or on a web page", VIEW)]
+ViewAsOption = Annotated[
+    str | None, option("native|web|file", "type of viewer; file: only record", VIEW, "--view-as")
+]
+SpeedOption = Annotated[float | None, option("STEPS_PER_S", "maximum speed, for viewing", VIEW)]
+PicturesFlag = Annotated[bool, switch("--pictures", "draw the maps over time and the channel load", VIEW)]
 ScenarioFile = Annotated[
     Path | None, typer.Argument(metavar="SCENARIO.toml", help="a scenario file; flags override it")
 ]

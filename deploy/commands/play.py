@@ -9,18 +9,21 @@ import typer
 
 from deploy.commands.explore import other_settings, run_live
 from deploy.commands.flags import (
-    RADIO,
     ROBOTS,
-    RUN,
-    VIEW,
     GroupedCommand,
     JsonFlag,
     OutOption,
+    PicturesFlag,
+    RadioOption,
+    SetOption,
+    SpeedOption,
+    ViewAsOption,
+    ViewFlag,
     command_family,
+    option,
     setting_flags,
 )
 from deploy.scenario.scenario import NOT_RECORDED, NOT_RECORDED_REASON, load
-from protocol.presets import PRESETS
 from worldsim.recorded.options import PACES
 
 app = command_family()
@@ -37,75 +40,29 @@ def play(
             metavar="LOG...", help="a log for the whole team, or one per robot (docs/recorded.md)"
         ),
     ],
-    every: Annotated[
-        int | None,
-        typer.Option(metavar="K", help="replay each K-th scan (default 1)", rich_help_panel=LOG),
-    ] = None,
+    every: Annotated[int | None, option("K", "replay each K-th scan (default 1)", LOG)] = None,
     pace: Annotated[
         str | None,
-        typer.Option(
-            metavar="|".join(PACES),
-            help="scan: one scan per robot and step; recorded: a step is a second of the log (default scan)",
-            rich_help_panel=LOG,
+        option(
+            "|".join(PACES),
+            "scan: one scan per robot and step; recorded: a step is a second of the log (default scan)",
+            LOG,
         ),
     ] = None,
-    topic: Annotated[
-        str | None,
-        typer.Option(metavar="TOPIC", help="the laser, if a bag has several", rich_help_panel=LOG),
-    ] = None,
-    resolution: Annotated[
-        float | None,
-        typer.Option(metavar="METERS", help="cell size of the map (default 0.1)", rich_help_panel=LOG),
-    ] = None,
+    topic: Annotated[str | None, option("TOPIC", "the laser, if a bag has several", LOG)] = None,
+    resolution: Annotated[float | None, option("METERS", "cell size of the map (default 0.1)", LOG)] = None,
     listeners: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N",
-            help="how many of the robots have no scans, and only receive (default 0)",
-            rich_help_panel=LOG,
-        ),
+        int | None, option("N", "how many of the robots have no scans, and only receive (default 0)", LOG)
     ] = None,
     sensor_range: Annotated[
-        float | None,
-        typer.Option(
-            metavar="METERS", help="range up to which robots map (default 10)", rich_help_panel=ROBOTS
-        ),
+        float | None, option("METERS", "range up to which robots map (default 10)", ROBOTS)
     ] = None,
-    radio: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help=f"a radio preset (bandwidth, frame size, range): {', '.join(PRESETS)}",
-            rich_help_panel=RADIO,
-        ),
-    ] = None,
-    set_: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="KEY=VALUE",
-            help="any other setting, as radio.loss=0.1 or polygons.lazy=false; repeatable",
-            rich_help_panel=RUN,
-        ),
-    ] = None,
-    view: Annotated[
-        bool,
-        typer.Option("--view", help="view the run live, in a window or on a web page", rich_help_panel=VIEW),
-    ] = False,
-    view_as: Annotated[
-        str | None,
-        typer.Option(
-            metavar="native|web|file", help="type of viewer; file: only record", rich_help_panel=VIEW
-        ),
-    ] = None,
-    rate: Annotated[
-        float | None,
-        typer.Option(metavar="STEPS_PER_S", help="maximum speed, for viewing", rich_help_panel=VIEW),
-    ] = None,
-    pictures: Annotated[
-        bool,
-        typer.Option("--pictures", help="draw the maps over time and the channel load", rich_help_panel=VIEW),
-    ] = False,
+    radio: RadioOption = None,
+    set_: SetOption = None,
+    view: ViewFlag = False,
+    view_as: ViewAsOption = None,
+    rate: SpeedOption = None,
+    pictures: PicturesFlag = False,
     out: OutOption = None,
     as_json: JsonFlag = False,
     *,

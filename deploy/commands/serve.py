@@ -12,9 +12,20 @@ import typer
 
 from deploy.commands.console import errors, screen
 from deploy.commands.explore import other_settings
-from deploy.commands.flags import ROBOTS, WORLD, GroupedCommand, command_family, setting_flags
+from deploy.commands.flags import (
+    ROBOTS,
+    GroupedCommand,
+    LaserOption,
+    PeopleOption,
+    PoseOption,
+    ResolutionOption,
+    SetOption,
+    command_family,
+    option,
+    setting_flags,
+    switch,
+)
 from deploy.scenario.scenario import Scenario, ScenarioError, load
-from worldsim.sensor_options import LASERS, POSES
 
 if TYPE_CHECKING:
     from deploy.serve.process import ServeSettings
@@ -32,51 +43,32 @@ NOT_SERVED = (
 """Settings of runs with agents, radio, and records."""
 
 
-def _option(metavar: str, help: str, group: str) -> Any:
-    return typer.Option(metavar=metavar, help=help, rich_help_panel=group)
-
-
-def _switch(name: str, help: str, group: str) -> Any:
-    return typer.Option(name, help=help, rich_help_panel=group)
-
-
 @app.command("serve-ros2", cls=GroupedCommand)
 @setting_flags(*NOT_SERVED)
 def serve_ros2(
-    names: Annotated[str | None, _option("A,B,...", "namespaces (default r0,r1,...)", ROS)] = None,
-    resolution: Annotated[
-        float | None, _option("METERS", "cell size of a generated map or a picture", WORLD)
-    ] = None,
-    people: Annotated[
-        int | None, _option("N", "people who walk about in the building (docs/real-sensors.md)", WORLD)
-    ] = None,
+    names: Annotated[str | None, option("A,B,...", "namespaces (default r0,r1,...)", ROS)] = None,
+    resolution: ResolutionOption = None,
+    people: PeopleOption = None,
     radius: Annotated[
-        float | None, _option("METERS", f"radius of the robots (default {RADIUS_M:g})", ROBOTS)
+        float | None, option("METERS", f"radius of the robots (default {RADIUS_M:g})", ROBOTS)
     ] = None,
-    laser: Annotated[
-        str | None, _option("NAME", f"a laser with its errors: {', '.join(LASERS)}", ROBOTS)
-    ] = None,
-    pose: Annotated[
-        str | None, _option("NAME", f"errors of the robots' poses: {', '.join(POSES)}", ROBOTS)
-    ] = None,
+    laser: LaserOption = None,
+    pose: PoseOption = None,
     sees_robots: Annotated[
-        bool, _switch("--sees-robots", "lasers see other robots, instead of filtering them", ROBOTS)
+        bool, switch("--sees-robots", "lasers see other robots, instead of filtering them", ROBOTS)
     ] = False,
-    set_: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="any other setting, as start_spacing=2; repeatable"),
-    ] = None,
-    rate: Annotated[float, _option("HZ", "scans and transforms per second", ROS)] = 10.0,
-    domain: Annotated[int, _option("ID", "ROS_DOMAIN_ID", ROS)] = 0,
-    distro: Annotated[str, _option("NAME", "distribution, as jazzy or humble", ROS)] = "jazzy",
+    set_: SetOption = None,
+    rate: Annotated[float, option("HZ", "scans and transforms per second", ROS)] = 10.0,
+    domain: Annotated[int, option("ID", "ROS_DOMAIN_ID", ROS)] = 0,
+    distro: Annotated[str, option("NAME", "distribution, as jazzy or humble", ROS)] = "jazzy",
     router: Annotated[
-        str | None, _option("ADDRESS", "use this router, as tcp/localhost:7447; start none", ROS)
+        str | None, option("ADDRESS", "use this router, as tcp/localhost:7447; start none", ROS)
     ] = None,
     listen: Annotated[
-        str | None, _option("ADDRESS", "of the router that it starts (default tcp/localhost:7447)", ROS)
+        str | None, option("ADDRESS", "of the router that it starts (default tcp/localhost:7447)", ROS)
     ] = None,
     sim_time: Annotated[
-        bool, _switch("--sim-time", "publish /clock, and use simulated time in stamps", ROS)
+        bool, switch("--sim-time", "publish /clock, and use simulated time in stamps", ROS)
     ] = False,
     as_json: Annotated[
         bool, typer.Option("--json", help="print the robots, and at the end the coverage, as lines of JSON")

@@ -183,7 +183,7 @@ def explore(
         Pauses the run, kills robots, and changes the radio; the result's scenario contains these events.
     restart : bool
         Whether to restart processes that end unexpectedly: robots, up to `INCARNATIONS` times each; after the end of
-        relay or world the whole run, up to the step that it had reached and on (docs/reliability.md).
+        relay or world the whole run (docs/reliability.md).
     missed : sequence of Missed, optional
         The record of a run by the wall clock, which this run repeats on the memory bus (docs/clocks.md).
     **settings
@@ -196,25 +196,15 @@ def explore(
     OSError
         A file cannot be written; the error names it.
     ValueError
-        The pace is too slow, arguments contradict each other, or the system's limits on memory or open files are too
-        low.
+        The pace is too slow, arguments contradict each other, or memory or open files do not suffice.
     """
     _check_output(out, window, keep=keep)
     limits.check_memory()
     scenario = scenario_of(scenario, settings)
     if scenario.bus == "memory":
         check_clock(scenario, missed)
-    incarnations = _incarnations(scenario, hosts) if restart else 1
-    plan = plans.make(scenario, incarnations=incarnations, record_maps=keep)
-    _check_pace_and_hosts(pace, hosts, scenario)
-    memory.check(plan, sum(map(len, hosts.placing(scenario.robots).values())) if hosts is not None else 0)
-    limits.check_files(scenario.robots if scenario.bus == "zenoh" else 0)
-    if keep:
-        with limits.importing():
-            run_directory.load_writers()
-    if radio := effective_radio(plan):
-        notify(radio)
-    for note in plan.recording.notes if plan.recording is not None else ():
+    plan = _planned(scenario, hosts, pace, restart=restart, keep=keep)
+    for note in _notes(plan):
         notify(note)
     interrupt = Interrupt(notify, control.resume if control is not None else (lambda: None))
     if control is not None:
@@ -223,10 +213,30 @@ def explore(
         Fleet(hosts, scenario.robots, notify) if hosts is not None else contextlib.nullcontext() as fleet,
         interrupt.caught() if keep else contextlib.nullcontext(),
     ):
-        directory = run_directory.create(Path(out) if out is not None else None, plan) if keep else None
-        return _Execution(
-            directory, watch, notify, window, pace, fleet, control, interrupt, restart, missed
-        ).complete(plan)
+        folder = run_directory.create(Path(out) if out is not None else None, plan) if keep else None
+        chosen = folder, watch, notify, window, pace, fleet, control, interrupt, restart, missed
+        return _Execution(*chosen).complete(plan)
+
+
+def _notes(plan: Plan) -> list[str]:
+    """Return what the user should know about the radio and the logs of a plan."""
+    radio = effective_radio(plan)
+    return ([radio] if radio else []) + list(plan.recording.notes if plan.recording is not None else ())
+
+
+def _planned(
+    scenario: Scenario, hosts: Hosts | None, pace: float | None, *, restart: bool, keep: bool
+) -> Plan:
+    """Return the plan of a run, for which pace, hosts, memory, and open files suffice; ValueError if they do not."""
+    _check_pace_and_hosts(pace, hosts, scenario)
+    incarnations = _incarnations(scenario, hosts) if restart else 1
+    plan = plans.make(scenario, incarnations=incarnations, record_maps=keep)
+    memory.check(plan, sum(map(len, hosts.placing(scenario.robots).values())) if hosts is not None else 0)
+    limits.check_files(scenario.robots if scenario.bus == "zenoh" else 0)
+    if keep:
+        with limits.importing():
+            run_directory.load_writers()
+    return plan
 
 
 @dataclass(frozen=True, eq=False)
