@@ -80,7 +80,6 @@ class EstimatingMapper(Mapper):
         self._estimator = Estimator(settings.height, settings.width)
         self.states, self.log_odds = self._estimator.states, self._estimator.log_odds
         self._laser, self._resolution, self._radius = laser, settings.resolution, settings.body.radius_cells
-        self._near = _near_cells(laser, settings.resolution)
 
     def add(self, sense: Sense) -> tuple[RangeScan, Change]:
         """Add the scan of a real laser."""
@@ -90,12 +89,7 @@ class EstimatingMapper(Mapper):
             raise ProtocolError(
                 "range scan", 0, f"cell ({scan.x}, {scan.y}) is outside the {width} x {height} grid"
             )
-        ends = beam_ends(smoothed(scan, self._laser), self._laser, self._resolution)
-        change = self._estimator.add(*scan.place, *ends)
-        change = change.joined(self._estimator.stand(scan.x, scan.y))
-        if 2 * np.count_nonzero(scan.ranges != NO_MEASUREMENT) >= len(scan.ranges):
-            view = directions_between(scan, self._laser)
-            change = change.joined(self._estimator.close(scan.x, scan.y, self._near, *view))
+        change = add_scan(self._estimator, scan, self._laser, self._resolution)
         if sense.blocked == WALL:
             change = change.joined(self._estimator.strike(*cell_ahead(sense, self._radius)))
         self.known_cells = self._estimator.known_cells
@@ -104,6 +98,20 @@ class EstimatingMapper(Mapper):
     def settled(self) -> NDArray[np.bool_]:
         """Return the cells whose log odds are far from 0."""
         return np.abs(self._estimator.log_odds) >= SETTLED
+
+
+def add_scan(estimator: Estimator, scan: RangeScan, laser: Laser, resolution: float) -> Change:
+    """Add a scan to a map, with medians of its ranges; the robot's own cell is free.
+
+    If most beams have a measurement, unknown cells nearby that no beam has entered may become walls
+    (`Estimator.close`).
+    """
+    change = estimator.add(*scan.place, *beam_ends(smoothed(scan, laser), laser, resolution))
+    change = change.joined(estimator.stand(scan.x, scan.y))
+    if 2 * np.count_nonzero(scan.ranges != NO_MEASUREMENT) < len(scan.ranges):
+        return change
+    near = _near_cells(laser, resolution)
+    return change.joined(estimator.close(scan.x, scan.y, near, *directions_between(scan, laser)))
 
 
 def _near_cells(laser: Laser, resolution: float) -> int:

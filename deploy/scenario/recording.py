@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.mapping.estimator import Estimator
+from agent.mapping.mapper import add_scan
 from deploy.scenario.scenario import Scenario, ScenarioError
 from protocol.grid import FREE, MAX_SIDE, UNKNOWN
 from protocol.metric_scans import BeamAngles
@@ -222,10 +223,8 @@ def _map(
     known = np.zeros(own.states.shape, np.bool_)
     found = []
     for scan in scans:
-        ends, hits = beam_ends(scan, laser, resolution)
-        for estimator in (everything, own):
-            change = estimator.add(*scan.place, ends, hits)
-            change = change.joined(estimator.stand(scan.x, scan.y))
+        add_scan(everything, scan, laser, resolution)
+        change = add_scan(own, scan, laser, resolution)
         x0, y0, x1, y1 = change.box
         here = (own.states[y0:y1, x0:x1] != UNKNOWN) & ~known[y0:y1, x0:x1]
         rows, columns = np.nonzero(here)

@@ -42,6 +42,7 @@ METRICS = (
     "walls_within_tolerance", "worst_walls_within_tolerance", "tolerance",
     "approximation_error", "approximation_error_net", "explored_at", "robots", "seed", "range_m", "raw_scan_bytes",
     "over_budget_steps", "protocol_errors", "wall_s", "steps_per_s", "work_us_median",
+    "step_s", "missed_steps", "missed_phases",
 )  # fmt: skip
 """Numeric values of a summary (`deploy.record.summary.summarize`)."""
 
