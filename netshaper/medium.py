@@ -185,7 +185,7 @@ class Medium:
             received += reception.receivers
             if reception.delay:
                 due = self._step + reception.delay
-                late += [f"heard by r{robot} in step {due}" for robot in reception.receivers]
+                late += [f"received by r{robot} in step {due}" for robot in reception.receivers]
             if reception.copies > 1:
                 late += [f"twice by r{robot}" for robot in reception.receivers]
         verdict, reason = _CARRIED, ""

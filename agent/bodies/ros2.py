@@ -133,7 +133,7 @@ class Ros2Body:
         self._waiting.append((nanoseconds(message.header.stamp), message))
 
     def add_map(self, message: Any) -> None:
-        """Take the robot's own map: goals then stay on its known cells. A malformed one is noted in `problem`."""
+        """Limit goals to the known cells of the robot's own map; `problem` names what is wrong with a malformed map."""
         info = message.info
         origin = info.origin
         angles = origin.orientation.z, origin.orientation.w
@@ -192,7 +192,7 @@ class Ros2Body:
         return cells_from_bytes(move.path).astype(np.float64) + 0.5
 
     def _is_known(self, pose: Pose) -> bool:
-        """Return whether the robot's map knows what is at a pose; without a map, everything counts as known."""
+        """Return whether the cell of a pose is known on the robot's map; without a map, every cell counts as known."""
         if self._map is None:
             return True
         info = self._map.info

@@ -52,7 +52,7 @@ def line(frame: bytes) -> bytes:
 
 
 class LineReader:
-    """Reads frames out of a stream of bytes; `longest` bounds what it keeps of an unfinished line."""
+    """Reads frames from a stream of bytes; it drops lines of frames above `longest` bytes."""
 
     def __init__(self, longest: int) -> None:
         self.damaged = 0

@@ -146,7 +146,7 @@ class Pacer:
         """When the airtime of the last frame ends."""
 
     def room(self, now: int) -> int:
-        """Return the bytes of the longest frame that may be sent now; 0 if another one is still to end."""
+        """Return the bytes of the longest frame that may be sent now; 0 while another frame is on the air."""
         if now < self._free:
             return 0
         room = min(self._bucket.room(now), self._frame_bytes)

@@ -4,7 +4,7 @@ A relay knows who is in range, and tells each robot which bytes were on the air.
 
     event of the relay             here
     Open, robots in range          teammates received within the neighbor timeout
-    Open, budget                   what the pacing allows now (`agent.radios.pacing`); 0 while a frame is still to end
+    Open, budget                   what the pacing allows now (`agent.radios.pacing`); 0 while a frame is on the air
     Broadcasts, deliveries         the frames that arrived since the last step, opened and checked
     RoundReport, bytes on the air  all bytes of a frame that was scheduled; only reports of peers tell what arrived
 

@@ -99,7 +99,7 @@ class Replication(ABC):
         return self.replica.take_rejected()
 
     def _next_digest(self) -> bytes:
-        """Return the digest of this robot's log, empty unless one is due or a peer may hold other entries."""
+        """Return the digest of this robot's log if one is due or a peer may hold other entries; else empty bytes."""
         replica, robots = self.replica, self.peers.robots
         if replica.step >= self._digest_step:
             replica.request_digest(len(replica.own_log))
@@ -125,7 +125,7 @@ class Replication(ABC):
             self.replica.asked(number)
 
     def _possible(self, number: int, length: int) -> int:
-        """Bound a log length that a peer claims: of this robot's map none holds what was not on the air."""
+        """Limit a log length that a peer claims: no robot holds entries of this robot's map that were not sent."""
         return min(length, self.shared) if number == self.peers.own else length
 
     def _peer_dropped(self, peer: int, number: int, length: int) -> None:

@@ -169,7 +169,7 @@ def join(recordings: Sequence[Recording], offsets: Sequence[int]) -> dict[FrameI
 def _clock_difference(one: Recording, other: Recording) -> tuple[int, int] | None:
     """Return how far the other clock is ahead, and the bound of the error; None without a frame between them.
 
-    With frames in one direction only, the delay of the fastest one is not known, and counts as 0.
+    If frames arrived in one direction only, the fastest one counts as if it had no delay.
     """
     there, back = _delays(one, other), _delays(other, one)
     if there and back:

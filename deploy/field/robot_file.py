@@ -11,7 +11,7 @@ from pydantic import Field, ValidationError, ValidationInfo, field_validator, mo
 
 from agent.encoding_options import PolygonOptions, PredictiveOptions
 from agent.radios.options import LinkOptions
-from deploy.scenario.scenario import DEFAULT_STRATEGY, ScenarioError, explain, read_toml
+from deploy.scenario.scenario import DEFAULT_STRATEGY, ScenarioError, explained, read_toml
 from deploy.scenario.tables import (
     MAX_INTEGER,
     MAX_TOLERANCE,
@@ -128,8 +128,7 @@ class RobotSettings(Table):
         try:
             super().__init__(**settings)
         except ValidationError as error:
-            errors = [item for item in error.errors() if item["type"] != "default_factory_not_called"]
-            raise ScenarioError("\n".join(dict.fromkeys(explain(item, _KEYS) for item in errors))) from None
+            raise explained(error, _KEYS) from None
 
     robot: Whole = Field(ge=0, le=MAX_ROBOTS - 1, description="number of this robot, from 0")
     robots: Whole = Field(ge=1, le=MAX_ROBOTS, description="number of robots of the team")

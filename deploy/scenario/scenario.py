@@ -86,9 +86,7 @@ class Scenario(Table):
         try:
             super().__init__(**settings)
         except ValidationError as error:
-            errors = [item for item in error.errors() if item["type"] != "default_factory_not_called"]
-            lines = dict.fromkeys(explain(item, _KEYS) for item in errors)
-            raise ScenarioError("\n".join(lines)) from None
+            raise explained(error, _KEYS) from None
 
     map: str = Field("office", description="a map's YAML file, or the name of a generator (murmur map list)")
     map_seed: Whole = Field(0, ge=0, le=MAX_INTEGER, description="seed of the generator")
@@ -588,6 +586,12 @@ _WORDING = {
     "List should have at least 1 item after validation, not 0": "must have at least one entry",
 }
 """Phrases of pydantic's messages, and our replacements."""
+
+
+def explained(error: ValidationError, keys: Mapping[str, Iterable[str]]) -> ScenarioError:
+    """Return one of pydantic's exceptions as a ScenarioError; `keys` are the known ones, by table."""
+    errors = [item for item in error.errors() if item["type"] != "default_factory_not_called"]
+    return ScenarioError("\n".join(dict.fromkeys(explain(item, keys) for item in errors)))
 
 
 def explain(item: Any, keys: Mapping[str, Iterable[str]]) -> str:

@@ -67,7 +67,7 @@ class RosRobot:
         self._map_ns = -MAP_NS
         self._goals: list[tuple[ServerGoal, Task]] = []
         """Goals of the action that have not ended."""
-        self._told_ns = 0
+        self._feedback_ns = 0
         """Time of the last feedback."""
         fixed = node.publisher("tf_static", names.TRANSFORMS, LATCHED)
         fixed.publish(self._transforms((BASE, LASER, robot.laser_pose), stamp_ns=0), now_ns)
@@ -144,7 +144,7 @@ class RosRobot:
 
     def _report(self, stamp_ns: int, now_ns: int) -> None:
         """Tell clients of the action about their goals."""
-        is_due = now_ns - self._told_ns >= FEEDBACK_NS
+        is_due = now_ns - self._feedback_ns >= FEEDBACK_NS
         for goal, task in self._goals:
             if goal.status is Status.ACCEPTED:
                 goal.execute(now_ns)
@@ -153,7 +153,7 @@ class RosRobot:
             elif is_due:
                 goal.feedback(self._feedback(task, stamp_ns, now_ns), now_ns)
         if is_due:
-            self._told_ns = now_ns
+            self._feedback_ns = now_ns
         self._goals = [each for each in self._goals if each[1].outcome is None]
 
     def _feedback(self, task: Task, stamp_ns: int, now_ns: int) -> Any:

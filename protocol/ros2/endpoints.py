@@ -8,6 +8,7 @@ the quality of service.
 from __future__ import annotations
 
 import threading
+from abc import ABC, abstractmethod
 from collections import deque
 from itertools import count
 from typing import Any, Protocol
@@ -70,7 +71,7 @@ class Endpoint:
             self._declared.pop().undeclare()
 
 
-class Receiver(Endpoint):
+class Receiver(Endpoint, ABC):
     """An endpoint with an inbox of at most `most` items, None for no limit; a new item replaces the oldest one."""
 
     def __init__(self, link: Link, token: EndpointToken, most: int | None) -> None:
@@ -91,9 +92,9 @@ class Receiver(Endpoint):
         self.rejected += 1
         self.last_error = f"{self.name}: {error}"
 
+    @abstractmethod
     def take(self, now_ns: int) -> int:
         """Handle all items of the inbox; return how many."""
-        raise NotImplementedError
 
 
 def content(part: zenoh.ZBytes | None) -> bytes | None:

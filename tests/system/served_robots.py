@@ -17,17 +17,19 @@ from protocol.ros2.node import Ros2Node
 
 @dataclass
 class Served:
-    """The process, the robots that it has told of, and what it printed at its end."""
+    """The process, the robots that it has printed, and what it printed at its end."""
 
-    told: dict[str, Any]
+    printed: dict[str, Any]
     nodes: ExitStack = field(default_factory=ExitStack)
     output: str = ""
     errors: str = ""
 
     def node(self, name: str, namespace: str) -> Ros2Node:
         """Open a node, which is closed before the process ends."""
-        told = self.told
-        node = Ros2Node(name, namespace, told["domain"], distro=told["distro"], router=told["router"])
+        printed = self.printed
+        node = Ros2Node(
+            name, namespace, printed["domain"], distro=printed["distro"], router=printed["router"]
+        )
         return self.nodes.enter_context(node)
 
 

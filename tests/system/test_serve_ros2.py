@@ -92,11 +92,11 @@ class Client:
 @pytest.fixture(params=["ada", "bob"])
 def client(served: Served, request: pytest.FixtureRequest) -> Client:
     robot = request.param
-    told = served.told
-    grid = told["grid"]
+    printed = served.printed
+    grid = printed["grid"]
     cells = [round(grid[side] / grid["resolution"]) for side in ("width_m", "height_m")]
     where = MapFrame(cells[0], cells[1], grid["resolution"], grid["x"], grid["y"])
-    x, y, degrees = told["robots"][robot]
+    x, y, degrees = printed["robots"][robot]
     start = Pose(x, y, math.radians(degrees))
     found = Client(served.node("client", robot), Ros2Body(where, BodySettings(start, speed=2.0)), robot)
     found.listen()
