@@ -145,6 +145,12 @@ class FieldRobot:
         """The last move; None in steps without readings that can be relied on."""
         self.unsent = 0
         """Frames that the transport did not take."""
+        self.begin = now
+        """When this step began, in nanoseconds."""
+        self.sense: Sense | None = None
+        """The readings of this step; None without ones that can be relied on."""
+        self.late_steps = 0
+        """Steps that took longer than they should, and shifted all later ones."""
         self._files = files
         self._body = body
         self._transport = transport
@@ -153,15 +159,14 @@ class FieldRobot:
         self.record = record
         """Called at the end of each step, with its number and the frames that were sent and received."""
         self._step = 0
-        self._senses = False
 
     def begin_step(self, step: int, now: int) -> None:
         """Take the body's readings, and schedule this step's frame."""
-        self._step = step
+        self._step, self.begin = step, now
         sense = self._body.sense(step)
-        if sense is not None and not self._guard.accept(*_position(sense), now):
+        if sense is not None and not self._guard.accept(*position(sense), now):
             sense = None
-        self._senses = sense is not None
+        self.sense = sense
         if sense is None:
             return
         self._files.identity.settle(sense.x, sense.y)
@@ -179,7 +184,7 @@ class FieldRobot:
 
     def end_step(self) -> None:
         """Merge what arrived, decide, and let the body move; without readings, let it stand still."""
-        if self._senses:
+        if self.sense is not None:
             for event in self.medium.end_step():
                 respond(self.robot, event, self._report)
             self.move = self.robot.decide()
@@ -203,8 +208,8 @@ class FieldRobot:
             self._files.session.close()
 
 
-def _position(sense: Sense) -> tuple[float, float]:
-    """Return the position of a body, in cells."""
+def position(sense: Sense) -> tuple[float, float]:
+    """Return the position of a body, in cells; whole numbers are centers of cells."""
     return sense.x + sense.offset_x / 1000, sense.y + sense.offset_y / 1000
 
 
@@ -220,7 +225,7 @@ def drive(
     `clock` returns the time in nanoseconds; `wait` waits for so many of them, or until a frame has arrived. A step
     that begins late, because the last one took too long, shifts all later ones. In any case, the body then stops.
     """
-    step, late = 0, 0
+    step = 0
     begin = clock()
     try:
         while not is_over(step):
@@ -228,7 +233,7 @@ def drive(
             robot.begin_step(step, begin)
             end = begin + step_ns
             robot.exchange(now := clock())
-            late += now >= end
+            robot.late_steps += now >= end
             while now < end:
                 due = robot.medium.deadline()
                 wait((end if due is None else max(now, min(due, end))) - now)
@@ -237,4 +242,4 @@ def drive(
             begin = max(end, now)
     finally:
         robot.stop()
-    return late
+    return robot.late_steps

@@ -9,7 +9,7 @@ from typing import Any
 
 from mkdocs.structure.files import File, Files
 
-from deploy.record.columns import FILES, RECORDED, SUMMARY
+from deploy.record.columns import FIELD, FILES, RECORDED, SUMMARY
 from docs import packet_tables
 from protocol import messages
 from protocol.rights import RIGHTS
@@ -43,6 +43,14 @@ def files_page() -> str:
     lines += [f"| {keys} | {meaning} |" for keys, meaning in SUMMARY.items()]
     lines += ["", "[Recorded runs](../recorded.md) also have:", "", "| key | meaning |", "|---|---|"]
     lines += [f"| {keys} | {meaning} |" for keys, meaning in RECORDED.items()]
+    lines += [
+        "",
+        "[Robots in the field](../field.md#records) also have:",
+        "",
+        "| key | meaning |",
+        "|---|---|",
+    ]
+    lines += [f"| {keys} | {meaning} |" for keys, meaning in FIELD.items()]
     return "\n".join(lines) + "\n"
 
 

@@ -1,8 +1,9 @@
 """Murmur from Python: run a swarm of exploring robots, step through a run, compare runs.
 
 ``murmur.explore(robots=5)`` runs a scenario to its end, ``for step in murmur.steps(robots=5): ...`` one step at a time.
-``sweep``, ``compare`` and ``size`` repeat runs over seeds and settings. Everything else is in the packages `deploy`
-(running and recording), `agent` (the robot), `worldsim` (the world), `netshaper` (the radio) and `protocol`.
+``sweep``, ``compare`` and ``size`` repeat runs over seeds and settings. ``merge`` joins records of robots in the field.
+Everything else is in the packages `deploy` (running and recording), `agent` (the robot), `worldsim` (the world),
+`netshaper` (the radio) and `protocol`.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from deploy.after.merge import merge
     from deploy.run.exploration import Result, explore
     from deploy.run.stepwise import Step, Steps, steps
     from deploy.scenario.scenario import Scenario, ScenarioError, load
@@ -19,7 +21,8 @@ if TYPE_CHECKING:
     from deploy.study.sweep import sweep
 
 __all__ = [
-    "Result", "Scenario", "ScenarioError", "Step", "Steps", "compare", "explore", "load", "size", "steps", "sweep",
+    "Result", "Scenario", "ScenarioError", "Step", "Steps", "compare", "explore", "load", "merge", "size", "steps",
+    "sweep",
 ]  # fmt: skip
 
 _MODULES = {
@@ -31,6 +34,7 @@ _MODULES = {
     "compare": "deploy.study.comparison",
     "explore": "deploy.run.exploration",
     "load": "deploy.scenario.scenario",
+    "merge": "deploy.after.merge",
     "size": "deploy.study.sizing",
     "steps": "deploy.run.stepwise",
     "sweep": "deploy.study.sweep",

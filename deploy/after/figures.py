@@ -161,7 +161,7 @@ def draw_explored(panel: Axes, archive: Archive) -> None:
     first = archive.steps
     steps, at = np.unique(first["step"], return_index=True)
     panel.plot(steps, 100 * first["team_seen"][at], color="black", linewidth=2.2, label="seen by the team")
-    reachable = archive.plan.make_world().reachable
+    reachable = archive.plan.reachable
     curves: Curves = {}
     for robot in range(archive.plan.scenario.robots):
         changed = archive.maps.steps(robot)

@@ -45,7 +45,7 @@ class Frames:
     def __init__(self, archive: Archive, width: int = WIDTH) -> None:
         self._archive = archive
         self._robots = range(archive.plan.scenario.robots)
-        self._reachable = archive.plan.make_world().reachable
+        self._reachable = archive.plan.reachable
         self._scale = width / WIDTH
         self._width = width
         self._place()
@@ -114,7 +114,8 @@ class Frames:
         now = f"step {step} of {self.last_step}"
         draw.text((self._width - px(MARGIN), px(24)), now, INK, _font(px(15), bold=True), "rm")
         seen = float(self._now(step)["team_seen"].max(initial=0.0))
-        label = f"the building: {100 * seen:.0f} % seen"
+        what = "the building" if self._archive.plan.has_truth else "the team's map at the end"
+        label = f"{what}: {100 * seen:.0f} % seen"
         draw.text((self._world_at[0], px(HEAD + LABEL / 2)), label, INK, _font(px(12)), "lm")
 
     def _draw_robots_maps(

@@ -1,9 +1,10 @@
-"""`murmur merge`: join what several robots in the field recorded into one directory, on one clock.
+"""`murmur merge`: join what robots in the field recorded into one run directory, on one clock.
 
-Each robot recorded by its own clock. A frame that one robot sent and another received gives the difference of their
-clocks, plus the time that the frame took. The smallest difference in each direction has the least delay; half the
-difference of both is the offset of the clocks, as in NTP (RFC 5905, section 8), and half their sum bounds its error.
-Clocks are aligned along the pairs with the smallest sums of bounds. Drift is not corrected.
+Each robot recorded by the clock of its host. Robots on one host have one clock. A frame that one robot sent and another
+received gives the difference of their clocks, plus the time that the frame took. The smallest difference in each
+direction has the least delay; half the difference of both is the offset of the clocks, as in NTP (RFC 5905, section 8),
+and half their sum bounds its error. Clocks are aligned along the pairs with the smallest sums of bounds; those of
+robots that exchanged no frames, by the time of day. Drift is not corrected.
 """
 
 from __future__ import annotations
@@ -14,20 +15,27 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
-from deploy.record.link_records import FrameLine, contents, read_frames, write_ledger
+from deploy.after.field_run import SECOND, FieldStart, Timeline, assemble
+from deploy.after.field_summary import summarize_field
+from deploy.after.recorded_view import record_view
+from deploy.dashboard.process import RECORDING
+from deploy.record import run_directory
+from deploy.record.field_records import FieldRecord, read_field_record
+from deploy.record.link_records import FrameLine, contents, read_frames
 from deploy.record.run_directory import CAPTURE, CaptureFile
+from deploy.run.exploration import EXPLORED, NOT_FINISHED, Result
+from deploy.scenario.plan import Plan
 from netshaper import capture, pcapng
 from netshaper.frame_log import Frame, FrameLog
 from netshaper.ledger import BROADCAST, CAUSES, EVERYONE
 from netshaper.pcapng import CaptureError
 from protocol.files import open_file
-from protocol.messages import MAX_STEPS
-
-STEP_NS = 1_000_000_000
-"""Nanoseconds of a step of the joined capture and ledger."""
 
 UNKNOWN = 1 << 62
 """The bound of an error about which nothing is known."""
+
+START = "start-*"
+"""Directories of the starts of a robot, in its record directory."""
 
 
 class FrameId(NamedTuple):
@@ -42,12 +50,21 @@ class FrameId(NamedTuple):
 class Recording:
     """What one process of a robot recorded."""
 
-    folder: Path
-    robot: int
+    record: FieldRecord
     sent: dict[FrameId, FrameLine]
     received: dict[FrameId, FrameLine]
     packets: dict[FrameId, tuple[bytes, bytes]]
     """Broadcast and gossip of each frame."""
+
+    @property
+    def robot(self) -> int:
+        """The robot's number."""
+        return self.record.robot
+
+    @property
+    def folder(self) -> Path:
+        """Its directory."""
+        return self.record.folder
 
 
 @dataclass
@@ -62,47 +79,69 @@ class Joined:
     """Whether its sender recorded it, so that `time_ns` is the time at which it was sent."""
 
 
-class Merged(NamedTuple):
-    """The result of a merge: the number of frames, those that no recording received, and the bound of the error."""
+def merge(folders: Sequence[Path | str], out: Path | str, *, view: bool = False) -> Result:
+    """Join the records of robots into the new run directory `out`, and return the run, as `murmur.explore` does.
 
-    frames: int
-    lost: int
-    error_ns: int
-
-
-def merge(folders: Sequence[Path], out: Path) -> Merged:
-    """Join the directories of robots, and write ``radio.pcapng`` and ``ledger.parquet`` to a new directory.
+    With `view`, also write a recording for the dashboard. A folder is the record of one start of a robot, or the record
+    directory of a robot, with all its starts.
 
     Raises
     ------
     ValueError
-        A directory has no frames, its files do not fit each other, or its robot exchanged no frames with the others.
-    FileExistsError
-        `out` has a capture already.
+        A directory is no record of a robot, or damaged; or they are of different teams.
+    ScenarioError
+        `out` already exists, or cannot be made.
+    OSError
+        A file cannot be written.
     """
-    recordings = [read_recording(folder) for folder in folders]
+    out = Path(out)
+    run_directory.check_free(out)
+    recordings = [read_recording(each) for folder in folders for each in starts_in(Path(folder))]
     offsets, error = align(recordings)
     frames = join(recordings, offsets)
-    logs = _logs(frames)
-    out.mkdir(parents=True, exist_ok=True)
-    rows: list[bytes] = []
-    with CaptureFile(out / CAPTURE, "xb") as file:
-        file.write(capture.head(f"radio of {len({each.robot for each in recordings})} robots in the field"))
-        for step, log in logs:
+    starts = [FieldStart(each.record, offset) for each, offset in zip(recordings, offsets, strict=True)]
+    timeline = Timeline.of(starts, [frame.time_ns for frame in frames.values()])
+    logs = _logs(frames, timeline)
+    plan, records = assemble(starts, timeline, {step: log.ledger_rows(step) for step, log in logs.items()})
+    summary = summarize_field(plan, records, starts) | {
+        "frames": len(frames),
+        "frames_lost": sum(not each.receivers for each in frames.values()),
+        "clock_error_s": error / SECOND if error < UNKNOWN else None,
+    }
+    run_directory.create(out, plan)
+    failures = _write_capture(out / CAPTURE, plan, logs)
+    run_directory.write_results(out, plan, records, summary, failures)
+    if view:
+        record_view(plan, records, out / RECORDING)
+    code = EXPLORED if summary["finished"] else NOT_FINISHED
+    return Result(summary, code, out, records, {}, plan)
+
+
+def starts_in(folder: Path) -> list[Path]:
+    """Return the directories of all starts in the record directory of a robot, or the one that is a start itself."""
+    found = sorted(folder.glob(START), key=lambda each: (len(each.name), each.name))
+    return found or [folder]
+
+
+def _write_capture(path: Path, plan: Plan, logs: dict[int, FrameLog]) -> list[OSError]:
+    """Write the joined capture; return the error if it could not be written."""
+    scenario = plan.scenario
+    with CaptureFile(path, "wb") as file:
+        file.write(
+            capture.head(f"{scenario.robots} robots in the field, map encoding {scenario.map_encoding}")
+        )
+        for step, log in logs.items():
             file.write(capture.encode(step, log))
-            rows.append(log.ledger_rows(step))
-        if file.failure is not None:
-            raise file.failure
-    write_ledger(out, rows)
-    return Merged(len(frames), sum(not each.receivers for each in frames.values()), error)
+        return [] if file.failure is None else [file.failure]
 
 
 def read_recording(folder: Path) -> Recording:
     """Read what a robot recorded; ValueError if there is nothing, or capture and frames do not fit each other."""
+    record = read_field_record(folder)
     lines = read_frames(folder)
-    if not lines:
-        raise ValueError(f"{folder} has no frames")
-    recording = Recording(folder, lines[0].robot, {}, {}, {})
+    if others := {line.robot for line in lines} - {record.robot}:
+        raise ValueError(f"{folder}: has frames that robot {min(others)} recorded, not robot {record.robot}")
+    recording = Recording(record, {}, {}, {})
     with open_file(folder / CAPTURE) as file:
         try:
             captured = iter(list(capture.read(pcapng.Reader(file))))
@@ -129,7 +168,7 @@ def read_recording(folder: Path) -> Recording:
 def align(recordings: Sequence[Recording]) -> tuple[list[int], int]:
     """Return what to add to the times of each recording, and the bound of the error, all in nanoseconds.
 
-    The first recording's clock is the common one. ValueError if a robot exchanged no frames with the others.
+    The first recording's clock is the common one. Clocks of robots that exchanged no frames agree by the time of day.
     """
     offsets, bounds = {0: 0}, {0: 0}
     while len(offsets) < len(recordings):
@@ -141,10 +180,8 @@ def align(recordings: Sequence[Recording]) -> tuple[list[int], int]:
             if (difference := _clock_difference(recordings[known], recordings[other])) is not None
         ]
         if not pairs:
-            apart = ", ".join(str(recordings[at].folder) for at in missing)
-            raise ValueError(
-                f"no frames between {apart} and the other directories, so their clocks cannot be aligned"
-            )
+            utc = recordings[0].record.setup.utc_ns
+            pairs = [(UNKNOWN, missing[0], recordings[missing[0]].record.setup.utc_ns - utc)]
         bound, other, offset = min(pairs)
         offsets[other], bounds[other] = offset, bound
     return [offsets[at] for at in range(len(recordings))], max(bounds.values())
@@ -171,6 +208,9 @@ def _clock_difference(one: Recording, other: Recording) -> tuple[int, int] | Non
 
     If frames arrived in one direction only, the fastest one counts as if it had no delay.
     """
+    clock = one.record.setup.clock
+    if clock and clock == other.record.setup.clock:
+        return 0, 0
     there, back = _delays(one, other), _delays(other, one)
     if there and back:
         return (min(there) - min(back)) // 2, max(0, min(there) + min(back)) // 2
@@ -188,19 +228,15 @@ def _delays(sender: Recording, receiver: Recording) -> list[int]:
     ]
 
 
-def _logs(frames: dict[FrameId, Joined]) -> list[tuple[int, FrameLog]]:
-    """Return the log of each step, from 1, in which there are frames; ValueError if there are too many steps."""
+def _logs(frames: dict[FrameId, Joined], timeline: Timeline) -> dict[int, FrameLog]:
+    """Return the log of each step in which there are frames."""
     logs: defaultdict[int, FrameLog] = defaultdict(FrameLog)
-    begin = min((frame.time_ns for frame in frames.values()), default=0)
     for number, frame in frames.items():
-        step = 1 + (frame.time_ns - begin) // STEP_NS
-        if step > MAX_STEPS:
-            raise ValueError(f"the frames are {step} seconds apart: one of the clocks was set in between")
-        names = ", ".join(f"r{robot}" for robot in sorted(frame.receivers)) or "none"
+        log, receivers = logs[timeline.step(frame.time_ns)], sorted(frame.receivers)
+        names = ", ".join(f"r{robot}" for robot in receivers) or "none"
         sealed = f"frame {number.counter} of session {number.session}, {frame.size} bytes sealed"
-        cause = "" if frame.receivers else "loss"
+        cause = CAUSES.index("" if receivers else "loss")
         for content in contents(*frame.packets):
             sent = Frame(number.sender, EVERYONE, content, connection=number.counter)
-            receivers, fate = sorted(frame.receivers), f"received by {names}: {sealed}"
-            logs[step].add(0, sent, content, CAUSES.index(cause), receivers=receivers, fate=fate)
-    return list(logs.items())
+            log.add(0, sent, content, cause, receivers=receivers, fate=f"received by {names}: {sealed}")
+    return logs

@@ -154,7 +154,7 @@ def page(archive: Archive, figures: Sequence[Path]) -> str:
             Section("Traffic", [_table(_kinds(summary), last_is_sum=True), _table(_undelivered(summary))]),
             Section("The scenario", texts=[scenario]),
         ],
-        {"": summary["digest"]},
+        {"": summary["digest"]} if archive.plan.has_truth else {},
     )  # fmt: skip
 
 
@@ -184,7 +184,11 @@ def comparison(runs: dict[Path, Archive]) -> str:
             Section("Pictures", pictures=pictures),
             Section("Traffic", [_table(_traffic(names, summaries), last_is_sum=True)]),
         ],
-        {name: summary["digest"] for name, summary in zip(names, summaries, strict=True)},
+        {
+            name: archive.summary["digest"]
+            for name, archive in zip(names, archives, strict=True)
+            if archive.plan.has_truth
+        },
         wide=True,
     )
 
@@ -264,7 +268,8 @@ def _traffic(names: list[str], summaries: list[dict[str, Any]]) -> list[list[str
 def _abstract(summary: dict[str, Any]) -> str:
     budget = summary["bandwidth"]
     medium = "unlimited bandwidth" if isinstance(budget, str) else f"at most {budget} bytes per step"
-    radio = f"Radio: {medium}, range {summary['range_m']:.1f} m; map encoding: {summary['map_encoding']}."
+    reach = "in the field" if summary["range_m"] is None else f"range {summary['range_m']:.1f} m"
+    radio = f"Radio: {medium}, {reach}; map encoding: {summary['map_encoding']}."
     if summary["finished"]:
         first = f"robot {summary['first_robot']} finished first"
         return f"Explored in {summary['steps']} steps; {first}. {radio}"
@@ -272,19 +277,47 @@ def _abstract(summary: dict[str, Any]) -> str:
 
 
 def _figures(summary: dict[str, Any]) -> list[list[str]]:
-    accuracy = summary["map_accuracy"]
     error = summary.get("approximation_error")
     return [
-        ["reachable cells seen by the team", _percent(summary["coverage"])],
-        ["accuracy of the planning map of the first robot", _percent(accuracy)],
+        *_true_map_figures(summary),
         *_wall_figures(summary),
-        ["team had seen 90 %, 99 %", f"step {summary['t90'] or '-'}, step {summary['t99'] or '-'}"],
+        *_missed_figures(summary),
         ["strategy, seed", f"{summary['strategy']}, {summary['seed']}"],
         *([] if error is None else [["approximation error (Eq. 6.1)", f"{error:.2%} of the cells"]]),
         ["transmitted", f"{summary['bytes']['total']:,} bytes in {summary['packets']['total']:,} packets"],
-        ["steps over the budget", str(summary["over_budget_steps"])],
         ["bus", f"{summary['bus']}, {summary['steps_per_s']} steps per second"],
     ]
+
+
+def _true_map_figures(summary: dict[str, Any]) -> list[list[str]]:
+    """What needs a true map; of robots in the field, how much of the team's map each robot has instead."""
+    if summary.get("clock") == "field":
+        worst = _percent(summary["worst_team_map_held"])
+        return [
+            [
+                "free cells of the team's map that a robot has",
+                f"mean {_percent(summary['team_map_held'])}, worst {worst}",
+            ]
+        ]
+    return [
+        ["reachable cells seen by the team", _percent(summary["coverage"])],
+        ["accuracy of the planning map of the first robot", _percent(summary["map_accuracy"])],
+        ["team had seen 90 %, 99 %", f"step {summary['t90'] or '-'}, step {summary['t99'] or '-'}"],
+        ["steps over the budget", str(summary["over_budget_steps"])],
+    ]
+
+
+def _missed_figures(summary: dict[str, Any]) -> list[list[str]]:
+    """The steps that robots missed by their clocks; nothing with the barrier, or of older runs."""
+    by_robot = summary.get("missed_steps_by_robot")
+    if summary.get("clock", "barrier") == "barrier" or by_robot is None:
+        return []
+    name = (
+        "steps that took robots too long" if summary.get("clock") == "field" else "steps that robots missed"
+    )
+    worst = max(range(len(by_robot)), key=by_robot.__getitem__)
+    most = f", most by robot {worst}: {by_robot[worst]}" if by_robot[worst] else ""
+    return [[name, f"{summary['missed_steps']} of {summary['steps'] * len(by_robot)}{most}"]]
 
 
 def _wall_figures(summary: dict[str, Any]) -> list[list[str]]:

@@ -112,7 +112,7 @@ class InvariantChecker:
         if summary["over_budget_steps"]:
             raise InvariantError(f"{summary['over_budget_steps']} steps carried more than the budget")
         self._check_accounting(records)
-        reachable = self._plan.make_world().reachable
+        reachable = self._plan.reachable
         honest = [grid for robot, grid in records.planning.items() if robot not in self._byzantine]
         if honest:
             known = np.logical_or.reduce([grid == FREE for grid in honest]) & reachable

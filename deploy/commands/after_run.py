@@ -202,18 +202,33 @@ def show_capture(
 @app.command()
 def merge(
     directories: Annotated[
-        list[Path], typer.Argument(metavar="DIR...", help="what each robot in the field recorded")
+        list[Path],
+        typer.Argument(
+            metavar="DIR...", help="the record directory of each robot, or those of single starts in it"
+        ),
     ],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="the new directory")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="the new run directory")],
+    view: Annotated[
+        bool, typer.Option("--view", help="also write the recording that murmur watch shows")
+    ] = False,
 ) -> None:
-    """Join what robots in the field recorded of their radios: one capture and one ledger, on one clock."""
+    """Join what robots in the field recorded into one run directory, on one clock.
+
+    It has the files of any run, for murmur report, movie, capture, export, and watch. There is no true map: the map in
+    it is the one that the team has made, and figures that need a true one are null.
+    """
     from deploy.after import merge as merging  # noqa: PLC0415
 
-    if (out / "radio.pcapng").exists():
-        raise ScenarioError(f"{out} already exists: choose another name, or delete it")
-    merged = merging.merge(directories, out)
-    known = merged.error_ns < merging.UNKNOWN
-    bound = f"within {merged.error_ns / 1e6:.1f} ms" if known else "by frames in one direction only"
+    summary = merging.merge(directories, out, view=view).summary
+    error_s = summary["clock_error_s"]
+    bound = "by the time of day, or by frames in one direction only"
+    if error_s is not None:
+        bound = f"within {1000 * error_s:.1f} ms"
     screen.print(
-        f"{out}: {merged.frames} frames, {merged.lost} of which no robot recorded as received; clocks agree {bound}"
+        f"{out}: {summary['robots']} robots, {summary['steps']} steps of {summary['step_s']:g} s; {summary['frames']} "
+        f"frames, {summary['frames_lost']} of which no robot recorded as received; clocks agree {bound}"
     )
+    if not summary["finished"]:
+        screen.print(f"not finished: {summary['reason']}")
+    for robot, cause in summary["lost"].items():
+        screen.print(f"robot {robot}: {cause}")

@@ -36,7 +36,7 @@ COMMANDS = {
     ),
     "movie": Entry("after_run", "Film a run, step by step, or two side by side."),
     "capture": Entry("after_run", "Show the radio traffic of a run, frame by frame."),
-    "merge": Entry("after_run", "Join what robots in the field recorded of their radios."),
+    "merge": Entry("after_run", "Join what robots in the field recorded into one run directory."),
     "export": Entry("after_run", "Export a run to formats of other programs."),
     "replay": Entry("after_run", "Repeat a run and check that its digest is the same."),
     "sweep": Entry("studies", "Run a scenario over a grid of settings and print a table."),

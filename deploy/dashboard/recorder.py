@@ -53,7 +53,7 @@ class Recorder:
         self._stream = stream
         self._plan = plan
         self._robots = range(plan.scenario.robots)
-        self._reachable = plan.make_world().reachable
+        self._reachable = plan.reachable
         self._true_walls = true_walls_of(plan, self._reachable)
         self._explored = [0.0] * len(self._robots)
         self._walls = dict.fromkeys(self._robots, WallScore(None, None, None))
@@ -262,7 +262,8 @@ class Recorder:
         picture = map_picture(snapshot.width, snapshot.height, snapshot.planning)
         self._log(f"robots/{robot}/map", _image(picture))
         self._explored[robot] = 100 * float((grid[self._reachable] == FREE).mean())
-        self._walls[robot] = self._true_walls.score(grid)
+        if self._plan.has_truth:
+            self._walls[robot] = self._true_walls.score(grid)
 
 
 def _image(png: bytes) -> rr.EncodedImage:

@@ -223,7 +223,7 @@ def _emergences(step: int, carried: NDArray[np.void]) -> list[Event]:
 HELP = """\
 **{robots} robots explore an unknown building.** Sensor range: {sensor:g} m. Radio: {medium}.
 
-**Left: the true map.** A line leads to each target. {circles}Links: green with traffic, gray in range.{chosen}
+**Left: the {truth} map.** A line leads to each target. {circles}Links: green with traffic, gray in range.{chosen}
 
 **Right: each robot's map.** White: free, black: wall, gray: unknown. {outlines}
 
@@ -239,7 +239,8 @@ def explain(plan: Plan) -> str:
     budget = plan.radio.budget
     polygons = plan.scenario.map_encoding == "polygons"
     medium = "unlimited bandwidth" if budget.unlimited else f"{budget} bytes per step (one second)"
-    medium += f", range {plan.range_m:.0f} m"
+    if plan.has_truth:
+        medium += f", range {plan.range_m:.0f} m"
     return HELP.format(
         robots=plan.scenario.robots,
         sensor=plan.scenario.sensor_range,
@@ -248,9 +249,10 @@ def explain(plan: Plan) -> str:
         circles="Circles: radio range. " if shows_range(plan) else "",
         outlines=OUTLINES if polygons else "It includes map data received from teammates.",
         budget="" if budget.unlimited else "Red: the limit. ",
+        truth="true" if plan.has_truth else "team's final",
     )
 
 
 def shows_range(plan: Plan) -> bool:
-    """Whether to draw the radio range: not if it covers most of the map."""
-    return plan.range_m < plan.map.diagonal_m / 2
+    """Whether to draw the radio range: not if it is unknown, or covers most of the map."""
+    return plan.has_truth and plan.range_m < plan.map.diagonal_m / 2

@@ -19,10 +19,10 @@ from agent.radios.team_key import read_key
 from agent.radios.transport import Transport
 from agent.replication.control_packets import parse
 from deploy.field.robot_file import RobotFile
-from deploy.field.robot_plan import agent_settings, pose_guard
+from deploy.field.robot_plan import agent_settings, pose_guard, robot_setup
 from deploy.field.ros2_robot import Ros2Robot
 from deploy.field.running import running
-from deploy.record.link_records import LinkRecorder
+from deploy.record.field_records import FieldRecorder
 from protocol.errors import ProtocolError
 
 SLICE_NS = SECOND // 10
@@ -139,9 +139,13 @@ class Mission:
             raise ValueError(
                 f"{file.record}: {error}; for a new mission, choose a new record.folder"
             ) from None
-        start = self._field.robot.settings.incarnation + 1
-        self._recorder = LinkRecorder(file.record / f"start-{start}", settings.robot)
+        started = self._field.robot.settings
+        self._recorder = FieldRecorder(
+            file.record / f"start-{started.incarnation + 1}", robot_setup(settings, started)
+        )
         self._step = 0
+        self._worked_ns = time.process_time_ns()
+        """Processor time of this process up to the last step."""
         self._explored_steps = 0
         """Steps for which nothing has been left to explore."""
         self._done_steps = 0
@@ -163,7 +167,7 @@ class Mission:
         except StoppedError:
             self._recorder.record(self._step, self._field.medium.records)
         finally:
-            self._recorder.close()
+            self._recorder.close(self._field, self._reason or "aborted", is_complete=self._is_complete)
         if self._field.move is not None:
             self._published.clear()
             self._publish(self._reason)
@@ -217,6 +221,8 @@ class Mission:
         if (status := self._activity()) != self._shown:
             self._shown = status
             self._say(status)
+        worked, self._worked_ns = self._worked_ns, time.process_time_ns()
+        self._recorder.note(step, field, status, (self._worked_ns - worked) // 1000)
         self._publish(status)
 
     def _activity(self) -> str:

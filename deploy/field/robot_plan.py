@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import time
+
 from agent.pose_guard import PoseGuard
 from agent.radios.pacing import SECOND
 from agent.replication.policies import GOSSIP
 from agent.settings import EncodingSettings, MediumSettings, ReplicationSettings, Settings
 from deploy.field.robot_file import RobotSettings
+from deploy.record.field_records import RobotSetup, clock_id
 from protocol.body import Body
 from protocol.budget import Budget
 from protocol.map_frame import MapFrame
@@ -53,6 +56,20 @@ def agent_settings(settings: RobotSettings, laser: Laser) -> Settings:
         resolution=cell,
         laser=laser,
         incarnations=settings.starts,
+    )
+
+
+def robot_setup(settings: RobotSettings, started: Settings) -> RobotSetup:
+    """Return what the records of a start name: `started` are the settings of this incarnation."""
+    grid = settings.grid
+    return RobotSetup(
+        started,
+        grid.x,
+        grid.y,
+        round(settings.step_s * SECOND),
+        settings.radio.rate,
+        time.time_ns() - time.monotonic_ns(),
+        clock_id(),
     )
 
 

@@ -14,13 +14,17 @@ class Column(NamedTuple):
 
 
 STEPS = (
-    Column("step", "int32", "the step, from 1; one step is one second"),
+    Column("step", "int32", "the step, from 1; one step is one second, or `step_s` seconds"),
     Column("robot", "int32", "the robot's number, from 0; killed and lost robots have no row"),
     Column("x", "double", "meters to the right, in the map's frame"),
     Column("y", "double", "meters upwards, in the map's frame"),
     Column("heading", "double", "degrees; 0 points along x, 90 along -y"),
     Column("driven", "double", "meters driven since the start"),
-    Column("team_seen", "double", "share of the reachable cells that the team has seen, 0 to 1"),
+    Column(
+        "team_seen",
+        "double",
+        "share of the reachable cells that the team has seen, 0 to 1; in the field, of the free cells of its final map",
+    ),
     Column("target_x", "double", "meters, as x, of the target cell; null: no target"),
     Column("target_y", "double", "meters, as y"),
     Column("known_cells", "int32", "number of known cells on the robot's own map"),
@@ -100,7 +104,7 @@ SUMMARY = {
     "robots, seed, map, bus, strategy, map_encoding, bandwidth, range_m": "settings",
     "clock, step_s": "settings",
     "missed_steps, missed_steps_by_robot": "by the wall clock: steps in which robots did not move in time, in total "
-    "and one value per robot; 0 with the barrier",
+    "and one value per robot; 0 with the barrier; in the field: steps that took a robot too long",
     "missed_phases": "by the wall clock: phases of the medium that robots did not answer in time; 0 with the barrier",
     "tolerance": "cells by which walls on maps of different robots may differ: the setting `tolerance`, and at least 1 "
     "if lasers or poses have errors",
@@ -127,6 +131,14 @@ RECORDED = {
     "backlog_after_scans, backlog": "log entries that teammates lacked, after the last scan and at the end",
 }
 """Keys of ``summary.json`` that only recorded runs have."""
+
+FIELD = {
+    "team_map_held, worst_team_map_held": "share of the free cells of the team's map that are free on a robot's "
+    "planning map: mean and minimum over all robots; also by robot, in `robot_maps`",
+    "frames, frames_lost": "sealed frames of the radio, and those that no robot recorded as received",
+    "clock_error_s": "bound of the error with which the robots' clocks were aligned, seconds; null: unknown",
+}
+"""Keys of ``summary.json`` that only robots in the field have; keys that need a true map are null there."""
 
 FILES = {
     "steps.parquet": STEPS,

@@ -78,11 +78,13 @@ def maps_figure(plan: Plan, records: Records, summary: dict[str, Any]) -> Figure
     figure, (world, team, *panels) = _page(len(robots), plan.map.height / plan.map.width)
     show_grid(world, plan.map, plan.map.cells)
     draw_paths(world, plan, records)
-    world.set_title("the world and the robots' paths", fontsize=11, pad=4)
+    what = "the world" if plan.has_truth else "the team's map"
+    world.set_title(f"{what} and the robots' paths", fontsize=11, pad=4)
     seen = records.team_map(summary["refuted_maps"])
-    reachable = plan.make_world().reachable
+    reachable = plan.reachable
     _show_errors(team, plan, compare(seen, plan.map.cells, reachable))
-    team.set_title(f"seen by the team: {_percent(summary['coverage'])}", fontsize=11, pad=4)
+    share = f": {_percent(summary['coverage'])}" if plan.has_truth else ""
+    team.set_title(f"seen by the team{share}", fontsize=11, pad=4)
     size = min(11.0, 3.2 + 3.0 * panels[0].get_position().width * PAGE_WIDTH) if panels else 0
     for panel, robot in zip(panels, robots, strict=True):
         is_first = robot == summary["first_robot"]
@@ -92,7 +94,8 @@ def maps_figure(plan: Plan, records: Records, summary: dict[str, Any]) -> Figure
         panel.spines[:].set(linewidth=0.6, color="#9aa1a9")
         right = _percent(share_correct(errors, reachable))
         if size > 8:
-            title = f"robot {robot}: {right} correct" + (", finished first" if is_first else "")
+            like = "correct" if plan.has_truth else "as the team's"
+            title = f"robot {robot}: {right} {like}" + (", finished first" if is_first else "")
         else:
             title = f"{robot}: {right}" + (" \N{CHECK MARK}" if is_first else "")
         panel.set_title(title, fontsize=size, color=robot_color(robot), pad=4)

@@ -109,7 +109,12 @@ def write_inputs(out: Path, plan: Plan) -> None:
     """Write the input of the run: its map, the scans that it replays, and its scenario with references to these."""
     maps.save(plan.map, out / MAP)
     data = plan.scenario.model_dump(mode="json", exclude_none=True) | {"map": MAP, "map_options": {}}
-    text = f"# {plan.map.name}: all settings of this run. Repeat it: murmur replay {out}\n"
+    again = (
+        f"Repeat it: murmur replay {out}"
+        if plan.has_truth
+        else "It was in the field, and cannot be repeated."
+    )
+    text = f"# {plan.map.name}: all settings of this run. {again}\n"
     if plan.recording is not None:
         options = plan.scenario.recording
         text += f"# Replayed: {', '.join(options.files)}; one of {options.every} scans.\n"
@@ -187,7 +192,8 @@ def read_scenario(directory: Path, **overrides: Any) -> Scenario:
 def read_plan(directory: Path) -> Plan:
     """Derive the plan of a run from its directory, without importing strategies of other packages."""
     with without_import():
-        return plans.make(read_scenario(directory))
+        scenario = read_scenario(directory)
+        return plans.of_field(scenario) if scenario.is_field else plans.make(scenario)
 
 
 def read_summary(directory: Path) -> dict[str, Any]:

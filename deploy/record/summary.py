@@ -34,14 +34,14 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
     done = end is not None and end.first >= 0
     finished = done and records.explored >= scenario.min_coverage
     ledger = records.ledger()
-    reachable = plan.make_world().reachable
+    reachable = plan.reachable
     refuted = _refuted_maps(plan, records, reachable)
     planning = {robot: grid for robot, grid in sorted(records.planning.items()) if robot not in refuted}
     figures = _robot_figures(plan, records, planning, reachable)
     first = end.first if done and end is not None else min(records.planning, default=-1)
     steps = end.step if end is not None and end.step >= 0 else records.step
     allowed = budgets(plan.radio.budget, records.changes, int(ledger["step"].max(initial=0)) + 1)
-    sizes = _per_kind(ledger, "bytes")
+    sizes = per_kind(ledger, "bytes")
     return {
         "finished": finished,
         "reason": _reason(end, finished=finished),
@@ -72,11 +72,11 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "tolerance": tolerance(plan),
         "bytes": sizes,
         "raw_scan_bytes": steps * SCAN_VALUES * VALUE_BYTES * scenario.robots * (scenario.robots - 1),
-        "packets": _per_kind(ledger, "packets"),
+        "packets": per_kind(ledger, "packets"),
         **recorded_figures(plan, records, steps, sizes["total"]),
         **_approximation_error(records, first, int(reachable.sum())),
         "over_budget_steps": _over_budget(ledger, allowed, each=scenario.radio.reuse),
-        "undelivered": _undelivered(ledger),
+        "undelivered": undelivered(ledger),
         "lost": {str(robot): cause for robot, cause in sorted(records.lost.items())},
         "returned": [list(each) for each in records.returned],
         "reconnected": [list(each) for each in records.reconnected],
@@ -84,7 +84,7 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "digest": digest(records),
         "wall_s": round(wall_s, 3),
         "steps_per_s": round(records.step / wall_s, 1) if wall_s else None,
-        "work_us_median": _median_work(records),
+        "work_us_median": median_work(records),
         "versions": versions(),
     }
 
@@ -166,7 +166,7 @@ def _first_step(records: Records, share: float) -> int | None:
     return next((w.step for w in records.world if w.seen >= share * w.reachable), None)
 
 
-def _per_kind(ledger: NDArray[np.void], name: str) -> dict[str, int]:
+def per_kind(ledger: NDArray[np.void], name: str) -> dict[str, int]:
     """The sum of a column over the transmitted rows by packet type, and in total."""
     rows = ledger[ledger["carried"] == 1]
     sums = np.bincount(rows["kind"], rows[name], len(ALL_KINDS)).astype(int).tolist()
@@ -217,7 +217,7 @@ def budgets(budget: Budget, changes: Iterable[Change], steps: int) -> NDArray[np
     return allowed
 
 
-def _undelivered(ledger: NDArray[np.void]) -> dict[str, int]:
+def undelivered(ledger: NDArray[np.void]) -> dict[str, int]:
     """Count the frames that were not delivered completely, by cause."""
     cut = ledger[ledger["cause"] > 0]
     fields = ("step", "round", "connection", "frame", "sender", "receiver", "map", "cause")
@@ -243,7 +243,7 @@ def _differs(columns: NDArray[np.int64]) -> Mask:
     return differs
 
 
-def _median_work(records: Records) -> float | None:
+def median_work(records: Records) -> float | None:
     """Median computing time of a robot per step, in microseconds."""
     work = [report.work_us for reports in records.statuses for report in reports]
     return float(np.median(work)) if work else None

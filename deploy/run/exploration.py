@@ -87,10 +87,10 @@ class Result:
     def maps(self) -> dict[str | int, Grid]:
         """The maps at the end, uint8 arrays of shape (h, w), row 0 on top.
 
-        ``"truth"``; ``"team"``, the union of the cells that the robots have seen themselves; and by number the
-        planning grid of each robot that has reported its maps.
+        ``"truth"``, which robots in the field do not have; ``"team"``, the union of the cells that the robots have seen
+        themselves; and by number the planning grid of each robot that has reported its maps.
         """
-        named: dict[str | int, Grid] = {"truth": self.plan.map.cells}
+        named: dict[str | int, Grid] = {"truth": self.plan.map.cells} if self.plan.has_truth else {}
         if self.records.own:
             named["team"] = np.maximum.reduce([grid for _, grid in sorted(self.records.own.items())])
         return named | dict(sorted(self.records.planning.items()))
@@ -110,9 +110,10 @@ class Result:
         summary = self.summary
         ended = "explored" if summary["finished"] else summary["reason"]
         where = f", in {self.directory}" if self.directory is not None else ""
+        share = f"coverage {summary['coverage']:.3f}, " if summary["coverage"] is not None else ""
         return (
             f"<Result: {summary['robots']} robots on {summary['map']}, {ended} after {summary['steps']} steps, "
-            f"coverage {summary['coverage']:.3f}, {summary['bytes']['total']} bytes{where}>"
+            f"{share}{summary['bytes']['total']} bytes{where}>"
         )
 
     def __str__(self) -> str:

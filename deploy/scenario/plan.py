@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
 from agent.replication.policies import GOSSIP
 from agent.settings import EncodingSettings, MediumSettings, ReplicationSettings, Settings
@@ -20,7 +23,7 @@ from protocol import faults
 from protocol.body import Body
 from protocol.budget import Budget
 from protocol.errors import shown
-from protocol.grid import MAX_SIDE, disc, enlarge
+from protocol.grid import FREE, MAX_SIDE, disc, enlarge
 from protocol.range_scans import MAX_REACH_M, TURN, Laser
 from worldsim.base import BaseWorld
 from worldsim.map_error import MapError
@@ -49,6 +52,16 @@ class Plan:
     recording: Recording | None = None
     """What the robots replay; None: they explore a simulated building."""
 
+    @property
+    def has_truth(self) -> bool:
+        """Whether `map` is the true map; else it is the one that a team in the field made."""
+        return not self.scenario.is_field
+
+    @cached_property
+    def reachable(self) -> NDArray[np.bool_]:
+        """The free cells that the team can see, shape (h, w); of a team in the field, the free cells of its map."""
+        return self.make_world().reachable if self.has_truth else self.map.cells == FREE
+
     def make_world(self) -> BaseWorld:
         """Return the world in its initial state."""
         if self.recording is not None:
@@ -64,9 +77,11 @@ def make(
     Each robot may start `incarnations` times, or more often if the scenario's faults require it. With `record_maps`,
     robots report the changes of their maps to the recorder.
 
-    Raises ScenarioError if the map or a log cannot be loaded, robots or people do not fit on it, or a range is too
-    small for its cells or for the strategy.
+    Raises ScenarioError if the map or a log cannot be loaded, robots or people do not fit on it, a range is too small
+    for its cells or for the strategy, or it is a record of robots in the field.
     """
+    if scenario.is_field:
+        raise ScenarioError("clock = 'field': is a record of robots in the field, which cannot be run")
     recording = load_recording(scenario) if scenario.is_recorded else None
     world_map = recording.map if recording is not None else world_map or load_map(scenario)
     incarnations = max(incarnations, faults.incarnations(scenario.faults))
@@ -78,12 +93,37 @@ def make(
     else:
         starts = _starts(scenario, world_map, [body.radius_cells for body in bodies])
     range_m = scenario.range_m(world_map.diagonal_m)
-    chosen = strategy(scenario.strategy)
     try:
-        chosen.check_range(scenario.options, range_m)
+        strategy(scenario.strategy).check_range(scenario.options, range_m)
     except ValueError as error:
         raise ScenarioError(f"range = {scenario.range!r}: {error}") from None
-    world = WorldSettings(
+    world = _world_settings(scenario, bodies, starts, cell, recording)
+    _check_people(world_map, world)
+    radio = _radio_settings(scenario, world_map, range_m, incarnations)
+    robot_settings = _robot_settings(
+        scenario, world_map, bodies, radio, sensors=world.sensors, record_maps=record_maps
+    )
+    return Plan(scenario, world_map, world, radio, robot_settings, range_m, incarnations, recording)
+
+
+def of_field(scenario: Scenario, world_map: Map | None = None) -> Plan:
+    """Return the plan of a record of robots in the field: their map, hardware, and radio, but nothing to run.
+
+    Raises ScenarioError if the map cannot be loaded.
+    """
+    world_map = world_map or load_map(scenario)
+    bodies = [_body(scenario.body_of(number), world_map.resolution) for number in range(scenario.robots)]
+    range_m = scenario.range_m(world_map.diagonal_m)
+    world = WorldSettings(tuple(bodies), (), scenario.beams, scenario.seed)
+    return Plan(scenario, world_map, world, _radio_settings(scenario, world_map, range_m, 1), {}, range_m)
+
+
+def _world_settings(
+    scenario: Scenario, bodies: list[Body], starts: Sequence[Cell], cell: float, recording: Recording | None
+) -> WorldSettings:
+    """Return the settings of the world, with cells of `cell` meters."""
+    chosen = strategy(scenario.strategy)
+    return WorldSettings(
         bodies=tuple(bodies),
         starts=tuple(starts),
         beams=scenario.beams,
@@ -99,12 +139,6 @@ def make(
         scan_rate=scenario.laser.rate,
         step_ns=scenario.step_ns,
     )
-    _check_people(world_map, world)
-    radio = _radio_settings(scenario, world_map, range_m, incarnations)
-    robot_settings = _robot_settings(
-        scenario, world_map, bodies, radio, sensors=world.sensors, record_maps=record_maps
-    )
-    return Plan(scenario, world_map, world, radio, robot_settings, range_m, incarnations, recording)
 
 
 def _body(hardware: RobotOverride, cell: float) -> Body:

@@ -114,8 +114,10 @@ class Scenario(Table):
     bus: Literal["zenoh", "memory"] = Field(
         "zenoh", description="zenoh: one process per participant; memory: all in one process"
     )
-    clock: Literal["barrier", "wall"] = Field(
-        "barrier", description="barrier: a step waits for all robots; wall: it ends on time (docs/clocks.md)"
+    clock: Literal["barrier", "wall", "field"] = Field(
+        "barrier",
+        description="barrier: a step waits for all robots; wall: it ends on time (docs/clocks.md); field: only records "
+        "of robots in the field have it (docs/field.md)",
     )
     step_s: float = Field(
         1.0, strict=True, ge=0.01, le=60.0, description="duration of a step by the wall clock, seconds"
@@ -300,7 +302,7 @@ class Scenario(Table):
 
         strategy(self.strategy).check(self.options)
         self._check_recording()
-        if self.clock != "wall" and self.step_s != Scenario.model_fields["step_s"].default:
+        if self.clock == "barrier" and self.step_s != Scenario.model_fields["step_s"].default:
             raise ValueError(f"step_s = {self.step_s:g}: steps have a duration only with clock = 'wall'")
         if self.robots > self.most_maps and self.map_encoding != "none":
             raise ValueError(
@@ -387,14 +389,19 @@ class Scenario(Table):
         return bool(self.recording.files)
 
     @property
+    def is_field(self) -> bool:
+        """Whether this is a record of robots in the field, which cannot be run."""
+        return self.clock == "field"
+
+    @property
     def faults(self) -> tuple[FaultEvent, ...]:
         """The scheduled faults, by step."""
         return tuple(sorted(fault.event for fault in self.fault))
 
     @property
     def is_noisy(self) -> bool:
-        """Whether lasers or poses have errors, as those of recorded runs have."""
-        return _is_noisy(self.laser, self.pose, self.recording)
+        """Whether lasers or poses have errors, as those of real robots have."""
+        return self.is_field or _is_noisy(self.laser, self.pose, self.recording)
 
     def range_m(self, diagonal_m: float) -> float:
         """Return the communication range in meters, on a map with this diagonal in meters."""

@@ -69,7 +69,7 @@ def assignment(plan: Plan) -> Metrics:
     frontier cells are goals. The time is the minimum of three repetitions.
     """
     scenario, truth = plan.scenario, plan.map.cells
-    reachable = np.argwhere(plan.make_world().reachable)
+    reachable = np.argwhere(plan.reachable)
     ranges = np.array([body.range_cells for body in plan.world.bodies])
     random = keyed_random(scenario.seed, "assignment")
     grid = np.full_like(truth, UNKNOWN)

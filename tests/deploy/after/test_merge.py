@@ -8,17 +8,16 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from msgspec import structs
 from pyarrow import parquet
 
 from agent.radios.memory_air import Faults, MemoryAir
-from agent.radios.options import LinkOptions
 from agent.radios.pacing import SECOND
-from agent.radios.peer_medium import FrameRecord
 from deploy.after.merge import UNKNOWN, align, join, merge, read_recording
-from deploy.record.link_records import FRAMES, LinkRecorder
+from deploy.record.link_records import FRAMES
 from netshaper import capture, pcapng
 from netshaper.ledger import CAUSES
-from tests.agent.radios.air_team import AirTeam
+from tests.deploy.after.recorded_team import RecordedTeam
 from tests.deploy.commands.office_floor import murmur
 from tests.system.team import small_plan
 
@@ -31,26 +30,11 @@ def sent_frames(folder: Path) -> dict[tuple[int, int], int]:
     """Let three robots record to ``folder/rN``, with clocks that differ; return the bytes of all sealed frames."""
     plan = small_plan(side_m=10.0, map_encoding="predictive", dissemination="gossip", robots=3, seed=1)
     air = MemoryAir(3, Faults(loss=0.2, delay=SECOND // 10))
-    options = LinkOptions("udp", interface="lo", bytes_per_s=1000)
-
-    def set_time(now: int) -> None:
-        air.now = now
-
-    team = AirTeam(plan, options, lambda number: air.join(number, 1400), folder / "state", set_time)
-
-    def recording(recorder: LinkRecorder, ahead: int) -> None:
-        def record(step: int, records: list[FrameRecord]) -> None:
-            recorder.record(step, [each._replace(time=each.time + ahead) for each in records])
-
-        team.members[int(recorder.folder.name[1:])].field.record = record
-
-    recorders = [LinkRecorder(folder / f"r{number}", number) for number in range(3)]
-    for recorder, ahead in zip(recorders, AHEAD, strict=True):
-        recording(recorder, ahead)
+    team = RecordedTeam(plan, air, folder, dict(enumerate(AHEAD)))
     for _ in range(30):
         team.play()
-    for recorder in recorders:
-        recorder.close()
+    for number in team.members:
+        team.end(number)
     return {
         (number, counter): len(frame)
         for number, member in team.members.items()
@@ -65,9 +49,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
+def start_of(folder: Path, number: int) -> Path:
+    """The records of a robot's only start."""
+    return folder / f"r{number}" / "start-1"
+
+
 def test_frames_of_all_robots_are_joined_on_one_clock(folder: Path, tmp_path: Path) -> None:
     folders = [folder / f"r{number}" for number in range(3)]
-    recordings = [read_recording(each) for each in folders]
+    recordings = [read_recording(start_of(folder, number)) for number in range(3)]
     offsets, error = align(recordings)
     assert error < SECOND // 10
     for offset, ahead in zip(offsets, AHEAD, strict=True):
@@ -82,9 +71,9 @@ def test_frames_of_all_robots_are_joined_on_one_clock(folder: Path, tmp_path: Pa
         holders = {other.robot for other in recordings if number in other.received}
         assert each.receivers == holders
 
-    merged = merge(folders, tmp_path / "team")
-    assert merged.frames == len(frames)
-    assert 0 < merged.lost < merged.frames / 4
+    merged = merge(folders, tmp_path / "team").summary
+    assert merged["frames"] == len(frames)
+    assert 0 < merged["frames_lost"] < merged["frames"] / 4
     with (tmp_path / "team" / "radio.pcapng").open("rb") as file:
         captured = list(capture.read(pcapng.Reader(file)))
     assert {(each.sender, each.connection) for each in captured} <= {(n.sender, n.counter) for n in frames}
@@ -110,7 +99,7 @@ def test_the_command_prints_what_it_joined_and_overwrites_nothing(folder: Path, 
 
 
 def test_clocks_can_be_aligned_over_a_third_robot_and_by_frames_in_one_direction(folder: Path) -> None:
-    one, two, three = (read_recording(folder / f"r{number}") for number in range(3))
+    one, two, three = (read_recording(start_of(folder, number)) for number in range(3))
     apart = [
         dataclasses.replace(one, received={k: v for k, v in one.received.items() if k.sender == 1}),
         two,
@@ -123,30 +112,42 @@ def test_clocks_can_be_aligned_over_a_third_robot_and_by_frames_in_one_direction
     assert all(abs(offset + ahead) < SECOND // 5 for offset, ahead in zip(offsets, AHEAD, strict=True))
 
 
-def test_robots_that_exchanged_no_frames_and_damaged_files_are_refused(folder: Path, tmp_path: Path) -> None:
-    one, two = (read_recording(folder / f"r{number}") for number in range(2))
-    with pytest.raises(ValueError, match="clocks cannot be aligned"):
-        align([dataclasses.replace(one, received={}), dataclasses.replace(two, received={})])
-    lines = (folder / "r0" / FRAMES).read_text().splitlines(keepends=True)
+def test_clocks_of_robots_that_exchanged_no_frames_agree_by_the_time_of_day(folder: Path) -> None:
+    one, two, three = (read_recording(start_of(folder, number)) for number in range(3))
+    silent = dataclasses.replace(two, received={}, sent={})
+    offsets, error = align([dataclasses.replace(one, received={}), silent, three])
+    assert error >= UNKNOWN
+    assert offsets[1] == AHEAD[0] - AHEAD[1]
+
+
+def test_robots_on_one_host_have_one_clock(folder: Path) -> None:
+    one, two = (read_recording(start_of(folder, number)) for number in range(2))
+    setup = structs.replace(two.record.setup, clock=one.record.setup.clock)
+    same = dataclasses.replace(two, record=dataclasses.replace(two.record, setup=setup))
+    assert align([one, same]) == ([0, 0], 0)
+
+
+def test_damaged_files_of_the_radio_are_refused(folder: Path, tmp_path: Path) -> None:
+    lines = (start_of(folder, 0) / FRAMES).read_text().splitlines(keepends=True)
     first = next(at for at, line in enumerate(lines) if at and line.split(",")[-2:] != ["0", "0\n"])
     for text, problem in (
-        ("".join(lines[:1]), "has no frames"),
         ("a,b\n", "the first line must be robot,time_ns"),
         ("".join([*lines[:3], "1,2,x\n"]), "line 4: expected 9 integers"),
+        ("".join([lines[0], "1" + lines[1][1:]]), "has frames that robot 1 recorded, not robot 0"),
         ("".join(lines[:first] + lines[first + 1 :]), "is not the one in the capture"),
         ("".join([*lines, *lines[-9:]]), "the capture ends before frame"),
     ):
+        shutil.copytree(start_of(folder, 0), tmp_path, dirs_exist_ok=True)
         (tmp_path / FRAMES).write_text(text)
-        (tmp_path / "radio.pcapng").write_bytes((folder / "r0" / "radio.pcapng").read_bytes())
         with pytest.raises(ValueError, match=problem):
             read_recording(tmp_path)
 
 
 def test_what_a_killed_robot_recorded_is_read_up_to_the_last_whole_line(folder: Path, tmp_path: Path) -> None:
-    text = (folder / "r0" / FRAMES).read_bytes()
+    text = (start_of(folder, 0) / FRAMES).read_bytes()
+    shutil.copytree(start_of(folder, 0), tmp_path, dirs_exist_ok=True)
     (tmp_path / FRAMES).write_bytes(text[: len(text) // 2 + 3])
-    (tmp_path / "radio.pcapng").write_bytes((folder / "r0" / "radio.pcapng").read_bytes())
-    recording, whole = read_recording(tmp_path), read_recording(folder / "r0")
+    recording, whole = read_recording(tmp_path), read_recording(start_of(folder, 0))
     assert 0 < len(recording.packets) < len(whole.packets)
     assert recording.packets.items() <= whole.packets.items()
 
@@ -155,7 +156,7 @@ def test_damaged_recordings_are_named_and_nothing_is_written(folder: Path, tmp_p
     def copied(name: str) -> list[Path]:
         copies = [tmp_path / name / f"r{number}" for number in range(2)]
         for copy in copies:
-            shutil.copytree(folder / copy.name, copy)
+            shutil.copytree(start_of(folder, int(copy.name[1:])), copy)
         return copies
 
     cut, apart = copied("cut"), copied("apart")

@@ -16,6 +16,7 @@ import pytest
 
 from agent.radios.team_key import create_key
 from deploy.after.merge import merge
+from deploy.after.report import write_report
 from protocol.grid import FREE
 from protocol.transforms import Pose
 from tests.agent.bodies.ros_house import house
@@ -82,9 +83,18 @@ def test_a_robot_that_cannot_drive_gets_the_map_of_its_teammate_over_udp(start: 
     seen, free = json.loads(second.statuses[-1])["known_cells"], np.count_nonzero(house() == FREE)
     assert seen < 0.8 * free
     wait_until(lambda: known_share(second.team_map, house()) > 0.95)
-    folders = [tmp_path / name / "record" / "start-1" for name in ("r0", "r1")]
-    merged = merge(folders, tmp_path / "team")
-    assert merged.frames > merged.lost
+    merged = merge([tmp_path / name / "record" for name in ("r0", "r1")], tmp_path / "team")
+    summary = merged.summary
+    assert (summary["finished"], summary["clock_error_s"], summary["coverage"]) == (True, 0, None)
+    assert summary["frames"] > summary["frames_lost"]
+    assert summary["worst_team_map_held"] > 0.95
+    assert summary["worst_walls_within_tolerance"] > 0.9
+    known = merged.maps["team"][house() == FREE]
+    assert np.count_nonzero(known == FREE) > 0.95 * known.size
+    assert summary["path_length"][0] > 3
+    assert summary["path_length"][1] == 0
+    page = write_report(tmp_path / "team").read_text(encoding="utf-8")
+    assert "Explored in" in page
 
 
 def test_murmur_stop_lets_the_robot_stand_still_where_it_is(start: Any, tmp_path: Path) -> None:
