@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from agent.radios.pacing import SECOND
+from protocol.token_bucket import SECOND
 
 
 class PoseGuard:

@@ -8,9 +8,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import reduce
 
 from protocol.budget import UNLIMITED, Budget
 from protocol.packet_index import PacketIndex
+from protocol.token_bucket import SECOND, TokenBucket
 
 RECENT = 8
 """Time constant, in steps, of the exponential average of bytes that a robot sent."""
@@ -37,15 +40,31 @@ class Shares:
             self._sent[robot] = self._sent[robot] * (RECENT - 1) // RECENT
 
 
-HOUR = 3600
-"""Steps over which a duty cycle holds."""
+HOUR_S = 3600
+"""Seconds over which a duty cycle holds."""
+
+
+@dataclass(frozen=True)
+class Saving:
+    """What of a budget per step can be saved: that of `steps` steps in total, and at least `least` bytes.
+
+    By default, unused budget lapses at the end of the step.
+    """
+
+    steps: int = 1
+    least: int = 0
+
+    def capacity(self, rate: int) -> int:
+        """Return the bytes that can be saved of `rate` bytes per step."""
+        return max(self.steps * rate, self.least)
 
 
 class Airtime:
     """Budgets of a step: the shared one, and those of each robot.
 
     A byte takes airtime of its sender and of all robots in range. With one shared budget these are all robots; with
-    spatial reuse a byte counts only in the sender's neighborhood, and no neighborhood exceeds the budget.
+    spatial reuse a byte counts only in the sender's neighborhood, and no neighborhood exceeds the budget. Each budget
+    is a token bucket that a step refills.
 
     Parameters
     ----------
@@ -58,6 +77,8 @@ class Airtime:
         Bytes per step that each robot can send and receive; 0: no limit.
     duty_cycle : float
         Share of an hour's bytes that each robot may send: a token bucket that holds an hour's share, full at first.
+    saving : Saving
+        Budgets that are not used up.
     """
 
     def __init__(
@@ -69,47 +90,69 @@ class Airtime:
         send: Sequence[int] = (),
         receive: Sequence[int] = (),
         duty_cycle: float = 1.0,
+        saving: Saving | None = None,
     ) -> None:
         self._duty_cycle = duty_cycle
         self._reuse = reuse
-        self._can_send = send or [0] * robots
+        self._saving = saving or Saving()
+        self._now = 0
+        """The time in nanoseconds, if a step lasts a second."""
+        self._senders = [self._bucket(most) for most in send or [0] * robots]
+        """What each robot itself can send; None: no limit."""
         self._can_receive = receive or [0] * robots
         self.limits_reception = any(self._can_receive)
         """Whether a robot's reception is limited."""
+        self._robots = robots
         self.set_budget(budget)
-        self._saved = [HOUR * (self._earned or 0.0)] * robots
+        self._saved = [self._hour * (self._earned or 0.0)] * robots
         self._neighbors: Mapping[int, Sequence[int]] = {}
         self.left = budget
         """The remaining budget that the whole team shares."""
-        self._used = self._sent = self._received = [0] * robots
+        self._received = [0] * robots
+
+    @property
+    def _hour(self) -> int:
+        return HOUR_S * self._saving.steps
+
+    def _bucket(self, rate: int) -> TokenBucket | None:
+        """Return a bucket of `rate` bytes per step; None if that is 0."""
+        return TokenBucket(rate, self._saving.capacity(rate), 0, self._now) if rate else None
 
     def set_budget(self, budget: Budget) -> None:
-        """Change the budget from the next step on; saved airtime stays."""
+        """Change the budget from the next step on; saved airtime of a duty cycle stays."""
         self._budget = budget
+        self._around = [self._bucket(budget.limit or 0) for _ in range(self._robots if self._reuse else 1)]
+        """What may be sent around each robot, with spatial reuse, else by the team; None: nothing, or without limit."""
         limited = self._duty_cycle < 1 and budget.limit is not None
         self._earned = self._duty_cycle * (budget.limit or 0) if limited else None
 
     def next_step(self, neighbors: Mapping[int, Sequence[int]]) -> None:
         """Begin a step, with the robots in range of each."""
         self._neighbors = neighbors
-        robots = len(self._used)
-        self.left = self._budget
-        self._used, self._sent, self._received = [0] * robots, [0] * robots, [0] * robots
+        self._now += SECOND
+        for bucket in (*self._around, *self._senders):
+            if bucket is not None:
+                bucket.room(self._now)
+        self.left = self._left_around(0)
+        self._received = [0] * self._robots
         if self._earned is not None:
-            self._saved = [min(saved + self._earned, HOUR * self._earned) for saved in self._saved]
+            self._saved = [min(saved + self._earned, self._hour * self._earned) for saved in self._saved]
+
+    def _left_around(self, robot: int) -> Budget:
+        bucket = self._around[robot]
+        return self._budget if bucket is None else Budget(bucket.left)
 
     def shared(self, robot: int) -> Budget:
         """Return the remaining budget that a robot shares with others."""
         if not self._reuse or self._budget.unlimited:
             return self.left
-        around = (robot, *self._neighbors.get(robot, ()))
-        return self._budget.minus(max(self._used[each] for each in around))
+        around = map(self._left_around, (robot, *self._neighbors.get(robot, ())))
+        return reduce(Budget.least, around)
 
     def own(self, robot: int) -> Budget:
         """Return the remaining bytes that a robot itself can send."""
-        left = UNLIMITED
-        if self._can_send[robot]:
-            left = Budget(self._can_send[robot] - self._sent[robot])
+        bucket = self._senders[robot]
+        left = UNLIMITED if bucket is None else Budget(bucket.left)
         if self._earned is not None:
             left = left.least(Budget(int(self._saved[robot])))
         return left
@@ -121,10 +164,10 @@ class Airtime:
     def book(self, robot: int, size: int) -> None:
         """Record that a robot has sent `size` bytes."""
         self.left = self.left.minus(size)
-        if self._reuse:
-            for each in (robot, *self._neighbors.get(robot, ())):
-                self._used[each] += size
-        self._sent[robot] += size
+        around = (robot, *self._neighbors.get(robot, ())) if self._reuse else (0,)
+        for bucket in (self._senders[robot], *(self._around[each] for each in around)):
+            if bucket is not None:
+                bucket.take(size)
         if self._earned is not None:
             self._saved[robot] -= size
 

@@ -1,6 +1,7 @@
 """The medium: it carries frames as far as the budget allows, and logs every frame and its fate.
 
-All bytes on the air count against the budget, a broadcast once; unused budget lapses. A frame of several packets
+All bytes on the air count against the budget, a broadcast once; unused budget lapses, unless steps end by the wall
+clock (`netshaper.settings.RadioSettings.saving`). A frame of several packets
 is cut at a packet boundary where the budget ends. On a perfect radio, the first packet that does not fit closes the
 medium for the rest of the step, except for a packet of news: there a shorter frame may still use the rest.
 """
@@ -63,6 +64,7 @@ class Medium:
             send=settings.send or [options.send_bytes] * settings.robots,
             receive=settings.receive or [options.receive_bytes] * settings.robots,
             duty_cycle=options.duty_cycle,
+            saving=settings.saving,
         )
         self.carried = 0
         """Bytes that were on the air in this step."""

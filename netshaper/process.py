@@ -125,7 +125,7 @@ class RelayNode:
     def _max_frame_bytes(self) -> int:
         """Maximum bytes of a frame; the relay rejects longer ones."""
         settings = self._radio.settings
-        limit = settings.budget.limit
+        limit = settings.most_at_once
         return MAX_FRAME if limit is None else limit + max(MIN_FRAME, settings.maps * EXTRA_PER_MAP)
 
     def missing(self) -> list[str]:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from netshaper.radio_options import RadioOptions
+from netshaper.airtime import Saving
+from netshaper.radio_options import MIN_FRAME, RadioOptions
 from protocol import packets
 from protocol.budget import UNLIMITED, Budget
 from protocol.grid import Grid
 from protocol.messages import Change, FaultEvent
+from protocol.token_bucket import SECOND
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +66,22 @@ class RadioSettings:
     def maps(self) -> int:
         """Maximum number of maps."""
         return self.robots * self.incarnations
+
+    @property
+    def saving(self) -> Saving:
+        """What can be saved of budgets: nothing beyond a step with the barrier.
+
+        By the wall clock, steps may be short: a second's budget can be saved, and at least one frame, as in the field.
+        """
+        if self.step_ns is None:
+            return Saving()
+        return Saving(max(1, round(SECOND / self.step_ns)), self.options.frame_bytes or MIN_FRAME)
+
+    @property
+    def most_at_once(self) -> int | None:
+        """Bytes that the team can send in one step at most; None: no limit."""
+        limit = self.budget.limit
+        return self.saving.capacity(limit) if limit else limit
 
     @property
     def perfect(self) -> bool:

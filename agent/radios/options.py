@@ -6,13 +6,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
-from agent.radios.pacing import ALWAYS, SECOND, DutyCycle, Pacer, TokenBucket
+from agent.radios.pacing import ALWAYS, DutyCycle, Pacer
 from agent.radios.peer_medium import FRAME_OVERHEAD, WORTHWHILE, Timing
 from agent.radios.serial_modem import BAUD_RATES, SerialModem
 from agent.radios.transport import Transport
 from agent.radios.udp import GROUP, MAX_DATAGRAM, PORT, UdpRadio
 from protocol.errors import there_are
 from protocol.presets import PRESETS
+from protocol.token_bucket import SECOND, TokenBucket
 
 MIN_PACKETS = 16
 """Minimum bytes of packets in a frame: the longest packet that cannot be split, a broadcast, and a checksum."""

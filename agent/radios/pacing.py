@@ -2,7 +2,7 @@
 
 Four rules hold at the same time, each a small class or function of its own:
 
-    bytes per second   a token bucket (as in RFC 2697) that holds at least one frame
+    bytes per second   a token bucket that holds at least one frame (`protocol.token_bucket`)
     duty cycle         a token bucket of airtime, with at most a share of any hour (ETSI EN 300 220)
     one at a time      a frame begins after the airtime of the last one
     random back-off    a frame waits a random time first, so that robots with equal steps rarely collide
@@ -13,9 +13,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from protocol.keyed_random import keyed_random
+from protocol.token_bucket import SECOND, TokenBucket
 
-SECOND = 1_000_000_000
-"""Nanoseconds of a second."""
 HOUR = 3600 * SECOND
 
 ALWAYS = 1_000_000
@@ -25,42 +24,12 @@ AT_ONCE = 10
 """The part of an hour's airtime that can be used at once, as a divisor."""
 
 
-class TokenBucket:
-    """Bytes that may be sent: `rate` more per second, and `capacity` at most; full at first.
-
-    Raises
-    ------
-    ValueError
-        The rate is not positive, or the bucket does not hold a frame of `frame_bytes`.
-    """
-
-    def __init__(self, rate: int, capacity: int, frame_bytes: int, now: int) -> None:
-        if rate < 1:
-            raise ValueError(f"{rate} bytes per second: must be 1 or more")
-        if capacity < frame_bytes:
-            raise ValueError(f"a bucket of {capacity} bytes never holds a frame of {frame_bytes} bytes")
-        self._rate = rate
-        self._capacity = capacity * SECOND
-        self._credit = self._capacity
-        """Bytes times `SECOND`: an integer at every nanosecond."""
-        self._now = now
-
-    def room(self, now: int) -> int:
-        """Return how many bytes may be sent now."""
-        self._credit = min(self._credit + self._rate * max(0, now - self._now), self._capacity)
-        self._now = max(now, self._now)
-        return max(0, self._credit // SECOND)
-
-    def take(self, size: int) -> None:
-        """Take bytes out of the bucket, as it was at the last call of `room`."""
-        self._credit -= size * SECOND
-
-
 class DutyCycle:
-    """A token bucket of airtime, full at first, with which no hour has more than its share of airtime.
+    """A token bucket of airtime, empty at first, with which no hour has more than its share of airtime.
 
     What the bucket holds and what flows in within an hour are together that share. So airtime is spread over the hour:
-    a tenth of it, or the airtime of the longest frame if that is more, can be used at once.
+    a tenth of it, or the airtime of the longest frame if that is more, can be used at once. A robot that starts again
+    may have used its share before: an empty bucket keeps the limit in every hour.
 
     Parameters
     ----------
@@ -91,7 +60,7 @@ class DutyCycle:
         """Nanoseconds in which `_flow` nanoseconds of airtime flow in."""
         self._flow = most - capacity
         self._capacity = capacity * self._span
-        self._credit = self._capacity
+        self._credit = 0
         """Airtime times `_span`: an integer at every nanosecond."""
         self._now = now
 

@@ -26,7 +26,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from agent.radios.neighbors import Neighbors
-from agent.radios.pacing import SECOND, Pacer
+from agent.radios.pacing import Pacer
 from agent.radios.sealing import OVERHEAD, Opener, Sealer
 from protocol.budget import Budget
 from protocol.messages import (
@@ -41,6 +41,7 @@ from protocol.messages import (
     SendReport,
 )
 from protocol.packet_index import index_of
+from protocol.token_bucket import SECOND
 
 LENGTH_FIELD = 1
 MAX_BROADCAST = 255

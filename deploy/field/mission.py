@@ -13,7 +13,6 @@ from typing import Any
 
 from agent.field import FieldFiles, FieldRobot, drive
 from agent.journal import JournalError
-from agent.radios.pacing import SECOND
 from agent.radios.peer_medium import FrameRecord
 from agent.radios.team_key import read_key
 from agent.radios.transport import Transport
@@ -24,6 +23,7 @@ from deploy.field.ros2_robot import Ros2Robot
 from deploy.field.running import running
 from deploy.record.field_records import FieldRecorder
 from protocol.errors import ProtocolError
+from protocol.token_bucket import SECOND
 
 SLICE_NS = SECOND // 10
 """Nanoseconds after which a waiting robot looks for messages, signals, and the request to stop."""

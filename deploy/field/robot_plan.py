@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 
 from agent.pose_guard import PoseGuard
-from agent.radios.pacing import SECOND
 from agent.replication.policies import GOSSIP
 from agent.settings import EncodingSettings, MediumSettings, ReplicationSettings, Settings
 from deploy.field.robot_file import RobotSettings
@@ -14,6 +13,7 @@ from protocol.body import Body
 from protocol.budget import Budget
 from protocol.map_frame import MapFrame
 from protocol.range_scans import TURN, Laser
+from protocol.token_bucket import SECOND
 
 JUMP_M = 0.5
 """Distance that any two poses may differ in addition to what the robot drives: SLAM corrects it."""

@@ -13,7 +13,6 @@ from agent.bodies.goals import GoalTracker
 from agent.bodies.markers import layers, marker_array
 from agent.bodies.ros2 import BodySettings, Ros2Body
 from agent.bodies.team_map import occupancy_grid
-from agent.radios.pacing import SECOND
 from agent.robot import Robot
 from deploy.field.goals import GoalSender
 from deploy.field.robot_file import RobotSettings
@@ -24,6 +23,7 @@ from protocol.range_scans import Laser
 from protocol.ros2.messages import LASER_SCAN, MARKERS, OCCUPANCY_GRID, STRING, TRANSFORMS
 from protocol.ros2.node import Ros2Node
 from protocol.ros2.qos import LATCHED, SENSOR, TF, TF_STATIC
+from protocol.token_bucket import SECOND
 from protocol.transforms import Pose
 
 REPEAT_S = 10.0

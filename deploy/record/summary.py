@@ -17,6 +17,7 @@ from deploy.record.recorded_runs import recorded_figures
 from deploy.record.records import Records
 from deploy.record.versions import versions
 from deploy.scenario.plan import Plan
+from netshaper.airtime import Saving
 from netshaper.ledger import CAUSES, sort_rows
 from protocol.budget import Budget
 from protocol.grid import FREE, OCCUPIED, Grid
@@ -75,7 +76,7 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "packets": per_kind(ledger, "packets"),
         **recorded_figures(plan, records, steps, sizes["total"]),
         **_approximation_error(records, first, int(reachable.sum())),
-        "over_budget_steps": _over_budget(ledger, allowed, each=scenario.radio.reuse),
+        "over_budget_steps": _over_budget(ledger, allowed, plan.radio.saving, each=scenario.radio.reuse),
         "undelivered": undelivered(ledger),
         "lost": {str(robot): cause for robot, cause in sorted(records.lost.items())},
         "returned": [list(each) for each in records.returned],
@@ -194,8 +195,10 @@ def _explored_at(plan: Plan, steps: int) -> int:
     return steps - sure_after(plan.robot_settings[0])
 
 
-def _over_budget(ledger: NDArray[np.void], allowed: NDArray[np.float64], *, each: bool) -> int:
-    """Count the steps that exceeded their budget; there must be none.
+def _over_budget(
+    ledger: NDArray[np.void], allowed: NDArray[np.float64], saving: Saving, *, each: bool
+) -> int:
+    """Count the steps that exceeded their budget and what was saved before; there must be none.
 
     If each neighborhood has a budget (`each`), count the steps in which one robot exceeded it.
     """
@@ -204,7 +207,13 @@ def _over_budget(ledger: NDArray[np.void], allowed: NDArray[np.float64], *, each
     group = ledger["sender"] * each
     sent = np.zeros((len(allowed), group.max() + 1), np.int64)
     np.add.at(sent, (ledger["step"], group), ledger["bytes"] * ledger["carried"])
-    return int((sent > allowed[:, None]).any(axis=1).sum())
+    over, left = 0, np.full(sent.shape[1], np.inf)
+    for budget, of_step in zip(allowed.tolist(), sent, strict=True):
+        capacity = max(saving.steps * budget, saving.least) if budget else 0.0
+        left = np.minimum(left + budget, capacity)
+        over += bool((of_step > left).any())
+        left = np.maximum(left - of_step, 0.0)
+    return over
 
 
 def budgets(budget: Budget, changes: Iterable[Change], steps: int) -> NDArray[np.float64]:

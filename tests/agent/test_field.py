@@ -11,12 +11,12 @@ from agent.field import FieldFiles, FieldRobot, drive, field_settings, team_cont
 from agent.pose_guard import PoseGuard
 from agent.radios.memory_air import Faults, MemoryAir
 from agent.radios.options import LinkOptions
-from agent.radios.pacing import SECOND
 from agent.radios.sealing import KEY_BYTES, Sealer
 from agent.radios.session_file import SessionFileError
 from agent.settings import Settings
 from protocol.messages import Move, Sense
 from protocol.range_scans import Laser
+from protocol.token_bucket import SECOND
 from tests.agent.radios.air_team import Wire, WorldBody
 from tests.system.team import small_plan
 from worldsim.base import BaseWorld

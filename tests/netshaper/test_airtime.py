@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from netshaper.airtime import HOUR, RECENT, Airtime, Shares, cut_into_frames
+from netshaper.airtime import HOUR_S, RECENT, Airtime, Saving, Shares, cut_into_frames
 from protocol import packet_index
 from protocol.budget import UNLIMITED, Budget
 from protocol.packets import Fragment, encode
@@ -76,14 +76,34 @@ def test_no_neighborhood_exceeds_the_budget(transmissions: list[tuple[int, int]]
 def test_a_duty_cycle_holds_over_an_hour_and_saved_airtime_is_bounded() -> None:
     air = Airtime(Budget(100), 1, duty_cycle=0.01)
     sent = []
-    for _ in range(2 * HOUR):
+    for _ in range(2 * HOUR_S):
         air.next_step({0: []})
         size = min(100, air.room(0).limit or 0)
         air.book(0, size)
         sent.append(size)
     # The bucket begins with an hour's bytes, and then refills step by step.
-    assert sum(sent) == pytest.approx(3 * HOUR, abs=2)
-    assert sum(sent[HOUR:]) == pytest.approx(HOUR, abs=2)
+    assert sum(sent) == pytest.approx(3 * HOUR_S, abs=2)
+    assert sum(sent[HOUR_S:]) == pytest.approx(HOUR_S, abs=2)
+
+
+def test_a_small_budget_per_step_is_saved_for_a_frame() -> None:
+    air = Airtime(Budget(6), 2, send=[0, 4], saving=Saving(steps=1, least=16))
+    room = []
+    for step in range(5):
+        air.next_step({0: [1], 1: [0]})
+        if step == 1:
+            air.book(0, 16)
+        room.append((air.room(0).limit, air.room(1).limit))
+    assert room == [(16, 16), (0, 0), (6, 6), (12, 12), (16, 16)]
+
+
+def test_saved_budgets_of_neighborhoods_and_robots_are_separate() -> None:
+    air = Airtime(Budget(10), 4, reuse=True, saving=Saving(steps=5))
+    air.next_step(LINE)
+    air.book(0, 45)
+    assert [air.room(robot).limit for robot in range(4)] == [5, 5, 5, 50]
+    air.next_step(LINE)
+    assert [air.room(robot).limit for robot in range(4)] == [15, 15, 15, 50]
 
 
 def test_a_robot_sends_and_receives_no_more_than_its_limits() -> None:

@@ -17,7 +17,7 @@ import pytest
 from deploy.commands.terminal import summary_lines
 from deploy.record.missed_phases import MISSED
 from deploy.record.records import Records
-from deploy.record.summary import digest
+from deploy.record.summary import digest, summarize
 from deploy.run.control import why_unrepeatable
 from deploy.run.exploration import Result, explore
 from deploy.run.in_memory import MemoryRun
@@ -209,3 +209,19 @@ def test_one_process_cannot_follow_the_wall_clock() -> None:
         explore(keep=False, step_s=0.2, bus="memory")
     with pytest.raises(ValueError, match="omit the pace"):
         explore(keep=False, clock="wall", pace=3.0)
+
+
+def test_budgets_of_short_steps_are_saved_for_whole_frames() -> None:
+    settings: dict[str, Any] = RADIOS["gossip"] | {"robots": 3, "steps": 60, "bandwidth": 8, "seed": 1}
+    plan = small_plan(clock="wall", step_s=0.2, **settings)
+    records = MemoryRun(plan, missed=[]).complete()
+    ledger = records.ledger()
+    sent = np.bincount(ledger["step"], ledger["bytes"] * ledger["carried"])
+    assert 8 < max(sent) <= 5 * 8
+    assert np.cumsum(sent).max() <= 8 * len(sent) + 5 * 8
+    assert summarize(plan, records, 1.0)["over_budget_steps"] == 0
+    barrier = MemoryRun(small_plan(**settings)).complete().ledger()
+    assert max(np.bincount(barrier["step"], barrier["bytes"] * barrier["carried"])) <= 8
+    assert summarize(plan, records, 1.0)["digest"] == digest(
+        MemoryRun(plan, missed=records.missed).complete()
+    )

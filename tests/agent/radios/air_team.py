@@ -15,12 +15,12 @@ from msgspec.structs import replace
 from agent.field import FieldFiles, FieldRobot
 from agent.pose_guard import PoseGuard
 from agent.radios.options import LinkOptions
-from agent.radios.pacing import SECOND
 from agent.radios.sealing import KEY_BYTES
 from agent.radios.transport import Transport
 from agent.robot import Robot
 from deploy.scenario.plan import Plan
 from protocol.messages import Move, Sense
+from protocol.token_bucket import SECOND
 
 KEY = bytes(range(KEY_BYTES))
 

@@ -9,8 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.radios.neighbors import Neighbors
-from agent.radios.pacing import ALWAYS, HOUR, SECOND, DutyCycle, Pacer, TokenBucket
+from agent.radios.pacing import ALWAYS, HOUR, DutyCycle, Pacer
 from protocol.presets import PRESETS
+from protocol.token_bucket import SECOND, TokenBucket
 
 GAPS = st.lists(st.tuples(st.integers(0, 20 * SECOND), st.integers(1, 300)), max_size=60)
 
@@ -55,7 +56,7 @@ def test_a_duty_cycle_agrees_with_exact_fractions_and_holds_in_every_hour(
     now, sent = 0, list[tuple[int, int]]()
     duty, most = DutyCycle(share, 60 * SECOND, delay + 60 * SECOND, now), HOUR * share // ALWAYS
     capacity = max(most // 10, 60 * SECOND)
-    level = Fraction(capacity)
+    level = Fraction(0)
     for gap, airtime in frames:
         now += gap
         level += Fraction((most - capacity) * gap, HOUR + delay + 60 * SECOND)
@@ -117,11 +118,13 @@ def test_the_back_off_differs_between_robots_and_frames_but_not_between_runs() -
 
 def test_where_the_duty_cycle_leaves_less_airtime_the_frame_is_shorter() -> None:
     pace = pacer(1000, 1000, share=700)  # 2.52 s of airtime per hour, 252 ms at once
+    assert pace.room(0) == 0, "the robot may have used its share before it started"
     for second, expected in enumerate((100, 100, 53, 0)):
-        assert pace.room(second * SECOND) == expected
+        now = HOUR + second * SECOND
+        assert pace.room(now) == expected
         if expected:
-            pace.schedule(expected, second * SECOND)
-    assert pace.room(HOUR) == 100
+            pace.schedule(expected, now)
+    assert pace.room(2 * HOUR) == 100
 
 
 @pytest.mark.parametrize("name", PRESETS)

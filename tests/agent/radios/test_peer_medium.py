@@ -9,7 +9,6 @@ import pytest
 
 from agent.radios.memory_air import Faults, MemoryAir
 from agent.radios.options import MIN_FRAME, LinkOptions
-from agent.radios.pacing import SECOND
 from agent.radios.peer_medium import FRAME_OVERHEAD, MAX_BROADCAST, MAX_WAITING, WORTHWHILE, PeerMedium
 from agent.radios.sealing import KEY_BYTES, OVERHEAD, Opener, Sealer
 from protocol.budget import Budget
@@ -25,6 +24,7 @@ from protocol.messages import (
     SendReport,
 )
 from protocol.packets import HeldEarly, Pose, encode
+from protocol.token_bucket import SECOND
 
 KEY = bytes(range(KEY_BYTES))
 OPTIONS = LinkOptions("udp", interface="lo", bytes_per_s=100, frame_bytes=200, interval_s=1.0)

@@ -14,10 +14,10 @@ import pytest
 
 from agent.radios.cobs import LineReader, line
 from agent.radios.options import LinkOptions
-from agent.radios.pacing import SECOND
 from agent.radios.serial_modem import SerialModem
 from agent.radios.transport import MAX_PER_CALL, Transport, TransportError, waiting
 from protocol.keyed_random import keyed_random
+from protocol.token_bucket import SECOND
 from tests.agent.radios.air_team import AirTeam, assert_maps_agree, exchange_all
 from tests.agent.radios.test_teams_on_the_air import TEAM
 from tests.system.team import small_plan

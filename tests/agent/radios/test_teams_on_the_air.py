@@ -11,9 +11,9 @@ import numpy as np
 from agent.field import team_context
 from agent.radios.memory_air import Faults, MemoryAir
 from agent.radios.options import LinkOptions
-from agent.radios.pacing import SECOND
 from agent.radios.sealing import KEY_BYTES, Sealer
 from agent.radios.transport import Transport
+from protocol.token_bucket import SECOND
 from tests.agent.radios.air_team import KEY, AirTeam, assert_maps_agree, exchange_all
 from tests.system.team import small_plan
 

@@ -7,10 +7,10 @@ from pathlib import Path
 
 from agent.radios.memory_air import MemoryAir
 from agent.radios.options import LinkOptions
-from agent.radios.pacing import SECOND
 from agent.radios.peer_medium import FrameRecord
 from deploy.record.field_records import FieldRecorder, RobotSetup
 from deploy.scenario.plan import Plan
+from protocol.token_bucket import SECOND
 from tests.agent.radios.air_team import AirTeam, Member
 
 CORNER = -5.0, 2.0

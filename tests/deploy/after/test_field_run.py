@@ -13,7 +13,6 @@ import pytest
 
 import murmur
 from agent.radios.memory_air import Faults, MemoryAir
-from agent.radios.pacing import SECOND
 from deploy.after.archive import Archive, read
 from deploy.after.field_summary import NEEDS_TRUTH
 from deploy.after.merge import merge
@@ -22,6 +21,7 @@ from deploy.record.field_records import END, MAPS, SETUP, STEP_LINES, read_field
 from deploy.run.exploration import NOT_FINISHED, Result
 from deploy.scenario.scenario import ScenarioError
 from protocol.grid import FREE, UNKNOWN, Grid
+from protocol.token_bucket import SECOND
 from tests.deploy.after.recorded_team import CORNER, RATE, RecordedTeam
 from tests.deploy.commands.office_floor import murmur as command
 from tests.system.team import small_plan

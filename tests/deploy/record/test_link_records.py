@@ -9,11 +9,11 @@ from pyarrow import parquet
 
 from agent.radios.memory_air import Faults, MemoryAir
 from agent.radios.options import LinkOptions
-from agent.radios.pacing import SECOND
 from agent.radios.peer_medium import FrameRecord
 from deploy.record.link_records import FRAMES, LinkRecorder, frame_log, read_frames
 from netshaper import capture, pcapng
 from protocol.packets import HeldEarly, Pose, encode
+from protocol.token_bucket import SECOND
 from tests.agent.radios.air_team import AirTeam
 from tests.system.team import small_plan
 
