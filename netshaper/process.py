@@ -182,7 +182,7 @@ class RelayNode:
     def _continue_without(self, robots: Collection[int]) -> None:
         """Continue the step without robots that miss this phase of the medium."""
         step, number, phase = self._radio.phase
-        self._put(names.RECORDER, pack(Missed(step, phase, number, list(robots))))
+        self._report(Missed(step, phase, number, list(robots)))
         self._radio.skip(robots)
         self._send_events()
 

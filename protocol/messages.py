@@ -472,7 +472,7 @@ class Outlines(Record, tag=21, frozen=True):
 
 
 class Missed(Record, tag=30, frozen=True):
-    """World or relay to recorder: by the wall clock, robots missed a phase of a step (docs/clocks.md).
+    """World or relay to recorder and viewer: by the wall clock, robots missed a phase of a step (docs/clocks.md).
 
     `phase`: of the medium, with its `round`; from the world ``step`` if they took no part in the step, and ``move`` if
     their moves were late.

@@ -236,8 +236,7 @@ class WorldNode:
     def _report_missed(self, phase: str, robots: list[int]) -> None:
         """Report the robots, if any, that miss a phase of this step."""
         if robots:
-            missed = pack(messages.Missed(self._world.step, phase, 0, robots))
-            self._bus.put(self._keys.control(names.RECORDER, names.WORLD), missed)
+            self._report(messages.Missed(self._world.step, phase, 0, robots))
 
     def _report_error(self, sender: str, reason: str) -> None:
         """Report a malformed or inconsistent message; give up on a robot that sends too many in one step."""

@@ -25,7 +25,8 @@ from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import Scenario, parse
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, UNKNOWN, Grid
-from protocol.messages import MapChanges, Outlines, RobotStatus, WorldReport
+from protocol.messages import MapChanges, Missed, Outlines, RobotStatus, WorldReport
+from worldsim.clock import MOVE
 from worldsim.map_error import MapError
 from worldsim.maps import Map
 
@@ -248,10 +249,12 @@ def _take_steps(records: Records, plan: Plan, starts: Sequence[FieldStart], time
         poses: list[tuple[int, ...]] = []
         distances = [0] * records.robots
         for robot, own in states.items():
-            line = own.get(step)
+            line, before = own.get(step), own.get(step - 1)
             distances[robot] = driven[robot].get(step, distances[robot])
             if line is None:
                 continue
+            if before is not None and line.late_steps > before.late_steps:
+                records.missed.append(Missed(step, MOVE, 0, [robot]))
             poses.append((robot, line.x_mm or 0, line.y_mm or 0, line.heading or 0))
             records.statuses[robot].append(
                 RobotStatus(

@@ -11,7 +11,7 @@ from deploy.record.records import Records
 from deploy.scenario.plan import Plan
 from netshaper.ledger import ROW
 from protocol import keys as names
-from protocol.messages import Outlines, RadioReport, Snapshot, grid_to_bytes
+from protocol.messages import Missed, Outlines, RadioReport, Snapshot, grid_to_bytes
 
 
 def record_view(plan: Plan, records: Records, path: Path) -> None:
@@ -20,6 +20,9 @@ def record_view(plan: Plan, records: Records, path: Path) -> None:
 
     maps = _maps(records)
     rows = {int(np.frombuffer(each, ROW)["step"][0]): each for each in records.rows if each}
+    missed: defaultdict[int, list[Missed]] = defaultdict(list)
+    for each in records.missed:
+        missed[each.step].append(each)
     statuses = {(robot, status.step): status for robot, own in enumerate(records.statuses) for status in own}
     with recording(plan, path, None) as recorder:
         for report in records.world:
@@ -30,6 +33,8 @@ def record_view(plan: Plan, records: Records, path: Path) -> None:
                     recorder.take(names.robot(robot), status)
                 for shown in maps.get((robot, step), []):
                     recorder.take(names.robot(robot), shown)
+            for late in missed[step]:
+                recorder.take(names.WORLD, late)
             of_step = rows.get(step, b"")
             table = np.frombuffer(of_step, ROW)
             carried = int(table["bytes"][table["carried"] == 1].sum())

@@ -80,7 +80,7 @@ def _map(
 
 
 def _series(plan: Plan) -> list[rrb.View | rrb.Container]:
-    """Help, traffic, map quality (with noisy sensors, the walls in front), backlog, events."""
+    """Help, traffic, map quality (with noisy sensors, the walls in front), backlog and missed steps, events."""
     no_legend = rrb.PlotLegend(visible=False)
     quality = [
         rrb.TimeSeriesView(
@@ -92,6 +92,9 @@ def _series(plan: Plan) -> list[rrb.View | rrb.Container]:
             ("/walls/precision", "Walls, precision [%]"),
         )
     ]
+    waiting = [rrb.TimeSeriesView(origin="/backlog", name="Undelivered packets", plot_legend=no_legend)]
+    if plan.scenario.clock != "barrier":
+        waiting.append(rrb.TimeSeriesView(origin="/missed", name="Missed steps", plot_legend=no_legend))
     return [
         rrb.TextDocumentView(origin="/help", name="Help"),
         rrb.TimeSeriesView(
@@ -106,7 +109,7 @@ def _series(plan: Plan) -> list[rrb.View | rrb.Container]:
             visual_bounds=rrb.VisualBounds2D(x_range=[-5, 105], y_range=[0, SHARES_HEIGHT]),
         ),
         rrb.Tabs(*quality, active_tab=1 if plan.scenario.is_noisy else 0),
-        rrb.TimeSeriesView(origin="/backlog", name="Undelivered packets", plot_legend=no_legend),
+        rrb.Tabs(*waiting) if len(waiting) > 1 else waiting[0],
         rrb.TextLogView(
             origin="/events",
             name="Events",

@@ -151,7 +151,8 @@ class Recorder:
         self._log("explored/team", team, static=True)
         on_map = "on the map of robot"
         for path, label in (
-            ("explored/maps", on_map), ("walls/f1", on_map), ("walls/precision", on_map), ("backlog", "robot"),
+            ("explored/maps", on_map), ("walls/f1", on_map), ("walls/precision", on_map),
+            ("backlog", "robot"), ("missed", "robot"),
         ):  # fmt: skip
             named = [f"{label} {robot}" for robot in self._robots]
             series = rr.SeriesLines(names=named, colors=colors, widths=[1.5] * len(colors))
@@ -206,6 +207,8 @@ class Recorder:
         self._log("walls/f1", rr.Scalars([_percent(score.f1) for score in scores]))
         self._log("walls/precision", rr.Scalars([_percent(score.precision) for score in scores]))
         self._log("backlog", rr.Scalars([events.backlog.get(robot, 0) for robot in self._robots]))
+        if self._plan.scenario.clock != "barrier":
+            self._log("missed", rr.Scalars([events.missed[robot] for robot in self._robots]))
 
     def _draw_targets(self) -> None:
         events = self.events

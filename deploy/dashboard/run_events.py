@@ -16,7 +16,8 @@ from deploy.scenario.plan import Plan
 from netshaper.ledger import CAUSES, EVERYONE, KIND_NUMBER, ROW
 from protocol import keys as names
 from protocol.budget import UNLIMITED, Budget
-from protocol.messages import Change, End, ErrorReport, Lost, RadioReport, RobotStatus, WorldReport
+from protocol.messages import Change, End, ErrorReport, Lost, Missed, RadioReport, RobotStatus, WorldReport
+from worldsim.clock import MOVE, STEP
 from worldsim.maps import to_world
 
 BUDGET = CAUSES.index("budget")
@@ -67,6 +68,8 @@ class RunEvents:
     """The true positions of the people in the building."""
     targets: dict[int, Point] = field(default_factory=dict)
     backlog: dict[int, int] = field(default_factory=dict)
+    missed: Counter[int] = field(default_factory=Counter)
+    """Steps so far that each robot has missed by the wall clock."""
     seen: float = 0.0
     """Fraction of the reachable cells that the team has seen."""
     in_range: set[tuple[int, int]] = field(default_factory=set)
@@ -92,6 +95,8 @@ class RunEvents:
             return self._radio(report)
         if isinstance(report, RobotStatus):
             return self._status(names.number(sender), report)
+        if isinstance(report, Missed):
+            return self._missed(report)
         if isinstance(report, Lost):
             self.positions.pop(report.robot, None)
             self.targets.pop(report.robot, None)
@@ -181,6 +186,17 @@ class RunEvents:
             events.append(Event(report.step, f"robot {robot} is idle: its map is complete", 1))
         (self.idle.add if idle else self.idle.discard)(robot)
         return events
+
+    def _missed(self, report: Missed) -> list[Event]:
+        named = ", ".join(map(str, report.robots))
+        robots = f"robot{'s' * (len(report.robots) > 1)} {named}"
+        if report.phase not in (MOVE, STEP):
+            return [
+                Event(report.step, f"{robots} answered too late: {report.phase} of round {report.round}", 1)
+            ]
+        self.missed.update(report.robots)
+        what = "missed the step" if report.phase == MOVE else "took no part: still at work on an earlier step"
+        return [Event(report.step, f"{robots} {what}", 2)]
 
     def _change(self, change: Change) -> list[Event]:
         changes = []

@@ -14,6 +14,7 @@ import numpy as np
 import psutil
 import pytest
 
+from deploy.after.report import write_report
 from deploy.commands.terminal import summary_lines
 from deploy.record.missed_phases import MISSED
 from deploy.record.records import Records
@@ -78,6 +79,9 @@ def test_a_stopped_robot_misses_steps_and_continues_and_the_run_repeats(tmp_path
     assert result.records.statuses[1][-1].step > max(missed_by(result, 1)[:3])
     assert result.summary["missed_steps_by_robot"][1] == len(missed_by(result, 1))
     assert result.summary["missed_steps"] == sum(result.summary["missed_steps_by_robot"])
+    page = write_report(out).read_text(encoding="utf-8")
+    assert "steps that robots missed" in page
+    assert "most by robot 1" in page
     assert not result.records.protocol_errors
     assert any("missed steps: " in line for line in summary_lines(result.summary, out, noisy=False))
     again = murmur("replay", str(out))

@@ -9,7 +9,7 @@ import pytest
 
 from deploy.dashboard.run_events import RunEvents, explain
 from netshaper.ledger import CAUSES, KIND_NUMBER, ROW
-from protocol.messages import End, ErrorReport, Lost, RadioReport, RobotStatus, WorldReport
+from protocol.messages import End, ErrorReport, Lost, Missed, RadioReport, RobotStatus, WorldReport
 from tests.deploy.small_run import reports, small_plan
 from worldsim.maps import to_world
 
@@ -50,6 +50,17 @@ def test_robots_come_into_range_and_are_lost_from_it(events: RunEvents) -> None:
     ]
     assert events.seen == 0.5
     assert events.positions[0] == to_world(small_plan().map, 10, 10)
+
+
+def test_missed_steps_are_counted_and_late_answers_of_the_radio_are_named(events: RunEvents) -> None:
+    assert texts(events, "relay", Missed(4, "offers", 1, [2])) == [
+        "robot 2 answered too late: offers of round 1"
+    ]
+    assert texts(events, "world", Missed(4, "move", 0, [0, 2])) == ["robots 0, 2 missed the step"]
+    assert texts(events, "world", Missed(5, "step", 0, [2])) == [
+        "robot 2 took no part: still at work on an earlier step"
+    ]
+    assert events.missed == {0: 1, 2: 2}
 
 
 def test_a_target_is_logged_if_it_is_another_frontier(events: RunEvents) -> None:
