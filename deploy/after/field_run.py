@@ -245,9 +245,9 @@ def _take_steps(records: Records, plan: Plan, starts: Sequence[FieldStart], time
     seen = _seen(records, plan, timeline.steps)
     driven = {robot: _driven(own, plan.map.resolution) for robot, own in states.items()}
     total = int(np.count_nonzero(plan.reachable))
+    distances = [0] * records.robots
     for step in range(1, timeline.steps + 1):
         poses: list[tuple[int, ...]] = []
-        distances = [0] * records.robots
         for robot, own in states.items():
             line, before = own.get(step), own.get(step - 1)
             distances[robot] = driven[robot].get(step, distances[robot])
@@ -263,7 +263,7 @@ def _take_steps(records: Records, plan: Plan, starts: Sequence[FieldStart], time
                 )
             )  # fmt: skip
         records.world.append(
-            WorldReport(step, np.array(poses, "<i4").tobytes(), distances, seen[step], total)
+            WorldReport(step, np.array(poses, "<i4").tobytes(), [*distances], seen[step], total)
         )
 
 

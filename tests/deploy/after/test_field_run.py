@@ -158,6 +158,17 @@ def test_the_joined_run_is_a_result_in_python(mission: Mission, tmp_path: Path) 
     assert result.plot().axes
 
 
+def test_a_robot_that_ends_early_keeps_the_distance_that_it_drove(mission: Mission, tmp_path: Path) -> None:
+    copy = tmp_path / "r0"
+    shutil.copytree(mission.folder / "r0" / "start-1", copy)
+    lines = (copy / STEP_LINES).read_text(encoding="utf-8").splitlines(keepends=True)
+    (copy / STEP_LINES).write_text("".join(lines[: STEPS // 2]), encoding="utf-8")
+    result = merge([copy, mission.folder / "r1"], tmp_path / "team")
+    own = result.steps.filter(result.steps["robot"] == 0)
+    assert own["step"].max() < result.summary["steps"]
+    assert result.summary["path_length"][0] == own["driven"].max() > 1
+
+
 def test_a_record_cannot_be_run_again(archive: Archive) -> None:
     for name in ("replay", "explore"):
         path = archive.directory if name == "replay" else archive.directory / "scenario.toml"
