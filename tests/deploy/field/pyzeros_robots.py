@@ -77,7 +77,7 @@ class PyzerosPublisher:
 
 
 class PyzerosNode:
-    """A node of pyzeros in the form of `protocol.ros2.node.Ros2Node`, as far as `RosRobot` uses it; it has no actions."""
+    """A node of pyzeros in the form of `protocol.ros2.node.Ros2Node`, as far as `RosRobot` uses it, without actions."""
 
     def __init__(self, router: str, namespace: str) -> None:
         self.messages = Messages("jazzy")
