@@ -20,6 +20,8 @@ from protocol.transforms import Pose
 
 WAITING_SCANS = 32
 """Scans that wait for the transform at their time."""
+LATE_NS = 10**9
+"""Time after the last scan with a known pose from which transforms count as missing; before, they may be on the way."""
 
 
 class ScanBody(Ros2Body):
@@ -88,7 +90,7 @@ class ScanBody(Ros2Body):
             self._note_missing(frame, "the laser's frame")
             return None
         pose = self._transforms.pose(frame, root, stamp)
-        if pose is None:
+        if pose is None and (self._pose is None or stamp - self._pose[0] > LATE_NS):
             self.problem = f"the transforms (tf) from {root!r} to {frame!r} are not of the time of the scans"
         return pose
 
