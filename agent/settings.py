@@ -78,6 +78,8 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Side of a cell in meters."""
     laser: Laser | None = None
     """The beams of the robots' lasers; None: exact readings in cells (`protocol.scans`)."""
+    has_own_map: bool = False
+    """Whether the robot makes its map by itself (`protocol.messages.Sense.own_map`); `laser` then only bounds it."""
     people: bool = False
     """Whether people walk about in the building: what lasers see as a wall may be a person."""
     incarnations: int = 1

@@ -73,6 +73,7 @@ Frame = Annotated[bytes, Meta(max_length=MAX_FRAME)]
 WayCells = Annotated[bytes, Meta(max_length=4 * MAX_WAY_CELLS)]
 WayPoints = Annotated[bytes, Meta(max_length=8 * MAX_WAY_CELLS)]
 Readings = Annotated[bytes, Meta(max_length=2 * MAX_BEAMS + 10)]
+OwnMap = Annotated[bytes, Meta(max_length=MAX_CELLS + 16)]
 EncodedSettings = Annotated[bytes, Meta(max_length=1 << 20)]
 Poses = Annotated[bytes, Meta(max_length=16 * MAX_ROBOTS)]
 People = Annotated[bytes, Meta(max_length=8 * MAX_PEOPLE)]
@@ -108,7 +109,8 @@ class Sense(Record, tag=2, frozen=True):
     `x`, `y`: cell. `heading`: eighths of a turn from +x towards +y. `driven`: cells entered since the last
     step. `readings`: one per beam (`protocol.scans`). `blocked`: why the last move stopped short. `offset_x`,
     `offset_y`: position within its cell, in thousandths of a cell from the center. `range_scan`: with a real laser,
-    its scan (`protocol.range_scans`); `readings` is empty then, and the position is the believed one.
+    its scan (`protocol.range_scans`); `readings` is empty then, and the position is the believed one. `own_map`: of a
+    robot that makes its map itself, what it knows of it (`protocol.map_part`), instead of a scan.
     """
 
     step: Step
@@ -121,6 +123,7 @@ class Sense(Record, tag=2, frozen=True):
     offset_x: Thousandths = 0
     offset_y: Thousandths = 0
     range_scan: Readings = b""
+    own_map: OwnMap = b""
 
     def __post_init__(self) -> None:
         if len(self.driven) % 4 or len(self.readings) % 2:

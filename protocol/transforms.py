@@ -106,6 +106,17 @@ class TransformBuffer:
         line = self.ancestors(frame)
         return root in line and all(self._edges[each].is_static for each in line[: line.index(root)])
 
+    def newest(self, frame: str, root: str) -> float | None:
+        """Return the newest time at which the pose of a frame in one of its ancestors may be known.
+
+        None if the frame is fixed there, or the pose of a frame between them is unknown.
+        """
+        line = self.ancestors(frame)
+        edges = [self._edges[each] for each in line[: line.index(root)]]
+        for edge in edges:
+            edge.sort()
+        return min((edge.stamps[-1] for edge in edges if not edge.is_static), default=None)
+
     def pose(self, frame: str, root: str, stamp: float) -> Pose | None:
         """Return the pose of a frame in one of its ancestors at a time; None if it was not known before and after."""
         found = Pose(0.0, 0.0, 0.0)

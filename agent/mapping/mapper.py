@@ -1,4 +1,7 @@
-"""From the world's messages to this robot's map: exact readings are drawn, scans of real lasers are estimated."""
+"""From the world's messages to this robot's map.
+
+Exact readings are drawn, scans of real lasers are estimated, and a map that the robot makes by itself is taken over.
+"""
 
 from __future__ import annotations
 
@@ -8,14 +11,17 @@ from abc import ABC, abstractmethod
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.mapping.estimator import SETTLED, Estimator, Int8Grid
+from agent.mapping.estimator import LEAST, MOST, SETTLED, Estimator, Int8Grid
 from agent.settings import Settings
+from protocol.boxes import NO_BOX, Box
 from protocol.errors import ProtocolError
-from protocol.grid import UNKNOWN, Grid, ray_table
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, ray_table
+from protocol.map_part import MapPart, decode_map_part
 from protocol.messages import Sense, cells_from_bytes
 from protocol.range_scans import (
     NO_MEASUREMENT,
     TURN,
+    UNIT,
     Laser,
     RangeScan,
     beam_ends,
@@ -27,6 +33,8 @@ from protocol.scans import Change, Scan, check_readings, draw
 
 WALL = "wall"
 """Why a move stopped short (`Sense.blocked`), if the robot bumped into something."""
+
+UNCHANGED = Change(0, NO_BOX)
 
 NEAR_M = 1.0
 """Distance in meters up to which beams of a scan cross every open cell in sight."""
@@ -100,6 +108,45 @@ class EstimatingMapper(Mapper):
         return np.abs(self._estimator.log_odds) >= SETTLED
 
 
+class GivenMapper(Mapper):
+    """Takes the map that the robot's own SLAM makes; a cell that it does not know any more keeps its state."""
+
+    def __init__(self, settings: Settings) -> None:
+        self.states = np.full((settings.height, settings.width), UNKNOWN, np.uint8)
+        self.log_odds = np.zeros((settings.height, settings.width), np.int8)
+
+    def add(self, sense: Sense) -> tuple[RangeScan, Change]:
+        """Take the part of the map that the robot has sent, if any; the robot's own cell is free."""
+        height, width = self.states.shape
+        if not (0 <= sense.x < width and 0 <= sense.y < height):
+            reason = f"cell ({sense.x}, {sense.y}) is outside the {width} x {height} grid"
+            raise ProtocolError("map part", 0, reason)
+        here = MapPart((sense.x, sense.y, sense.x + 1, sense.y + 1), np.full((1, 1), FREE, np.uint8))
+        change = UNCHANGED
+        if sense.own_map:
+            change = self._apply(decode_map_part(sense.own_map, height, width), except_for=here.box)
+        place = round((sense.x + 0.5) * UNIT), round((sense.y + 0.5) * UNIT)
+        scan = RangeScan(place, sense.heading * TURN // 8, np.empty(0, np.uint16))
+        return scan, change.joined(self._apply(here))
+
+    def _apply(self, part: MapPart, except_for: Box | None = None) -> Change:
+        """Take the known cells of a part, but those in a box; return which of them have changed."""
+        x0, y0, x1, y1 = part.box
+        states, log_odds = self.states[y0:y1, x0:x1], self.log_odds[y0:y1, x0:x1]
+        changed = (part.states != UNKNOWN) & (part.states != states)
+        if except_for is not None:
+            left, top, right, bottom = except_for
+            changed[max(0, top - y0) : max(0, bottom - y0), max(0, left - x0) : max(0, right - x0)] = False
+        rows, columns = np.nonzero(changed)
+        if not len(rows):
+            return UNCHANGED
+        self.known_cells += int(np.count_nonzero(states[rows, columns] == UNKNOWN))
+        states[rows, columns] = part.states[rows, columns]
+        log_odds[rows, columns] = np.where(states[rows, columns] == OCCUPIED, MOST, LEAST)
+        box = x0 + columns.min(), y0 + rows.min(), x0 + columns.max() + 1, y0 + rows.max() + 1
+        return Change(len(rows), (int(box[0]), int(box[1]), int(box[2]), int(box[3])))
+
+
 def add_scan(estimator: Estimator, scan: RangeScan, laser: Laser, resolution: float) -> Change:
     """Add a scan to a map, with medians of its ranges; the robot's own cell is free.
 
@@ -128,5 +175,7 @@ def cell_ahead(sense: Sense, radius_cells: float) -> tuple[int, int]:
 
 
 def make_mapper(settings: Settings) -> Mapper:
-    """Make the mapper that fits the robot's laser."""
+    """Make the mapper that fits the robot's sensors."""
+    if settings.has_own_map:
+        return GivenMapper(settings)
     return ExactMapper(settings) if settings.laser is None else EstimatingMapper(settings, settings.laser)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import json
 import platform
@@ -12,7 +13,7 @@ from typing import Annotated, Any
 import typer
 from rich.text import Text
 
-from deploy.commands.console import errors, screen
+from deploy.commands.console import BAD_INPUT, errors, fail, screen
 from deploy.commands.flags import JsonFlag, command_family, named_values, output_file
 from deploy.scenario.tables import MAX_RUNS
 
@@ -20,8 +21,21 @@ app = command_family()
 
 
 @app.command()
-def doctor() -> None:
-    """Check that this installation works: versions, compiled kernels, a small swarm on each bus."""
+def doctor(
+    ros2: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="ROBOT.toml", help="check the ROS 2 nodes of the robot with this settings file instead"
+        ),
+    ] = None,
+) -> None:
+    """Check that this installation works: versions, compiled kernels, a small swarm on each bus.
+
+    With --ros2, find out why a robot in the field stands still: key, router, nodes, topics, frames, and clocks. Exit
+    codes: 0 all is well, 1 something is wrong, 2 the settings file is wrong.
+    """
+    if ros2 is not None:
+        raise typer.Exit(0 if _robot_is_well(ros2) else 1)
     passed = True
     for name, check in CHECKS.items():
         try:
@@ -30,6 +44,30 @@ def doctor() -> None:
             passed = False
             screen.print(Text.assemble(("failed", "red"), f" {name}: {error}"))
     raise typer.Exit(0 if passed else 1)
+
+
+def _robot_is_well(file: Path) -> bool:
+    """Print the findings of all checks of a robot in the field; return whether nothing is wrong."""
+    from deploy.field.robot_file import load_robot  # noqa: PLC0415
+
+    settings = load_robot(file)
+    try:
+        from deploy.field.doctor import RobotDoctor, SkippedError, Trouble  # noqa: PLC0415
+    except ModuleNotFoundError as error:
+        fail(str(error), BAD_INPUT)
+    doctor, is_well = RobotDoctor(settings), True
+    with contextlib.closing(doctor):
+        for name, check in doctor.checks():
+            try:
+                screen.print(Text.assemble(("ok", "green"), f"      {name}: {check()}"))
+            except SkippedError as error:
+                screen.print(f"skipped {name}: {error}")
+            except Trouble as error:
+                is_well = False
+                screen.print(Text.assemble(("failed", "red"), f"  {name}: {error}"))
+                if error.fix:
+                    screen.print(f"        fix: {error.fix}")
+    return is_well
 
 
 @app.command()

@@ -5,5 +5,7 @@ robot_plan    the settings of its control logic, derived from them
 running       the lock and the request to stop of a robot that runs on this host
 goals         goals over `goal_pose` or `navigate_to_pose`
 ros2_robot    node and body
-mission       the loop from the first laser scan to the end
+mission       the loop from the first readings to the end
+listener      what the robot's nodes send, without sending anything
+doctor        checks of what the listener has received
 """

@@ -1,4 +1,4 @@
-"""The loop of a robot in the field: from the first laser scan until nothing is left to explore, or it is stopped."""
+"""The loop of a robot in the field: from its first readings until nothing is left to explore, or it is stopped."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ SLICE_NS = SECOND // 10
 STATUS_S, MARKERS_S, MAP_S = 1.0, 2.0, 2.0
 """Least seconds between two messages of a kind that the robot publishes."""
 PATIENCE_S = 3.0
-"""Seconds for which the first laser scan is awaited without a message."""
+"""Seconds for which the first readings are awaited without a message."""
 FREEZE = 0.5
 """Part of `finish_s` after which an explored map does not change any more: noise would always add entries to send."""
 EXPLORED = "nothing is left to explore, and teammates hold this robot's map"
@@ -99,13 +99,13 @@ def explore(file: RobotFile, say: Say) -> Ending:
         stack.callback(transport.close)
         ros = Ros2Robot(file.settings)
         stack.callback(ros.close)
-        if not wait_for_laser(ros, stop, say):
+        if not wait_for_readings(ros, stop, say):
             return Ending(stop.reason, is_complete=False)
         return Mission(file, key, ros, transport, stop, say).run()
 
 
-def wait_for_laser(ros: Ros2Robot, stop: StopRequest, say: Say) -> bool:
-    """Wait for the first laser scan, which defines the beams; return False if the robot is to stop before."""
+def wait_for_readings(ros: Ros2Robot, stop: StopRequest, say: Say) -> bool:
+    """Wait for the first laser scan, or the first map and pose; return False if the robot is to stop before."""
     shown, begin = "", time.monotonic()
     while not stop.reason:
         ros.spin(SLICE_NS / SECOND)
@@ -118,7 +118,7 @@ def wait_for_laser(ros: Ros2Robot, stop: StopRequest, say: Say) -> bool:
 
 
 class Mission:
-    """One start of a robot, from its first scan on."""
+    """One start of a robot, from its first readings on."""
 
     def __init__(
         self, file: RobotFile, key: bytes, ros: Ros2Robot, transport: Transport, stop: StopRequest, say: Say

@@ -75,7 +75,10 @@ class Ros2Table(Table):
     )
     namespace: str = Field("", description="namespace of the robot, as r1; empty: none")
     node: str = Field("murmur", description="name of the node")
-    scan: str = Field("scan", description="laser scans (sensor_msgs/LaserScan)")
+    scan: str = Field(
+        "scan",
+        description="laser scans (sensor_msgs/LaserScan); empty: the robot's own map takes their place",
+    )
     tf: str = Field("tf", description="transforms; some robots have them at /tf")
     tf_static: str = Field("tf_static", description="static transforms")
     map: str = Field("map", description="the robot's own map, which limits goals; empty: it has none")
@@ -88,6 +91,14 @@ class Ros2Table(Table):
     markers: str = Field("murmur/markers", description="where markers for RViz are published")
     map_frame: str = Field("map", description="the frame of the robot's map")
     base_frame: str = Field("base_link", description="the frame of the robot's base")
+
+    @model_validator(mode="after")
+    def _has_readings(self) -> Self:
+        if not self.scan and not self.map:
+            raise ValueError(
+                "scan and map are both empty, so that the robot has no readings; name one of them"
+            )
+        return self
 
     @model_validator(mode="after")
     def _takes_goals(self) -> Self:
@@ -182,12 +193,19 @@ class RobotSettings(Table):
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
-        from agent.strategies.registry import strategy  # noqa: PLC0415  loads kernels, which --help does not need
+        from agent.encodings.catalog import encoding_class  # noqa: PLC0415  loads kernels, which --help does not need
+        from agent.encodings.scans import ScanEncoding  # noqa: PLC0415
+        from agent.strategies.registry import strategy  # noqa: PLC0415
 
         chosen = strategy(self.strategy)
         chosen.check(self.options)
         if not chosen.explores:
             raise ValueError(f"strategy = {self.strategy!r}: does not explore; choose another one")
+        if not self.ros2.scan and issubclass(encoding_class(self.map_encoding), ScanEncoding):
+            raise ValueError(
+                f'ros2.scan = "": map_encoding = {self.map_encoding!r} sends laser scans; choose another encoding, '
+                "or name the scans"
+            )
         if self.robot >= self.robots:
             raise ValueError(
                 f"robot = {self.robot}: the last robot of {self.robots} has number {self.robots - 1}"
@@ -236,6 +254,15 @@ class RobotFile:
         """The directory of the session file."""
         given = self.settings.radio.sessions
         return self.folder / given if given else self.key.parent
+
+
+def source(settings: RobotSettings) -> str:
+    """Return what a robot's part of the team's map is made of, as text."""
+    names = settings.ros2
+    if names.scan:
+        return f"laser scans on {names.scan!r}, with poses from {names.tf!r}"
+    reach = f"{settings.sensor_range:g} m (sensor_range)"
+    return f"its own map on {names.map!r}, up to {reach} around its poses from {names.tf!r}, as scan is empty"
 
 
 def load_robot(path: Path) -> RobotFile:

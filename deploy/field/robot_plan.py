@@ -55,6 +55,7 @@ def agent_settings(settings: RobotSettings, laser: Laser) -> Settings:
         options=settings.options,
         resolution=cell,
         laser=laser,
+        has_own_map=not settings.ros2.scan,
         incarnations=settings.starts,
     )
 

@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 
 from agent.bodies.goals import GoalTracker
+from agent.bodies.map_body import MapBody
 from agent.bodies.markers import layers, marker_array
-from agent.bodies.ros2 import BodySettings, Ros2Body
+from agent.bodies.ros2 import BodySettings
+from agent.bodies.scan_body import ScanBody
 from agent.bodies.team_map import occupancy_grid
 from agent.robot import Robot
 from deploy.field.goals import GoalSender
@@ -55,17 +57,17 @@ class Ros2Robot:
         self._clock, self._wall_clock = clock, wall_clock
         self._grid = map_frame(settings)
         self._map_pose = Pose(x, y, float(np.radians(degrees)))
-        self._body = Ros2Body(
-            self._grid,
-            BodySettings(self._map_pose, settings.sensor_range, settings.speed, names.map_frame),
+        body_settings = BodySettings(
+            self._map_pose, settings.sensor_range, settings.speed, names.map_frame, names.base_frame
         )
+        self._body = (ScanBody if names.scan else MapBody)(self._grid, body_settings)
         self._tracker = GoalTracker(round(settings.patience_s * SECOND))
         self._scanned: tuple[int | None, int] = (None, clock())
-        """Time stamp of the last scan with a pose, and when it arrived."""
+        """Time stamp of the last known pose, and when it arrived."""
         self._sent = 0
         """When the goal was sent."""
         self.measures = True
-        """Whether scans change the robot's map."""
+        """Whether what the robot measures changes its map."""
         self._shown: Grid | None = None
         """The team's map that was published last."""
         try:
@@ -81,7 +83,7 @@ class Ros2Robot:
             raise
 
     def _connect(self) -> None:
-        """Declare the endpoints: transforms before scans, which need them."""
+        """Declare the endpoints: transforms before scans and maps, which need them."""
         node, names, body = self._node, self._names, self._body
         node.subscription(
             names.tf_static, TRANSFORMS, TF_STATIC, lambda tf, _: body.add_transforms(tf, is_static=True)
@@ -89,7 +91,8 @@ class Ros2Robot:
         node.subscription(names.tf, TRANSFORMS, TF, lambda tf, _: body.add_transforms(tf, is_static=False))
         if names.map:
             node.subscription(names.map, OCCUPANCY_GRID, LATCHED, lambda found, _: body.add_map(found))
-        node.subscription(names.scan, LASER_SCAN, SENSOR, lambda scan, _: body.add_scan(scan))
+        if isinstance(body, ScanBody):
+            node.subscription(names.scan, LASER_SCAN, SENSOR, lambda scan, _: body.add_scan(scan))
         self._goals = GoalSender(node, names)
         self._team_map = node.publisher(names.team_map, OCCUPANCY_GRID, LATCHED)
         self._status = node.publisher(names.status, STRING)
@@ -97,23 +100,24 @@ class Ros2Robot:
 
     @property
     def laser(self) -> Laser | None:
-        """The beams of the robot's laser; None before the first scan."""
+        """The beams of the robot's laser; None before the first scan, or without scans, before map and pose."""
         return self._body.laser
 
     @property
     def problem(self) -> str:
         """Why the robot stands still; empty if it does not have to."""
         if self._is_silent():
-            return self._body.problem or "no laser scan arrives any more"
+            return self._body.problem or self._body.silence
         if self._lacks_map():
-            return f'no map has arrived on {self._names.map}; set ros2.map = "" if the robot has none'
+            advice = '; set ros2.map = "" if the robot has none' if self._names.scan else ""
+            return f"no map has arrived on {self._names.map}{advice}"
         rejected = "; ".join(f"{name}: {error}" for name, error in self._node.rejected.items())
         return self._body.problem or (f"malformed messages: {rejected}" if rejected else "")
 
     def spin(self, timeout_s: float = 0.0) -> None:
         """Take what has arrived; without readings for too long, stop the robot."""
         self._node.spin(self._wall_clock(), timeout_s)
-        self._body.take_newest_scan()
+        self._body.take_newest()
         if (stamp := self._body.stamp_ns) != self._scanned[0]:
             self._scanned = stamp, self._clock()
         elif self._is_silent():
@@ -122,7 +126,7 @@ class Ros2Robot:
     # --- the body
 
     def sense(self, step: int) -> Sense | None:
-        """Return the readings of a step; None without a pose, after a jump, or if no scan arrives any more."""
+        """Return the readings of a step; None without a pose, after a jump, or if no reading arrives any more."""
         self.spin()
         sense = self._body.sense(step, measures=self.measures)
         return None if self._is_silent() or self._body.has_jumped else sense
@@ -193,7 +197,7 @@ class Ros2Robot:
         self._goals.stop(self._body.base(self._names.base_frame), self._stamp(), self._wall_clock())
 
     def _stamp(self) -> int:
-        """Return the time of the last scan: so all stamps are of the robot's clock, which may be a simulator's."""
+        """Return the time of the last pose: so all stamps are of the robot's clock, which may be a simulator's."""
         return self._body.stamp_ns or self._wall_clock()
 
     def _is_silent(self) -> bool:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import zenoh
 
 from protocol.errors import ProtocolError
-from protocol.ros2.tokens import EndpointToken, Kind, NodeToken, all_tokens, parse_token
+from protocol.ros2.tokens import ROOT, EndpointToken, Kind, NodeToken, all_tokens, parse_token
 
 
 @dataclass(frozen=True)
@@ -61,3 +61,11 @@ def read_graph(session: zenoh.Session, domain: int, timeout_s: float) -> Graph:
     """Ask for all tokens of a domain; those that arrive within `timeout_s` count."""
     replies = session.liveliness().get(all_tokens(domain), timeout=timeout_s)
     return parse_graph([str(reply.ok.key_expr) for reply in replies if reply.ok is not None])
+
+
+def read_domains(session: zenoh.Session, timeout_s: float) -> set[int]:
+    """Return the domains in which nodes are visible."""
+    replies = session.liveliness().get(f"{ROOT}/**", timeout=timeout_s)
+    return {
+        each.domain for each in parse_graph([str(reply.ok.key_expr) for reply in replies if reply.ok]).nodes
+    }

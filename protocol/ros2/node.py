@@ -7,7 +7,7 @@ from typing import Self, TypeVar
 
 from protocol.ros2.actions import ActionClient, ActionServer, OnCancel, OnGoal
 from protocol.ros2.endpoints import Endpoint, Link, Receiver
-from protocol.ros2.graph import Graph, read_graph
+from protocol.ros2.graph import Graph, read_domains, read_graph
 from protocol.ros2.messages import Messages
 from protocol.ros2.names import check_domain, check_node
 from protocol.ros2.qos import DEFAULT, Qos
@@ -106,6 +106,10 @@ class Ros2Node:
     def graph(self, timeout_s: float = 1.0) -> Graph:
         """Return all nodes, topics, and services of the domain that are visible now."""
         return read_graph(self._session, self.token.domain, timeout_s)
+
+    def domains(self, timeout_s: float = 1.0) -> set[int]:
+        """Return all domains in which nodes are visible now."""
+        return read_domains(self._session, timeout_s)
 
     def withdraw(self, endpoint: Endpoint) -> None:
         """Close one endpoint of the node."""

@@ -14,7 +14,8 @@ import pytest
 pytest.importorskip("rosbags", reason="rosbags is not installed: pip install 'murmur-robots[ros2]'")
 pytest.importorskip("xxhash", reason="xxhash is not installed: pip install 'murmur-robots[ros2]'")
 
-from agent.bodies.ros2 import BodySettings, Ros2Body
+from agent.bodies.ros2 import BodySettings
+from agent.bodies.scan_body import ScanBody
 from protocol.grid import FREE
 from protocol.map_frame import MapFrame
 from protocol.range_scans import decode_range_scan
@@ -50,7 +51,7 @@ class Client:
     """A node that joins late, with what it has received of one robot."""
 
     node: Ros2Node
-    body: Ros2Body
+    body: ScanBody
     robot: str
     maps: list[Any] = field(default_factory=list)
     odometry: list[Any] = field(default_factory=list)
@@ -98,7 +99,7 @@ def client(served: Served, request: pytest.FixtureRequest) -> Client:
     where = MapFrame(cells[0], cells[1], grid["resolution"], grid["x"], grid["y"])
     x, y, degrees = printed["robots"][robot]
     start = Pose(x, y, math.radians(degrees))
-    found = Client(served.node("client", robot), Ros2Body(where, BodySettings(start, speed=2.0)), robot)
+    found = Client(served.node("client", robot), ScanBody(where, BodySettings(start, speed=2.0)), robot)
     found.listen()
     return found
 

@@ -11,7 +11,8 @@ from scipy.ndimage import maximum_filter
 pytest.importorskip("rosbags", reason="rosbags is not installed: pip install 'murmur-robots[ros2]'")
 pytest.importorskip("xxhash", reason="xxhash is not installed: pip install 'murmur-robots[ros2]'")
 
-from agent.bodies.ros2 import BodySettings, Ros2Body
+from agent.bodies.ros2 import BodySettings
+from agent.bodies.scan_body import ScanBody
 from agent.robot import Robot
 from agent.settings import EncodingSettings, ReplicationSettings, Settings
 from protocol.body import Body
@@ -43,7 +44,7 @@ def test_a_ros_2_robot_explores_a_house_whatever_its_start_pose(start: Pose) -> 
         return messages.decode(messages.encode(message), name)
 
     ros = RosRobot(messages, truth, start, cells_per_step=5)
-    body = Ros2Body(WHERE, BodySettings(map_pose=start, reach_m=REACH_M, speed=1.0))
+    body = ScanBody(WHERE, BodySettings(map_pose=start, reach_m=REACH_M, speed=1.0))
     body.add_transforms(sent(ros.static_transforms(), names.TRANSFORMS), is_static=True)
     robot, explored = None, False
     for step in range(1, STEPS):

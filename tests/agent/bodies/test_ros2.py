@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 pytest.importorskip("rosbags", reason="rosbags is not installed: pip install 'murmur-robots[ros2]'")
 pytest.importorskip("xxhash", reason="xxhash is not installed: pip install 'murmur-robots[ros2]'")
 
-from agent.bodies.ros2 import SETTLE_NS, BodySettings, Ros2Body
+from agent.bodies.ros2 import SETTLE_NS, BodySettings
+from agent.bodies.scan_body import ScanBody
 from agent.bodies.team_map import occupancy_grid
 from agent.mapping.mapper import EstimatingMapper
 from agent.settings import EncodingSettings, ReplicationSettings, Settings
@@ -57,28 +58,28 @@ def laser_scan(ranges: list[float], now_ns: int = 0, **fields: Any) -> Any:
     return MESSAGES.new(names.LASER_SCAN, header=header, ranges=data, **(usual | fields))
 
 
-def robot(map_pose: Pose = AT_ORIGIN, laser: Pose = AT_ORIGIN) -> Ros2Body:
+def robot(map_pose: Pose = AT_ORIGIN, laser: Pose = AT_ORIGIN) -> ScanBody:
     """Return a body whose laser is at a pose of its base."""
-    body = Ros2Body(GRID, BodySettings(map_pose))
+    body = ScanBody(GRID, BodySettings(map_pose))
     body.add_transforms(transforms(("base_link", "laser", laser)), is_static=True)
     return body
 
 
-def stand(body: Ros2Body, pose: Pose, now_ns: int = 0) -> None:
+def stand(body: ScanBody, pose: Pose, now_ns: int = 0) -> None:
     """Let a body receive where its base is in the robot's map."""
     edges = ("map", "odom", AT_ORIGIN), ("odom", "base_link", pose)
     body.add_transforms(transforms(*edges, now_ns=now_ns), is_static=False)
 
 
 def scan_at(
-    body: Ros2Body, pose: Pose, now_ns: int = 0, ranges: tuple[float, ...] = (1.0, 2.0, 3.0, 4.0)
+    body: ScanBody, pose: Pose, now_ns: int = 0, ranges: tuple[float, ...] = (1.0, 2.0, 3.0, 4.0)
 ) -> None:
     """Let a body receive a scan that was taken with its base at a pose in the robot's map."""
     stand(body, pose, now_ns)
     body.add_scan(laser_scan(list(ranges), now_ns))
 
 
-def scan_of(body: Ros2Body, sense: Sense | None) -> RangeScan:
+def scan_of(body: ScanBody, sense: Sense | None) -> RangeScan:
     assert sense is not None
     assert body.laser is not None
     return decode_range_scan(sense.range_scan, body.laser)
@@ -193,7 +194,7 @@ def test_without_a_sense_the_body_says_why(prepare: Any, problem: str) -> None:
 
 
 def test_a_tilted_laser_is_refused() -> None:
-    body = Ros2Body(GRID, BodySettings(AT_ORIGIN))
+    body = ScanBody(GRID, BodySettings(AT_ORIGIN))
     message = transforms(("base_link", "laser", AT_ORIGIN))
     message.transforms[0].transform.rotation.x = message.transforms[0].transform.rotation.w = 0.7
     body.add_transforms(message, is_static=True)

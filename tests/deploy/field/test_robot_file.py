@@ -56,6 +56,14 @@ from tests.deploy.field.robot_processes import settings, write
             "goal_pose and navigate_to_pose are both empty",
         ),
         (
+            {"ros2": {"map_pose": [0.0, 0.0, 0.0], "scan": "", "map": ""}},
+            "scan and map are both empty, so that the robot has no readings",
+        ),
+        (
+            {"map_encoding": "scans", "ros2": {"map_pose": [0.0, 0.0, 0.0], "scan": ""}},
+            "ros2.scan = \"\": map_encoding = 'scans' sends laser scans; choose another encoding",
+        ),
+        (
             {"radio": {"medium": "udp"}},
             "interface is missing: name the one that frames go through, as 'wlan0'",
         ),
@@ -156,6 +164,23 @@ def test_the_command_ends_with_code_2(arguments: list[str], message: str, tmp_pa
     result = murmur("robot", *(each.format(file=file) for each in arguments))
     assert result.exit_code == 2
     assert message in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("scan", "source"),
+    [
+        ("scan", "laser scans on 'scan', with poses from 'tf'"),
+        ("", "its own map on 'map', up to 4 m (sensor_range) around its poses from 'tf', as scan is empty"),
+    ],
+)
+def test_the_check_says_what_the_robots_map_is_made_of(scan: str, source: str, tmp_path: Path) -> None:
+    data = settings()
+    data["ros2"]["scan"] = scan
+    file = write(tmp_path, data)
+    assert murmur("keys", "--team-key", str(tmp_path / "team.key")).exit_code == 0
+    result = murmur("robot", "--check", str(file))
+    assert result.exit_code == 0
+    assert result.stdout.splitlines()[1] == f"the robot's part of the team's map comes from {source}"
 
 
 def test_a_router_that_does_not_answer_is_named(tmp_path: Path) -> None:

@@ -1,0 +1,100 @@
+"""Listens to a robot's ROS 2 nodes as its own node does, and notes what arrives on each topic; it sends nothing."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from agent.bodies.ros2 import Ros2Body
+from agent.bodies.scan_body import ScanBody
+from deploy.field.robot_file import Ros2Table
+from protocol.ros2.messages import LASER_SCAN, OCCUPANCY_GRID, TRANSFORMS, nanoseconds
+from protocol.ros2.names import qualified
+from protocol.ros2.node import Ros2Node
+from protocol.ros2.qos import LATCHED, SENSOR, TF, TF_STATIC, Qos
+
+LISTEN_S, ENOUGH_S = 6.0, 2.0
+"""Seconds for which it listens at most, and at least, if everything arrives."""
+ENOUGH_MESSAGES = 4
+"""Messages of a topic from which its rate is measured."""
+
+
+@dataclass
+class Heard:
+    """The messages of a topic so far: when they arrived, in seconds, and their stamps in nanoseconds."""
+
+    topic: str
+    type_name: str
+    arrived: list[float] = field(default_factory=list)
+    stamps: list[int] = field(default_factory=list)
+    frame: str = ""
+    """Frame of the last message."""
+
+    @property
+    def rate(self) -> float:
+        """Messages per second; 0 for fewer than two."""
+        span = self.arrived[-1] - self.arrived[0] if len(self.arrived) > 1 else 0.0
+        return (len(self.arrived) - 1) / span if span else 0.0
+
+
+class Listener:
+    """A node that subscribes to what a robot offers, and hands it to `body`.
+
+    Raises
+    ------
+    ConnectionError
+        No router answers.
+    """
+
+    def __init__(self, names: Ros2Table, body: Ros2Body) -> None:
+        self.node = Ros2Node(
+            f"{names.node}_doctor",
+            names.namespace or "/",
+            names.domain,
+            distro=names.distro,
+            router=names.router,
+        )
+        self.heard: dict[str, Heard] = {}
+        """By name in the settings: tf_static, tf, map, scan."""
+        self._names, self._body = names, body
+        # transforms come before scans and maps, which need them
+        self._hear("tf_static", TRANSFORMS, TF_STATIC, lambda tf: body.add_transforms(tf, is_static=True))
+        self._hear("tf", TRANSFORMS, TF, lambda tf: body.add_transforms(tf, is_static=False))
+        if names.map:
+            self._hear("map", OCCUPANCY_GRID, LATCHED, body.add_map)
+        if isinstance(body, ScanBody):
+            self._hear("scan", LASER_SCAN, SENSOR, body.add_scan)
+
+    def qualified(self, name: str) -> str:
+        """Return the full name of a topic or service."""
+        return qualified(name, self.node.token.namespace, self.node.token.name)
+
+    def listen(self) -> None:
+        """Wait until enough messages of each topic have arrived, `LISTEN_S` at most."""
+        begin = time.monotonic()
+        while (waited := time.monotonic() - begin) < LISTEN_S:
+            self.node.spin(time.time_ns(), 0.02)
+            self._body.take_newest()
+            if waited > ENOUGH_S and all(map(self._is_enough, self.heard)) and not self._body.problem:
+                break
+
+    def _is_enough(self, name: str) -> bool:
+        least = {"tf_static": 0, "map": 1}.get(name, ENOUGH_MESSAGES)
+        return len(self.heard[name].arrived) >= least
+
+    def _hear(self, name: str, type_name: str, qos: Qos, take: Callable[[Any], None]) -> None:
+        topic = getattr(self._names, name)
+        heard = self.heard[name] = Heard(self.qualified(topic), type_name)
+
+        def note(message: Any, _: object) -> None:
+            headers = (
+                [each.header for each in message.transforms] if type_name == TRANSFORMS else [message.header]
+            )
+            heard.arrived.append(time.monotonic())
+            heard.stamps += [nanoseconds(each.stamp) for each in headers]
+            heard.frame = headers[-1].frame_id if headers else heard.frame
+            take(message)
+
+        self.node.subscription(topic, type_name, qos, note)
