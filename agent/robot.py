@@ -22,6 +22,7 @@ from agent.encodings.catalog import encoding_class, make_encoding
 from agent.mapping.mapper import WALL, cell_ahead, make_mapper
 from agent.outline.polygons import Polygons
 from agent.planning.noisy_grid import NoisyGrid, narrow_cells, shortest_frontier
+from agent.planning.path_planner import PathPlanner
 from agent.planning.second_look import SecondLook
 from agent.replication.digests import INTERVAL
 from agent.replication.engine import make_replication
@@ -33,7 +34,7 @@ from agent.strategies.registry import strategy
 from agent.team_state import TeamState
 from protocol import packet_index, packets
 from protocol.errors import ProtocolError
-from protocol.grid import Grid
+from protocol.grid import OCCUPIED, Grid
 from protocol.messages import (
     MAX_WAY_CELLS,
     Move,
@@ -49,7 +50,8 @@ SURE_AFTER = 10
 by then teammates have sent more of areas that looked insignificant when they first saw them."""
 
 SURE_AFTER_NOISE = 3
-"""The same for maps of noisy lasers, where a false wall may close a doorway for some steps."""
+"""The same for maps of noisy lasers, where a false wall may close a doorway for some steps. A robot does not wait if
+nothing would be left even if all walls were open of which it is not certain."""
 
 SURE_AFTER_LOG = 20
 """Steps for which a robot that replays a log must have nothing to deliver: changes may wait until they are encoded."""
@@ -244,7 +246,7 @@ class Robot:
             sense.step,
             cells_to_bytes(decision.path[:MAX_WAY_CELLS]),
             decision.heading,
-            decision.explored and self._idle_steps > self._sure_after + self._verifying_steps(),
+            decision.explored and self._idle_steps > self._waiting_steps(situation) + self._verifying_steps(),
             decision.look,
             decision.stalled,
             points_to_bytes(decision.points[:MAX_WAY_CELLS]),
@@ -288,6 +290,15 @@ class Robot:
         new = {peer for peer, steps in self._doubted_steps.items() if steps > wait} - self.disbelieved
         self.faults += [Fault(peer, doubted[peer], "false map") for peer in sorted(new)]
         self.disbelieved |= new
+
+    def _waiting_steps(self, situation: Situation) -> int:
+        """Return for how many steps nothing must have been left: none if no doubtful wall can hide a frontier."""
+        if self._noisy_grid is None or self._sure_after != SURE_AFTER_NOISE:
+            return self._sure_after
+        doubtful = (self.own == OCCUPIED) & ~self.settled
+        grid = self._noisy_grid.clean_optimistic(self.planning, doubtful)
+        left = PathPlanner(grid, radius_cells=self.settings.body.radius_cells).frontier(*situation.here)
+        return self._sure_after if len(left) else 0
 
     def _verifying_steps(self) -> int:
         """Return for how many further steps it waits for digests, which may show that forwarded entries are forged."""

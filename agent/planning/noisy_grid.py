@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from agent.planning.avoided import AvoidedTargets
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
@@ -72,13 +73,21 @@ class NoisyGrid:
 
     def clean(self, planning: Grid) -> Grid:
         """Return a copy of a planning grid without misleading details."""
+        found = self._clean(planning)
+        if self._here is not None:
+            self.avoided.draw(found, self._here)
+        return found
+
+    def clean_optimistic(self, planning: Grid, doubtful: NDArray[np.bool_]) -> Grid:
+        """Return the same as if all doubtful walls, shape (h, w), were free; no target is avoided."""
+        return self._clean(np.where(doubtful, np.uint8(FREE), planning))
+
+    def _clean(self, planning: Grid) -> Grid:
         found = np.empty_like(planning)
         _without_gaps(planning, self._narrow, self._marks, found)
         found[self._trail != 0] = FREE
         if self._shortest > 1:
             _close_specks(found, self._shortest, self._marks)
-        if self._here is not None:
-            self.avoided.draw(found, self._here)
         return found
 
 

@@ -94,3 +94,16 @@ def test_the_shortest_frontier_depends_on_how_far_beams_are_apart() -> None:
     assert shortest_frontier(fine, 50.0) == 2
     assert shortest_frontier(coarse, 50.0) == 3
     assert shortest_frontier(Laser(4, 0, TURN * 3 // 4, 5000), 50.0) == LONGEST_SPECK
+
+
+def test_the_optimistic_grid_shows_what_doubtful_walls_may_hide() -> None:
+    """A wall of cells in doubt hides a frontier if it is as long as an opening; a shorter one hides nothing."""
+    grid = np.full((20, 20), UNKNOWN, np.uint8)
+    grid[12:], grid[11] = FREE, OCCUPIED
+    noisy = NoisyGrid(20, 20, 3)
+    for width, is_frontier in ((2, False), (3, True)):
+        doubtful = np.zeros(grid.shape, np.bool_)
+        doubtful[11, 6 : 6 + width] = True
+        optimistic = noisy.clean_optimistic(grid, doubtful)
+        assert bool((optimistic[11, 6 : 6 + width] == FREE).all()) == is_frontier
+    assert (grid[11] == OCCUPIED).all()
