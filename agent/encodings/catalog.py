@@ -10,8 +10,8 @@ from agent.encodings.predictive import PredictiveEncoding
 from agent.encodings.scans import ScanEncoding
 from agent.encodings.slam_toolbox import SlamToolboxEncoding
 from agent.encodings.zstd_maps import ZstdMapEncoding
-from agent.plugins import Plugins
 from agent.settings import Settings
+from protocol.plugins import Plugins
 
 ENCODINGS: dict[str, type[MapEncoding]] = {
     kind.name: kind
@@ -27,8 +27,9 @@ ENCODINGS: dict[str, type[MapEncoding]] = {
 }
 """The encodings of this package."""
 
-PLUGINS: Plugins[MapEncoding] = Plugins("map encoding", "murmur.map_encodings", MapEncoding, MapEncoding)  # type: ignore[type-abstract]
-"""The encodings of installed packages."""
+PLUGINS: Plugins[type[MapEncoding]] = Plugins(
+    "map encoding", "murmur.map_encodings", MapEncoding, ENCODINGS, MapEncoding
+)
 
 
 def encoding_class(name: str) -> type[MapEncoding]:
@@ -39,7 +40,7 @@ def encoding_class(name: str) -> type[MapEncoding]:
     ValueError
         The name is unknown (the message lists similar names), or the class cannot be imported.
     """
-    return PLUGINS.find(name, ENCODINGS)
+    return PLUGINS.find(name)
 
 
 def make_encoding(settings: Settings) -> MapEncoding:

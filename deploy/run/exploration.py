@@ -30,6 +30,7 @@ from deploy.run.in_memory import MemoryRun, check_clock
 from deploy.run.interrupt import Interrupt
 from deploy.run.ssh import Fleet
 from deploy.scenario import plan as plans
+from deploy.scenario import plugins
 from deploy.scenario.effective_radio import effective_radio
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import Scenario, ScenarioError, check_incarnations, parse
@@ -229,6 +230,8 @@ def _planned(
 ) -> Plan:
     """Return the plan of a run, for which pace, hosts, memory, and open files suffice; ValueError if they do not."""
     _check_pace_and_hosts(pace, hosts, scenario)
+    if scenario.bus == "zenoh":
+        plugins.check_importable(scenario, "the robots' processes", ", or set bus = 'memory'")
     incarnations = _incarnations(scenario, hosts) if restart else 1
     plan = plans.make(scenario, incarnations=incarnations, record_maps=keep)
     memory.check(plan, sum(map(len, hosts.placing(scenario.robots).values())) if hosts is not None else 0)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from agent.encoding_options import PolygonOptions
 from agent.encodings.catalog import ENCODINGS
-from agent.replication.policies import DISSEMINATIONS
+from agent.replication.engine import DISSEMINATIONS
 from agent.strategies.meier import Meier
 from deploy.scenario.scenario import SHIPPED, Scenario, ScenarioError, load, parse
 from protocol.budget import WORD_FOR_UNLIMITED
