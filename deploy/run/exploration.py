@@ -211,7 +211,9 @@ def explore(
     if control is not None:
         control.attach(plan, pace, may_kill=hosts is None)
     with (
-        Fleet(hosts, scenario.robots, notify) if hosts is not None else contextlib.nullcontext() as fleet,
+        Fleet(hosts, scenario.robots, notify, plugins.on_robots(scenario))
+        if hosts is not None
+        else contextlib.nullcontext() as fleet,
         interrupt.caught() if keep else contextlib.nullcontext(),
     ):
         folder = run_directory.create(Path(out) if out is not None else None, plan) if keep else None

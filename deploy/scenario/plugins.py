@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -120,6 +121,18 @@ def check_distinct(scenarios: Iterable[Scenario]) -> None:
                 raise ScenarioError(
                     f"{setting} = {name!r}: has the name {own!r} of {other}; give it another one"
                 )
+
+
+def digests(parts: Mapping[str, str]) -> tuple[dict[str, str], dict[str, str]]:
+    """Return the SHA-256 of the modules of plug-ins, by setting, and why others cannot be imported."""
+    found: dict[str, str] = {}
+    missing: dict[str, str] = {}
+    for setting, name in parts.items():
+        try:
+            found[setting] = hashlib.sha256(kinds()[setting].source(name).encode()).hexdigest()
+        except ValueError as error:
+            missing[setting] = str(error)
+    return found, missing
 
 
 def sources(scenario: Scenario) -> dict[str, str]:

@@ -242,3 +242,14 @@ def words_of(panel: Axes) -> list[str]:
     legend = panel.get_legend()
     assert legend is not None
     return [text.get_text() for text in legend.get_texts()]
+
+
+@pytest.mark.parametrize("step", [1, 4])
+@pytest.mark.parametrize("robots", [(0,), (0, 1)])
+def test_a_run_that_lost_robots_has_a_report(tmp_path: Path, robots: tuple[int, ...], step: int) -> None:
+    faults = [{"robot": robot, "step": step, "kind": "kill"} for robot in robots]
+    run = explore(
+        map="leader-rooms", robots=2, steps=8, bus="memory", map_encoding="polygons", fault=faults, out=tmp_path / "run"
+    )  # fmt: skip
+    assert set(run.summary["lost"]) == {str(robot) for robot in robots}
+    assert "lost" in Page(write_report(tmp_path / "run").read_text(encoding="utf-8")).words

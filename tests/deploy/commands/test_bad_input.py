@@ -129,7 +129,7 @@ EXPLORE = {
     "--map wide.yaml": f"wide.png: is 2049 x 3 cells, and the maximum is {MAX_SIDE} x {MAX_SIDE}",
     "--map turned.yaml": "turned.yaml: origin is rotated by 1.0 rad; rotate the picture instead",
     "--map small.png": "an image has no resolution: give --resolution METERS (per cell), or the YAML",
-    "--map small.yaml --resolution 0.1": "map_options: small.yaml is a file; only generators have options",
+    "--map small.yaml --resolution 0.1": "resolution = 0.1: small.yaml itself gives the size of its cells",
     "--map text.png --resolution 0.1": "text.png: is not a complete PGM or PNG picture",
     "--set robtos=3": "robtos: unknown setting; did you mean robots or robot or options?",
     "--set polygons.lasy=true": "polygons.lasy: unknown setting; did you mean lazy?",

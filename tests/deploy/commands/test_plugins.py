@@ -1,4 +1,4 @@
-"""Strategies and map encodings of installed packages are found by name, listed and run; broken ones are reported."""
+"""Plug-ins of installed packages are found by name, listed and run; broken ones are reported."""
 
 from __future__ import annotations
 
@@ -15,13 +15,19 @@ INFO = {
     "METADATA": "Metadata-Version: 2.1\nName: farthest-first\nVersion: 1\n",
     "WHEEL": "Wheel-Version: 1.0\nGenerator: hand\nRoot-Is-Purelib: true\nTag: py3-none-any\n",
     "entry_points.txt": "[murmur.strategies]\nfarthest = farthest_first:Farthest\ntorn = torn_strategy:Torn\n"
-    "[murmur.map_encodings]\nquiet = farthest_first:Quiet\n",
+    "[murmur.map_encodings]\nquiet = farthest_first:Quiet\n[murmur.radio_models]\nnear = farthest_first:Near\n"
+    "[murmur.radio_presets]\nslow = farthest_first:SLOW\n[murmur.disseminations]\nshy = farthest_first:Shy\n",
     "RECORD": "",
 }
 MODULE = '''
 import numpy as np
 from agent.encodings.none import NoEncoding
+from agent.replication.engine import OfferDissemination
 from agent.strategies.targets import TargetStrategy
+from netshaper.radio_models import RadioModel
+from protocol.presets import Preset
+
+SLOW = Preset("slow", 800, 64, 0.64, 10)
 
 class Farthest(TargetStrategy):
     """To the farthest goal."""
@@ -35,6 +41,20 @@ class Farthest(TargetStrategy):
 class Quiet(NoEncoding):
     """Tells nothing."""
     name = "quiet"
+
+class Near(RadioModel):
+    """Neighbors only."""
+    name = "near"
+
+    def links(self, settings, step, places):
+        return np.abs(places[:, None] - places).max(axis=2) < 10
+
+class Shy(OfferDissemination):
+    """Offers nothing."""
+    name = "shy"
+
+    def offers(self, rounds, lengths):
+        return []
 '''
 
 
@@ -59,12 +79,11 @@ def python(installed: Path, *words: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_strategies_and_encodings_of_a_package_run_by_their_names(installed: Path) -> None:
+def test_parts_of_a_package_run_by_their_names(installed: Path) -> None:
     run = "from murmur import explore; print(explore(map='em', robots=2, steps=4, bus='memory', keep=False, "
-    done = python(
-        installed, "-c", run + "strategy='farthest', map_encoding='quiet').summary['map_encoding'])"
-    )
-    assert done.stdout == "quiet\n", done.stderr
+    parts = "map_encoding='quiet', dissemination='shy', radio={'model': 'near', 'preset': 'slow'}"
+    done = python(installed, "-c", f"{run}strategy='farthest', {parts}).plan.scenario.radio)")
+    assert "preset='slow', frame_bytes=64, model='near'" in done.stdout, done.stderr
     torn = python(installed, "-c", run + "strategy='torn'))")
     assert "strategy 'torn' of package farthest-first cannot be imported:" in torn.stderr
     assert torn.stderr.endswith("RuntimeError: torn\n")
