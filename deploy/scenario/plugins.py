@@ -7,7 +7,6 @@ from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from protocol.errors import shown
 from protocol.plugins import MAIN, Plugins
 
 if TYPE_CHECKING:
@@ -44,14 +43,6 @@ def kinds() -> dict[str, Plugins[Any]]:
         "radio.model": radio_models.PLUGINS,
         "radio.preset": presets.PLUGINS,
     }
-
-
-def find(setting: str, name: str) -> Any:
-    """Return the part of this name that a setting names; ValueError, which names the setting, as `Plugins.find`."""
-    try:
-        return kinds()[setting].find(name)
-    except ValueError as error:
-        raise ValueError(f"{setting} = {shown(name)}: {error}") from None
 
 
 def with_names(settings: Mapping[str, Any]) -> dict[str, Any]:

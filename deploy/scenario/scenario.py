@@ -197,10 +197,12 @@ class Scenario(Table):
     def _take_preset(cls, data: Any) -> Any:
         """Fill in the radio preset's values where the scenario does not give its own."""
         radio = data.get("radio") if isinstance(data, dict) else None
-        if not isinstance(radio, dict) or not radio.get("preset"):
+        if not isinstance(radio, dict):
             return data
-        name = str(radio["preset"])
-        preset = plugins.find("radio.preset", name)
+        name = radio.get("preset")
+        if not isinstance(name, str) or not name:
+            return data
+        preset = plugins.kinds()["radio.preset"].find(name)
         taken = {"bandwidth": preset.bandwidth, "range": str(preset.range_m)} | data
         return taken | {"radio": {"frame_bytes": preset.frame_bytes} | radio}
 
@@ -297,7 +299,7 @@ class Scenario(Table):
         from agent.strategies.registry import strategy  # noqa: PLC0415  loads kernels, which --help does not need
 
         strategy(self.strategy).check(self.options)
-        plugins.find("radio.model", self.radio.model)
+        plugins.kinds()["radio.model"].find(self.radio.model)
         self._check_recording()
         if self.clock != "wall" and self.step_s != Scenario.model_fields["step_s"].default:
             raise ValueError(f"step_s = {self.step_s:g}: steps have a duration only with clock = 'wall'")

@@ -121,12 +121,24 @@ def test_finished_runs_are_read_without_the_code_that_their_scenario_names(
         lines = scenario.read_text().splitlines()
         changed = [f'strategy = "{name}"' if line.startswith("strategy = ") else line for line in lines]
         scenario.write_text("\n".join(changed))
-        for words in ("report", "export --mcap", "capture --robot 0"):
-            done = python(installed, *murmur, *words.split(), run)
-            assert (done.returncode, done.stderr) == (0, ""), done.stderr
-        replayed = python(installed, *murmur, "replay", run)
-        assert replayed.returncode == 2
-        assert ("module torn_strategy" in replayed.stderr) == ("torn" in name)
-    assert "No module named 'no_longer_there'" in replayed.stderr
+        done = python(installed, "-c", READ, run)
+        assert (done.returncode, done.stderr) == (0, ""), done.stderr
+        refused = python(installed, *murmur, "replay", run)
+        assert refused.returncode == 2
+        assert ("module torn_strategy" in refused.stderr) == ("torn" in name)
+    assert "No module named 'no_longer_there'" in refused.stderr
     torn = python(installed, *murmur, "replay", run, "--trust")
     assert (torn.returncode, torn.stderr.count("Traceback")) == (2, 0)
+
+
+READ = """
+import sys
+from typer.testing import CliRunner
+from deploy.commands.app import app
+
+for words in ("report", "export --mcap", "capture --robot 0"):
+    done = CliRunner().invoke(app, [*words.split(), sys.argv[1]])
+    assert done.exit_code == 0, done.output
+assert "torn_strategy" not in sys.modules
+"""
+"""Reads a run directory in one process."""

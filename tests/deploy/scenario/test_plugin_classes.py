@@ -1,4 +1,4 @@
-"""Plug-ins given as classes, from notebooks and scripts too; names that exist are rejected, and so is what cannot run."""
+"""Plug-ins given as classes, also from notebooks; names that exist, and parts that cannot run, are rejected."""
 
 from __future__ import annotations
 
