@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from agent.announcements import Announcements
 from agent.encodings.base import MapEncoding
-from agent.encodings.catalog import encoding_class, make_encoding
+from agent.encodings.catalog import check_entries, encoding_class, make_encoding
 from agent.mapping.mapper import WALL, cell_ahead, make_mapper
 from agent.outline.polygons import Polygons
 from agent.planning.noisy_grid import NoisyGrid, narrow_cells, shortest_frontier
@@ -181,7 +181,9 @@ class Robot:
         delivered = replication.delivered() and not self._withheld
         if delivered:
             self._announcements.scans_received(encoding.scan_cell(replication.peers.own), self._team.in_range)
-        self._withheld += encoding.encode_changes(self.own, scan, change, delivered=delivered)
+        entries = encoding.encode_changes(self.own, scan, change, delivered=delivered)
+        check_entries(encoding, entries)
+        self._withheld += entries
         if not self._strategy.defers_publication:
             self._publish()
         if self._strategy.publishes_pose:

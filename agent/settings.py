@@ -33,7 +33,7 @@ class ReplicationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=Tru
     """How map logs reach all robots."""
 
     dissemination: str
-    """Dissemination policy of the maps: ``backoff``, ``thesis`` or ``gossip`` (`agent.replication.policies`)."""
+    """Name of the dissemination of the maps (`agent.replication.engine`)."""
     forward_maps: bool = True
     """Whether the robot sends maps of other robots as well as its own."""
     requires_acks: bool = False

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 MIN_FRAME = 16
 """Minimum frame size in bytes: the longest packet that cannot be split, a broadcast, and a checksum."""
@@ -56,7 +56,8 @@ class RadioOptions:
         Maximum bytes of packets in a frame; longer frames are split. 0: no limit.
     model : str
         Links within the communication range: ``disc``, all; ``line-of-sight``, links without a wall; ``log-distance``,
-        links whose path loss is at most that of an open link as long as the range.
+        links whose path loss is at most that of an open link as long as the range; or a plug-in
+        (`netshaper.radio_models`).
     exponent, db_per_meter, db_per_wall, shadowing_db, shadowing_m : float
         For ``log-distance``: the growth of the loss by the distance's logarithm and by the distance, the loss per wall,
         the standard deviation of the shadowing, and the side of the squares in which it is the same.
@@ -86,7 +87,7 @@ class RadioOptions:
 
     preset: str = ""
     frame_bytes: int = 0
-    model: Literal["disc", "line-of-sight", "log-distance"] = "disc"
+    model: str = "disc"
     exponent: float = 2.0
     db_per_meter: float = 0.0
     db_per_wall: float = 6.9

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 from netshaper import connectivity
+from netshaper.radio_models import PLUGINS, checked
 from netshaper.settings import RadioSettings
 
 
@@ -70,19 +71,8 @@ def links(settings: RadioSettings, step: int, cells: Mapping[int, tuple[int, int
     """Return for each robot the robots in its range, by the radio's model and the partitions of a step."""
     options = settings.options
     robots, places = sorted(cells), connectivity.places_of(cells)
-    if options.model == "disc" or settings.walls is None:
-        receives = connectivity.disc(places, settings.range_cells)
-    elif options.model == "line-of-sight":
-        receives = connectivity.line_of_sight(places, settings.range_cells, settings.walls)
-    else:
-        extra = connectivity.shadowing(
-            places, settings.cell_m, settings.seed, options.shadowing_db, options.shadowing_m
-        )
-        receives = connectivity.log_distance(
-            places, settings.range_cells, settings.walls, settings.cell_m,
-            exponent=options.exponent, db_per_meter=options.db_per_meter, db_per_wall=options.db_per_wall,
-            extra_db=extra,
-        )  # fmt: skip
+    model = PLUGINS.find(options.model)()
+    receives = checked(model.links(settings, step, places), options.model, len(robots))
     if options.partition:
         receives = receives & connectivity.parted(robots, options.partition, step)
     return connectivity.named(robots, receives)

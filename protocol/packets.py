@@ -365,6 +365,9 @@ KINDS = ("ins", "rep", "del", "em", "chg", "rm", "conn", "targ", "save")
 ALL_KINDS = (*KINDS, Fragment.name, Pose.name, Update.name, Check.name)
 """All kinds of packets, in the order of reports."""
 
+MAP_KINDS = frozenset(kind.name for kind in (*get_args(Edit), Fragment, Update))
+"""The kinds of packets that logs of maps hold."""
+
 _PACKETS: dict[str, type[Packet]] = {kind.__name__: kind for kind in get_args(AnyPacket)}
 
 _BY_FIRST_BYTE = [

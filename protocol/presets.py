@@ -9,6 +9,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from protocol.plugins import Plugins
+
 OFFICE_900, OFFICE_2400 = 33.0, 30.0
 """ITU-R P.1238: distance power loss coefficient N in an office, at 0.9 and at 2.4 GHz."""
 
@@ -116,3 +118,20 @@ PRESETS = {
     ),
 }  # fmt: skip
 """Payloads of LoRa are those of LoRaWAN in Europe (RP002, EU863-870, with repeaters), sensitivities the SX1276's."""
+
+PLUGINS: Plugins[Preset] = Plugins(
+    "radio preset",
+    "murmur.radio_presets",
+    Preset,
+    PRESETS,
+    Preset("unknown", 1, 1, 1.0, 1),
+    are_classes=False,
+)
+
+
+def preset(name: str) -> Preset:
+    """Return the radio with this name, of this or an installed package, or given as ``package.module:NAME``.
+
+    ValueError: the name is unknown (the message lists similar names), or the radio cannot be imported.
+    """
+    return PLUGINS.find(name)

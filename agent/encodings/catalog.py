@@ -10,8 +10,10 @@ from agent.encodings.predictive import PredictiveEncoding
 from agent.encodings.scans import ScanEncoding
 from agent.encodings.slam_toolbox import SlamToolboxEncoding
 from agent.encodings.zstd_maps import ZstdMapEncoding
-from agent.plugins import Plugins
 from agent.settings import Settings
+from protocol import packets
+from protocol.errors import ProtocolError, shown
+from protocol.plugins import Plugins
 
 ENCODINGS: dict[str, type[MapEncoding]] = {
     kind.name: kind
@@ -27,8 +29,9 @@ ENCODINGS: dict[str, type[MapEncoding]] = {
 }
 """The encodings of this package."""
 
-PLUGINS: Plugins[MapEncoding] = Plugins("map encoding", "murmur.map_encodings", MapEncoding, MapEncoding)  # type: ignore[type-abstract]
-"""The encodings of installed packages."""
+PLUGINS: Plugins[type[MapEncoding]] = Plugins(
+    "map encoding", "murmur.map_encodings", MapEncoding, ENCODINGS, MapEncoding
+)
 
 
 def encoding_class(name: str) -> type[MapEncoding]:
@@ -39,7 +42,25 @@ def encoding_class(name: str) -> type[MapEncoding]:
     ValueError
         The name is unknown (the message lists similar names), or the class cannot be imported.
     """
-    return PLUGINS.find(name, ENCODINGS)
+    return PLUGINS.find(name)
+
+
+def check_entries(encoding: MapEncoding, entries: object) -> None:
+    """Raise ValueError if what `MapEncoding.encode_changes` of a plug-in returned is no list of packets of maps."""
+    name = type(encoding).name
+    if ENCODINGS.get(name) is type(encoding):
+        return
+    where = f"map encoding {name!r}: encode_changes must return a list of packets of maps"
+    hint = "protocol.scans.fragments(data, most) splits bytes of any format into such packets"
+    if not isinstance(entries, list) or not all(isinstance(entry, bytes) for entry in entries):
+        raise ValueError(f"{where}, list[bytes]; it returned {shown(entries)}; {hint}")
+    for entry in entries:
+        try:
+            kinds = [packet.name for packet in packets.decode(entry)]
+        except ProtocolError as error:
+            raise ValueError(f"{where}; {shown(entry)} is none: {error}; {hint}") from None
+        if len(kinds) != 1 or kinds[0] not in packets.MAP_KINDS:
+            raise ValueError(f"{where}; {shown(entry)} is {' + '.join(kinds) or 'empty'}; {hint}")
 
 
 def make_encoding(settings: Settings) -> MapEncoding:

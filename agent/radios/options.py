@@ -11,8 +11,7 @@ from agent.radios.peer_medium import FRAME_OVERHEAD, WORTHWHILE, Timing
 from agent.radios.serial_modem import BAUD_RATES, SerialModem
 from agent.radios.transport import Transport
 from agent.radios.udp import GROUP, MAX_DATAGRAM, PORT, UdpRadio
-from protocol.errors import there_are
-from protocol.presets import PRESETS
+from protocol.presets import preset
 from protocol.token_bucket import SECOND, TokenBucket
 
 MIN_PACKETS = 16
@@ -85,8 +84,8 @@ class LinkOptions:
     def __post_init__(self) -> None:
         if self.medium not in ("udp", "serial"):
             raise ValueError(f"medium = {self.medium!r}: must be 'udp' or 'serial'")
-        if self.preset and self.preset not in PRESETS:
-            raise ValueError(f"preset = {self.preset!r}: {there_are(PRESETS, self.preset)}")
+        if self.preset:
+            preset(self.preset)
         if self.medium == "udp" and not self.interface:
             raise ValueError("interface is missing: name the one that frames go through, as 'wlan0'")
         if self.medium == "serial" and not self.serial_port:
@@ -120,7 +119,7 @@ class LinkOptions:
     def longest(self) -> int:
         """Bytes of the longest frame."""
         most = MAX_DATAGRAM if self.medium == "udp" else MAX_FRAME
-        return self.frame_bytes or min(PRESETS[self._preset].frame_bytes, most)
+        return self.frame_bytes or min(preset(self._preset).frame_bytes, most)
 
     @property
     def packet_bytes(self) -> int:
@@ -130,13 +129,13 @@ class LinkOptions:
     @property
     def rate(self) -> int:
         """Bytes that this robot may send per second."""
-        return self.bytes_per_s or PRESETS[self._preset].bandwidth
+        return self.bytes_per_s or preset(self._preset).bandwidth
 
     def airtime(self, size: int) -> int:
         """Return the airtime in nanoseconds of a frame of `size` bytes."""
         if not self._preset:
             return size * SECOND // self.rate
-        return round(PRESETS[self._preset].airtime_s(size) * SECOND)
+        return round(preset(self._preset).airtime_s(size) * SECOND)
 
     def timing(self) -> Timing:
         """Return the durations in nanoseconds; ValueError if they do not fit each other."""

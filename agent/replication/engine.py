@@ -9,9 +9,14 @@ budget, and counts entries as delivered when the medium or the peers acknowledge
     backoff, thesis         lossy           `acked_frames`   peers' reports
     gossip                  perfect         `gossip`         the medium's send report (`delivery.Acks`)
     gossip                  lossy           `gossip`         peers' reports (`delivery.Acks`)
+
+Plug-ins (`protocol.plugins`) travel like ``backoff``: a subclass of `OfferDissemination` chooses what to offer to whom.
 """
 
 from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import ClassVar
 
 from agent.replication.acked_frames import AckedFrames
 from agent.replication.base import Replication
@@ -19,10 +24,90 @@ from agent.replication.delivery import Acks
 from agent.replication.gossip import Gossip
 from agent.replication.gossip_policy import Dependencies
 from agent.replication.handshakes import Handshakes
-from agent.replication.peers import map_ids
-from agent.replication.policies import DISSEMINATIONS, GOSSIP, POLICIES
+from agent.replication.peers import Table, map_ids
+from agent.replication.policies import GOSSIP, Offer, Rounds, backoff, thesis
 from agent.replication.replica import Consume, Rebuild, Replica
-from agent.settings import Settings
+from agent.settings import ReplicationSettings, Settings
+from protocol.plugins import Plugins
+
+
+class Dissemination(ABC):
+    """How the logs of maps reach all robots."""
+
+    name: ClassVar[str]
+
+    @abstractmethod
+    def make(
+        self, settings: ReplicationSettings, replica: Replica, dependencies: Dependencies
+    ) -> Replication:
+        """Return a robot's end of the replication of `replica`; `dependencies` as for `make_replication`."""
+
+
+class OfferDissemination(Dissemination):
+    """Robots offer log ranges to each other, and send what the receiver asks for."""
+
+    def make(
+        self, settings: ReplicationSettings, replica: Replica, dependencies: Dependencies
+    ) -> Replication:
+        """Return the end of the replication that fits the medium."""
+        del dependencies
+        unicast = AckedFrames if settings.requires_acks else Handshakes
+        return unicast(replica, self.offers, forwards=settings.forward_maps)
+
+    @abstractmethod
+    def offers(self, rounds: Rounds, lengths: Table) -> list[Offer]:
+        """Return the offers of a round, at most one per peer and map.
+
+        Parameters
+        ----------
+        rounds : Rounds
+            The peers in range, what each is known to hold, and the rounds so far.
+        lengths : int64 array, shape (maps,)
+            Entries of each map that this robot may offer.
+        """
+
+
+class Backoff(OfferDissemination):
+    """One map per peer, with exponential back-off after refusals."""
+
+    name = "backoff"
+
+    def offers(self, rounds: Rounds, lengths: Table) -> list[Offer]:
+        """Return the offers of a round."""
+        return backoff(rounds, lengths)
+
+
+class Thesis(OfferDissemination):
+    """All that each peer lacks."""
+
+    name = "thesis"
+
+    def offers(self, rounds: Rounds, lengths: Table) -> list[Offer]:
+        """Return the offers of a round."""
+        return thesis(rounds, lengths)
+
+
+class GossipDissemination(Dissemination):
+    """Robots broadcast their logs, and forward those of others."""
+
+    name = GOSSIP
+
+    def make(
+        self, settings: ReplicationSettings, replica: Replica, dependencies: Dependencies
+    ) -> Replication:
+        """Return a robot's end of the gossip."""
+        acks = Acks(replica.peers, reliable=not settings.requires_acks)
+        return Gossip(replica, acks, dependencies)
+
+
+DISSEMINATIONS: dict[str, type[Dissemination]] = {
+    kind.name: kind for kind in (Backoff, Thesis, GossipDissemination)
+}
+"""The values of the scenario's setting `dissemination`, besides plug-ins."""
+
+PLUGINS: Plugins[type[Dissemination]] = Plugins(
+    "dissemination", "murmur.disseminations", OfferDissemination, DISSEMINATIONS, OfferDissemination
+)
 
 
 def make_replication(
@@ -37,12 +122,4 @@ def make_replication(
     maps = map_ids(settings.robots, settings.incarnations)
     own = maps[settings.own_map]
     replica = Replica(own, maps, consume, rebuild, ordered=not replication.requires_acks)
-    if replication.dissemination == GOSSIP:
-        acks = Acks(replica.peers, reliable=not replication.requires_acks)
-        return Gossip(replica, acks, dependencies)
-    policy = POLICIES.get(replication.dissemination)
-    if policy is None:
-        known = ", ".join(DISSEMINATIONS)
-        raise ValueError(f"unknown dissemination {replication.dissemination!r}; choose from: {known}")
-    unicast = AckedFrames if replication.requires_acks else Handshakes
-    return unicast(replica, policy, forwards=replication.forward_maps)
+    return PLUGINS.find(replication.dissemination)().make(replication, replica, dependencies)

@@ -122,6 +122,3 @@ def _in_turn(offers: list[Offer], rounds: Rounds, most: int) -> list[Offer]:
 POLICIES: dict[str, Policy] = {"backoff": backoff, "thesis": thesis}
 
 GOSSIP = "gossip"
-
-DISSEMINATIONS = (*POLICIES, GOSSIP)
-"""The values of the scenario's setting `dissemination`."""

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint
 
-from agent.plugins import package
 from agent.strategies.base import Strategy
 from agent.strategies.options import OptionLine, option_lines
 from agent.strategies.registry import PLUGINS, strategies, strategy
+from protocol.plugins import package
 
 COMBINING = """\
 A strategy consists of parts. Each strategy has defaults; options replace them:
@@ -72,11 +72,9 @@ class Entry:
 
 
 def catalog() -> list[Entry]:
-    """Return all strategies by name: of this package, imported ones, and those of installed packages."""
-    found = {kind.name: _entry(kind) for kind in strategies().values()}
-    for name, point in PLUGINS.installed().items():
-        if name not in found:
-            found[name] = _entry_of(point)
+    """Return all strategies by name: of this package, and of installed packages."""
+    found = {name: _entry(kind) for name, kind in strategies().items()}
+    found |= {name: _entry_of(point) for name, point in PLUGINS.installed().items()}
     return [found[name] for name in sorted(found)]
 
 

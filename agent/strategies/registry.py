@@ -1,37 +1,16 @@
-"""Find a strategy by its name, among the imported subclasses of `Strategy` and the plugins.
-
-A new strategy is one new file here, a class in any importable module, named ``package.module:Class``, or an entry point
-of an installed package (`agent.plugins`).
-"""
+"""The strategies by name: those of this package, each a class in a module here, and plug-ins (`protocol.plugins`)."""
 
 from __future__ import annotations
 
 import importlib
 import pkgutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from inspect import isabstract
 from typing import Any
 
 import agent.strategies
-from agent.plugins import Plugins
 from agent.strategies.base import Strategy
-
-
-def strategies() -> dict[str, type[Strategy]]:
-    """Return all imported exploration strategies without abstract methods, by name."""
-    return {name: kind for name, kind in all_strategies().items() if kind.explores}
-
-
-def all_strategies() -> dict[str, type[Strategy]]:
-    """Return the same, and strategies of robots that do not explore."""
-    found: dict[str, type[Strategy]] = {}
-    queue: list[Any] = [Strategy]
-    while queue:
-        for kind in queue.pop().__subclasses__():
-            queue.append(kind)
-            if "name" in vars(kind) and not isabstract(kind):
-                found[kind.name] = kind
-    return dict(sorted(found.items()))
+from protocol.plugins import Plugins
 
 
 class _Unloaded(Strategy):
@@ -42,8 +21,17 @@ class _Unloaded(Strategy):
         return options
 
 
-PLUGINS: Plugins[Strategy] = Plugins("strategy", "murmur.strategies", Strategy, _Unloaded)  # type: ignore[type-abstract]
-"""The strategies of installed packages."""
+STRATEGIES: dict[str, type[Strategy]] = {}
+"""All strategies of this package by name, those of robots that do not explore included."""
+
+PLUGINS: Plugins[type[Strategy]] = Plugins(
+    "strategy", "murmur.strategies", Strategy, STRATEGIES, _Unloaded, unlisted=frozenset({"playback"})
+)
+
+
+def strategies() -> dict[str, type[Strategy]]:
+    """Return the exploration strategies of this package, by name."""
+    return {name: kind for name, kind in STRATEGIES.items() if kind.explores}
 
 
 def strategy(name: str) -> type[Strategy]:
@@ -51,8 +39,17 @@ def strategy(name: str) -> type[Strategy]:
 
     ValueError: the name is unknown (the message lists similar names), or the class cannot be imported.
     """
-    return all_strategies().get(name) or PLUGINS.find(name, strategies())
+    return PLUGINS.find(name)
 
 
-for _module in pkgutil.iter_modules(agent.strategies.__path__):
-    importlib.import_module(f"agent.strategies.{_module.name}")
+def _of_modules() -> Iterator[type[Strategy]]:
+    """Yield the strategies of all modules of this package; some of these import this module."""
+    for module in pkgutil.iter_modules(agent.strategies.__path__):
+        loaded = importlib.import_module(f"agent.strategies.{module.name}")
+        for kind in vars(loaded).values():
+            is_own = isinstance(kind, type) and kind.__module__ == loaded.__name__
+            if is_own and issubclass(kind, Strategy) and "name" in vars(kind) and not isabstract(kind):
+                yield kind
+
+
+STRATEGIES.update((kind.name, kind) for kind in sorted(_of_modules(), key=lambda kind: kind.name))

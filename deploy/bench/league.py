@@ -78,7 +78,9 @@ def tasks(
     ValueError
         A name or a setting is invalid.
     """
-    competing = [strategy(name).name for name in names] or sorted(strategies())
+    competing = [*names] or sorted(strategies())
+    for name in competing:
+        strategy(name)
     scenarios = [
         parse({**DEFAULTS, **settings, "map": name, "robots": size, "seed": seed})
         for name, size, seed in product(maps, robots, range(seeds))

@@ -48,7 +48,7 @@ def _encoding_of(lie: str, encoding: Any) -> type[MapEncoding]:
     """Return an encoding that encodes a false grid, and decodes teammates' maps as `encoding` does."""
 
     class FalseEncoding(encoding):  # type: ignore[misc]
-        name = encoding.name
+        name = f"false-{lie}-{encoding.name}"
         _false: Grid | None = None
         """The false grid."""
 

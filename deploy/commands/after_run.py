@@ -11,6 +11,7 @@ import typer
 
 from deploy.commands.console import errors, explain_difference, progress, report_deaths, screen
 from deploy.commands.flags import JsonFlag, command_family
+from deploy.scenario import plugins
 from deploy.scenario.scenario import Scenario, ScenarioError, load
 
 app = command_family()
@@ -131,15 +132,8 @@ def replay(
 
 def _confirm_local_code(directory: Path, scenario: Scenario) -> None:
     """Ask at a terminal whether to run code that the scenario names outside the installed packages, else refuse."""
-    from agent.encodings.catalog import ENCODINGS  # noqa: PLC0415
-    from agent.encodings.catalog import PLUGINS as ENCODING_PLUGINS  # noqa: PLC0415
-    from agent.strategies.registry import PLUGINS, all_strategies  # noqa: PLC0415
-
-    codes = (
-        PLUGINS.local_code(scenario.strategy, all_strategies()),
-        ENCODING_PLUGINS.local_code(scenario.map_encoding, ENCODINGS),
-    )
-    for code in filter(None, codes):
+    codes = [part.plugins.local_code(part.name) for part in plugins.named(scenario)]
+    for code in filter(None, dict.fromkeys(codes)):
         if not (sys.stdin.isatty() and sys.stderr.isatty()):
             raise ScenarioError(
                 f"{directory}: would run {code}, which is no installed package: read it, then use --trust"

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from deploy.commands.console import errors, progress, report_result, screen
-from deploy.commands.flags import JsonFlag, OutOption, Subcommands, ViewAs, command_family
+from deploy.commands.flags import JsonFlag, OutOption, Subcommands, ViewAs, command_family, named_values
 from deploy.scenario.scenario import load
 
 app = command_family()
@@ -72,11 +72,15 @@ def run_agent(
 
 
 @run_app.command("agents")
-def run_agents() -> None:
+def run_agents(
+    plugin: Annotated[
+        list[str] | None, typer.Option(metavar="SETTING=NAME", help="a plug-in that the robots need")
+    ] = None,
+) -> None:
     """Start robots for `murmur explore --hosts` on another host; it uses standard input and output."""
     from deploy.run.remote_agents import serve  # noqa: PLC0415
 
-    serve()
+    serve({key: str(name) for key, name in named_values(plugin or [], "plugin", "strategy=my:Mine").items()})
 
 
 @run_app.command("router")

@@ -9,6 +9,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -134,7 +135,7 @@ class MapHistory:
         values = columns["own"] | columns["planning"] << 2
         key = columns["robot"].astype(np.int64) << 32 | columns["step"]
         starts = np.flatnonzero(np.diff(key, prepend=-1))
-        for first, end in zip(starts, [*starts[1:], len(key)], strict=True):
+        for first, end in pairwise([*starts, len(key)]):
             robot, step = int(columns["robot"][first]), int(columns["step"][first])
             history._add(robot, step, cells[first:end], values[first:end])
         if (folder / OUTLINES).is_file():

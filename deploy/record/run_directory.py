@@ -22,7 +22,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.plugins import without_import
 from deploy.record import missed_phases
 from deploy.record.columns import FILES, schema
 from deploy.record.columns import STEPS as STEP_COLUMNS
@@ -37,6 +36,7 @@ from netshaper import capture
 from netshaper.ledger import CAUSES, MALFORMED
 from protocol.files import open_file, read_file
 from protocol.packets import ALL_KINDS
+from protocol.plugins import without_import
 from worldsim import maps
 from worldsim.atomic_files import write_whole
 from worldsim.maps import Map, to_world

@@ -147,6 +147,9 @@ def serve_robot(credential: Path) -> None:
         read = Credential.parse(sys.stdin.read(), "credential on standard input")
     else:
         read = Credential.read(credential)
+        beside = credential.parent / SCENARIO
+        if beside.exists():
+            load(beside, {})  # before it joins: are its plug-ins here?
     names.number(read.name)
     serve_agent(read)
 

@@ -30,6 +30,7 @@ from deploy.run.in_memory import MemoryRun, check_clock
 from deploy.run.interrupt import Interrupt
 from deploy.run.ssh import Fleet
 from deploy.scenario import plan as plans
+from deploy.scenario import plugins
 from deploy.scenario.effective_radio import effective_radio
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import Scenario, ScenarioError, check_incarnations, parse
@@ -211,7 +212,9 @@ def explore(
     if control is not None:
         control.attach(plan, pace, may_kill=hosts is None)
     with (
-        Fleet(hosts, scenario.robots, notify) if hosts is not None else contextlib.nullcontext() as fleet,
+        Fleet(hosts, scenario.robots, notify, plugins.on_robots(scenario))
+        if hosts is not None
+        else contextlib.nullcontext() as fleet,
         interrupt.caught() if keep else contextlib.nullcontext(),
     ):
         folder = run_directory.create(Path(out) if out is not None else None, plan) if keep else None
@@ -230,6 +233,8 @@ def _planned(
 ) -> Plan:
     """Return the plan of a run, for which pace, hosts, memory, and open files suffice; ValueError if they do not."""
     _check_pace_and_hosts(pace, hosts, scenario)
+    if scenario.bus == "zenoh":
+        plugins.check_importable(scenario, "the robots' processes", ", or set bus = 'memory'")
     incarnations = _incarnations(scenario, hosts) if restart else 1
     plan = plans.make(scenario, incarnations=incarnations, record_maps=keep)
     memory.check(plan, sum(map(len, hosts.placing(scenario.robots).values())) if hosts is not None else 0)

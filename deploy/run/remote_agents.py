@@ -3,7 +3,7 @@
 It reports its version, receives credentials, starts one child process per robot, and forwards their output and exit
 codes. It ends when all of them have ended, or when its standard input is closed, as it is when the launcher ends.
 
-Both directions use JSON lines. To the launcher: ``{"murmur", "code", "versions"}`` once, then ``{"robot", "log"}`` and
+Both directions use JSON lines. To the launcher: `hello` once, then ``{"robot", "log"}`` and
 ``{"robot", "exit", "report"}``. From the launcher: ``{"credentials": [...]}`` once, then ``{"end": NAME}``. If a
 credential is a router's, the robots that it names join through this router; messages name the router like a robot.
 """
@@ -17,8 +17,7 @@ import os
 import select
 import signal
 import sys
-from collections.abc import Callable, Iterator
-from functools import cache
+from collections.abc import Callable, Iterator, Mapping
 from io import RawIOBase
 from pathlib import Path
 from typing import Any
@@ -26,6 +25,7 @@ from typing import Any
 from setproctitle import setproctitle
 
 from deploy.record.versions import versions
+from deploy.scenario import plugins as plugin_checks
 from protocol import keys as names
 from protocol.temporary import temporary_folder
 from protocol.zenoh_bus import Credential
@@ -68,11 +68,18 @@ def _file_of(module: str) -> Path:
     return Path(spec.origin)
 
 
-@cache
-def hello() -> dict[str, Any]:
-    """Return the first message to the launcher: the versions of Murmur, its code and its dependencies."""
+def hello(plugins: Mapping[str, str]) -> dict[str, Any]:
+    """Return the first message to the launcher: the versions of Murmur, its code, its dependencies, and its plug-ins.
+
+    `plugins` are those that the robots need, by setting. The message has digests of their code in ``plugins``, and in
+    ``missing`` why the others cannot be imported.
+    """
     found = versions()
-    return {"murmur": found.pop("murmur-robots"), "code": code_digest(), "versions": found}
+    digests, missing = plugin_checks.digests(plugins) if plugins else ({}, {})
+    return {
+        "murmur": found.pop("murmur-robots"), "code": code_digest(), "versions": found, "plugins": digests,
+        "missing": missing,
+    }  # fmt: skip
 
 
 class _Channel:
@@ -88,8 +95,8 @@ class _Channel:
         self._file.write(json.dumps(message).encode() + b"\n")
 
 
-def serve() -> None:
-    """Run the robots of this host, from the first message to the end of the last robot.
+def serve(plugins: Mapping[str, str]) -> None:
+    """Run the robots of this host, which need these `plugins`, from the first message to the end of the last robot.
 
     Raises ValueError if the launcher sent a malformed message.
     """
@@ -98,7 +105,7 @@ def serve() -> None:
     for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGINT):
         signal.signal(number, _leave)
     try:
-        channel.send(**hello())
+        channel.send(**hello(plugins))
         # Unbuffered, because `select` does not see bytes in a buffer.
         with open(0, "rb", buffering=0, closefd=False) as orders:
             order = orders.readline()

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import json
 import queue
+import shlex
 import subprocess
 import threading
 import time
@@ -56,6 +57,10 @@ class _Hello(msgspec.Struct):
     murmur: str
     code: str
     versions: dict[str, str] = {}
+    plugins: dict[str, str] = {}
+    """Digests of the code of plug-ins, by setting."""
+    missing: dict[str, str] = {}
+    """Why plug-ins cannot be imported, by setting."""
 
 
 class _Event(msgspec.Struct):
@@ -74,12 +79,20 @@ class HostError(ScenarioError):
 class Fleet:
     """The robots of a run on other hosts; a context manager that ends all of them.
 
-    `notify` is called with each warning: a host has other versions of some packages.
+    `notify` is called with each warning: a host has other versions of some packages. `plugins` are those that robots
+    import, by setting; each host must have the same ones.
 
     Raises ScenarioError if the hosts have more robots than the run, or the hub cannot listen at its address.
     """
 
-    def __init__(self, hosts: Hosts, robots: int, notify: Callable[[str], object] = lambda _: None) -> None:
+    def __init__(
+        self,
+        hosts: Hosts,
+        robots: int,
+        notify: Callable[[str], object] = lambda _: None,
+        plugins: Mapping[str, str] | None = None,
+    ) -> None:
+        self._plugins = plugins or {}
         placing = {name: list(map(names.robot, numbers)) for name, numbers in hosts.placing(robots).items()}
         routers = {names.router(host.name): placing[host.name] for host in hosts.host if host.router}
         self.rendezvous = by_certificates(hosts.address, hosts.port, robots, routers)
@@ -101,7 +114,7 @@ class Fleet:
         """
         try:
             for host, robots in self._placing:
-                self._links.append(_Link(host, robots))
+                self._links.append(_Link(host, robots, self._plugins))
             self._compare_versions()
         except BaseException:
             self.__exit__()
@@ -157,10 +170,11 @@ class Fleet:
 
     def _compare_versions(self) -> None:
         deadline = time.monotonic() + HELLO_S
+        here = hello(self._plugins)
         faults = []
         for link in self._links:
             try:
-                for line in link.differences(deadline):
+                for line in link.differences(here, deadline):
                     self._notify(line)
             except HostError as error:
                 faults.append(str(error))
@@ -171,7 +185,7 @@ class Fleet:
 class _Link:
     """One ssh and the robots that it runs, possibly with a router between them and the hub."""
 
-    def __init__(self, host: Host, robots: list[str]) -> None:
+    def __init__(self, host: Host, robots: list[str], plugins: Mapping[str, str]) -> None:
         self.robots = robots
         self.clients = [names.router(host.name)] if host.router else robots
         """The participants that join at the hub: the router, or the robots themselves."""
@@ -191,7 +205,7 @@ class _Link:
         self._logs: Path | None = None
         try:
             self._ssh = subprocess.Popen(  # in its own session: only the launcher receives Ctrl-C
-                command_line(host),
+                command_line(host, plugins),
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
@@ -208,10 +222,10 @@ class _Link:
         )
         self._error_reader.start()
 
-    def differences(self, deadline: float) -> Iterable[str]:
-        """Wait for the host's first message; yield a warning for each package whose version differs.
+    def differences(self, here: Mapping[str, Any], deadline: float) -> Iterable[str]:
+        """Wait for the host's first message; yield a warning for each package whose version differs from `here`.
 
-        Raises HostError if no message arrives, or the host's code differs from the launcher's.
+        Raises HostError if no message arrives, or the host's code or plug-ins differ from the launcher's.
         """
         where = f"host {self._host.name}"
         try:
@@ -220,12 +234,19 @@ class _Link:
             raise HostError(f"{where}: no reply within {HELLO_S:g} s: {self._last_output()}") from None
         if there is None:
             raise HostError(f"{where}: {self._why_silent()}")
-        here = hello()
         if there.code != here["code"]:
             raise HostError(
                 f"{where}: has different code, Murmur {_printable(there.murmur)} ({_printable(there.code)}; "
                 f"here {here['murmur']}, {here['code']}): install the same version on both"
             )
+        for setting, digest in here["plugins"].items():
+            if setting in there.missing:
+                raise HostError(
+                    f"{where}: {_printable(there.missing[setting])}; install it there, or put its file into the folder "
+                    f"in which the command of the hosts file runs (now: {self._host.command})"
+                )
+            if there.plugins.get(setting) != digest:
+                raise HostError(f"{where}: has other code of the {setting}; copy the module to it")
         for package, ours in here["versions"].items():
             theirs = _printable(there.versions.get(package, "None"))
             if theirs != ours:
@@ -390,8 +411,11 @@ class _Link:
         return next(filter(None, reversed(lines)), "no output")
 
 
-def command_line(host: Host) -> list[str]:
-    """Return the ssh command line for a host; it never asks for a password and contains no credential."""
+def command_line(host: Host, plugins: Mapping[str, str]) -> list[str]:
+    """Return the ssh command line for a host whose robots need plug-ins, given by setting.
+
+    It never asks for a password and contains no credential.
+    """
     given = [part for option in host.options for part in ("-o", option)]
     port = ["-p", str(host.port)] if host.port is not None else []
     plain = [
@@ -405,7 +429,9 @@ def command_line(host: Host) -> list[str]:
     ]
     # ssh uses the first value of an option that is given twice.
     ours = [part for option in plain for part in ("-o", option)]
-    return ["ssh", "-T", "-a", "-x", *given, *ours, *port, "--", host.target, f"{host.command} run agents"]
+    needs = "".join(f" --plugin {shlex.quote(f'{setting}={name}')}" for setting, name in plugins.items())
+    remote = f"{host.command} run agents{needs}"
+    return ["ssh", "-T", "-a", "-x", *given, *ours, *port, "--", host.target, remote]
 
 
 def _printable(text: str) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from deploy.scenario.plan import Plan
 from netshaper.radio_options import RadioOptions
 from protocol.budget import WORD_FOR_UNLIMITED
-from protocol.presets import PRESETS
+from protocol.presets import preset
 
 
 def effective_radio(plan: Plan) -> str:
@@ -21,7 +21,7 @@ def effective_radio(plan: Plan) -> str:
 def _parts(plan: Plan) -> Iterator[str]:
     scenario, options = plan.scenario, plan.scenario.radio
     if options.preset:
-        yield f"{options.preset}, {PRESETS[options.preset].description}"
+        yield f"{options.preset}, {preset(options.preset).description}"
     sharing = "each neighborhood" if options.reuse else "the team"
     limit = scenario.bandwidth
     rate = limit if limit == WORD_FOR_UNLIMITED else f"{limit} bytes per step"

@@ -23,9 +23,15 @@ def find_map(name: str, seed: int, options: Mapping[str, float]) -> Map:
     if name.endswith(IMAGES):
         return maps.load_picture(name, **_image_options(name, options))
     if name.endswith(FILES) or Path(name).is_file():
+        found = maps.load(name)
+        if "resolution" in options:
+            raise MapError(
+                f"resolution = {options['resolution']:g}: {name} itself gives the size of its cells, "
+                f"{found.resolution:g} m; omit --resolution (map_options.resolution)"
+            )
         if options:
-            raise MapError(f"map_options: {name} is a file; only generators have options")
-        return maps.load(name)
+            raise MapError(f"map_options.{min(options)}: {name} is a file; only generators have options")
+        return found
     if Path(name).is_dir() and name not in generators.names():
         raise MapError(f"map = {name!r}: is a directory; give the YAML file of a map in it")
     if name not in generators.names():

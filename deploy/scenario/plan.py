@@ -18,6 +18,7 @@ from deploy.scenario.finding_maps import find_map
 from deploy.scenario.recording import Recording, load_recording
 from deploy.scenario.scenario import Scenario, ScenarioError
 from deploy.scenario.tables import RobotOverride
+from netshaper.radio_models import PLUGINS as RADIO_MODELS
 from netshaper.settings import RadioSettings
 from protocol import faults
 from protocol.body import Body
@@ -212,7 +213,7 @@ def _radio_settings(scenario: Scenario, world_map: Map, range_m: float, incarnat
         incarnations,
         scenario.radio,
         world_map.resolution,
-        world_map.cells if scenario.radio.model != "disc" else None,
+        world_map.cells if RADIO_MODELS.find(scenario.radio.model).needs_walls else None,
         tuple(robot.send_bytes or 0 for robot in hardware),
         tuple(robot.receive_bytes or 0 for robot in hardware),
         scenario.changes(world_map.diagonal_m),

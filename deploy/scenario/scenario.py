@@ -14,6 +14,7 @@ import tomli_w
 from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_validator
 
 from agent.encoding_options import PolygonOptions, PredictiveOptions
+from deploy.scenario import plugins
 from deploy.scenario.finding_maps import FILES as MAP_FILES
 from deploy.scenario.tables import (
     MAX_INTEGER,
@@ -40,7 +41,6 @@ from protocol.files import read_file
 from protocol.grid import MAX_ROBOTS
 from protocol.messages import Change, FaultEvent
 from protocol.packets import MAX_GOSSIP_MAPS, MAX_MAPS
-from protocol.presets import PRESETS
 from worldsim.people_options import PeopleOptions
 from worldsim.recorded.options import RecordingOptions
 from worldsim.sensor_options import IDEAL, LASERS, POSES, LaserOptions, PoseOptions
@@ -84,9 +84,11 @@ class Scenario(Table):
 
     def __init__(self, **settings: Any) -> None:
         try:
-            super().__init__(**settings)
+            super().__init__(**plugins.with_names(settings))
         except ValidationError as error:
             raise explained(error, _KEYS) from None
+        except ValueError as error:
+            raise ScenarioError(str(error)) from None
 
     map: str = Field("office", description="a map's YAML file, or the name of a generator (murmur map list)")
     map_seed: Whole = Field(0, ge=0, le=MAX_INTEGER, description="seed of the generator")
@@ -140,7 +142,7 @@ class Scenario(Table):
     radius: NotNegative = Field(0.0, description="radius of the robots, which are discs, meters; 0: points")
     start_spacing: Positive = Field(0.3, description="minimum distance between start positions, meters")
     rounds: Whole = Field(2, ge=1, le=16, description="rounds of the medium per step (R)")
-    dissemination: Literal["backoff", "thesis", "gossip"] = Field(
+    dissemination: str = Field(
         default_factory=lambda given: "gossip" if given.get("map_encoding") == "predictive" else "backoff",
         description="when maps are offered (default gossip with predictive, else backoff): backoff, thesis, gossip",
     )
@@ -197,12 +199,12 @@ class Scenario(Table):
     def _take_preset(cls, data: Any) -> Any:
         """Fill in the radio preset's values where the scenario does not give its own."""
         radio = data.get("radio") if isinstance(data, dict) else None
-        if not isinstance(radio, dict) or not radio.get("preset"):
+        if not isinstance(radio, dict):
             return data
-        name = str(radio["preset"])
-        if name not in PRESETS:
-            raise ValueError(f"radio.preset = {shown(radio['preset'])}: {there_are(PRESETS, name)}")
-        preset = PRESETS[name]
+        name = radio.get("preset")
+        if not isinstance(name, str) or not name:
+            return data
+        preset = plugins.kinds()["radio.preset"].find(name)
         taken = {"bandwidth": preset.bandwidth, "range": str(preset.range_m)} | data
         return taken | {"radio": {"frame_bytes": preset.frame_bytes} | radio}
 
@@ -279,12 +281,10 @@ class Scenario(Table):
         check_types(cls.model_fields[str(info.field_name)].annotation, value)
         return value
 
-    @field_validator("map_encoding")
+    @field_validator("map_encoding", "dissemination")
     @classmethod
-    def _encoding_is_known(cls, value: str) -> str:
-        from agent.encodings.catalog import encoding_class  # noqa: PLC0415  loads numpy, which --help does not need
-
-        encoding_class(value)
+    def _part_is_known(cls, value: str, info: ValidationInfo) -> str:
+        plugins.kinds()[str(info.field_name)].find(value)
         return value
 
     @field_validator("options")
@@ -301,6 +301,7 @@ class Scenario(Table):
         from agent.strategies.registry import strategy  # noqa: PLC0415  loads kernels, which --help does not need
 
         strategy(self.strategy).check(self.options)
+        plugins.kinds()["radio.model"].find(self.radio.model)
         self._check_recording()
         if self.clock == "barrier" and self.step_s != Scenario.model_fields["step_s"].default:
             raise ValueError(f"step_s = {self.step_s:g}: steps have a duration only with clock = 'wall'")

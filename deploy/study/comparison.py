@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
+from deploy.scenario import plugins
 from deploy.scenario.scenario import Scenario, ScenarioError, load
 from deploy.study import plots
 from deploy.study.claims import HOLDS, UNDECIDED, Finding, Rule, judge
@@ -116,7 +117,7 @@ def compare(
     --------
     deploy.study.sweep.sweep : the other parameters
     """
-    variants = _named(scenarios)
+    variants, settings = _named(scenarios), plugins.with_names(settings)
     if len(variants) < 2:
         raise ScenarioError("there is nothing to compare: give at least two scenarios")
     check(metric, ())
@@ -143,7 +144,7 @@ def _named(
 ) -> dict[str, dict[str, Any]]:
     """The settings of each scenario by a name: that of its file, or its differing settings."""
     if isinstance(scenarios, dict):
-        return scenarios
+        return {name: plugins.with_names(keys) for name, keys in scenarios.items()}
     named: dict[str, dict[str, Any]] = {}
     settings = [_settings(each) for each in scenarios]
     for each, own in zip(scenarios, settings, strict=True):
@@ -167,7 +168,7 @@ def _settings(scenario: Scenario | dict[str, Any] | Path | str) -> dict[str, Any
         scenario = load(Path(scenario), {})
     if isinstance(scenario, Scenario):
         scenario = scenario.model_dump(mode="json", exclude_unset=True)
-    return {key: value for key, value in scenario.items() if key not in REPLACED}
+    return plugins.with_names({key: value for key, value in scenario.items() if key not in REPLACED})
 
 
 def _sentence(metric: str, finding: Finding) -> str:

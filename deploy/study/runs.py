@@ -6,11 +6,9 @@ Invalid input is rejected before the first run.
 from __future__ import annotations
 
 import hashlib
-import inspect
 import itertools
 import json
 import math
-import sys
 import zlib
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -21,12 +19,11 @@ from typing import Any
 
 import numpy as np
 
-from agent.encodings.catalog import encoding_class
-from agent.strategies.registry import strategy
 from deploy.record.versions import versions
 from deploy.run import memory
 from deploy.run.workers import Workers
 from deploy.scenario import plan as plans
+from deploy.scenario import plugins
 from deploy.scenario.finding_maps import FILES
 from deploy.scenario.scenario import Scenario, ScenarioError, lay, parse
 from deploy.scenario.tables import MAX_RUNS
@@ -102,6 +99,7 @@ def cases(experiment: Experiment) -> list[Case]:
             here = ", ".join(f"{key} = {value}" for key, value in place.items())
             where = f"{experiment.where} ({here})"
             scenario = _scenario(experiment, (experiment.base, settings, keys), where)
+            plugins.check_importable(scenario, "the processes of a sweep")
             try:
                 if is_file(scenario.map) and scenario.map not in files:
                     files[scenario.map] = content(plans.load_map(scenario))
@@ -116,6 +114,7 @@ def cases(experiment: Experiment) -> list[Case]:
             result.append(
                 Case(place, scenario, measure, key, code_of(scenario), world and zlib.compress(world))
             )
+    plugins.check_distinct(case.scenario for case in result)
     return result
 
 
@@ -213,16 +212,9 @@ def identity(scenario: Scenario, measure: str, world: bytes) -> str:
 
 
 def code_of(scenario: Scenario) -> str:
-    """SHA-256 of versions and sources, including those of a user's strategy and map encoding."""
-    plugins = f"{_module(strategy(scenario.strategy))} {_module(encoding_class(scenario.map_encoding))}"
-    text = f"{json.dumps(versions(), sort_keys=True)} {_sources()} {plugins}"
+    """SHA-256 of versions and sources, including those of plug-ins."""
+    text = json.dumps([versions(), _sources(), plugins.sources(scenario)], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-@cache
-def _module(plugin: type) -> str:
-    """The source of the module of a class."""
-    return inspect.getsource(sys.modules[plugin.__module__])
 
 
 @cache

@@ -12,6 +12,7 @@ import polars as pl
 from rich.console import Console
 
 from deploy.run.workers import workers
+from deploy.scenario import plugins
 from deploy.scenario.scenario import ScenarioError
 from deploy.study import experiment as experiments
 from deploy.study import plots
@@ -134,8 +135,11 @@ def sweep(
     ValueError
         A setting, the experiment or `out` is invalid; nothing has been run.
     """
+    settings = plugins.with_names(settings)
     if experiment is None:
-        read = of_settings("sweep", base or {}, settings, variants or {"plain": {}}, metrics)
+        base = plugins.with_names(base or {})
+        variants = {name: plugins.with_names(keys) for name, keys in (variants or {}).items()}
+        read = of_settings("sweep", base, settings, variants or {"plain": {}}, metrics)
     else:
         if base or variants:
             raise ScenarioError("base and variants: only without an experiment, which has its own")

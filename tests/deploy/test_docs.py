@@ -25,7 +25,7 @@ from agent.predictive.scan_updates import MAX_SCANS
 from agent.predictive.tile_author import ENOUGH_TILES, INTERVAL, LONGEST_WAIT, QUIET_STEPS
 from agent.replication import handshakes, neighbors
 from agent.replication.base import Replication
-from agent.replication.policies import DISSEMINATIONS
+from agent.replication.engine import DISSEMINATIONS
 from agent.settings import EncodingSettings, ReplicationSettings, Settings
 from deploy.record.columns import SUMMARY
 from deploy.run.exploration import explore

@@ -14,10 +14,9 @@ from functools import partial
 import numpy as np
 
 from agent.replication.base import Replication
-from agent.replication.engine import make_replication
+from agent.replication.engine import DISSEMINATIONS, make_replication
 from agent.replication.gossip_policy import Dependencies
 from agent.replication.peers import MapId
-from agent.replication.policies import DISSEMINATIONS
 from agent.replication.replica import Consume, Rebuild, Rejected
 from agent.settings import EncodingSettings, ReplicationSettings, Settings
 from protocol import packet_index

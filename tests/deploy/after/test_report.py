@@ -6,12 +6,16 @@ import re
 import shutil
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import ClassVar
 
 import pytest
 from matplotlib.axes import Axes
 from PIL import Image
 from typer.testing import CliRunner
 
+from agent.planning.path_planner import PathPlanner
+from agent.strategies.base import Situation
+from agent.strategies.targets import TargetStrategy
 from deploy.after import archive, report
 from deploy.after.figures import channel_load
 from deploy.after.frames import Frames
@@ -21,6 +25,7 @@ from deploy.record import run_directory
 from deploy.record.map_history import MAP_CHANGES, OUTLINES
 from deploy.run.exploration import explore
 from deploy.scenario.scenario import ScenarioError, parse
+from protocol.arrays import Cells
 from tests.deploy.small_run import SETTINGS, small_directory, small_run
 
 FIGURES = ["approximation.png", "channel-load.png", "maps-over-time.png"]
@@ -242,3 +247,30 @@ def words_of(panel: Axes) -> list[str]:
     legend = panel.get_legend()
     assert legend is not None
     return [text.get_text() for text in legend.get_texts()]
+
+
+class Lost(TargetStrategy):
+    """Some robots are lost in a step: their code raises."""
+
+    name, summary, source = "lost", "some robots are lost", "our own"
+    robots: ClassVar[tuple[int, ...]] = ()
+    step: ClassVar[int] = 0
+
+    def choose(self, situation: Situation, goals: Cells, planner: PathPlanner) -> tuple[int, int]:
+        if self.settings.robot in self.robots and situation.step >= self.step:
+            raise RuntimeError("lost")
+        x, y = goals[0]
+        return int(x), int(y)
+
+
+@pytest.mark.parametrize("step", [1, 4])
+@pytest.mark.parametrize("robots", [(0,), (0, 1)])
+def test_a_run_that_lost_robots_has_a_report(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, robots: tuple[int, ...], step: int
+) -> None:
+    monkeypatch.setattr(Lost, "robots", robots)
+    monkeypatch.setattr(Lost, "step", step)
+    run = explore(map="leader-rooms", robots=2, steps=8, bus="memory", strategy=Lost, out=tmp_path / "run")
+    assert set(run.summary["lost"]) == {str(robot) for robot in robots}
+    words = Page(write_report(tmp_path / "run").read_text(encoding="utf-8")).words
+    assert "its process ended" in words

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -13,7 +14,7 @@ from tests.deploy.commands.office_floor import murmur
 
 ROOT = Path(__file__).parents[3]
 
-SHORT = ["--map", "em", "--robots", "1", "--bus", "memory", "--steps", "3", "--json"]
+SHORT = ["--map", "em", "--robots", "2", "--steps", "3", "--json"]
 
 
 def elsewhere(*words: str) -> subprocess.CompletedProcess[str]:
@@ -29,21 +30,53 @@ def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
 
 
-def test_a_new_strategy_passes_its_test_and_explores_with_the_printed_command() -> None:
-    output = murmur("new", "strategy", "my-way")
-    assert output.exit_code == 0, output.stderr
-    tested = elsewhere("-m", "pytest", "-q", "-p", "no:cacheprovider", "test_my_way.py")
+def test_templates_pass_their_tests_and_run_together_on_both_buses_with_equal_results() -> None:
+    commands = [
+        line.removeprefix("run:  murmur explore ").split()
+        for kind in ("strategy", "encoding", "radio")
+        for line in murmur("new", kind, f"my-{kind}").stdout.splitlines()
+        if line.startswith("run:")
+    ]
+    assert [words[1] for words in commands] == [
+        "my_strategy:MyStrategy",
+        "my_encoding:MyEncoding",
+        "my_radio:PRESET",
+    ]
+    tested = elsewhere("-m", "pytest", "-q", "-p", "no:cacheprovider", *map(str, Path().glob("test_*.py")))
     assert tested.returncode == 0, tested.stdout
-    assert "2 passed" in tested.stdout
-    done = elsewhere("-m", "deploy.commands.main", "explore", "--strategy", "my_way:MyWay", *SHORT)
-    assert done.returncode == 1, done.stderr
-    assert '"strategy": "my_way:MyWay"' in done.stdout
+    assert "7 passed" in tested.stdout
+    digests = set()
+    for bus in ("memory", "zenoh"):
+        together = [word for words in commands for word in words]
+        done = elsewhere("-m", "deploy.commands.main", "explore", *together, *SHORT, "--bus", bus)
+        assert done.returncode == 1, done.stderr
+        summary = json.loads(done.stdout)
+        assert (summary["strategy"], summary["map_encoding"]) == (
+            "my_strategy:MyStrategy",
+            "my_encoding:MyEncoding",
+        )
+        assert summary["bytes"]["scan"] > 0
+        digests.add(summary["digest"])
+    assert len(digests) == 1
+
+
+@pytest.mark.parametrize(
+    "words", ["strategy meier", "strategy playback", "encoding predictive", "radio lora-sf9", "radio disc"]
+)
+def test_the_name_of_a_built_in_part_is_rejected(words: str) -> None:
+    result = murmur("new", *words.split())
+    assert result.exit_code == 2, result.stdout
+    name = words.split()[1]
+    assert f"name = {name!r}: a built-in " in result.stderr and f"as my-{name}" in result.stderr
+    assert list(Path().iterdir()) == []
 
 
 def test_a_local_file_with_the_name_of_a_package_does_not_shadow_it() -> None:
     Path("protocol.py").write_text("raise RuntimeError('the wrong one')\n")
     murmur("new", "strategy", "farthest")
-    done = elsewhere("-m", "deploy.commands.main", "explore", "--strategy", "farthest:Farthest", *SHORT)
+    done = elsewhere(
+        "-m", "deploy.commands.main", "explore", "--strategy", "farthest:Farthest", *SHORT, "--bus", "memory"
+    )
     assert done.returncode == 1, done.stderr
 
 

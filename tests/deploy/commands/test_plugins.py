@@ -1,4 +1,4 @@
-"""Strategies and map encodings of installed packages are found by name, listed and run; broken ones are reported."""
+"""Plug-ins of installed packages are found by name, listed and run; broken ones are reported."""
 
 from __future__ import annotations
 
@@ -15,13 +15,19 @@ INFO = {
     "METADATA": "Metadata-Version: 2.1\nName: farthest-first\nVersion: 1\n",
     "WHEEL": "Wheel-Version: 1.0\nGenerator: hand\nRoot-Is-Purelib: true\nTag: py3-none-any\n",
     "entry_points.txt": "[murmur.strategies]\nfarthest = farthest_first:Farthest\ntorn = torn_strategy:Torn\n"
-    "[murmur.map_encodings]\nquiet = farthest_first:Quiet\n",
+    "[murmur.map_encodings]\nquiet = farthest_first:Quiet\n[murmur.radio_models]\nnear = farthest_first:Near\n"
+    "[murmur.radio_presets]\nslow = farthest_first:SLOW\n[murmur.disseminations]\nshy = farthest_first:Shy\n",
     "RECORD": "",
 }
 MODULE = '''
 import numpy as np
 from agent.encodings.none import NoEncoding
+from agent.replication.engine import OfferDissemination
 from agent.strategies.targets import TargetStrategy
+from netshaper.radio_models import RadioModel
+from protocol.presets import Preset
+
+SLOW = Preset("slow", 800, 64, 0.64, 10)
 
 class Farthest(TargetStrategy):
     """To the farthest goal."""
@@ -35,6 +41,20 @@ class Farthest(TargetStrategy):
 class Quiet(NoEncoding):
     """Tells nothing."""
     name = "quiet"
+
+class Near(RadioModel):
+    """Neighbors only."""
+    name = "near"
+
+    def links(self, settings, step, places):
+        return np.abs(places[:, None] - places).max(axis=2) < 10
+
+class Shy(OfferDissemination):
+    """Offers nothing."""
+    name = "shy"
+
+    def offers(self, rounds, lengths):
+        return []
 '''
 
 
@@ -59,12 +79,11 @@ def python(installed: Path, *words: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_strategies_and_encodings_of_a_package_run_by_their_names(installed: Path) -> None:
+def test_parts_of_a_package_run_by_their_names(installed: Path) -> None:
     run = "from murmur import explore; print(explore(map='em', robots=2, steps=4, bus='memory', keep=False, "
-    done = python(
-        installed, "-c", run + "strategy='farthest', map_encoding='quiet').summary['map_encoding'])"
-    )
-    assert done.stdout == "quiet\n", done.stderr
+    parts = "map_encoding='quiet', dissemination='shy', radio={'model': 'near', 'preset': 'slow'}"
+    done = python(installed, "-c", f"{run}strategy='farthest', {parts}).plan.scenario.radio)")
+    assert "preset='slow', frame_bytes=64, model='near'" in done.stdout, done.stderr
     torn = python(installed, "-c", run + "strategy='torn'))")
     assert "strategy 'torn' of package farthest-first cannot be imported:" in torn.stderr
     assert torn.stderr.endswith("RuntimeError: torn\n")
@@ -102,12 +121,24 @@ def test_finished_runs_are_read_without_the_code_that_their_scenario_names(
         lines = scenario.read_text().splitlines()
         changed = [f'strategy = "{name}"' if line.startswith("strategy = ") else line for line in lines]
         scenario.write_text("\n".join(changed))
-        for words in ("report", "export --mcap", "capture --robot 0"):
-            done = python(installed, *murmur, *words.split(), run)
-            assert (done.returncode, done.stderr) == (0, ""), done.stderr
-        replayed = python(installed, *murmur, "replay", run)
-        assert replayed.returncode == 2
-        assert ("module torn_strategy" in replayed.stderr) == ("torn" in name)
-    assert "No module named 'no_longer_there'" in replayed.stderr
+        done = python(installed, "-c", READ, run)
+        assert (done.returncode, done.stderr) == (0, ""), done.stderr
+        refused = python(installed, *murmur, "replay", run)
+        assert refused.returncode == 2
+        assert ("module torn_strategy" in refused.stderr) == ("torn" in name)
+    assert "No module named 'no_longer_there'" in refused.stderr
     torn = python(installed, *murmur, "replay", run, "--trust")
     assert (torn.returncode, torn.stderr.count("Traceback")) == (2, 0)
+
+
+READ = """
+import sys
+from typer.testing import CliRunner
+from deploy.commands.app import app
+
+for words in ("report", "export --mcap", "capture --robot 0"):
+    done = CliRunner().invoke(app, [*words.split(), sys.argv[1]])
+    assert done.exit_code == 0, done.output
+assert "torn_strategy" not in sys.modules
+"""
+"""Reads a run directory in one process."""

@@ -104,7 +104,7 @@ def test_options_of_the_hosts_file_come_first_and_ssh_never_asks_for_a_password(
     (host,) = hosts(
         1, host=[{"name": "a", "ssh": "me@a", "port": 22, "robots": 1, "options": ["BatchMode=no"]}]
     ).host
-    line = command_line(host)
+    line = command_line(host, {})
     assert line[:1] == ["ssh"]
     assert line[-3:] == ["--", "me@a", "murmur run agents"]
     assert line.index("BatchMode=no") < line.index("BatchMode=yes")

@@ -67,7 +67,7 @@ def wait_until(true: Callable[[], object]) -> None:
         ),
         (
             """echo Welcome; echo '{"murmur": "0.0.9", "code": "abc"}'; cat; exit;""",
-            rf"h0: has different code, Murmur 0\.0\.9 \(abc; here \S+, {hello()['code']}\): install the same",
+            rf"h0: has different code, Murmur 0\.0\.9 \(abc; here \S+, {hello({})['code']}\): install the same",
         ),
     ],
 )
@@ -91,7 +91,7 @@ def test_silent_host_times_out(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_other_versions_of_packages_cause_a_warning_only() -> None:
-    there = hello() | {"versions": hello()["versions"] | {"numpy": "1.0"}}
+    there = hello({}) | {"versions": hello({})["versions"] | {"numpy": "1.0"}}
     command = f"echo '{json.dumps(there)}'; cat; exit;"
     warnings: list[str] = []
     with Fleet(hosts(command), 3, warnings.append):
@@ -107,7 +107,7 @@ def send(*parts):
         sys.stdout.write(part)
     sys.stdout.flush()
 """
-ACCEPTED = "import json; from deploy.run.remote_agents import hello; send(json.dumps(hello()) + chr(10))\n"
+ACCEPTED = "import json; from deploy.run.remote_agents import hello; send(json.dumps(hello({})) + chr(10))\n"
 
 
 def fake_host(tmp_path: Path, code: str) -> Hosts:
@@ -327,3 +327,30 @@ def test_address_of_another_host_is_rejected_before_anything_starts() -> None:
     elsewhere = hosts("true").model_copy(update={"address": "192.0.2.7"})
     with pytest.raises(ScenarioError, match=r"^address = '192\.0\.2\.7': the hub cannot listen there: "):
         Fleet(elsewhere, 3)
+
+
+def test_a_host_that_lacks_a_plug_in_or_has_another_one_is_rejected(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    here, there = tmp_path / "here", tmp_path / "there"
+    source = "from agent.encodings.none import NoEncoding\n\n\nclass Mute(NoEncoding):\n    name = 'mute'\n"
+    for folder in (here, there):
+        folder.mkdir()
+    (here / "mute_maps.py").write_text(source)
+    monkeypatch.chdir(here)
+    plugins = {"map_encoding": "mute_maps:Mute"}
+    command = hosts(f"cd {there} && {MURMUR}")
+    missing = (
+        r"h0: map encoding 'mute_maps:Mute': No module named 'mute_maps'; .*; install it there, or put its"
+    )
+    with pytest.raises(HostError, match=missing), Fleet(command, 3, plugins=plugins):
+        pytest.fail("the host was accepted")
+    (there / "mute_maps.py").write_text(source + "    loud = False\n")
+    with (
+        pytest.raises(HostError, match=r"h0: has other code of the map_encoding"),
+        Fleet(command, 3, plugins=plugins),
+    ):
+        pytest.fail("the host was accepted")
+    (there / "mute_maps.py").write_text(source)
+    with Fleet(command, 3, plugins=plugins):
+        pass

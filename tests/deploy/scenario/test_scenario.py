@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from agent.encoding_options import PolygonOptions
 from agent.encodings.catalog import ENCODINGS
-from agent.replication.policies import DISSEMINATIONS
+from agent.replication.engine import DISSEMINATIONS
 from agent.strategies.meier import Meier
 from deploy.scenario.scenario import SHIPPED, Scenario, ScenarioError, load, parse
 from protocol.budget import WORD_FOR_UNLIMITED
@@ -145,7 +145,9 @@ WRONG = [
         "map_encoding = 'smoke': no map encoding is called 'smoke'; there are: .*scans",
     ),
     ({"strategy": "best"}, "no strategy is called 'best'; there are: .*meier"),
-    ({"dissemination": "never"}, "dissemination = 'never': .*'backoff', 'thesis' or 'gossip'"),
+    ({"dissemination": "never"}, "dissemination = 'never': .*there are: backoff, thesis, gossip;"),
+    ({"radio": {"model": "disk"}}, "no radio model is called 'disk'; did you mean disc"),
+    ({"radio": {"preset": "wify"}}, "no radio preset is called 'wify'; did you mean wifi"),
     ({"bus": "tram"}, "bus = 'tram': .*'zenoh' or 'memory'"),
     ({"map": 3}, "map = 3: must be text"),
     ({"options": {"gamma": 1.0}}, "repairmen has no option 'gamma'; there are: .*small_frontier"),
