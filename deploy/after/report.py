@@ -272,11 +272,10 @@ def _abstract(summary: dict[str, Any]) -> str:
 
 
 def _figures(summary: dict[str, Any]) -> list[list[str]]:
-    accuracy = summary["map_accuracy"]
     error = summary.get("approximation_error")
     return [
         ["reachable cells seen by the team", _percent(summary["coverage"])],
-        ["accuracy of the planning map of the first robot", _percent(accuracy)],
+        ["map accuracy", _accuracy(summary)],
         *_wall_figures(summary),
         ["team had seen 90 %, 99 %", f"step {summary['t90'] or '-'}, step {summary['t99'] or '-'}"],
         ["strategy, seed", f"{summary['strategy']}, {summary['seed']}"],
@@ -285,6 +284,14 @@ def _figures(summary: dict[str, Any]) -> list[list[str]]:
         ["steps over the budget", str(summary["over_budget_steps"])],
         ["bus", f"{summary['bus']}, {summary['steps_per_s']} steps per second"],
     ]
+
+
+def _accuracy(summary: dict[str, Any]) -> str:
+    """The accuracy of planning grids: of the first robot, the mean, and the worst."""
+    first = _percent(summary["map_accuracy"])
+    if (mean := summary.get("mean_map_accuracy")) is None:
+        return f"first robot {first}"
+    return f"mean {_percent(mean)}, worst robot {_percent(summary['worst_map_accuracy'])}, first robot {first}"
 
 
 def _wall_figures(summary: dict[str, Any]) -> list[list[str]]:

@@ -204,7 +204,7 @@ def compare(
 
 
 @app.command(cls=GroupedCommand)
-@setting_flags("map", "robots", "range", "bandwidth", "seed", "bus")
+@setting_flags("map", "robots", "range", "bandwidth", "finish", "seed", "bus")
 def size(
     map_: Annotated[str, typer.Option("--map", metavar="FILE|NAME", help="the building")] = "office",
     robots: Annotated[str, typer.Option(metavar="2..8|2,4", help="numbers of robots to try")] = "2..8",
@@ -220,6 +220,9 @@ def size(
     min_map_accuracy: Annotated[
         float, typer.Option(min=0, max=1, metavar="SHARE", help="of the building that a map must have right")
     ] = 0.95,
+    finish: Annotated[
+        str, typer.Option(metavar="all|first", help="robots that must finish with such a map")
+    ] = "all",
     seeds: Annotated[
         int, typer.Option(min=1, max=MAX_RUNS, metavar="N", help="runs of each combination")
     ] = 5,
@@ -243,7 +246,7 @@ def size(
             robots=whole_numbers(robots, "robots", MAX_ROBOTS),
             bandwidth=[int(item) if item.isdecimal() else item for item in items(bandwidth)],
             range=items(range_),
-            deadline=deadline, min_map_accuracy=min_map_accuracy,
+            deadline=deadline, min_map_accuracy=min_map_accuracy, finish=finish,
             seeds=seeds, jobs=jobs, scheduler=scheduler, out=runs, **settings,
         )  # fmt: skip
     report_sweep(done.sweep)

@@ -136,6 +136,8 @@ _SHOWN = (
     "steps",
     "coverage",
     "map_accuracy",
+    "mean_map_accuracy",
+    "worst_map_accuracy",
     "t90",
     "t99",
     "strategy",

@@ -23,7 +23,10 @@ if TYPE_CHECKING:
 
 SEEDS = 10
 
-METRICS = ("steps", "t90", "map_accuracy", "claimed_worst_wall_f1", "walls_within_tolerance", "bytes.total")
+METRICS = (
+    "steps", "t90", "map_accuracy", "mean_map_accuracy", "worst_map_accuracy", "claimed_worst_wall_f1",
+    "walls_within_tolerance", "bytes.total",
+)  # fmt: skip
 """The metrics of the table, besides the compared one."""
 
 REPLACED = ("seed", "bus")

@@ -124,6 +124,20 @@ def test_the_smallest_sufficient_team_is_named(tmp_path: Path) -> None:
     assert broken.enough is None and ": 1 of 2 runs, in " in broken.sentence
 
 
+def test_all_robots_must_finish_with_an_accurate_map_unless_the_first_is_enough(tmp_path: Path) -> None:
+    alone = {"map_encoding": "none", "map_options": {"width_m": 8.0, "height_m": 8.0}, "sensor_range": 3.0}
+    tried = {"robots": [2], "bandwidth": [100], "range": ["100%"], "seeds": 1, "out": tmp_path / "r.parquet"}
+    first, each = (size("office", finish=finish, **tried, **alone, **QUIET) for finish in ("first", "all"))
+    assert first.options[0].steps.mean < each.options[0].steps.mean
+    assert first.enough is not None and "95 % of the first robot's map correct" in first.sentence
+    assert each.enough is not None and "95 % of each robot's map correct" in each.sentence
+    poor = pl.read_parquet(tried["out"]).with_columns(pl.lit(0.9).alias("worst_map_accuracy"))
+    poor.write_parquet(tried["out"])
+    first, each = (size("office", finish=finish, **tried, **alone, **QUIET) for finish in ("first", "all"))
+    assert first.enough is not None
+    assert each.enough is None
+
+
 def test_the_shortest_range_of_a_finished_run_is_named() -> None:
     settings = {name: value for name, value in ROOMS.items() if name not in ("map", "robots", "bandwidth")}
     tried = {"robots": [1, 3], "bandwidth": ["unlimited"], "range": ["100%", "9"], "seeds": 1, "steps": 36}
