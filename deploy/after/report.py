@@ -291,7 +291,9 @@ def _accuracy(summary: dict[str, Any]) -> str:
     first = _percent(summary["map_accuracy"])
     if (mean := summary.get("mean_map_accuracy")) is None:
         return f"first robot {first}"
-    return f"mean {_percent(mean)}, worst robot {_percent(summary['worst_map_accuracy'])}, first robot {first}"
+    return (
+        f"mean {_percent(mean)}, worst robot {_percent(summary['worst_map_accuracy'])}, first robot {first}"
+    )
 
 
 def _wall_figures(summary: dict[str, Any]) -> list[list[str]]:

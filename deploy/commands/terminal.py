@@ -112,7 +112,9 @@ def summary_lines(summary: dict[str, Any], directory: Path | None, *, noisy: boo
         lines.append(_replayed(summary))
     elif summary["finished"]:
         by = " by all robots" if summary["finish"] == "all" else ""
-        lines.append(f"Explored in {summary['steps']} steps{by}; robot {summary['first_robot']} finished first.")
+        lines.append(
+            f"Explored in {summary['steps']} steps{by}; robot {summary['first_robot']} finished first."
+        )
     else:
         lines.append(f"Not finished after {summary['steps']} steps: {summary['reason']}.")
     area = "map of all scans" if "scans" in summary else "reachable area"
@@ -142,7 +144,9 @@ def _accuracy_line(summary: dict[str, Any]) -> list[str]:
         return []
     worst = min(accuracies, key=accuracies.__getitem__)
     if accuracies[worst] == max(accuracies.values()):
-        return [f"Map accuracy: {_percent(accuracies[worst])}{' on each robot' if len(accuracies) > 1 else ''}."]
+        return [
+            f"Map accuracy: {_percent(accuracies[worst])}{' on each robot' if len(accuracies) > 1 else ''}."
+        ]
     parts = [
         f"mean {_percent(summary['mean_map_accuracy'])}",
         f"worst {_percent(accuracies[worst])} (robot {worst})",

@@ -93,8 +93,8 @@ SUMMARY = {
     "walls_within_tolerance, worst_walls_within_tolerance": "share of the walls of which a robot is certain that a "
     "teammate's shared map has within `tolerance`, at the end: mean and minimum over all pairs; null for one robot. "
     "Agreement, not truth: it compares robots' claims with each other",
-    "robot_maps": "for each robot: `map_accuracy`, `wall_precision`, `wall_recall`, `wall_f1`, and of its teammates' walls "
-    "`walls_within_tolerance` and `worst_walls_within_tolerance`",
+    "robot_maps": "for each robot: `map_accuracy`, `wall_precision`, `wall_recall`, `wall_f1`, and of its teammates' "
+    "walls `walls_within_tolerance` and `worst_walls_within_tolerance`",
     "refuted_maps": "robots whose own map is false beyond noise, or too large; other keys leave them out",
     "t50, t90, t99": "steps at which the team had seen 50, 90, and 99 %",
     "overlap": "cells seen by more than one robot over cells seen; null if a robot was lost with its grid",

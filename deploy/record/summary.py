@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from typing import Any
 
 import numpy as np
@@ -110,11 +110,11 @@ def _reason(end: End | None, *, finished: bool) -> str:
     return end.reason if finished or end.first < 0 else f"robot {end.first} stopped too early"
 
 
-def digest(records: Records) -> str:
+def digest(records: Records, without: Collection[int] = ()) -> str:
     """Hash canonical integers by SHA-256: the sorted ledger, poses by step and robot, all grids.
 
     Poses are in whole millimeters and tenths of a degree. Each number is a little-endian int64, but those of people are
-    int32; grids are uint8, preceded by their robot and shape.
+    int32; grids are uint8, preceded by their robot and shape. Grids of robots in `without` do not count.
     """
     total = hashlib.sha256()
     rows = sort_rows(records.ledger())
@@ -125,6 +125,8 @@ def digest(records: Records) -> str:
         total.update(np.array([report.step], "<i8").tobytes() + poses.tobytes() + report.people)
     for grids in (records.own, records.planning):
         for robot, grid in sorted(grids.items()):
+            if robot in without:
+                continue
             total.update(np.array([robot, *grid.shape], "<i8").tobytes() + grid.tobytes())
     return total.hexdigest()
 

@@ -186,6 +186,8 @@ def size(
     ------
     ValueError
         A setting is invalid; nothing has been run.
+    RunFailed
+        All runs failed.
 
     See Also
     --------
