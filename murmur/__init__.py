@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from deploy.after.merge import merge
     from deploy.run.exploration import Result, explore
+    from deploy.run.failure import RunFailed
     from deploy.run.stepwise import Step, Steps, steps
     from deploy.scenario.scenario import Scenario, ScenarioError, load
     from deploy.study.comparison import compare
@@ -21,12 +22,13 @@ if TYPE_CHECKING:
     from deploy.study.sweep import sweep
 
 __all__ = [
-    "Result", "Scenario", "ScenarioError", "Step", "Steps", "compare", "explore", "load", "merge", "size", "steps",
-    "sweep",
+    "Result", "RunFailed", "Scenario", "ScenarioError", "Step", "Steps", "compare", "explore", "load", "merge", "size",
+    "steps", "sweep",
 ]  # fmt: skip
 
 _MODULES = {
     "Result": "deploy.run.exploration",
+    "RunFailed": "deploy.run.failure",
     "Scenario": "deploy.scenario.scenario",
     "ScenarioError": "deploy.scenario.scenario",
     "Step": "deploy.run.stepwise",

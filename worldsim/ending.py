@@ -36,6 +36,7 @@ class Ending:
         world = self._world
         may_end = world.may_end()
         explored = sorted(robot for robot, move in moves.items() if move.explored and may_end)
+        self._report_steps = {robot: self._report_steps.get(robot, 0) + 1 for robot in explored}
         if finished := self._finished(explored, robots):
             return self._end(world.finished, finished[0])
         if deserted:
@@ -57,7 +58,8 @@ class Ending:
     def _finished(self, explored: Sequence[int], robots: int) -> Sequence[int]:
         """Return those of the robots that report `explored` which end the run, the first one first."""
         if self._world.settings.ends_with_all:
-            return explored if len(explored) >= robots else []
+            first = sorted(explored, key=self._report_steps.__getitem__, reverse=True)
+            return first if len(explored) >= robots else []
         return self._confirmed(explored) if self._suffice(explored, robots) else []
 
     def _suffice(self, explored: Sequence[int], robots: int) -> bool:
@@ -66,7 +68,6 @@ class Ending:
         Usually one is enough. With sensors that have errors, false walls may enclose a robot: then two must agree, or
         one must report it for `LONE_REPORT_STEPS` steps, in which teammates may open a way for it.
         """
-        self._report_steps = {robot: self._report_steps.get(robot, 0) + 1 for robot in explored}
         if self._world.settings.sensors is None:
             return len(explored) > 0
         longest = max(self._report_steps.values(), default=0)

@@ -58,7 +58,7 @@ class WorldSettings:
     faults: tuple[FaultEvent, ...] = ()
     """Scheduled faults, from the scenario; not those of radios."""
     ends_with_all: bool = False
-    """Whether the run ends when all robots report that they are done, instead of the first."""
+    """Whether the run ends when all robots report in one step that they are done, instead of the first."""
     cell_steps: bool = False
     """Whether a step to any of eight neighbors has length 1; else a diagonal step has length sqrt 2."""
     robots_collide: bool = True

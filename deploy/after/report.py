@@ -301,7 +301,7 @@ def _true_map_figures(summary: dict[str, Any]) -> list[list[str]]:
         ]
     return [
         ["reachable cells seen by the team", _percent(summary["coverage"])],
-        ["accuracy of the planning map of the first robot", _percent(summary["map_accuracy"])],
+        ["map accuracy", _accuracy(summary)],
         ["team had seen 90 %, 99 %", f"step {summary['t90'] or '-'}, step {summary['t99'] or '-'}"],
         ["steps over the budget", str(summary["over_budget_steps"])],
     ]
@@ -318,6 +318,16 @@ def _missed_figures(summary: dict[str, Any]) -> list[list[str]]:
     worst = max(range(len(by_robot)), key=by_robot.__getitem__)
     most = f", most by robot {worst}: {by_robot[worst]}" if by_robot[worst] else ""
     return [[name, f"{summary['missed_steps']} of {summary['steps'] * len(by_robot)}{most}"]]
+
+
+def _accuracy(summary: dict[str, Any]) -> str:
+    """The accuracy of planning grids: of the first robot, the mean, and the worst."""
+    first = _percent(summary["map_accuracy"])
+    if (mean := summary.get("mean_map_accuracy")) is None:
+        return f"first robot {first}"
+    return (
+        f"mean {_percent(mean)}, worst robot {_percent(summary['worst_map_accuracy'])}, first robot {first}"
+    )
 
 
 def _wall_figures(summary: dict[str, Any]) -> list[list[str]]:

@@ -14,6 +14,8 @@ from typing import Any, NoReturn
 import typer
 from rich.console import Console
 
+from deploy.run.failure import RunFailed
+
 BAD_INPUT, BROKEN_OFF = 2, 3
 
 errors = Console(stderr=True, highlight=False, soft_wrap=True, markup=False)
@@ -90,6 +92,8 @@ def report_user_errors() -> Iterator[None]:
         if os.environ.get("MURMUR_TRACEBACK"):
             traceback.print_exc()
         fail(str(error), BAD_INPUT)
+    except RunFailed as error:
+        fail(str(error), BROKEN_OFF)
     except RecursionError:
         fail("input nested too deeply", BAD_INPUT)
     except MemoryError:

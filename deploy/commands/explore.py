@@ -156,6 +156,7 @@ def run_live(
                 window=window,
                 hosts=hosts,
                 control=control,
+                check=False,
                 **options,
             )
         if pictures and result.directory is not None and result.records.world:

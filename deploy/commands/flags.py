@@ -25,7 +25,9 @@ SETTINGS = {
         "range": "METERS|P%", "bandwidth": "BYTES|unlimited", "map_encoding": "NAME", "dissemination": "NAME",
         "tolerance": "CELLS",
     },
-    "Run": {"seed": "S", "steps": "MAX", "bus": "zenoh|memory", "clock": "barrier|wall"},
+    "Run": {
+        "seed": "S", "steps": "MAX", "finish": "first|all", "bus": "zenoh|memory", "clock": "barrier|wall",
+    },
 }  # fmt: skip
 """Settings of a scenario with a flag of their own, by group of the help, each with the metavar of its value."""
 

@@ -32,7 +32,7 @@ LOG = "Log"
 
 
 @app.command(cls=GroupedCommand)
-@setting_flags("map", "map_seed", "start", "strategy", "speed", "sensor_range")
+@setting_flags("map", "map_seed", "start", "strategy", "speed", "sensor_range", "finish")
 def play(
     logs: Annotated[
         list[Path],

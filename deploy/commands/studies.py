@@ -6,12 +6,12 @@ import inspect
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NoReturn
 
 import typer
 from rich.console import Console
 
-from deploy.commands.console import FILE_WIDTH, errors, fail, screen
+from deploy.commands.console import BROKEN_OFF, FILE_WIDTH, errors, fail, screen
 from deploy.commands.flags import GroupedCommand, command_family, named_values, output_file, setting_flags
 from deploy.scenario.tables import MAX_RUNS
 from protocol.grid import MAX_ROBOTS
@@ -74,7 +74,10 @@ def sweep(
     ] = None,
     retry: RetryFlag = False,
 ) -> None:
-    """Run a scenario over a grid of settings, on the memory bus, and print the table defined in the file."""
+    """Run a scenario over a grid of settings, on the memory bus, and print the table defined in the file.
+
+    Exit code 3: runs failed.
+    """
     from deploy.study import experiment as experiments  # noqa: PLC0415
     from deploy.study import plots  # noqa: PLC0415
     from deploy.study.results import Results, write_table  # noqa: PLC0415
@@ -100,6 +103,7 @@ def sweep(
             assert plot is not None
             file = plot.with_stem(f"{plot.stem}-{number + 1}") if number else plot
             plots.save(done.plot(number), file)
+        end_study(done.failures)
 
 
 @app.command()
@@ -119,7 +123,10 @@ def reproduce(
     ] = Path("reproduction"),
     retry: RetryFlag = False,
 ) -> None:
-    """Repeat the experiments of the papers, and judge each of their claims (exit code 1: not all hold)."""
+    """Repeat the experiments of the papers, and judge each of their claims.
+
+    Exit code 1: not all hold; 3: runs failed.
+    """
     from deploy.commands import terminal  # noqa: PLC0415
     from deploy.run.workers import workers  # noqa: PLC0415
     from deploy.study import reproduction  # noqa: PLC0415
@@ -147,7 +154,10 @@ def reproduce(
     lines += [[name, "", "no experiment", "", "0"] for name in done.without_experiment]
     print_table(terminal.table(lines))
     screen.print(f"Results: {', '.join(map(str, pages))}" + (" (quick)" if quick else ""))
-    raise typer.Exit(0 if done.all_hold else 1)
+    failures = {
+        cause: count for each in done.claims for part in each.parts for cause, count in part.failures.items()
+    }
+    end_study(failures, 0 if done.all_hold else 1)
 
 
 @app.command(cls=GroupedCommand)
@@ -178,7 +188,10 @@ def compare(
     *,
     settings: dict[str, Any],
 ) -> None:
-    """Compare scenarios, strategies or map encodings on the same seeds, with confidence intervals."""
+    """Compare scenarios, strategies or map encodings on the same seeds, with confidence intervals.
+
+    Exit code 3: runs failed.
+    """
     from deploy.study import comparison  # noqa: PLC0415
 
     settings |= other_settings(set_ or [], comparison.compare, "radius=0.2", settings)
@@ -201,10 +214,11 @@ def compare(
         screen.print(f"{sentence}.")
     files = done.write(out)
     screen.print(f"Results: {out} (start with {files[0]} and {files[1]})")
+    end_study(done.sweep.failures)
 
 
 @app.command(cls=GroupedCommand)
-@setting_flags("map", "robots", "range", "bandwidth", "seed", "bus")
+@setting_flags("map", "robots", "range", "bandwidth", "finish", "seed", "bus")
 def size(
     map_: Annotated[str, typer.Option("--map", metavar="FILE|NAME", help="the building")] = "office",
     robots: Annotated[str, typer.Option(metavar="2..8|2,4", help="numbers of robots to try")] = "2..8",
@@ -220,6 +234,9 @@ def size(
     min_map_accuracy: Annotated[
         float, typer.Option(min=0, max=1, metavar="SHARE", help="of the building that a map must have right")
     ] = 0.95,
+    finish: Annotated[
+        str, typer.Option(metavar="all|first", help="robots that must finish with such a map")
+    ] = "all",
     seeds: Annotated[
         int, typer.Option(min=1, max=MAX_RUNS, metavar="N", help="runs of each combination")
     ] = 5,
@@ -232,7 +249,10 @@ def size(
     *,
     settings: dict[str, Any],
 ) -> None:
-    """Find the smallest team, bandwidth and range that are sufficient for a building."""
+    """Find the smallest team, bandwidth and range that are sufficient for a building.
+
+    Exit code 1: none of them is sufficient; 3: runs failed.
+    """
     from deploy.study import sizing  # noqa: PLC0415
 
     settings |= other_settings(set_ or [], sizing.size, "radius=0.2", settings)
@@ -243,14 +263,14 @@ def size(
             robots=whole_numbers(robots, "robots", MAX_ROBOTS),
             bandwidth=[int(item) if item.isdecimal() else item for item in items(bandwidth)],
             range=items(range_),
-            deadline=deadline, min_map_accuracy=min_map_accuracy,
+            deadline=deadline, min_map_accuracy=min_map_accuracy, finish=finish,
             seeds=seeds, jobs=jobs, scheduler=scheduler, out=runs, **settings,
         )  # fmt: skip
     report_sweep(done.sweep)
     screen.print(done.sentence)
     files = done.write(out)
     screen.print(f"Results: {out} (start with {files[0]})")
-    raise typer.Exit(0 if done.enough is not None else 1)
+    end_study(done.sweep.failures, 0 if done.enough is not None else 1)
 
 
 def other_settings(
@@ -291,7 +311,7 @@ def report_sweep(sweep: Any) -> None:
     report_failures(sweep.failures)
     table, runs = sweep.experiment.table, len(sweep.rows)
     if not runs and sweep.failures:
-        fail("all runs failed", 3)
+        fail("all runs failed", BROKEN_OFF)
     if runs:
         of = f" of {len(sweep.cases)}" if runs < len(sweep.cases) else ""
         intervals = " with 95 % intervals" if table.interval else ""
@@ -306,6 +326,11 @@ def stopping(out: Path | None) -> Iterator[None]:
         yield
     except KeyboardInterrupt:
         fail("stopped" + (f"; the same command continues from {out}" if out is not None else ""), 130)
+
+
+def end_study(failures: dict[str, int], code: int = 0) -> NoReturn:
+    """End the command with a code for its result, or with `BROKEN_OFF` if runs have failed."""
+    raise typer.Exit(BROKEN_OFF if failures else code)
 
 
 def print_table(table: Any) -> None:

@@ -111,15 +111,15 @@ def summary_lines(summary: dict[str, Any], directory: Path | None, *, noisy: boo
     if "scans" in summary:
         lines.append(_replayed(summary))
     elif summary["finished"]:
-        lines.append(f"Explored in {summary['steps']} steps; robot {summary['first_robot']} finished first.")
+        by = " by all robots" if summary["finish"] == "all" else ""
+        lines.append(
+            f"Explored in {summary['steps']} steps{by}; robot {summary['first_robot']} finished first."
+        )
     else:
         lines.append(f"Not finished after {summary['steps']} steps: {summary['reason']}.")
-    accuracy = summary["map_accuracy"]
-    lines.append(
-        f"The team saw {_percent(summary['coverage'])} of the "
-        + ("map of all scans" if "scans" in summary else "reachable area")
-        + (f"; map accuracy {_percent(accuracy)}." if accuracy is not None else ".")
-    )
+    area = "map of all scans" if "scans" in summary else "reachable area"
+    lines.append(f"The team saw {_percent(summary['coverage'])} of the {area}.")
+    lines += _accuracy_line(summary)
     if noisy:
         lines += _wall_line(summary)
     total = summary["bytes"]["total"]
@@ -135,6 +135,26 @@ def summary_lines(summary: dict[str, Any], directory: Path | None, *, noisy: boo
         shown = [str(directory / name) for name in (PICTURE, PICTURES) if (directory / name).exists()]
         lines.append(f"Results: {directory}" + (f" (pictures: {', '.join(shown)})" if shown else ""))
     return lines
+
+
+def _accuracy_line(summary: dict[str, Any]) -> list[str]:
+    """How much of the area is right on the robots' maps: mean, worst robot, and the first to finish."""
+    accuracies = {robot: each["map_accuracy"] for robot, each in summary["robot_maps"].items()}
+    if not accuracies:
+        return []
+    worst = min(accuracies, key=accuracies.__getitem__)
+    if accuracies[worst] == max(accuracies.values()):
+        return [
+            f"Map accuracy: {_percent(accuracies[worst])}{' on each robot' if len(accuracies) > 1 else ''}."
+        ]
+    parts = [
+        f"mean {_percent(summary['mean_map_accuracy'])}",
+        f"worst {_percent(accuracies[worst])} (robot {worst})",
+    ]
+    first = summary["first_robot"]
+    if first is not None and summary["map_accuracy"] is not None:
+        parts.append(f"first to finish {_percent(summary['map_accuracy'])} (robot {first})")
+    return [f"Map accuracy: {', '.join(parts)}."]
 
 
 def _missed_line(summary: dict[str, Any]) -> str:

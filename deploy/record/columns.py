@@ -85,7 +85,9 @@ SUMMARY = {
     "first_robot": "the robot that finished first; on a tie, the lowest number",
     "coverage": "share of the truly reachable free cells that the team has seen, as the world has recorded",
     "map_accuracy": "share of those that the first robot's planning grid has right, at most `coverage`",
-    "claimed_map_accuracy": "the same, as the robot claims. Keys `claimed_...` have no other source than robots",
+    "mean_map_accuracy, worst_map_accuracy": "mean and minimum over all robots that have sent their maps",
+    "claimed_map_accuracy, claimed_mean_map_accuracy, claimed_worst_map_accuracy": "the same, as robots claim. Keys "
+    "`claimed_...` have no other source than robots",
     "claimed_wall_precision, claimed_wall_recall": "share of its walls that lie within one cell of a true one, and of "
     "true walls beside reachable cells that have one of its walls within one cell",
     "claimed_wall_f1": "the harmonic mean of both",
@@ -95,13 +97,14 @@ SUMMARY = {
     "walls_within_tolerance, worst_walls_within_tolerance": "share of the walls of which a robot is certain that a "
     "teammate's shared map has within `tolerance`, at the end: mean and minimum over all pairs; null for one robot. "
     "Agreement, not truth: it compares robots' claims with each other",
-    "robot_maps": "for each robot: `wall_precision`, `wall_recall`, `wall_f1`, and of its teammates' walls "
-    "`walls_within_tolerance` and `worst_walls_within_tolerance`",
+    "robot_maps": "for each robot: `map_accuracy`, `wall_precision`, `wall_recall`, `wall_f1`, and of its teammates' "
+    "walls `walls_within_tolerance` and `worst_walls_within_tolerance`",
     "refuted_maps": "robots whose own map is false beyond noise, or too large; other keys leave them out",
     "t50, t90, t99": "steps at which the team had seen 50, 90, and 99 %",
     "overlap": "cells seen by more than one robot over cells seen; null if a robot was lost with its grid",
     "path_length": "meters, one value per robot",
     "robots, seed, map, bus, strategy, map_encoding, bandwidth, range_m": "settings",
+    "finish": "robots that had to finish: `first`, or `all`, as in missions that return and recorded runs",
     "clock, step_s": "settings",
     "missed_steps, missed_steps_by_robot": "by the wall clock: steps in which robots did not move in time, in total "
     "and one value per robot; 0 with the barrier; in the field: steps that took a robot too long",

@@ -144,13 +144,21 @@ def team_figures(figures: Mapping[int, Figures], first: int) -> Figures:
     """
     team: Figures = {}
     for name in ("wall_precision", "wall_recall", "wall_f1"):
-        values = _known(figures, name)
-        team[f"claimed_{name}"] = figures[first][name] if first in figures else None
-        team[f"claimed_mean_{name}"] = _mean(values)
-        team[f"claimed_worst_{name}"] = min(values, default=None)
+        known = {robot: value for robot, each in figures.items() if (value := each[name]) is not None}
+        team |= first_mean_worst("claimed_", name, known, first)
     team["walls_within_tolerance"] = _mean(_known(figures, "walls_within_tolerance"))
     team["worst_walls_within_tolerance"] = min(_known(figures, "worst_walls_within_tolerance"), default=None)
     return team
+
+
+def first_mean_worst(prefix: str, name: str, values: Mapping[int, float], first: int) -> Figures:
+    """Return a figure of each robot as those of a team: of the first robot, the mean, and the worst robot's."""
+    shares = list(values.values())
+    return {
+        f"{prefix}{name}": values.get(first),
+        f"{prefix}mean_{name}": _mean(shares),
+        f"{prefix}worst_{name}": min(shares, default=None),
+    }
 
 
 def _known(figures: Mapping[int, Figures], name: str) -> list[float]:

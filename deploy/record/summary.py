@@ -4,14 +4,22 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from agent.robot import sure_after
-from deploy.record.map_quality import Figures, Mask, is_refuted, robot_figures, team_figures, true_walls_of
+from deploy.record.map_quality import (
+    Figures,
+    Mask,
+    first_mean_worst,
+    is_refuted,
+    robot_figures,
+    team_figures,
+    true_walls_of,
+)
 from deploy.record.missed_phases import figures as figures_of_missed
 from deploy.record.recorded_runs import recorded_figures
 from deploy.record.records import Records
@@ -38,6 +46,8 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
     reachable = plan.reachable
     refuted = _refuted_maps(plan, records, reachable)
     planning = {robot: grid for robot, grid in sorted(records.planning.items()) if robot not in refuted}
+    claimed = {robot: float((grid[reachable] == FREE).mean()) for robot, grid in planning.items()}
+    accuracy = {robot: min(share, records.explored) for robot, share in claimed.items()}
     figures = _robot_figures(plan, records, planning, reachable)
     first = end.first if done and end is not None else min(records.planning, default=-1)
     steps = end.step if end is not None and end.step >= 0 else records.step
@@ -50,9 +60,12 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "explored_at": _explored_at(plan, steps) if finished else None,
         "first_robot": end.first if done and end is not None else None,
         "coverage": records.explored,
-        **_accuracy(planning.get(first), reachable, records.explored),
+        **first_mean_worst("", "map_accuracy", accuracy, first),
+        **first_mean_worst("claimed_", "map_accuracy", claimed, first),
         **team_figures(figures, first),
-        "robot_maps": {str(robot): each for robot, each in figures.items()},
+        "robot_maps": {
+            str(robot): {"map_accuracy": accuracy[robot]} | each for robot, each in figures.items()
+        },
         "t50": _first_step(records, 0.50),
         "t90": _first_step(records, 0.90),
         "t99": _first_step(records, 0.99),
@@ -67,6 +80,7 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "map_encoding": scenario.map_encoding,
         "bandwidth": scenario.bandwidth,
         "range_m": plan.range_m,
+        "finish": "all" if plan.world.ends_with_all else "first",
         "clock": scenario.clock,
         "step_s": scenario.step_s,
         **figures_of_missed(records.missed, scenario.robots),
@@ -97,11 +111,11 @@ def _reason(end: End | None, *, finished: bool) -> str:
     return end.reason if finished or end.first < 0 else f"robot {end.first} stopped too early"
 
 
-def digest(records: Records) -> str:
+def digest(records: Records, without: Collection[int] = ()) -> str:
     """Hash canonical integers by SHA-256: the sorted ledger, poses by step and robot, all grids.
 
     Poses are in whole millimeters and tenths of a degree. Each number is a little-endian int64, but those of people are
-    int32; grids are uint8, preceded by their robot and shape.
+    int32; grids are uint8, preceded by their robot and shape. Grids of robots in `without` do not count.
     """
     total = hashlib.sha256()
     rows = sort_rows(records.ledger())
@@ -112,6 +126,8 @@ def digest(records: Records) -> str:
         total.update(np.array([report.step], "<i8").tobytes() + poses.tobytes() + report.people)
     for grids in (records.own, records.planning):
         for robot, grid in sorted(grids.items()):
+            if robot in without:
+                continue
             total.update(np.array([robot, *grid.shape], "<i8").tobytes() + grid.tobytes())
     return total.hexdigest()
 
@@ -152,15 +168,6 @@ def _overlap(records: Records, reachable: Mask) -> float | None:
     for grid in records.own.values():
         seen += (grid == FREE) & reachable
     return float((seen > 1).sum() / (seen > 0).sum())
-
-
-def _accuracy(planning: Grid | None, reachable: Mask, seen: float) -> dict[str, float | None]:
-    """Share of the reachable cells that a robot claims to know, and of those that it can know: the team's share."""
-    claimed = float((planning[reachable] == FREE).mean()) if planning is not None else None
-    return {
-        "map_accuracy": None if claimed is None else min(claimed, seen),
-        "claimed_map_accuracy": claimed,
-    }
 
 
 def _first_step(records: Records, share: float) -> int | None:

@@ -183,7 +183,7 @@ def serve_recorder(
                     return False
 
                 try:
-                    attend(bus, recorder, interrupt.heed, poll, quiet_s=math.inf)
+                    attend(bus, recorder, interrupt.heed, poll, scenario.reply_timeout_s, math.inf)
                 except BusClosed as error:
                     deaths[names.RELAY] = str(error)
         outcome = Outcome(recorder.records, deaths)

@@ -10,7 +10,7 @@ import queue
 from dataclasses import replace
 from typing import Any, Literal
 
-from deploy.record.records import RecorderNode, Records
+from deploy.record.records import NO_MAPS, RecorderNode, Records
 from deploy.run.gate import Gate
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import Scenario
@@ -154,5 +154,12 @@ def why_unrepeatable(summary: dict[str, Any]) -> str:
         return f"{back}, unexpectedly"
     if summary.get("clock") == "wall" and summary["reconnected"]:
         return "connections were cut and restored, by the wall clock"
-    lost = "; ".join(f"robot {robot} was lost: {cause}" for robot, cause in summary["lost"].items())
+    lost = "; ".join(
+        f"robot {robot} was lost: {cause}" for robot, cause in summary["lost"].items() if cause != NO_MAPS
+    )
     return f"{lost}, unexpectedly" if lost else ""
+
+
+def maps_not_sent(summary: dict[str, Any]) -> set[int]:
+    """Return the robots that took part in all steps of a run, but whose maps did not arrive afterwards."""
+    return {int(robot) for robot, cause in summary["lost"].items() if cause == NO_MAPS}

@@ -25,6 +25,7 @@ from deploy.record.summary import summarize
 from deploy.run import launch, limits, memory
 from deploy.run.control import Control, as_it_went
 from deploy.run.crash_report import traceback_of
+from deploy.run.failure import RunFailed
 from deploy.run.hosts import Hosts
 from deploy.run.in_memory import MemoryRun, check_clock
 from deploy.run.interrupt import Interrupt
@@ -37,6 +38,7 @@ from deploy.scenario.scenario import Scenario, ScenarioError, check_incarnations
 from protocol import keys as names
 from protocol.grid import Grid
 from protocol.messages import Missed
+from worldsim.ending import ALL_LOST
 from worldsim.pace import Pace
 
 if TYPE_CHECKING:
@@ -138,6 +140,8 @@ _SHOWN = (
     "steps",
     "coverage",
     "map_accuracy",
+    "mean_map_accuracy",
+    "worst_map_accuracy",
     "t90",
     "t99",
     "strategy",
@@ -161,6 +165,7 @@ def explore(
     control: Control | None = None,
     restart: bool = False,
     missed: Sequence[Missed] | None = None,
+    check: bool = True,
     **settings: Any,
 ) -> Result:
     """Run a scenario. Viewing and pace do not affect its results.
@@ -188,6 +193,8 @@ def explore(
         relay or world the whole run (docs/reliability.md).
     missed : sequence of Missed, optional
         The record of a run by the wall clock, which this run repeats on the memory bus (docs/clocks.md).
+    check : bool
+        Whether to raise RunFailed; else only `Result.exit_code` tells that the run failed.
     **settings
         Settings that replace those of `scenario`: ``explore(robots=5, bandwidth=1000)``.
 
@@ -195,6 +202,9 @@ def explore(
     ------
     ScenarioError
         The scenario is invalid, or a host cannot run its robots; nothing has been started.
+    RunFailed
+        World or relay ended unexpectedly, or all robots did; `RunFailed.result` has the results until then. A run that
+        loses some of its robots has a result, with the exit code `BROKEN_OFF`.
     OSError
         A file cannot be written; the error names it.
     ValueError
@@ -219,7 +229,10 @@ def explore(
     ):
         folder = run_directory.create(Path(out) if out is not None else None, plan) if keep else None
         chosen = folder, watch, notify, window, pace, fleet, control, interrupt, restart, missed
-        return _Execution(*chosen).complete(plan)
+        result, failure = _Execution(*chosen).complete(plan)
+    if check and failure and not interrupt.came:
+        raise RunFailed(failure, result)
+    return result
 
 
 def _notes(plan: Plan) -> list[str]:
@@ -260,14 +273,14 @@ class _Execution:
     restart: bool
     missed: Sequence[Missed] | None
 
-    def complete(self, plan: Plan) -> Result:
-        """Run a plan to its end, write the results, and return them."""
+    def complete(self, plan: Plan) -> tuple[Result, str]:
+        """Run a plan to its end, write the results, and return them, and why the run failed (`_failure`)."""
         began = time.perf_counter()
         plan, outcome = self._run(plan)
         result = conclude(plan, outcome, self.directory, time.perf_counter() - began)
         if self.directory is not None and self.window is not None and outcome.view_fault:
             optimize(self.directory / RECORDING)  # the failed viewer did not close it
-        return result
+        return result, _failure(outcome)
 
     def _run(self, plan: Plan) -> tuple[Plan, launch.Outcome]:
         """Run a plan; return it with the events of the run, and the outcome.
@@ -380,6 +393,19 @@ def _break_off(outcome: launch.Outcome) -> str:
     if dead or end is None:
         return f"{' and '.join(dead or sorted(deaths)) or 'the run'} died"
     return end.reason if end.step < 0 or end.reason == launch.FORK_SERVER_DIED else ""
+
+
+def _failure(outcome: launch.Outcome) -> str:
+    """Return why a run has no usable result: it broke off, or lost all robots unexpectedly; empty if it has one."""
+    lost, end = outcome.records.lost, outcome.records.end
+    if cause := _break_off(outcome):
+        failure = f"the run was aborted at step {outcome.records.step}: {cause}"
+    elif lost and end is not None and end.reason == ALL_LOST:
+        robots = "; ".join(f"robot {robot}: {why}" for robot, why in sorted(lost.items()))
+        failure = f"all robots were lost by step {end.step}: {robots}"
+    else:
+        return ""
+    return "\n".join([failure, *dict.fromkeys(outcome.deaths.values())])
 
 
 def _check_output(out: Path | str | None, window: Window | None, *, keep: bool) -> None:

@@ -53,10 +53,8 @@ FAREWELL_S = 1.0
 VIEWER_END_S = 5.0
 """Time limit for the viewer to finish its recording."""
 WRAP_UP_S = 3.0
-"""Time limit for the end of the run after it was interrupted or has failed."""
+"""Time limit for the end of the run after it has failed, or was interrupted before its first step."""
 FORK_SERVER_DIED = f"{FORK_SERVER} died"
-MAPS_S = 15.0
-"""Time limit for robots to send the requested parts of their maps, without any progress."""
 
 Heed = Callable[[RecorderNode], bool]
 """Called repeatedly: ends the run early on request, and returns whether that was requested (`Interrupt.heed`)."""
@@ -302,7 +300,8 @@ def _record(
 
     with contextlib.closing(bus):
         try:
-            attend(bus, recorder, heed, poll, 2 * silence_s(plan.scenario.reply_timeout_s, pause_s))
+            timeout_s = plan.scenario.reply_timeout_s
+            attend(bus, recorder, heed, poll, timeout_s, 2 * silence_s(timeout_s, pause_s))
         except BusClosed as error:
             time.sleep(POLL_S)  # the process ends a moment after it has left the bus
             supervisor.check().setdefault(names.RELAY, str(error))
@@ -317,10 +316,18 @@ def no_records(plan: Plan) -> Records:
     return Records(plan.scenario.robots, MapHistory(plan.map.cells.shape))
 
 
-def attend(bus: Bus, recorder: RecorderNode, heed: Heed, poll: Callable[[], bool], quiet_s: float) -> None:
+def attend(
+    bus: Bus,
+    recorder: RecorderNode,
+    heed: Heed,
+    poll: Callable[[], bool],
+    reply_timeout_s: float,
+    quiet_s: float,
+) -> None:
     """Serve as the recorder until all data are recorded, or no more arrive.
 
     `poll` is called at least once, then a few times per second, and returns whether the run has failed, which ends it.
+    `reply_timeout_s` is the time limit for the end of an interrupted step, and for each part of the robots' maps.
 
     Raises BusClosed if the connection to the relay is lost, or no message has arrived for `quiet_s` seconds.
     """
@@ -345,5 +352,6 @@ def attend(bus: Bus, recorder: RecorderNode, heed: Heed, poll: Callable[[], bool
         now_at = is_over, recorder.parts_received, len(recorder.missing())
         if (failed or interrupted or is_over) and now_at != progress:
             ending, progress = now, now_at
-        if ending is not None and now - ending > (MAPS_S if is_over else WRAP_UP_S):
+        waits = is_over or (recorder.records.step > 0 and not failed)
+        if ending is not None and now - ending > (reply_timeout_s if waits else WRAP_UP_S):
             recorder.give_up_requested()

@@ -131,7 +131,7 @@ def _world_settings(
         seed=scenario.seed,
         interference_cells=scenario.interference / cell,
         faults=tuple(fault for fault in scenario.faults if fault.kind not in faults.RADIO_KINDS),
-        ends_with_all=recording is not None or chosen.returns(scenario.options),
+        ends_with_all=scenario.finish == "all" or recording is not None or chosen.returns(scenario.options),
         cell_steps=scenario.motion == "cells",
         robots_collide=scenario.robots_collide,
         min_coverage=scenario.min_coverage,

@@ -61,6 +61,7 @@ RECORDED_RANGE_M = 10.0
 NOT_RECORDED = (
     "map_seed", "map_options", "speed", "start", "starts", "start_jitter", "start_spacing", "motion",
     "robots_collide", "radius", "interference", "field_of_view", "scanner_turn", "laser", "pose", "people", "options",
+    "finish",
 )  # fmt: skip
 """Settings that only simulated robots have."""
 
@@ -187,6 +188,9 @@ class Scenario(Table):
         ge=0,
         le=1,
         description="fraction of the reachable area that the team must have seen when a robot ends the run",
+    )
+    finish: Literal["first", "all"] = Field(
+        "first", description="robots that must have finished for the run to end: the first one, or all"
     )
     robot: tuple[RobotOverride, ...] = Field((), description="robots with different hardware")
     fault: tuple[FaultTable, ...] = Field(

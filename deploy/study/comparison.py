@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
@@ -10,13 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
+from deploy.run.failure import RunFailed
 from deploy.scenario import plugins
 from deploy.scenario.scenario import Scenario, ScenarioError, load
 from deploy.study import plots
 from deploy.study.claims import HOLDS, UNDECIDED, Finding, Rule, judge
 from deploy.study.plots import BOXES, CURVES, Plot
 from deploy.study.results import write_table
-from deploy.study.sweep import Sweep, of_settings, run
+from deploy.study.runs import failures, looked_up
+from deploy.study.sweep import Sweep, as_text, of_settings, run
 from deploy.study.tables import VARIANT, check
 
 if TYPE_CHECKING:
@@ -24,7 +26,10 @@ if TYPE_CHECKING:
 
 SEEDS = 10
 
-METRICS = ("steps", "t90", "map_accuracy", "claimed_worst_wall_f1", "walls_within_tolerance", "bytes.total")
+METRICS = (
+    "steps", "t90", "map_accuracy", "mean_map_accuracy", "worst_map_accuracy", "claimed_worst_wall_f1",
+    "walls_within_tolerance", "bytes.total",
+)  # fmt: skip
 """The metrics of the table, besides the compared one."""
 
 REPLACED = ("seed", "bus")
@@ -112,6 +117,8 @@ def compare(
     ------
     ValueError
         There are fewer than two scenarios, or one is invalid; nothing has been run.
+    RunFailed
+        All runs of a scenario failed, so that there is nothing to compare it with.
 
     See Also
     --------
@@ -132,11 +139,20 @@ def compare(
     curves = Plot("explored", kind=CURVES, panels=panels, xlabel="step", ylabel="explored")
     made = replace(made, plots=(boxes, curves))
     done = run(made, jobs=jobs, scheduler=scheduler, out=out, progress=progress)
+    _check_runs(done, variants)
     rules = [
         Rule("", metric, "ratio < 1", compare={VARIANT: one}, to={VARIANT: other})
         for one, other in combinations(variants, 2)
     ]
     return Comparison(done, metric, judge([(rules, done.rows)]).findings)
+
+
+def _check_runs(done: Sweep, variants: Iterable[str]) -> None:
+    """Raise RunFailed if all runs of a variant failed."""
+    for name in variants:
+        cases = [case for case in done.cases if case.place[VARIANT] == name]
+        if not looked_up(cases, done.results) and (causes := failures(cases, done.results)):
+            raise RunFailed(f"{name}: all runs failed: {as_text(causes)}")
 
 
 def _named(

@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 
 KEYS = ("robots", "bandwidth", "range")
 
+METRICS = ("steps", "map_accuracy", "worst_map_accuracy")
+"""Columns of the printed table."""
+
 MIN_MAP_ACCURACY = 0.95
 SEEDS = 5
 
@@ -74,13 +77,18 @@ class Sizing:
     deadline : int or None
         Maximum number of steps of an exploration.
     min_map_accuracy : float
-        Minimum share of correct cells on the first robot's map.
+        Minimum share of correct cells on the map of the first robot, or of the worst (`finish`).
     """
 
     sweep: Sweep
     options: list[Option]
     deadline: int | None
     min_map_accuracy: float
+
+    @property
+    def finish(self) -> str:
+        """Which robots had to finish with an accurate map: ``first`` or ``all``."""
+        return str(self.sweep.experiment.base["finish"])
 
     @property
     def enough(self) -> Option | None:
@@ -91,7 +99,8 @@ class Sizing:
     def sentence(self) -> str:
         """The answer as a sentence."""
         building = short(self.sweep.experiment.base["map"])
-        goal = f"with at least {100 * self.min_map_accuracy:g} % of the map correct"
+        whose = "each robot's map" if self.finish == "all" else "the first robot's map"
+        goal = f"with at least {100 * self.min_map_accuracy:g} % of {whose} correct"
         if self.deadline is not None:
             goal = f"within {self.deadline} steps and {goal}"
         if best := self.enough:
@@ -146,6 +155,7 @@ def size(
     range: Sequence[str] = ("30%", "100%"),
     deadline: int | None = None,
     min_map_accuracy: float = MIN_MAP_ACCURACY,
+    finish: str = "all",
     seeds: int = SEEDS,
     jobs: int | None = None,
     scheduler: str | None = None,
@@ -164,7 +174,9 @@ def size(
     deadline : int, optional
         Maximum number of steps of an exploration.
     min_map_accuracy : float
-        Minimum share of correct cells on the first robot's final map.
+        Minimum share of correct cells on the final maps of the robots that must finish.
+    finish : {"all", "first"}
+        Which robots must finish: a run ends when all have, or with the first one.
     seeds : int
         Number of runs of each combination.
     **settings
@@ -174,6 +186,8 @@ def size(
     ------
     ValueError
         A setting is invalid; nothing has been run.
+    RunFailed
+        All runs failed.
 
     See Also
     --------
@@ -185,7 +199,7 @@ def size(
         "range": list(range),
         "seed": listed("seed", _counted(seeds)),
     }
-    made = of_settings("size", {"map": map, **settings}, grid, {"plain": {}}, ("steps", "map_accuracy"))
+    made = of_settings("size", {"map": map, "finish": finish, **settings}, grid, {"plain": {}}, METRICS)
     plot = Plot("steps", "robots", lines="bandwidth", panels="range", ylabel="exploration time (steps)")
     done = run(replace(made, plots=(plot,)), jobs=jobs, scheduler=scheduler, out=out, progress=progress)
     return Sizing(done, _options(done, deadline, min_map_accuracy), deadline, min_map_accuracy)
@@ -207,10 +221,11 @@ def _options(done: Sweep, deadline: int | None, min_map_accuracy: float) -> list
     options = []
     for _, cases in sorted(teams.items()):
         team = {key: cases[0].place[key] for key in KEYS}
+        accuracy = "worst_map_accuracy" if cases[0].scenario.finish == "all" else "map_accuracy"
         finished = [row for row in done.rows if team.items() <= row["place"].items() and has_finished(row)]
         met = [
             row for row in finished
-            if (deadline is None or row["steps"] <= deadline) and (row["map_accuracy"] or 0) >= min_map_accuracy
+            if (deadline is None or row["steps"] <= deadline) and (row[accuracy] or 0) >= min_map_accuracy
         ]  # fmt: skip
         steps = interval([row["steps"] for row in finished])
         options.append(Option(**team, met=share(len(met), len(cases)), steps=steps))

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import polars as pl
 from rich.console import Console
 
+from deploy.run.failure import RunFailed
 from deploy.run.workers import workers
 from deploy.scenario import plugins
 from deploy.scenario.scenario import ScenarioError
@@ -134,6 +135,8 @@ def sweep(
     ------
     ValueError
         A setting, the experiment or `out` is invalid; nothing has been run.
+    RunFailed
+        All runs failed. `Sweep.failures` has the causes if only some did.
     """
     settings = plugins.with_names(settings)
     if experiment is None:
@@ -151,14 +154,21 @@ def sweep(
 def run(
     experiment: Experiment, *, jobs: int | None, scheduler: str | None, out: Path | None, progress: bool
 ) -> Sweep:
-    """Run an experiment; parameters as for `sweep`."""
+    """Run an experiment; parameters and errors as for `sweep`."""
     todo = cases(experiment)
     if out is not None:
         make_folder(out.parent)
     with Results(out) as results:
         done = Sweep(experiment, todo, results)
         done.make(jobs=jobs, scheduler=scheduler, progress=progress)
+    if not done.rows and done.failures:
+        raise RunFailed(f"all runs failed: {as_text(done.failures)}")
     return done
+
+
+def as_text(failures: dict[str, int]) -> str:
+    """Return causes of failed runs with their counts, as text."""
+    return "; ".join(f"{cause} ({count} run{'s' if count > 1 else ''})" for cause, count in failures.items())
 
 
 def of_settings(

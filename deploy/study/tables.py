@@ -35,8 +35,10 @@ MIN_COVERAGE = 0.99
 """Minimum coverage of a finished run."""
 
 METRICS = (
-    "steps", "coverage", "map_accuracy", "t50", "t90", "t99", "overlap", "finished", "first_robot",
-    "claimed_map_accuracy", "claimed_wall_precision", "claimed_wall_recall", "claimed_wall_f1",
+    "steps", "coverage", "map_accuracy", "mean_map_accuracy", "worst_map_accuracy",
+    "t50", "t90", "t99", "overlap", "finished", "first_robot",
+    "claimed_map_accuracy", "claimed_mean_map_accuracy", "claimed_worst_map_accuracy",
+    "claimed_wall_precision", "claimed_wall_recall", "claimed_wall_f1",
     "claimed_mean_wall_precision", "claimed_mean_wall_recall", "claimed_mean_wall_f1",
     "claimed_worst_wall_precision", "claimed_worst_wall_recall", "claimed_worst_wall_f1",
     "walls_within_tolerance", "worst_walls_within_tolerance", "tolerance",

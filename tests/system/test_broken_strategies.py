@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from murmur import explore
+from murmur import RunFailed, explore
 
 STRATEGY = """from agent.strategies.targets import TargetStrategy
 
@@ -66,12 +66,19 @@ def test_an_exception_in_a_strategy_is_reported_with_only_the_author_s_frames(
     assert done.stdout.startswith("Not finished after 3 steps: all robots are lost.")
 
 
-def test_a_result_in_python_shows_the_exception(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_without_robots_left_raises_in_python_and_its_result_shows_the_exception(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "torn_too.py").write_text(STRATEGY)
     monkeypatch.chdir(tmp_path)
-    result = explore(map="em", robots=1, strategy="torn_too:Torn", bus="memory", keep=False)
+    with pytest.raises(RunFailed) as failed:
+        explore(map="em", robots=1, strategy="torn_too:Torn", bus="memory", keep=False)
+    assert str(failed.value).startswith("all robots were lost by step 3: robot 0: ")
+    assert "IndexError: index 7 of 7" in str(failed.value)
+    result = failed.value.result
+    assert result is not None
     assert result.exit_code == 3
     assert str(result).splitlines()[-1].startswith("IndexError: index 7 of 7")
     assert "IndexError: index 7 of 7" in result._repr_html_()
-    del result, sys.modules["torn_too"]
+    del result, failed, sys.modules["torn_too"]
     gc.collect()  # the strategy is not there for other tests

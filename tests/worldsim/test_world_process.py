@@ -175,13 +175,13 @@ def test_run_ends_with_the_lowest_of_the_robots_that_are_done_first() -> None:
     assert run.ended() == End(1, EXPLORED, 1)
 
 
-def test_run_that_ends_with_all_waits_for_all() -> None:
+def test_run_that_ends_with_all_waits_for_all_and_names_the_first_one() -> None:
     run = Run(ends_with_all=True)
     run.stay(0)
     run.stay(1, explored=True)
     assert run.ended() is None
     run.stay(0, 1, explored=True)
-    assert run.ended() == End(2, EXPLORED, 0)
+    assert run.ended() == End(2, EXPLORED, 1)
 
 
 def test_run_ends_when_stalled_when_out_of_steps_and_when_stopped() -> None:

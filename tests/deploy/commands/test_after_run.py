@@ -11,6 +11,16 @@ from typing import Any
 
 import pytest
 
+from deploy.record import run_directory
+from deploy.run.exploration import conclude
+from deploy.run.in_memory import MemoryRun
+from deploy.run.launch import Outcome
+from deploy.scenario import plan as plans
+from deploy.scenario.scenario import parse
+from protocol import keys as names
+from protocol import rights
+from protocol.bus import Bus
+from protocol.messages import MapPart
 from tests.deploy.commands.office_floor import explore, murmur
 
 
@@ -54,6 +64,32 @@ def test_a_run_with_unplanned_events_cannot_be_replayed(floor: str, what: dict[s
     result = murmur("replay", "run")
     assert (result.exit_code, result.stdout) == (2, "")
     assert result.stderr == f"murmur: run: cannot be repeated: {why}\n"
+
+
+class WithoutMaps:
+    """A robot's end of the bus that loses the parts of its maps."""
+
+    def __init__(self, inner: Bus) -> None:
+        self._inner = inner
+        self.receive, self.close = inner.receive, inner.close
+
+    def put(self, key: str, payload: bytes) -> None:
+        if names.parts(key)[0] != "control" or not isinstance(rights.read(key, payload), MapPart):
+            self._inner.put(key, payload)
+
+
+def test_a_run_is_replayed_although_the_maps_of_a_robot_did_not_arrive(floor: str) -> None:
+    plan = plans.make(parse({"map": floor, "robots": 2, "bus": "memory", "steps": 8}))
+    folder = run_directory.create(Path("run"), plan)
+    records = MemoryRun(plan, wrap=lambda name, bus: WithoutMaps(bus) if name == "r1" else bus).complete()
+    result = conclude(plan, Outcome(records, {}), folder, 1.0)
+    assert result.exit_code == 3
+    assert result.summary["lost"] == {"1": "it did not send its maps"}
+    replayed = murmur("replay", "run")
+    assert (replayed.exit_code, replayed.stdout[:14]) == (0, "Replay matches"), replayed.stderr
+    summary = json.loads(Path("run/summary.json").read_text())
+    Path("run/summary.json").write_text(json.dumps(summary | {"lost": {"0": "it did not send its maps"}}))
+    assert murmur("replay", "run").exit_code == 1
 
 
 FULL_DISK = """

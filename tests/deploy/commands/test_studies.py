@@ -134,6 +134,42 @@ def test_a_sweep_that_is_killed_goes_on_to_the_same_table_and_nothing_outlives_i
     assert pl.read_parquet(out).drop(TIMES).equals(pl.read_parquet(whole).drop(TIMES))
 
 
+def fail_runs(table: Path, **settings: object) -> None:
+    chosen = pl.all_horizontal(pl.col(name) == value for name, value in settings.items())
+    spoilt = pl.when(chosen).then(pl.lit("it broke")).otherwise(pl.col("error")).alias("error")
+    pl.read_parquet(table).with_columns(spoilt).write_parquet(table)
+
+
+def test_a_command_whose_runs_failed_ends_with_3_after_all_results(tmp_path: Path) -> None:
+    out = tmp_path / "c"
+    words = ["--map-encodings", "none,predictive", "--map", "em", "--seeds", 2, "--jobs", 1, "--out", out]
+    words += ["--set", "steps=2", "--set", "robots=1"]
+    assert command(*words, of="compare")[0] == 0
+    fail_runs(out / "runs.parquet", map_encoding="none", seed=0)
+    code, table, errors = command(*words, of="compare")
+    assert code == 3
+    assert "1 run failed: it broke" in errors and "none and predictive" in table
+    fail_runs(out / "runs.parquet", map_encoding="none")
+    code, table, errors = command(*words, of="compare")
+    assert (code, table) == (3, "")
+    assert errors.endswith("murmur: none: all runs failed: it broke (2 runs)\n")
+
+
+def test_a_sweep_and_a_sizing_with_failed_runs_end_with_3(tmp_path: Path) -> None:
+    path, out = write(tmp_path, EXPERIMENT), tmp_path / "all.parquet"
+    words = [path, "--jobs", 1, "--set", "robots=1", "--out", out]
+    assert command(*words)[0] == 0
+    fail_runs(out, seed=0)
+    code, table, errors = command(*words)
+    assert code == 3
+    assert "2 runs failed: it broke" in errors and "means of 2 of 4 runs" in table
+    words = ["--map", "em", "--robots", "1", "--bandwidth", "9", "--range", "50%", "--seeds", 2, "--jobs", 1]
+    words += ["--set", "steps=2", "--out", tmp_path / "size"]
+    assert command(*words, of="size")[0] == 1
+    fail_runs(tmp_path / "size" / "runs.parquet", seed=0)
+    assert command(*words, of="size")[0] == 3
+
+
 def test_teams_are_compared_by_the_command(tmp_path: Path) -> None:
     words = ["--strategies", "leaders,potential-field", "--map", "leader-rooms", "--seeds", 3, "--jobs", 1]
     for setting in ("sensor_range=2.5", "speed=1.0", "map_encoding=scans", "bandwidth=unlimited"):

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import zlib
+from statistics import fmean
 
 import numpy as np
 from msgspec.structs import replace
 
+from deploy.commands.terminal import summary_lines
 from deploy.record.records import Records
 from deploy.record.summary import summarize
 from deploy.run.exploration import NOT_FINISHED, conclude
@@ -104,6 +106,29 @@ def test_no_robot_has_a_more_accurate_map_than_the_team_has_seen() -> None:
     summary = summarize(plan, records, 1.0)
     assert summary["claimed_map_accuracy"] == 1
     assert summary["map_accuracy"] == summary["coverage"] < 0.9
+
+
+def test_success_is_that_of_the_first_robot_of_the_worst_and_the_mean() -> None:
+    plan = small_plan(robots=3, map_encoding="none")
+    summary = summarize(plan, MemoryRun(plan).complete(), 1.0)
+    shares = [summary["robot_maps"][str(robot)]["map_accuracy"] for robot in range(3)]
+    assert shares[0] < shares[2] < shares[1] == summary["map_accuracy"] == 1
+    assert summary["first_robot"] == 1
+    assert summary["worst_map_accuracy"] == summary["claimed_worst_map_accuracy"] == shares[0]
+    assert summary["mean_map_accuracy"] == summary["claimed_mean_map_accuracy"] == fmean(shares)
+    mean, worst = (f"{100 * share:.2f} %" for share in (fmean(shares), shares[0]))
+    line = f"Map accuracy: mean {mean}, worst {worst} (robot 0), first to finish 100.00 % (robot 1)."
+    assert line in summary_lines(summary, None, noisy=False)
+
+
+def test_a_scenario_can_require_that_all_robots_finish() -> None:
+    plan = small_plan(robots=3, map_encoding="none", finish="all")
+    summary = summarize(plan, MemoryRun(plan).complete(), 1.0)
+    assert summary["finished"]
+    assert summary["worst_map_accuracy"] == 1
+    lines = summary_lines(summary, None, noisy=False)
+    assert lines[0].startswith(f"Explored in {summary['steps']} steps by all robots; robot ")
+    assert "Map accuracy: 100.00 % on each robot." in lines
 
 
 def test_the_world_determines_the_explored_share() -> None:

@@ -97,7 +97,13 @@ def test_run_that_cannot_be_repeated_keeps_what_it_has_recorded(tmp_path: Path) 
 
     with pytest.MonkeyPatch.context() as monkeypatch:
         result = explore(
-            scenario(), out=tmp_path / "run", watch=watch, notify=break_again, pace=20, restart=True
+            scenario(),
+            out=tmp_path / "run",
+            watch=watch,
+            notify=break_again,
+            pace=20,
+            restart=True,
+            check=False,
         )
     assert result.exit_code == BROKEN_OFF
     assert result.summary["steps"] >= 10

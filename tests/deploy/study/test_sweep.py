@@ -10,7 +10,7 @@ import pytest
 
 import murmur
 from deploy.scenario.scenario import ScenarioError
-from murmur import Scenario, compare, size, sweep
+from murmur import RunFailed, Scenario, compare, size, sweep
 from tests.deploy.study.small_experiment import EXPERIMENT, write
 
 ROOMS: dict[str, Any] = {
@@ -95,9 +95,29 @@ def test_invalid_comparisons_are_rejected(scenarios: Any, settings: Any, message
         compare(scenarios, **settings, **QUIET)
 
 
+def fail(out: Path, **settings: object) -> None:
+    """Let runs of a table with these settings fail."""
+    chosen = pl.all_horizontal(pl.col(name) == value for name, value in settings.items())
+    spoilt = pl.when(chosen).then(pl.lit("it broke")).otherwise(pl.col("error")).alias("error")
+    pl.read_parquet(out).with_columns(spoilt).write_parquet(out)
+
+
+def test_studies_without_a_successful_run_raise_with_the_causes(tmp_path: Path) -> None:
+    out = tmp_path / "runs.parquet"
+    sides = [{"map": "em", "steps": 2, "robots": 1, "map_encoding": name} for name in ("none", "predictive")]
+    assert "none and predictive" in compare(sides, seeds=2, out=out, **QUIET).verdicts[0]
+    fail(out, map_encoding="none", seed=0)
+    assert len(compare(sides, seeds=2, out=out, **QUIET).sweep.rows) == 3
+    fail(out, map_encoding="none")
+    with pytest.raises(RunFailed, match=r"^none: all runs failed: it broke \(2 runs\)$"):
+        compare(sides, seeds=2, out=out, **QUIET)
+    with pytest.raises(RunFailed, match=r"^all runs failed: it broke \(2 runs\)$"):
+        sweep(base=sides[0], seed=[0, 1], out=out, **QUIET)
+
+
 def test_the_smallest_sufficient_team_is_named(tmp_path: Path) -> None:
     settings = {name: value for name, value in ROOMS.items() if name not in ("map", "robots", "bandwidth")}
-    tried = {"robots": [3, 1], "bandwidth": ["unlimited", 100], "range": ["100%"], "seeds": 2}
+    tried = {"robots": [3, 1], "bandwidth": ["unlimited", 100], "range": ["100%"], "seeds": 2, "steps": 200}
     out = tmp_path / "runs.parquet"
     done = size("leader-rooms", deadline=45, out=out, **tried, **settings, **QUIET)
     assert [(o.robots, o.bandwidth) for o in done.options] == [
@@ -117,11 +137,23 @@ def test_the_smallest_sufficient_team_is_named(tmp_path: Path) -> None:
     assert never.enough is None and never.sentence.startswith(
         "None of these teams always explores leader-rooms"
     )
-    is_one_of_three = (pl.col("robots") == 3) & (pl.col("seed") == 1)
-    spoilt = pl.when(is_one_of_three).then(pl.lit("it broke")).otherwise(pl.col("error")).alias("error")
-    pl.read_parquet(out).with_columns(spoilt).write_parquet(out)
+    fail(out, robots=3, seed=1)
     broken = size("leader-rooms", deadline=45, out=out, **tried, **settings, **QUIET)
     assert broken.enough is None and ": 1 of 2 runs, in " in broken.sentence
+
+
+def test_all_robots_must_finish_with_an_accurate_map_unless_the_first_is_enough(tmp_path: Path) -> None:
+    alone = {"map_encoding": "none", "map_options": {"width_m": 10.0, "height_m": 10.0}, "sensor_range": 3.0}
+    tried = {"robots": [2], "bandwidth": [100], "range": ["100%"], "seeds": 1, "out": tmp_path / "r.parquet"}
+    first, each = (size("office", finish=finish, **tried, **alone, **QUIET) for finish in ("first", "all"))
+    assert first.options[0].steps.mean < each.options[0].steps.mean
+    assert first.enough is not None and "95 % of the first robot's map correct" in first.sentence
+    assert each.enough is not None and "95 % of each robot's map correct" in each.sentence
+    poor = pl.read_parquet(tried["out"]).with_columns(pl.lit(0.9).alias("worst_map_accuracy"))
+    poor.write_parquet(tried["out"])
+    first, each = (size("office", finish=finish, **tried, **alone, **QUIET) for finish in ("first", "all"))
+    assert first.enough is not None
+    assert each.enough is None
 
 
 def test_the_shortest_range_of_a_finished_run_is_named() -> None:
