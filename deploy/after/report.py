@@ -21,9 +21,10 @@ from PIL import Image
 from deploy.after.archive import Archive, read
 from deploy.after.figures import APPROXIMATION, CHANNEL_LOAD, MAPS_OVER_TIME, compared, write_figures
 from deploy.after.frames import Frames, side_by_side
+from deploy.after.robot_table import CAPTION, robot_table
 from deploy.record import run_directory
 from deploy.record.map_pictures import counted
-from netshaper.ledger import CAUSES, EVERYONE
+from netshaper.ledger import CAUSES
 from protocol.packets import ALL_KINDS
 from worldsim.atomic_files import write_whole
 
@@ -149,7 +150,7 @@ def page(archive: Archive, figures: Sequence[Path]) -> str:
                 "Step by step", frames=_frames([Frames(archive, FRAME_WIDTH)]), caption=FRAMES_CAPTION
             ),
             Section("Pictures", pictures=[_picture(figure.read_bytes(), CAPTIONS[figure.name]) for figure in figures]),
-            Section("The robots", [_table(_robots(archive))]),
+            Section("The robots", [_table(robot_table(archive))], caption=CAPTION),
             Section("Walls on the robots' maps", [_table(_walls(summary))], caption=WALLS_CAPTION),
             Section("Traffic", [_table(_kinds(summary), last_is_sum=True), _table(_undelivered(summary))]),
             Section("The scenario", texts=[scenario]),
@@ -224,7 +225,7 @@ def _png(picture: Image.Image) -> bytes:
     """A picture as a small PNG of at most 128 colors."""
     file = io.BytesIO()
     small = picture.quantize(128, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
-    small.save(file, "PNG", optimize=True)
+    small.save(file, "PNG")
     return file.getvalue()
 
 
@@ -365,23 +366,6 @@ def _walls(summary: dict[str, Any]) -> list[list[str]]:
         rows.append(["mean", *(_percent(fmean(values) if values else None) for values in known)])
         rows.append(["worst", *(_percent(min(values, default=None)) for values in known)])
     return [["robot", *names.values()], *rows]
-
-
-def _robots(archive: Archive) -> list[list[str]]:
-    ledger, summary = archive.ledger, archive.summary
-    carried = ledger["carried"].astype(bool)
-    rows = [["robot", "driven [m]", "sent [bytes]", "received [bytes]", "cells seen", "last status"]]
-    for robot in range(summary["robots"]):
-        track = archive.of_robot(robot)
-        sent = int(ledger["bytes"][carried & (ledger["sender"] == robot)].sum())
-        unicast = carried & (ledger["receiver"] == robot) & (ledger["receiver"] != EVERYONE)
-        received = int((ledger["bytes"] * ledger["received_by"])[unicast].sum())
-        seen = track["known_cells"][~np.isnan(track["known_cells"])]
-        status = summary["lost"].get(str(robot)) or next((s for s in track["status"][::-1] if s), "-")
-        driven = f"{track['driven'][-1]:.1f}" if len(track["driven"]) else "-"
-        known = f"{int(seen[-1]):,}" if len(seen) else "-"
-        rows.append([str(robot), driven, f"{sent:,}", f"{received:,}", known, status])
-    return rows
 
 
 def _kinds(summary: dict[str, Any]) -> list[list[str]]:

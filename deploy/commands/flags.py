@@ -7,7 +7,7 @@ import inspect
 import json
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -32,7 +32,7 @@ SETTINGS = {
 """Settings of a scenario with a flag of their own, by group of the help, each with the metavar of its value."""
 
 WORLD, ROBOTS, RADIO, RUN = SETTINGS
-VIEW = "View"
+VIEW, FIGURES = "View", "Figures and tables"
 """Groups of flags in the help of a command."""
 
 
@@ -49,42 +49,61 @@ def switch(name: str, help: str, group: str) -> Any:
 def setting_flags(*without: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Give a command a flag for each of `SETTINGS` but those in `without`.
 
-    The command receives the settings that the user gave as the dictionary `settings`. Its other flags follow those of
-    the settings; its first parameter, the argument, precedes them.
+    The command receives the settings that the user gave as the dictionary `settings`.
     """
 
-    def decorate(command: Callable[..., None]) -> Callable[..., None]:
-        own = inspect.signature(command, eval_str=True).parameters
-        first, *rest = [
-            (each.name, each.annotation, each.default) for each in own.values() if each.name != "settings"
+    flags = [
+        (name, _flag(name, metavar, group), None)
+        for group, names in SETTINGS.items()
+        for name, metavar in names.items()
+        if name not in without
+    ]
+
+    def given(**values: Any) -> dict[str, Any]:
+        settings = {name: value for name, value in values.items() if value is not None}
+        if "start" in settings:
+            settings["start"] = position(settings["start"])
+        return settings
+
+    return lambda command: _with_flags(command, flags, "settings", given)
+
+
+def figure_flags(command: Callable[..., None]) -> Callable[..., None]:
+    """Give a command the flags of figures and tables; it receives them as a `FigureStyle`, the parameter `style`."""
+
+    def style(formats: str, figure_width: float | None, font: str | None, font_size: float) -> Any:
+        from deploy.study.figure_style import FigureStyle  # noqa: PLC0415  slow to import
+
+        names = tuple(name.strip() for name in formats.split(",") if name.strip())
+        return FigureStyle(names, figure_width, font, font_size)
+
+    return _with_flags(command, FIGURE_FLAGS, "style", style)
+
+
+def _with_flags(
+    command: Callable[..., None], flags: Sequence[tuple[str, Any, Any]], name: str, make: Callable[..., Any]
+) -> Callable[..., None]:
+    """Give a command flags (name, annotation, default) whose values it receives as one parameter, made by `make`.
+
+    Its own flags follow them; its first parameter, the argument, precedes them.
+    """
+    own = inspect.signature(command, eval_str=True).parameters
+    first, *rest = [(each.name, each.annotation, each.default) for each in own.values() if each.name != name]
+    every = [first, *flags, *rest]
+
+    @functools.wraps(command)
+    def with_flags(**given: Any) -> None:
+        values = {flag: given.pop(flag) for flag, *_ in flags}
+        command(**given, **{name: make(**values)})
+
+    with_flags.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+        [
+            inspect.Parameter(flag, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+            for flag, annotation, default in every
         ]
-        flags = [
-            (name, _flag(name, metavar, group), None)
-            for group, names in SETTINGS.items()
-            for name, metavar in names.items()
-            if name not in without
-        ]
-
-        @functools.wraps(command)
-        def with_settings(**given: Any) -> None:
-            settings = {name: given.pop(name) for name, *_ in flags}
-            settings = {name: value for name, value in settings.items() if value is not None}
-            if "start" in settings:
-                settings["start"] = position(settings["start"])
-            command(**given, settings=settings)
-
-        with_settings.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
-            [
-                inspect.Parameter(
-                    name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation
-                )
-                for name, annotation, default in [first, *flags, *rest]
-            ]
-        )
-        with_settings.__annotations__ = {name: annotation for name, annotation, _ in [first, *flags, *rest]}
-        return with_settings
-
-    return decorate
+    )
+    with_flags.__annotations__ = {flag: annotation for flag, annotation, _ in every}
+    return with_flags
 
 
 def _flag(name: str, metavar: str, group: str) -> Any:
@@ -158,6 +177,24 @@ ViewAs = Annotated[
         metavar="native|web|file", help="type of viewer (default: a window, or a web page without a display)"
     ),
 ]
+FIGURE_FLAGS = (
+    (
+        "formats",
+        Annotated[
+            str,
+            option("pdf,svg,csv,tex", "also write figures as PDF or SVG, tables as CSV or LaTeX", FIGURES),
+        ],
+        "",
+    ),
+    (
+        "figure_width",
+        Annotated[float | None, option("CM", "width of each figure (default: 11 cm per panel)", FIGURES)],
+        None,
+    ),
+    ("font", Annotated[str | None, option("NAME", "font of figures, as serif or Arial", FIGURES)], None),
+    ("font_size", Annotated[float, option("POINTS", "size of all text in figures", FIGURES)], 10.0),
+)
+"""The flags of all commands that write figures and tables: name, annotation, default."""
 
 
 class Subcommands(TyperGroup):

@@ -12,7 +12,14 @@ import typer
 from rich.console import Console
 
 from deploy.commands.console import BROKEN_OFF, FILE_WIDTH, errors, fail, screen
-from deploy.commands.flags import GroupedCommand, command_family, named_values, output_file, setting_flags
+from deploy.commands.flags import (
+    GroupedCommand,
+    command_family,
+    figure_flags,
+    named_values,
+    output_file,
+    setting_flags,
+)
 from deploy.scenario.tables import MAX_RUNS
 from protocol.grid import MAX_ROBOTS
 
@@ -35,7 +42,8 @@ SetOption = Annotated[
 RetryFlag = Annotated[bool, typer.Option("--retry", help="repeat failed runs of the table")]
 
 
-@app.command()
+@app.command(cls=GroupedCommand)
+@figure_flags
 def sweep(
     experiment: Annotated[
         Path, typer.Argument(metavar="EXPERIMENT.toml", help="the experiment's file (docs/experiments.md)")
@@ -67,23 +75,26 @@ def sweep(
     plot: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE.png",
-            callback=output_file(".png"),
+            metavar="FILE.png|.pdf|.svg",
+            callback=output_file(".png", ".pdf", ".svg"),
             help="draw the file's plots (FILE-2.png and so on for more)",
         ),
     ] = None,
     retry: RetryFlag = False,
+    *,
+    style: Any,
 ) -> None:
     """Run a scenario over a grid of settings, on the memory bus, and print the table defined in the file.
 
     Exit code 3: runs failed.
     """
     from deploy.study import experiment as experiments  # noqa: PLC0415
-    from deploy.study import plots  # noqa: PLC0415
     from deploy.study.results import Results, write_table  # noqa: PLC0415
     from deploy.study.runs import cases  # noqa: PLC0415
     from deploy.study.sweep import Sweep  # noqa: PLC0415
 
+    if style.formats and not (plot or table):
+        raise ValueError("formats: needs --plot FILE or --table FILE, the names of the files")
     settings = named_values(set_ or [], "set", "seed=[0,1]")
     if seeds is not None:
         settings["seed"] = list(range(seeds))
@@ -99,14 +110,16 @@ def sweep(
             report_sweep(done)
             if table is not None and done.rows:
                 write_table(done.table, table)
+                done.write_tables(table.with_suffix(""), style)
         for number in range(len(read.plots) if plot is not None else 0):
             assert plot is not None
             file = plot.with_stem(f"{plot.stem}-{number + 1}") if number else plot
-            plots.save(done.plot(number), file)
+            style.save(done.plot(number, style), file)
         end_study(done.failures)
 
 
-@app.command()
+@app.command(cls=GroupedCommand)
+@figure_flags
 def reproduce(
     claim: Annotated[
         list[str] | None, typer.Argument(metavar="CLAIM...", help="as B1 M4 (default: all 24)")
@@ -122,6 +135,8 @@ def reproduce(
         ),
     ] = Path("reproduction"),
     retry: RetryFlag = False,
+    *,
+    style: Any,
 ) -> None:
     """Repeat the experiments of the papers, and judge each of their claims.
 
@@ -144,15 +159,10 @@ def reproduce(
             )
         command = ["murmur reproduce", *(claim or []), *(["--quick"] if quick else [])]
         command += [f"--seeds {seeds}"] if seeds is not None else []
-        pages = reproduction.write(done, out, " ".join(command))
-    lines = [["claim", "", "verdict", "tests", "runs"]]
-    for each in done.claims:
-        counts = each.verdict.counts
-        lines.append([each.claim.id, each.claim.statement, each.verdict.result, counts, str(each.runs)])
-        for part in each.parts:
-            report_failures(part.failures)
-    lines += [[name, "", "no experiment", "", "0"] for name in done.without_experiment]
-    print_table(terminal.table(lines))
+        pages = reproduction.write(done, out, " ".join(command), style)
+    for part in (part for each in done.claims for part in each.parts):
+        report_failures(part.failures)
+    print_table(terminal.table(reproduction.overview(done)))
     screen.print(f"Results: {', '.join(map(str, pages))}" + (" (quick)" if quick else ""))
     failures = {
         cause: count for each in done.claims for part in each.parts for cause, count in part.failures.items()
@@ -162,6 +172,7 @@ def reproduce(
 
 @app.command(cls=GroupedCommand)
 @setting_flags("map", "seed", "bus")
+@figure_flags
 def compare(
     scenario: Annotated[
         list[Path] | None, typer.Argument(metavar="A.toml B.toml ...", help="scenarios to compare")
@@ -187,6 +198,7 @@ def compare(
     ),
     *,
     settings: dict[str, Any],
+    style: Any,
 ) -> None:
     """Compare scenarios, strategies or map encodings on the same seeds, with confidence intervals.
 
@@ -212,13 +224,14 @@ def compare(
     report_sweep(done.sweep)
     for sentence in done.verdicts:
         screen.print(f"{sentence}.")
-    files = done.write(out)
+    files = done.write(out, style)
     screen.print(f"Results: {out} (start with {files[0]} and {files[1]})")
     end_study(done.sweep.failures)
 
 
 @app.command(cls=GroupedCommand)
 @setting_flags("map", "robots", "range", "bandwidth", "finish", "seed", "bus")
+@figure_flags
 def size(
     map_: Annotated[str, typer.Option("--map", metavar="FILE|NAME", help="the building")] = "office",
     robots: Annotated[str, typer.Option(metavar="2..8|2,4", help="numbers of robots to try")] = "2..8",
@@ -248,6 +261,7 @@ def size(
     ),
     *,
     settings: dict[str, Any],
+    style: Any,
 ) -> None:
     """Find the smallest team, bandwidth and range that are sufficient for a building.
 
@@ -268,7 +282,7 @@ def size(
         )  # fmt: skip
     report_sweep(done.sweep)
     screen.print(done.sentence)
-    files = done.write(out)
+    files = done.write(out, style)
     screen.print(f"Results: {out} (start with {files[0]})")
     end_study(done.sweep.failures, 0 if done.enough is not None else 1)
 

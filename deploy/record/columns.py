@@ -113,7 +113,8 @@ SUMMARY = {
     "if lasers or poses have errors",
     "bytes, packets": "transmitted, by kind of packet",
     "raw_scan_bytes": "raw scans by the thesis' formula (section 6.3): steps x 362 values of 2 bytes x r(r - 1)",
-    "approximation_error": "Eq. 6.1, of the first robot: mean over its steps, as a share of the cells to explore",
+    "approximation_error": "Eq. 6.1, of the first robot: mean over its steps, as a share of the cells to explore; null "
+    "for map encodings that do not approximate",
     "approximation_error_net": "the same minus that of an exact approximation; null without `polygons.exact_error`",
     "over_budget_steps": "steps that exceeded the budget: 0",
     "undelivered": "frames not delivered, by cause",

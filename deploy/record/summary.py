@@ -32,6 +32,9 @@ from protocol.grid import FREE, OCCUPIED, Grid
 from protocol.messages import Change, End
 from protocol.packets import ALL_KINDS
 
+POLYGONS = "polygons"
+"""The map encoding that approximates maps."""
+
 SCAN_VALUES, VALUE_BYTES = 362, 2
 """Size of a raw scan by the thesis' formula (section 6.3): 360 ranges and a position, sent to each teammate."""
 
@@ -89,7 +92,7 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "raw_scan_bytes": steps * SCAN_VALUES * VALUE_BYTES * scenario.robots * (scenario.robots - 1),
         "packets": per_kind(ledger, "packets"),
         **recorded_figures(plan, records, steps, sizes["total"]),
-        **_approximation_error(records, first, int(reachable.sum())),
+        **_approximation_error(records, first, int(reachable.sum()), scenario.map_encoding),
         "over_budget_steps": _over_budget(ledger, allowed, plan.radio.saving, each=scenario.radio.reuse),
         "undelivered": undelivered(ledger),
         "lost": {str(robot): cause for robot, cause in sorted(records.lost.items())},
@@ -182,18 +185,22 @@ def per_kind(ledger: NDArray[np.void], name: str) -> dict[str, int]:
     return {kind: sums[n] for n, kind in enumerate(ALL_KINDS) if n in present} | {"total": sum(sums)}
 
 
-def _approximation_error(records: Records, robot: int, cells: int) -> dict[str, float | None]:
+def _approximation_error(
+    records: Records, robot: int, cells: int, map_encoding: str
+) -> dict[str, float | None]:
     """Mean of a robot's approximation error d(t) over the steps, as a share of all cells (thesis, Eq. 6.1).
 
-    The net error is the same minus the error of an exact approximation; None if that was not measured.
+    The net error is the same minus the error of an exact approximation; None if that was not measured. Both are None if
+    the map encoding does not approximate.
     """
     reports = records.statuses[robot] if 0 <= robot < len(records.statuses) else []
     error, exact = (
         np.array([(report.error, report.exact_error) for report in reports]).reshape(-1, 2).T / cells
     )
+    approximates = len(error) > 0 and (map_encoding == POLYGONS or bool(error.any()))
     return {
-        "approximation_error": float(error.mean()) if len(error) else None,
-        "approximation_error_net": float((error - exact).mean()) if len(error) and exact.min() >= 0 else None,
+        "approximation_error": float(error.mean()) if approximates else None,
+        "approximation_error_net": float((error - exact).mean()) if approximates and exact.min() >= 0 else None,
     }
 
 

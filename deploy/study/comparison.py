@@ -15,6 +15,7 @@ from deploy.scenario import plugins
 from deploy.scenario.scenario import Scenario, ScenarioError, load
 from deploy.study import plots
 from deploy.study.claims import HOLDS, UNDECIDED, Finding, Rule, judge
+from deploy.study.figure_style import DEFAULT, FigureStyle
 from deploy.study.plots import BOXES, CURVES, Plot
 from deploy.study.results import write_table
 from deploy.study.runs import failures, looked_up
@@ -64,20 +65,21 @@ class Comparison:
         """Means, intervals and quartiles."""
         return self.sweep.table
 
-    def plot(self) -> Figure:
+    def plot(self, style: FigureStyle = DEFAULT) -> Figure:
         """Box plots of the metric."""
-        return self.sweep.plot(0)
+        return self.sweep.plot(0, style)
 
-    def curves(self) -> Figure:
+    def curves(self, style: FigureStyle = DEFAULT) -> Figure:
         """The explored share over time, means with 95 % intervals."""
-        return self.sweep.plot(1)
+        return self.sweep.plot(1, style)
 
-    def write(self, folder: Path) -> list[Path]:
-        """Write ``boxes.png``, ``curves.png`` and ``means.csv``."""
+    def write(self, folder: Path, style: FigureStyle = DEFAULT) -> list[Path]:
+        """Write ``boxes.png``, ``curves.png`` and ``means.csv``, and all formats of a style."""
         files = [folder / name for name in ("boxes.png", "curves.png", "means.csv")]
-        plots.save(self.plot(), files[0])
-        plots.save(self.curves(), files[1])
+        style.save(self.plot(style), files[0])
+        style.save(self.curves(style), files[1])
         write_table(self.table, files[2])
+        self.sweep.write_tables(folder / "means", style)
         return files
 
     def __repr__(self) -> str:
@@ -136,7 +138,7 @@ def compare(
     made = of_settings("compare", {}, {**settings, "seed": range(seeds)}, variants, metrics)
     panels = "map" if "map" in made.grid else ""
     boxes = Plot(metric, kind=BOXES, panels=panels)
-    curves = Plot("explored", kind=CURVES, panels=panels, xlabel="step", ylabel="explored")
+    curves = Plot("explored", kind=CURVES, panels=panels)
     made = replace(made, plots=(boxes, curves))
     done = run(made, jobs=jobs, scheduler=scheduler, out=out, progress=progress)
     _check_runs(done, variants)

@@ -3,13 +3,17 @@
 An experiment's file describes a plot::
 
     [[plot]]
-    kind = "lines"          # means with 95 % intervals; "boxes": quartiles; "curves": a series over the steps
+    kind = "lines"          # means with 95 % intervals; "curves": a series over the steps; "boxes": the median,
+                            # quartiles and extremes
     x = "robots"            # not for curves
     y = "steps"
     lines = "variant"       # one line, box or curve per value
     panels = "map"          # one panel per value
-    xlabel = "robots"
+    xlabel = "robots"       # by default the name of the key with its unit
     ylabel = "exploration time (steps)"
+
+All panels have the same y axis, and show all data. The x axis is logarithmic if the values of `x` are spaced too
+unevenly for another one.
 """
 
 from __future__ import annotations
@@ -19,35 +23,34 @@ import io
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal
 
 import numpy as np
 
+from deploy.study import figure_style, labels
+from deploy.study.figure_style import DEFAULT, FigureStyle
 from deploy.study.measures import SERIES
 from deploy.study.results import Results, Row
 from deploy.study.statistics import interval
 from deploy.study.tables import VARIANT, check, has_finished, metric_value, short
-from worldsim.atomic_files import write_whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.legend import Legend
 
 LINES: Final = "lines"
 BOXES: Final = "boxes"
 CURVES: Final = "curves"
 
-COLUMNS = 3
-PANEL = 4.2, 3.2
-"""Width and height of a panel in inches."""
-
 COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#555555", "#a07000")
 """The palette of Okabe and Ito, which color-blind readers can distinguish."""
 MARKERS = "osD^vP*X"
+DASHES = ("-", "--", "-.", ":")
 
 SHARES = ("explored", "coverage", "finished")
-"""Metrics whose axis ends at 1."""
+"""Metrics whose axis ends at 1, or just above it."""
 
 CURVE_POINTS = 200
 
@@ -83,51 +86,78 @@ def check_plot(plot: Plot, grid: Iterable[str], metrics: Iterable[str]) -> None:
         raise ValueError("plot.x is missing: lines are drawn over a key of the grid")
 
 
-def draw(plot: Plot, rows: Sequence[Row], results: Results) -> Figure:
+def draw(plot: Plot, rows: Sequence[Row], results: Results, style: FigureStyle = DEFAULT) -> Figure:
     """Draw the runs of an experiment; `results` holds their series."""
     from matplotlib.figure import Figure  # noqa: PLC0415  half a second to import
 
     panels = _values(rows, plot.panels) if plot.panels else [None]
     lines = _values(rows, plot.lines) if plot.lines else [None]
-    columns = max(1, min(COLUMNS, len(panels)))
-    height = math.ceil(len(panels) / columns)
-    canvas = Figure(figsize=(PANEL[0] * columns, PANEL[1] * height + 0.4), layout="constrained")
-    axes = canvas.subplots(height, columns, sharey=True, squeeze=False).ravel()
-    for panel, shown in zip(axes, panels, strict=False):
-        painter = {LINES: _lines, BOXES: _boxes, CURVES: _curves}[plot.kind]
-        painter(panel, plot, _of(rows, plot.panels, shown), lines, results)
-        if shown is not None:
-            panel.set_title(f"{plot.panels.rpartition('.')[2]} {short(shown)}", fontsize=10)
-        panel.set_xlabel(plot.xlabel or plot.x or ("step" if plot.kind == CURVES else ""))
-        panel.grid(visible=True, color="#e5e5e5", linewidth=0.6)
-        panel.set_axisbelow(True)
-        panel.spines[["top", "right"]].set_visible(False)
-    if plot.log:
-        axes[0].set_yscale("log")
-    else:
-        axes[0].set_ylim(0, 1 if plot.y in SHARES else None)
-    for panel in axes[::columns]:
-        panel.set_ylabel(plot.ylabel or plot.y)
-    for panel in axes[len(panels) :]:
-        panel.set_axis_off()
-    handles, labels = axes[0].get_legend_handles_labels()
-    if len(handles) > 1:
-        canvas.legend(
-            handles, labels, loc="outside lower center", ncols=min(2 * columns, 4, len(labels)), frameon=False,
-            title=None if plot.lines == VARIANT else plot.lines.rpartition(".")[2], title_fontsize="small",
-        )  # fmt: skip
+    columns, (width, height) = style.layout(len(panels))
+    across = math.ceil(len(panels) / columns)
+    with style.applied():
+        canvas = Figure(figsize=(width * columns, height * across), layout="constrained")
+        grid = canvas.subplots(across, columns, sharey=True, squeeze=False).ravel()
+        axes, unused = list(grid[: len(panels)]), grid[len(panels) :]
+        for panel, shown in zip(axes, panels, strict=True):
+            painter = {LINES: _lines, BOXES: _boxes, CURVES: _curves}[plot.kind]
+            painter(panel, plot, _of(rows, plot.panels, shown), lines, results)
+            if shown is not None:
+                panel.set_title(labels.level(plot.panels, shown, short(shown)))
+            panel.set_xlabel(_x_label(plot, rows))
+            panel.grid(visible=True, color="#e5e5e5", linewidth=0.6)
+            panel.set_axisbelow(True)
+            panel.spines[["top", "right"]].set_visible(False)
+        for panel in unused:
+            panel.set_axis_off()
+        for panel in axes[::columns]:
+            panel.set_ylabel(plot.ylabel or labels.label(plot.y))
+        _set_limits(plot, axes)
+        entries = {
+            name: handle
+            for panel in axes
+            for handle, name in zip(*panel.get_legend_handles_labels(), strict=True)
+        }
+        is_needed = len(entries) > 1 and plot.lines != plot.panels
+        legend = partial(_legend, canvas, entries, plot.lines) if is_needed else None
+        figure_style.fit(canvas, axes, legend, len(entries))
     return canvas
 
 
-def save(canvas: Figure, file: Path) -> None:
-    """Write a picture without variable metadata, so that equal pictures have equal files."""
-    write_whole(file, lambda out: canvas.savefig(out, format="png", dpi=90, metadata={"Software": None}))
+def _set_limits(plot: Plot, axes: Sequence[Axes]) -> None:
+    """Set the limits of the y axis, which all panels share, so that it has all their data and begins at 0."""
+    if plot.log:
+        axes[0].set_yscale("log")
+        return
+    bounds = [bound for panel in axes for bound in panel.dataLim.intervaly if math.isfinite(bound)]
+    low, high = min([0.0, *bounds]), max([0.0, *bounds])
+    if plot.y in SHARES or high == low:
+        high = max(high, 1.0)
+    margin = (0.02 if plot.y in SHARES else 0.05) * (high - low)
+    axes[0].set_ylim(low - margin * (low < 0), high + margin)
+
+
+def _x_label(plot: Plot, rows: Sequence[Row]) -> str:
+    if plot.xlabel or not (plot.x or plot.kind == CURVES):
+        return plot.xlabel
+    if plot.kind == CURVES:
+        return "time (steps)"
+    if all(str(value).endswith("%") for value in _values(rows, plot.x)):
+        return "communication range (% of the diagonal)"
+    return labels.label(plot.x)
+
+
+def _legend(canvas: Figure, entries: dict[str, Any], key: str, columns: int) -> Legend:
+    """Draw the legend below all panels."""
+    return canvas.legend(
+        entries.values(), entries.keys(), loc="outside lower center", ncols=columns, frameon=False,
+        title=None if key == VARIANT else labels.label(key),
+    )  # fmt: skip
 
 
 def as_html(canvas: Figure) -> str:
     """A picture as HTML for a notebook."""
     file = io.BytesIO()
-    canvas.savefig(file, format="png", dpi=80)
+    DEFAULT.write(canvas, "png", file)
     return f'<img src="data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}">'
 
 
@@ -136,20 +166,26 @@ def _lines(panel: Axes, plot: Plot, rows: Sequence[Row], lines: Sequence[Any], _
     numbers = [number for level in levels if (number := _number(level)) is not None]
     is_axis = len(numbers) == len(levels) and numbers == sorted(numbers)
     places = np.array(numbers if is_axis else range(len(levels)), float)
-    nudge = 0.02 * np.ptp(places) if len(places) else 0.0
+    is_log = is_axis and figure_style.spread(numbers)
+    shown = np.log(places) if is_log else places
+    nudge = 0.02 * np.ptp(shown) if len(shown) else 0.0
     for n, line in enumerate(lines):
         of_line = _of(rows, plot.lines, line)
         means = [interval(_metrics(plot, _of(of_line, plot.x, level))) for level in levels]
         there = np.array([bool(mean.n) for mean in means], np.bool_)
         if there.any():
+            at = shown + nudge * (n - (len(lines) - 1) / 2)
             panel.errorbar(
-                (places + nudge * (n - (len(lines) - 1) / 2))[there],
+                (np.exp(at) if is_log else at)[there],
                 [mean.mean for mean in means if mean.n],
                 np.nan_to_num([mean.half for mean in means if mean.n]),
-                label=short(line) if line is not None else None, color=COLORS[n % len(COLORS)],
+                label=_name(line), color=COLORS[n % len(COLORS)],
                 marker=MARKERS[n % len(MARKERS)], markersize=4, linewidth=1.3, capsize=2,
             )  # fmt: skip
-    panel.set_xticks(places, [short(level) for level in levels], rotation=0 if len(levels) < 8 else 45)
+    if is_log:
+        panel.set_xscale("log")
+        panel.minorticks_off()
+    panel.set_xticks(places, [short(level) for level in levels])
 
 
 def _boxes(panel: Axes, plot: Plot, rows: Sequence[Row], lines: Sequence[Any], _: Results) -> None:
@@ -161,15 +197,14 @@ def _boxes(panel: Axes, plot: Plot, rows: Sequence[Row], lines: Sequence[Any], _
         boxes = panel.boxplot(
             [_metrics(plot, _of(_of(rows, plot.x, level), plot.lines, line)) for level in levels],
             positions=[k + (n - (len(lines) - 1) / 2) * step for k in range(len(levels))], widths=width,
-            patch_artist=True, medianprops={"color": "black"}, flierprops={"markersize": 3}, manage_ticks=False,
+            whis=(0, 100), patch_artist=True, medianprops={"color": "black"}, manage_ticks=False,
         )  # fmt: skip
         for box in boxes["boxes"]:
             box.set_facecolor(color + "80")
         if plot.x:
-            panel.plot([], [], color=color, linewidth=6, label=short(line))
-    labels = [short(value) for value in (levels if plot.x else lines)]
+            panel.plot([], [], color=color, linewidth=6, label=_name(line))
     places = range(len(levels)) if plot.x else [n - (len(lines) - 1) / 2 for n in range(len(lines))]
-    panel.set_xticks(places, labels, rotation=20 if max(map(len, labels), default=0) > 12 else 0)
+    panel.set_xticks(places, [short(value) for value in (levels if plot.x else lines)])
 
 
 def _curves(panel: Axes, plot: Plot, rows: Sequence[Row], lines: Sequence[Any], results: Results) -> None:
@@ -182,7 +217,8 @@ def _curves(panel: Axes, plot: Plot, rows: Sequence[Row], lines: Sequence[Any], 
         at = np.unique(np.linspace(0, max(map(len, series)) - 1, CURVE_POINTS).astype(int))
         means = [interval([values[min(step, len(values) - 1)] for values in series]) for step in at]
         color = COLORS[n % len(COLORS)]
-        panel.plot(at + 1, [m.mean for m in means], color=color, label=short(line), linewidth=1.4)
+        dashes = DASHES[n % len(DASHES)]
+        panel.plot(at + 1, [m.mean for m in means], dashes, color=color, label=_name(line), linewidth=1.4)
         panel.fill_between(
             at + 1, [m.low for m in means], [m.high for m in means], color=color, alpha=0.2, linewidth=0
         )
@@ -192,6 +228,11 @@ def _curves(panel: Axes, plot: Plot, rows: Sequence[Row], lines: Sequence[Any], 
 def _metrics(plot: Plot, rows: Sequence[Row]) -> list[float]:
     counted = [row for row in rows if has_finished(row)] if plot.finished_only else rows
     return [value for row in counted if (value := metric_value(row, plot.y)) is not None]
+
+
+def _name(line: Any) -> str | None:
+    """The label of a line in the legend; None if there is only one."""
+    return None if line is None else short(line)
 
 
 def _of(rows: Sequence[Row], key: str, value: Any) -> list[Row]:

@@ -19,9 +19,10 @@ from deploy.record.versions import versions
 from deploy.run.workers import Workers
 from deploy.scenario.scenario import ScenarioError
 from deploy.study import experiment as experiments
-from deploy.study import plots
 from deploy.study.claims import HOLDS, Claim, Finding, Verdict, judge
 from deploy.study.experiment import SHIPPED, Experiment
+from deploy.study.figure_style import DEFAULT, FigureStyle
+from deploy.study.paper_tables import write_tables
 from deploy.study.progress import Report
 from deploy.study.results import Results, write_table
 from deploy.study.runs import cases, make
@@ -119,19 +120,23 @@ def reproduce(
     return Reproduction(judged, quick, [name for name, listed in todo.items() if not listed])
 
 
-def write(reproduction: Reproduction, out: Path, command: str) -> list[Path]:
+def write(reproduction: Reproduction, out: Path, command: str, style: FigureStyle = DEFAULT) -> list[Path]:
     """Write ``OUT.md`` and ``OUT.html``, and pictures and tables into the folder ``OUT``; return the two pages."""
     out.mkdir(parents=True, exist_ok=True)
+    write_tables(out / "claims", style, overview(reproduction))
     pictures: dict[str, list[str]] = {}
     for judged in reproduction.claims:
+        write_tables(out / f"claim-{judged.claim.id}-tests", style, _tests(judged.verdict.findings))
         for part in judged.parts:
             name = part.experiment.name
             for ending in (".csv", ".parquet") if part.rows else ():
                 write_table(part.table, out / f"{name}{ending}")
+            if part.rows:
+                part.write_tables(out / name, style)
             pictures[name] = []
             for number in range(len(part.experiment.plots) if part.rows else 0):
                 file = out / f"{name}-{number + 1}.png"
-                plots.save(part.plot(number), file)
+                style.save(part.plot(number, style), file)
                 pictures[name].append(f"{out.name}/{file.name}")
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(TEMPLATES),
@@ -150,6 +155,41 @@ def write(reproduction: Reproduction, out: Path, command: str) -> list[Path]:
         write_whole(page, lambda file, text=text: file.write(text.encode()))  # type: ignore[misc]
         pages.append(page)
     return pages
+
+
+def overview(reproduction: Reproduction) -> list[list[str]]:
+    """The claims with their verdicts, as a table."""
+    lines = [["claim", "", "verdict", "tests", "runs"]]
+    for each in reproduction.claims:
+        verdict = each.verdict
+        lines.append([each.claim.id, each.claim.statement, verdict.result, verdict.counts, str(each.runs)])
+    return lines + [[name, "", "no experiment", "", "0"] for name in reproduction.without_experiment]
+
+
+def _tests(findings: Sequence[Finding]) -> list[list[str]]:
+    """The tests of a claim, as a table."""
+    lines = [
+        [
+            "expected",
+            "metric",
+            "expectation",
+            "where",
+            "result",
+            "effect size",
+            "n",
+            "excluded",
+            "p",
+            "verdict",
+        ]
+    ]
+    for each in findings:
+        size = "-" if each.d != each.d else f"{each.d:.2f}"
+        counts = str(each.effect.n), str(each.left_out)
+        lines.append(
+            [each.rule.statement, each.rule.metric, each.rule.expect, _cell(each.cell), _effect(each), size, *counts,
+             _p(each.p), each.verdict]
+        )  # fmt: skip
+    return lines
 
 
 def _settings(experiment: Experiment) -> str:

@@ -13,6 +13,8 @@ import polars as pl
 from deploy.scenario.plan import load_map
 from deploy.study import plots
 from deploy.study.experiment import listed
+from deploy.study.figure_style import DEFAULT, FigureStyle
+from deploy.study.paper_tables import texts, write_tables
 from deploy.study.plots import Plot
 from deploy.study.results import write_table
 from deploy.study.runs import Case
@@ -125,19 +127,21 @@ class Sizing:
             for o in self.options
         )  # fmt: skip
 
-    def plot(self) -> Figure:
+    def plot(self, style: FigureStyle = DEFAULT) -> Figure:
         """Steps over the number of robots, with a curve per bandwidth, a panel per range, and 95 % intervals."""
-        canvas = self.sweep.plot(0)
+        canvas = self.sweep.plot(0, style)
         if self.deadline is not None:
             for panel in canvas.axes:
                 panel.axhline(self.deadline, color="#555555", linewidth=1, linestyle="--")
+                panel.set_ylim(top=max(1.05 * self.deadline, panel.get_ylim()[1]))
         return canvas
 
-    def write(self, folder: Path) -> list[Path]:
-        """Write ``size.png`` and ``size.csv``."""
+    def write(self, folder: Path, style: FigureStyle = DEFAULT) -> list[Path]:
+        """Write ``size.png`` and ``size.csv``, and all formats of a style."""
         files = [folder / "size.png", folder / "size.csv"]
-        plots.save(self.plot(), files[0])
+        style.save(self.plot(style), files[0])
         write_table(self.table, files[1])
+        write_tables(folder / "size", style, texts(self.table), self.table)
         return files
 
     def __repr__(self) -> str:
@@ -200,7 +204,7 @@ def size(
         "seed": listed("seed", _counted(seeds)),
     }
     made = of_settings("size", {"map": map, "finish": finish, **settings}, grid, {"plain": {}}, METRICS)
-    plot = Plot("steps", "robots", lines="bandwidth", panels="range", ylabel="exploration time (steps)")
+    plot = Plot("steps", "robots", lines="bandwidth", panels="range")
     done = run(replace(made, plots=(plot,)), jobs=jobs, scheduler=scheduler, out=out, progress=progress)
     return Sizing(done, _options(done, deadline, min_map_accuracy), deadline, min_map_accuracy)
 

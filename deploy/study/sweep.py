@@ -16,12 +16,13 @@ from deploy.run.workers import workers
 from deploy.scenario import plugins
 from deploy.scenario.scenario import ScenarioError
 from deploy.study import experiment as experiments
-from deploy.study import plots
+from deploy.study import paper_tables, plots
 from deploy.study.experiment import Experiment
+from deploy.study.figure_style import DEFAULT, FigureStyle
 from deploy.study.progress import counting
 from deploy.study.results import Results, Row, make_folder
 from deploy.study.runs import Case, cases, failures, looked_up, make
-from deploy.study.tables import DEFAULT_METRICS, VARIANT, Table, described, short
+from deploy.study.tables import DEFAULT_METRICS, VARIANT, Table, described, means, short, tabulate
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -79,11 +80,16 @@ class Sweep:
         """Means, 95 % intervals and quartiles of each cell of the experiment's table."""
         return described(self.experiment.table, self.rows)
 
-    def plot(self, number: int = 0) -> Figure:
+    def plot(self, number: int = 0, style: FigureStyle = DEFAULT) -> Figure:
         """Draw one of the experiment's plots; ValueError if there is none."""
         if number >= len(self.experiment.plots) or not self.rows:
             raise ValueError(f"there is no plot {number}: the experiment has {len(self.experiment.plots)}")
-        return plots.draw(self.experiment.plots[number], self.rows, self.results)
+        return plots.draw(self.experiment.plots[number], self.rows, self.results, style)
+
+    def write_tables(self, stem: Path, style: FigureStyle) -> None:
+        """Write the experiment's table for papers (`deploy.study.paper_tables.write_tables`)."""
+        table, rows = self.experiment.table, self.rows
+        paper_tables.write_tables(stem, style, tabulate(table, rows), means(table, rows))
 
     def __repr__(self) -> str:
         failed = f", {sum(self.failures.values())} failed" if self.failures else ""

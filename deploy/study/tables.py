@@ -8,7 +8,7 @@ all runs instead of their mean.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
@@ -22,6 +22,9 @@ from netshaper.ledger import CAUSES
 from protocol.packets import ALL_KINDS
 
 VARIANT = "variant"
+
+METHODS = (VARIANT, "strategy", "map_encoding", "dissemination")
+"""Keys whose values a table never averages."""
 
 DEFAULT_METRICS = ("steps", "coverage", "map_accuracy")
 
@@ -63,14 +66,14 @@ class Table:
     Attributes
     ----------
     rows, columns : list of str
-        Keys of the grid, or ``variant``, that label rows and columns; the metrics are averaged over the other keys.
-        Without columns each metric has a column of its own. In an experiment's file, the rows are by default all keys.
+        Keys of the grid, or ``variant``, that label the lines, `columns` to the right of `rows`; the metrics are
+        averaged over the other keys. In an experiment's file, the rows are by default all keys.
     values : list of str
-        Metrics.
+        Metrics; each has a column.
     interval : bool
         Whether means are printed with half their 95 % interval (Student's t).
     finished_only : bool
-        Whether means include only finished runs; the table then shows their number if it differs.
+        Whether means include only finished runs.
     """
 
     __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
@@ -83,7 +86,7 @@ class Table:
 
     @property
     def keys(self) -> list[str]:
-        """The keys of rows and columns."""
+        """The keys that label the lines."""
         return [*(self.rows or []), *self.columns]
 
 
@@ -126,45 +129,54 @@ def metric_value(row: Row, text: str) -> float | None:
 
 
 def tabulate(table: Table, runs: Sequence[Row]) -> list[list[str]]:
-    """The lines of a table: a header, a line per row with means over all other keys, and a line for all rows."""
-    cells = _cells(table, runs, table.keys)
-    labels = table.rows or []
-    rows = list(dict.fromkeys(tuple(cell[key] for key in labels) for cell, _ in cells))
-    heads = list(dict.fromkeys(tuple(cell[key] for key in table.columns) for cell, _ in cells))
-    found = {tuple(cell.values()): statistics for cell, statistics in cells}
-    over_all = {tuple(cell.values()): statistics for cell, statistics in _cells(table, runs, table.columns)}
-    split = not table.columns
-    lines = [[*labels, *(table.values if split else map("/".join, heads))]]
-    for row in [*rows, None] if labels else rows:
-        texts = list(row) if row is not None else ["all", *[""] * (len(labels) - 1)]
-        for head in heads:
-            statistics = over_all[head] if row is None else found.get((*row, *head), [])
-            shown = [_text(table, each) for each in statistics] or ["-"] * len(table.values)
-            texts += shown if split else [" ".join(shown)]
-        lines.append(texts)
-    return lines
+    """The table as text: a header, and a line per combination of the keys' values with means over all other keys.
+
+    The columns are the keys, the number n of runs, and the metrics. A cell tells its n if it differs from the line's.
+    """
+    keys, cells = _cells(table, runs)
+    return [[*keys, "n", *table.values], *([*cell.values(), *_texts(table, each)] for cell, each in cells)]
+
+
+def means(table: Table, runs: Sequence[Row]) -> pl.DataFrame:
+    """The same table as numbers; if it has intervals, half of each follows its mean in a column of its own (`±`)."""
+    _, cells = _cells(table, runs)
+    lines = []
+    for cell, each in cells:
+        line: dict[str, Any] = {**cell, "n": _counted(table, each[0])}
+        for metric in each:
+            is_min = metric["metric"].startswith(MIN)
+            line[metric["metric"]] = metric["min" if is_min else "mean"] if metric["n"] else None
+            if table.interval and not is_min:
+                line[f"{metric['metric']} ±"] = metric["high"] - metric["mean"] if metric["n"] > 1 else None
+        lines.append(line)
+    return pl.DataFrame(lines, infer_schema_length=None)
 
 
 def described(table: Table, runs: Sequence[Row]) -> pl.DataFrame:
     """Statistics of each cell and metric of a table: number of runs, share finished, mean with interval, quartiles.
 
-    Cells are the combinations of the table's rows and columns.
+    Cells are the combinations of the table's keys.
     """
-    cells = _cells(table, runs, table.keys)
+    _, cells = _cells(table, runs)
     return pl.DataFrame(
         [cell | statistics for cell, each in cells for statistics in each], infer_schema_length=None
     )
 
 
 def _cells(
-    table: Table, runs: Sequence[Row], keys: Sequence[str]
-) -> list[tuple[dict[str, str], list[dict[str, Any]]]]:
-    """For each combination of the keys' values, in the order of the grid, the statistics of all metrics."""
+    table: Table, runs: Sequence[Row]
+) -> tuple[list[str], list[tuple[dict[str, str], list[dict[str, Any]]]]]:
+    """The keys of the lines, and for each combination of their values, in the order of the grid, all statistics.
+
+    Different methods are never averaged: their keys are added if the runs differ in them.
+    """
+    added = [key for key in METHODS if len({repr(run["place"].get(key)) for run in runs}) > 1]
+    keys = list(dict.fromkeys([*table.keys, *added]))
     twins = {key_of(run["place"]): run for run in runs}
     members: dict[tuple[str, ...], list[Row]] = {}
     for run in runs:
         members.setdefault(tuple(short(run["place"][key]) for key in keys), []).append(run)
-    return [
+    return keys, [
         (dict(zip(keys, cell, strict=True)), [_statistics(table, name, some, twins) for name in table.values])
         for cell, some in members.items()
     ]
@@ -184,18 +196,32 @@ def _statistics(table: Table, metric: str, runs: Sequence[Row], twins: dict[Any,
     }  # fmt: skip
 
 
+def _counted(table: Table, statistics: dict[str, Any]) -> int:
+    """The number of runs that count in a line: all, or the finished ones."""
+    runs: int = statistics["runs"]
+    return round(statistics["finished"] * runs) if table.finished_only else runs
+
+
+def _texts(table: Table, each: Sequence[dict[str, Any]]) -> Iterator[str]:
+    """The number of runs of a line, and its metrics, as text."""
+    counted, runs = _counted(table, each[0]), each[0]["runs"]
+    yield str(runs) if counted == runs else f"{counted} of {runs}"
+    for metric in each:
+        is_min = metric["metric"].startswith(MIN)
+        expected = runs if is_min else counted
+        yield _text(table, metric) + (f" (n = {metric['n']})" if 0 < metric["n"] != expected else "")
+
+
 def _text(table: Table, statistics: dict[str, Any]) -> str:
     """The mean or minimum of a metric over some runs, as text."""
-    n, mean, runs = statistics["n"], statistics["mean"], statistics["runs"]
-    if statistics["metric"].startswith(MIN):
-        return f"{statistics['min']:.4f}" if n else "-"
-    finished = round(statistics["finished"] * runs)
-    part = f" ({finished} of {runs})" if table.finished_only and finished < runs else ""
+    n, mean = statistics["n"], statistics["mean"]
     if not n:
-        return ("none" if part and not finished else "-") + part
+        return "-"
+    if statistics["metric"].startswith(MIN):
+        return f"{statistics['min']:.4f}"
     digits = 0 if abs(mean) >= 10 else 3
     half = f" ± {(statistics['high'] - mean):.{digits}f}" if table.interval and n > 1 else ""
-    return f"{mean:.{digits}f}{half}{part}"
+    return f"{mean:.{digits}f}{half}"
 
 
 def has_finished(row: Row) -> bool:

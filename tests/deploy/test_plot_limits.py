@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from deploy.after import archive, figures
 from deploy.after.archive import Archive
@@ -18,34 +14,7 @@ from deploy.scenario.scenario import parse
 from deploy.study import plots
 from deploy.study.plots import Plot
 from deploy.study.results import Results
-
-
-def points(axes: Axes) -> Iterator[tuple[str, NDArray[np.float64]]]:
-    """The finite data of lines and areas, with their axis."""
-    for line in axes.lines:
-        for axis, in_data, values in zip(
-            "xy",
-            line.get_transform().contains_branch_seperately(axes.transData),
-            line.get_data(),
-            strict=True,
-        ):
-            if in_data:
-                yield axis, np.asarray(values, float)
-    for area in axes.collections:
-        for path in area.get_paths() if area.get_label()[:1] != "_" else ():
-            yield from zip("xy", path.vertices.T, strict=True)
-
-
-def assert_shows_all(figure: Figure) -> None:
-    """Fail if a point of a figure is outside its axes."""
-    figure.draw_without_rendering()
-    for axes in figure.axes:
-        limits = {"x": sorted(axes.get_xlim()), "y": sorted(axes.get_ylim())}
-        for axis, values in points(axes):
-            low, high = limits[axis]
-            slack = 1e-9 * (high - low)
-            shown = values[np.isfinite(values)]
-            assert ((shown >= low - slack) & (shown <= high + slack)).all(), (axes.get_title(), axis, limits)
+from tests.deploy.figure_checks import assert_shows_all, assert_text_fits
 
 
 def rows(metric: str, scales: dict[str, float]) -> list[dict[str, Any]]:
@@ -87,5 +56,11 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Archive:
 
 
 def test_figures_of_a_run_show_all_points(run: Archive) -> None:
-    for figure in (figures.channel_load(run), figures.compared({"one": run, "other": run})):
+    drawn = (
+        figures.channel_load(run),
+        figures.compared({"one": run, "other": run}),
+        figures.maps_over_time(run),
+    )
+    for figure in drawn:
         assert_shows_all(figure)
+        assert_text_fits(figure)

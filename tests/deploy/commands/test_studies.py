@@ -11,6 +11,7 @@ from pathlib import Path
 
 import polars as pl
 import pytest
+from PIL import Image
 from typer.testing import CliRunner
 
 from deploy.commands.app import app
@@ -42,11 +43,30 @@ def test_the_command_prints_the_table_and_writes_runs_means_and_pictures(tmp_pat
         means,
         "--plot",
         picture,
+        "--formats",
+        "pdf,svg,csv,tex",
+        "--font",
+        "serif",
+        "--font-size",
+        8,
+        "--figure-width",
+        8.8,
     )
     assert code == 0 and "steps bytes.total, means of 2 runs" in table
     assert pl.read_parquet(out)["steps"].to_list() == [6, 6]
     assert pl.read_csv(means)["variant"].to_list() == ["polygons", "polygons", "scans", "scans"]
-    assert all(file.read_bytes()[1:4] == b"PNG" for file in (picture, tmp_path / "some-2.png"))
+    assert pl.read_csv(tmp_path / "means-table.csv").columns == [
+        "robots",
+        "variant",
+        "n",
+        "steps",
+        "bytes.total",
+    ]
+    first = (tmp_path / "means-table.tex").read_text().splitlines()[:3]
+    assert first == [r"\begin{tabular}{rlrrr}", r"\toprule", r"robots & variant & n & steps & bytes.total \\"]
+    pictures = {file.name for file in tmp_path.iterdir() if file.stem in ("some", "some-2")}
+    assert pictures == {f"some{number}.{ending}" for number in ("", "-2") for ending in ("png", "pdf", "svg")}
+    assert Image.open(picture).width == pytest.approx(8.8 / 2.54 * 90, abs=1)
 
 
 @pytest.mark.parametrize(
@@ -59,6 +79,11 @@ def test_the_command_prints_the_table_and_writes_runs_means_and_pictures(tmp_pat
             "set = 'seed=1': seed is given twice",
         ),
         (["--set", "seed"], "set = 'seed': must be NAME=VALUE, as seed=[0,1]"),
+        (["--formats", "pdf"], "formats: needs --plot FILE or --table FILE"),
+        (["--formats", "jpg"], "formats = 'jpg': must be some of pdf, svg, csv, tex"),
+        (["--font", "Nope"], "font = 'Nope': is not installed; use serif, sans-serif, monospace"),
+        (["--figure-width", "300"], "figure_width = 300: must be from 4 to 100"),
+        (["--plot", "a.gif"], "plot = a.gif: must end in .png or .pdf or .svg"),
     ],
 )
 def test_bad_input_is_refused_before_the_first_run(
@@ -174,10 +199,11 @@ def test_teams_are_compared_by_the_command(tmp_path: Path) -> None:
     words = ["--strategies", "leaders,potential-field", "--map", "leader-rooms", "--seeds", 3, "--jobs", 1]
     for setting in ("sensor_range=2.5", "speed=1.0", "map_encoding=scans", "bandwidth=unlimited"):
         words += ["--set", setting]
-    code, text, _ = command(*words, "--out", tmp_path / "c", of="compare")
+    code, text, _ = command(*words, "--out", tmp_path / "c", "--formats", "svg,tex", of="compare")
     assert code == 0 and "leaders" in text and "of the steps of " in text
     written = {file.name for file in (tmp_path / "c").iterdir()}
     assert written >= {"boxes.png", "curves.png", "means.csv", "runs.parquet"}
+    assert written >= {"boxes.svg", "curves.svg", "means-table.tex"}
 
 
 @pytest.mark.parametrize(

@@ -47,14 +47,21 @@ def test_an_unknown_claim_is_named() -> None:
 
 def test_without_leaders_the_team_stalls_where_with_leaders_it_finishes(tmp_path: Path) -> None:
     stem = tmp_path / "docs"
-    result = CliRunner().invoke(app, ["reproduce", "L1", "--quick", "--jobs", "1", "--out", str(stem)])
+    words = ["reproduce", "L1", "--quick", "--jobs", "1", "--out", str(stem), "--formats", "pdf,tex,csv"]
+    result = CliRunner().invoke(app, words)
     assert result.exit_code == 0 and "L1" in result.stdout and "holds" in result.stdout
     page = stem.with_suffix(".md").read_text()
     assert "Here: **holds** (3 as expected; reduced)." in page
     assert "![claim-L1](docs/claim-L1-1.png)" in page and "40 of 40 runs of `claim-L1.toml`" in page
     html = stem.with_suffix(".html").read_text()
     assert '<h2 id="L1">' in html and 'src="docs/claim-L1-1.png"' in html
-    assert {file.name for file in stem.iterdir()} >= {"runs.parquet", "claim-L1-1.png", "claim-L1.csv"}
+    assert {file.name for file in stem.iterdir()} >= {"runs.parquet", "claim-L1-1.png", "claim-L1.csv"} | {
+        "claim-L1-1.pdf", "claim-L1-table.tex", "claim-L1-table.csv", "claim-L1-tests-table.tex", "claims-table.csv",
+    }  # fmt: skip
+    assert (
+        "more runs finish with leaders & finished & difference $>$ 0 & all runs & "
+        in (stem / "claim-L1-tests-table.tex").read_text()
+    )
     again = CliRunner().invoke(app, ["reproduce", "L1", "--quick", "--jobs", "1", "--out", str(stem)])
     assert (
         again.exit_code == 0 and again.stdout == result.stdout and stem.with_suffix(".md").read_text() == page

@@ -6,7 +6,17 @@ from typing import Any
 
 import pytest
 
-from deploy.study.tables import METRICS, TABLES, Table, check, described, has_finished, metric_value, tabulate
+from deploy.study.tables import (
+    METRICS,
+    TABLES,
+    Table,
+    check,
+    described,
+    has_finished,
+    means,
+    metric_value,
+    tabulate,
+)
 from tests.deploy.small_run import small_run
 
 VARIANTS = ["polygons", "scans"]
@@ -63,38 +73,47 @@ def test_an_unknown_metric_is_rejected_with_the_known_ones(text: str, message: s
     assert message in str(caught.value)
 
 
-def test_a_table_holds_means_by_row_and_column_and_over_all() -> None:
-    table = Table(["seed"], ["variant"], ["steps", "bytes.total"])
+def test_a_table_has_a_line_per_combination_of_keys_and_a_column_per_metric() -> None:
+    table = Table(["robots"], ["variant"], ["steps", "bytes.total"])
     assert tabulate(table, runs()) == [
-        ["seed", "polygons", "scans"],
-        ["0", "5.000 10", "5.000 40"],
-        ["1", "6.000 30", "6.000 40"],
-        ["all", "5.500 20", "5.500 40"],
+        ["robots", "variant", "n", "steps", "bytes.total"],
+        ["2", "polygons", "2", "5.500", "20"],
+        ["2", "scans", "2", "5.500", "40"],
     ]
+    assert means(table, runs()).rows() == [("2", "polygons", 2, 5.5, 20), ("2", "scans", 2, 5.5, 40)]
+
+
+@pytest.mark.parametrize("key", ["variant", "strategy", "map_encoding", "dissemination"])
+def test_different_methods_are_never_averaged(key: str) -> None:
+    two = [{"place": {"robots": 2, key: name}, "steps": steps} for name, steps in (("a", 4), ("b", 8))]
+    table = Table(["robots"], [], ["steps"])
+    assert tabulate(table, two) == [
+        ["robots", key, "n", "steps"],
+        ["2", "a", "1", "4.000"],
+        ["2", "b", "1", "8.000"],
+    ]
+    assert means(table, two)["steps"].to_list() == described(table, two)["mean"].to_list() == [4, 8]
+    assert tabulate(table, two[:1]) == [["robots", "n", "steps"], ["2", "1", "4.000"]]
 
 
 def test_a_metric_may_be_relative_to_another_variant_of_the_same_run() -> None:
     values = ["steps", "bytes.total relative to scans"]
-    assert tabulate(Table(["robots"], [], values), runs())[:2] == [
-        ["robots", *values],
-        ["2", "5.500", "0.750"],
+    assert tabulate(Table(["robots"], ["variant"], values), runs()) == [
+        ["robots", "variant", "n", *values],
+        ["2", "polygons", "2", "5.500", "0.500"],
+        ["2", "scans", "2", "5.500", "1.000"],
     ]
-    assert tabulate(Table(["robots"], ["variant"], values), runs())[1] == ["2", "5.500 0.500", "5.500 1.000"]
 
 
 def test_a_relative_metric_is_left_out_if_the_other_variant_has_not_run() -> None:
     table = Table(["seed"], [], ["bytes.total relative to scans"])
-    assert [line[-1] for line in tabulate(table, runs((10, 40, 30)))[1:]] == ["0.625", "-", "0.625"]
-
-
-def test_without_a_row_key_the_table_has_one_row_of_all_runs() -> None:
-    assert tabulate(Table([], ["variant"], ["steps"]), runs()) == [VARIANTS, ["5.500", "5.500"]]
+    assert [line[-1] for line in tabulate(table, runs((10, 40, 30)))[1:]] == ["0.250", "1.000", "-"]
 
 
 def test_values_may_be_lists_and_tables() -> None:
     places = [{"start": [1, 2], "variant": "a"}, {"start": [3, 4], "variant": "a"}]
     table = tabulate(Table(["start"], ["variant"], ["steps"]), [{"place": p, "steps": 3} for p in places])
-    assert [line[0] for line in table] == ["start", "[1, 2]", "[3, 4]", "all"]
+    assert [line[0] for line in table] == ["start", "[1, 2]", "[3, 4]"]
 
 
 def test_means_of_finished_runs_have_an_interval_and_the_number_of_finished_runs() -> None:
@@ -106,8 +125,24 @@ def test_means_of_finished_runs_have_an_interval_and_the_number_of_finished_runs
     ]  # fmt: skip
     table = Table(["map"], ["variant"], ["steps", "min coverage"], interval=True, finished_only=True)
     # Student's t for two degrees of freedom is 4.303: 4.303 * 10 / sqrt 3; for one it is 12.706.
-    assert tabulate(table, done)[1] == ["m", "50 ± 25 1.0000", "85 ± 64 (2 of 3) 0.5000"]
-    assert tabulate(table, [done[3]])[1] == ["m", "none (0 of 1) 0.5000"]
+    assert tabulate(table, done)[1:] == [
+        ["m", "leaders", "3", "50 ± 25", "1.0000"],
+        ["m", "alone", "2 of 3", "85 ± 64", "0.5000"],
+    ]
+    assert tabulate(table, [done[3]])[1] == ["m", "alone", "0 of 1", "-", "0.5000"]
+    frame = means(table, done)
+    assert frame.columns == ["map", "variant", "n", "steps", "steps ±", "min coverage"]
+    assert frame["n"].to_list() == [3, 2] and frame["steps ±"].to_list() == pytest.approx(
+        [24.84, 63.53], abs=0.01
+    )
+
+
+def test_a_cell_tells_its_number_of_runs_if_it_differs_from_the_lines() -> None:
+    some = [
+        {"place": {"robots": 2, "seed": seed}, "steps": 5, "t99": t99}
+        for seed, t99 in enumerate((4, 6, None))
+    ]
+    assert tabulate(Table(["robots"], [], ["steps", "t99"]), some)[1] == ["2", "3", "5.000", "5.000 (n = 2)"]
 
 
 def test_runs_that_stop_too_early_have_not_finished() -> None:

@@ -1,0 +1,78 @@
+"""Labels of metrics and settings in figures, with their units."""
+
+from __future__ import annotations
+
+import re
+from typing import Any, Final
+
+from netshaper.ledger import CAUSES
+from protocol.packets import ALL_KINDS
+
+SHARE: Final = "share"
+
+NAMES: Final = {
+    "steps": "exploration time", "explored": "explored area", "carried": "transmitted", "robots": "number of robots",
+    "range": "communication range", "bytes.total": "transmitted", "t50": "time to 50 %", "t90": "time to 90 %",
+    "t99": "time to 99 %",
+}  # fmt: skip
+"""Names of metrics and settings, where they differ from their keys."""
+
+UNITS: Final = {
+    "steps": "steps", "t50": "steps", "t90": "steps", "t99": "steps", "explored_at": "steps", "missed_steps": "steps",
+    "over_budget_steps": "steps", "missed_phases": "phases", "protocol_errors": "errors", "tolerance": "cells",
+    "coverage": "share of reachable cells", "explored": "share of reachable cells",
+    "map_accuracy": "share of reachable cells", "claimed_map_accuracy": "share of reachable cells",
+    "approximation_error": "share of cells", "approximation_error_net": "share of cells",
+    "overlap": "share of seen cells", "finished": "share of runs", "carried": "bytes per step",
+    "bandwidth": "bytes per step", "raw_scan_bytes": "bytes", "sensor_range": "m", "range": "m",
+    "speed": "m per step", "steps_per_s": "steps per s", "robots": "",
+}  # fmt: skip
+"""Units of metrics and settings that neither their table nor their suffix tells."""
+
+TABLES: Final = {"bytes": "bytes", "packets": "packets", "undelivered": "frames", "load": SHARE}
+"""Units of the nested tables of a summary."""
+
+SUFFIXES: Final = {
+    "ms": "ms", "us": "µs", "us_median": "µs", "s": "s", "m": "m", "bytes": "bytes", "f1": SHARE,
+    "precision": SHARE, "recall": SHARE, "walls_within_tolerance": SHARE, "ratio": SHARE,
+}  # fmt: skip
+"""Units by the last words of a key."""
+
+
+def unit(key: str) -> str:
+    """The unit of a metric or a setting; empty if it has none."""
+    table, _, name = key.rpartition(".")
+    if table in TABLES:
+        return TABLES[table]
+    if name in UNITS:
+        return UNITS[name]
+    return next((text for end, text in SUFFIXES.items() if re.search(rf"(^|_){end}$", name)), "")
+
+
+def label(text: str) -> str:
+    """The label of a metric or a setting: ``coverage (share of reachable cells)``.
+
+    Metrics may be sums and quotients, or relative to a variant, as in tables (`deploy.study.tables`).
+    """
+    name, relative, against = text.removeprefix("min ").partition(" relative to ")
+    parts = name.split(" / ")
+    named = " / ".join(" + ".join(_name(key) for key in part.split(" + ")) for part in parts)
+    units = [unit(part.split(" + ")[0]) for part in parts]
+    if relative:
+        return f"{named}, relative to {against} (ratio)"
+    if len(units) == 2:
+        of = "ratio" if units[0] == units[1] else f"{units[0]} per {units[1].removesuffix('s')}"
+        return f"{named} ({of})" if any(units) else named
+    return f"{named} ({units[0]})" if units[0] else named
+
+
+def level(key: str, value: Any, text: str) -> str:
+    """The label of a setting's value, as the title of a panel: ``sensor range 3 m``; `text` is the value as text."""
+    with_unit = f"{text} {unit(key)}".rstrip() if isinstance(value, int | float) else text
+    return f"{key.rpartition('.')[2].replace('_', ' ')} {with_unit}"
+
+
+def _name(key: str) -> str:
+    table, _, name = key.rpartition(".")
+    kinds = (*ALL_KINDS, *CAUSES)
+    return NAMES.get(key, f"{name} {table}" if name in kinds else name.replace("_", " "))
