@@ -74,7 +74,7 @@ OPTIONS = {
     "radio": {
         "preset": "a [radio by name](radios.md#radios-by-name), for values that the scenario does not give",
         "frame_bytes": "bytes of packets per frame; 0: no limit",
-        "model": "connectivity: disc, line-of-sight, log-distance",
+        "model": "connectivity: disc, line-of-sight, log-distance, or a [plug-in](plugins.md)",
         "exponent": "log-distance: path loss exponent",
         "db_per_meter": "log-distance: loss per meter, dB",
         "db_per_wall": "log-distance: loss per wall, dB",

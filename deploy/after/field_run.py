@@ -15,7 +15,6 @@ from itertools import accumulate, pairwise
 
 import numpy as np
 
-from agent.plugins import without_import
 from agent.settings import Settings
 from deploy.record.field_records import FieldRecord, StepLine
 from deploy.record.map_history import MapHistory
@@ -26,6 +25,7 @@ from deploy.scenario.scenario import Scenario, parse
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, UNKNOWN, Grid
 from protocol.messages import MapChanges, Missed, Outlines, RobotStatus, WorldReport
+from protocol.plugins import without_import
 from worldsim.clock import MOVE
 from worldsim.map_error import MapError
 from worldsim.maps import Map

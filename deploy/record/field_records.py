@@ -188,7 +188,7 @@ class FieldRecorder:
         if sense is None:
             return None, None, None
         x, y = (round(1000 * self._resolution * each) for each in position(sense))
-        if self._laser is None:
+        if self._laser is None or not sense.range_scan:
             return x, y, sense.heading * 3600 // HEADINGS
         return x, y, decode_range_scan(sense.range_scan, self._laser).heading * 3600 // TURN
 
