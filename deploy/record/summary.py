@@ -58,6 +58,7 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "reason": _reason(end, finished=finished),
         "steps": steps,
         "explored_at": _explored_at(plan, steps) if finished else None,
+        "known_at": _known_at(plan, records, steps, finished=finished),
         "first_robot": end.first if done and end is not None else None,
         "coverage": records.explored,
         **first_mean_worst("", "map_accuracy", accuracy, first),
@@ -200,6 +201,13 @@ def _approximation_error(records: Records, robot: int, cells: int) -> dict[str, 
 def _explored_at(plan: Plan, steps: int) -> int:
     """The step after which the first robot only verified that it had finished."""
     return steps - sure_after(plan.robot_settings[0])
+
+
+def _known_at(plan: Plan, records: Records, steps: int, *, finished: bool) -> int | None:
+    """The step at which the first robot knew the full map, at the latest when it had nothing left to explore."""
+    if records.known_at is None or (not records.known_at and not finished):
+        return None
+    return records.known_at or _explored_at(plan, steps)
 
 
 def _over_budget(

@@ -27,7 +27,7 @@ from tests.agent.outline.edit_scripts import edit_script, layer
 
 quick = settings(deadline=None)
 
-drawings = st.builds(Drawing, *5 * [st.booleans()])
+drawings = st.builds(Drawing, *6 * [st.booleans()])
 
 
 def approximated(grid: Grid, robot: Cell, splits: int | None = None) -> Polygons:
