@@ -36,6 +36,7 @@ OPTIONS = {
         "other strategies that set `looks_from_afar`: complete maps, some steps more",
         "close_slivers": "treat unknown slivers between free cells of teammates as free; thesis: false",
         "keep_walls": "let walls of outside objects override free inside edges, not the reverse; Algorithm 9: false",
+        "scan_order": "also send `chg` for objects whose place in scan order changes (Algorithm 3)",
         "exact_error": "also measure the error of an exact approximation (`approximation_error_net`)",
     },
     "predictive": {

@@ -6,7 +6,8 @@ of all teammates are counted, and the strongest claim about a cell decides:
 
     occupied inside edge > free inside edge > occupied outside edge > free area > beside a wall
 
-With ``keep_walls`` the second and the third change places: no robot's free edge then opens a wall that another has seen.
+With ``keep_walls`` the second and the third change places, so that no free edge opens a wall that another robot has
+seen.
 
 The self-explored grid overrides all claims. A cell of the planning grid depends on the cells at most two away, so only
 the surroundings of changes are merged again.

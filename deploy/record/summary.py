@@ -87,7 +87,7 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         **figures_of_missed(records.missed, scenario.robots),
         "tolerance": tolerance(plan),
         "bytes": sizes,
-        "raw_scan_bytes": steps * SCAN_VALUES * VALUE_BYTES * scenario.robots * (scenario.robots - 1),
+        "raw_scan_bytes": raw_scan_bytes(steps, scenario.robots),
         "packets": per_kind(ledger, "packets"),
         **recorded_figures(plan, records, steps, sizes["total"]),
         **_approximation_error(records, first, int(reachable.sum())),
@@ -103,6 +103,11 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "work_us_median": median_work(records),
         "versions": versions(),
     }
+
+
+def raw_scan_bytes(steps: int, robots: int) -> int:
+    """Return the bytes of raw scans that each robot sends to each other one in so many steps, by section 6.3."""
+    return steps * SCAN_VALUES * VALUE_BYTES * robots * (robots - 1)
 
 
 def _reason(end: End | None, *, finished: bool) -> str:
