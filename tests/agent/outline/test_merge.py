@@ -267,6 +267,18 @@ def test_unknown_pairs_are_left_out_if_the_option_is_off() -> None:
     assert clean[6, 6] == OCCUPIED
 
 
+def test_walls_of_outside_objects_override_free_inside_edges_if_wished() -> None:
+    pillar = np.full((9, 12), FREE, np.uint8)
+    pillar[4, 5] = OCCUPIED
+    left = np.full(pillar.shape, UNKNOWN, np.uint8)
+    left[:, :5] = FREE
+    team = [approximated(grid, (0, 0)) for grid in (pillar, left)]
+    nothing = np.full(pillar.shape, UNKNOWN, np.uint8)
+    assert merged(nothing, team[:1])[4, 5] == OCCUPIED
+    assert merged(nothing, team)[4, 5] == FREE, "as Algorithm 9 draws it"
+    assert merged(nothing, team, Drawing(keep_walls=True))[4, 5] == OCCUPIED
+
+
 def half_a_room() -> tuple[Polygons, Grid]:
     """A teammate's approximation of the left half of a room, and the cells behind it that the robot has seen itself."""
     room = np.full((9, 20), OCCUPIED, np.uint8)
