@@ -44,6 +44,12 @@ class PolygonOptions:
     it off by default."""
     close_slivers: bool = True
     """Treat unknown slivers between free cells of teammates as free: coarse areas meet there."""
+    keep_walls: bool = False
+    """Let an occupied edge of an outside object override the free edge of another robot's inside object, where these
+    meet. Algorithm 9 has the reverse. It matters only with `free_inside_edges`."""
+    scan_order: bool = False
+    """Send a `chg` packet also for each object whose place in scan order changes, as where objects are numbered anew in
+    each step (Algorithm 3). Otherwise objects keep their numbers, and it costs nothing."""
     exact_error: bool = False
     """Measure in each step also the error of an exact approximation. Eq. 6.1 minus this value is the error due to
     coarseness. It changes no result, and takes a third of a robot's time."""

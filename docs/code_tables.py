@@ -35,6 +35,8 @@ OPTIONS = {
         "wide_seen_walls": "also beside walls that the robot has seen itself; false by default with `repairmen` and "
         "other strategies that set `looks_from_afar`: complete maps, some steps more",
         "close_slivers": "treat unknown slivers between free cells of teammates as free; thesis: false",
+        "keep_walls": "let walls of outside objects override free inside edges, not the reverse; Algorithm 9: false",
+        "scan_order": "also send `chg` for objects whose place in scan order changes (Algorithm 3)",
         "exact_error": "also measure the error of an exact approximation (`approximation_error_net`)",
     },
     "predictive": {

@@ -1,6 +1,7 @@
 """Connectivity: which robots receive each other (docs/radios.md): those within a disc, unless walls are in the way.
 
-All models are symmetric. `log_distance` is the disc if there are no walls and no shadowing.
+All models are symmetric. At range 0 no robot receives another, not even in its own cell. `log_distance` is the disc if
+there are no walls and no shadowing.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ def disc(places: Places, range_cells: float) -> Links:
     """Return the links between robots within the range."""
     x, y = places.T
     near: Links = (x[:, None] - x) ** 2 + (y[:, None] - y) ** 2 <= range_cells * range_cells
-    return near
+    return near & (range_cells > 0)
 
 
 def line_of_sight(places: Places, range_cells: float, walls: Grid) -> Links:
@@ -74,8 +75,9 @@ def log_distance(
     x, y = places.T
     away = np.hypot(x[:, None] - x, y[:, None] - y)
     near = np.maximum(away, 1e-9)
-    reach = max(range_cells, 1e-9)
-    margin = 10 * exponent * np.log10(reach / near) + db_per_meter * cell_m * (range_cells - away)
+    if range_cells <= 0:
+        return np.zeros((len(places), len(places)), np.bool_)
+    margin = 10 * exponent * np.log10(range_cells / near) + db_per_meter * cell_m * (range_cells - away)
     margin -= db_per_wall * walls_crossed(walls, places) + extra_db
     # Rounded to thousandths of a dB, so that results do not depend on the machine's logarithm.
     received: Links = (np.rint(1000 * margin) >= 0) | (away == 0)

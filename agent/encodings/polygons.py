@@ -116,10 +116,12 @@ class PolygonEncoding(MapEncoding):
         held = self._held.held
         repaired = repair(held.polygons, exact)
         refined = refine(exact, repaired, splits, mixed_first=self._options.mixed_first)
-        packets = edit_packets(held, self._approximation(exact, refined))
+        scan_order = self._options.scan_order
+        packets = edit_packets(held, self._approximation(exact, refined), scan_order=scan_order)
         script = b"".join(packets)
         if splits and len(refined) > len(repaired):
-            extra = len(script) - sum(map(len, edit_packets(held, self._approximation(exact, repaired))))
+            without = edit_packets(held, self._approximation(exact, repaired), scan_order=scan_order)
+            extra = len(script) - sum(map(len, without))
             self._allowance.spent(len(refined) - len(repaired), max(0, extra))
         self._outdated = False
         if script:

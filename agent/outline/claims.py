@@ -104,6 +104,8 @@ class Drawing:
     has not seen both itself."""
     wide_seen_walls: bool = True
     """Widen also walls that this robot has seen itself."""
+    keep_walls: bool = False
+    """Let occupied edges of outside objects override free edges of inside objects, not the reverse (Algorithm 9)."""
 
     @property
     def wide(self) -> int:

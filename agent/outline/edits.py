@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from agent.outline.alignment import align, match_objects, match_vertices
 from agent.outline.objects import Symbols, symbols
 from agent.outline.polygons import Polygons
-from protocol.arrays import Bools, Int32Rows, Int32s, Uint8s
+from protocol.arrays import Bools, Int32Rows, Int32s, Int64s, Uint8s
 from protocol.kernels import kernel
 from protocol.packets import MAX_OBJECTS, Change, Delete, Emerge, Insert, Remove, Save
 
@@ -44,17 +44,21 @@ class NumberedPolygons:
         return NumberedPolygons(np.empty(0, np.int32), Polygons.empty(shape))
 
 
-def edit_packets(held: NumberedPolygons, approximation: Polygons) -> list[bytes]:
+def edit_packets(held: NumberedPolygons, approximation: Polygons, *, scan_order: bool = False) -> list[bytes]:
     """Encode the packets that turn the held approximation, A(t - 1), into A(t) (Algorithm 5); none if they are equal.
 
     A(t) has at most 4096 objects of at most 4096 vertices, no vertex twice. The packets are removed objects, then
     changed ones, then new ones, each by ascending number, and a save point. Within an object, vertices are deleted from
     the last to the first, then replaced or inserted from the first to the last at their final index. So it is never
     longer than before and after.
+
+    Objects keep their numbers. With `scan_order`, a `Change` is also sent for each object whose place among the objects
+    in scan order differs: the thesis numbers objects anew in each step (Algorithm 3), and sends the packet "if the
+    index, the number of vertices, or the type of a contour changes" (section 6.4). It changes nothing for the receiver.
     """
     old, new = held.polygons, approximation
     script, ends = _script(
-        symbols(old), held.number, old.start, old.inside, symbols(new), new.start, new.inside
+        symbols(old), held.number, old.start, old.inside, symbols(new), new.start, new.inside, scan_order
     )
     data = script.tobytes()
     return [data[begin:end] for begin, end in pairwise(ends.tolist())]
@@ -136,6 +140,17 @@ def _pair(
 
 
 @kernel
+def _ranks(vertices: Symbols, start: Int32s) -> Int64s:
+    """Return the place of each object in scan order: row by row, by the first of its vertices."""
+    first = np.empty(len(start) - 1, np.int32)
+    for k in range(len(first)):
+        first[k] = vertices[start[k] : start[k + 1]].min()
+    ranks = np.empty(len(first), np.int64)
+    ranks[np.argsort(first)] = np.arange(len(first))
+    return ranks
+
+
+@kernel
 def _script(
     old_symbols: Symbols,
     old_number: Int32s,
@@ -144,6 +159,7 @@ def _script(
     new_symbols: Symbols,
     new_start: Int32s,
     new_inside: Bools,
+    scan_order: bool,
 ) -> tuple[Uint8s, Int32s]:
     """Return the script, and the ends of its packets (from 0)."""
     old_objects, new_objects = len(old_start) - 1, len(new_start) - 1
@@ -163,14 +179,24 @@ def _script(
             is_taken[number[k]] = True
     most = _SAVE + _REMOVE * old_objects + _EMERGE * new_objects
     most += _DELETE * len(old_symbols) + _INSERT * len(new_symbols)
+    most += _CHANGE * new_objects if scan_order else 0
     out = np.empty(most, np.uint8)
-    ends = np.zeros(2 + old_objects + new_objects + len(old_symbols) + len(new_symbols), np.int32)
+    ends = np.zeros(2 + old_objects + 2 * new_objects + len(old_symbols) + len(new_symbols), np.int32)
     packets = 0
     for n in old_number:
         if not is_taken[n]:
             packets = _put(out, ends, packets, 0b1010 << 12 | n, _REMOVE)
     is_changed = successor >= 0
+    is_moved = np.zeros(new_objects, np.bool_)
+    if scan_order:
+        before_ranks, ranks = _ranks(old_symbols, old_start), _ranks(new_symbols, new_start)
+        for k in range(new_objects):
+            is_moved[k] = equal[k] >= 0 and before_ranks[equal[k]] != ranks[k]
     for k in np.argsort(number):
+        if is_moved[k]:
+            length = new_start[k + 1] - new_start[k]
+            packet = _object_packet(0b1110, number[k], length, new_inside[k])
+            packets = _put(out, ends, packets, packet, _CHANGE)
         if not is_changed[k]:
             continue
         former = successor[k]

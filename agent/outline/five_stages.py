@@ -64,8 +64,11 @@ def five_stages(own: Grid, approximations: Sequence[Polygons], drawing: Drawing 
     inside_filled = plan.copy()
 
     if drawing.free_inside_edges:
+        walls = np.zeros(own.shape, np.bool_)
+        for each in chain(*outside) if drawing.keep_walls else ():
+            walls |= each.occupied_edges
         for each in chain(*inside):
-            plan[each.other_edges] = FREE
+            plan[each.other_edges & ~walls] = FREE
     for each in chain(*inside):
         plan[each.occupied_edges] = OCCUPIED
     inside_bounded = plan.copy()

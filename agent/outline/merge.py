@@ -6,6 +6,9 @@ of all teammates are counted, and the strongest claim about a cell decides:
 
     occupied inside edge > free inside edge > occupied outside edge > free area > beside a wall
 
+With ``keep_walls`` the second and the third change places, so that no free edge opens a wall that another robot has
+seen.
+
 The self-explored grid overrides all claims. A cell of the planning grid depends on the cells at most two away, so only
 the surroundings of changes are merged again.
 
@@ -106,7 +109,8 @@ class TeamMap:
             self._changed, changed = [whole_grid(own.shape)], NO_BOXES
         if self._changed or len(changed):
             claims_changed = np.concatenate([NO_BOXES, *self._changed])
-            inferences = self._drawing.wide, self._drawing.close_slivers
+            drawing = self._drawing
+            inferences = drawing.keep_walls, drawing.wide, drawing.close_slivers
             _merge(own, self._counts.claims, *inferences, claims_changed, changed, self._resolved, self._plan)
             self._changed = []
         return self._plan
@@ -174,23 +178,24 @@ class ErrorCount:
         if len(changed):
             boxes = union(boxes, self._drawn.update(objects, changed).boxes)
         if len(boxes):
-            self._count += int(_count_wrong(own, self._drawn.layer, boxes, self._wrong))
+            keep_walls = self._drawing.keep_walls
+            self._count += int(_count_wrong(own, self._drawn.layer, keep_walls, boxes, self._wrong))
         return self._count
 
 
 @kernel
-def _strongest(known: Uint8, claims: Uint8, beside_wall: Uint8) -> Uint8:
+def _strongest(known: Uint8, claims: Uint8, beside_wall: Uint8, keep_walls: bool) -> Uint8:
     """Return the state of a cell by its strongest claim, unless the robot knows it itself."""
     cell = OCCUPIED if beside_wall else UNKNOWN
     cell = FREE if claims & FREE_AREA else cell
     cell = OCCUPIED if claims & OUTSIDE_OCCUPIED else cell
-    cell = FREE if claims & INSIDE_FREE else cell
+    cell = FREE if claims & INSIDE_FREE and not (keep_walls and claims & OUTSIDE_OCCUPIED) else cell
     cell = OCCUPIED if claims & INSIDE_OCCUPIED else cell
     return cell if known == UNKNOWN else known
 
 
 @kernel
-def _count_wrong(own: Grid, claims: Layer, boxes: Boxes, wrong: BoolRows) -> int:
+def _count_wrong(own: Grid, claims: Layer, keep_walls: bool, boxes: Boxes, wrong: BoolRows) -> int:
     """Update `wrong`, the cells that differ, within boxes; return by how many their number has grown."""
     more = 0
     box = np.empty(4, np.int32)
@@ -200,14 +205,14 @@ def _count_wrong(own: Grid, claims: Layer, boxes: Boxes, wrong: BoolRows) -> int
             known, claimed = own[y, box[0] : box[2]], claims[y, box[0] : box[2]]
             here = wrong[y, box[0] : box[2]]
             for x in range(len(here)):
-                is_wrong = known[x] != _strongest(UNKNOWN, claimed[x], 0)
+                is_wrong = known[x] != _strongest(UNKNOWN, claimed[x], 0, keep_walls)
                 more += int(is_wrong) - int(here[x])
                 here[x] = is_wrong
     return more
 
 
 @kernel
-def _resolve(own: Grid, claims: Layer, wide: int, box: Int32s, resolved: Grid) -> None:
+def _resolve(own: Grid, claims: Layer, keep_walls: bool, wide: int, box: Int32s, resolved: Grid) -> None:
     """Write the state of each cell in a box by its strongest claim, or by the self-explored grid.
 
     Depending on `wide`, the eight neighbors of the walls of near teammates count as beside a wall.
@@ -237,7 +242,7 @@ def _resolve(own: Grid, claims: Layer, wide: int, box: Int32s, resolved: Grid) -
                 beside[x] = walls[x] | walls[x + 1] | walls[x + 2]
         known, claimed, out = own[y, x0:x1], claims[y, x0:x1], resolved[y, x0:x1]
         for x in range(len(beside)):
-            out[x] = _strongest(known[x], claimed[x], beside[x])
+            out[x] = _strongest(known[x], claimed[x], beside[x], keep_walls)
 
 
 @kernel
@@ -260,6 +265,7 @@ def _close_slivers(own: Grid, resolved: Grid, box: Int32s, plan: Grid) -> None:
 def _merge(
     own: Grid,
     claims: Layer,
+    keep_walls: bool,
     wide: int,
     close_slivers: bool,
     claims_changed: Boxes,
@@ -274,7 +280,7 @@ def _merge(
     for boxes, around in ((claims_changed, margin), (own_changed, own_margin)):
         for number in range(len(boxes)):
             clip(boxes[number], around, own.shape, box)
-            _resolve(own, claims, wide, box, resolved)
+            _resolve(own, claims, keep_walls, wide, box, resolved)
     if not close_slivers:
         return
     for boxes, around in ((claims_changed, margin), (own_changed, own_margin)):

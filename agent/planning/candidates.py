@@ -72,6 +72,16 @@ def frontier_segments(cells: Cells) -> Edges:
     return (cells[np.repeat(large, sizes)], sizes[large]) if large.any() else (cells, sizes)
 
 
+def large_segments(cells: Cells) -> Cells:
+    """Return the frontier cells, row by row, that are not in segments of fewer than `LEAST_CELLS` cells."""
+    if not len(cells):
+        return cells
+    owner = np.full(len(cells), -1)
+    _label(cells, owner)
+    large: Cells = cells[np.bincount(owner)[owner] >= LEAST_CELLS]
+    return large
+
+
 def components(cells: Cells) -> Edges:
     """Split frontier cells, at least one, into 8-connected components, in the order of their first cells.
 

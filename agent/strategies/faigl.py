@@ -8,28 +8,44 @@
     mtsp-depot       MAd: the tour ends at the depot
 
 Goals (rfe or anr), replanning (at-goal is the paper's GR, at-once its IR) and mission (open is OP, return RD)
-are options.
+are options. So is the treatment of frontier segments of at most two cells (n_f = 2): the paper does not consider them,
+so an exploration ends when no others are left; by default, robots visit them last.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 
 from agent.planning.assignment import Assignment, Costs, greedy, hungarian, iterative
+from agent.planning.candidates import large_segments
 from agent.planning.clusters import k_means
 from agent.planning.path_planner import PathPlanner
 from agent.planning.route import straighten
 from agent.planning.tour import LONGEST, open_tour
 from agent.strategies.base import Cell, Situation
-from agent.strategies.options import with_defaults
+from agent.strategies.options import option, with_defaults
 from agent.strategies.targets import Clash, Parts
 from agent.strategies.team import Table, TeamStrategy, unclaimed
 from protocol.arrays import Cells, Floats, Int64s
 
-_DEPOT_OPTIONS = with_defaults(Parts, candidates="anr", mission="return")
+SMALL_SEGMENTS = ("last", "dropped")
+"""When to visit frontier segments of at most two cells: after all others, or never."""
+
+
+@dataclass(frozen=True)
+class Allocating(Parts):
+    """Options of the allocating strategies."""
+
+    small_segments: str = option(
+        "last", "when to visit frontier segments of at most two cells", SMALL_SEGMENTS
+    )
+
+
+_OPTIONS = with_defaults(Allocating, candidates="anr")
+_DEPOT_OPTIONS = with_defaults(Allocating, candidates="anr", mission="return")
 
 _OPEN = Clash(
     ("mission",),
@@ -41,7 +57,12 @@ _OPEN = Clash(
 class _Allocating(TeamStrategy):
     """Common part of the six: goals of teammates out of range are left to them, and routes are straightened."""
 
-    options_type: ClassVar[type] = with_defaults(Parts, candidates="anr")
+    options_type: ClassVar[type] = _OPTIONS
+
+    def frontier(self, situation: Situation, planner: PathPlanner) -> Cells:
+        """Return the reachable frontier cells, row by row; without small segments if these are dropped."""
+        cells = super().frontier(situation, planner)
+        return large_segments(cells) if self.options.small_segments == "dropped" else cells
 
     def goals(self, situation: Situation, planner: PathPlanner) -> Cells:
         """Return the candidates that are not near the last target of a teammate out of range."""

@@ -82,6 +82,8 @@ SUMMARY = {
     "reason": "why the run ended; `robot R stopped too early` if the team has seen less",
     "steps": "exploration time",
     "explored_at": "the same without the steps in which robots confirm that nothing is left; null if not finished",
+    "known_at": "step at which the first robot knew the full map: its planning grid had 99.9 % of the reachable cells "
+    "as free or occupied, and the team had seen as many; at the latest `explored_at`. Null on the Zenoh bus",
     "first_robot": "the robot that finished first; on a tie, the lowest number",
     "coverage": "share of the truly reachable free cells that the team has seen, as the world has recorded",
     "map_accuracy": "share of those that the first robot's planning grid has right, at most `coverage`",

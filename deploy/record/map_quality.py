@@ -23,6 +23,9 @@ AROUND = np.ones((3, 3), np.bool_)
 NOISE_CELLS = 4
 """Distance within which noisy lasers and poses displace cells of an honest map."""
 
+FULL_SHARE = 0.999
+"""Share of the reachable cells that a robot must know to know the full map."""
+
 FALSE_SHARE = 0.1
 """Share of the known cells of an honest map of a noisy laser that may be false even so."""
 
@@ -48,6 +51,11 @@ def is_refuted(own: Grid, truth: Grid, reachable: Mask, seen: int, *, noisy: boo
     if noisy:
         return share_false(own, truth, noisy=True) > FALSE_SHARE
     return share_false(own, truth, noisy=False) > 0 or bool(((own == FREE) & reachable).sum() > seen)
+
+
+def knows_all(planning: Grid, reachable: NDArray[np.intp]) -> bool:
+    """Return whether at most a few of the reachable cells, given by their flat indices, are unknown (`FULL_SHARE`)."""
+    return int(np.count_nonzero(planning.ravel()[reachable])) >= FULL_SHARE * len(reachable)
 
 
 class WallScore(NamedTuple):

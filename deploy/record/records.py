@@ -65,7 +65,8 @@ class Records:
     `reconnected` of each connection that was cut and restored. `missed` has the phases of steps that robots missed by
     the wall clock: with the scenario, they repeat the run. `protocol_errors` has sender and text of the first
     `MAX_PROTOCOL_ERROR_TEXTS` protocol errors of each sender. `carried` is the number of bytes transmitted in the last
-    step.
+    step. `known_at` is the first step at whose end a robot knew the full map (`deploy.record.map_quality.knows_all`),
+    or 0 as long as none did. It is None in runs as processes: no report has the planning grid of each step.
     """
 
     robots: int
@@ -88,6 +89,7 @@ class Records:
     _error_texts: Counter[str] = field(default_factory=Counter)
     end: End | None = None
     carried: int = 0
+    known_at: int | None = None
 
     def __post_init__(self) -> None:
         self.statuses = [[] for _ in range(self.robots)]

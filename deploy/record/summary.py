@@ -61,6 +61,7 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "reason": _reason(end, finished=finished),
         "steps": steps,
         "explored_at": _explored_at(plan, steps) if finished else None,
+        "known_at": _known_at(plan, records, steps, finished=finished),
         "first_robot": end.first if done and end is not None else None,
         "coverage": records.explored,
         **first_mean_worst("", "map_accuracy", accuracy, first),
@@ -89,7 +90,7 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         **figures_of_missed(records.missed, scenario.robots),
         "tolerance": tolerance(plan),
         "bytes": sizes,
-        "raw_scan_bytes": steps * SCAN_VALUES * VALUE_BYTES * scenario.robots * (scenario.robots - 1),
+        "raw_scan_bytes": raw_scan_bytes(steps, scenario.robots),
         "packets": per_kind(ledger, "packets"),
         **recorded_figures(plan, records, steps, sizes["total"]),
         **_approximation_error(records, first, int(reachable.sum()), scenario.map_encoding),
@@ -105,6 +106,11 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "work_us_median": median_work(records),
         "versions": versions(),
     }
+
+
+def raw_scan_bytes(steps: int, robots: int) -> int:
+    """Return the bytes of raw scans that each robot sends to each other one in so many steps, by section 6.3."""
+    return steps * SCAN_VALUES * VALUE_BYTES * robots * (robots - 1)
 
 
 def _reason(end: End | None, *, finished: bool) -> str:
@@ -207,6 +213,13 @@ def _approximation_error(
 def _explored_at(plan: Plan, steps: int) -> int:
     """The step after which the first robot only verified that it had finished."""
     return steps - sure_after(plan.robot_settings[0])
+
+
+def _known_at(plan: Plan, records: Records, steps: int, *, finished: bool) -> int | None:
+    """The step at which the first robot knew the full map, at the latest when it had nothing left to explore."""
+    if records.known_at is None or (not records.known_at and not finished):
+        return None
+    return records.known_at or _explored_at(plan, steps)
 
 
 def _over_budget(

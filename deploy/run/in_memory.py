@@ -7,8 +7,11 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol
 
+import numpy as np
+
 from agent.journal import Journal, journal_name
 from agent.process import AgentNode
+from deploy.record.map_quality import FULL_SHARE, knows_all
 from deploy.record.records import RecorderNode, Records
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import Scenario, ScenarioError
@@ -85,10 +88,12 @@ class MemoryRun:
             capture,
             on_fault=_note_restarts(self._due),
         )
+        world = plan.make_world()
+        self._reachable = np.flatnonzero(world.reachable)
         self._world = WorldNode(
             self._buses[names.WORLD],
             keys,
-            plan.make_world(),
+            world,
             plan.scenario.steps,
             1000 * plan.map.resolution,
             wait=wait,
@@ -113,6 +118,7 @@ class MemoryRun:
         if view is not None:
             self._nodes[names.VIEW] = view
         self._recorder.configure(plan.robot_settings)
+        self.records.known_at = 0
 
     @property
     def records(self) -> Records:
@@ -139,6 +145,7 @@ class MemoryRun:
                     self._end_lost()
                     if self._last_step() > over:
                         over = self._last_step()
+                        self._note_full_map(over)
                         yield over
             while self._due:
                 self._restart(self._due.pop())
@@ -157,6 +164,21 @@ class MemoryRun:
                 opened = self.records.step
                 watch(self.records)
         return self.records
+
+    def _note_full_map(self, step: int) -> None:
+        """Record a step at whose end a robot knew the full map for the first time.
+
+        Approximations may claim cells that no robot has seen, so the team must have seen as many cells.
+        """
+        records = self.records
+        if records.known_at or not 0 < step <= len(records.world):
+            return
+        report = records.world[step - 1]
+        if report.seen < FULL_SHARE * report.reachable:
+            return
+        robots = (agent.robot for agent in self.agents if not agent.done)
+        if any(knows_all(robot.planning, self._reachable) for robot in robots if robot is not None):
+            records.known_at = step
 
     def _time_out(self) -> None:
         """Give up on the robots that others wait for: no messages are left, so that none of them will answer."""

@@ -10,8 +10,9 @@ from __future__ import annotations
 import json
 import time
 import timeit
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -20,13 +21,13 @@ from numpy.typing import NDArray
 from agent.planning.assignment import Assignment, best_of_all, in_turn, total_value
 from agent.planning.frontier import frontier_cells
 from deploy.record.records import Records
-from deploy.record.summary import summarize
+from deploy.record.summary import VALUE_BYTES, raw_scan_bytes, summarize
 from deploy.run.in_memory import MemoryRun
 from deploy.scenario.plan import Plan
 from deploy.study.recovery import recovery
 from netshaper.ledger import KIND_NUMBER
 from protocol.budget import WORD_FOR_UNLIMITED
-from protocol.grid import FREE, UNKNOWN
+from protocol.grid import FREE, UNKNOWN, Grid
 from protocol.keyed_random import keyed_random
 
 EXPLORATION = "exploration"
@@ -40,6 +41,9 @@ KNOWN_DISCS = 8
 RENDEZVOUS_STEPS = 10
 """Steps after two robots have come into range of each other, in which they transmit their backlog."""
 
+AGREEMENT_EVERY = 5
+"""Steps from one comparison of the robots' planning grids to the next."""
+
 SERIES = ("explored", "carried")
 """Series over the steps: share of the reachable cells that the team has seen, and transmitted bytes."""
 
@@ -47,7 +51,45 @@ SERIES = ("explored", "carried")
 def exploration(plan: Plan) -> Metrics:
     """Run the plan's scenario; return its summary with dotted names for nested values, series, and channel load."""
     began = time.perf_counter()
-    records = MemoryRun(plan).complete()
+    return _metrics(plan, MemoryRun(plan).complete(), began)
+
+
+def agreement(plan: Plan) -> Metrics:
+    """Run the plan's scenario as `exploration` does; also compare the robots' grids with each other on the way.
+
+    The agreement of two grids is the share of equal cells among those that at least one of them knows. It is averaged
+    over all pairs, every `AGREEMENT_EVERY` steps. ``agreement.planning`` is the mean over these steps for planning
+    grids, ``agreement.least`` the minimum, ``agreement.last`` the last value, and ``agreement.own`` the mean for
+    self-explored grids, which shows what robots would have without maps of others.
+    """
+    began = time.perf_counter()
+    run = MemoryRun(plan)
+    found: list[tuple[float, float]] = []
+    for step in run.steps():
+        if step and step % AGREEMENT_EVERY == 0:
+            robots = [agent.robot for agent in run.agents if agent.robot is not None]
+            grids = [robot.planning for robot in robots], [robot.own for robot in robots]
+            found.append((_agreement(grids[0]), _agreement(grids[1])))
+    planning, own = np.array(found).reshape(-1, 2).T
+    return _metrics(plan, run.records, began) | {
+        "agreement.planning": float(planning.mean()) if len(planning) else None,
+        "agreement.least": float(planning.min()) if len(planning) else None,
+        "agreement.last": float(planning[-1]) if len(planning) else None,
+        "agreement.own": float(own.mean()) if len(own) else None,
+    }
+
+
+def _agreement(grids: Sequence[Grid]) -> float:
+    """Return the mean over all pairs of grids of the share of equal cells among those that either knows."""
+    shares = [
+        ((one == other) & (one != UNKNOWN)).sum() / max(((one != UNKNOWN) | (other != UNKNOWN)).sum(), 1)
+        for one, other in combinations(grids, 2)
+    ]
+    return float(np.mean(shares)) if shares else 1.0
+
+
+def _metrics(plan: Plan, records: Records, began: float) -> Metrics:
+    """The summary of a run that started at `began`, with dotted names for nested values, series, and channel load."""
     metrics: Metrics = {}
     for name, value in summarize(plan, records, time.perf_counter() - began).items():
         if name in ("lost", "returned", "reconnected", "robot_maps", "versions"):
@@ -59,7 +101,7 @@ def exploration(plan: Plan) -> Metrics:
     carried = _carried(records)
     metrics["explored"] = [round(report.seen / report.reachable, 6) for report in records.world]
     metrics["carried"] = carried.tolist()
-    return metrics | _load(plan, records, carried)
+    return metrics | _until_known(plan, metrics["known_at"], carried) | _load(plan, records, carried)
 
 
 def assignment(plan: Plan) -> Metrics:
@@ -99,10 +141,10 @@ def _timed(work: Callable[[], Assignment]) -> tuple[Assignment, float]:
 
 
 def voronoi(plan: Plan) -> Metrics:
-    """Voronoi pixels per contour pixel of the plan's map, original and smoothed (thesis, Table 3.1)."""
-    from deploy.study.voronoi import free_space, pixels, smoothed  # noqa: PLC0415  scipy, for few measures
+    """Voronoi pixels per contour pixel of the plan's cleaned map, before and after smoothing (thesis, Table 3.1)."""
+    from deploy.study.voronoi import cleaned, free_space, pixels, smoothed  # noqa: PLC0415  scipy, for few measures
 
-    free = free_space(plan.map.cells)
+    free = cleaned(free_space(plan.map.cells), plan.map.resolution)
     before, after = pixels(free), pixels(smoothed(free))
     return {
         "voronoi.ratio": before.ratio,
@@ -114,20 +156,29 @@ def voronoi(plan: Plan) -> Metrics:
 
 MEASURES: dict[str, Measure] = {
     EXPLORATION: exploration,
+    "agreement": agreement,
     "assignment": assignment,
     "voronoi": voronoi,
     "recovery": recovery,
 }
 
+EXPLORED = (
+    "load.first_quarter", "load.last_quarter", "load.emerging", "load.rendezvous",
+    "known.bytes", "known.raw_scan_bytes", "known.scan_values",
+)  # fmt: skip
+
 METRICS: dict[str, tuple[str, ...]] = {
-    EXPLORATION: ("load.first_quarter", "load.last_quarter", "load.emerging", "load.rendezvous"),
+    EXPLORATION: EXPLORED,
+    "agreement": (
+        *EXPLORED, "agreement.planning", "agreement.least", "agreement.last", "agreement.own",
+    ),
     "assignment": (
         "assignment.greedy_ms", "assignment.optimal_ms", "assignment.greedy_value", "assignment.optimal_value",
     ),
     "voronoi": ("voronoi.ratio", "voronoi.ratio_smoothed", "voronoi.pixels", "voronoi.contour"),
     "recovery": ("recovery.steps", "recovery.bytes", "recovery.exclusive", "recovery.reexplored", "recovery.end"),
 }  # fmt: skip
-"""Metrics of each measure; `exploration` has those of a summary as well."""
+"""Metrics of each measure; `exploration` and `agreement` have those of a summary as well."""
 
 
 def _carried(records: Records) -> NDArray[np.int64]:
@@ -136,6 +187,20 @@ def _carried(records: Records) -> NDArray[np.int64]:
     sent: NDArray[np.int64] = np.zeros(max(records.step + 1, 1), np.int64)
     np.add.at(sent, rows["step"], rows["bytes"] * (rows["carried"] == 1))
     return sent[1:]
+
+
+def _until_known(plan: Plan, known_at: int | None, carried: NDArray[np.int64]) -> Metrics:
+    """Transmitted bytes until the first robot knew the full map, and those of raw scans by the thesis' formula.
+
+    ``known.scan_values`` is the number of values in these scans, and so their bytes with one byte a value.
+    """
+    if known_at is None:
+        return dict.fromkeys(("known.bytes", "known.raw_scan_bytes", "known.scan_values"))
+    return {
+        "known.bytes": int(carried[:known_at].sum()),
+        "known.raw_scan_bytes": raw_scan_bytes(known_at, plan.scenario.robots),
+        "known.scan_values": raw_scan_bytes(known_at, plan.scenario.robots) // VALUE_BYTES,
+    }
 
 
 def _load(plan: Plan, records: Records, carried: NDArray[np.int64]) -> Metrics:
@@ -147,7 +212,7 @@ def _load(plan: Plan, records: Records, carried: NDArray[np.int64]) -> Metrics:
     """
     quarter = max(1, len(carried) // 4)
     budget = plan.scenario.bandwidth
-    shares: Metrics = dict.fromkeys(METRICS[EXPLORATION])
+    shares: Metrics = {name: None for name in EXPLORED if name.startswith("load.")}
     if budget != WORD_FOR_UNLIMITED and budget and len(carried):
         shares["load.first_quarter"] = float(carried[:quarter].mean() / int(budget))
         shares["load.last_quarter"] = float(carried[-quarter:].mean() / int(budget))

@@ -45,7 +45,7 @@ def test_a_robot_receives_exactly_the_robots_within_the_range(
         assert peers == [
             other
             for other in sorted(cells)
-            if other != one and math.dist(cells[one], cells[other]) <= range_cells
+            if other != one and math.dist(cells[one], cells[other]) <= range_cells > 0
         ]
 
 
@@ -66,8 +66,13 @@ def test_without_a_limit_all_robots_receive_each_other(count: int) -> None:
     assert in_range(cells, math.inf) == {r: [o for o in range(count) if o != r] for r in range(count)}
 
 
-def test_at_range_0_only_robots_in_one_cell_receive_each_other() -> None:
-    assert in_range({0: (1, 1), 1: (1, 2)}, 0.0) == {0: [], 1: []}
+def test_at_range_0_no_robot_receives_another_even_in_its_own_cell() -> None:
+    places = np.array([(1, 1), (1, 1), (1, 2)])
+    walls = np.full((4, 4), FREE, np.uint8)
+    loss = {"exponent": 3.0, "db_per_meter": 0.0, "db_per_wall": 9.0}
+    assert not line_of_sight(places, 0.0, walls).any()
+    assert not log_distance(places, 0.0, walls, 0.1, **loss).any()
+    assert line_of_sight(places, 0.1, walls).sum() == log_distance(places, 0.1, walls, 0.1, **loss).sum() == 5
 
 
 ROOMS = np.array(

@@ -167,6 +167,19 @@ def test_a_new_object_takes_the_lowest_free_number() -> None:
     assert after.number.tolist() == [0, 1, 2, 3]
 
 
+def test_in_scan_order_a_new_object_changes_the_index_of_all_behind_it() -> None:
+    squares = [[(x, y, 0, 0), (x, y, 1, 0)] for y in range(3) for x in range(2)]
+    _, held = edit_script(NumberedPolygons.empty(SHAPE), polygons([squares[0], *squares[2:]]))
+    kept, same = edit_script(held, polygons(squares))
+    packets, after = edit_script(held, polygons(squares), scan_order=True)
+    assert not [packet for packet in kept if isinstance(packet, Change)]
+    assert [packet for packet in packets if isinstance(packet, Change)] == [
+        Change(number, 2, False) for number in range(1, 5)
+    ]
+    assert [packet for packet in packets if not isinstance(packet, Change)] == kept
+    assert canonical(after.polygons) == canonical(same.polygons)
+
+
 def assert_scripts_lead_through(steps: list[tuple[Grid, Cell]], splits: int | None) -> None:
     held = NumberedPolygons.empty(steps[0][0].shape)
     for grid, robot in steps:
@@ -174,6 +187,7 @@ def assert_scripts_lead_through(steps: list[tuple[Grid, Cell]], splits: int | No
         coarse = approximation(exact, refine(exact, repair(held.polygons, exact), splits))
         packets, after = edit_script(held, coarse)
         assert canonical(after.polygons) == canonical(coarse)
+        assert canonical(edit_script(held, coarse, scan_order=True)[1].polygons) == canonical(coarse)
         assert edit_packets(held, coarse) == [encode([packet]) for packet in packets]
         held = after
 

@@ -27,7 +27,7 @@ from tests.agent.outline.edit_scripts import edit_script, layer
 
 quick = settings(deadline=None)
 
-drawings = st.builds(Drawing, *5 * [st.booleans()])
+drawings = st.builds(Drawing, *6 * [st.booleans()])
 
 
 def approximated(grid: Grid, robot: Cell, splits: int | None = None) -> Polygons:
@@ -265,6 +265,18 @@ def test_unknown_pairs_are_left_out_if_the_option_is_off() -> None:
     clean = rendered(specks, Drawing(unknown_pairs=False))
     assert clean[2, 2] == FREE
     assert clean[6, 6] == OCCUPIED
+
+
+def test_walls_of_outside_objects_override_free_inside_edges_if_wished() -> None:
+    pillar = np.full((9, 12), FREE, np.uint8)
+    pillar[4, 5] = OCCUPIED
+    left = np.full(pillar.shape, UNKNOWN, np.uint8)
+    left[:, :5] = FREE
+    team = [approximated(grid, (0, 0)) for grid in (pillar, left)]
+    nothing = np.full(pillar.shape, UNKNOWN, np.uint8)
+    assert merged(nothing, team[:1])[4, 5] == OCCUPIED
+    assert merged(nothing, team)[4, 5] == FREE, "as Algorithm 9 draws it"
+    assert merged(nothing, team, Drawing(keep_walls=True))[4, 5] == OCCUPIED
 
 
 def half_a_room() -> tuple[Polygons, Grid]:

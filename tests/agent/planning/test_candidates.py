@@ -14,6 +14,7 @@ from agent.planning.candidates import (
     count_representatives,
     frontier_segments,
     goal_candidates,
+    large_segments,
     representatives,
     searched_candidate,
     thin_out,
@@ -49,6 +50,15 @@ def test_frontier_segments_are_the_8_connected_parts_and_small_ones_wait() -> No
     edges = parts(frontier_segments(cells))
     assert edges == [[[0, 0], [1, 0], [2, 1]], [[0, 5], [1, 5], [2, 5], [3, 6]]]
     assert frontier_segments(cells[[0, 1, 3]])[1].tolist() == [2, 1]
+
+
+@given(grids())
+def test_large_segments_are_the_cells_of_segments_of_three_and_more_row_by_row(grid: Grid) -> None:
+    cells = np.ascontiguousarray(np.argwhere(grid == FREE)[:, ::-1], np.int32)
+    labels, _ = ndimage.label(grid == FREE, np.ones((3, 3)))
+    sizes = np.bincount(labels.ravel())
+    wanted = [(x, y) for x, y in cells.tolist() if sizes[labels[y, x]] >= LEAST_CELLS]
+    assert [tuple(cell) for cell in large_segments(cells).tolist()] == wanted
 
 
 @given(grids())

@@ -110,6 +110,13 @@ def test_members_of_a_sub_team_compute_one_assignment(name: str) -> None:
     assert sorted(targets) == [(0, 1), (14, 1)]  # type: ignore[type-var]
 
 
+@pytest.mark.parametrize("name", ["greedy", "iterative", "hungarian", "mtsp"])
+def test_small_frontier_segments_are_goals_unless_they_are_dropped(name: str) -> None:
+    assert decide(name, robot_at(4)).target == (0, 1)
+    dropped = decide(name, robot_at(4), {"small_segments": "dropped"})
+    assert dropped.target is None and dropped.explored
+
+
 def test_a_robot_out_of_range_is_no_member_but_its_last_target_is_remembered() -> None:
     away = robot_at(4, poses={1: Pose(5, 1, False)}, targets={1: (0, 1)}, target_steps={1: 1})
     assert decide("burgard", away, SHORTEST | {"beta": 0.5}).target == (14, 1)

@@ -24,12 +24,14 @@ from pyarrow import parquet
 import murmur
 from deploy.record import run_directory
 from deploy.record.records import Records
+from deploy.record.summary import summarize
 from deploy.run import exploration
 from deploy.run.exploration import BROKEN_OFF, EXPLORED, NOT_FINISHED, Result
+from deploy.run.in_memory import MemoryRun
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import Scenario, load, parse
-from protocol.grid import FREE
+from protocol.grid import FREE, UNKNOWN
 from protocol.packets import ALL_KINDS
 from worldsim import generators, maps
 
@@ -37,7 +39,8 @@ CONTRACT = {
     "finished", "steps", "first_robot", "coverage", "map_accuracy", "t50", "t90", "t99", "overlap", "path_length",
     "robots", "seed", "bus", "strategy", "map_encoding", "bandwidth", "range_m", "bytes", "packets",
     "raw_scan_bytes", "over_budget_steps", "undelivered",
-    "approximation_error", "approximation_error_net", "explored_at", "digest", "wall_s", "steps_per_s", "versions",
+    "approximation_error", "approximation_error_net", "explored_at", "known_at", "digest",
+    "wall_s", "steps_per_s", "versions",
 }  # fmt: skip
 """Keys of a summary that scripts may rely on."""
 
@@ -104,6 +107,25 @@ def test_the_summary_has_every_name_of_the_contract(run: Result, out: Path) -> N
     assert len(summary["path_length"]) == summary["robots"] == 3
     assert len(summary["digest"]) == 64
     assert {"murmur-robots", "numpy", "eclipse-zenoh"} <= set(summary["versions"])
+
+
+def test_known_at_is_the_first_step_with_a_planning_grid_of_nearly_all_cells(floor: str) -> None:
+    plan = plans.make(scenario(floor))
+    run, reachable = MemoryRun(plan), plan.make_world().reachable
+    known: dict[int, float] = {}
+    for step in run.steps():
+        if not step:
+            continue
+        grids = [agent.robot.planning for agent in run.agents if agent.robot is not None]
+        known[step] = max((grid[reachable] != UNKNOWN).mean() for grid in grids)
+    first = next(step for step, share in known.items() if share >= 0.999)
+    summary = summarize(plan, run.records, 1.0)
+    assert summary["known_at"] == first <= summary["steps"]
+
+
+def test_known_at_is_null_until_a_robot_knows_the_full_map(floor: str) -> None:
+    result = exploration.explore(scenario(floor, steps=5), keep=False)
+    assert not result.summary["finished"] and result.summary["known_at"] is None
 
 
 def test_the_ledger_has_the_columns_of_the_contract_and_adds_up_to_the_summary(

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 from scipy.stats import kendalltau
 
-from deploy.study.voronoi import contour, distances, free_space, pixels, ridge, smoothed
+from deploy.study.voronoi import ISLAND_M2, cleaned, contour, distances, free_space, pixels, ridge, smoothed
 from protocol.grid import FREE, OCCUPIED
 from tests.agent.explorations import real_map
 
@@ -68,6 +68,16 @@ def test_smoothing_removes_jags_and_specks_with_their_ridges() -> None:
     assert pixels(jagged).ratio < pixels(free).ratio
     assert pixels(jagged).voronoi < 0.7 * pixels(free).voronoi
     assert jagged[9:12, 29:32].all()
+
+
+def test_cleaning_removes_small_objects_but_no_walls() -> None:
+    free = corridor(20, 60)
+    free[10, 30] = False
+    free[3:8, 40:45] = False
+    clean = cleaned(free, (ISLAND_M2 / 24) ** 0.5)
+    assert clean[10, 30]
+    assert (clean != free).sum() == 1
+    assert (cleaned(free, 0.001) != free).sum() == 26, "the border is no object, however small"
 
 
 def test_free_space_is_the_largest_area() -> None:
