@@ -206,7 +206,9 @@ def _approximation_error(
     approximates = len(error) > 0 and (map_encoding == POLYGONS or bool(error.any()))
     return {
         "approximation_error": float(error.mean()) if approximates else None,
-        "approximation_error_net": float((error - exact).mean()) if approximates and exact.min() >= 0 else None,
+        "approximation_error_net": float((error - exact).mean())
+        if approximates and exact.min() >= 0
+        else None,
     }
 
 
