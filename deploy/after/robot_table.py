@@ -19,8 +19,8 @@ HEAD: Final = (
 )  # fmt: skip
 
 CAPTION: Final = (
-    "Idle steps: the robot neither drove nor turned. Seen first: cells that the robot saw before any teammate, or in the "
-    "same five steps. Map accuracy: share of the reachable cells that are free on its planning map at the end. "
+    "Idle steps: the robot neither drove nor turned. Seen first: cells that the robot saw before any teammate, or in "
+    "the same five steps. Map accuracy: share of the reachable cells that are free on its planning map at the end. "
     "Received: bytes of all frames that arrived, broadcasts included."
 )
 
