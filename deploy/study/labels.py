@@ -27,7 +27,7 @@ UNITS: Final = {
     "bandwidth": "bytes per step", "raw_scan_bytes": "bytes", "sensor_range": "m", "range": "m",
     "speed": "m per step", "steps_per_s": "steps per s", "robots": "",
 }  # fmt: skip
-"""Units of metrics and settings that neither their table nor their suffix tells."""
+"""Units of metrics and settings that neither their table nor their suffix determines."""
 
 TABLES: Final = {"bytes": "bytes", "packets": "packets", "undelivered": "frames", "load": SHARE}
 """Units of the nested tables of a summary."""
@@ -36,7 +36,7 @@ SUFFIXES: Final = {
     "ms": "ms", "us": "µs", "us_median": "µs", "s": "s", "m": "m", "bytes": "bytes", "f1": SHARE,
     "precision": SHARE, "recall": SHARE, "walls_within_tolerance": SHARE, "ratio": SHARE,
 }  # fmt: skip
-"""Units by the last words of a key."""
+"""Units by the last parts of a key, which underscores separate."""
 
 
 def unit(key: str) -> str:
