@@ -390,7 +390,7 @@ def short_range(_: Row, column: str) -> str:
 
 
 FIGURES = (
-    Figure("results/radios.md", "| radio, robots |", losses, fast=((4, 1),)),
+    Figure("results/radios.md", "| radio, robots |", losses, fast=((0, 1),)),
     Figure("results/radios.md", "| dissemination |", late_frames, fast=((1, 1),)),
     Figure("real-sensors.md", "| encoding | F1", map_quality),
     Figure("real-sensors.md", "| encoding | bytes |", baselines),
