@@ -3,6 +3,7 @@
 # make quick  runs the fast tests, in less than 90 seconds
 # make bench  prints ratios against named yardsticks
 # make fuzz   gives every parser ten minutes of random and malformed bytes
+# make figures  checks the measured figures in docs, which takes hours; FIGURES=--fast checks some
 # make docs   builds the documentation as a site, in site/
 
 VENV := .venv
@@ -11,7 +12,7 @@ BIN := $(VENV)/bin
 QUICK := tests/agent tests/protocol tests/netshaper tests/worldsim tests/murmur tests/fuzz $(addprefix tests/deploy/,scenario record chaos)
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: setup demo test quick check bench fuzz docs clean
+.PHONY: setup demo test quick check bench fuzz figures docs clean
 
 setup: $(VENV)/main.stamp
 
@@ -54,6 +55,9 @@ fuzz: $(VENV)/dev.stamp
 	end=$$(($$(date +%s) + 600)); while [ $$(date +%s) -lt $$end ]; do \
 	FUZZ_EXAMPLES=3000 timeout $$((end - $$(date +%s) + 1)) $(BIN)/python -m pytest -q tests/fuzz; code=$$?; \
 	[ $$code = 0 ] || [ $$code = 124 ] || exit $$code; done
+
+figures: $(VENV)/dev.stamp
+	$(BIN)/python -m docs.figures $(FIGURES)
 
 docs: $(VENV)/dev.stamp
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --strict

@@ -89,8 +89,6 @@ NOT_RUN = {
     "make demo",
     "make test",
     "make setup",
-    "git clone REPOSITORY murmur",
-    "cd murmur",
     ". .venv/bin/activate",
     "pip install 'murmur-robots[view]'",
     # They need logs of real robots.
@@ -169,13 +167,18 @@ def test_an_invalid_line_is_found() -> None:
 def test_the_blocks_of_a_page_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}
+    printed = ""
     for block in blocks(page):
         rule, _, name = block.rule.partition(" ")
         if rule == "file":
             Path(name).write_text(block.text, encoding="utf-8")
+        before, printed = printed, ""
         if rule == "run":
-            for line in lines(block):
-                run(line)
+            for line, expected in commands(block).items():
+                printed = run(line)
+                holds(printed, expected)
+        elif rule == "output" and before:
+            holds(before, block.text.splitlines())
         elif block.language == "toml":
             tomllib.loads(block.text)
         elif block.language == "python" and rule == "part":
@@ -257,24 +260,25 @@ def holds(printed: str, expected: list[str]) -> None:
     """Check that each line is printed, except for times, omissions, and column widths."""
     lines_printed = {" ".join(line.split()) for line in printed.splitlines()}
     for line in expected:
-        if line and "..." not in line and "steps a second" not in line:
+        if line and "..." not in line and "steps/s on the" not in line:
             assert " ".join(line.split()) in lines_printed, f"not printed: {line}\n{printed}"
 
 
-def run(line: str) -> None:
-    """Run a line on the memory bus."""
+def run(line: str) -> str:
+    """Run a line on the memory bus; return its output."""
     arguments = shlex.split(line, comments=True)
     if arguments[0] == "murmur":
         on_bus = ["--bus", "memory"] if arguments[1] == "explore" else []
         result = murmur(*arguments[1:], *on_bus)
         assert result.exit_code in (0, 1), f"{line}: {result.stderr}"
-        return
+        return result.stdout
     assert arguments[0] == "python", f"{line}: neither murmur nor python"
     env = os.environ | {"PYTHONPATH": str(ROOT)}
     done = subprocess.run(
         [sys.executable, *arguments[1:]], capture_output=True, text=True, env=env, check=False
     )
     assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
 
 
 def test_the_notebooks_run() -> None:

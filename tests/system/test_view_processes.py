@@ -15,9 +15,8 @@ from deploy.after import archive
 from deploy.dashboard.process import RECORDING
 from deploy.dashboard.watch import LIVE
 from deploy.dashboard.windows import binary
-from deploy.record.run_directory import CAPTURE
 from tests.system.headless import viewer
-from tests.system.test_processes import child, finish, summary, swarm
+from tests.system.test_processes import child, finish, summary, swarm, wait_for, wait_for_steps
 
 pytest.importorskip("rerun", reason="Rerun is not installed: pip install 'murmur-robots[view]'")
 
@@ -30,7 +29,7 @@ def verify(recording: Path) -> None:
 def test_a_run_that_is_terminated_leaves_a_recording_that_opens(tmp_path: Path) -> None:
     out = tmp_path / "run"
     with swarm(out, "--view-as", "file") as process:
-        wait_for_steps(out, process)
+        wait_for_steps(out, process, 60_000)
         family = [*psutil.Process(process.pid).children(recursive=True)]
         process.terminate()
         code, output, _ = finish(process, 30)
@@ -46,7 +45,7 @@ def test_a_run_that_is_terminated_leaves_a_recording_that_opens(tmp_path: Path) 
 def test_a_viewer_that_is_terminated_keeps_its_recording(tmp_path: Path) -> None:
     out = tmp_path / "run"
     with swarm(out, "--view-as", "file") as process:
-        wait_for_steps(out, process)
+        wait_for_steps(out, process, 60_000)
         child(process, "view").terminate()
         code, output, _ = finish(process, 60)
     assert code == 0, output
@@ -58,7 +57,7 @@ def test_a_viewer_that_is_terminated_keeps_its_recording(tmp_path: Path) -> None
 def test_a_viewer_that_hangs_or_dies_harms_nothing(number: int, tmp_path: Path) -> None:
     out = tmp_path / "run"
     with swarm(out, "--view-as", "file") as process:
-        wait_for_steps(out, process)
+        wait_for_steps(out, process, 60_000)
         victim = child(process, "view")
         victim.send_signal(number)
         code, output, _ = finish(process, 60)
@@ -101,16 +100,3 @@ def test_watching_a_directory_without_a_recording_is_an_error(tmp_path: Path) ->
     done = subprocess.run(watch, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 2
     assert "no recording (run.rrd)" in done.stderr
-
-
-def wait_for_steps(out: Path, process: subprocess.Popen[str]) -> None:
-    """Wait until some dozens of steps are over, judged by the size of the radio capture."""
-    wait_for(out / CAPTURE, process, least=60_000)
-
-
-def wait_for(path: Path, process: subprocess.Popen[str], least: int = 1) -> None:
-    deadline = time.monotonic() + 60
-    while not path.exists() or path.stat().st_size < least:
-        assert process.poll() is None, process.communicate()
-        assert time.monotonic() < deadline, f"{path} has not come to {least} bytes within 60 s"
-        time.sleep(0.05)
