@@ -58,7 +58,7 @@ def test_radios_without_a_sufficient_team_and_without_their_duty_cycle_are_named
 @pytest.mark.parametrize(
     ("radios", "message"),
     [
-        (["zigbee", "zigby"], "radio.preset = 'zigby': did you mean zigbee"),
+        (["zigbee", "zigby"], "no radio preset is called 'zigby'; did you mean zigbee"),
         (["zigbee", "zigbee"], "contains 'zigbee' twice"),
         ([], "must be a list of values"),
     ],
