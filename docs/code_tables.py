@@ -93,7 +93,7 @@ OPTIONS = {
         "checksums": "checksums even without bit errors",
         "send_bytes": "bytes per step that a robot can send; 0: no limit of its own",
         "receive_bytes": "bytes per step that a robot can receive; 0: no limit of its own",
-        "duty_cycle": "share of an hour's bytes that a robot may send",
+        "duty_cycle": "share of each hour in which a robot may send; 1: no limit",
         "reuse": "spatial reuse: the bandwidth applies to each neighborhood, not to the team",
         "partition": "steps in which groups of robots are out of each other's range",
     },

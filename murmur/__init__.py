@@ -18,12 +18,13 @@ if TYPE_CHECKING:
     from deploy.run.stepwise import Step, Steps, steps
     from deploy.scenario.scenario import Scenario, ScenarioError, load
     from deploy.study.comparison import compare
+    from deploy.study.radio_sizing import size_radios
     from deploy.study.sizing import size
     from deploy.study.sweep import sweep
 
 __all__ = [
     "Result", "RunFailed", "Scenario", "ScenarioError", "Step", "Steps", "compare", "explore", "load", "merge", "size",
-    "steps", "sweep",
+    "size_radios", "steps", "sweep",
 ]  # fmt: skip
 
 _MODULES = {
@@ -38,6 +39,7 @@ _MODULES = {
     "load": "deploy.scenario.scenario",
     "merge": "deploy.after.merge",
     "size": "deploy.study.sizing",
+    "size_radios": "deploy.study.radio_sizing",
     "steps": "deploy.run.stepwise",
     "sweep": "deploy.study.sweep",
 }

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
 
+from netshaper.duty_cycle import DutyCycle
 from protocol.budget import UNLIMITED, Budget
 from protocol.packet_index import PacketIndex
 from protocol.token_bucket import SECOND, TokenBucket
@@ -76,7 +77,7 @@ class Airtime:
     send, receive : sequence of int
         Bytes per step that each robot can send and receive; 0: no limit.
     duty_cycle : float
-        Share of an hour's bytes that each robot may send: a token bucket that holds an hour's share, full at first.
+        Share of each hour in which a robot may send; 1: no limit.
     saving : Saving
         Budgets that are not used up.
     """
@@ -92,7 +93,6 @@ class Airtime:
         duty_cycle: float = 1.0,
         saving: Saving | None = None,
     ) -> None:
-        self._duty_cycle = duty_cycle
         self._reuse = reuse
         self._saving = saving or Saving()
         self._now = 0
@@ -103,28 +103,23 @@ class Airtime:
         self.limits_reception = any(self._can_receive)
         """Whether a robot's reception is limited."""
         self._robots = robots
+        hour = HOUR_S * self._saving.steps
+        self._duty_cycles = [DutyCycle(duty_cycle, hour) for _ in range(robots)] if duty_cycle < 1 else []
         self.set_budget(budget)
-        self._saved = [self._hour * (self._earned or 0.0)] * robots
         self._neighbors: Mapping[int, Sequence[int]] = {}
         self.left = budget
         """The remaining budget that the whole team shares."""
         self._received = [0] * robots
-
-    @property
-    def _hour(self) -> int:
-        return HOUR_S * self._saving.steps
 
     def _bucket(self, rate: int) -> TokenBucket | None:
         """Return a bucket of `rate` bytes per step; None if that is 0."""
         return TokenBucket(rate, self._saving.capacity(rate), 0, self._now) if rate else None
 
     def set_budget(self, budget: Budget) -> None:
-        """Change the budget from the next step on; saved airtime of a duty cycle stays."""
+        """Change the budget from the next step on; the airtime of duty cycles stays."""
         self._budget = budget
         self._around = [self._bucket(budget.limit or 0) for _ in range(self._robots if self._reuse else 1)]
         """What may be sent around each robot, with spatial reuse, else by the team; None: nothing, or without limit."""
-        limited = self._duty_cycle < 1 and budget.limit is not None
-        self._earned = self._duty_cycle * (budget.limit or 0) if limited else None
 
     def next_step(self, neighbors: Mapping[int, Sequence[int]]) -> None:
         """Begin a step, with the robots in range of each."""
@@ -135,8 +130,8 @@ class Airtime:
                 bucket.room(self._now)
         self.left = self._left_around(0)
         self._received = [0] * self._robots
-        if self._earned is not None:
-            self._saved = [min(saved + self._earned, self._hour * self._earned) for saved in self._saved]
+        for duty_cycle in self._duty_cycles:
+            duty_cycle.next_step()
 
     def _left_around(self, robot: int) -> Budget:
         bucket = self._around[robot]
@@ -153,8 +148,8 @@ class Airtime:
         """Return the remaining bytes that a robot itself can send."""
         bucket = self._senders[robot]
         left = UNLIMITED if bucket is None else Budget(bucket.left)
-        if self._earned is not None:
-            left = left.least(Budget(int(self._saved[robot])))
+        if self._duty_cycles and self._budget.limit is not None:
+            left = left.least(Budget(self._duty_cycles[robot].room(self._budget.limit)))
         return left
 
     def room(self, robot: int) -> Budget:
@@ -168,8 +163,8 @@ class Airtime:
         for bucket in (self._senders[robot], *(self._around[each] for each in around)):
             if bucket is not None:
                 bucket.take(size)
-        if self._earned is not None:
-            self._saved[robot] -= size
+        if self._duty_cycles and self._budget.limit:
+            self._duty_cycles[robot].take(size, self._budget.limit)
 
     def receives(self, robot: int, size: int) -> bool:
         """Record that a robot receives `size` bytes; return False if they exceed its limit."""

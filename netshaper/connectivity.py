@@ -66,22 +66,46 @@ def log_distance(
 ) -> Links:
     """Return the links whose path loss is at most that of an open link as long as the range.
 
-    The loss over d meters is ``10 exponent log10(d) + db_per_meter d`` dB, which is the site-general model of ITU-R
-    P.1238 with N = 10 exponent; each wall on the line adds to it, as in COST 231's multi-wall model. `extra_db` is
-    the shadowing, symmetric, shape (robots, robots).
+    `extra_db` is the shadowing, symmetric, shape (robots, robots); for the other parameters see `margin_db`.
     """
     if math.isinf(range_cells):
         return np.ones((len(places), len(places)), np.bool_)
-    x, y = places.T
-    away = np.hypot(x[:, None] - x, y[:, None] - y)
-    near = np.maximum(away, 1e-9)
     if range_cells <= 0:
         return np.zeros((len(places), len(places)), np.bool_)
-    margin = 10 * exponent * np.log10(range_cells / near) + db_per_meter * cell_m * (range_cells - away)
-    margin -= db_per_wall * walls_crossed(walls, places) + extra_db
-    # Rounded to thousandths of a dB, so that results do not depend on the machine's logarithm.
-    received: Links = (np.rint(1000 * margin) >= 0) | (away == 0)
+    x, y = places.T
+    away = np.hypot(x[:, None] - x, y[:, None] - y).astype(np.float64)
+    loss = (db_per_wall * walls_crossed(walls, places) + extra_db).astype(np.float64)
+    received: Links = margin_db(away, loss, range_cells, cell_m, exponent, db_per_meter) >= 0
     return received
+
+
+def margin_db(
+    away: NDArray[np.float64],
+    loss_db: NDArray[np.float64],
+    range_cells: float,
+    cell_m: float,
+    exponent: float,
+    db_per_meter: float,
+) -> NDArray[np.float64]:
+    """Return how much stronger frames are than at the end of an open link as long as the range, in dB.
+
+    The loss over d meters is ``10 exponent log10(d) + db_per_meter d`` dB, which is the site-general model of ITU-R
+    P.1238 with N = 10 exponent; each wall on the line adds to it, as in COST 231's multi-wall model.
+
+    Parameters
+    ----------
+    away : float64 array
+        Distances in cells.
+    loss_db : float64 array
+        Losses by walls and shadowing, of the same shape.
+    """
+    near = np.maximum(away, 1e-9)
+    reach = max(range_cells, 1e-9)
+    margin = 10 * exponent * np.log10(reach / near) + db_per_meter * cell_m * (range_cells - away)
+    margin -= loss_db
+    # Rounded to thousandths of a dB, so that results do not depend on the machine's logarithm.
+    rounded: NDArray[np.float64] = np.where(away == 0, np.inf, np.rint(1000 * margin) / 1000)
+    return rounded
 
 
 def shadowing(
@@ -123,22 +147,37 @@ def walls_crossed(grid: Grid, places: Int64Rows) -> Int64Rows:
     walls = np.zeros((count, count), np.int64)
     for one in range(count):
         for other in range(one):
-            x, y = places[one, 0], places[one, 1]
-            end_x, end_y = places[other, 0], places[other, 1]
-            if (end_x, end_y) < (x, y):
-                x, y, end_x, end_y = end_x, end_y, x, y
-            along_x, along_y = abs(end_x - x), abs(end_y - y)
-            step_x, step_y = (1 if end_x > x else -1), (1 if end_y > y else -1)
-            inside = grid[y, x] == OCCUPIED
-            gone_x = gone_y = 0
-            crossed = 1 if inside else 0
-            while gone_x < along_x or gone_y < along_y:
-                if (2 * gone_x + 1) * along_y <= (2 * gone_y + 1) * along_x:
-                    gone_x += 1
-                else:
-                    gone_y += 1
-                wall = grid[y + step_y * gone_y, x + step_x * gone_x] == OCCUPIED
-                crossed += wall and not inside
-                inside = wall
+            crossed = _walls_between(grid, places[one, 0], places[one, 1], places[other, 0], places[other, 1])
             walls[one, other] = walls[other, one] = crossed
     return walls
+
+
+@kernel
+def walls_from(grid: Grid, x: int, y: int) -> Int64Rows:
+    """Count the walls between cell (x, y) and each cell, as `walls_crossed` does; shape of `grid`."""
+    walls = np.zeros(grid.shape, np.int64)
+    for end_y in range(grid.shape[0]):
+        for end_x in range(grid.shape[1]):
+            walls[end_y, end_x] = _walls_between(grid, x, y, end_x, end_y)
+    return walls
+
+
+@kernel
+def _walls_between(grid: Grid, x: int, y: int, end_x: int, end_y: int) -> int:
+    if (end_x, end_y) < (x, y):
+        x, y, end_x, end_y = end_x, end_y, x, y
+    along_x, along_y = abs(end_x - x), abs(end_y - y)
+    step_x, step_y = (1 if end_x > x else -1), (1 if end_y > y else -1)
+    inside = grid[y, x] == OCCUPIED
+    gone_x = gone_y = 0
+    crossed = 1 if inside else 0
+    while gone_x < along_x or gone_y < along_y:
+        if (2 * gone_x + 1) * along_y <= (2 * gone_y + 1) * along_x:
+            gone_x += 1
+        else:
+            gone_y += 1
+        wall = grid[y + step_y * gone_y, x + step_x * gone_x] == OCCUPIED
+        if wall and not inside:
+            crossed += 1
+        inside = wall
+    return crossed

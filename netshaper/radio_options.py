@@ -12,6 +12,10 @@ MAX_STEPS = 10_000
 """Maximum delay of a frame in steps."""
 
 
+LOG_DISTANCE = "log-distance"
+"""The model of links that walls weaken."""
+
+
 @dataclass(frozen=True)
 class Partition:
     """Steps in which groups of robots do not receive each other.

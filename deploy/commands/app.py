@@ -31,6 +31,7 @@ COMMANDS = {
     "strategies": Entry("strategies", "List the exploration strategies, or show one with all its options."),
     "new": Entry("new", "Write a template of a new strategy, with its test."),
     "map": Entry("maps", "List, make and show maps."),
+    "radio": Entry("radios", "List radio presets, and show their coverage of a building."),
     "report": Entry(
         "after_run", "Write an HTML page of a run, with pictures and a slider; or compare two runs."
     ),
@@ -40,8 +41,8 @@ COMMANDS = {
     "export": Entry("after_run", "Export a run to formats of other programs."),
     "replay": Entry("after_run", "Repeat a run and check that its digest is the same."),
     "sweep": Entry("studies", "Run a scenario over a grid of settings and print a table."),
-    "compare": Entry("studies", "Compare scenarios, strategies or map encodings on the same seeds."),
-    "size": Entry("studies", "Find the smallest sufficient team, bandwidth and range for a building."),
+    "compare": Entry("studies", "Compare scenarios, strategies, map encodings or radios on the same seeds."),
+    "size": Entry("studies", "Find the smallest sufficient team for a building, or for each radio."),
     "reproduce": Entry("studies", "Repeat the experiments of the papers, and judge their claims."),
     "chaos": Entry("chaos", "Run swarms under random faults, and check their invariants."),
     "robot": Entry("robot", "Run one robot of a team in the field."),

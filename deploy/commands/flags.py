@@ -223,12 +223,12 @@ class GroupedCommand(TyperCommand):
                 formatter.write_dl(records)
 
 
-def position(text: str) -> tuple[float, float]:
+def position(text: str, flag: str = "start") -> tuple[float, float]:
     """Parse a position, X,Y in meters; ValueError if it is malformed."""
     try:
         x, y = (float(part) for part in text.split(","))
     except ValueError:
-        raise ValueError(f"start = {text!r}: must be two numbers in meters, as 3.5,12") from None
+        raise ValueError(f"{flag} = {text!r}: must be two numbers in meters, as 3.5,12") from None
     return x, y
 
 

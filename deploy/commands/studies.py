@@ -21,9 +21,14 @@ from deploy.commands.flags import (
     setting_flags,
 )
 from deploy.scenario.tables import MAX_RUNS
+from deploy.study.progress import counting
 from protocol.grid import MAX_ROBOTS
+from protocol.presets import PRESETS
 
 app = command_family()
+
+BANDWIDTHS, RANGES = "100,1000,10000", "30%,100%"
+"""Bandwidths and ranges that `murmur size` tries by default."""
 
 JobsOption = Annotated[int | None, typer.Option(min=1, metavar="N", help="processes (default: one per core)")]
 SchedulerOption = Annotated[
@@ -145,7 +150,6 @@ def reproduce(
     from deploy.commands import terminal  # noqa: PLC0415
     from deploy.run.workers import workers  # noqa: PLC0415
     from deploy.study import reproduction  # noqa: PLC0415
-    from deploy.study.progress import counting  # noqa: PLC0415
     from deploy.study.results import Results, make_folder  # noqa: PLC0415
 
     settings = {"seed": list(range(seeds))} if seeds is not None else {}
@@ -181,6 +185,7 @@ def compare(
     map_encodings: Annotated[
         str | None, typer.Option(metavar="A,B,...", help="map encodings to compare")
     ] = None,
+    radios: Annotated[str | None, typer.Option(metavar="A,B,...", help="radio presets to compare")] = None,
     map_: Annotated[
         list[str] | None, typer.Option("--map", metavar="FILE|NAME", help="on this map; repeatable")
     ] = None,
@@ -200,17 +205,17 @@ def compare(
     settings: dict[str, Any],
     style: Any,
 ) -> None:
-    """Compare scenarios, strategies or map encodings on the same seeds, with confidence intervals.
+    """Compare scenarios, strategies, map encodings or radios on the same seeds, with confidence intervals.
 
     Exit code 3: runs failed.
     """
     from deploy.study import comparison  # noqa: PLC0415
 
     settings |= other_settings(set_ or [], comparison.compare, "radius=0.2", settings)
-    choices = {"strategy": strategies, "map_encoding": map_encodings}
+    choices = {"strategy": strategies, "map_encoding": map_encodings, "radio": radios}
     given = [(key, items(names)) for key, names in choices.items() if names is not None]
     if len(given) + bool(scenario) != 1:
-        raise ValueError("give either scenario files, --strategies or --map-encodings")
+        raise ValueError("give either scenario files, --strategies, --map-encodings or --radios")
     if twice := [key for key, _ in given if key in settings]:
         raise ValueError(f"{twice[0]} = {settings[twice[0]]!r}: is compared; remove this flag")
     compared: Any = [{key: name} for key, names in given for name in names] or scenario or []
@@ -235,12 +240,20 @@ def compare(
 def size(
     map_: Annotated[str, typer.Option("--map", metavar="FILE|NAME", help="the building")] = "office",
     robots: Annotated[str, typer.Option(metavar="2..8|2,4", help="numbers of robots to try")] = "2..8",
+    radio: Annotated[
+        str | None,
+        typer.Option(metavar="NAME,...", help=f"radio presets to try, for a team each: {', '.join(PRESETS)}"),
+    ] = None,
     bandwidth: Annotated[
-        str, typer.Option(metavar="BYTES,...", help="bandwidths to try, in bytes per step")
-    ] = "100,1000,10000",
+        str | None,
+        typer.Option(
+            metavar="BYTES,...", help=f"bandwidths to try, in bytes per step (default {BANDWIDTHS})"
+        ),
+    ] = None,
     range_: Annotated[
-        str, typer.Option("--range", metavar="METERS|P%,...", help="communication ranges to try")
-    ] = "30%,100%",
+        str | None,
+        typer.Option("--range", metavar="METERS|P%,...", help=f"ranges to try (default {RANGES})"),
+    ] = None,
     deadline: Annotated[
         int | None, typer.Option(min=1, metavar="STEPS", help="an exploration may take so long")
     ] = None,
@@ -263,28 +276,60 @@ def size(
     settings: dict[str, Any],
     style: Any,
 ) -> None:
-    """Find the smallest team, bandwidth and range that are sufficient for a building.
+    """Find the smallest team, bandwidth and range that are sufficient for a building, or a team for each radio.
 
     Exit code 1: none of them is sufficient; 3: runs failed.
     """
+    common: dict[str, Any] = {
+        "robots": whole_numbers(robots, "robots", MAX_ROBOTS), "deadline": deadline, "finish": finish,
+        "min_map_accuracy": min_map_accuracy, "seeds": seeds, "jobs": jobs, "scheduler": scheduler,
+        "out": out / "runs.parquet",
+    }  # fmt: skip
+    if radio is not None:
+        if bandwidth is not None or range_ is not None:
+            raise ValueError(f"radio = {radio!r}: sets bandwidth and range; omit --bandwidth and --range")
+        size_radios(map_, items(radio), out, set_ or [], settings, common)
     from deploy.study import sizing  # noqa: PLC0415
 
     settings |= other_settings(set_ or [], sizing.size, "radius=0.2", settings)
-    runs = out / "runs.parquet"
-    with stopping(runs):
+    with stopping(common["out"]):
         done = sizing.size(
             map_,
-            robots=whole_numbers(robots, "robots", MAX_ROBOTS),
-            bandwidth=[int(item) if item.isdecimal() else item for item in items(bandwidth)],
-            range=items(range_),
-            deadline=deadline, min_map_accuracy=min_map_accuracy, finish=finish,
-            seeds=seeds, jobs=jobs, scheduler=scheduler, out=runs, **settings,
+            bandwidth=[int(item) if item.isdecimal() else item for item in items(bandwidth or BANDWIDTHS)],
+            range=items(range_ or RANGES), **common, **settings,
         )  # fmt: skip
     report_sweep(done.sweep)
     screen.print(done.sentence)
     files = done.write(out, style)
     screen.print(f"Results: {out} (start with {files[0]})")
     end_study(done.sweep.failures, 0 if done.enough is not None else 1)
+
+
+def size_radios(
+    map_: str,
+    radios: list[str],
+    out: Path,
+    texts: list[str],
+    settings: dict[str, Any],
+    common: dict[str, Any],
+) -> NoReturn:
+    """Find the smallest team for each radio, print the table, and end the command.
+
+    Progress begins before the libraries are loaded.
+    """
+    with counting(errors, "size") as report, stopping(common["out"]):
+        from deploy.study import radio_sizing  # noqa: PLC0415
+
+        settings |= other_settings(texts, radio_sizing.size_radios, "radius=0.2", settings)
+        done = radio_sizing.size_radios(map_, radios, progress=report, **common, **settings)
+    report_failures(done.failures)
+    from deploy.commands import terminal  # noqa: PLC0415
+
+    print_table(terminal.table(done.lines))
+    for sentence in done.sentences:
+        screen.print(sentence)
+    screen.print(f"Results: {out} (start with {done.write(out)[0]})")
+    end_study(done.failures, 0 if any(answer.is_enough for answer in done.answers) else 1)
 
 
 def other_settings(

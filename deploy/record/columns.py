@@ -119,6 +119,8 @@ SUMMARY = {
     "for map encodings that do not approximate",
     "approximation_error_net": "the same minus that of an exact approximation; null without `polygons.exact_error`",
     "over_budget_steps": "steps that exceeded the budget: 0",
+    "duty_cycle": "largest share of an hour in which a robot sent, by its bytes and the bandwidth; null without a "
+    "limited bandwidth",
     "undelivered": "frames not delivered, by cause",
     "lost, protocol_errors": "robots that died unexpectedly; number of protocol errors",
     "reconnected": "step and robot of each connection that was cut and restored",

@@ -25,7 +25,7 @@ from deploy.record.recorded_runs import recorded_figures
 from deploy.record.records import Records
 from deploy.record.versions import versions
 from deploy.scenario.plan import Plan
-from netshaper.airtime import Saving
+from netshaper.airtime import HOUR_S, Saving
 from netshaper.ledger import CAUSES, sort_rows
 from protocol.budget import Budget
 from protocol.grid import FREE, OCCUPIED, Grid
@@ -95,6 +95,7 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         **recorded_figures(plan, records, steps, sizes["total"]),
         **_approximation_error(records, first, int(reachable.sum()), scenario.map_encoding),
         "over_budget_steps": _over_budget(ledger, allowed, plan.radio.saving, each=scenario.radio.reuse),
+        "duty_cycle": duty_cycle(ledger, allowed, HOUR_S * plan.radio.saving.steps),
         "undelivered": undelivered(ledger),
         "lost": {str(robot): cause for robot, cause in sorted(records.lost.items())},
         "returned": [list(each) for each in records.returned],
@@ -243,6 +244,21 @@ def _over_budget(
         over += bool((of_step > left).any())
         left = np.maximum(left - of_step, 0.0)
     return over
+
+
+def duty_cycle(ledger: NDArray[np.void], allowed: NDArray[np.float64], hour: int) -> float | None:
+    """Return the largest share of an hour in which a robot sent, by the budget of each step, from 0 on.
+
+    Frames take their bytes' share of the budget; an hour has `hour` steps. None if there is no budget.
+    """
+    rows = ledger[ledger["carried"] == 1]
+    if not np.isfinite(allowed).all():
+        return None
+    airtime = np.zeros((int(rows["sender"].max(initial=0)) + 1, len(allowed)))
+    np.add.at(airtime, (rows["sender"], rows["step"]), rows["bytes"] / allowed[rows["step"]])
+    used = airtime.cumsum(axis=1)
+    used[:, hour:] -= used[:, :-hour].copy()
+    return float(used.max(initial=0.0) / hour)
 
 
 def budgets(budget: Budget, changes: Iterable[Change], steps: int) -> NDArray[np.float64]:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from deploy.scenario.plan import Plan
-from netshaper.radio_options import RadioOptions
+from netshaper.radio_options import LOG_DISTANCE, RadioOptions
 from protocol.budget import WORD_FOR_UNLIMITED
-from protocol.presets import preset
+from protocol.presets import UNKNOWN, Limit, preset
 
 
 def effective_radio(plan: Plan) -> str:
@@ -20,14 +20,16 @@ def effective_radio(plan: Plan) -> str:
 
 def _parts(plan: Plan) -> Iterator[str]:
     scenario, options = plan.scenario, plan.scenario.radio
-    if options.preset:
-        yield f"{options.preset}, {preset(options.preset).description}"
+    chosen = preset(options.preset) if options.preset else None
+    if chosen is not None:
+        yield f"{options.preset}, {chosen.description}"
     sharing = "each neighborhood" if options.reuse else "the team"
-    limit = scenario.bandwidth
-    rate = limit if limit == WORD_FOR_UNLIMITED else f"{limit} bytes per step"
+    bandwidth = scenario.bandwidth
+    rate = bandwidth if bandwidth == WORD_FOR_UNLIMITED else f"{bandwidth} bytes per step"
     yield f"{rate} for {sharing}"
-    yield f"range {plan.range_m:.4g} m, {options.model}"
-    if options.model == "log-distance":
+    reach = f"{plan.range_m:.4g} m" if plan.range_m < 1000 else f"{plan.range_m / 1000:.3g} km"
+    yield f"range {reach}{' without walls' if options.model == LOG_DISTANCE else ''}, {options.model}"
+    if options.model == LOG_DISTANCE:
         yield (
             f"{10 * options.exponent:g} dB per decade, {options.db_per_meter:g} dB per meter, "
             f"{options.db_per_wall:g} dB per wall, shadowing {options.shadowing_db:g} dB"
@@ -39,6 +41,9 @@ def _parts(plan: Plan) -> Iterator[str]:
         )
     for each in options.partition:
         yield f"groups of robots out of range of each other in steps {each.first} to {each.last}"
+    limit = UNKNOWN if chosen is None else chosen.limit
+    if min(options.duty_cycle, limit.duty_cycle) < 1:
+        yield _duty_cycle(options.duty_cycle, limit)
     if plan.radio.perfect:
         yield "lossless"
         return
@@ -55,5 +60,16 @@ def _parts(plan: Plan) -> Iterator[str]:
             yield f"{name} of {', '.join(own)}"
 
 
-_PLAIN = ("loss", "delay", "jitter", "duplication", "bit_errors", "send_bytes", "receive_bytes", "duty_cycle")
+def _duty_cycle(share: float, limit: Limit) -> str:
+    """The duty cycle of each robot, and the legal limit."""
+    text = f"duty cycle {100 * share:g} %" if share < 1 else "no duty cycle"
+    if limit == UNKNOWN:
+        return text
+    if share == limit.duty_cycle:
+        return f"{text}, the limit of {limit.source} (radio.duty_cycle=1 switches it off)"
+    allowed = f"{100 * limit.duty_cycle:g} %" if limit.duty_cycle < 1 else "any"
+    return f"{text}; {limit.source} allows {allowed}"
+
+
+_PLAIN = ("loss", "delay", "jitter", "duplication", "bit_errors", "send_bytes", "receive_bytes")
 """Options that are printed as name and value."""

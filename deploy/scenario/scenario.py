@@ -16,6 +16,7 @@ from pydantic import Field, ValidationError, ValidationInfo, field_validator, mo
 from agent.encoding_options import PolygonOptions, PredictiveOptions
 from deploy.scenario import plugins
 from deploy.scenario.finding_maps import FILES as MAP_FILES
+from deploy.scenario.radio_presets import RADIO_KEYS, preset_settings
 from deploy.scenario.tables import (
     MAX_INTEGER,
     MAX_TOLERANCE,
@@ -203,14 +204,11 @@ class Scenario(Table):
     def _take_preset(cls, data: Any) -> Any:
         """Fill in the radio preset's values where the scenario does not give its own."""
         radio = data.get("radio") if isinstance(data, dict) else None
-        if not isinstance(radio, dict):
+        if isinstance(radio, str | list | tuple):
+            radio = {"preset": radio}
+        if not isinstance(radio, dict) or not radio.get("preset"):
             return data
-        name = radio.get("preset")
-        if not isinstance(name, str) or not name:
-            return data
-        preset = plugins.kinds()["radio.preset"].find(name)
-        taken = {"bandwidth": preset.bandwidth, "range": str(preset.range_m)} | data
-        return taken | {"radio": {"frame_bytes": preset.frame_bytes} | radio}
+        return data | preset_settings(data | {"radio": radio})
 
     @model_validator(mode="before")
     @classmethod
@@ -324,7 +322,10 @@ class Scenario(Table):
                 )
         bandwidths = [self.bandwidth, *(change.bandwidth for change in self.change)]
         if self.radio.duty_cycle < 1 and WORD_FOR_UNLIMITED in bandwidths:
-            raise ValueError("radio.duty_cycle: is a share of the bandwidth, which must be limited then")
+            raise ValueError(
+                f"radio.duty_cycle = {self.radio.duty_cycle:g}: is a share of the bandwidth, which must be limited; "
+                "1 means no duty cycle"
+            )
         lasers = ", ".join(name for name in LASERS if name != IDEAL)
         if not self.is_noisy and encoding_class(self.map_encoding).needs_range_scans:
             raise ValueError(
@@ -475,19 +476,19 @@ def load(path: Path | None, overrides: dict[str, Any]) -> Scenario:
             data["recording"] = recording | {
                 "files": [str(path.parent / str(name)) for name in recording["files"]]
             }
-    _remove_preset_keys(data, overrides)
+    remove_preset_keys(data, overrides)
     where = f"scenario {path}" if path is not None else "scenario"
     lay(data, {key: value for key, value in overrides.items() if value is not None}, where)
     return parse(data, where)
 
 
-def _remove_preset_keys(data: dict[str, Any], overrides: dict[str, Any]) -> None:
+def remove_preset_keys(data: dict[str, Any], overrides: dict[str, Any]) -> None:
     """Remove the settings that presets from the overrides replace."""
-    if overrides.get("radio.preset"):
+    if overrides.get("radio.preset") or isinstance(overrides.get("radio"), str):
         for key in ("bandwidth", "range"):
             data.pop(key, None)
         if isinstance(data.get("radio"), dict):
-            data["radio"] = {key: value for key, value in data["radio"].items() if key != "frame_bytes"}
+            data["radio"] = {key: value for key, value in data["radio"].items() if key not in RADIO_KEYS}
     for table, presets in (("laser", LASERS), ("pose", POSES)):
         if name := overrides.get(f"{table}.preset"):
             data.pop(table, None)
@@ -498,12 +499,17 @@ def _remove_preset_keys(data: dict[str, Any], overrides: dict[str, Any]) -> None
 def lay(data: dict[str, Any], settings: dict[str, Any], where: str) -> None:
     """Lay settings over others; a dotted name (``options.beta``) sets one key of a table.
 
+    A name as the value of ``radio`` sets ``radio.preset``.
+
     Raises ScenarioError, which begins with `where`, if a dotted name refers to a key of something else than a table.
     """
-    for key, value in settings.items():
+    for name, value in settings.items():
+        key = "radio.preset" if name == "radio" and isinstance(value, str) else name
         table, dot, inner = key.partition(".")
         if dot:
             keys = data.get(table, {})
+            if table == "radio" and isinstance(keys, str):
+                keys = {"preset": keys}
             if not isinstance(keys, dict):
                 raise ScenarioError(
                     f"{where}: {table} = {keys!r}: must be a table, for {key!r} sets a key of it"

@@ -12,7 +12,7 @@ import polars as pl
 
 from deploy.run.failure import RunFailed
 from deploy.scenario import plugins
-from deploy.scenario.scenario import Scenario, ScenarioError, load
+from deploy.scenario.scenario import Scenario, ScenarioError, load, remove_preset_keys
 from deploy.study import plots
 from deploy.study.claims import HOLDS, UNDECIDED, Finding, Rule, judge
 from deploy.study.figure_style import DEFAULT, FigureStyle
@@ -130,6 +130,8 @@ def compare(
     if len(variants) < 2:
         raise ScenarioError("there is nothing to compare: give at least two scenarios")
     check(metric, ())
+    for keys in variants.values() if "radio" in settings else ():
+        remove_preset_keys(keys, {"radio": ""})
     taken = [key for key in settings if any(key in keys for keys in variants.values())]
     variants = {name: {k: v for k, v in keys.items() if k not in taken} for name, keys in variants.items()}
     if len({repr(keys) for keys in variants.values()}) < len(variants):

@@ -72,6 +72,9 @@ class ExperimentFile(Keys):
     quick: Quick = Field(default_factory=Quick)
 
 
+RADIO_AXES = ("radio", "radio.preset")
+"""Settings whose values are names of radio presets; a list of them is always an axis."""
+
 KEYS = {
     "": list(ExperimentFile.model_fields),
     "table": [each.name for each in fields(Table)],
@@ -228,16 +231,20 @@ def override(experiment: Experiment, settings: dict[str, Any]) -> Experiment:
     """The experiment with other values of some keys.
 
     The values replace lists of the grid by the same name, or else keys of the base. A single value is a list of one.
+    A list of radio presets becomes a key of the grid, and a row of the table.
 
     Raises
     ------
     ScenarioError
         A list is empty or has duplicates, or a value has no effect.
     """
-    base, grid = dict(experiment.base), dict(experiment.grid)
+    base, grid, table = dict(experiment.base), dict(experiment.grid), experiment.table
     for key, value in settings.items():
         if key == VARIANT:
             raise ScenarioError("--set variant: is not a setting; --variant NAME chooses variants")
+        if key in RADIO_AXES and key not in grid and isinstance(value, list):
+            grid[key] = []
+            table = replace(table, rows=[*(table.rows or []), key])
         if key in grid:
             grid[key] = value if isinstance(value, list) else [value]
             try:
@@ -250,7 +257,7 @@ def override(experiment: Experiment, settings: dict[str, Any]) -> Experiment:
             )
         else:
             base[key] = value
-    return replace(experiment, base=base, grid=grid)
+    return replace(experiment, base=base, grid=grid, table=table)
 
 
 def listed(key: str, values: Sequence[Any]) -> list[Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import time
 from collections.abc import Callable, Iterator
 
@@ -10,7 +11,10 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
 
 INTERVAL_S = 60
-"""Seconds between two lines of output without a terminal."""
+"""Seconds between two lines of output without a terminal, at most."""
+
+SPARSER = 4
+"""The share of the elapsed time between two such lines, as a divisor."""
 
 Report = Callable[[int, int], object]
 """Called with the number of finished items and the total."""
@@ -29,18 +33,26 @@ def counting(console: Console, title: str) -> Iterator[Report]:
 
 
 def _lines(console: Console, title: str) -> Report:
-    """Print a line every `INTERVAL_S`."""
+    """Print a line now, then after finished items: at first often, later every `INTERVAL_S`."""
     began = printed = time.monotonic()
     before: int | None = None
+    console.print(f"{title}: begins")
 
     def report(done: int, total: int) -> None:
         nonlocal printed, before
         now = time.monotonic()
-        before = done if before is None else before
-        if now - printed >= INTERVAL_S and done > before:
+        if before is None:
+            before = done
+            console.print(f"{title}: {done} of {total}")
+        elif before < done < total and now - printed >= min((now - began) / SPARSER, INTERVAL_S):
             printed = now
-            minutes = (now - began) / (done - before) * (total - done) / 60
-            left = f"{minutes:.0f} minutes" if minutes >= 1 else "less than a minute"
-            console.print(f"{title}: {done} of {total}, {left} left")
+            console.print(
+                f"{title}: {done} of {total}, {_left((now - began) / (done - before) * (total - done))} left"
+            )
 
     return report
+
+
+def _left(seconds: float) -> str:
+    """Return a remaining time as text."""
+    return f"{seconds / 60:.0f} minutes" if seconds >= 90 else f"{math.ceil(seconds)} s"

@@ -49,8 +49,9 @@ class Sweep:
         self, *, jobs: int | None, scheduler: str | None, progress: bool = True, retry: bool = False
     ) -> None:
         """Execute all runs that the table lacks; parameters as for `sweep`. `retry` repeats failed runs."""
+        pool = workers(jobs, scheduler)
         with counting(Console(stderr=True, quiet=not progress), self.experiment.name) as report:
-            make(self.cases, self.results, workers(jobs, scheduler), report, retry=retry)
+            make(self.cases, self.results, pool, report, retry=retry)
 
     @cached_property
     def rows(self) -> list[Row]:

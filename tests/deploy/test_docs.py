@@ -300,9 +300,12 @@ def test_the_table_of_radios_is_that_of_the_code() -> None:
             f"{preset.bandwidth:,}",
             str(preset.frame_bytes),
             f"{1000 * preset.frame_s:.1f}",
-            str(preset.range_m),
+            ", ".join(str(preset.link.range_m(walls)) for walls in (0, 2, 4)),
+            f"{preset.link.db_per_wall:g}",
+            f"{100 * preset.limit.duty_cycle:g} %" if preset.limit.duty_cycle < 1 else "none",
         ]
         for name, preset in PRESETS.items()
+        if preset.link is not None
     }
 
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
 from itertools import pairwise
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from netshaper.airtime import HOUR_S, RECENT, Airtime, Saving, Shares, cut_into_frames
+from netshaper.duty_cycle import STEP
 from protocol import packet_index
 from protocol.budget import UNLIMITED, Budget
 from protocol.packets import Fragment, encode
@@ -73,17 +74,38 @@ def test_no_neighborhood_exceeds_the_budget(transmissions: list[tuple[int, int]]
     assert all(air.room(robot).limit == 100 - max(around[r] for r in (robot, *LINE[robot])) for robot in LINE)
 
 
-def test_a_duty_cycle_holds_over_an_hour_and_saved_airtime_is_bounded() -> None:
+@given(
+    st.floats(0.0003, 0.5),
+    st.lists(
+        st.tuples(st.sampled_from((0, 1, 1799, 3599)), st.integers(1, 4000), st.integers(0, 1500)), max_size=8
+    ),
+)
+def test_no_hour_has_more_airtime_than_the_duty_cycle_and_the_rest_may_be_used_at_once(
+    share: float, transmissions: list[tuple[int, int, int]]
+) -> None:
+    """A plain reference adds up the airtime of the last hour at each step, at a bandwidth that changes."""
+    air = Airtime(Budget(1000), 2, duty_cycle=share)
+    sent: list[tuple[int, Fraction]] = []
+    now, allowed = 0, Fraction(round(share * HOUR_S * STEP), STEP)
+    for wait, bandwidth, wanted in transmissions:
+        air.set_budget(Budget(bandwidth))
+        for _ in range(wait + 1):
+            now += 1
+            air.next_step({0: [1], 1: [0]})
+        used = sum((airtime for step, airtime in sent if step > now - HOUR_S), Fraction())
+        left = int((allowed - used) * bandwidth)
+        assert (air.own(0).limit, air.own(1).limit) == (left, int(allowed * bandwidth))
+        size = min(wanted, left, bandwidth)
+        if size:
+            air.book(0, size)
+            sent.append((now, Fraction(-(-size * STEP // bandwidth), STEP)))
+
+
+def test_an_unlimited_bandwidth_has_no_duty_cycle() -> None:
     air = Airtime(Budget(100), 1, duty_cycle=0.01)
-    sent = []
-    for _ in range(2 * HOUR_S):
-        air.next_step({0: []})
-        size = min(100, air.room(0).limit or 0)
-        air.book(0, size)
-        sent.append(size)
-    # The bucket begins with an hour's bytes, and then refills step by step.
-    assert sum(sent) == pytest.approx(3 * HOUR_S, abs=2)
-    assert sum(sent[HOUR_S:]) == pytest.approx(HOUR_S, abs=2)
+    air.set_budget(UNLIMITED)
+    air.next_step({0: []})
+    assert air.room(0) == UNLIMITED
 
 
 def test_a_small_budget_per_step_is_saved_for_a_frame() -> None:

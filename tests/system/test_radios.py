@@ -177,6 +177,7 @@ def test_the_digest_is_the_same_on_both_buses(dissemination: str) -> None:
         "shadowing_db": 6.0,
         "partition": APART,
         "delay": 1,
+        "duty_cycle": 0.002,
     }
     scenario = FLOOR | {
         "map_encoding": "predictive",

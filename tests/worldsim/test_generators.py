@@ -32,7 +32,9 @@ WITH_SOLID_OBJECTS = {
     "office-obstacles",
     "campus",
     "burgard-unstructured",
+    "warehouse",
 }
+PAPERS = ("Meier", "Faigl", "Al-khawaldah", "leader paper", "Burgard", "Roodbergen")
 SEEDS = range(12)
 ALL_AROUND = np.ones((3, 3), bool)
 
@@ -130,7 +132,7 @@ def test_every_environment_is_described_in_one_line_with_its_paper(name: str) ->
     line = describe(name)
     assert "\n" not in line
     assert len(line) <= 110
-    assert any(paper in line for paper in ("Meier", "Faigl", "Al-khawaldah", "leader paper", "Burgard"))
+    assert any(paper in line for paper in PAPERS)
 
 
 @pytest.mark.parametrize("name", sorted(set(names()) - WITH_SOLID_OBJECTS))
@@ -178,6 +180,9 @@ def test_an_unknown_name_lists_the_known_ones() -> None:
             r"height_m is 5\.0 m; with cells of 0\.1 m it must be at least 18 m and at most 204\.8 m",
         ),
         ("mixed", {"width_m": float("nan")}, "width_m is nan"),
+        ("office", {"clutter": 1}, "office has no parameter 'clutter'; it has width_m, height_m, resolution"),
+        ("warehouse", {"clutter": 21}, "clutter is 21; it must be 0 to 20 pallets per 100 square meters"),
+        ("warehouse", {"clutter": float("nan")}, "clutter is nan; it must be 0 to 20 pallets"),
     ],
 )
 def test_error_states_the_valid_range_of_a_parameter(
@@ -506,3 +511,66 @@ def test_burgards_unstructured_world_has_an_irregular_outline_and_objects() -> N
         world = make("burgard-unstructured", seed)
         assert 0.05 < (world.cells == UNKNOWN).mean() < 0.45
         assert 25 <= len(objects(world.cells)) <= 60
+
+
+# The warehouse
+
+
+def racks_and_pallets(world: Map) -> tuple[list[Any], list[Any]]:
+    """Return the slices of racks, and of the smaller pallets."""
+    boxes = [box for box, _ in objects(world.cells)]
+    longest = {id(box): max(side.stop - side.start for side in box) * world.resolution for box in boxes}
+    return [box for box in boxes if longest[id(box)] > 1.5], [box for box in boxes if longest[id(box)] <= 1.5]
+
+
+def test_racks_are_solid_and_have_aisles_on_both_sides() -> None:
+    for seed in SEEDS:
+        world = make("warehouse", seed, clutter=0)
+        assert has_size(world, 40.0, 30.0)
+        racks, pallets = racks_and_pallets(world)
+        assert len(racks) >= 10
+        assert not pallets
+        for rows, columns in racks:
+            around = np.pad(world.cells, 1)[rows, columns.start - 23 : columns.stop + 23]
+            assert (around[:, 23:-23] == OCCUPIED).all()
+            assert (around[:, :23] == FREE).all(), "an aisle on the left"
+            assert (around[:, -23:] == FREE).all(), "an aisle on the right"
+            assert columns.stop - columns.start == 22
+            assert rows.stop - rows.start <= 130
+
+
+def test_trailers_stand_at_some_of_the_docks() -> None:
+    counts = set()
+    for seed in SEEDS:
+        world = make("warehouse", seed)
+        behind = world.cells[-20] == FREE
+        starts = np.flatnonzero(behind & ~np.roll(behind, 1))
+        widths = np.array([np.argmin(behind[start:]) for start in starts])
+        assert (widths == 25).all()
+        assert (np.diff(starts) % 45 == 0).all()
+        counts.add(len(starts))
+    assert min(counts) >= 1
+    assert len(counts) > 2
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 2**40), st.floats(20, 80), st.floats(20, 80), st.floats(0, 20))
+def test_a_warehouse_of_any_size_and_clutter_is_connected_and_deterministic(
+    seed: int, width_m: float, height_m: float, clutter: float
+) -> None:
+    options = {"width_m": width_m, "height_m": height_m, "clutter": clutter, "resolution": 0.2}
+    world = make("warehouse", seed, **options)
+    check_enclosed_and_connected(world)
+    assert make("warehouse", seed, **options).cells.tobytes() == world.cells.tobytes()
+    assert racks_and_pallets(world)[0], "at least one rack"
+
+
+def test_clutter_is_pallets_that_stand_free() -> None:
+    for seed in SEEDS:
+        plain, some, many = (make("warehouse", seed, clutter=clutter) for clutter in (0, 3, 10))
+        racks, few = racks_and_pallets(some)
+        assert len(racks) == len(racks_and_pallets(plain)[0])
+        assert 15 <= len(few) < len(racks_and_pallets(many)[1])
+        assert {
+            tuple(sorted((rows.stop - rows.start, columns.stop - columns.start))) for rows, columns in few
+        } == {(8, 12)}

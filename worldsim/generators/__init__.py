@@ -1,4 +1,4 @@
-"""The environments of the papers, drawn from a seed: `make("office", seed=3)`.
+"""The environments of the papers, and a warehouse, drawn from a seed: `make("office", seed=3)`.
 
 The papers show most of them only as pictures. The environments drawn here have the size and the features that
 the texts describe; a seed determines rooms, doors and objects. Environments without random parts (`em`, `two-circles`,
@@ -15,6 +15,7 @@ import numpy as np
 from protocol.errors import there_are
 from worldsim.generators import alkhawaldah, burgard, faigl, leader, meier
 from worldsim.generators.drawing import Environment
+from worldsim.generators.warehouse import warehouse
 from worldsim.map_error import MapError
 from worldsim.maps import Map
 
@@ -37,6 +38,7 @@ _ENVIRONMENTS: dict[str, Environment] = {
     "burgard-office": burgard.office,
     "burgard-corridor": burgard.corridor,
     "burgard-unstructured": burgard.unstructured,
+    "warehouse": warehouse,
 }
 
 
@@ -56,7 +58,7 @@ def make(name: str, seed: int = 0, **parameters: float) -> Map:
     """Draw an environment; the same `seed`, 0 or more, and parameters give the same cells.
 
     `parameters` replace the paper's values: `resolution` (meters per cell), and, if the size is variable, `width_m` and
-    `height_m`, or `side_m` (meters).
+    `height_m`, or `side_m` (meters); of the warehouse, also `clutter`.
 
     Raises MapError if the name or a parameter is unknown, or a value is out of range.
     """

@@ -205,7 +205,7 @@ EXPLORE = {
     "--set radius=1e6 --set sensor_range=1e6": "radius = 1e+06 m: exceeds the largest map with cells of 0.1 m",
     "--unknown-flag": "No such option: --unknown-flag",
     "afar.toml": "change.0.range = 1e+300: must be a distance of 0 or more: meters, as 12.5, or a share of the",
-    "preset.toml": "radio.preset = ['wifi']: must be text",
+    "preset.toml": "radio.preset = ['wifi']: must be one name",
     "reuse.toml": "reuse = 'yes': must be true or false",
     f"--set radio.delay={400 * '9'}": "999: must lie between -2147483647 and 2147483647",
     f"--set laser.beams={400 * '9'}": "999: must lie between -2147483647 and 2147483647",

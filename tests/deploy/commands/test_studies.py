@@ -206,10 +206,33 @@ def test_teams_are_compared_by_the_command(tmp_path: Path) -> None:
     assert written >= {"boxes.svg", "curves.svg", "means-table.tex"}
 
 
+def test_size_prints_a_line_per_radio_and_progress_from_the_beginning(tmp_path: Path) -> None:
+    words = [
+        "--radio",
+        "wifi,lora-sf9",
+        "--map",
+        "leader-rooms",
+        "--robots",
+        "1",
+        "--seeds",
+        "1",
+        "--jobs",
+        "1",
+    ]
+    words += ["--sensor-range", "2.5", "--speed", "1.0", "--out", str(tmp_path / "size")]
+    code, text, errors = command(*words, of="size")
+    assert code == 0, errors
+    assert errors.splitlines()[:2] == ["size: begins", "size: 0 of 2"]
+    assert "legal limit" in text and "ETSI EN 300 220-2, 868.0 to 868.6 MHz" in text
+    assert "Duty cycles keep the legal limit (lora-sf9)" in text
+    assert (tmp_path / "size" / "radios.csv").exists()
+    assert command(*words, "--deadline", "2", of="size")[0] == 1
+
+
 @pytest.mark.parametrize(
     ("words", "output"),
     [
-        (["compare"], "give either scenario files, --strategies or --map-encodings"),
+        (["compare"], "give either scenario files, --strategies, --map-encodings or --radios"),
         (["compare", "--strategies", "meier,meyer"], "did you mean meier"),
         (["compare", "--strategies", "meier"], "nothing to compare"),
         (
@@ -217,6 +240,17 @@ def test_teams_are_compared_by_the_command(tmp_path: Path) -> None:
             "robots = 'two': must be whole numbers of at most 256, as 2..8 or 2,4,8",
         ),
         (["size", "--bandwidth", "much"], "must be a whole number of bytes per step"),
+        (["size", "--radio", "zigbee,zigby"], "no radio preset is called 'zigby'; did you mean zigbee"),
+        (
+            ["size", "--radio", "zigbee", "--range", "5"],
+            "sets bandwidth and range; omit --bandwidth and --range",
+        ),
+        (
+            ["size", "--set", 'radio.preset=["zigbee"]'],
+            "must be one name; lists are axes of sweep, compare, and size",
+        ),
+        (["compare", "--radios", "zigbee,zigby"], "no radio preset is called 'zigby'; did you mean zigbee"),
+        (["sweep", "lossy.toml", "--set", 'radio.preset=["zigbee","zigby"]'], "'zigby'; did you mean zigbee"),
         (["reproduce", "X9"], "no claim is called 'X9'"),
         (["sweep", "lossy.toml", "--scheduler", "nowhere"], "scheduler = 'nowhere'"),
     ],

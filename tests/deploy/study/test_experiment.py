@@ -182,8 +182,8 @@ def test_a_table_in_the_grid_sets_all_its_keys_and_goes_by_its_own(tmp_path: Pat
 
 
 def test_a_dotted_name_whose_parent_is_no_table_is_rejected(tmp_path: Path) -> None:
-    text = "[base]\nradio = 'lora-sf9'\n'radio.loss' = 0.2\n"
-    with pytest.raises(ScenarioError, match=r"radio = 'lora-sf9': must be a table, for 'radio\.loss' sets"):
+    text = "[base]\npeople = 3\n'people.number' = 2\n"
+    with pytest.raises(ScenarioError, match=r"people = 3: must be a table, for 'people\.number' sets"):
         runs.cases(experiments.read(write(tmp_path, text)))
 
 

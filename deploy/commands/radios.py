@@ -1,0 +1,66 @@
+"""`murmur radio`: list radio presets, and show their coverage."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.text import Text
+
+from deploy.commands.console import screen
+from deploy.commands.flags import Subcommands, command_family, output_file, position
+from protocol.presets import PRESETS
+
+app = command_family()
+radio_app = typer.Typer(
+    cls=Subcommands,
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    help="List radio presets, and show their coverage.",
+)
+app.add_typer(radio_app, name="radio")
+
+
+@radio_app.command("list")
+def radio_list() -> None:
+    """List the radio presets, with ranges behind walls and legal limits (docs/radios.md)."""
+    width = max(map(len, PRESETS))
+    for name, preset in PRESETS.items():
+        assert preset.link is not None
+        ranges = ", ".join(f"{preset.link.range_m(walls)}" for walls in (0, 2, 4))
+        duty = f"{100 * preset.limit.duty_cycle:g} %" if preset.limit.duty_cycle < 1 else "no"
+        screen.print(
+            Text.assemble(
+                (f"{name:{width}}", "bold"),
+                f"  {preset.description}; {preset.bandwidth} bytes per second; {ranges} m behind 0, 2, 4 walls; ",
+                f"{duty} duty cycle, {preset.limit.source}",
+            )
+        )
+
+
+@radio_app.command("coverage")
+def radio_coverage(
+    names: Annotated[str, typer.Argument(metavar="NAME,...", help="radio presets, a panel each")],
+    map_: Annotated[str, typer.Option("--map", metavar="FILE|NAME", help="the building")] = "office",
+    map_seed: Annotated[int, typer.Option(min=0, metavar="S", help="the generator's seed")] = 0,
+    at: Annotated[
+        str | None, typer.Option(metavar="X,Y", help="the place in meters (default: where robots start)")
+    ] = None,
+    out: Annotated[
+        Path, typer.Option(metavar="FILE.png", callback=output_file(".png"), help="the picture")
+    ] = Path("coverage.png"),
+) -> None:
+    """Draw where robots receive one that stands in one place, with each of some radio presets."""
+    from deploy.record.coverage import draw_coverage  # noqa: PLC0415
+    from deploy.scenario import plan as plans  # noqa: PLC0415
+    from deploy.scenario.scenario import load  # noqa: PLC0415
+
+    settings = {"map": map_, "map_seed": map_seed, "robots": 1, "start": position(at, "at") if at else None}
+    listed = [name.strip() for name in names.split(",")]
+    shares = draw_coverage(
+        out, {name: plans.make(load(None, {**settings, "radio.preset": name})) for name in listed}
+    )
+    for name, share in shares.items():
+        screen.print(f"{name}: {100 * share:.1f} % of the free cells are in range")
+    screen.print(f"drawn to {out}")
