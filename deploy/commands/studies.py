@@ -288,7 +288,7 @@ def size(
     if radio is not None:
         if bandwidth is not None or range_ is not None:
             raise ValueError(f"radio = {radio!r}: sets bandwidth and range; omit --bandwidth and --range")
-        size_radios(map_, items(radio), out, set_ or [], settings, common)
+        size_radios(map_, items(radio), out, set_ or [], settings, common, style)
     from deploy.study import sizing  # noqa: PLC0415
 
     settings |= other_settings(set_ or [], sizing.size, "radius=0.2", settings)
@@ -312,6 +312,7 @@ def size_radios(
     texts: list[str],
     settings: dict[str, Any],
     common: dict[str, Any],
+    style: Any,
 ) -> NoReturn:
     """Find the smallest team for each radio, print the table, and end the command.
 
@@ -328,7 +329,7 @@ def size_radios(
     print_table(terminal.table(done.lines))
     for sentence in done.sentences:
         screen.print(sentence)
-    screen.print(f"Results: {out} (start with {done.write(out)[0]})")
+    screen.print(f"Results: {out} (start with {done.write(out, style)[0]})")
     end_study(done.failures, 0 if any(answer.is_enough for answer in done.answers) else 1)
 
 

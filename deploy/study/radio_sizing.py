@@ -21,6 +21,8 @@ from deploy.run.workers import workers
 from deploy.scenario.radio_presets import preset_of
 from deploy.study import plots
 from deploy.study.experiment import listed
+from deploy.study.figure_style import DEFAULT, FigureStyle
+from deploy.study.paper_tables import texts, write_tables
 from deploy.study.plots import Plot
 from deploy.study.progress import Report, counting
 from deploy.study.results import Results, Row, make_folder, write_table
@@ -169,16 +171,17 @@ class RadioSizing:
             for a in self.answers
         )  # fmt: skip
 
-    def plot(self) -> Figure:
+    def plot(self, style: FigureStyle = DEFAULT) -> Figure:
         """Steps over the number of robots, with a curve per radio and 95 % intervals."""
         plot = Plot("steps", "robots", lines="radio", ylabel="exploration time (steps)", finished_only=False)
-        return plots.draw(plot, self.rows, self.results)
+        return plots.draw(plot, self.rows, self.results, style)
 
-    def write(self, folder: Path) -> list[Path]:
-        """Write ``radios.png`` and ``radios.csv``."""
+    def write(self, folder: Path, style: FigureStyle = DEFAULT) -> list[Path]:
+        """Write ``radios.png`` and ``radios.csv``, and all formats of a style."""
         files = [folder / "radios.png", folder / "radios.csv"]
-        plots.save(self.plot(), files[0])
+        style.save(self.plot(style), files[0])
         write_table(self.table, files[1])
+        write_tables(folder / "radios", style, texts(self.table), self.table)
         return files
 
     def __repr__(self) -> str:
