@@ -29,7 +29,7 @@ def robot_table(archive: Archive) -> list[list[str]]:
     """The lines of the table, its head first; a dash stands for what a run does not have."""
     summary, ledger = archive.summary, archive.ledger
     robots = range(summary["robots"])
-    reachable = archive.plan.make_world().reachable
+    reachable = archive.plan.reachable if archive.plan.has_truth else None
     carried = ledger["carried"].astype(bool)
     sent = np.bincount(ledger["sender"][carried], ledger["bytes"][carried], len(robots)).astype(int)
     received, first = received_bytes(archive), seen_first(archive)
@@ -46,7 +46,7 @@ def robot_table(archive: Archive) -> list[list[str]]:
                 f"{idle_steps(track):,}",
                 f"{int(seen[-1]):,}" if len(seen) else "-",
                 f"{first[robot]:,}",
-                "-" if planning is None else f"{100 * (planning[reachable] == FREE).mean():.1f} %",
+                "-" if planning is None or reachable is None else f"{100 * (planning[reachable] == FREE).mean():.1f} %",
                 f"{sent[robot]:,}",
                 "-" if received is None else f"{received[robot]:,}",
                 status,

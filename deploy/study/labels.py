@@ -13,17 +13,19 @@ SHARE: Final = "share"
 NAMES: Final = {
     "steps": "exploration time", "explored": "explored area", "carried": "transmitted", "robots": "number of robots",
     "range": "communication range", "bytes.total": "transmitted", "t50": "time to 50 %", "t90": "time to 90 %",
-    "t99": "time to 99 %",
+    "t99": "time to 99 %", "known_at": "time until a robot knows the full map",
 }  # fmt: skip
 """Names of metrics and settings, where they differ from their keys."""
 
 UNITS: Final = {
-    "steps": "steps", "t50": "steps", "t90": "steps", "t99": "steps", "explored_at": "steps", "missed_steps": "steps",
+    "steps": "steps", "t50": "steps", "t90": "steps", "t99": "steps", "explored_at": "steps", "known_at": "steps",
+    "missed_steps": "steps",
     "over_budget_steps": "steps", "missed_phases": "phases", "protocol_errors": "errors", "tolerance": "cells",
     "coverage": "share of reachable cells", "explored": "share of reachable cells",
-    "map_accuracy": "share of reachable cells", "claimed_map_accuracy": "share of reachable cells",
+    "map_accuracy": "share of reachable cells", "mean_map_accuracy": "share of reachable cells",
+    "worst_map_accuracy": "share of reachable cells", "claimed_map_accuracy": "share of reachable cells",
     "approximation_error": "share of cells", "approximation_error_net": "share of cells",
-    "overlap": "share of seen cells", "finished": "share of runs", "carried": "bytes per step",
+    "overlap": "share of seen cells", "duty_cycle": "share of an hour", "finished": "share of runs", "carried": "bytes per step",
     "bandwidth": "bytes per step", "raw_scan_bytes": "bytes", "sensor_range": "m", "range": "m",
     "speed": "m per step", "steps_per_s": "steps per s", "robots": "",
 }  # fmt: skip

@@ -112,8 +112,6 @@ NOT_RUN = {
     "ros2 run rmw_zenoh_cpp rmw_zenohd",
     "murmur robot robot.toml",
     "murmur stop record",
-    "murmur merge r0/start-1 r1/start-1 r2/start-1 --out team",
-    "murmur capture team --robot 2",
     # They need five terminals; see tests/system/test_by_hand.py.
     f"{RELAY} 127.0.0.1:7447 --credentials credentials",
     "murmur run worldsim hand.toml --credential credentials/world.json",

@@ -189,7 +189,7 @@ def test_without_handshakes_there_are_no_answers(name: str, acks: bool) -> None:
 
 
 def test_an_unknown_dissemination_is_refused_with_those_that_exist() -> None:
-    with pytest.raises(ValueError, match="'often'; choose from: backoff, thesis, gossip"):
+    with pytest.raises(ValueError, match="'often'; there are: backoff, thesis, gossip"):
         engine("often")
 
 
