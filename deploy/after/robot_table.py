@@ -46,7 +46,9 @@ def robot_table(archive: Archive) -> list[list[str]]:
                 f"{idle_steps(track):,}",
                 f"{int(seen[-1]):,}" if len(seen) else "-",
                 f"{first[robot]:,}",
-                "-" if planning is None or reachable is None else f"{100 * (planning[reachable] == FREE).mean():.1f} %",
+                "-"
+                if planning is None or reachable is None
+                else f"{100 * (planning[reachable] == FREE).mean():.1f} %",
                 f"{sent[robot]:,}",
                 "-" if received is None else f"{received[robot]:,}",
                 status,

@@ -22,8 +22,6 @@ UNITS: Final = {
     "missed_steps": "steps",
     "over_budget_steps": "steps", "missed_phases": "phases", "protocol_errors": "errors", "tolerance": "cells",
     "coverage": "share of reachable cells", "explored": "share of reachable cells",
-    "map_accuracy": "share of reachable cells", "mean_map_accuracy": "share of reachable cells",
-    "worst_map_accuracy": "share of reachable cells", "claimed_map_accuracy": "share of reachable cells",
     "approximation_error": "share of cells", "approximation_error_net": "share of cells",
     "overlap": "share of seen cells", "duty_cycle": "share of an hour", "finished": "share of runs", "carried": "bytes per step",
     "bandwidth": "bytes per step", "raw_scan_bytes": "bytes", "sensor_range": "m", "range": "m",
@@ -36,7 +34,7 @@ TABLES: Final = {"bytes": "bytes", "packets": "packets", "undelivered": "frames"
 
 SUFFIXES: Final = {
     "ms": "ms", "us": "µs", "us_median": "µs", "s": "s", "m": "m", "bytes": "bytes", "f1": SHARE,
-    "precision": SHARE, "recall": SHARE, "walls_within_tolerance": SHARE, "ratio": SHARE,
+    "precision": SHARE, "recall": SHARE, "map_accuracy": "share of reachable cells", "walls_within_tolerance": SHARE, "ratio": SHARE,
 }  # fmt: skip
 """Units by the last parts of a key, which underscores separate."""
 
