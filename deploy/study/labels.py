@@ -23,8 +23,8 @@ UNITS: Final = {
     "over_budget_steps": "steps", "missed_phases": "phases", "protocol_errors": "errors", "tolerance": "cells",
     "coverage": "share of reachable cells", "explored": "share of reachable cells",
     "approximation_error": "share of cells", "approximation_error_net": "share of cells",
-    "overlap": "share of seen cells", "duty_cycle": "share of an hour", "finished": "share of runs", "carried": "bytes per step",
-    "bandwidth": "bytes per step", "raw_scan_bytes": "bytes", "sensor_range": "m", "range": "m",
+    "overlap": "share of seen cells", "duty_cycle": "share of an hour", "finished": "share of runs",
+    "carried": "bytes per step", "bandwidth": "bytes per step", "raw_scan_bytes": "bytes", "sensor_range": "m", "range": "m",
     "speed": "m per step", "steps_per_s": "steps per s", "robots": "",
 }  # fmt: skip
 """Units of metrics and settings that neither their table nor their suffix determines."""
@@ -34,7 +34,8 @@ TABLES: Final = {"bytes": "bytes", "packets": "packets", "undelivered": "frames"
 
 SUFFIXES: Final = {
     "ms": "ms", "us": "µs", "us_median": "µs", "s": "s", "m": "m", "bytes": "bytes", "f1": SHARE,
-    "precision": SHARE, "recall": SHARE, "map_accuracy": "share of reachable cells", "walls_within_tolerance": SHARE, "ratio": SHARE,
+    "precision": SHARE, "recall": SHARE, "map_accuracy": "share of reachable cells",
+    "walls_within_tolerance": SHARE, "ratio": SHARE,
 }  # fmt: skip
 """Units by the last parts of a key, which underscores separate."""
 
