@@ -24,7 +24,8 @@ UNITS: Final = {
     "coverage": "share of reachable cells", "explored": "share of reachable cells",
     "approximation_error": "share of cells", "approximation_error_net": "share of cells",
     "overlap": "share of seen cells", "duty_cycle": "share of an hour", "finished": "share of runs",
-    "carried": "bytes per step", "bandwidth": "bytes per step", "raw_scan_bytes": "bytes", "sensor_range": "m", "range": "m",
+    "carried": "bytes per step", "bandwidth": "bytes per step",
+    "raw_scan_bytes": "bytes", "sensor_range": "m", "range": "m",
     "speed": "m per step", "steps_per_s": "steps per s", "robots": "",
 }  # fmt: skip
 """Units of metrics and settings that neither their table nor their suffix determines."""
