@@ -318,7 +318,7 @@ def size_radios(
 
     Progress begins before the libraries are loaded.
     """
-    with counting(errors, "size") as report, stopping(common["out"]):
+    with counting(errors, "size", announce=True) as report, stopping(common["out"]):
         from deploy.study import radio_sizing  # noqa: PLC0415
 
         settings |= other_settings(texts, radio_sizing.size_radios, "radius=0.2", settings)

@@ -100,7 +100,7 @@ def explore(file: RobotFile, say: Say) -> Ending:
         ros = Ros2Robot(file.settings)
         stack.callback(ros.close)
         if not wait_for_readings(ros, stop, say):
-            return Ending(stop.reason, is_complete=False)
+            return Ending(f"stopped by {stop.reason}", is_complete=False)
         return Mission(file, key, ros, transport, stop, say).run()
 
 
@@ -186,9 +186,10 @@ class Mission:
             raise StoppedError
 
     def _is_stopped(self) -> bool:
-        if self._stop.reason:
-            self._reason = f"stopped by {self._stop.reason}"
-        return bool(self._stop.reason)
+        reason = self._stop.reason
+        if reason:
+            self._reason = f"stopped by {reason}"
+        return bool(reason)
 
     def _is_over(self, step: int) -> bool:
         """Return whether the mission ends after `step` steps, and note the reason."""

@@ -21,9 +21,14 @@ Report = Callable[[int, int], object]
 
 
 @contextlib.contextmanager
-def counting(console: Console, title: str) -> Iterator[Report]:
-    """Show a progress bar with the remaining time; occasional lines if `console` is no terminal and no notebook."""
+def counting(console: Console, title: str, *, announce: bool = False) -> Iterator[Report]:
+    """Show a progress bar with the remaining time; occasional lines if `console` is no terminal and no notebook.
+
+    With `announce`, the first of these lines is printed before the work begins.
+    """
     if not (console.is_terminal or console.is_jupyter):
+        if announce:
+            console.print(f"{title}: begins")
         yield _lines(console, title)
         return
     columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), "left", TimeRemainingColumn())
@@ -33,10 +38,9 @@ def counting(console: Console, title: str) -> Iterator[Report]:
 
 
 def _lines(console: Console, title: str) -> Report:
-    """Print a line now, then after finished items: at first often, later every `INTERVAL_S`."""
+    """Print a line after finished items: at first often, later every `INTERVAL_S`."""
     began = printed = time.monotonic()
     before: int | None = None
-    console.print(f"{title}: begins")
 
     def report(done: int, total: int) -> None:
         nonlocal printed, before

@@ -97,7 +97,7 @@ def test_the_command_writes_a_gif_and_prints_its_name(tmp_path: Path) -> None:
     out = tmp_path / "film.gif"
     done = CliRunner().invoke(app, ["movie", str(small_directory()), "--gif", "--out", str(out)])
     assert done.exit_code == 0, done.output
-    assert done.output.startswith(f"{out}: ")
+    assert done.stdout.startswith(f"{out}: ")
     with Image.open(out) as film:
         assert film.size == (960, frames().size[1] * 960 // 1280 // 2 * 2)
         assert film.n_frames >= 40  # type: ignore[attr-defined]

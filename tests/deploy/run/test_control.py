@@ -126,6 +126,6 @@ def test_changes_in_a_scenario_are_validated() -> None:
         parse(SETTINGS | {"change": [{"step": 0, "bandwidth": 3}]})
     with pytest.raises(ScenarioError, match=r"must be tables, \[\[change\]\], of step, bandwidth, range"):
         parse(SETTINGS | {"change": 3})
-    with pytest.raises(ScenarioError, match="must be limited then"):
+    with pytest.raises(ScenarioError, match=r"a share of the bandwidth, which must be limited"):
         change = {"step": 4, "bandwidth": "unlimited"}
         parse(SETTINGS | {"radio": {"duty_cycle": 0.5}, "change": [change]})
