@@ -85,7 +85,7 @@ def test_radios_are_an_axis_of_sweeps_and_comparisons() -> None:
 
 def test_progress_without_a_terminal_begins_at_once_and_estimates_the_rest() -> None:
     text = io.StringIO()
-    with counting(Console(file=text), "size") as report:
+    with counting(Console(file=text), "size", announce=True) as report:
         assert text.getvalue() == "size: begins\n"
         report(2, 6)
         report(3, 6)
