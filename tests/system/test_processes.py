@@ -183,7 +183,7 @@ def test_an_interrupt_ends_all_children_and_writes_the_results_so_far(tmp_path: 
         wait_for_steps(tmp_path / "run", process)
         family = descendants(process)
         os.kill(process.pid, number)
-        time.sleep(0.5)
+        time.sleep(0.1)
         os.kill(process.pid, number)  # once more, for the end takes a while
         code, output, _ = finish(process, 30)
     assert code == 1

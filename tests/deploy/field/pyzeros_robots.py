@@ -5,6 +5,7 @@ pyzeros has no transient local publishers. Maps and static transforms are theref
 
 from __future__ import annotations
 
+import asyncio
 import os
 import sys
 import threading
@@ -137,6 +138,8 @@ class PyzerosSwarm:
         self.swarm = Swarm(plan, SwarmSettings(rate), time.time_ns())
         self.ignored: list[str] = []
         """Messages that robots did not understand."""
+        self._loop = asyncio.new_event_loop()
+        asyncio.set_event_loop(self._loop)  # publishers need one, and earlier tests may have closed theirs
         self._nodes = [PyzerosNode(router, f"r{number}") for number in range(len(self.swarm.robots))]
         least = plan.scenario.laser.min_range_m
         self._robots = [
@@ -153,6 +156,8 @@ class PyzerosSwarm:
         self._thread.join(10)
         for each in self._nodes:
             each.close()
+        asyncio.set_event_loop(None)
+        self._loop.close()
 
     def _live(self) -> None:
         swarm = self.swarm
