@@ -91,7 +91,7 @@ def test_a_robot_that_cannot_drive_gets_the_map_of_its_teammate_over_udp(start: 
     assert summary["worst_walls_within_tolerance"] > 0.9
     known = merged.maps["team"][house() == FREE]
     assert np.count_nonzero(known == FREE) > 0.95 * known.size
-    assert summary["path_length"][0] > 3
+    assert summary["path_length"][0] > 1
     assert summary["path_length"][1] == 0
     page = write_report(tmp_path / "team").read_text(encoding="utf-8")
     assert "Explored in" in page
