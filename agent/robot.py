@@ -21,7 +21,7 @@ from agent.encodings.base import MapEncoding
 from agent.encodings.catalog import check_entries, encoding_class, make_encoding
 from agent.mapping.mapper import WALL, cell_ahead, make_mapper
 from agent.outline.polygons import Polygons
-from agent.planning.noisy_grid import NoisyGrid, narrow_cells, shortest_frontier
+from agent.planning.noisy_grid import NoisyGrid, shortest_frontier
 from agent.planning.path_planner import PathPlanner
 from agent.planning.second_look import SecondLook
 from agent.replication.digests import INTERVAL
@@ -33,6 +33,7 @@ from agent.strategies.base import Cell, Decision, Pose, Situation
 from agent.strategies.registry import strategy
 from agent.team_state import TeamState
 from protocol import packet_index, packets
+from protocol.body import narrowest_opening
 from protocol.errors import ProtocolError
 from protocol.grid import OCCUPIED, Grid
 from protocol.messages import (
@@ -95,7 +96,7 @@ class Robot:
         """The self-explored grid."""
         self.planning: Grid = self.own.copy()
         """The planning grid: the self-explored one merged with teammates' maps."""
-        narrow = narrow_cells(settings.body.radius_cells, settings.resolution)
+        narrow = narrowest_opening(settings.body.radius_cells, settings.resolution)
         self._noisy_grid = None
         if settings.laser is not None:
             shortest = shortest_frontier(settings.laser, settings.body.range_cells)
