@@ -51,8 +51,11 @@ SURE_AFTER = 10
 by then teammates have sent more of areas that looked insignificant when they first saw them."""
 
 SURE_AFTER_NOISE = 3
-"""The same for maps of noisy lasers, where a false wall may close a doorway for some steps. A robot does not wait if
-nothing would be left even if all walls were open of which it is not certain."""
+"""The same for a single robot with a noisy laser, where a false wall may close a doorway for some steps. A robot does
+not wait if nothing would be left even if all walls were open of which it is not certain."""
+
+SURE_AFTER_NOISE_IN_TEAM = 1
+"""The same in a team, where a second robot must agree (`worldsim.ending`)."""
 
 SURE_AFTER_LOG = 20
 """Steps for which a robot that replays a log must have nothing to deliver: changes may wait until they are encoded."""
@@ -73,7 +76,9 @@ def sure_after(settings: Settings) -> int:
     if not strategy(settings.strategy).explores:
         return SURE_AFTER_LOG
     if not encoding_class(settings.encoding.name).infers_cells(settings):
-        return 0 if settings.laser is None else SURE_AFTER_NOISE
+        in_team = settings.robots > 1
+        noise = SURE_AFTER_NOISE_IN_TEAM if in_team else SURE_AFTER_NOISE
+        return 0 if settings.laser is None else noise
     return 2 * SURE_AFTER if settings.replication.requires_acks else SURE_AFTER
 
 
@@ -276,11 +281,15 @@ class Robot:
         return replace(decision, explored=False, status="waiting to try targets again that it did not reach")
 
     def _look_again(self, situation: Situation, decision: Decision) -> Decision:
-        """Return a decision that does not end the run yet if a person may stand before a frontier."""
+        """Return a decision that does not end the run yet if a person may stand before a frontier.
+
+        A robot to which teammates leave no target looks again as well.
+        """
         if self._second_look is None:
             return decision
-        self._second_look.note(situation.grid, explored=decision.explored)
-        way = self._second_look.way(situation.grid, situation.here) if decision.explored else None
+        is_idle = decision.explored or (decision.target is None and not len(decision.path))
+        self._second_look.note(situation.grid, is_idle=is_idle)
+        way = self._second_look.way(situation.grid, situation.here) if is_idle else None
         if way is None:
             return decision
         return replace(decision, path=way, explored=False, status="looking again at a wall before a frontier")
@@ -296,7 +305,7 @@ class Robot:
 
     def _waiting_steps(self, situation: Situation) -> int:
         """Return for how many steps nothing must have been left: none if no doubtful wall can hide a frontier."""
-        if self._noisy_grid is None or self._sure_after != SURE_AFTER_NOISE:
+        if self._noisy_grid is None or self._sure_after > SURE_AFTER_NOISE:
             return self._sure_after
         doubtful = (self.own == OCCUPIED) & ~self.settled
         grid = self._noisy_grid.clean_optimistic(self.planning, doubtful)
