@@ -21,7 +21,7 @@ from agent.encodings.base import MapEncoding
 from agent.encodings.catalog import check_entries, encoding_class, make_encoding
 from agent.mapping.mapper import WALL, cell_ahead, make_mapper
 from agent.outline.polygons import Polygons
-from agent.planning.noisy_grid import NoisyGrid, narrow_cells, shortest_frontier
+from agent.planning.noisy_grid import NoisyGrid, shortest_frontier
 from agent.planning.path_planner import PathPlanner
 from agent.planning.second_look import SecondLook
 from agent.replication.digests import INTERVAL
@@ -33,6 +33,7 @@ from agent.strategies.base import Cell, Decision, Pose, Situation
 from agent.strategies.registry import strategy
 from agent.team_state import TeamState
 from protocol import packet_index, packets
+from protocol.body import narrowest_opening
 from protocol.errors import ProtocolError
 from protocol.grid import OCCUPIED, Grid
 from protocol.messages import (
@@ -50,8 +51,11 @@ SURE_AFTER = 10
 by then teammates have sent more of areas that looked insignificant when they first saw them."""
 
 SURE_AFTER_NOISE = 3
-"""The same for maps of noisy lasers, where a false wall may close a doorway for some steps. A robot does not wait if
-nothing would be left even if all walls were open of which it is not certain."""
+"""The same for a single robot with a noisy laser, where a false wall may close a doorway for some steps. A robot does
+not wait if nothing would be left even if all walls were open of which it is not certain."""
+
+SURE_AFTER_NOISE_IN_TEAM = 1
+"""The same in a team, where a second robot must agree (`worldsim.ending`)."""
 
 SURE_AFTER_LOG = 20
 """Steps for which a robot that replays a log must have nothing to deliver: changes may wait until they are encoded."""
@@ -72,7 +76,9 @@ def sure_after(settings: Settings) -> int:
     if not strategy(settings.strategy).explores:
         return SURE_AFTER_LOG
     if not encoding_class(settings.encoding.name).infers_cells(settings):
-        return 0 if settings.laser is None else SURE_AFTER_NOISE
+        in_team = settings.robots > 1
+        noise = SURE_AFTER_NOISE_IN_TEAM if in_team else SURE_AFTER_NOISE
+        return 0 if settings.laser is None else noise
     return 2 * SURE_AFTER if settings.replication.requires_acks else SURE_AFTER
 
 
@@ -95,7 +101,7 @@ class Robot:
         """The self-explored grid."""
         self.planning: Grid = self.own.copy()
         """The planning grid: the self-explored one merged with teammates' maps."""
-        narrow = narrow_cells(settings.body.radius_cells, settings.resolution)
+        narrow = narrowest_opening(settings.body.radius_cells, settings.resolution)
         self._noisy_grid = None
         if settings.laser is not None:
             shortest = shortest_frontier(settings.laser, settings.body.range_cells)
@@ -275,11 +281,15 @@ class Robot:
         return replace(decision, explored=False, status="waiting to try targets again that it did not reach")
 
     def _look_again(self, situation: Situation, decision: Decision) -> Decision:
-        """Return a decision that does not end the run yet if a person may stand before a frontier."""
+        """Return a decision that does not end the run yet if a person may stand before a frontier.
+
+        A robot to which teammates leave no target looks again as well.
+        """
         if self._second_look is None:
             return decision
-        self._second_look.note(situation.grid, explored=decision.explored)
-        way = self._second_look.way(situation.grid, situation.here) if decision.explored else None
+        is_idle = decision.explored or (decision.target is None and not len(decision.path))
+        self._second_look.note(situation.grid, is_idle=is_idle)
+        way = self._second_look.way(situation.grid, situation.here) if is_idle else None
         if way is None:
             return decision
         return replace(decision, path=way, explored=False, status="looking again at a wall before a frontier")
@@ -295,7 +305,7 @@ class Robot:
 
     def _waiting_steps(self, situation: Situation) -> int:
         """Return for how many steps nothing must have been left: none if no doubtful wall can hide a frontier."""
-        if self._noisy_grid is None or self._sure_after != SURE_AFTER_NOISE:
+        if self._noisy_grid is None or self._sure_after > SURE_AFTER_NOISE:
             return self._sure_after
         doubtful = (self.own == OCCUPIED) & ~self.settled
         grid = self._noisy_grid.clean_optimistic(self.planning, doubtful)

@@ -23,11 +23,8 @@ from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.kernels import kernel
 from protocol.range_scans import TURN, Laser
 
-OPENING_M = 0.3
-"""Width of the narrowest opening that is worth exploring, in meters; wider robots need at least their own width."""
-
 LEAST_CELLS = 2
-"""The same in cells, at least; also the least cells of a frontier."""
+"""Cells of the shortest frontier that is worth exploring, at least."""
 
 _UNKNOWN_SQUARE, _OPEN_SQUARE = 1, 2
 """Marks of cells in squares of unknown cells, and of cells without walls."""
@@ -42,7 +39,7 @@ LONGEST_SPECK = 5
 class NoisyGrid:
     """The planning grid of one robot as its strategy sees it; all grids are uint8 arrays of shape (h, w).
 
-    `narrow` is the width of the narrowest opening (`narrow_cells`), `shortest` the number of cells of the shortest
+    `narrow` is the width of the narrowest opening (`protocol.body.narrowest_opening`), `shortest` the number of cells of the shortest
     frontier (`shortest_frontier`).
     """
 
@@ -89,11 +86,6 @@ class NoisyGrid:
         if self._shortest > 1:
             _close_specks(found, self._shortest, self._marks)
         return found
-
-
-def narrow_cells(radius_cells: float, resolution: float) -> int:
-    """Return the width in cells of the narrowest opening that a robot explores; cells are `resolution` meters wide."""
-    return max(LEAST_CELLS, round(OPENING_M / resolution), math.ceil(2 * radius_cells))
 
 
 def shortest_frontier(laser: Laser, range_cells: float) -> int:

@@ -3,11 +3,15 @@
     potential-field   all are troopers: repelled by robots and obstacles, drawn to the closest frontier point
     leaders           leaders drive to their closest frontier point along the shortest way, without forces
 
+With real sensors, robots of the first kind leave local minima: a robot that makes no way drives to its closest frontier
+point as leaders do (option `escape`, which is not in the paper).
+
 Robots broadcast their poses, and whether they lead. Both kinds move continuously (`agent.planning.forces`).
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
@@ -33,6 +37,15 @@ STALL_STEPS = 60
 
 STALL_METRES = 1.0
 """Distance in meters that counts as a change of place; at most half of what the robot can drive in that time."""
+
+ESCAPES = ("real-sensors", "always", "never")
+"""When robots without progress drive to a frontier by path planning. ``real-sensors``: if lasers or poses have errors."""
+
+ESCAPE_STEPS = 10
+"""A robot is in a local minimum if it has not left a circle of `STALL_METRES` for this many steps."""
+
+NEAR_METRES = 0.5
+"""It has observed the frontier to which it escapes when none is left within this distance, in meters."""
 
 NOT_HERE = "forces move the robots, so there are no targets to choose from"
 
@@ -64,13 +77,22 @@ class LeaderOptions(FieldOptions):
     dynamic: bool = option(True, "whether others may become leaders")
 
 
+@dataclass(frozen=True)
+class TrooperOptions(FieldOptions):
+    """Options of `potential-field`."""
+
+    escape: str = option(
+        "real-sensors", "when a robot in a local minimum drives to a frontier by path planning", ESCAPES
+    )
+
+
 class PotentialField(Strategy):
     """A potential field in which no robot leads."""
 
     name = "potential-field"
     summary = "robots repel each other, obstacles repel them, the closest frontier draws them; it may stall"
     source = "leader paper, section III-B; without leaders as in its Figs. 3b and 4b"
-    options_type: ClassVar[type] = FieldOptions
+    options_type: ClassVar[type] = TrooperOptions
     refused = dict.fromkeys(("candidates", "costs", "replan", "mission", "scan", "share"), NOT_HERE)
     publishes_target = False
     publishes_pose = True
@@ -84,6 +106,13 @@ class PotentialField(Strategy):
         self._anchor: tuple[float, float] = (0.0, 0.0)
         self._anchor_step = 0
         self._known = -1
+        escape = getattr(self.options, "escape", "never")
+        self._escapes = escape == "always" or (escape == "real-sensors" and settings.laser is not None)
+        self._minimum: tuple[float, float] = (math.inf, math.inf)
+        """Where the robot last was at rest, in cells; it has left this place after `STALL_METRES`."""
+        self._minimum_step = 0
+        self._escape_to: Cells | None = None
+        """The frontier cell to which it escapes."""
 
     @classmethod
     def check(cls, options: Mapping[str, Any]) -> Any:
@@ -128,7 +157,8 @@ class PotentialField(Strategy):
             )
         stalled = self._is_stalled(situation, at)
         self.leads = self.is_leader(situation)
-        if self.leads:
+        escapes = self._escapes and self._is_escaping(situation, at, planner, frontier)
+        if self.leads or escapes:
             self._velocity = np.zeros(2)
             target, points = self._lead(situation, planner, frontier)
         else:
@@ -145,8 +175,36 @@ class PotentialField(Strategy):
             points=points,
             heading=self.heading(situation, is_there=True),
             stalled=stalled,
-            status="stalled" if stalled else "leading" if self.leads else "drawn to its closest frontier",
+            status=self._status(stalled=stalled, escapes=escapes),
         )
+
+    def _status(self, *, stalled: bool, escapes: bool) -> str:
+        if escapes:
+            return "driving out of a local minimum"
+        return "stalled" if stalled else "leading" if self.leads else "drawn to its closest frontier"
+
+    def _is_escaping(
+        self, situation: Situation, at: tuple[float, float], planner: PathPlanner, frontier: Cells
+    ) -> bool:
+        """Whether the robot drives to its closest frontier point, from a local minimum until it has observed it."""
+        size = self.settings.resolution
+        left = np.hypot(at[0] - self._minimum[0], at[1] - self._minimum[1]) * size > self._change_of_place(
+            ESCAPE_STEPS
+        )
+        if left:
+            self._minimum, self._minimum_step = at, situation.step
+        if self._escape_to is not None:
+            near = np.hypot(*(frontier - self._escape_to).T).min() * size <= NEAR_METRES
+            if not near:
+                self._escape_to, self._minimum_step = None, situation.step
+        elif situation.step - self._minimum_step >= ESCAPE_STEPS:
+            costs = planner.costs(*situation.here)[frontier[:, 1], frontier[:, 0]]
+            self._escape_to = frontier[np.argmin(costs)]
+        return self._escape_to is not None
+
+    def _change_of_place(self, steps: int) -> float:
+        """Return the distance in meters that counts as a change of place within some steps."""
+        return min(STALL_METRES, steps / 2 * self.settings.body.speed * self.settings.resolution)
 
     def is_leader(self, situation: Situation) -> bool:
         """Return whether this robot leads; here none does."""
@@ -166,7 +224,7 @@ class PotentialField(Strategy):
             planner = self._yielding.pass_by(self._route, planner, situation.here, goal, situation.step)
         start = situation.x * FINE + situation.offset[0], situation.y * FINE + situation.offset[1]
         points = None
-        if self.options.way == "visibility" and not self._yielding.has_waited:
+        if getattr(self.options, "way", "cells") == "visibility" and not self._yielding.has_waited:
             points = shortest_way(planner.floor, start, frontier, float(costs.min()))
         if points is None:
             points = corners(planner.floor, start, self._route.cells)
@@ -179,8 +237,7 @@ class PotentialField(Strategy):
         """Whether neither the robot's place nor its map has changed for `STALL_STEPS`."""
         known = int(np.count_nonzero(situation.grid))
         away = np.hypot(at[0] - self._anchor[0], at[1] - self._anchor[1]) * self.settings.resolution
-        enough = min(STALL_METRES, STALL_STEPS / 2 * self.settings.body.speed * self.settings.resolution)
-        if known != self._known or away > enough:
+        if known != self._known or away > self._change_of_place(STALL_STEPS):
             self._known, self._anchor, self._anchor_step = known, at, situation.step
         return situation.step - self._anchor_step >= STALL_STEPS
 

@@ -22,7 +22,7 @@ from agent.outline.edits import NumberedPolygons
 from agent.outline.receiver import Receiver
 from agent.outline.simplify import refine
 from agent.predictive.scan_updates import MAX_SCANS
-from agent.predictive.tile_author import ENOUGH_TILES, INTERVAL, LONGEST_WAIT, QUIET_STEPS
+from agent.predictive.tile_author import ENOUGH_TILES, FEW_QUIET_STEPS, INTERVAL, LONGEST_WAIT, QUIET_STEPS
 from agent.replication import handshakes, neighbors
 from agent.replication.base import Replication
 from agent.replication.engine import DISSEMINATIONS
@@ -466,5 +466,6 @@ def test_the_page_of_the_predictive_encoding_tells_when_tiles_are_sent() -> None
         f"when it has waited for {LONGEST_WAIT} steps",
         f"when {ENOUGH_TILES} ready tiles violate it",
         f"at least {INTERVAL} steps must have passed",
+        f"has not changed for {FEW_QUIET_STEPS} steps",
     ):
         assert rule in text

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from agent.planning.noisy_grid import LONGEST_SPECK, NoisyGrid, narrow_cells, shortest_frontier
+from agent.planning.noisy_grid import LONGEST_SPECK, NoisyGrid, shortest_frontier
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.range_scans import TURN, Laser
 
@@ -71,12 +71,6 @@ def test_an_obstacle_on_the_way_closes_it() -> None:
     cleaned = noisy.clean(grid)
     assert cleaned[3, 8] == OCCUPIED
     assert cleaned[3, 9] == FREE, "the robot's own cell"
-
-
-def test_openings_are_as_wide_as_the_robot_and_at_least_30_cm() -> None:
-    assert narrow_cells(0.0, 0.1) == 3
-    assert narrow_cells(0.0, 0.2) == 2
-    assert narrow_cells(2.5, 0.1) == 5
 
 
 @pytest.mark.parametrize(("shortest", "state"), [(1, UNKNOWN), (3, UNKNOWN), (4, OCCUPIED)])
