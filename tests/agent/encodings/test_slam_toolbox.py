@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from agent.encodings.catalog import make_encoding
-from agent.encodings.slam_toolbox import CDR, LocalizedScans, SlamToolboxEncoding
+from agent.encodings.slam_toolbox import CDR, LocalizedScans, SlamToolboxEncoding, message_layout
 from agent.mapping.estimator import Estimator
 from agent.settings import EncodingSettings, ReplicationSettings, Settings
 from protocol.body import Body
@@ -148,7 +148,8 @@ def test_receivers_estimate_the_map_of_the_author_from_the_sent_scans() -> None:
 
 def messages(**changes: object) -> bytes:
     form = LocalizedScans(settings_of(0))
-    message = np.frombuffer(form.encode(scan_at(1, 1))[len(CDR) :], form._layout).copy()
+    layout = message_layout(LASER.beams)
+    message = np.frombuffer(form.encode(scan_at(1, 1))[len(CDR) :], layout).copy()
     for name, value in changes.items():
         message[name] = value
     return CDR + message.tobytes()
