@@ -22,6 +22,8 @@ from typing import Protocol
 import msgspec
 from msgspec.structs import replace
 
+from agent.encodings.catalog import encoding_class
+from agent.encodings.scans import ScanEncoding
 from agent.identity import Identity
 from agent.journal import Journal, journal_name
 from agent.pose_guard import PoseGuard
@@ -57,13 +59,16 @@ def field_settings(settings: Settings, options: LinkOptions) -> Settings:
         raise ValueError(
             f"dissemination = {settings.replication.dissemination!r}: must be {GOSSIP!r} without a relay"
         )
-    replication = replace(settings.replication, requires_acks=True)
+    replication = replace(settings.replication, requires_acks=True, checks_reach=False)
     medium = replace(settings.medium, frame_bytes=options.packet_bytes)
     return replace(settings, replication=replication, medium=medium)
 
 
 def team_context(settings: Settings) -> bytes:
-    """Return a hash of the settings that all robots of a team must have in common (`agent.radios.sealing`)."""
+    """Return a hash of the settings that all robots of a team must have in common (`agent.radios.sealing`).
+
+    Encodings that send scans need equal lasers: a receiver cannot read scans of a laser that it does not know.
+    """
     common = (
         settings.robots,
         settings.incarnations,
@@ -73,6 +78,7 @@ def team_context(settings: Settings) -> bytes:
         settings.encoding,
         settings.replication.digests,
         settings.shares_tiles,
+        settings.laser if issubclass(encoding_class(settings.encoding.name), ScanEncoding) else None,
     )
     return hashlib.sha256(msgspec.json.encode(common)).digest()[:8]
 

@@ -104,7 +104,7 @@ class Robot:
         narrow = narrowest_opening(settings.body.radius_cells, settings.resolution)
         self._noisy_grid = None
         if settings.laser is not None:
-            shortest = shortest_frontier(settings.laser, settings.body.range_cells)
+            shortest = shortest_frontier(settings.bodies)
             self._noisy_grid = NoisyGrid(settings.height, settings.width, narrow, shortest)
         self._encoding = make_encoding(settings)
         self._encoding.use_log_odds(self._mapper.log_odds)

@@ -40,6 +40,9 @@ class ReplicationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=Tru
     """Whether only a peer's acknowledgment shows a delivery: the medium may lose frames, or peers may be deaf."""
     digests: bool = False
     """Whether the robot broadcasts digests of its log (`agent.replication.digests`)."""
+    checks_reach: bool = True
+    """Whether it rejects entries that their author cannot have observed; all robots must count the same steps, and
+    know each other's bodies (`agent.encodings.reachability_check`)."""
 
 
 class MediumSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -76,10 +79,8 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Options of the strategy by name."""
     resolution: float = 0.1
     """Side of a cell in meters."""
-    laser: Laser | None = None
-    """The beams of the robots' lasers; None: exact readings in cells (`protocol.scans`)."""
     has_own_map: bool = False
-    """Whether the robot makes its map by itself (`protocol.messages.Sense.own_map`); `laser` then only bounds it."""
+    """Whether the robot makes its map by itself (`protocol.messages.Sense.own_map`); its laser then only bounds it."""
     people: bool = False
     """Whether people walk about in the building: what lasers see as a wall may be a person."""
     incarnations: int = 1
@@ -94,6 +95,8 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     def __post_init__(self) -> None:
         if not 0 <= self.robot < len(self.bodies):
             raise ValueError(f"robot = {self.robot}: the team has {len(self.bodies)} robots, from 0")
+        if len({body.laser is None for body in self.bodies}) > 1:
+            raise ValueError("bodies: all robots, or none, must have a laser that measures ranges in meters")
 
     @property
     def robots(self) -> int:
@@ -104,6 +107,11 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     def body(self) -> Body:
         """This robot's hardware."""
         return self.bodies[self.robot]
+
+    @property
+    def laser(self) -> Laser | None:
+        """The beams of this robot's laser; None: all robots have exact readings in cells (`protocol.scans`)."""
+        return self.body.laser
 
     @property
     def maps(self) -> int:

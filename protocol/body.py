@@ -6,6 +6,8 @@ import math
 
 import msgspec
 
+from protocol.range_scans import Laser
+
 OPENING_M = 0.3
 """Width in meters of the narrowest opening that robots with real sensors explore; wider robots need their own width."""
 
@@ -26,6 +28,10 @@ class Body(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Degrees that the scanner turns and covers per step; 0 if it covers the whole field of view at once."""
     radius_cells: float = 0.0
     """Radius of the robot, a disc, in cells; 0 for a point."""
+    laser: Laser | None = None
+    """The beams of its laser; None: the laser and the pose are exact, and readings count cells (`protocol.scans`)."""
+    scan_rate: float = 1.0
+    """Scans per step, at most 1."""
 
     @property
     def turn_steps(self) -> int:

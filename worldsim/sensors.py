@@ -24,13 +24,19 @@ from worldsim.sensor_options import LaserOptions, PoseOptions
 
 
 @dataclass(frozen=True)
-class SensorSettings:
-    """Settings of real sensors."""
+class RobotSensors:
+    """The sensors of one robot."""
 
     laser: LaserOptions
     pose: PoseOptions
-    geometries: tuple[Laser, ...]
-    """The beams of each robot."""
+    beams: Laser
+
+
+@dataclass(frozen=True)
+class SensorSettings:
+    """Settings of real sensors."""
+
+    robots: tuple[RobotSensors, ...]
     resolution: float
     """Side of a cell in meters."""
 
@@ -39,14 +45,16 @@ class Sensors:
     """The sensors of all robots; errors are drawn from the seed, by robot and step."""
 
     def __init__(self, settings: SensorSettings, seed: int) -> None:
-        self._seed = seed
-        self._geometries = settings.geometries
-        robots = range(len(settings.geometries))
+        self._seed, self._settings = seed, settings
         resolution = settings.resolution
-        self._lasers = [RangeLaser(settings.laser, each, resolution) for each in settings.geometries]
-        self._errors = [PoseError(settings.pose, resolution, seed, robot) for robot in robots]
-        self.exact_poses = settings.pose.is_exact
-        """Whether the believed poses are the true ones."""
+        self._lasers = [RangeLaser(each.laser, each.beams, resolution) for each in settings.robots]
+        self._errors = [
+            PoseError(each.pose, resolution, seed, robot) for robot, each in enumerate(settings.robots)
+        ]
+
+    def has_exact_pose(self, robot: int) -> bool:
+        """Return whether the pose that a robot believes in is always the true one."""
+        return self._settings.robots[robot].pose.is_exact
 
     def true_points(
         self, robot: int, step: int, path: list[tuple[int, int]], points: list[Point]
@@ -90,7 +98,7 @@ class Sensors:
 
     def beam_degrees(self, robot: int) -> NDArray[np.float64]:
         """Return the angle of each beam relative to the heading, in degrees."""
-        return self._geometries[robot].angles.astype(np.float64) * (360 / TURN)
+        return self._settings.robots[robot].beams.angles.astype(np.float64) * (360 / TURN)
 
 
 def _units(cell: int, offset: int) -> int:

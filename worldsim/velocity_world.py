@@ -82,10 +82,10 @@ class VelocityWorld:
         self._yaws = list(headings)
         self._taken = np.zeros(truth.shape, np.uint8)
         sensors = settings.sensors
-        self._lasers = [RangeLaser(sensors.laser, each, sensors.resolution) for each in sensors.geometries]
+        cell = sensors.resolution
+        self._lasers = [RangeLaser(each.laser, each.beams, cell) for each in sensors.robots]
         self._ray_tables = [
-            ray_table(min(each.reach_mm / 1000 / sensors.resolution, max(truth.shape) * 2))
-            for each in sensors.geometries
+            ray_table(min(each.beams.reach_mm / 1000 / cell, max(truth.shape) * 2)) for each in sensors.robots
         ]
         self._people = None if settings.people is None else self._place_people(settings.people)
 

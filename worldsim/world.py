@@ -69,8 +69,6 @@ class WorldSettings:
     """Sensors with errors; None: lasers and poses are exact."""
     people: PeopleSettings | None = None
     """People in the building; only sensors with errors see them."""
-    scan_rate: float = 1.0
-    """Scans per step, at most 1."""
     step_ns: int | None = None
     """Duration of a step by the wall clock, in nanoseconds; None: steps wait for all robots."""
 
@@ -144,8 +142,11 @@ class World(BaseWorld):
         if self._people is not None:
             self._people.advance(self.step, self._cells_near_robots(self._people.radius_cells))
         occupied = self._standing()
-        scans = scans_in(self.step, self.settings.scan_rate)
-        looking = {robot: scans and (robot not in moves or moves[robot].look) for robot in entered}
+        looking = {
+            robot: scans_in(self.step, self.settings.bodies[robot].scan_rate)
+            and (robot not in moves or moves[robot].look)
+            for robot in entered
+        }
         return (
             (robot, self._sense(robot, *self.cells[robot], occupied, entered[robot], blocked[robot], look))
             for robot, look in looking.items()
@@ -157,7 +158,7 @@ class World(BaseWorld):
         """Move one robot; return the cells found free on its path, and what blocked it."""
         path = [(x, y) for x, y in cells_from_bytes(move.path).tolist()]
         points = [(x, y) for x, y in points_from_bytes(move.points).tolist()] if move.points else []
-        if self._sensors is not None and not self._sensors.exact_poses:
+        if self._sensors is not None and not self._sensors.has_exact_pose(robot):
             points = self._sensors.true_points(robot, self.step - 1, path, points)
         self.headings[robot] = move.heading % HEADINGS
         if (path or points) and self._hindered(robot, before):

@@ -46,7 +46,7 @@ class ScanEncoding(GridEncoding):
 
     def make_format(self, settings: Settings) -> ExactScans | RangeScans:
         """Return the format of the scans."""
-        return ExactScans(settings) if settings.laser is None else RangeScans(settings, settings.laser)
+        return ExactScans(settings) if settings.laser is None else RangeScans(settings)
 
     def encode_changes(
         self, own: Grid, scan: Scan | RangeScan, change: Change, *, delivered: bool
@@ -68,7 +68,7 @@ class ScanEncoding(GridEncoding):
 
     def apply(self, map_id: int, frame: bytes, *, step: int, sender: int) -> None:
         """Reassemble fragments, and add the scans that are complete."""
-        partial, size = self._partial.get(map_id, b""), self._format.size
+        partial, size = self._partial.get(map_id, b""), self._format.size(map_id)
         data = partial + contents(frame, size, len(partial))
         end = len(data) - len(data) % size
         scans = [self._read(map_id, data[at : at + size]) for at in range(0, end, size)]
@@ -97,9 +97,14 @@ class ExactScans:
     """Scans of exact lasers: a cell reported once never changes."""
 
     def __init__(self, settings: Settings) -> None:
-        self.size = scan_size(settings.beams)
+        self._size = scan_size(settings.beams)
         self._author_of = settings.author_of
         self._ray_tables = [ray_table(body.range_cells, settings.beams) for body in settings.bodies]
+
+    def size(self, map_id: int) -> int:
+        """Return the bytes of a scan of a map."""
+        del map_id
+        return self._size
 
     def encode(self, scan: Scan | RangeScan) -> bytes:
         """Encode a scan; nothing if it has no readings."""
@@ -125,11 +130,20 @@ class ExactScans:
 class RangeScans:
     """Scans of lasers with errors: receivers estimate each author's map as the author does."""
 
-    def __init__(self, settings: Settings, laser: Laser) -> None:
-        self.size = range_scan_size(laser)
-        self._laser, self._settings = laser, settings
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
         self._estimators: dict[int, Estimator] = {}
         """By map ID."""
+
+    def laser_of(self, map_id: int) -> Laser:
+        """Return the beams of the laser that scans for a map."""
+        laser = self.settings.bodies[self.settings.author_of(map_id)].laser
+        assert laser is not None
+        return laser
+
+    def size(self, map_id: int) -> int:
+        """Return the bytes of a scan of a map."""
+        return range_scan_size(self.laser_of(map_id))
 
     def encode(self, scan: Scan | RangeScan) -> bytes:
         """Encode a scan; nothing if it has no readings."""
@@ -138,15 +152,15 @@ class RangeScans:
 
     def decode(self, map_id: int, data: bytes) -> RangeScan:
         """Decode a scan of a map."""
-        del map_id
-        return decode_range_scan(data, self._laser)
+        return decode_range_scan(data, self.laser_of(map_id))
 
     def report(self, map_id: int, scan: Scan | RangeScan, received: Grid) -> Report:
         """Return the known cells of the author's map where a scan has changed it."""
         assert isinstance(scan, RangeScan)
         height, width = received.shape
         estimator = self._estimators.setdefault(map_id, Estimator(height, width))
-        ends = beam_ends(smoothed(scan, self._laser), self._laser, self._settings.resolution)
+        laser = self.laser_of(map_id)
+        ends = beam_ends(smoothed(scan, laser), laser, self.settings.resolution)
         change = estimator.add(*scan.place, *ends)
         x0, y0, x1, y1 = change.box
         states = estimator.states[y0:y1, x0:x1]

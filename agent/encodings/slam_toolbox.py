@@ -9,6 +9,7 @@ robot, and the robot's pose with its covariance. Names of coordinate frames have
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +39,7 @@ _FIELDS = (
 """Fields of LocalizedLaserScan. A pose is x, y, z, and a quaternion x, y, z, w; a text ends with a zero byte."""
 
 
+@lru_cache(maxsize=16)
 def message_layout(beams: int) -> np.dtype[np.void]:
     """Return the layout of the message behind `CDR`: each number is aligned to its size."""
     formats = [np.dtype(kind.format(beams=beams)) for _, kind in _FIELDS]
@@ -60,25 +62,28 @@ class SlamToolboxEncoding(ScanEncoding):
         """Return the format of the scans; ValueError for exact lasers."""
         if settings.laser is None:
             raise ValueError(f"map_encoding = {self.name!r}: needs lasers or poses with errors")
-        return LocalizedScans(settings, settings.laser)
+        return LocalizedScans(settings)
 
 
 class LocalizedScans(RangeScans):
     """Messages LocalizedLaserScan."""
 
-    def __init__(self, settings: Settings, laser: Laser) -> None:
-        super().__init__(settings, laser)
-        self._layout = message_layout(laser.beams)
-        self.size = len(CDR) + self._layout.itemsize
+    def __init__(self, settings: Settings) -> None:
+        super().__init__(settings)
         self._cell_m = settings.resolution
-        self._message = self._template(settings.robot, laser)
+        self._message = self._template()
         self._last: RangeScan | None = None
         """The last scan that was sent."""
         self._step = 0
 
-    def _template(self, robot: int, laser: Laser) -> NDArray[np.void]:
-        """Return a message with the fields that all scans of a robot share."""
-        message = np.zeros(1, self._layout)
+    def size(self, map_id: int) -> int:
+        """Return the bytes of a message of a map."""
+        return len(CDR) + message_layout(self.laser_of(map_id).beams).itemsize
+
+    def _template(self) -> NDArray[np.void]:
+        """Return a message with the fields that all scans of this robot share."""
+        robot, laser = self.settings.robot, self.laser_of(self.settings.own_map)
+        message = np.zeros(1, message_layout(laser.beams))
         frame, base = f"r{robot:03}/laser", f"r{robot:03}/base"
         texts = {"scan.frame": frame, "offset.frame": base, "offset.child": frame, "pose.frame": "map"}
         for name, text in texts.items():
@@ -119,10 +124,9 @@ class LocalizedScans(RangeScans):
 
     def decode(self, map_id: int, data: bytes) -> RangeScan:
         """Decode a message of a map."""
-        del map_id
-        (message,) = np.frombuffer(data[len(CDR) :], self._layout)
+        (message,) = np.frombuffer(data[len(CDR) :], message_layout(self.laser_of(map_id).beams))
         if not data.startswith(CDR) or message["beams"] != message["ranges"].size:
-            raise ProtocolError(SlamToolboxEncoding.name, 0, "no scan of the team's laser")
+            raise ProtocolError(SlamToolboxEncoding.name, 0, "no scan of its author's laser")
         x, y, *_, sine, cosine = message["pose"].tolist()
         if not (all(map(math.isfinite, (x, y, sine, cosine))) and max(abs(x), abs(y)) <= self._farthest_m):
             raise ProtocolError(SlamToolboxEncoding.name, 0, f"position ({x}, {y}) is outside any grid")

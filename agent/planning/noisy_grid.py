@@ -14,11 +14,13 @@ last (`agent.planning.avoided`).
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from agent.planning.avoided import AvoidedTargets
+from protocol.body import Body
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.kernels import kernel
 from protocol.range_scans import TURN, Laser
@@ -88,10 +90,18 @@ class NoisyGrid:
         return found
 
 
-def shortest_frontier(laser: Laser, range_cells: float) -> int:
-    """Return the number of cells of the shortest frontier worth exploring: one that `FEW_BEAMS` beams do not make."""
-    apart = 2 * math.pi * laser.span / TURN / max(laser.beams - 1, 1)
-    return max(LEAST_CELLS, min(math.ceil(FEW_BEAMS * apart * range_cells), LONGEST_SPECK))
+def shortest_frontier(bodies: Iterable[Body]) -> int:
+    """Return the number of cells of the shortest frontier worth exploring: one that `FEW_BEAMS` beams do not make.
+
+    Planning grids contain the scans of the whole team, so the coarsest laser of all robots counts.
+    """
+    longest = max(FEW_BEAMS * _cells_apart(body.laser, body.range_cells) for body in bodies if body.laser)
+    return max(LEAST_CELLS, min(math.ceil(longest), LONGEST_SPECK))
+
+
+def _cells_apart(laser: Laser, range_cells: float) -> float:
+    """Return the distance in cells between the ends of neighboring beams at the sensor range."""
+    return 2 * math.pi * laser.span / TURN / max(laser.beams - 1, 1) * range_cells
 
 
 @kernel

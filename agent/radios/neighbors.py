@@ -15,6 +15,10 @@ class Neighbors:
         """Note that a frame of a teammate arrived."""
         self._received[robot] = now
 
+    def last(self, robot: int) -> int | None:
+        """Return when a frame of a teammate arrived last; None if none did."""
+        return self._received.get(robot)
+
     def current(self, now: int) -> list[int]:
         """Return the neighbors in ascending order."""
         return sorted(robot for robot, then in self._received.items() if now - then < self._timeout)

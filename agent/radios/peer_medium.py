@@ -157,6 +157,10 @@ class PeerMedium:
         """Return the teammates in range, in ascending order."""
         return self._neighbors.current(now)
 
+    def last_received(self, robot: int) -> int | None:
+        """Return when a frame of a teammate arrived last, in nanoseconds; None if none did."""
+        return self._neighbors.last(robot)
+
     # --- the robot's side
 
     def begin_step(self, step: int, now: int) -> Open:

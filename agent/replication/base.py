@@ -77,6 +77,10 @@ class Replication(ABC):
         acked: list[int] = self.peers.acked[:, self.peers.own].tolist()
         return len(self.replica.own_log) * (self.peers.robots - 1) - sum(acked)
 
+    def undelivered_to(self, peer: int) -> int:
+        """Count the entries of this robot's log that a peer has not acknowledged."""
+        return len(self.replica.own_log) - int(self.peers.acked[peer, self.peers.own])
+
     def announcements(self) -> bytes:
         """Return the packets about logs to broadcast in this step: the digest that is due, and requests for entries."""
         return self._next_digest() + self._requests()

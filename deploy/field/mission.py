@@ -144,6 +144,7 @@ class Mission:
             file.record / f"start-{started.incarnation + 1}", robot_setup(settings, started)
         )
         self._step = 0
+        self._began = time.monotonic_ns()
         self._worked_ns = time.process_time_ns()
         """Processor time of this process up to the last step."""
         self._explored_steps = 0
@@ -198,7 +199,7 @@ class Mission:
         if self._is_stopped():
             return True
         if self._done_steps >= finish:
-            self._reason, self._is_complete = EXPLORED, True
+            self._reason, self._is_complete = self._explored(), True
         elif step >= self._settings.steps:
             self._reason = f"{step} steps are over"
         return bool(self._reason)
@@ -213,7 +214,7 @@ class Mission:
         explored = field.move is not None and field.move.explored
         self._explored_steps = self._explored_steps + 1 if explored else 0
         self._ros.measures = self._explored_steps * self._settings.step_s < FREEZE * self._settings.finish_s
-        is_done = explored and not robot.replication.undelivered() and not receives
+        is_done = explored and self._lacking() <= self._absent() and not receives
         self._done_steps = self._done_steps + 1 if is_done else 0
         if self._ros.is_stuck() and robot.target is not None:
             seconds = self._settings.avoid_s
@@ -225,6 +226,28 @@ class Mission:
         worked, self._worked_ns = self._worked_ns, time.process_time_ns()
         self._recorder.note(step, field, status, (self._worked_ns - worked) // 1000)
         self._publish(status)
+
+    def _lacking(self) -> set[int]:
+        """Return the teammates that lack entries of this robot's map."""
+        replication = self._field.robot.replication
+        return {robot for robot in self._teammates if replication.undelivered_to(robot)}
+
+    def _absent(self) -> set[int]:
+        """Return the teammates that have not been received for `absent_s`, and are not waited for."""
+        medium, since = self._field.medium, time.monotonic_ns() - round(self._settings.absent_s * SECOND)
+        return {robot for robot in self._teammates if (medium.last_received(robot) or self._began) <= since}
+
+    @property
+    def _teammates(self) -> list[int]:
+        return [robot for robot in range(self._settings.robots) if robot != self._settings.robot]
+
+    def _explored(self) -> str:
+        """Return the reason of the end if nothing is left to explore."""
+        lacking = sorted(self._lacking())
+        if not lacking:
+            return EXPLORED
+        names = ", ".join(map(str, lacking))
+        return f"{EXPLORED}, but not robots {names}: not received for {self._settings.absent_s:g} s"
 
     def _activity(self) -> str:
         """Return what the robot does, as text."""

@@ -126,6 +126,16 @@ class RecordTable(Table):
     folder: str = Field("record", min_length=1, description="directory of journal and records of this robot")
 
 
+class TeammateTable(Table):
+    """A teammate whose hardware differs from this robot's; plans use it, for example where it will see what."""
+
+    robot: Whole = Field(ge=0, le=MAX_ROBOTS - 1, description="the teammate's number")
+    sensor_range: float | None = Field(
+        None, strict=True, gt=0, le=MAX_REACH_M, description="its `sensor_range`, meters; default: this robot's"
+    )
+    radius: NotNegative | None = Field(None, description="its radius, meters; default: this robot's")
+
+
 class RobotSettings(Table):
     """All settings of one robot in the field.
 
@@ -147,6 +157,7 @@ class RobotSettings(Table):
     ros2: Ros2Table = Field(description="the robot's ROS 2 nodes")
     radio: RadioTable = Field(description="the radio")
     record: RecordTable = Field(default_factory=RecordTable, description="records")
+    teammate: tuple[TeammateTable, ...] = Field((), description="teammates with other hardware")
     seed: Whole = Field(0, ge=0, le=MAX_INTEGER, description="seed of all random draws")
     starts: Whole = Field(8, ge=1, le=256, description="how often each robot may start in this mission")
     strategy: str = Field(DEFAULT_STRATEGY, description="exploration strategy (murmur strategies lists all)")
@@ -176,6 +187,9 @@ class RobotSettings(Table):
     )
     patience_s: Seconds = Field(20.0, description="a goal without progress for so long counts as unreachable")
     avoid_s: Seconds = Field(60.0, description="how long an unreachable goal is avoided, at first")
+    absent_s: Seconds = Field(
+        600.0, description="a teammate that has not been received for so long is not waited for at the end"
+    )
 
     @field_validator("polygons", "predictive", "radio", mode="before")
     @classmethod
@@ -210,14 +224,29 @@ class RobotSettings(Table):
             raise ValueError(
                 f"robot = {self.robot}: the last robot of {self.robots} has number {self.robots - 1}"
             )
+        self._check_teammates()
         if self.robots * self.starts > MAX_GOSSIP_MAPS:
             raise ValueError(
                 f"starts = {self.starts}: packets can address {MAX_GOSSIP_MAPS} maps, one per start of each robot; "
                 f"{self.robots} robots can start {MAX_GOSSIP_MAPS // self.robots} times each"
             )
-        if self.sensor_range < 2 * self.grid.resolution:
-            raise ValueError(f"sensor_range = {self.sensor_range:g}: must be two cells of the grid, or more")
+        for reach in (self.sensor_range, *(each.sensor_range for each in self.teammate)):
+            if reach is not None and reach < 2 * self.grid.resolution:
+                raise ValueError(f"sensor_range = {reach:g}: must be two cells of the grid, or more")
         return self
+
+    def _check_teammates(self) -> None:
+        """Raise ValueError if a table of a teammate names no teammate, or one twice."""
+        numbers = [each.robot for each in self.teammate]
+        for number in numbers:
+            if number >= self.robots:
+                raise ValueError(f"[[teammate]] names robot {number}; the last one is {self.robots - 1}")
+            if number == self.robot:
+                raise ValueError(
+                    f"[[teammate]] names robot {number}, which is this robot: set its values at the top of the file"
+                )
+        if len(set(numbers)) < len(numbers):
+            raise ValueError(f"[[teammate]] names a robot twice: {numbers}")
 
 
 _KEYS = {
@@ -225,6 +254,7 @@ _KEYS = {
     "grid": list(GridTable.model_fields),
     "ros2": list(Ros2Table.model_fields),
     "record": list(RecordTable.model_fields),
+    "teammate": list(TeammateTable.model_fields),
     "radio": [field.name for field in fields(RadioTable)],
     "polygons": [field.name for field in fields(PolygonOptions)],
     "predictive": [field.name for field in fields(PredictiveOptions)],

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import time
 
+from msgspec.structs import replace
+
 from agent.pose_guard import PoseGuard
 from agent.replication.policies import GOSSIP
 from agent.settings import EncodingSettings, MediumSettings, ReplicationSettings, Settings
@@ -30,18 +32,28 @@ def map_frame(settings: RobotSettings) -> MapFrame:
 
 
 def agent_settings(settings: RobotSettings, laser: Laser) -> Settings:
-    """Return the settings of the control logic; teammates count as robots with the same hardware."""
+    """Return the settings of the control logic.
+
+    Teammates count as robots with the same hardware, except for what the file says of them; all of this only affects
+    plans.
+    """
     cell = settings.grid.resolution
     body = Body(
         settings.sensor_range / cell,
         min(360.0, 360 * laser.span / TURN),
         settings.speed * settings.step_s / cell,
         radius_cells=settings.radius / cell,
+        laser=laser,
     )
+    bodies = [body] * settings.robots
+    for other in settings.teammate:
+        reach = body.range_cells if other.sensor_range is None else other.sensor_range / cell
+        radius = body.radius_cells if other.radius is None else other.radius / cell
+        bodies[other.robot] = replace(body, range_cells=reach, radius_cells=radius)
     team_bytes = max(1, round(settings.robots * settings.radio.rate * settings.step_s))
     return Settings(
         robot=settings.robot,
-        bodies=(body,) * settings.robots,
+        bodies=tuple(bodies),
         width=settings.grid.columns,
         height=settings.grid.rows,
         beams=BEAMS,
@@ -54,7 +66,6 @@ def agent_settings(settings: RobotSettings, laser: Laser) -> Settings:
         medium=MediumSettings(Budget(team_bytes)),
         options=settings.options,
         resolution=cell,
-        laser=laser,
         has_own_map=not settings.ros2.scan,
         incarnations=settings.starts,
     )

@@ -8,30 +8,27 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from agent.replication.policies import GOSSIP
 from agent.settings import EncodingSettings, MediumSettings, ReplicationSettings, Settings
 from agent.strategies.registry import strategy
+from deploy.scenario.bodies import bodies_of, sensors_of
 from deploy.scenario.finding_maps import find_map
 from deploy.scenario.recording import Recording, load_recording
 from deploy.scenario.scenario import Scenario, ScenarioError
-from deploy.scenario.tables import RobotOverride
 from netshaper.radio_models import PLUGINS as RADIO_MODELS
 from netshaper.settings import RadioSettings
 from protocol import faults
 from protocol.body import Body
 from protocol.budget import Budget
 from protocol.errors import shown
-from protocol.grid import FREE, MAX_SIDE, disc, enlarge
-from protocol.range_scans import MAX_REACH_M, TURN, Laser
+from protocol.grid import FREE, enlarge
 from worldsim.base import BaseWorld
 from worldsim.map_error import MapError
 from worldsim.maps import Map, to_cell
 from worldsim.people import PeopleSettings
 from worldsim.recorded.world import RecordedWorld
-from worldsim.sensors import SensorSettings
 from worldsim.starts import Cell, check_free, jittered, start_cells
 from worldsim.world import World, WorldSettings
 
@@ -87,9 +84,8 @@ def make(
     world_map = recording.map if recording is not None else world_map or load_map(scenario)
     incarnations = max(incarnations, faults.incarnations(scenario.faults))
     cell = world_map.resolution
-    bodies = [_body(scenario.body_of(number), cell) for number in range(scenario.robots)]
+    bodies = bodies_of(scenario, cell, recording)
     if recording is not None:
-        bodies = [replace(body, speed=max(recording.speed_cells, 1.0)) for body in bodies]
         starts = recording.starts
     else:
         starts = _starts(scenario, world_map, [body.radius_cells for body in bodies])
@@ -101,9 +97,7 @@ def make(
     world = _world_settings(scenario, bodies, starts, cell, recording)
     _check_people(world_map, world)
     radio = _radio_settings(scenario, world_map, range_m, incarnations)
-    robot_settings = _robot_settings(
-        scenario, world_map, bodies, radio, sensors=world.sensors, record_maps=record_maps
-    )
+    robot_settings = _robot_settings(scenario, world_map, bodies, radio, record_maps=record_maps)
     return Plan(scenario, world_map, world, radio, robot_settings, range_m, incarnations, recording)
 
 
@@ -113,7 +107,7 @@ def of_field(scenario: Scenario, world_map: Map | None = None) -> Plan:
     Raises ScenarioError if the map cannot be loaded.
     """
     world_map = world_map or load_map(scenario)
-    bodies = [_body(scenario.body_of(number), world_map.resolution) for number in range(scenario.robots)]
+    bodies = bodies_of(scenario, world_map.resolution)
     range_m = scenario.range_m(world_map.diagonal_m)
     world = WorldSettings(tuple(bodies), (), scenario.beams, scenario.seed)
     return Plan(scenario, world_map, world, _radio_settings(scenario, world_map, range_m, 1), {}, range_m)
@@ -135,45 +129,10 @@ def _world_settings(
         cell_steps=scenario.motion == "cells",
         robots_collide=scenario.robots_collide,
         min_coverage=scenario.min_coverage,
-        sensors=_sensors(scenario, bodies, cell, recording),
+        sensors=sensors_of(scenario, bodies, cell),
         people=_people(scenario, cell),
-        scan_rate=scenario.laser.rate,
         step_ns=scenario.step_ns,
     )
-
-
-def _body(hardware: RobotOverride, cell: float) -> Body:
-    """Return one robot's hardware in cells of `cell` meters; ScenarioError if it is too large or sees too little."""
-    number, sensor_range, radius = hardware.robot, hardware.sensor_range, hardware.radius
-    assert sensor_range and hardware.field_of_view and hardware.speed
-    assert radius is not None
-    assert hardware.scanner_turn is not None
-    if sensor_range < cell:
-        raise ScenarioError(
-            f"sensor_range = {sensor_range:g} m of robot {number} is less than a cell of {cell:g} m"
-        )
-    if radius > MAX_SIDE * cell:
-        raise ScenarioError(f"radius = {radius:g} m: exceeds the largest map with cells of {cell:g} m")
-    if sensor_range < (least := least_range(radius / cell) * cell):
-        raise ScenarioError(
-            f"sensor_range = {sensor_range:g} m of robot {number} is less than {least:.3g} m: a disc of "
-            f"radius = {radius:g} m would not see the walls that its next step touches"
-        )
-    speed, turn = hardware.speed / cell, hardware.scanner_turn
-    return Body(sensor_range / cell, hardware.field_of_view, speed, turn, radius / cell)
-
-
-def _sensors(
-    scenario: Scenario, bodies: list[Body], cell: float, recording: Recording | None
-) -> SensorSettings | None:
-    """Return the real sensors of the robots, with cells of `cell` meters; None if lasers and poses are exact."""
-    if not scenario.is_noisy:
-        return None
-    if recording is not None:
-        lasers = (recording.laser,) * len(bodies)
-    else:
-        lasers = tuple(laser_of(scenario, body, cell) for body in bodies)
-    return SensorSettings(scenario.laser, scenario.pose, lasers, cell)
 
 
 def _people(scenario: Scenario, cell: float) -> PeopleSettings | None:
@@ -191,16 +150,6 @@ def _check_people(world_map: Map, settings: WorldSettings) -> None:
             raise ScenarioError(f"people.number on map {world_map.name}: {error}") from None
 
 
-def laser_of(scenario: Scenario, body: Body, cell: float) -> Laser:
-    """Return the beams of one robot's laser, from the right to the left end of its field of view."""
-    span = round(body.field_of_view / 360 * TURN)
-    beams = scenario.laser.beams or max(2, round(scenario.beams * body.field_of_view / 360))
-    if body.field_of_view == 360:  # the last beam would repeat the first
-        span -= span // beams
-    reach_m = min(body.range_cells * cell, scenario.laser.max_range_m or MAX_REACH_M, MAX_REACH_M)
-    return Laser(beams, -span // 2, span, round(1000 * reach_m))
-
-
 def _radio_settings(scenario: Scenario, world_map: Map, range_m: float, incarnations: int) -> RadioSettings:
     hardware = [scenario.body_of(number) for number in range(scenario.robots)]
     return RadioSettings(
@@ -214,8 +163,8 @@ def _radio_settings(scenario: Scenario, world_map: Map, range_m: float, incarnat
         scenario.radio,
         world_map.resolution,
         world_map.cells if RADIO_MODELS.find(scenario.radio.model).needs_walls else None,
-        tuple(robot.send_bytes or 0 for robot in hardware),
-        tuple(robot.receive_bytes or 0 for robot in hardware),
+        tuple(robot.send_bytes for robot in hardware),
+        tuple(robot.receive_bytes for robot in hardware),
         scenario.changes(world_map.diagonal_m),
         tuple(fault for fault in scenario.faults if fault.kind in faults.RADIO_KINDS),
         scenario.step_ns,
@@ -228,7 +177,6 @@ def _robot_settings(
     bodies: list[Body],
     radio: RadioSettings,
     *,
-    sensors: SensorSettings | None,
     record_maps: bool,
 ) -> dict[int, Settings]:
     encoding = EncodingSettings(
@@ -255,23 +203,12 @@ def _robot_settings(
             medium=medium,
             options=scenario.options,
             resolution=world_map.resolution,
-            laser=None if sensors is None else sensors.geometries[number],
             people=scenario.people.number > 0,
             incarnations=radio.incarnations,
             record_maps=record_maps,
         )
         for number in range(scenario.robots)
     }
-
-
-def least_range(radius_cells: float) -> float:
-    """Return the sensor range, in cells, with which a disc sees all cells that its next step may touch.
-
-    It is 1 for robots so small that obstacles are not enlarged: these enter only cells that they have seen.
-    """
-    touched = disc(radius_cells)
-    from_middle = np.argwhere(touched) - len(touched) // 2
-    return float(np.hypot(*(from_middle + 1).T).max()) if len(from_middle) > 1 else 1.0
 
 
 def load_map(scenario: Scenario) -> Map:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import tomllib
@@ -16,6 +17,7 @@ from pydantic import Field, ValidationError, ValidationInfo, field_validator, mo
 from agent.encoding_options import PolygonOptions, PredictiveOptions
 from deploy.scenario import plugins
 from deploy.scenario.finding_maps import FILES as MAP_FILES
+from deploy.scenario.hardware import PRESETS, Hardware, RobotOverride, with_presets
 from deploy.scenario.radio_presets import RADIO_KEYS, preset_settings
 from deploy.scenario.tables import (
     MAX_INTEGER,
@@ -28,7 +30,6 @@ from deploy.scenario.tables import (
     NotNegative,
     Positive,
     Range,
-    RobotOverride,
     Table,
     Whole,
     check_types,
@@ -44,7 +45,7 @@ from protocol.messages import Change, FaultEvent
 from protocol.packets import MAX_GOSSIP_MAPS, MAX_MAPS
 from worldsim.people_options import PeopleOptions
 from worldsim.recorded.options import RecordingOptions
-from worldsim.sensor_options import IDEAL, LASERS, POSES, LaserOptions, PoseOptions
+from worldsim.sensor_options import IDEAL, LASERS, LaserOptions, PoseOptions
 
 SHIPPED = Path(__file__).with_name("shipped")
 """Directory of the scenarios that are installed with the code; a file name alone can refer to one."""
@@ -170,10 +171,9 @@ class Scenario(Table):
     recording: RecordingOptions = Field(
         default_factory=RecordingOptions, description="logs that robots replay instead of exploring"
     )
+    robot: tuple[RobotOverride, ...] = Field((), description="robots with different hardware")
     tolerance: Whole = Field(
-        default_factory=lambda given: int(
-            _is_noisy(given.get("laser"), given.get("pose"), given.get("recording"))
-        ),
+        default_factory=lambda given: int(_is_noisy(given)),
         ge=0,
         le=MAX_TOLERANCE,
         description="cells between a wall and its copy on teammates' maps at most (default 1 with errors of lasers or "
@@ -193,7 +193,6 @@ class Scenario(Table):
     finish: Literal["first", "all"] = Field(
         "first", description="robots that must have finished for the run to end: the first one, or all"
     )
-    robot: tuple[RobotOverride, ...] = Field((), description="robots with different hardware")
     fault: tuple[FaultTable, ...] = Field(
         (), description="faults of robots: breakdowns, restarts, radio failures"
     )
@@ -213,19 +212,19 @@ class Scenario(Table):
     @model_validator(mode="before")
     @classmethod
     def _take_sensor_presets(cls, data: Any) -> Any:
-        """Fill in the values of the laser's and the poses' preset where the scenario does not give its own."""
-        for table, presets in (("laser", LASERS), ("pose", POSES)):
-            given = data.get(table) if isinstance(data, dict) else None
-            if not isinstance(given, dict) or "preset" not in given:
-                continue
-            name = str(given["preset"])
-            if name not in presets:
-                raise ValueError(f"{table}.preset = {shown(given['preset'])}: {there_are(presets, name)}")
-            values = dict(presets[name])
-            if "field_of_view" in values:
-                data = {"field_of_view": values.pop("field_of_view")} | data
-            data = data | {table: values | given}
-        return data
+        """Fill in the values of presets of lasers and poses, of the team and of single robots."""
+        if not isinstance(data, dict):
+            return data
+        data = with_presets(data)
+        robots = data.get("robot")
+        if not isinstance(robots, list | tuple):
+            return data
+        return data | {
+            "robot": [
+                with_presets(each, f"robot.{place}.") if isinstance(each, dict) else each
+                for place, each in enumerate(robots)
+            ]
+        }
 
     @model_validator(mode="before")
     @classmethod
@@ -337,10 +336,11 @@ class Scenario(Table):
                 f"people.number = {self.people.number}: with exact lasers, a person would stay on maps as a wall; "
                 f"choose a laser.preset with errors: {lasers}"
             )
-        if self.laser.rate < 1 and any(self.body_of(robot).scanner_turn for robot in range(self.robots)):
-            raise ValueError(
-                f"laser.rate = {self.laser.rate:g}: a turning scanner (scanner_turn) measures in every step"
-            )
+        for hardware in map(self.body_of, range(self.robots)):
+            if hardware.laser.rate < 1 and hardware.scanner_turn:
+                raise ValueError(
+                    f"laser.rate = {hardware.laser.rate:g}: a turning scanner (scanner_turn) measures in every step"
+                )
         if self.start_jitter and self.start is None and not self.starts:
             raise ValueError("start_jitter: offsets a given start position: set start or starts")
         numbers = [entry.robot for entry in self.robot]
@@ -379,9 +379,7 @@ class Scenario(Table):
             if getattr(self, name) != getattr(defaults, name):
                 raise ValueError(f"{name} = {shown(getattr(self, name))}: {NOT_RECORDED_REASON}")
         for entry in self.robot:
-            if {entry.sensor_range, entry.field_of_view, entry.speed, entry.radius, entry.scanner_turn} != {
-                None
-            }:
+            if entry.changes_body:
                 raise ValueError(f"[[robot]] {entry.robot}: {NOT_RECORDED_REASON}")
 
     @property
@@ -407,7 +405,7 @@ class Scenario(Table):
     @property
     def is_noisy(self) -> bool:
         """Whether lasers or poses have errors, as those of real robots have."""
-        return self.is_field or _is_noisy(self.laser, self.pose, self.recording)
+        return self.is_field or _is_noisy(dict(self))
 
     def range_m(self, diagonal_m: float) -> float:
         """Return the communication range in meters, on a map with this diagonal in meters."""
@@ -424,18 +422,20 @@ class Scenario(Table):
             for each in sorted(self.change, key=lambda each: each.step)
         )
 
-    def body_of(self, number: int) -> RobotOverride:
-        """Return the hardware of one robot, with all values filled in."""
+    def body_of(self, number: int) -> Hardware:
+        """Return the hardware of one robot."""
         own = next((entry for entry in self.robot if entry.robot == number), RobotOverride(robot=number))
-        return RobotOverride(
+        return Hardware(
             robot=number,
             sensor_range=own.sensor_range or self.sensor_range,
             field_of_view=own.field_of_view or self.field_of_view,
             speed=own.speed or self.speed,
-            send_bytes=own.send_bytes or self.radio.send_bytes or None,
-            receive_bytes=own.receive_bytes or self.radio.receive_bytes or None,
+            send_bytes=own.send_bytes or self.radio.send_bytes,
+            receive_bytes=own.receive_bytes or self.radio.receive_bytes,
             radius=self.radius if own.radius is None else own.radius,
             scanner_turn=self.scanner_turn if own.scanner_turn is None else own.scanner_turn,
+            laser=own.laser or self.laser,
+            pose=own.pose or self.pose,
         )
 
     @property
@@ -489,7 +489,7 @@ def remove_preset_keys(data: dict[str, Any], overrides: dict[str, Any]) -> None:
             data.pop(key, None)
         if isinstance(data.get("radio"), dict):
             data["radio"] = {key: value for key, value in data["radio"].items() if key not in RADIO_KEYS}
-    for table, presets in (("laser", LASERS), ("pose", POSES)):
+    for table, presets in PRESETS.items():
         if name := overrides.get(f"{table}.preset"):
             data.pop(table, None)
             if "field_of_view" in presets.get(str(name), {}):
@@ -555,12 +555,15 @@ def beside(path: Path, named: Any) -> Any:
     return str(elsewhere if is_there else path.parent / named)
 
 
-def _is_noisy(
-    laser: LaserOptions | None, pose: PoseOptions | None, recording: RecordingOptions | None
-) -> bool:
-    """Return whether options of lasers, poses, and recordings mean errors; None: invalid options."""
-    is_ideal = (laser is None or laser.is_ideal) and (pose is None or pose.is_exact)
-    return not is_ideal or (recording is not None and bool(recording.files))
+def _is_noisy(given: Mapping[str, Any]) -> bool:
+    """Return whether any robot's laser or pose has errors, by the valid settings of a scenario, or it is recorded."""
+    robots: tuple[RobotOverride, ...] = given.get("robot", ())
+    laser, pose = given.get("laser", LaserOptions()), given.get("pose", PoseOptions())
+    lasers, poses = [each.laser or laser for each in robots], [each.pose or pose for each in robots]
+    if len(robots) < given.get("robots", math.inf):
+        lasers, poses = [*lasers, laser], [*poses, pose]
+    is_exact = all(each.is_ideal for each in lasers) and all(each.is_exact for each in poses)
+    return not is_exact or bool(given.get("recording", RecordingOptions()).files)
 
 
 def parse(data: dict[str, Any], where: str = "scenario") -> Scenario:
@@ -583,7 +586,9 @@ _KEYS = {
     "predictive": [field.name for field in fields(PredictiveOptions)],
     "radio": [field.name for field in fields(RadioOptions)],
     "laser": [field.name for field in fields(LaserOptions)],
+    "robot.laser": [field.name for field in fields(LaserOptions)],
     "pose": [field.name for field in fields(PoseOptions)],
+    "robot.pose": [field.name for field in fields(PoseOptions)],
     "people": [field.name for field in fields(PeopleOptions)],
     "recording": [field.name for field in fields(RecordingOptions)],
     "radio.partition": [field.name for field in fields(Partition)],

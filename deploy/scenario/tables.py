@@ -1,4 +1,4 @@
-"""Types of scenario values, and the tables of a scenario: ``[[robot]]``, ``[[fault]]``, ``[[change]]``."""
+"""Types of scenario values, and tables of a scenario: ``[[fault]]`` and ``[[change]]``."""
 
 from __future__ import annotations
 
@@ -107,19 +107,6 @@ class Table(BaseModel):
     """Base of all tables: immutable, without unknown keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class RobotOverride(Table):
-    """Hardware of one robot where it differs from the others'."""
-
-    robot: Whole = Field(ge=0, le=MAX_INTEGER, description="the robot's number, from 0")
-    sensor_range: Positive | None = Field(None, description="meters")
-    field_of_view: Degrees | None = Field(None, gt=0, description="degrees")
-    speed: Positive | None = Field(None, description="meters per step")
-    send_bytes: LimitOrNone = Field(None, description="maximum bytes sent per step")
-    receive_bytes: LimitOrNone = Field(None, description="maximum bytes received per step")
-    radius: NotNegative | None = Field(None, description="meters; 0: a point")
-    scanner_turn: Degrees | None = Field(None, ge=0, description="degrees per step; 0: full view at once")
 
 
 class FaultTable(Table):

@@ -81,11 +81,11 @@ def serve(
     with contextlib.ExitStack() as stack, contextlib.suppress(KeyboardInterrupt), signals_as_ctrl_c():
         if settings.own_router:
             stack.callback(open_router(settings.router).close)
-        least = plan.scenario.laser.min_range_m
         robots = []
-        for namespace, robot in zip(settings.namespaces, swarm.robots, strict=True):
-            node = stack.enter_context(_node(settings, namespace))
-            robots.append(RosRobot(node, robot, least, warn, clock_ns()))
+        for number, robot in enumerate(swarm.robots):
+            node = stack.enter_context(_node(settings, settings.namespaces[number]))
+            least_m = plan.scenario.body_of(number).laser.min_range_m
+            robots.append(RosRobot(node, robot, least_m, warn, clock_ns()))
         clock = None
         if settings.sim_time:
             node = stack.enter_context(_node(settings, "/"))

@@ -8,14 +8,15 @@ from functools import partial
 
 from msgspec.structs import replace as changed
 
-from deploy.scenario.plan import Plan, laser_of
+from deploy.scenario.bodies import laser_of
+from deploy.scenario.plan import Plan
 from deploy.serve.navigator import Navigator
 from deploy.serve.robot import SimulatedRobot
 from protocol.map_frame import MapFrame
-from protocol.range_scans import MAX_REACH_M, Laser
+from protocol.range_scans import MAX_REACH_M
 from protocol.transforms import Pose
 from worldsim.localization import Localization
-from worldsim.sensors import SensorSettings
+from worldsim.sensors import RobotSensors, SensorSettings
 from worldsim.velocity_world import VelocityWorld
 
 SECOND = 10**9
@@ -44,28 +45,25 @@ class Swarm:
         self._start_ns, self._skipped_ns = start_ns, 0
         x, y, _ = world_map.origin
         frame = MapFrame(world_map.width, world_map.height, world_map.resolution, x, y)
-        lasers = [_laser(plan, robot) for robot in range(scenario.robots)]
-        sensors = SensorSettings(scenario.laser, scenario.pose, tuple(lasers), world_map.resolution)
+        sensors = tuple(_sensors(plan, robot) for robot in range(scenario.robots))
         headings = [robot % 4 * math.pi / 2 for robot in range(scenario.robots)]
         step_s = self.step_ns / SECOND
         self.world = VelocityWorld(
             world_map.cells,
             frame,
-            replace(plan.world, sensors=sensors),
+            replace(plan.world, sensors=SensorSettings(sensors, world_map.resolution)),
             headings,
             step_s,
             sees_robots=settings.sees_robots,
         )
         self.robots: list[SimulatedRobot] = []
-        for number, laser in enumerate(lasers):
+        for number, own in enumerate(sensors):
             start, hardware = self.world.pose(number), scenario.body_of(number)
-            assert hardware.speed is not None
-            assert hardware.radius is not None
             navigator = Navigator(self.world.floors[number], frame, hardware.speed, step_s)
-            localization = Localization(start, scenario.pose, frame.resolution, scenario.seed, number)
+            localization = Localization(start, own.pose, frame.resolution, scenario.seed, number)
             mount = Pose(min(LASER_AHEAD_M, hardware.radius / 2), 0.0, 0.0)
             self.robots.append(
-                SimulatedRobot(start, frame, laser, mount, navigator, localization, hardware.speed)
+                SimulatedRobot(start, frame, own.beams, mount, navigator, localization, hardware.speed)
             )
         self._look()
 
@@ -110,8 +108,9 @@ class Swarm:
             robot.look(self.world.scan(number, robot.laser_pose))
 
 
-def _laser(plan: Plan, robot: int) -> Laser:
-    """Return the beams of a robot's laser, with its largest range."""
-    scenario, body, cell = plan.scenario, plan.world.bodies[robot], plan.map.resolution
-    reach_m = min(scenario.laser.max_range_m or body.range_cells * cell, MAX_REACH_M)
-    return changed(laser_of(scenario, body, cell), reach_mm=round(1000 * reach_m))
+def _sensors(plan: Plan, robot: int) -> RobotSensors:
+    """Return the sensors of a robot; its laser has its largest range."""
+    hardware = plan.scenario.body_of(robot)
+    reach_m = min(hardware.laser.max_range_m or hardware.sensor_range, MAX_REACH_M)
+    beams = changed(laser_of(hardware, plan.scenario.beams), reach_mm=round(1000 * reach_m))
+    return RobotSensors(hardware.laser, hardware.pose, beams)

@@ -163,7 +163,9 @@ def test_frames_of_robots_with_other_maps_do_not_open(tmp_path: Path) -> None:
     robot = field_robot(tmp_path, Alone(PLAN.make_world()))
     other = replace(settings, robot=1, width=settings.width + 1)
     assert team_context(settings) == team_context(PLAN.robot_settings[1]) != team_context(other)
-    assert team_context(replace(settings, laser=Laser(4, 0, 49152, 8000))) != team_context(settings)
+    real = replace(settings.body, laser=Laser(4, 0, 49152, 8000))
+    noisy = replace(settings, bodies=(real,) * settings.robots)
+    assert team_context(noisy) != team_context(settings)
     robot.medium.receive(Sealer(KEY, 1, 1, team_context(other)).seal(b""), 0)
     robot.medium.receive(Sealer(KEY, 1, 1, team_context(settings)).seal(b""), 0)
     assert robot.medium.dropped == {"not authentic": 1}

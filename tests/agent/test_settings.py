@@ -13,9 +13,9 @@ from protocol.errors import ProtocolError
 from protocol.range_scans import Laser
 
 SETTINGS = Settings(
-    robot=1, bodies=(Body(8.0, 360.0, 5.0),) * 3, width=40, height=30, beams=36, seed=0, strategy="meier",
+    robot=1, bodies=(Body(8.0, 360.0, 5.0, laser=Laser(5, 0, 50_000, 8000)),) * 3, width=40, height=30, beams=36, seed=0, strategy="meier",
     encoding=EncodingSettings("predictive", tolerance=1), replication=ReplicationSettings("gossip"),
-    laser=Laser(5, 0, 50_000, 8000), home=(3, 4), options={"weight": 0.5},
+    home=(3, 4), options={"weight": 0.5},
 )  # fmt: skip
 
 
@@ -29,6 +29,7 @@ def test_settings_are_read_as_they_were_sent() -> None:
         ({"robot": 3}, "robot = 3: the team has 3 robots"),
         ({"robot": -1}, "robot = -1: the team has 3 robots"),
         ({"bodies": []}, "robot = 1: the team has 0 robots"),
+        ({"bodies": [SETTINGS.body, Body(8.0, 360.0, 5.0)]}, "all robots, or none, must have a laser"),
         ({"width": 0}, r"`\$.width`"),
         ({"height": 1 << 40}, r"`\$.height`"),
         ({"encoding": {"name": 7}}, r"`\$.encoding.name`"),

@@ -67,6 +67,7 @@ SETTINGS = Settings(
 
 
 LASER = Laser(5, 0, 50_000, 8000)
+WITH_LASERS = replace(SETTINGS, bodies=(replace(SETTINGS.body, laser=LASER),) * 3)
 KEY = bytes(range(KEY_BYTES))
 
 
@@ -99,8 +100,8 @@ def read_polygons(data: bytes) -> None:
 
 def apply_entries(data: bytes) -> None:
     for name, kind in ENCODINGS.items():
-        laser = LASER if kind.needs_range_scans else None
-        encoding = make_encoding(replace(SETTINGS, encoding=EncodingSettings(name), laser=laser))
+        settings = WITH_LASERS if kind.needs_range_scans else SETTINGS
+        encoding = make_encoding(replace(settings, encoding=EncodingSettings(name)))
         try:
             encoding.apply(0, data, step=1000, sender=0)
         except ProtocolError:
@@ -109,7 +110,7 @@ def apply_entries(data: bytes) -> None:
 
 def apply_range_scans(data: bytes) -> None:
     """Apply the bytes as whole scans at positions on the grid and around it, as an author would fragment them."""
-    encoding = make_encoding(replace(SETTINGS, encoding=EncodingSettings("scans"), laser=LASER))
+    encoding = make_encoding(replace(WITH_LASERS, encoding=EncodingSettings("scans")))
     size = range_scan_size(LASER)
     scan = (data + bytes(size))[:size]
     near = scan[1:4] + scan[5:8]

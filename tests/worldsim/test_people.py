@@ -20,7 +20,7 @@ from worldsim.people import People, PeopleSettings, shortest_way
 from worldsim.people_options import PeopleOptions
 from worldsim.range_laser import RangeLaser
 from worldsim.sensor_options import LaserOptions, PoseOptions
-from worldsim.sensors import SensorSettings
+from worldsim.sensors import RobotSensors, SensorSettings
 from worldsim.world import World, WorldSettings, scans_in
 
 Cell = tuple[int, int]
@@ -52,11 +52,10 @@ def world_of(
     seed: int = 0,
     rate: float = 1.0,
 ) -> World:
-    sensors = SensorSettings(LaserOptions(range_error_m=0.01), PoseOptions(), (LASER,) * len(starts), CELL)
-    settings = WorldSettings(
-        (BODY,) * len(starts), starts, seed=seed, sensors=sensors, people=people, scan_rate=rate
-    )
-    return World(truth, settings)
+    own = RobotSensors(LaserOptions(range_error_m=0.01), PoseOptions(), LASER)
+    sensors = SensorSettings((own,) * len(starts), CELL)
+    bodies = (replace(BODY, scan_rate=rate),) * len(starts)
+    return World(truth, WorldSettings(bodies, starts, seed=seed, sensors=sensors, people=people))
 
 
 def plain_steps(truth: Grid, start: Cell, end: Cell) -> int | None:

@@ -19,7 +19,7 @@ from protocol.range_scans import TURN, Laser
 from protocol.scans import HIT, NONE, Readings, check_readings, draw
 from worldsim.motion import INTERFERENCE, NOT_BLOCKED, ROBOT, WALL
 from worldsim.sensor_options import LaserOptions, PoseOptions
-from worldsim.sensors import SensorSettings
+from worldsim.sensors import RobotSensors, SensorSettings
 from worldsim.starts import start_cells
 from worldsim.world import MOVES_AS_PLANNED, World, WorldSettings, reachable_by, wide_part
 
@@ -232,7 +232,7 @@ def test_resting_robot_chooses_its_heading_and_driving_robot_faces_ahead() -> No
 
 def test_a_robot_that_a_wall_stops_keeps_its_heading_unless_its_laser_is_real() -> None:
     laser = Laser(4, 0, TURN - TURN // 4, 3000)
-    sensors = SensorSettings(LaserOptions(range_error_m=0.01), PoseOptions(), (laser,), 0.1)
+    sensors = SensorSettings((RobotSensors(LaserOptions(range_error_m=0.01), PoseOptions(), laser),), 0.1)
     exact, real = corridor(1, 2), corridor(1, 2, sensors=sensors)
     for world, heading in ((exact, 3), (real, 0)):
         world.cells = {0: (1, 0)}

@@ -40,7 +40,7 @@ from worldsim.clock import StepClock
 from worldsim.ending import ALL_LOST, LONE_REPORT_STEPS, OUT_OF_STEPS
 from worldsim.process import WorldNode
 from worldsim.sensor_options import LaserOptions, PoseOptions
-from worldsim.sensors import SensorSettings
+from worldsim.sensors import RobotSensors, SensorSettings
 from worldsim.world import World, WorldSettings
 
 KEYS = Keys("world")
@@ -327,8 +327,8 @@ def test_robot_drives_toward_waypoints_beyond_the_world(far: int) -> None:
 
 
 def real_sensors(robots: int) -> SensorSettings:
-    lasers = (Laser(8, 0, 57_344, 300),) * robots
-    return SensorSettings(LaserOptions(range_error_m=0.01), PoseOptions(), lasers, 0.1)
+    own = RobotSensors(LaserOptions(range_error_m=0.01), PoseOptions(), Laser(8, 0, 57_344, 300))
+    return SensorSettings((own,) * robots, 0.1)
 
 
 def ends(run: Run) -> list[End]:

@@ -29,10 +29,10 @@ SECOND = 10**9
 
 def settings(laser: Laser | None) -> Settings:
     """Return the settings of a robot that is alone."""
-    body = Body(REACH_M / WHERE.resolution, 360.0, 5.0, radius_cells=RADIUS_CELLS)
+    body = Body(REACH_M / WHERE.resolution, 360.0, 5.0, radius_cells=RADIUS_CELLS, laser=laser)
     return Settings(
         robot=0, bodies=(body,), width=WHERE.width, height=WHERE.height, beams=BEAMS, seed=0, strategy="meier",
-        encoding=EncodingSettings("none"), replication=ReplicationSettings("gossip"), laser=laser,
+        encoding=EncodingSettings("none"), replication=ReplicationSettings("gossip"),
     )  # fmt: skip
 
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from agent.encodings.catalog import make_encoding
-from agent.encodings.slam_toolbox import CDR, LocalizedScans, SlamToolboxEncoding
+from agent.encodings.slam_toolbox import CDR, LocalizedScans, SlamToolboxEncoding, message_layout
 from agent.mapping.estimator import Estimator
 from agent.settings import EncodingSettings, ReplicationSettings, Settings
 from protocol.body import Body
@@ -27,11 +27,11 @@ LASER = Laser(72, -(TURN // 3), 2 * TURN // 3, 2000)
 NO_CHANGE = Change(0, (WIDTH, HEIGHT, 0, 0))
 
 
-def settings_of(robot: int) -> Settings:
+def settings_of(robot: int, laser: Laser = LASER) -> Settings:
     return Settings(
-        robot=robot, bodies=(Body(40.0, 360.0, 10.0),) * 3, width=WIDTH, height=HEIGHT, beams=36, seed=0,
+        robot=robot, bodies=(Body(40.0, 360.0, 10.0, laser=laser),) * 3, width=WIDTH, height=HEIGHT, beams=36, seed=0,
         strategy="meier", encoding=EncodingSettings("slam-toolbox"), replication=ReplicationSettings("gossip"),
-        resolution=CELL, laser=LASER,
+        resolution=CELL,
     )  # fmt: skip
 
 
@@ -57,7 +57,7 @@ def record(maker: SlamToolboxEncoding, scan: RangeScan) -> list[bytes]:
     st.lists(st.integers(0, 2**16 - 1), min_size=72, max_size=72),
 )
 def test_a_message_holds_the_scan_exactly(x: float, y: float, heading: int, ranges: list[int]) -> None:
-    form = LocalizedScans(settings_of(0), LASER)
+    form = LocalizedScans(settings_of(0))
     place = scan_at(x, y).place
     scan = RangeScan(place, heading, np.array(ranges, np.uint16))
     data = form.encode(scan)
@@ -71,7 +71,7 @@ def test_a_message_holds_the_scan_exactly(x: float, y: float, heading: int, rang
 def test_the_message_has_the_layout_of_ros_2() -> None:
     """LaserScan, TransformStamped and PoseWithCovarianceStamped in CDR, read by hand."""
     scan = scan_at(1.5, 2.0, TURN // 4, seed=3)
-    data = LocalizedScans(settings_of(1), LASER).encode(scan)
+    data = LocalizedScans(settings_of(1)).encode(scan)
     assert data.startswith(CDR)
     body = data[4:]
     assert struct.unpack_from("<IIi", body) == (1, 0, 11)
@@ -101,7 +101,7 @@ def test_the_message_has_the_layout_of_ros_2() -> None:
 
 
 def test_a_scan_of_360_beams_takes_about_2_kb() -> None:
-    assert LocalizedScans(settings_of(0), replace(LASER, beams=360)).size == 1964
+    assert LocalizedScans(settings_of(0, replace(LASER, beams=360))).size(0) == 1964
 
 
 def test_a_robot_sends_a_scan_when_it_has_moved_or_turned() -> None:
@@ -147,8 +147,9 @@ def test_receivers_estimate_the_map_of_the_author_from_the_sent_scans() -> None:
 
 
 def messages(**changes: object) -> bytes:
-    form = LocalizedScans(settings_of(0), LASER)
-    message = np.frombuffer(form.encode(scan_at(1, 1))[len(CDR) :], form._layout).copy()
+    form = LocalizedScans(settings_of(0))
+    layout = message_layout(LASER.beams)
+    message = np.frombuffer(form.encode(scan_at(1, 1))[len(CDR) :], layout).copy()
     for name, value in changes.items():
         message[name] = value
     return CDR + message.tobytes()
@@ -182,10 +183,10 @@ def test_malformed_messages_are_rejected_and_change_nothing(data: bytes) -> None
 
 @given(st.lists(st.sampled_from([0.0, -1.0, 1e30, -math.inf, math.nan, 1e-30]), min_size=72, max_size=72))
 def test_any_range_can_be_read(ranges: list[float]) -> None:
-    scan = LocalizedScans(settings_of(1), LASER).decode(0, messages(ranges=ranges))
+    scan = LocalizedScans(settings_of(1)).decode(0, messages(ranges=ranges))
     beam_ends(scan, LASER, CELL)
 
 
 def test_exact_lasers_are_refused() -> None:
     with pytest.raises(ValueError, match=r"slam-toolbox.*lasers or poses with errors"):
-        make_encoding(replace(settings_of(0), laser=None))
+        make_encoding(replace(settings_of(0), bodies=(Body(40.0, 360.0, 10.0),) * 3))

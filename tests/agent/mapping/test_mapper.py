@@ -26,8 +26,8 @@ def sense(step: int, blocked: str = "", range_mm: int = NO_MEASUREMENT) -> Sense
 @pytest.mark.parametrize(("blocked", "ahead"), [("wall", OCCUPIED), ("person", UNKNOWN), ("robot", UNKNOWN)])
 def test_only_a_bump_into_a_wall_marks_the_cell_ahead(blocked: str, ahead: int) -> None:
     settings = Settings(
-        robot=0, bodies=(Body(20.0, 360.0, 5.0),), width=30, height=30, beams=36, seed=0, strategy="meier",
-        encoding=EncodingSettings("none"), replication=ReplicationSettings("gossip"), laser=LASER,
+        robot=0, bodies=(Body(20.0, 360.0, 5.0, laser=LASER),), width=30, height=30, beams=36, seed=0, strategy="meier",
+        encoding=EncodingSettings("none"), replication=ReplicationSettings("gossip"),
     )  # fmt: skip
     mapper = make_mapper(settings)
     mapper.add(sense(1, blocked))

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from agent.planning.noisy_grid import LONGEST_SPECK, NoisyGrid, shortest_frontier
+from protocol.body import Body
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.range_scans import TURN, Laser
 
@@ -84,10 +85,13 @@ def test_frontiers_that_are_too_short_do_not_count(shortest: int, state: int) ->
 
 
 def test_the_shortest_frontier_depends_on_how_far_beams_are_apart() -> None:
-    fine, coarse = (Laser(beams, 0, TURN * 3 // 4, 5000) for beams in (1081, 271))
-    assert shortest_frontier(fine, 50.0) == 2
-    assert shortest_frontier(coarse, 50.0) == 3
-    assert shortest_frontier(Laser(4, 0, TURN * 3 // 4, 5000), 50.0) == LONGEST_SPECK
+    fine, coarse, poor = (
+        Body(50.0, 270.0, 5.0, laser=Laser(beams, 0, TURN * 3 // 4, 5000)) for beams in (1081, 271, 4)
+    )
+    assert shortest_frontier([fine]) == 2
+    assert shortest_frontier([coarse]) == 3
+    assert shortest_frontier([poor]) == LONGEST_SPECK
+    assert shortest_frontier([fine, coarse, fine]) == 3, "scans of the coarsest laser are on all maps"
 
 
 def test_the_optimistic_grid_shows_what_doubtful_walls_may_hide() -> None:

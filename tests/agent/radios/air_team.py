@@ -5,7 +5,7 @@ The steps of all robots begin at the same time, as if their clocks agreed; frame
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -43,7 +43,10 @@ class Wire:
 
 
 class WorldBody:
-    """The body of a robot in a simulated world: the world sets `sensed`, and takes `moved`."""
+    """The body of a robot in a simulated world: the world sets `sensed`, and takes `moved`.
+
+    Steps are those of the robot, which counts them from its start.
+    """
 
     def __init__(self) -> None:
         self.sensed: Sense | None = None
@@ -51,7 +54,7 @@ class WorldBody:
         self.stops = 0
 
     def sense(self, step: int) -> Sense | None:
-        return self.sensed
+        return None if self.sensed is None else replace(self.sensed, step=step)
 
     def move(self, move: Move, target: tuple[int, int] | None) -> None:
         self.moved = move
@@ -62,21 +65,29 @@ class WorldBody:
 
 
 class Member:
-    """A robot in the field, the session of its radio, and the frames that it sent."""
+    """A robot in the field, the session of its radio, and the frames that it sent; it starts after step `began`.
+
+    It assumes that its teammates have the same hardware.
+    """
 
     def __init__(
-        self, plan: Plan, number: int, options: LinkOptions, transport: Transport, state: Path
+        self, plan: Plan, number: int, options: LinkOptions, transport: Transport, state: Path, began: int
     ) -> None:
-        settings = replace(plan.robot_settings[number], incarnations=2)
+        self.began = began
+        settings = plan.robot_settings[number]
+        settings = replace(settings, incarnations=2, bodies=(settings.body,) * settings.robots)
         self.files = FieldFiles.open(state, KEY, settings)
         guard = PoseGuard(settings.body.speed, slack=1.0, settle=5 * SECOND)
-        self.body, self.wire = WorldBody(), Wire(transport)
-        self.field = FieldRobot(settings, options, self.files, self.body, self.wire, guard, 0, pytest.fail)
+        self.body, self.wire, now = WorldBody(), Wire(transport), began * SECOND
+        self.field = FieldRobot(settings, options, self.files, self.body, self.wire, guard, now, pytest.fail)
         self.robot, self.medium, self.sent = self.field.robot, self.field.medium, self.wire.sent
 
 
 class AirTeam:
-    """The robots of a plan; `set_time` is called with the time before frames travel."""
+    """The robots of a plan; `set_time` is called with the time before frames travel.
+
+    Robots in `late` are in the world from the beginning, but their processes start with `start`.
+    """
 
     def __init__(
         self,
@@ -85,12 +96,16 @@ class AirTeam:
         join: Join,
         state: Path,
         set_time: Callable[[int], object] = lambda _: None,
+        late: Collection[int] = (),
     ) -> None:
         self.plan = plan
         self.world = plan.make_world()
         self.step = 0
         self._options, self._join, self._state, self._set_time = options, join, state, set_time
-        self.members = {number: self._start(number) for number in plan.robot_settings}
+        self.members: dict[int, Member] = {}
+        for number in plan.robot_settings:
+            if number not in late:
+                self.start(number)
 
     @property
     def robots(self) -> list[Robot]:
@@ -103,11 +118,25 @@ class AirTeam:
     def sent_bytes(self) -> int:
         return sum(len(frame) for member in self.members.values() for frame in member.sent)
 
+    def sent_frames(self) -> int:
+        return sum(len(member.sent) for member in self.members.values())
+
+    def start(self, number: int) -> None:
+        """Start the process of a robot."""
+        transport = self._join(number)
+        self.members[number] = Member(self.plan, number, self._options, transport, self._state, self.step)
+
+    def leave(self, number: int) -> Member:
+        """Kill a robot's process; return what it was."""
+        member = self.members.pop(number)
+        member.files.session.close()
+        member.wire.close()
+        return member
+
     def restart(self, number: int) -> None:
         """Kill a robot's process and start it again."""
-        self.members[number].files.session.close()
-        self.members[number].wire.close()
-        self.members[number] = self._start(number)
+        self.leave(number)
+        self.start(number)
 
     def play(self, *, moving: bool = True, ticks: int = 20) -> None:
         """Play one step of a second; frames travel at `ticks` times in it."""
@@ -115,11 +144,14 @@ class AirTeam:
         moves = self.moves
         if not moving:
             moves = {robot: Move(move.step, b"", move.heading, False) for robot, move in moves.items()}
-        senses = self.world.advance(moves)
+        senses = {
+            number: sense for number, sense in self.world.advance(moves).items() if number in self.members
+        }
         begin = self.step * SECOND
         for number, sense in senses.items():
-            self.members[number].body.sensed = sense
-            self.members[number].field.begin_step(self.step, begin)
+            member = self.members[number]
+            member.body.sensed = sense
+            member.field.begin_step(self.step - member.began, begin)
         for tick in range(ticks):
             now = begin + tick * SECOND // ticks
             self._set_time(now)
@@ -142,9 +174,6 @@ class AirTeam:
         """Stop all robots."""
         for member in self.members.values():
             member.field.stop()
-
-    def _start(self, number: int) -> Member:
-        return Member(self.plan, number, self._options, self._join(number), self._state)
 
 
 def exchange_all(team: AirTeam, steps: int) -> None:

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from agent.field import team_context
 from agent.radios.memory_air import Faults, MemoryAir
 from agent.radios.options import LinkOptions
 from agent.radios.sealing import KEY_BYTES, Sealer
 from agent.radios.transport import Transport
+from protocol.grid import UNKNOWN
 from protocol.token_bucket import SECOND
 from tests.agent.radios.air_team import KEY, AirTeam, assert_maps_agree, exchange_all
 from tests.system.team import small_plan
@@ -33,6 +35,8 @@ def on_the_air(
     options: LinkOptions = OPTIONS,
     apart: range = range(0),
     tap: Tap | None = None,
+    late: Collection[int] = (),
+    **settings: Any,
 ) -> AirTeam:
     """A team on an air that loses frames; during the seconds `apart`, the first two robots are out of range."""
 
@@ -47,7 +51,7 @@ def on_the_air(
         return end if tap is None else tap(end, number)
 
     air = MemoryAir(7, ROUGH, separated)
-    return AirTeam(small_plan(robots=robots, **TEAM), options, join, state, set_time)
+    return AirTeam(small_plan(robots=robots, **(TEAM | settings)), options, join, state, set_time, late)
 
 
 def test_maps_agree_after_loss_and_a_partition(tmp_path: Path) -> None:
@@ -135,3 +139,73 @@ def test_a_restarted_receiver_takes_no_recorded_frame_again(tmp_path: Path) -> N
     assert len(receiver.records) <= 1  # the last one, if it was lost before
     receiver.receive(Sealer(KEY, 0, 2, team_context(team.robots[0].settings)).seal(b""), team.step * SECOND)
     assert receiver.begin_step(team.step, team.step * SECOND).peers == [0]
+
+
+def log_bytes(team: AirTeam) -> int:
+    """Return the bytes of all logs."""
+    return sum(len(log.read(0)) for log in team.robots[0].replication.replica.logs)
+
+
+@pytest.mark.parametrize("kind", ["exact", "noisy"])
+def test_a_robot_that_starts_late_receives_the_whole_map_in_few_bytes(tmp_path: Path, kind: str) -> None:
+    noisy = {"laser": {"preset": "rplidar-a1"}, "pose": {"preset": "graph-slam"}} if kind == "noisy" else {}
+    team = on_the_air(tmp_path, 3, late=(2,), side_m=16.0, **noisy)
+    team.explore(400)
+    before, frames = team.sent_bytes(), team.sent_frames()
+    team.start(2)
+    exchange_all(team, 200)
+    sent, frames = team.sent_bytes() - before, team.sent_frames() - frames
+    late, other = team.members[2].robot, team.members[0].robot
+    assert np.array_equal(late.replication.replica.lengths(), other.replication.replica.lengths())
+    assert np.mean(late.planning[other.planning != UNKNOWN] != UNKNOWN) > 0.99
+    assert sent < 1.5 * log_bytes(team) + 40 * frames
+    assert frames < 60
+
+
+def test_a_robot_that_leaves_for_good_does_not_keep_the_others_from_exploring_all(tmp_path: Path) -> None:
+    team = on_the_air(tmp_path, 3)
+    for _ in range(25):
+        team.play()
+    team.leave(1)
+    team.explore(400)
+    assert any(move.explored for move in team.moves.values())
+    for _ in range(200):
+        team.stand(1)
+        if not any(robot.replication.undelivered_to(2 - robot.settings.robot) for robot in team.robots):
+            break
+    first, second = team.robots
+    assert np.array_equal(first.planning, second.planning)
+    assert team.world.seen_cells / np.count_nonzero(team.world.reachable) > 0.97
+    assert first.replication.undelivered() > 0, "the robot that left lacks entries"
+
+
+def test_a_robot_that_returns_with_a_new_process_continues(tmp_path: Path) -> None:
+    team = on_the_air(tmp_path, 3)
+    for _ in range(25):
+        team.play()
+    known = np.count_nonzero(team.leave(1).robot.own)
+    for _ in range(30):
+        team.play()
+    team.start(1)
+    team.explore(400)
+    exchange_all(team, 200)
+    returned = team.members[1].robot
+    assert returned.settings.incarnation == 1
+    assert np.count_nonzero(returned.planning) > known
+    assert_maps_agree(team)
+
+
+def test_receivers_accept_what_teammates_with_better_sensors_have_seen(tmp_path: Path) -> None:
+    """Each robot assumes that the other sees as far and drives as fast as it does itself."""
+    robots = [{"robot": 0, "sensor_range": 1.0, "speed": 0.2}, {"robot": 1, "sensor_range": 8.0, "speed": 1.0}]
+    team = on_the_air(tmp_path, 2, late=(0,), robot=robots, side_m=16.0, laser={"preset": "utm-30lx"})
+    for _ in range(20):
+        team.play()
+    team.start(0)
+    for _ in range(40):
+        team.play()
+    exchange_all(team, 100)
+    near, far = team.members[0].robot, team.members[1].robot
+    seen = far.own != UNKNOWN
+    assert np.count_nonzero(seen) > 10 * np.count_nonzero(near.own != UNKNOWN)
+    assert np.mean(near.planning[seen] != UNKNOWN) > 0.95

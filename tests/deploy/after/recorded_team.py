@@ -11,7 +11,7 @@ from agent.radios.peer_medium import FrameRecord
 from deploy.record.field_records import FieldRecorder, RobotSetup
 from deploy.scenario.plan import Plan
 from protocol.token_bucket import SECOND
-from tests.agent.radios.air_team import AirTeam, Member
+from tests.agent.radios.air_team import AirTeam
 
 CORNER = -5.0, 2.0
 """The lower left corner of the team's grid in the common frame."""
@@ -35,14 +35,16 @@ class RecordedTeam(AirTeam):
         super().play(moving=moving, ticks=ticks)
         for number, member in self.members.items():
             member.field.begin += self._ahead[number]
-            self.recorders[number].note(self.step, member.field, work_us=1000 + number)
+            self.recorders[number].note(self.step - member.began, member.field, work_us=1000 + number)
 
     def end(self, number: int, reason: str = "nothing is left", *, is_complete: bool = True) -> None:
         """Close the record of a robot."""
         self.recorders[number].close(self.members[number].field, reason, is_complete=is_complete)
 
-    def _start(self, number: int) -> Member:
-        member = super()._start(number)
+    def start(self, number: int) -> None:
+        """Start the process of a robot, and its record."""
+        super().start(number)
+        member = self.members[number]
         started, ahead = member.robot.settings, self._ahead[number]
         setup = RobotSetup(started, *CORNER, SECOND, RATE, utc_ns=-ahead, clock=f"host {number}")
         folder = self._folder / f"r{number}" / f"start-{started.incarnation + 1}"
@@ -52,4 +54,3 @@ class RecordedTeam(AirTeam):
             recorder.record(step, [each._replace(time=each.time + ahead) for each in frames])
 
         member.field.record = record
-        return member
