@@ -20,10 +20,9 @@ setup: $(VENV)/main.stamp
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV) || { rm -rf $(VENV); apt-get update && apt-get install -y --no-install-recommends python3-venv && $(PYTHON) -m venv $(VENV); }
 
-# Compiles all kernels, once, into numba's cache.
 $(VENV)/main.stamp: pyproject.toml constraints.txt | $(BIN)/python
 	$(PIP) --editable '.[view,mcap,film]'
-	$(BIN)/python -c 'import deploy.run.preload'
+	$(BIN)/murmur setup
 	touch $@
 
 $(VENV)/dev.stamp: $(VENV)/main.stamp

@@ -5,12 +5,16 @@ reads it from numba's cache, so that commands which compute nothing do not impor
 cache, all imported kernels are compiled at once: this takes a minute, once per installation, and the error stream
 shows the progress. The fork server loads all kernels in one process (`deploy.run.preload`), so robots never compile.
 Fastmath is off: equal versions of the libraries give equal bits on every machine.
+
+The cache is ``__pycache__`` beside each module. If this cannot be written, it is in the user's cache directory, or in
+``NUMBA_CACHE_DIR``. If no directory can be written, each process compiles the kernels again.
 """
 
 from __future__ import annotations
 
 import os
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cached_property, update_wrapper
@@ -27,6 +31,8 @@ class Kernel:
         self.function = function
         self.was_cached = False
         """Whether it was read from numba's cache; False until it is loaded."""
+        self.cache = ""
+        """Directory of numba's cache that has it; empty until it is loaded, or if no directory can be written."""
 
     def __call__(self, *args: Any) -> Any:
         """Call the compiled function."""
@@ -38,7 +44,10 @@ class Kernel:
         import numba  # noqa: PLC0415  takes half a second, which only computing commands need
 
         check_compiler()
-        dispatcher = numba.njit(cache=True, error_model="numpy")(self.function)
+        try:
+            dispatcher = numba.njit(cache=True, error_model="numpy")(self.function)
+        except RuntimeError:  # the cache has no directory that can be written
+            dispatcher = numba.njit(error_model="numpy")(self.function)
         with _before_compiling(dispatcher, self._prepare):
             try:
                 dispatcher.compile(self._signature)
@@ -47,6 +56,7 @@ class Kernel:
                     raise
         dispatcher.disable_compile()
         self.was_cached = bool(dispatcher.stats.cache_hits)
+        self.cache = dispatcher.stats.cache_path or ""
         self._replace(self.function.__name__, dispatcher)
         vars(self)["loaded"] = dispatcher
         if not self.was_cached:
@@ -83,6 +93,9 @@ class Kernel:
         if isinstance(self.function.__globals__.get(name), Kernel):
             self.function.__globals__[name] = dispatcher
 
+
+NO_CACHE = "numba's cache cannot be written: set NUMBA_CACHE_DIR to a writable directory, or each start compiles again"
+"""Warning if no directory for compiled kernels can be written."""
 
 _kernels: list[Kernel] = []
 
@@ -129,16 +142,32 @@ def compiled() -> int:
     return sum(each.is_loaded and not each.was_cached for each in _kernels)
 
 
+def compilation_s() -> float:
+    """Return the seconds that this process has spent compiling kernels."""
+    return _compilation.seconds
+
+
+def cache_folder() -> str:
+    """Return the directory that contains the caches of all loaded kernels; empty if no directory can be written."""
+    caches = {each.cache for each in _kernels if each.is_loaded}
+    return os.path.commonpath(caches) if caches and "" not in caches else ""
+
+
 class _Compilation:
     """Compilation of all kernels at once; prints its progress to the error stream."""
 
     def __init__(self) -> None:
+        self.seconds = 0.0
+        """Duration of all compilations so far."""
         self._depth = 0
         """Kernels being compiled: a kernel, those that it calls, and so on."""
+        self._began = 0.0
         self._package = ""
 
     def begin(self, package: str) -> None:
         """Report that a kernel of `package` comes next: on a terminal for each kernel, else once per package."""
+        if self._depth == 0:
+            self._began = time.perf_counter()
         self._depth += 1
         done = sum(each.is_loaded for each in _kernels)
         if package != self._package or _is_terminal():
@@ -150,6 +179,9 @@ class _Compilation:
         if self._depth == 1:
             load_all()
             _print(f"compiled {compiled()} kernels", last=True)
+            if not cache_folder():
+                _print(NO_CACHE, last=True)
+            self.seconds += time.perf_counter() - self._began
         self._depth -= 1
 
 

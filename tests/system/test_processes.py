@@ -236,7 +236,7 @@ def test_ctrl_c_while_processes_start_ends_the_run(tmp_path: Path) -> None:
         family = descendants(process)
         os.killpg(process.pid, signal.SIGINT)
         code, output, _ = finish(process, 60)
-    assert code == 1, output
+    assert code in (1, 130), output  # 130: before the run has begun
     assert "Traceback" not in output
     assert not psutil.wait_procs(family, timeout=10)[1]
 
