@@ -232,7 +232,7 @@ def test_settings_of_one_episode_are_options_of_its_reset() -> None:
     assert (plain != other).any()
     assert (plain == picture(None)).all()
     with pytest.raises(
-        ScenarioError, match=r"must be those of the environment, \(63, 63, 2\), not \(63, 63, 3\)"
+        ScenarioError, match=r"must be those of the environment, \(62, 62, 2\), not \(62, 62, 3\)"
     ):
         picture({"settings": {"robots": 3}})
 
