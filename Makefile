@@ -26,7 +26,7 @@ $(VENV)/main.stamp: pyproject.toml constraints.txt | $(BIN)/python
 	touch $@
 
 $(VENV)/dev.stamp: $(VENV)/main.stamp
-	$(PIP) --editable '.[view,mcap,ros2,film,cluster,docs,dev,bench]'
+	$(PIP) --editable '.[view,mcap,ros2,film,cluster,gym,pandas,docs,dev,bench]'
 	touch $@
 
 demo: setup

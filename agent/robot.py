@@ -2,7 +2,8 @@
 
 perceive   lines 5 to 13: draw the scan on the self-explored grid, append map updates to the log
 rounds     line 14: broadcast target and pose, replicate the logs (`agent.replication`), driven by the relay's events
-decide     lines 15 to 21: merge into the planning grid; the strategy chooses a target
+assess     lines 15 to 17: merge the maps into the planning grid
+decide     lines 18 to 21: the strategy chooses a target
 """
 
 from __future__ import annotations
@@ -121,20 +122,21 @@ class Robot:
         self._doubted_steps: dict[int, int] = {}
         """Steps for which each teammate's map has been left out."""
         self._announcements = Announcements(settings)
-        self._strategy = strategy(settings.strategy)(settings.options, settings)
+        self.strategy = strategy(settings.strategy)(settings.options, settings)
+        """Chooses the target at the end of each step."""
         self._sense: Sense | None = None
         self._withheld: list[bytes] = []
         """Log entries that the strategy has not published yet."""
         self._idle_steps = 0
         self._sure_after = sure_after(settings)
         self._second_look = None
-        if settings.people and not self._strategy.returns(settings.options):
+        if settings.people and not self.strategy.returns(settings.options):
             self._second_look = SecondLook(settings)
 
     def share(self, common: dict[str, Any]) -> None:
         """Share memory with the other robots of this process (`agent.encodings.base.MapEncoding.use_shared_cache`)."""
         self._encoding.use_shared_cache(common)
-        self._strategy.use_shared_cache(common)
+        self.strategy.use_shared_cache(common)
 
     @property
     def polygons(self) -> Mapping[int, Polygons]:
@@ -190,10 +192,10 @@ class Robot:
         entries = encoding.encode_changes(self.own, scan, change, delivered=delivered)
         check_entries(encoding, entries)
         self._withheld += entries
-        if not self._strategy.defers_publication:
+        if not self.strategy.defers_publication:
             self._publish()
-        if self._strategy.publishes_pose:
-            self._announcements.set_pose(sense.x, sense.y, leads=self._strategy.leads)
+        if self.strategy.publishes_pose:
+            self._announcements.set_pose(sense.x, sense.y, leads=self.strategy.leads)
 
     def announce(self, in_range: Sequence[int]) -> bytes | None:
         """Return the packets to broadcast to the teammates in range; None if there are none.
@@ -201,7 +203,7 @@ class Robot:
         They are this robot's pose, the target of the last decision, relayed state of other teammates, the digest of
         this robot's log, and requests for entries.
         """
-        team, relays = self._team, self._strategy.forwards_state
+        team, relays = self._team, self.strategy.forwards_state
         before, team.in_range = team.in_range, tuple(in_range)
         announced = self._announcements.next_packets(team.step, in_range, relays=relays)
         if relays:
@@ -232,26 +234,34 @@ class Robot:
             self._announcements.sent(report.step, self._team.in_range)
             self.replication.announced()
 
-    def decide(self) -> Move:
-        """End a step: merge, and let the strategy choose a target and a path."""
+    def assess(self) -> Situation:
+        """Merge the maps at the end of a step, and return what the strategy is to decide on."""
         sense = self._sense
         if sense is None:
-            raise RuntimeError("decide before the first perceive")
+            raise RuntimeError("assess before the first perceive")
         self.planning = self._encoding.merge(self.own, self._team.in_range)
         self._report_false_maps()
-        situation = self._team.situation(
+        return self._team.situation(
             sense,
             self._explorable(sense),
             log_entries=len(self.replication.replica.own_log),
             backlog=self.replication.undelivered(),
         )
-        decision = self._strategy.decide(situation)
+
+    def decide(self, situation: Situation | None = None) -> Move:
+        """End a step: let the strategy choose a target and a path.
+
+        `situation` is the result of `assess`, which is called if it is omitted.
+        """
+        if situation is None:
+            situation = self.assess()
+        decision = self.strategy.decide(situation)
         decision = self._try_again(decision)
         self._idle_steps = self._idle_steps + 1 if decision.explored else 0
         decision = self._look_again(situation, decision)
         self._apply(decision)
         return Move(
-            sense.step,
+            situation.step,
             cells_to_bytes(decision.path[:MAX_WAY_CELLS]),
             decision.heading,
             decision.explored and self._idle_steps > self._waiting_steps(situation) + self._verifying_steps(),
@@ -319,7 +329,7 @@ class Robot:
 
     def _apply(self, decision: Decision) -> None:
         """Take over a decision, and prepare what teammates are sent of it."""
-        if self._strategy.publishes_target and decision.target is not None and decision.target != self.target:
+        if self.strategy.publishes_target and decision.target is not None and decision.target != self.target:
             self._announcements.set_target(decision.target)
         self.target = decision.target
         self.status = decision.status

@@ -20,6 +20,7 @@ import numpy as np
 from deploy.dashboard.process import RECORDING, ViewTask, watching
 from deploy.dashboard.windows import Window, optimize
 from deploy.record import run_directory
+from deploy.record.pandas_tables import to_pandas
 from deploy.record.records import RecorderNode, Records
 from deploy.record.summary import summarize
 from deploy.run import launch, limits, memory
@@ -44,6 +45,7 @@ from worldsim.ending import ALL_LOST
 from worldsim.pace import Pace
 
 if TYPE_CHECKING:
+    import pandas as pd
     import polars as pl
     from matplotlib.figure import Figure
 
@@ -87,6 +89,13 @@ class Result:
     def ledger(self) -> pl.DataFrame:
         """One row per frame and packet kind (``ledger.parquet``, columns in docs/protocol.md)."""
         return frame(run_directory.ledger_table(self.records.ledger()))
+
+    def to_pandas(self) -> dict[str, pd.DataFrame]:
+        """Return the tables as pandas frames: ``"steps"`` and ``"ledger"``, with the columns of the parquet files.
+
+        Raises ImportError if pandas is not installed.
+        """
+        return to_pandas(steps=self.steps, ledger=self.ledger)
 
     @property
     def maps(self) -> dict[str | int, Grid]:
