@@ -9,11 +9,12 @@ Fastmath is off: equal versions of the libraries give equal bits on every machin
 
 from __future__ import annotations
 
+import importlib
 import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import cached_property, update_wrapper
+from functools import cache, cached_property, update_wrapper
 from typing import Annotated, Any, TypeVar, cast, get_args, get_origin, get_type_hints
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -27,6 +28,8 @@ class Kernel:
         self.function = function
         self.was_cached = False
         """Whether it was read from numba's cache; False until it is loaded."""
+        self._modules: list[tuple[Any, bytes]] = []
+        """The library of the compiled function and its LLVM module as bitcode (`release_modules`)."""
 
     def __call__(self, *args: Any) -> Any:
         """Call the compiled function."""
@@ -35,10 +38,8 @@ class Kernel:
     @cached_property
     def loaded(self) -> Any:
         """The compiled function. It replaces this object in its module, so that later calls are direct."""
-        import numba  # noqa: PLC0415  takes half a second, which only computing commands need
-
         check_compiler()
-        dispatcher = numba.njit(cache=True, error_model="numpy")(self.function)
+        dispatcher = _numba().njit(cache=True, error_model="numpy")(self.function)
         with _before_compiling(dispatcher, self._prepare):
             try:
                 dispatcher.compile(self._signature)
@@ -49,7 +50,9 @@ class Kernel:
         self.was_cached = bool(dispatcher.stats.cache_hits)
         self._replace(self.function.__name__, dispatcher)
         vars(self)["loaded"] = dispatcher
-        if not self.was_cached:
+        if self.was_cached:
+            self._release_modules()
+        else:
             _compilation.finish_one()
         return dispatcher
 
@@ -70,6 +73,21 @@ class Kernel:
         *parameters, result = map(_numba_type, get_type_hints(self.function, include_extras=True).values())
         return f"{result}({', '.join(parameters)})"
 
+    def restore_modules(self) -> None:
+        """Parse the LLVM modules again, which the compilation of a caller links."""
+        parse_bitcode = importlib.import_module("llvmlite.binding").parse_bitcode
+        while self._modules:
+            library, bitcode = self._modules.pop()
+            library._shared_module = parse_bitcode(bitcode)
+
+    def _release_modules(self) -> None:
+        """Keep LLVM modules of the compiled function as bitcode, which takes a seventh of the memory."""
+        for each in self.loaded.overloads.values():
+            module = getattr(each.library, "_shared_module", None)
+            if module is not None:
+                self._modules.append((each.library, module.as_bitcode()))
+                each.library._shared_module = None
+
     def _prepare(self) -> None:
         """Load the kernels that it calls before numba compiles it."""
         _compilation.begin(self.package)
@@ -77,6 +95,8 @@ class Kernel:
             called = self.function.__globals__.get(name)
             if isinstance(called, Kernel):
                 self._replace(name, called.loaded)
+        for each in _kernels:
+            each.restore_modules()
 
     def _replace(self, name: str, dispatcher: Any) -> None:
         """Replace the kernel called `name` in this module by its compiled function."""
@@ -166,6 +186,21 @@ def _print(text: str, *, last: bool = False) -> None:
         over = _is_terminal()
         end = "\n" if last or not over else ""
         print(f"\r{text:<76}" if over else text, end=end, file=sys.stderr, flush=True)
+
+
+@cache
+def _numba() -> Any:
+    """Import numba without scipy.linalg, which takes 18 MB, and which only np.cov and np.corrcoef need in kernels."""
+    import numba  # noqa: PLC0415  takes half a second, which only computing commands need
+
+    linear_algebra = "scipy.linalg"
+    if linear_algebra not in sys.modules:
+        sys.modules[linear_algebra] = None  # type: ignore[assignment] # so its import fails
+        try:
+            importlib.import_module("numba.np.arraymath")
+        finally:
+            del sys.modules[linear_algebra]
+    return numba
 
 
 @contextmanager
