@@ -104,9 +104,10 @@ class AirTeam:
         return sum(len(frame) for member in self.members.values() for frame in member.sent)
 
     def restart(self, number: int) -> None:
-        """Kill a robot's process and start it again."""
-        self.members[number].files.session.close()
-        self.members[number].wire.close()
+        """Kill a robot's process, unless it has ended, and start it again."""
+        if number in self.members:
+            self.members[number].files.session.close()
+            self.members[number].wire.close()
         self.members[number] = self._start(number)
 
     def play(self, *, moving: bool = True, ticks: int = 20) -> None:
@@ -115,7 +116,7 @@ class AirTeam:
         moves = self.moves
         if not moving:
             moves = {robot: Move(move.step, b"", move.heading, False) for robot, move in moves.items()}
-        senses = self.world.advance(moves)
+        senses = {robot: sense for robot, sense in self.world.advance(moves).items() if robot in self.members}
         begin = self.step * SECOND
         for number, sense in senses.items():
             self.members[number].body.sensed = sense
@@ -139,9 +140,20 @@ class AirTeam:
             self.play(moving=False)
 
     def close(self) -> None:
-        """Stop all robots."""
-        for member in self.members.values():
-            member.field.stop()
+        """End all robots."""
+        for number in list(self.members):
+            self.end(number)
+
+    def end(self, number: int) -> None:
+        """End a robot after the last step; the others wait until it has."""
+        now = (self.step + 1) * SECOND
+
+        def wait(duration: int) -> None:
+            nonlocal now
+            now += duration
+            self._set_time(now)
+
+        self.members.pop(number).field.end(lambda: now, wait)
 
     def _start(self, number: int) -> Member:
         return Member(self.plan, number, self._options, self._join(number), self._state)

@@ -135,3 +135,24 @@ def test_a_restarted_receiver_takes_no_recorded_frame_again(tmp_path: Path) -> N
     assert len(receiver.records) <= 1  # the last one, if it was lost before
     receiver.receive(Sealer(KEY, 0, 2, team_context(team.robots[0].settings)).seal(b""), team.step * SECOND)
     assert receiver.begin_step(team.step, team.step * SECOND).peers == [0]
+
+
+def test_nothing_is_undelivered_to_a_robot_that_has_ended_until_it_starts_again(tmp_path: Path) -> None:
+    team = on_the_air(tmp_path, 3)
+    for _ in range(25):
+        team.play()
+    team.end(1)
+    team.explore(300)
+    exchange_all(team, 200)
+    first, last = team.robots
+    assert first.replication.undelivered() == last.replication.undelivered() == 0
+    assert team.members[0].medium.ended() == {1}
+    own = first.replication.peers.own
+    assert first.replication.peers.acked[1, own] < len(first.replication.replica.own_log)
+    assert_maps_agree(team)
+    team.restart(1)
+    team.stand(20)
+    assert team.members[0].medium.ended() == frozenset()
+    exchange_all(team, 200)
+    assert first.replication.peers.acked[1, own] == len(first.replication.replica.own_log)
+    assert_maps_agree(team)
