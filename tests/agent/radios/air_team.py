@@ -141,11 +141,14 @@ class AirTeam:
 
     def close(self) -> None:
         """End all robots."""
-        for number in list(self.members):
-            self.end(number)
+        for member in self.members.values():
+            self._end(member)
 
     def end(self, number: int) -> None:
         """End a robot after the last step; the others wait until it has."""
+        self._end(self.members.pop(number))
+
+    def _end(self, member: Member) -> None:
         now = (self.step + 1) * SECOND
 
         def wait(duration: int) -> None:
@@ -153,7 +156,7 @@ class AirTeam:
             now += duration
             self._set_time(now)
 
-        self.members.pop(number).field.end(lambda: now, wait)
+        member.field.end(lambda: now, wait)
 
     def _start(self, number: int) -> Member:
         return Member(self.plan, number, self._options, self._join(number), self._state)
