@@ -12,12 +12,13 @@ The cache is ``__pycache__`` beside each module. If this cannot be written, it i
 
 from __future__ import annotations
 
+import importlib
 import os
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import cached_property, update_wrapper
+from functools import cache, cached_property, update_wrapper
 from typing import Annotated, Any, TypeVar, cast, get_args, get_origin, get_type_hints
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -33,6 +34,8 @@ class Kernel:
         """Whether it was read from numba's cache; False until it is loaded."""
         self.cache = ""
         """Directory of numba's cache that has it; empty until it is loaded, or if no directory can be written."""
+        self._modules: list[tuple[Any, bytes]] = []
+        """The library of the compiled function and its LLVM module as bitcode (`release_modules`)."""
 
     def __call__(self, *args: Any) -> Any:
         """Call the compiled function."""
@@ -41,13 +44,11 @@ class Kernel:
     @cached_property
     def loaded(self) -> Any:
         """The compiled function. It replaces this object in its module, so that later calls are direct."""
-        import numba  # noqa: PLC0415  takes half a second, which only computing commands need
-
         check_compiler()
         try:
-            dispatcher = numba.njit(cache=True, error_model="numpy")(self.function)
+            dispatcher = _numba().njit(cache=True, error_model="numpy")(self.function)
         except RuntimeError:  # the cache has no directory that can be written
-            dispatcher = numba.njit(error_model="numpy")(self.function)
+            dispatcher = _numba().njit(error_model="numpy")(self.function)
         with _before_compiling(dispatcher, self._prepare):
             try:
                 dispatcher.compile(self._signature)
@@ -59,7 +60,9 @@ class Kernel:
         self.cache = dispatcher.stats.cache_path or ""
         self._replace(self.function.__name__, dispatcher)
         vars(self)["loaded"] = dispatcher
-        if not self.was_cached:
+        if self.was_cached:
+            self._release_modules()
+        else:
             _compilation.finish_one()
         return dispatcher
 
@@ -80,6 +83,21 @@ class Kernel:
         *parameters, result = map(_numba_type, get_type_hints(self.function, include_extras=True).values())
         return f"{result}({', '.join(parameters)})"
 
+    def restore_modules(self) -> None:
+        """Parse the LLVM modules again, which the compilation of a caller links."""
+        parse_bitcode = importlib.import_module("llvmlite.binding").parse_bitcode
+        while self._modules:
+            library, bitcode = self._modules.pop()
+            library._shared_module = parse_bitcode(bitcode)
+
+    def _release_modules(self) -> None:
+        """Keep LLVM modules of the compiled function as bitcode, which takes a seventh of the memory."""
+        for each in self.loaded.overloads.values():
+            module = getattr(each.library, "_shared_module", None)
+            if module is not None:
+                self._modules.append((each.library, module.as_bitcode()))
+                each.library._shared_module = None
+
     def _prepare(self) -> None:
         """Load the kernels that it calls before numba compiles it."""
         _compilation.begin(self.package)
@@ -87,6 +105,8 @@ class Kernel:
             called = self.function.__globals__.get(name)
             if isinstance(called, Kernel):
                 self._replace(name, called.loaded)
+        for each in _kernels:
+            each.restore_modules()
 
     def _replace(self, name: str, dispatcher: Any) -> None:
         """Replace the kernel called `name` in this module by its compiled function."""
@@ -198,6 +218,21 @@ def _print(text: str, *, last: bool = False) -> None:
         over = _is_terminal()
         end = "\n" if last or not over else ""
         print(f"\r{text:<76}" if over else text, end=end, file=sys.stderr, flush=True)
+
+
+@cache
+def _numba() -> Any:
+    """Import numba without scipy.linalg, which takes 18 MB, and which only np.cov and np.corrcoef need in kernels."""
+    import numba  # noqa: PLC0415  takes half a second, which only computing commands need
+
+    linear_algebra = "scipy.linalg"
+    if linear_algebra not in sys.modules:
+        sys.modules[linear_algebra] = None  # type: ignore[assignment] # so its import fails
+        try:
+            importlib.import_module("numba.np.arraymath")
+        finally:
+            del sys.modules[linear_algebra]
+    return numba
 
 
 @contextmanager

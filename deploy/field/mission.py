@@ -166,8 +166,9 @@ class Mission:
             if late:
                 self._say(f"{late} steps took longer than {self._settings.step_s:g} s")
         except StoppedError:
-            self._recorder.record(self._step, self._field.medium.records)
+            pass
         finally:
+            self._recorder.record(self._step, self._field.medium.records)
             self._recorder.close(self._field, self._reason or "aborted", is_complete=self._is_complete)
         if self._field.move is not None:
             self._published.clear()
@@ -183,7 +184,7 @@ class Mission:
         else:
             select.select([descriptor], [], [], seconds)
         self._ros.spin()
-        if self._is_stopped():
+        if not self._reason and self._is_stopped():
             raise StoppedError
 
     def _is_stopped(self) -> bool:
@@ -283,6 +284,7 @@ class Mission:
             "known_cells": robot.known_cells,
             "target": robot.target,
             "neighbors": medium.neighbors(time.monotonic_ns()),
+            "ended": sorted(medium.ended()),
             "undelivered": robot.replication.undelivered(),
             "dropped": medium.dropped,
             "unsent": field.unsent,

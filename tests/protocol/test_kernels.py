@@ -25,6 +25,14 @@ def four_times(number: int) -> int:
 def unused(number: int) -> int:
     return number
 """
+CALLER = """
+from sums import four_times, kernel, twice
+
+
+@kernel
+def eight_times(number: int) -> int:
+    return twice(four_times(number))
+"""
 CALL = "import sums; assert not sums.compiled(); print(sums.four_times(3), sums.loaded(), sums.compiled())"
 
 
@@ -95,3 +103,14 @@ def test_without_a_directory_for_the_cache_kernels_work_and_the_user_is_advised(
     done = call(code, FOLDER, **nowhere)
     assert done.stdout.split() == ["12", "True"]
     assert "set NUMBA_CACHE_DIR to a writable directory" in done.stderr.splitlines()[-1]
+
+
+def test_a_kernel_that_calls_kernels_of_the_cache_can_be_compiled(tmp_path: Path) -> None:
+    (tmp_path / "sums.py").write_text(MODULE)
+    call(tmp_path)
+    (tmp_path / "more.py").write_text(CALLER)
+    command = (
+        "import more, sums; sums.four_times(1); print(more.eight_times(3), sums.loaded(), sums.compiled())"
+    )
+    assert call(tmp_path, command).stdout == "24 3 1\n"
+    assert call(tmp_path, command).stdout == "24 2 0\n"

@@ -50,6 +50,17 @@ def test_gaps_disappear_as_in_a_plain_implementation_at_every_call(
         assert np.array_equal(noisy.clean(grid), plain_clean(grid, narrow))
 
 
+@given(st.integers(0, 2**32 - 1), st.integers(1, 4))
+def test_changes_of_a_few_rows_have_the_same_result_as_a_new_grid(seed: int, narrow: int) -> None:
+    random = np.random.default_rng(seed)
+    noisy = NoisyGrid(40, 12, narrow, 3)
+    grid = random.choice(np.array([UNKNOWN, FREE, OCCUPIED], np.uint8), (40, 12), p=[0.6, 0.3, 0.1])
+    for _ in range(4):
+        assert np.array_equal(noisy.clean(grid), NoisyGrid(40, 12, narrow, 3).clean(grid))
+        row, column = random.integers(40), random.integers(12)
+        grid[row : row + 3, column : column + 4] = random.integers(3)
+
+
 def test_the_way_that_a_robot_has_driven_stays_open() -> None:
     grid = np.full((20, 20), OCCUPIED, np.uint8)
     noisy = NoisyGrid(20, 20, 2)
