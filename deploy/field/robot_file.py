@@ -131,7 +131,11 @@ class TeammateTable(Table):
 
     robot: Whole = Field(ge=0, le=MAX_ROBOTS - 1, description="the teammate's number")
     sensor_range: float | None = Field(
-        None, strict=True, gt=0, le=MAX_REACH_M, description="its `sensor_range`, meters; default: this robot's"
+        None,
+        strict=True,
+        gt=0,
+        le=MAX_REACH_M,
+        description="its `sensor_range`, meters; default: this robot's",
     )
     radius: NotNegative | None = Field(None, description="its radius, meters; default: this robot's")
 
