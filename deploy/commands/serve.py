@@ -101,16 +101,10 @@ def serve_ros2(
     scenario = _scenario(settings | other_settings(set_ or [], settings))
     if router is not None and listen is not None:
         raise ValueError(f"listen = {listen!r}: --router starts no router; remove one of them")
-    if write_robots is None and (team is not None or interface is not None):
-        name = "team" if team is not None else "interface"
-        raise ValueError(f"{name}: belongs to the files of --write-robots, which is missing")
     if not MIN_RATE <= rate <= MAX_RATE:
         raise ValueError(f"rate = {rate:g}: must be {MIN_RATE:g} to {MAX_RATE:g} Hz")
-    for package in ("rosbags", "xxhash"):
-        if importlib.util.find_spec(package) is None:
-            raise ValueError(f"serve-ros2 needs the package {package}: pip install 'murmur-robots[ros2]'")
+    _check_packages()
     from deploy.scenario.plan import make  # noqa: PLC0415
-    from deploy.serve.agent_files import AgentFiles  # noqa: PLC0415
     from deploy.serve.process import ServeSettings, serve  # noqa: PLC0415
     from deploy.serve.swarm import SwarmSettings  # noqa: PLC0415
     from protocol.ros2.session import ROUTER  # noqa: PLC0415
@@ -124,23 +118,34 @@ def serve_ros2(
         sim_time=sim_time,
         swarm=SwarmSettings(rate, sees_robots),
     )
-    files = None
-    if write_robots is not None:
-        files = AgentFiles(write_robots, team or scenario.robots, interface or "lo", chosen.namespaces)
-
-    def ready(swarm: Swarm) -> None:
-        if files is not None:
-            files.write(scenario, swarm, chosen)
-        if as_json:
-            _print_json(scenario, swarm, chosen)
-        else:
-            _print_text(scenario, swarm, chosen, files)
-
-    swarm = serve(make(scenario), chosen, ready, errors.print)
+    files = _agent_files(write_robots, team, interface, chosen.namespaces)
+    show = _print_json if as_json else _print_text
+    swarm = serve(make(scenario), chosen, lambda swarm: show(scenario, swarm, chosen, files), errors.print)
     if as_json:
         print(json.dumps({"coverage": swarm.world.coverage, "seconds": swarm.time_ns / 10**9}), flush=True)
     else:
         screen.print(f"The robots have seen {swarm.world.coverage:.1%} of what they can reach.")
+
+
+def _check_packages() -> None:
+    """Raise ValueError if a package is missing."""
+    for package in ("rosbags", "xxhash"):
+        if importlib.util.find_spec(package) is None:
+            raise ValueError(f"serve-ros2 needs the package {package}: pip install 'murmur-robots[ros2]'")
+
+
+def _agent_files(
+    folder: Path | None, team: int | None, interface: str | None, names: tuple[str, ...]
+) -> AgentFiles | None:
+    """Return the files to write for agents; ValueError for options without a directory."""
+    from deploy.serve.agent_files import AgentFiles  # noqa: PLC0415
+
+    if folder is not None:
+        return AgentFiles(folder, len(names) if team is None else team, interface or "lo", names)
+    for name, value in (("team", team), ("interface", interface)):
+        if value is not None:
+            raise ValueError(f"{name} = {value}: belongs to the files of --write-robots, which is missing")
+    return None
 
 
 def _scenario(settings: dict[str, Any]) -> Scenario:
@@ -165,9 +170,12 @@ def _namespaces(names: str | None, robots: int) -> tuple[str, ...]:
     return found
 
 
-def _print_json(scenario: Scenario, swarm: Swarm, chosen: ServeSettings) -> None:
+def _print_json(scenario: Scenario, swarm: Swarm, chosen: ServeSettings, files: AgentFiles | None) -> None:
+    """Write the agents' files, and print what is served as a line of JSON."""
     from deploy.serve.agent_files import grid  # noqa: PLC0415
 
+    if files is not None:
+        files.write(scenario, swarm, chosen)
     starts = [[*robot.start[:2], math.degrees(robot.start.yaw)] for robot in swarm.robots]
     found = {
         "router": chosen.router, "domain": chosen.domain, "distro": chosen.distro, "map": scenario.map,
@@ -177,19 +185,20 @@ def _print_json(scenario: Scenario, swarm: Swarm, chosen: ServeSettings) -> None
 
 
 def _print_text(scenario: Scenario, swarm: Swarm, chosen: ServeSettings, files: AgentFiles | None) -> None:
-    """Print what is served, and for each robot what the settings file of its agent needs."""
+    """Print what is served, and how to start the agents: with their files, which are written, or their settings."""
+    from deploy.serve.agent_files import agent_settings  # noqa: PLC0415
+
     started = "a router started" if chosen.own_router else "the router"
     screen.print(
         f"{scenario.robots} robots on map {scenario.map}, at {started} at {chosen.router}, "
         f"domain {chosen.domain}, {chosen.distro}. Ctrl-C ends them."
     )
     if files is not None:
+        files.write(scenario, swarm, chosen)
         screen.print("\nStart their agents:")
         for namespace in chosen.namespaces:
             screen.print(f"murmur robot {files.path(namespace)}")
     else:
-        from deploy.serve.agent_files import agent_settings  # noqa: PLC0415
-
         screen.print("\nSettings of their agents (--write-robots DIR writes whole files):")
         for robot, namespace in enumerate(chosen.namespaces):
             screen.print(f"\n# {namespace}.toml")

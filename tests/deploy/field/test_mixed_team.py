@@ -132,10 +132,10 @@ def test_a_simulated_robot_and_a_real_one_explore_the_same_building(
 def test_a_robot_that_starts_late_gets_the_whole_map_in_few_bytes(team: HouseTeam) -> None:
     team.place(0, Pose(0.0, 0.0, 0.0))
     team.place(1, RIGHT_ROOM, drives=False)
-    first = team.start(0, absent_s=600.0)
+    first = team.start(0)
     wait_until(lambda: team.nodes[0].statuses and json.loads(team.nodes[0].statuses[-1])["explored"])
     began = time.monotonic_ns()
-    second = team.start(1)
+    second = team.start(1, absent_s=20.0)
     assert (first.wait(), second.wait()) == (0, 0), first.output + second.output
     assert json.loads(team.nodes[0].statuses[-1])["dropped"] == {}
     wait_until(lambda: known_share(team.nodes[1].team_map, house()) > 0.95)
@@ -161,7 +161,7 @@ def test_a_robot_that_leaves_and_returns_continues(team: HouseTeam) -> None:
     first, second = team.start(0), team.start(1)
     wait_until(lambda: any('"neighbors": [0]' in each for each in team.nodes[1].statuses))
     second.close()
-    third = team.start(1)
+    third = team.start(1, absent_s=20.0)
     assert (first.wait(), third.wait()) == (0, 0), first.output + third.output
     records = team.folder / "r1" / "record"
     assert sorted(path.name for path in records.glob("start-*")) == ["start-1", "start-2"]
