@@ -17,6 +17,7 @@ from agent.radios.peer_medium import FrameRecord
 from agent.radios.team_key import read_key
 from agent.radios.transport import Transport
 from agent.replication.control_packets import parse
+from deploy.field.dropped_frames import DropAdvice
 from deploy.field.robot_file import RobotFile
 from deploy.field.robot_plan import agent_settings, pose_guard, robot_setup
 from deploy.field.ros2_robot import Ros2Robot
@@ -146,6 +147,7 @@ class Mission:
             file.record / f"start-{started.incarnation + 1}", robot_setup(settings, started)
         )
         self._step = 0
+        self._drop_advice = DropAdvice(settings.robot, settings.robots)
         self._began = time.monotonic_ns()
         self._known_in_range: dict[int, int] = {}
         """Cells that this robot knew when each teammate was last in range."""
@@ -229,6 +231,8 @@ class Mission:
         if (status := self._activity()) != self._shown:
             self._shown = status
             self._say(status)
+        for advice in self._drop_advice.new(field.medium.dropped):
+            self._say(advice)
         worked, self._worked_ns = self._worked_ns, time.process_time_ns()
         self._recorder.note(step, field, status, (self._worked_ns - worked) // 1000)
         self._publish(status)

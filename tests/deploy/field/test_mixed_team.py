@@ -155,6 +155,15 @@ def test_a_robot_that_is_stopped_for_good_does_not_keep_its_teammate_from_finish
     wait_until(lambda: known_share(team.nodes[0].team_map, house()) > 0.97)
 
 
+def test_a_robot_beyond_the_size_of_the_team_is_explained_at_both_ends(team: HouseTeam) -> None:
+    team.place(0, Pose(0.0, 0.0, 0.0), drives=False)
+    team.place(1, RIGHT_ROOM, drives=False)
+    first, other = team.start(0), team.start(1, robot=2, robots=3)
+    wait_until(lambda: "robots beyond the size of its team, 2: all robots need the same" in first.output)
+    wait_until(lambda: "the sender has another key, or settings that differ" in other.output)
+    assert json.loads(team.nodes[0].statuses[-1])["neighbors"] == []
+
+
 def test_a_robot_that_leaves_and_returns_continues(team: HouseTeam) -> None:
     team.place(0, Pose(0.0, 0.0, 0.0))
     team.place(1, RIGHT_ROOM)
