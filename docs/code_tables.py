@@ -13,8 +13,8 @@ from typing import Any
 
 from agent.encoding_options import PolygonOptions, PredictiveOptions
 from deploy.run.hosts import Host, Hosts
-from deploy.scenario.scenario import Scenario
 from deploy.scenario.hardware import RobotOverride
+from deploy.scenario.scenario import Scenario
 from deploy.scenario.tables import ChangeTable, FaultTable
 from netshaper.radio_options import RadioOptions
 from worldsim.people_options import PeopleOptions

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from agent.encodings.scans import RangeScans, ScanEncoding
 from agent.settings import Settings
 from protocol.errors import ProtocolError
-from protocol.range_scans import MAX_COORDINATE, NO_MEASUREMENT, NOTHING, TURN, UNIT, Laser, RangeScan
+from protocol.range_scans import MAX_COORDINATE, NO_MEASUREMENT, NOTHING, TURN, UNIT, RangeScan
 from protocol.scans import Scan
 
 TRAVEL_M, TURN_RAD = 0.5, 0.5

@@ -6,6 +6,7 @@ import importlib.util
 import json
 import math
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -28,6 +29,7 @@ from deploy.commands.flags import (
 from deploy.scenario.scenario import Scenario, ScenarioError, load
 
 if TYPE_CHECKING:
+    from deploy.serve.agent_files import AgentFiles
     from deploy.serve.process import ServeSettings
     from deploy.serve.swarm import Swarm
 
@@ -71,6 +73,15 @@ def serve_ros2(
     sim_time: Annotated[
         bool, switch("--sim-time", "publish /clock, and use simulated time in stamps", ROS)
     ] = False,
+    write_robots: Annotated[
+        Path | None, option("DIR", "write a settings file for the agent of each robot, and a key", ROS)
+    ] = None,
+    team: Annotated[
+        int | None, option("N", "with --write-robots: all robots of the team, with real ones", ROS)
+    ] = None,
+    interface: Annotated[
+        str | None, option("NAME", "with --write-robots: of the agents' radio (default lo)", ROS)
+    ] = None,
     as_json: Annotated[
         bool, typer.Option("--json", help="print the robots, and at the end the coverage, as lines of JSON")
     ] = False,
@@ -92,9 +103,7 @@ def serve_ros2(
         raise ValueError(f"listen = {listen!r}: --router starts no router; remove one of them")
     if not MIN_RATE <= rate <= MAX_RATE:
         raise ValueError(f"rate = {rate:g}: must be {MIN_RATE:g} to {MAX_RATE:g} Hz")
-    for package in ("rosbags", "xxhash"):
-        if importlib.util.find_spec(package) is None:
-            raise ValueError(f"serve-ros2 needs the package {package}: pip install 'murmur-robots[ros2]'")
+    _check_packages()
     from deploy.scenario.plan import make  # noqa: PLC0415
     from deploy.serve.process import ServeSettings, serve  # noqa: PLC0415
     from deploy.serve.swarm import SwarmSettings  # noqa: PLC0415
@@ -109,12 +118,34 @@ def serve_ros2(
         sim_time=sim_time,
         swarm=SwarmSettings(rate, sees_robots),
     )
+    files = _agent_files(write_robots, team, interface, chosen.namespaces)
     show = _print_json if as_json else _print_text
-    swarm = serve(make(scenario), chosen, lambda swarm: show(scenario, swarm, chosen), errors.print)
+    swarm = serve(make(scenario), chosen, lambda swarm: show(scenario, swarm, chosen, files), errors.print)
     if as_json:
         print(json.dumps({"coverage": swarm.world.coverage, "seconds": swarm.time_ns / 10**9}), flush=True)
     else:
         screen.print(f"The robots have seen {swarm.world.coverage:.1%} of what they can reach.")
+
+
+def _check_packages() -> None:
+    """Raise ValueError if a package is missing."""
+    for package in ("rosbags", "xxhash"):
+        if importlib.util.find_spec(package) is None:
+            raise ValueError(f"serve-ros2 needs the package {package}: pip install 'murmur-robots[ros2]'")
+
+
+def _agent_files(
+    folder: Path | None, team: int | None, interface: str | None, names: tuple[str, ...]
+) -> AgentFiles | None:
+    """Return the files to write for agents; ValueError for options without a directory."""
+    from deploy.serve.agent_files import AgentFiles  # noqa: PLC0415
+
+    if folder is not None:
+        return AgentFiles(folder, len(names) if team is None else team, interface or "lo", names)
+    for name, value in (("team", team), ("interface", interface)):
+        if value is not None:
+            raise ValueError(f"{name} = {value}: belongs to the files of --write-robots, which is missing")
+    return None
 
 
 def _scenario(settings: dict[str, Any]) -> Scenario:
@@ -139,35 +170,40 @@ def _namespaces(names: str | None, robots: int) -> tuple[str, ...]:
     return found
 
 
-def _print_json(scenario: Scenario, swarm: Swarm, chosen: ServeSettings) -> None:
+def _print_json(scenario: Scenario, swarm: Swarm, chosen: ServeSettings, files: AgentFiles | None) -> None:
+    """Write the agents' files, and print what is served as a line of JSON."""
+    from deploy.serve.agent_files import grid  # noqa: PLC0415
+
+    if files is not None:
+        files.write(scenario, swarm, chosen)
     starts = [[*robot.start[:2], math.degrees(robot.start.yaw)] for robot in swarm.robots]
     found = {
         "router": chosen.router, "domain": chosen.domain, "distro": chosen.distro, "map": scenario.map,
-        "grid": _grid(swarm), "robots": dict(zip(chosen.namespaces, starts, strict=True)),
+        "grid": grid(swarm), "robots": dict(zip(chosen.namespaces, starts, strict=True)),
     }  # fmt: skip
     print(json.dumps(found), flush=True)
 
 
-def _print_text(scenario: Scenario, swarm: Swarm, chosen: ServeSettings) -> None:
-    """Print what is served, and for each robot what the settings file of its agent needs."""
+def _print_text(scenario: Scenario, swarm: Swarm, chosen: ServeSettings, files: AgentFiles | None) -> None:
+    """Print what is served, and how to start the agents: with their files, which are written, or their settings."""
+    from deploy.serve.agent_files import agent_settings  # noqa: PLC0415
+
     started = "a router started" if chosen.own_router else "the router"
     screen.print(
         f"{scenario.robots} robots on map {scenario.map}, at {started} at {chosen.router}, "
-        f"domain {chosen.domain}, {chosen.distro}. Ctrl-C ends them.\n\nSettings of their agents:"
+        f"domain {chosen.domain}, {chosen.distro}. Ctrl-C ends them."
     )
-    for number, (namespace, robot) in enumerate(zip(chosen.namespaces, swarm.robots, strict=True)):
-        x, y, yaw = robot.start
-        ros2 = {
-            "namespace": namespace, "map_pose": [round(x, 3), round(y, 3), round(math.degrees(yaw), 1)],
-            "router": chosen.router, "domain": chosen.domain, "distro": chosen.distro,
-        }  # fmt: skip
-        lines = {
-            "robot": number, "robots": scenario.robots, "sensor_range": scenario.sensor_range,
-            "speed": scenario.speed, "radius": scenario.radius, "grid": _grid(swarm), "ros2": ros2,
-        }  # fmt: skip
-        screen.print(f"\n# {namespace}.toml")
-        for name, value in lines.items():
-            screen.print(f"{name} = {_toml(value)}")
+    if files is not None:
+        files.write(scenario, swarm, chosen)
+        screen.print("\nStart their agents:")
+        for namespace in chosen.namespaces:
+            screen.print(f"murmur robot {files.path(namespace)}")
+    else:
+        screen.print("\nSettings of their agents (--write-robots DIR writes whole files):")
+        for robot, namespace in enumerate(chosen.namespaces):
+            screen.print(f"\n# {namespace}.toml")
+            for name, value in agent_settings(scenario, swarm, chosen, robot).items():
+                screen.print(f"{name} = {_toml(value)}")
     sys.stdout.flush()  # for a program that reads them
 
 
@@ -175,13 +211,6 @@ def _toml(value: Any) -> str:
     """Return a value of TOML, tables on one line."""
     if isinstance(value, dict):
         return "{ " + ", ".join(f"{name} = {_toml(each)}" for name, each in value.items()) + " }"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_toml, value)) + "]"
     return json.dumps(value)
-
-
-def _grid(swarm: Swarm) -> dict[str, float]:
-    """Return the grid of the true map in the common frame, in meters."""
-    frame = swarm.world.frame
-    return {
-        "x": frame.x, "y": frame.y, "width_m": round(frame.width * frame.resolution, 6),
-        "height_m": round(frame.height * frame.resolution, 6), "resolution": frame.resolution,
-    }  # fmt: skip

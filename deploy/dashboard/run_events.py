@@ -177,7 +177,7 @@ class RunEvents:
         else:
             self.targets[robot] = target
             logged = self._logged_targets.get(robot)
-            if logged is None or math.dist(logged, target) > NEAR * self.plan.scenario.sensor_range:
+            if logged is None or math.dist(logged, target) > NEAR * self._range_m(robot):
                 self._logged_targets[robot] = target
                 text = f"robot {robot} heads for ({target[0]:.1f}, {target[1]:.1f}) m"
                 events.append(Event(report.step, text))
@@ -186,6 +186,10 @@ class RunEvents:
             events.append(Event(report.step, f"robot {robot} is idle: its map is complete", 1))
         (self.idle.add if idle else self.idle.discard)(robot)
         return events
+
+    def _range_m(self, robot: int) -> float:
+        """Return a robot's sensor range in meters."""
+        return self.plan.world.bodies[robot].range_cells * self.plan.map.resolution
 
     def _missed(self, report: Missed) -> list[Event]:
         named = ", ".join(map(str, report.robots))
@@ -237,7 +241,7 @@ def _emergences(step: int, carried: NDArray[np.void]) -> list[Event]:
 
 
 HELP = """\
-**{robots} robots explore an unknown building.** Sensor range: {sensor:g} m. Radio: {medium}.
+**{robots} robots explore an unknown building.** Sensor range: {sensor} m. Radio: {medium}.
 
 **Left: the {truth} map.** A line leads to each target. {circles}Links: green with traffic, gray in range.{chosen}
 
@@ -250,6 +254,13 @@ the true ones (F1), and the share of them that is true (precision).
 OUTLINES = "Pale outlines: received from teammates."
 
 
+def _sensor_ranges(plan: Plan) -> str:
+    """Return the robots' sensor ranges in meters, as text."""
+    ranges = [body.range_cells * plan.map.resolution for body in plan.world.bodies]
+    least, most = min(ranges), max(ranges)
+    return f"{most:g}" if least == most else f"{least:g} to {most:g}"
+
+
 def explain(plan: Plan) -> str:
     """Explain the dashboard, in markdown, with the figures of this run."""
     budget = plan.radio.budget
@@ -259,7 +270,7 @@ def explain(plan: Plan) -> str:
         medium += f", range {plan.range_m:.0f} m"
     return HELP.format(
         robots=plan.scenario.robots,
-        sensor=plan.scenario.sensor_range,
+        sensor=_sensor_ranges(plan),
         medium=medium,
         chosen=" Tabs show one robot each." if plan.scenario.robots > 1 else "",
         circles="Circles: radio range. " if shows_range(plan) else "",

@@ -17,6 +17,7 @@ from agent.radios.peer_medium import FrameRecord
 from agent.radios.team_key import read_key
 from agent.radios.transport import Transport
 from agent.replication.control_packets import parse
+from deploy.field.dropped_frames import DropAdvice
 from deploy.field.robot_file import RobotFile
 from deploy.field.robot_plan import agent_settings, pose_guard, robot_setup
 from deploy.field.ros2_robot import Ros2Robot
@@ -33,6 +34,8 @@ PATIENCE_S = 3.0
 """Seconds for which the first readings are awaited without a message."""
 FREEZE = 0.5
 """Part of `finish_s` after which an explored map does not change any more: noise would always add entries to send."""
+NEWS_CELLS = 100
+"""Cells from which a teammate that has not been in range since lacks something: noise changes a few cells."""
 EXPLORED = "nothing is left to explore, and teammates hold this robot's map"
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -144,7 +147,10 @@ class Mission:
             file.record / f"start-{started.incarnation + 1}", robot_setup(settings, started)
         )
         self._step = 0
+        self._drop_advice = DropAdvice(settings.robot, settings.robots)
         self._began = time.monotonic_ns()
+        self._known_in_range: dict[int, int] = {}
+        """Cells that this robot knew when each teammate was last in range."""
         self._worked_ns = time.process_time_ns()
         """Processor time of this process up to the last step."""
         self._explored_steps = 0
@@ -215,6 +221,8 @@ class Mission:
         explored = field.move is not None and field.move.explored
         self._explored_steps = self._explored_steps + 1 if explored else 0
         self._ros.measures = self._explored_steps * self._settings.step_s < FREEZE * self._settings.finish_s
+        neighbors = field.medium.neighbors(time.monotonic_ns())
+        self._known_in_range |= dict.fromkeys(neighbors, robot.known_cells)
         is_done = explored and self._lacking() <= self._absent() and not receives
         self._done_steps = self._done_steps + 1 if is_done else 0
         if self._ros.is_stuck() and robot.target is not None:
@@ -224,14 +232,23 @@ class Mission:
         if (status := self._activity()) != self._shown:
             self._shown = status
             self._say(status)
+        for advice in self._drop_advice.new(field.medium.dropped):
+            self._say(advice)
         worked, self._worked_ns = self._worked_ns, time.process_time_ns()
         self._recorder.note(step, field, status, (self._worked_ns - worked) // 1000)
         self._publish(status)
 
     def _lacking(self) -> set[int]:
-        """Return the teammates that lack entries of this robot's map."""
-        replication = self._field.robot.replication
-        return {robot for robot in self._teammates if replication.undelivered_to(robot)}
+        """Return the teammates that lack entries of this robot's map, or cells that it has mapped out of their range.
+
+        A robot without teammates in range may log nothing: later entries can be shorter.
+        """
+        robot, known = self._field.robot, self._known_in_range
+        return {
+            other
+            for other in self._teammates
+            if robot.replication.undelivered_to(other) or robot.known_cells - known.get(other, 0) > NEWS_CELLS
+        }
 
     def _absent(self) -> set[int]:
         """Return the teammates that have not been received for `absent_s`, and are not waited for."""

@@ -131,7 +131,11 @@ class TeammateTable(Table):
 
     robot: Whole = Field(ge=0, le=MAX_ROBOTS - 1, description="the teammate's number")
     sensor_range: float | None = Field(
-        None, strict=True, gt=0, le=MAX_REACH_M, description="its `sensor_range`, meters; default: this robot's"
+        None,
+        strict=True,
+        gt=0,
+        le=MAX_REACH_M,
+        description="its `sensor_range`, meters; default: this robot's",
     )
     radius: NotNegative | None = Field(None, description="its radius, meters; default: this robot's")
 
@@ -188,7 +192,7 @@ class RobotSettings(Table):
     patience_s: Seconds = Field(20.0, description="a goal without progress for so long counts as unreachable")
     avoid_s: Seconds = Field(60.0, description="how long an unreachable goal is avoided, at first")
     absent_s: Seconds = Field(
-        600.0, description="a teammate that has not been received for so long is not waited for at the end"
+        300.0, description="a teammate that has not been received for so long is not waited for at the end"
     )
 
     @field_validator("polygons", "predictive", "radio", mode="before")

@@ -42,7 +42,8 @@ class RobotOverride(Table):
         None, description="the name of a laser, or a table as `laser`, which it replaces as a whole"
     )
     pose: PoseOptions | None = Field(
-        None, description="the name of a localization method, or a table as `pose`, which it replaces as a whole"
+        None,
+        description="the name of a localization method, or a table as `pose`, which it replaces as a whole",
     )
 
     @field_validator("laser", "pose", mode="before")
@@ -89,9 +90,7 @@ def with_presets(data: dict[str, Any], where: str = "") -> dict[str, Any]:
             continue
         name = str(given["preset"])
         if name not in presets:
-            raise ValueError(
-                f"{where}{table}.preset = {shown(given['preset'])}: {there_are(presets, name)}"
-            )
+            raise ValueError(f"{where}{table}.preset = {shown(given['preset'])}: {there_are(presets, name)}")
         values = dict(presets[name])
         if "field_of_view" in values:
             data = {"field_of_view": values.pop("field_of_view")} | data

@@ -482,6 +482,10 @@ def load(path: Path | None, overrides: dict[str, Any]) -> Scenario:
     return parse(data, where)
 
 
+NAMED = ("radio", *PRESETS)
+"""Tables that a name can stand for: that of a preset."""
+
+
 def remove_preset_keys(data: dict[str, Any], overrides: dict[str, Any]) -> None:
     """Remove the settings that presets from the overrides replace."""
     if overrides.get("radio.preset") or isinstance(overrides.get("radio"), str):
@@ -490,7 +494,7 @@ def remove_preset_keys(data: dict[str, Any], overrides: dict[str, Any]) -> None:
         if isinstance(data.get("radio"), dict):
             data["radio"] = {key: value for key, value in data["radio"].items() if key not in RADIO_KEYS}
     for table, presets in PRESETS.items():
-        if name := overrides.get(f"{table}.preset"):
+        if name := overrides.get(f"{table}.preset") or overrides.get(table):
             data.pop(table, None)
             if "field_of_view" in presets.get(str(name), {}):
                 data.pop("field_of_view", None)
@@ -499,16 +503,16 @@ def remove_preset_keys(data: dict[str, Any], overrides: dict[str, Any]) -> None:
 def lay(data: dict[str, Any], settings: dict[str, Any], where: str) -> None:
     """Lay settings over others; a dotted name (``options.beta``) sets one key of a table.
 
-    A name as the value of ``radio`` sets ``radio.preset``.
+    A name as the value of ``radio``, ``laser``, or ``pose`` sets its ``preset``.
 
     Raises ScenarioError, which begins with `where`, if a dotted name refers to a key of something else than a table.
     """
     for name, value in settings.items():
-        key = "radio.preset" if name == "radio" and isinstance(value, str) else name
+        key = f"{name}.preset" if name in NAMED and isinstance(value, str) else name
         table, dot, inner = key.partition(".")
         if dot:
             keys = data.get(table, {})
-            if table == "radio" and isinstance(keys, str):
+            if table in NAMED and isinstance(keys, str):
                 keys = {"preset": keys}
             if not isinstance(keys, dict):
                 raise ScenarioError(

@@ -12,8 +12,9 @@ from protocol.body import Body
 from protocol.errors import ProtocolError
 from protocol.range_scans import Laser
 
+LASER = Laser(5, 0, 50_000, 8000)
 SETTINGS = Settings(
-    robot=1, bodies=(Body(8.0, 360.0, 5.0, laser=Laser(5, 0, 50_000, 8000)),) * 3, width=40, height=30, beams=36, seed=0, strategy="meier",
+    robot=1, bodies=(Body(8.0, 360.0, 5.0, laser=LASER),) * 3, width=40, height=30, beams=36, seed=0, strategy="meier",
     encoding=EncodingSettings("predictive", tolerance=1), replication=ReplicationSettings("gossip"),
     home=(3, 4), options={"weight": 0.5},
 )  # fmt: skip

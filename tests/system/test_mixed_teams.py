@@ -116,5 +116,7 @@ def test_each_robot_maps_and_scans_as_its_own_laser_can() -> None:
 
 def test_a_scanner_that_measures_seldom_must_not_turn() -> None:
     turning = {"robot": 1, "laser": {"rate": 0.5}, "scanner_turn": 90.0}
-    with pytest.raises(ValueError, match=r"laser.rate = 0.5: a turning scanner \(scanner_turn\) measures in every"):
+    with pytest.raises(
+        ValueError, match=r"laser.rate = 0.5: a turning scanner \(scanner_turn\) measures in every"
+    ):
         run(robot=[turning])

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from protocol.body import Body
 from protocol.grid import FREE, OCCUPIED, Grid, enlarge

@@ -197,7 +197,10 @@ def test_a_robot_that_returns_with_a_new_process_continues(tmp_path: Path) -> No
 
 def test_receivers_accept_what_teammates_with_better_sensors_have_seen(tmp_path: Path) -> None:
     """Each robot assumes that the other sees as far and drives as fast as it does itself."""
-    robots = [{"robot": 0, "sensor_range": 1.0, "speed": 0.2}, {"robot": 1, "sensor_range": 8.0, "speed": 1.0}]
+    robots = [
+        {"robot": 0, "sensor_range": 1.0, "speed": 0.2},
+        {"robot": 1, "sensor_range": 8.0, "speed": 1.0},
+    ]
     team = on_the_air(tmp_path, 2, late=(0,), robot=robots, side_m=16.0, laser={"preset": "utm-30lx"})
     for _ in range(20):
         team.play()

@@ -27,6 +27,9 @@ from tests.deploy.commands.office_floor import murmur
         ("--radius 9", "sensor_range = 5 m of robot 0 is less than 9.18 m"),
         ("--set strategy=meier", "has no meaning for robots that ROS drives"),
         ("--set radio.loss=0.1", "has no meaning for robots that ROS drives"),
+        ("--team 3", "team = 3: belongs to the files of --write-robots, which is missing"),
+        ("--interface lo", "interface = lo: belongs to the files of --write-robots, which is missing"),
+        ("--write-robots . --team 2", "team = 2: must be the number of all robots, of which 3 are simulated"),
         ("--map nowhere", "unknown map 'nowhere'"),
     ],
 )

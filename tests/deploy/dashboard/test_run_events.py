@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from deploy.dashboard.run_events import RunEvents, explain
+from deploy.scenario import plan as plans
+from deploy.scenario.scenario import parse
 from netshaper.ledger import CAUSES, KIND_NUMBER, ROW
 from protocol.messages import End, ErrorReport, Lost, Missed, RadioReport, RobotStatus, WorldReport
 from tests.deploy.small_run import reports, small_plan
@@ -148,6 +150,7 @@ def test_the_help_text_describes_this_run() -> None:
     text = explain(small_plan())
     assert "3 robots" in text
     assert "1000 bytes per step" in text
+    assert "Sensor range: 5 m" in text
     assert "Pale outlines" in text
     assert "Red:" in text
     text = explain(small_plan(map_encoding="scans", bandwidth="unlimited", range="100%"))
@@ -155,3 +158,5 @@ def test_the_help_text_describes_this_run() -> None:
     assert "outlines" not in text
     assert "Red:" not in text
     assert "Circles" not in text
+    mixed = parse({"robots": 3, "robot": [{"robot": 1, "sensor_range": 6.5}]})
+    assert "Sensor range: 5 to 6.5 m" in explain(plans.make(mixed))

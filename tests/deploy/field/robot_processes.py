@@ -11,7 +11,7 @@ from typing import Any
 
 import tomli_w
 
-LIMIT_S = 40.0
+LIMIT_S = 120.0
 """Time limit of everything that is waited for; it is reached only if a test fails."""
 
 

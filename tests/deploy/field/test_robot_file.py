@@ -32,6 +32,17 @@ from tests.deploy.field.robot_processes import settings, write
     [
         ({"robot": 2}, "robot = 2: the last robot of 1 has number 0"),
         ({"robots": "two"}, "robots = 'two': must be a whole number"),
+        ({"robots": 2, "teammate": [{"robot": 2}]}, "[[teammate]] names robot 2; the last one is 1"),
+        ({"robots": 2, "teammate": [{"robot": 0}]}, "names robot 0, which is this robot: set its values"),
+        ({"robots": 2, "teammate": 2 * [{"robot": 1}]}, "[[teammate]] names a robot twice: [1, 1]"),
+        (
+            {"robots": 2, "teammate": [{"robot": 1, "laser": "x"}]},
+            "teammate.0.laser: unknown setting; there are:",
+        ),
+        (
+            {"robots": 2, "teammate": [{"robot": 1, "sensor_range": 0.1}]},
+            "sensor_range = 0.1: must be two cells",
+        ),
         ({"colour": 1}, "colour: unknown setting; there are: robot, robots, grid"),
         ({"strategy": "meyer"}, "did you mean meier?"),
         ({"strategy": "playback"}, "strategy = 'playback': does not explore"),
@@ -106,12 +117,13 @@ def test_the_example_is_valid_and_names_every_setting(tmp_path: Path) -> None:
     path.write_text(result.stdout, encoding="utf-8")
     assert load_robot(path).settings.robots == 2
     radio_of_modems = "frame_bytes", "hello_s", "interval_s", "neighbor_timeout_s"
-    tables = {"polygons", "predictive", "options"}
+    tables = {"polygons", "predictive", "options", "teammate"}
     for table in (RobotSettings, GridTable, Ros2Table, RecordTable):
         for name in table.model_fields:
             assert name in tables or f"{name} = " in result.stdout or f"[{name}]" in result.stdout, name
     for name in (each.name for each in fields(RadioTable)):
         assert name in radio_of_modems or f"{name} = " in result.stdout, name
+    assert "[[teammate]]" in result.stdout
 
 
 def test_commented_values_of_the_example_are_the_defaults() -> None:
@@ -120,7 +132,7 @@ def test_commented_values_of_the_example_are_the_defaults() -> None:
     lines = [
         line[2:] if line.startswith("# ") and " = " in line.partition("  ")[0] else line
         for line in text.splitlines()
-        if not line.startswith("# For a modem")
+        if not line.startswith("# For a ")
     ]
     spelled_out = tomllib.loads("\n".join(lines))
     assert len(spelled_out) > len(given)
@@ -140,6 +152,17 @@ def test_the_grid_and_the_control_logic_follow_from_the_settings(tmp_path: Path)
     assert agent.body.speed == pytest.approx(4.0 * 0.5 / 0.1)
     assert agent.body.field_of_view == 90
     assert agent.medium.bandwidth.limit == 3 * 500 * 0.5
+    assert agent.bodies == (agent.body,) * 3
+
+
+def test_the_control_logic_plans_with_what_the_file_says_of_teammates(tmp_path: Path) -> None:
+    teammates = [{"robot": 2, "sensor_range": 12.0}, {"robot": 0, "radius": 0.5}]
+    file = load_robot(write(tmp_path, settings(robots=3, robot=1, teammate=teammates)))
+    laser = Laser(91, -TURN // 8, TURN // 4, 4000)
+    agent = agent_settings(file.settings, laser)
+    assert agent.ranges_of(range(3)).tolist() == [40.0, 40.0, 120.0]
+    assert [body.radius_cells for body in agent.bodies] == [5.0, 2.0, 2.0]
+    assert [body.laser for body in agent.bodies] == [laser] * 3
 
 
 def test_paths_are_relative_to_the_settings_file(tmp_path: Path) -> None:
@@ -195,7 +218,11 @@ def test_a_router_that_does_not_answer_is_named(tmp_path: Path) -> None:
 def test_the_guides_list_each_setting_with_its_default() -> None:
     docs = Path(__file__).parents[3] / "docs"
     for page, table, without in (
-        ("field.md", RobotSettings, {"grid", "ros2", "radio", "record", "predictive", "polygons"}),
+        (
+            "field.md",
+            RobotSettings,
+            {"grid", "ros2", "radio", "record", "predictive", "polygons", "teammate"},
+        ),
         ("ros2.md", Ros2Table, set()),
     ):
         lines = (docs / page).read_text(encoding="utf-8").splitlines()

@@ -233,6 +233,38 @@ def test_a_robot_with_overrides_keeps_its_other_settings() -> None:
     ]
 
 
+def test_a_robot_has_the_laser_and_the_field_of_view_of_its_preset() -> None:
+    robots = [
+        {"robot": 0, "laser": "sick-lms"},
+        {"robot": 1, "laser": {"preset": "rplidar-a1", "missing": 0.5}, "field_of_view": 90.0},
+        {"robot": 2, "pose": "graph-slam"},
+    ]
+    scenario = parse({"robots": 4, "robot": robots, "laser": {"range_error_m": 0.5}})
+    bodies = [scenario.body_of(robot) for robot in range(4)]
+    assert [body.field_of_view for body in bodies] == [270.0, 90.0, 360.0, 360.0]
+    assert [body.laser.range_error_m for body in bodies] == [0.012, 0.01, 0.5, 0.5]
+    assert [body.laser.missing for body in bodies] == [0.003, 0.5, 0.0, 0.0]
+    assert [body.pose.position_error_m for body in bodies] == [0.0, 0.0, 0.03, 0.0]
+    assert parse(tomllib.loads(scenario.to_toml())) == scenario
+
+
+@pytest.mark.parametrize(
+    ("settings", "noisy"),
+    [
+        ({"robot": [{"robot": 1, "laser": "sick-lms"}]}, True),
+        ({"robot": [{"robot": 1, "pose": "graph-slam"}]}, True),
+        ({"robot": [{"robot": 1, "laser": "ideal"}]}, False),
+        ({"robot": [{"robot": 1, "laser": "ideal"}], "laser": "sick-lms"}, True),
+        ({"robots": 1, "robot": [{"robot": 0, "laser": "ideal"}], "laser": {"preset": "sick-lms"}}, False),
+    ],
+)
+def test_maps_have_a_tolerance_if_any_robot_has_a_laser_or_pose_with_errors(
+    settings: dict[str, Any], noisy: bool
+) -> None:
+    scenario = parse(settings)
+    assert (scenario.is_noisy, scenario.tolerance) == (noisy, int(noisy))
+
+
 def write(folder: Path, text: str) -> Path:
     path = folder / "mine.toml"
     path.write_text(text, encoding="utf-8")

@@ -1,0 +1,35 @@
+"""Why a robot drops frames, and what its user can do: advice that is given once per reason."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from agent.radios.sealing import Reason
+
+SEVERAL = 3
+"""Frames dropped for a reason before it is explained: a radio may damage single ones."""
+
+_EQUAL = "robots, starts, map_encoding and its options, tolerance, and the size and resolution of [grid]"
+
+ADVICE: Mapping[Reason, str] = {
+    "unknown sender": "drops frames of robots beyond the size of its team, {robots}: all robots need the same `robots`",
+    "own number": "drops frames of another robot with its own number, {robot}: give each robot another `robot`",
+    "not authentic": "drops frames that are not authentic: the sender has another key, or settings that differ from "
+    f"this robot's. These must be equal: {_EQUAL}; with map_encoding scans or slam-toolbox, also the lasers",
+}
+"""What to say of each reason that the user's settings may cause."""
+
+
+class DropAdvice:
+    """Explains reasons that have not been explained yet, to the user of one robot."""
+
+    def __init__(self, robot: int, robots: int) -> None:
+        self._robot, self._robots = robot, robots
+        self._given: set[str] = set()
+
+    def new(self, dropped: Mapping[str, int]) -> Iterator[str]:
+        """Yield advice on frames that were dropped since the start, by reason (`PeerMedium.dropped`)."""
+        for reason, text in ADVICE.items():
+            if dropped.get(reason, 0) >= SEVERAL and reason not in self._given:
+                self._given.add(reason)
+                yield text.format(robot=self._robot, robots=self._robots)

@@ -1,0 +1,17 @@
+"""Advice on dropped frames: once per reason, and not for single damaged frames."""
+
+from __future__ import annotations
+
+from deploy.field.dropped_frames import SEVERAL, DropAdvice
+
+
+def test_each_reason_is_explained_once_after_several_frames() -> None:
+    advice = DropAdvice(robot=1, robots=3)
+    assert list(advice.new({"not authentic": SEVERAL - 1, "replayed": 99})) == []
+    (text,) = advice.new({"not authentic": SEVERAL, "replayed": 99})
+    assert "another key, or settings that differ" in text
+    (text,) = advice.new({"not authentic": 50, "own number": SEVERAL})
+    assert "its own number, 1: give each robot another `robot`" in text
+    (text,) = advice.new({"not authentic": 60, "own number": 9, "unknown sender": SEVERAL})
+    assert "the size of its team, 3" in text
+    assert list(advice.new({"not authentic": 99, "own number": 99, "unknown sender": 99})) == []
