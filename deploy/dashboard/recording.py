@@ -32,9 +32,11 @@ def recording(plan: Plan, path: Path, port: int | None) -> Iterator[Recorder]:
     if port is not None:
         sinks.append(rr.GrpcServerSink(bind_ip=LOOPBACK, port=port, server_memory_limit=SERVER_MEMORY))
     stream.set_sinks(*sinks, default_blueprint=layout(plan))
+    recorder = Recorder(stream, plan)
     try:
-        yield Recorder(stream, plan)
+        yield recorder
     finally:
+        recorder.finish()
         stream.flush(timeout_sec=LAST_S)
         stream.disconnect()
         optimize(path)
