@@ -85,7 +85,7 @@ def _map(
     width, height = plan.map.width * plan.map.resolution, plan.map.height * plan.map.resolution
     pad = margin * max(width, height)
     bounds = rrb.VisualBounds2D(
-        x_range=[left - pad, left + width + pad / 3], y_range=[top - pad / 3, top + height + pad]
+        x_range=[left - pad, left + width + pad / 3], y_range=[top - pad / 3, top + height + 1.3 * pad]
     )
     return rrb.Spatial2DView(
         origin=origin, contents=contents, name=name, visual_bounds=bounds, overrides=overrides

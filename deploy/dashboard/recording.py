@@ -9,9 +9,10 @@ from typing import Any
 
 import rerun as rr
 
+from deploy.dashboard.access import LOOPBACK
 from deploy.dashboard.layout import layout
 from deploy.dashboard.recorder import Recorder
-from deploy.dashboard.windows import LOOPBACK, optimize
+from deploy.dashboard.windows import optimize
 from deploy.scenario.plan import Plan
 
 FLUSH_S = 1.0

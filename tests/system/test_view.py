@@ -100,7 +100,7 @@ def test_all_robots_are_shown_in_the_dark_and_no_view_reports_an_error(
     assert {view.name: view.reports for view in state.views if view.reports} == {}
     assert {view.name for view in state.views} >= {
         *VIEWS,
-        *(f"Robot {robot} map" for robot in range(min(8, robots))),
+        *(f"Robot {robot} [m]" for robot in range(min(8, robots))),
     }
     assert [entry.message for entry in logs if entry.level == "ERROR"] == []
     assert Image.open(io.BytesIO(png)).size == (1920, 1080)
