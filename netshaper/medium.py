@@ -35,12 +35,13 @@ class Account(msgspec.Struct, frozen=True, gc=False):
     carried: int
     log: FrameLog
 
-    def report(self, *, captures: bool = True) -> RadioReport:
-        """Write the ledger's rows, and the frames for a capture unless there is none."""
+    def report(self, *, captures: bool = True, links: bool = False) -> RadioReport:
+        """Write the ledger's rows; the frames if there is a capture; the links if a viewer draws them."""
         if not len(self.log):
             return RadioReport(self.step, b"", self.carried, b"")
         written = capture.encode(self.step, self.log) if captures else b""
-        return RadioReport(self.step, self.log.ledger_rows(self.step), self.carried, written)
+        received = self.log.links() if links else b""
+        return RadioReport(self.step, self.log.ledger_rows(self.step), self.carried, written, received)
 
 
 class Arrival(msgspec.Struct, frozen=True, gc=False):
