@@ -38,6 +38,12 @@ class RecordedRun:
         """Return the tables as pandas frames, as `Result.to_pandas` does."""
         return to_pandas(steps=self.steps, ledger=self.ledger)
 
+    def report(self) -> Path:
+        """Write ``report.html`` into the directory, as ``murmur report`` does, and return it."""
+        from deploy.after.report import write_report  # noqa: PLC0415  loads matplotlib
+
+        return write_report(self.directory)
+
     def __repr__(self) -> str:
         return f"<RecordedRun: {self.summary['robots']} robots on {self.summary['map']}, in {self.directory}>"
 

@@ -20,6 +20,9 @@ from murmur.gym.rewards import Reward, discovery, first_info, info
 class ExploreEnv(gym.Env[Observation, np.int64]):
     """One robot's policy: it chooses a goal whenever the robot needs one, and the robot plans its way there.
 
+    Observations have what the robot knows: ``map``, ``position``, ``candidates``, ``team``, and ``action_mask``
+    (`murmur.gym.observation.observation_space`).
+
     Actions are numbers: 0 keeps the target, k drives to candidate k. A robot that needs a goal and gets none stays for
     a step. So does one whose action names no candidate; ``action_mask`` tells which actions have an effect.
 

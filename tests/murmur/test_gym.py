@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import warnings
 from collections.abc import Callable
 from typing import Any
@@ -279,3 +281,11 @@ def test_calls_in_the_wrong_order_are_explained() -> None:
     team.reset(seed=0)
     with pytest.raises(ValueError, match="there is no agent 'r7'; there are r0, r1"):
         team.step({"r7": 1})
+
+
+def test_without_gymnasium_the_error_names_the_extra() -> None:
+    program = "import sys; sys.modules['gymnasium'] = None; import murmur.gym"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert done.stderr.splitlines()[-1] == (
+        "ImportError: murmur.gym needs the package gymnasium: pip install 'murmur-robots[gym]'"
+    )
