@@ -85,12 +85,12 @@ def test_a_viewer_changes_no_digest_and_the_pace_is_kept(tmp_path: Path) -> None
 def test_a_viewer_can_attach_late_to_a_run_without_a_viewer(tmp_path: Path) -> None:
     out = tmp_path / "run"
     watch = [sys.executable, "-m", "deploy.commands.main", "watch", str(out), "--view-as", "file"]
-    with swarm(out, "--pace", "10") as process:
+    with swarm(out, "--pace", "5") as process:
         wait_for(out / LIVE, process)
         assert (out / LIVE).stat().st_mode & 0o077 == 0
         child(process, "r2")
         watching = subprocess.Popen(watch, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-        wait_for(out / RECORDING, process, 100_000)
+        wait_for(out / RECORDING, process, 10_000)
         process.terminate()
         finish(process, 60)
         _, errors = watching.communicate(timeout=60)
