@@ -33,11 +33,11 @@ demo: setup
 	$(BIN)/murmur explore --map office --robots 5 --bandwidth 50
 
 test: $(VENV)/dev.stamp check
-	$(BIN)/python -m pytest -n 2 --dist loadfile
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 # All but the tests of commands, reports, studies, captures and swarms of processes.
 quick: $(VENV)/dev.stamp
-	$(BIN)/python -m pytest -n 2 --dist loadfile $(QUICK)
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder $(QUICK)
 
 check: $(VENV)/dev.stamp
 	$(BIN)/ruff format --check .

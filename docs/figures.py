@@ -192,6 +192,16 @@ def percent(share: float, digits: int = 2) -> str:
     return f"{100 * share:.{digits}f} %"
 
 
+# Lessons
+
+
+def lesson(row: Row, column: str) -> str:
+    """Steps or bytes of the class's team by its bandwidth."""
+    bandwidth = row["bandwidth"].partition(" ")[0]
+    found = summary(f"explore --map office-plain --robots 3 --bandwidth {bandwidth}")
+    return f"{found['bytes']['total']:,}" if column == "bytes transmitted" else str(found["steps"])
+
+
 # Radios
 
 
@@ -390,6 +400,7 @@ def short_range(_: Row, column: str) -> str:
 
 
 FIGURES = (
+    Figure("lesson-45.md", "| bandwidth |", lesson, fast=((3, 1),)),
     Figure("results/radios.md", "| radio, robots |", losses, fast=((0, 1),)),
     Figure("results/radios.md", "| dissemination |", late_frames, fast=((1, 1),)),
     Figure("real-sensors.md", "| encoding | F1", map_quality),

@@ -80,7 +80,8 @@ OUTLINES = {"map_encoding": "polygons", "strategy": "meier"}
 
 
 @pytest.mark.parametrize(
-    ("name", "robots", "more", "kinds"), [("office", 16, OUTLINES, 4), ("intel", 5, {}, 3)]
+    ("name", "robots", "more", "kinds"),
+    [("office", 16, OUTLINES, 4), pytest.param("intel", 5, {}, 3, marks=pytest.mark.long)],
 )
 def test_all_robots_are_shown_in_the_dark_and_no_view_reports_an_error(
     name: str,
