@@ -52,11 +52,11 @@ SURE_AFTER = 10
 by then teammates have sent more of areas that looked insignificant when they first saw them."""
 
 SURE_AFTER_NOISE = 3
-"""The same for a single robot with a noisy laser, where a false wall may close a doorway for some steps. A robot does
+"""The same for maps of noisy lasers, where a false wall or a person may close a doorway for some steps. A robot does
 not wait if nothing would be left even if all walls were open of which it is not certain."""
 
 SURE_AFTER_NOISE_IN_TEAM = 1
-"""The same in a team, where a second robot must agree (`worldsim.ending`)."""
+"""The same in a team without people in the building: a second robot must agree (`worldsim.ending`)."""
 
 SURE_AFTER_LOG = 20
 """Steps for which a robot that replays a log must have nothing to deliver: changes may wait until they are encoded."""
@@ -77,9 +77,10 @@ def sure_after(settings: Settings) -> int:
     if not strategy(settings.strategy).explores:
         return SURE_AFTER_LOG
     if not encoding_class(settings.encoding.name).infers_cells(settings):
-        in_team = settings.robots > 1
-        noise = SURE_AFTER_NOISE_IN_TEAM if in_team else SURE_AFTER_NOISE
-        return 0 if settings.laser is None else noise
+        if settings.laser is None:
+            return 0
+        is_safe = settings.robots > 1 and not settings.people
+        return SURE_AFTER_NOISE_IN_TEAM if is_safe else SURE_AFTER_NOISE
     return 2 * SURE_AFTER if settings.replication.requires_acks else SURE_AFTER
 
 

@@ -46,8 +46,8 @@ LONGEST_SPECK = 5
 class NoisyGrid:
     """The planning grid of one robot as its strategy sees it; all grids are uint8 arrays of shape (h, w).
 
-    `narrow` is the width of the narrowest opening (`protocol.body.narrowest_opening`), `shortest` the number of cells of the shortest
-    frontier (`shortest_frontier`).
+    `narrow` is the width of the narrowest opening (`protocol.body.narrowest_opening`), `shortest` the number of cells
+    of the shortest frontier (`shortest_frontier`).
     """
 
     def __init__(self, height: int, width: int, narrow: int, shortest: int = 1) -> None:

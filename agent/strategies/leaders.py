@@ -11,7 +11,6 @@ Robots broadcast their poses, and whether they lead. Both kinds move continuousl
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
@@ -20,6 +19,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from agent.planning import forces
+from agent.planning.escape import NEAR_M, STEPS, Escape
 from agent.planning.path_planner import PathPlanner
 from agent.planning.route import Route, corners, crossed
 from agent.planning.visibility import shortest_way
@@ -39,13 +39,8 @@ STALL_METRES = 1.0
 """Distance in meters that counts as a change of place; at most half of what the robot can drive in that time."""
 
 ESCAPES = ("real-sensors", "always", "never")
-"""When robots without progress drive to a frontier by path planning. ``real-sensors``: if lasers or poses have errors."""
-
-ESCAPE_STEPS = 10
-"""A robot is in a local minimum if it has not left a circle of `STALL_METRES` for this many steps."""
-
-NEAR_METRES = 0.5
-"""It has observed the frontier to which it escapes when none is left within this distance, in meters."""
+"""When robots leave local minima by path planning (`agent.planning.escape`). ``real-sensors``: if lasers or poses have
+errors."""
 
 NOT_HERE = "forces move the robots, so there are no targets to choose from"
 
@@ -107,12 +102,10 @@ class PotentialField(Strategy):
         self._anchor_step = 0
         self._known = -1
         escape = getattr(self.options, "escape", "never")
-        self._escapes = escape == "always" or (escape == "real-sensors" and settings.laser is not None)
-        self._minimum: tuple[float, float] = (math.inf, math.inf)
-        """Where the robot last was at rest, in cells; it has left this place after `STALL_METRES`."""
-        self._minimum_step = 0
-        self._escape_to: Cells | None = None
-        """The frontier cell to which it escapes."""
+        self._escape: Escape | None = None
+        if escape == "always" or (escape == "real-sensors" and settings.laser is not None):
+            size = settings.resolution
+            self._escape = Escape(self._change_of_place(STEPS) / size, NEAR_M / size)
 
     @classmethod
     def check(cls, options: Mapping[str, Any]) -> Any:
@@ -157,7 +150,7 @@ class PotentialField(Strategy):
             )
         stalled = self._is_stalled(situation, at)
         self.leads = self.is_leader(situation)
-        escapes = self._escapes and self._is_escaping(situation, at, planner, frontier)
+        escapes = self._escape is not None and self._escape.is_needed(at, situation.step, planner, frontier)
         if self.leads or escapes:
             self._velocity = np.zeros(2)
             target, points = self._lead(situation, planner, frontier)
@@ -182,25 +175,6 @@ class PotentialField(Strategy):
         if escapes:
             return "driving out of a local minimum"
         return "stalled" if stalled else "leading" if self.leads else "drawn to its closest frontier"
-
-    def _is_escaping(
-        self, situation: Situation, at: tuple[float, float], planner: PathPlanner, frontier: Cells
-    ) -> bool:
-        """Whether the robot drives to its closest frontier point, from a local minimum until it has observed it."""
-        size = self.settings.resolution
-        left = np.hypot(at[0] - self._minimum[0], at[1] - self._minimum[1]) * size > self._change_of_place(
-            ESCAPE_STEPS
-        )
-        if left:
-            self._minimum, self._minimum_step = at, situation.step
-        if self._escape_to is not None:
-            near = np.hypot(*(frontier - self._escape_to).T).min() * size <= NEAR_METRES
-            if not near:
-                self._escape_to, self._minimum_step = None, situation.step
-        elif situation.step - self._minimum_step >= ESCAPE_STEPS:
-            costs = planner.costs(*situation.here)[frontier[:, 1], frontier[:, 0]]
-            self._escape_to = frontier[np.argmin(costs)]
-        return self._escape_to is not None
 
     def _change_of_place(self, steps: int) -> float:
         """Return the distance in meters that counts as a change of place within some steps."""
