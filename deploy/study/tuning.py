@@ -92,9 +92,9 @@ class Search:
         check_training_seeds([*self.seeds, *self.check_seeds])
         if both := sorted({*self.seeds} & {*self.check_seeds}):
             raise ValueError(f"check_seeds: {both[0]} is a seed of the search as well; choose other seeds")
-        for name in ("seed", "map_seed", "map", "strategy", "options"):
-            if name in self.settings:
-                raise ValueError(f"{name} = {self.settings[name]!r}: is chosen by the search; remove it")
+        for name, value in self.settings.items():
+            if name.partition(".")[0] in ("seed", "map_seed", "map", "strategy", "options"):
+                raise ValueError(f"{name} = {value!r}: is chosen by the search; remove it")
         weights = default_weights(self.strategy)
         for name in self.only:
             if name not in weights:
