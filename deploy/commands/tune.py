@@ -75,6 +75,7 @@ def tune(
         search_seed=search_seed,
         settings=named_values(set_ or [], "set", "robots=6"),
     )
+    search.check()
     make_folder(out)
     with (
         Results(out / RUNS) as results,

@@ -92,9 +92,9 @@ class Search:
         check_training_seeds([*self.seeds, *self.check_seeds])
         if both := sorted({*self.seeds} & {*self.check_seeds}):
             raise ValueError(f"check_seeds: {both[0]} is a seed of the search as well; choose other seeds")
-        for name in ("seed", "map_seed", "map", "strategy", "options"):
-            if name in self.settings:
-                raise ValueError(f"{name} = {self.settings[name]!r}: is chosen by the search; remove it")
+        for name, value in self.settings.items():
+            if name.partition(".")[0] in ("seed", "map_seed", "map", "strategy", "options"):
+                raise ValueError(f"{name} = {value!r}: is chosen by the search; remove it")
         weights = default_weights(self.strategy)
         for name in self.only:
             if name not in weights:
@@ -102,6 +102,17 @@ class Search:
                 raise ValueError(f"{self.strategy} has no weight {name!r}; there are: {known}")
         if not weights:
             raise ValueError(f"{self.strategy} has no numeric options to search")
+
+    def experiment(self, candidates: Sequence[Weights], seeds: Sequence[int]) -> Experiment:
+        """Return the runs of some weights on all maps and `seeds`; the variants are numbers of the candidates."""
+        base = {**DEFAULTS, **self.settings, "strategy": self.strategy}
+        grid: dict[str, list[Any]] = {"map": list(self.maps), "seed": list(seeds)}
+        variants = {str(at): {"options": weights} for at, weights in enumerate(candidates)}
+        return Experiment("tune", "tune", base, grid, {"map_seed": "seed"}, variants, Table(["map"], []))
+
+    def check(self) -> None:
+        """Raise ScenarioError if a map or a setting is invalid."""
+        cases(self.experiment([default_weights(self.strategy)], self.seeds))
 
 
 class Trial(NamedTuple):
@@ -283,18 +294,12 @@ class _Tuner:
 
         A run that did not finish counts with the maximum number of steps.
         """
-        search = self._search
-        variants = {str(at): {"options": weights} for at, weights in enumerate(candidates)}
-        base = {**DEFAULTS, **search.settings, "strategy": search.strategy}
-        grid: dict[str, list[Any]] = {"map": list(search.maps), "seed": list(seeds)}
-        experiment = Experiment(
-            "tune", "tune", base, grid, {"map_seed": "seed"}, variants, Table(["map"], [])
-        )
-        todo = cases(experiment) if variants else []
+        experiment = self._search.experiment(candidates, seeds)
+        todo = cases(experiment) if candidates else []
         make(todo, self._results, self._workers)
         if broken := failures(todo, self._results):
             raise RunFailed(f"runs failed: {as_text(broken)}")
-        steps: dict[str, dict[Run, int]] = {name: {} for name in variants}
+        steps: dict[str, dict[Run, int]] = {name: {} for name in experiment.variants}
         for row in looked_up(todo, self._results):
             place = row[PLACE]
             run = place["map"], place["seed"]
