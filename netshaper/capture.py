@@ -29,7 +29,6 @@ import numpy as np
 
 from netshaper import pcapng
 from netshaper.frame_log import (
-    BYTES,
     COMMENT,
     CONNECTION,
     FRAME,
@@ -55,8 +54,12 @@ VERSION, WIDE = 1, 2
 _FIELDS = (
     "version", "frame", "verdict", "round", "sender", "receiver", "map", "part", "step", "connection", "receivers",
 )  # fmt: skip
-HEAD = np.dtype(list(zip(_FIELDS, "u1 u1 u1 u1 i1 i1 i1 u1 >u4 >i4 V8".split(), strict=True)))
-WIDE_HEAD = np.dtype(list(zip(_FIELDS, "u1 u1 u1 u1 >i2 >i2 >i2 >u2 >u4 >i4 V32".split(), strict=True)))
+HEAD = np.dtype(
+    list(zip(_FIELDS, ["u1", "u1", "u1", "u1", "i1", "i1", "i1", "u1", ">u4", ">i4", "V8"], strict=True))
+)
+WIDE_HEAD = np.dtype(
+    list(zip(_FIELDS, ["u1", "u1", "u1", "u1", ">i2", ">i2", ">i2", ">u2", ">u4", ">i4", "V32"], strict=True))
+)
 _LAYOUTS = {VERSION: HEAD, WIDE: WIDE_HEAD}
 NARROW = 64
 """Number of robots that the short header supports."""

@@ -25,7 +25,9 @@ _MAGIC = 0x1A2B3C4D
 _BLOCK = struct.Struct("<II")
 _PACKET = struct.Struct("<5I")
 _OPTION = struct.Struct("<HH")
-_PACKET_HEAD = np.dtype([(name, "<u4") for name in ("kind", "length", "interface", "high", "low", "kept", "size")])
+_PACKET_HEAD = np.dtype(
+    [(name, "<u4") for name in ("kind", "length", "interface", "high", "low", "kept", "size")]
+)
 _PADDINGS = [bytes(-size % 4) for size in range(4)]
 """Zeros that align data to 4 bytes, by the data's size modulo 4."""
 

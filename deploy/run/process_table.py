@@ -68,7 +68,11 @@ def load_fork_server() -> None:
     """
     if _fork_server_pid() is not None:
         return
-    with temporary_folder() as folder, contextlib.suppress(ConnectionError), ProcessTable(folder / "logs") as table:
+    with (
+        temporary_folder() as folder,
+        contextlib.suppress(ConnectionError),
+        ProcessTable(folder / "logs") as table,
+    ):
         try:
             table.start("preload", _do_nothing, needed=False)
         except KeyboardInterrupt:
