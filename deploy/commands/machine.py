@@ -89,7 +89,7 @@ def bench(
         list[str] | None,
         typer.Argument(
             metavar="NAME",
-            help="kernels, swarm, replanning, relay, scale; default: all of these. "
+            help="kernels, swarm, replanning, relay, scale, field; default: all of these. "
             "Or strategies: the league table",
         ),
     ] = None,
