@@ -153,13 +153,13 @@ class PeerMedium:
         """Received frames that were dropped, by reason (`agent.radios.sealing.Reason`)."""
         return {str(reason): count for reason, count in self._opener.dropped.items()}
 
-    def neighbors(self, now: int) -> list[int]:
-        """Return the teammates in range, in ascending order."""
-        return self._neighbors.current(now)
-
     def last_received(self, robot: int) -> int | None:
         """Return when a frame of a teammate arrived last, in nanoseconds; None if none did."""
         return self._neighbors.last(robot)
+
+    def neighbors(self, now: int) -> list[int]:
+        """Return the teammates in range, in ascending order."""
+        return self._neighbors.current(now)
 
     # --- the robot's side
 
