@@ -20,25 +20,24 @@ setup: $(VENV)/main.stamp
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV) || { rm -rf $(VENV); apt-get update && apt-get install -y --no-install-recommends python3-venv && $(PYTHON) -m venv $(VENV); }
 
-# Compiles all kernels, once, into numba's cache.
 $(VENV)/main.stamp: pyproject.toml constraints.txt | $(BIN)/python
 	$(PIP) --editable '.[view,mcap,film]'
-	$(BIN)/python -c 'import deploy.run.preload'
+	$(BIN)/murmur setup
 	touch $@
 
 $(VENV)/dev.stamp: $(VENV)/main.stamp
-	$(PIP) --editable '.[view,mcap,ros2,film,cluster,docs,dev,bench]'
+	$(PIP) --editable '.[view,mcap,ros2,film,cluster,gym,pandas,docs,dev,bench]'
 	touch $@
 
 demo: setup
 	$(BIN)/murmur explore --map office --robots 5 --bandwidth 50
 
 test: $(VENV)/dev.stamp check
-	$(BIN)/python -m pytest -n 2 --dist loadfile
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 # All but the tests of commands, reports, studies, captures and swarms of processes.
 quick: $(VENV)/dev.stamp
-	$(BIN)/python -m pytest -n 2 --dist loadfile $(QUICK)
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder $(QUICK)
 
 check: $(VENV)/dev.stamp
 	$(BIN)/ruff format --check .

@@ -38,6 +38,13 @@ from agent.robot import Robot
 from agent.settings import Settings
 from agent.strategies.base import Cell
 from protocol.messages import Move, Sense
+from protocol.token_bucket import SECOND
+
+FAREWELLS = 3
+"""How often a robot tells teammates that it has ended: frames may be lost."""
+FAREWELL_NS = 5 * SECOND
+"""Time limit for these frames; a radio that may not send in this time sends fewer, or none."""
+FAREWELL_TICK_NS = SECOND // 50
 
 
 class Body(Protocol):
@@ -191,6 +198,7 @@ class FieldRobot:
     def end_step(self) -> None:
         """Merge what arrived, decide, and let the body move; without readings, let it stand still."""
         if self.sense is not None:
+            self.robot.replication.ended = self.medium.ended()
             for event in self.medium.end_step():
                 respond(self.robot, event, self._report)
             self.move = self.robot.decide()
@@ -205,13 +213,25 @@ class FieldRobot:
         self.record(self._step, records)
         self._files.session.sync()
 
-    def stop(self) -> None:
-        """Let the body stand still, and close the radio and the files."""
+    def end(self, clock: Callable[[], int], wait: Callable[[int], object]) -> None:
+        """Let the body stand still, tell teammates, and close radio and files; the arguments are as for `drive`."""
         try:
             self._body.stop()
+            self._say_farewell(clock, wait)
         finally:
             self._transport.close()
             self._files.session.close()
+
+    def _say_farewell(self, clock: Callable[[], int], wait: Callable[[int], object]) -> None:
+        """Tell teammates that this robot has ended, as often as the radio may send within the time limit."""
+        left = FAREWELLS if self.robot.settings.robots > 1 else 0
+        end = (now := clock()) + FAREWELL_NS
+        while now < end and (left or self.medium.deadline() is not None):
+            left -= left > 0 and self.medium.say_farewell(now)
+            for frame in self.medium.poll(now):
+                self.unsent += not self._transport.send(frame)
+            wait(FAREWELL_TICK_NS)
+            now = clock()
 
 
 def position(sense: Sense) -> tuple[float, float]:
@@ -229,7 +249,8 @@ def drive(
     """Play steps of `step_ns` nanoseconds until `is_over`, called with the number of steps so far; return late steps.
 
     `clock` returns the time in nanoseconds; `wait` waits for so many of them, or until a frame has arrived. A step
-    that begins late, because the last one took too long, shifts all later ones. In any case, the body then stops.
+    that begins late, because the last one took too long, shifts all later ones. In any case, the body then stops, and
+    the robot broadcasts that it has ended.
     """
     step = 0
     begin = clock()
@@ -247,5 +268,5 @@ def drive(
             robot.end_step()
             begin = max(end, now)
     finally:
-        robot.stop()
+        robot.end(clock, wait)
     return robot.late_steps

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from agent.journal import Journal
 from agent.radio_events import respond
 from agent.robot import Robot
 from agent.settings import Settings
+from agent.strategies.base import Situation
 from agent.viewer_feed import SHOWN_EVERY, RecorderFeed, ViewerFeed
 from protocol import keys as names
 from protocol import map_parts, rights
@@ -40,11 +41,27 @@ from protocol.messages import (
 )
 
 
+class _Addresses(NamedTuple):
+    """The keys to which a robot sends."""
+
+    relay: str
+    world: str
+    recorder: str
+    viewer: str
+
+    @classmethod
+    def of(cls, keys: Keys, name: str) -> Self:
+        """Return the keys of the robot with this name."""
+        to_recorder, to_viewer = (keys.control(other, name) for other in (names.RECORDER, names.VIEW))
+        return cls(keys.radio_tx(name), keys.body(names.WORLD, name), to_recorder, to_viewer)
+
+
 class AgentNode:
     """One robot's process; `done` once it has received `Shutdown` or a fault has `killed` it.
 
     A robot that may restart needs a journal (`agent.identity`). Robots in one process share the memory `common`
-    (`Robot.share`). After its connection was cut and restored, it calls `resend` to send its last messages again.
+    (`Robot.share`). After its connection was cut and restored, it calls `resend` to send its last messages again. A
+    robot that is `held` waits at the end of each step until its owner calls `decide`.
     """
 
     def __init__(
@@ -55,6 +72,8 @@ class AgentNode:
         journal: Journal | None = None,
         common: dict[str, Any] | None = None,
         resend: Callable[[], object] = lambda: None,
+        *,
+        held: bool = False,
     ) -> None:
         self.done = False
         self.killed = False
@@ -63,13 +82,12 @@ class AgentNode:
         self._common = common
         self._resend = resend
         self._bus = bus
-        self._number = number
         self._name = names.robot(number)
-        self._to_relay = keys.radio_tx(self._name)
-        self._to_world = keys.body(names.WORLD, self._name)
-        self._to_recorder = keys.control(names.RECORDER, self._name)
-        self._to_viewer = keys.control(names.VIEW, self._name)
+        self._to = _Addresses.of(keys, self._name)
+        self._held = held
         self.robot: Robot | None = None
+        self.situation: Situation | None = None
+        """What a held robot is to decide on; None if it does not wait for `decide`."""
         self._unconfigured: list[object] = []
         """Messages that arrived before this robot's settings."""
         self._early: list[MediumEvent] = []
@@ -143,18 +161,28 @@ class AgentNode:
             if event.step > self._step:
                 self._early.append(event)
             elif isinstance(event, Close):
-                self._decide(robot, began)
+                self.situation = robot.assess()
             else:
                 frames = respond(robot, event, self._report_error)
                 if frames is not None:
-                    self._bus.put(self._to_relay, pack(frames))
+                    self._bus.put(self._to.relay, pack(frames))
             self._work += time.perf_counter() - began
+            if self.situation is not None and not self._held:
+                self.decide()
 
-    def _decide(self, robot: Robot, began: float) -> None:
-        """End a step: move, and report errors and status."""
-        move = robot.decide()
+    def decide(self) -> None:
+        """End a step: move, and report errors and status.
+
+        Raises RuntimeError unless the robot has a `situation`.
+        """
+        robot, situation = self.robot, self.situation
+        if robot is None or situation is None:
+            raise RuntimeError("the robot does not wait for a decision")
+        began = time.perf_counter()
+        self.situation = None
+        move = robot.decide(situation)
         work = round(1e6 * (self._work + time.perf_counter() - began))
-        self._bus.put(self._to_world, pack(move))
+        self._bus.put(self._to.world, pack(move))
         for fault in robot.faults:
             self._report_error(f"{fault.kind} from {names.robot(fault.peer)}: {fault.reason}")
         robot.faults.clear()
@@ -175,7 +203,7 @@ class AgentNode:
                 FinalMaps(robot.own, robot.planning, robot.shared, robot.settled)
             )
         part = MapPart(request.part, map_parts.encode(self._final_maps, request.part))
-        self._bus.put(self._to_recorder, pack(part))
+        self._bus.put(self._to.recorder, pack(part))
 
     def _report_error(self, reason: str) -> None:
         self._report(ErrorReport(self._name, clip(reason)))
@@ -183,9 +211,9 @@ class AgentNode:
     def _report(self, message: Record) -> None:
         """Send a message to the recorder, and to the viewer if there is one."""
         payload = pack(message)
-        self._bus.put(self._to_recorder, payload)
+        self._bus.put(self._to.recorder, payload)
         if self._viewer_feed is not None:
-            self._bus.put(self._to_viewer, payload)
+            self._bus.put(self._to.viewer, payload)
 
     def _show(self, step: int) -> None:
         """Send changes of this robot's maps to the recorder, if it stores them, and to a viewer, if there is one."""
@@ -193,7 +221,7 @@ class AgentNode:
             return
         if self._recorder_feed is not None:
             for report in self._recorder_feed.changes(step, self.robot):
-                self._bus.put(self._to_recorder, pack(report))
+                self._bus.put(self._to.recorder, pack(report))
         if self._viewer_feed is not None:
             for message in self._viewer_feed.news(step, self.robot):
-                self._bus.put(self._to_viewer, pack(message))
+                self._bus.put(self._to.viewer, pack(message))

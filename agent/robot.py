@@ -2,7 +2,8 @@
 
 perceive   lines 5 to 13: draw the scan on the self-explored grid, append map updates to the log
 rounds     line 14: broadcast target and pose, replicate the logs (`agent.replication`), driven by the relay's events
-decide     lines 15 to 21: merge into the planning grid; the strategy chooses a target
+assess     lines 15 to 17: merge the maps into the planning grid
+decide     lines 18 to 21: the strategy chooses a target
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from agent.encodings.base import MapEncoding
 from agent.encodings.catalog import check_entries, encoding_class, make_encoding
 from agent.mapping.mapper import WALL, cell_ahead, make_mapper
 from agent.outline.polygons import Polygons
-from agent.planning.noisy_grid import NoisyGrid, narrow_cells, shortest_frontier
+from agent.planning.noisy_grid import NoisyGrid, shortest_frontier
 from agent.planning.path_planner import PathPlanner
 from agent.planning.second_look import SecondLook
 from agent.replication.digests import INTERVAL
@@ -33,6 +34,7 @@ from agent.strategies.base import Cell, Decision, Pose, Situation
 from agent.strategies.registry import strategy
 from agent.team_state import TeamState
 from protocol import packet_index, packets
+from protocol.body import narrowest_opening
 from protocol.errors import ProtocolError
 from protocol.grid import OCCUPIED, Grid
 from protocol.messages import (
@@ -50,8 +52,11 @@ SURE_AFTER = 10
 by then teammates have sent more of areas that looked insignificant when they first saw them."""
 
 SURE_AFTER_NOISE = 3
-"""The same for maps of noisy lasers, where a false wall may close a doorway for some steps. A robot does not wait if
-nothing would be left even if all walls were open of which it is not certain."""
+"""The same for maps of noisy lasers, where a false wall or a person may close a doorway for some steps. A robot does
+not wait if nothing would be left even if all walls were open of which it is not certain."""
+
+SURE_AFTER_NOISE_IN_TEAM = 1
+"""The same in a team without people in the building: a second robot must agree (`worldsim.ending`)."""
 
 SURE_AFTER_LOG = 20
 """Steps for which a robot that replays a log must have nothing to deliver: changes may wait until they are encoded."""
@@ -72,7 +77,10 @@ def sure_after(settings: Settings) -> int:
     if not strategy(settings.strategy).explores:
         return SURE_AFTER_LOG
     if not encoding_class(settings.encoding.name).infers_cells(settings):
-        return 0 if settings.laser is None else SURE_AFTER_NOISE
+        if settings.laser is None:
+            return 0
+        is_safe = settings.robots > 1 and not settings.people
+        return SURE_AFTER_NOISE_IN_TEAM if is_safe else SURE_AFTER_NOISE
     return 2 * SURE_AFTER if settings.replication.requires_acks else SURE_AFTER
 
 
@@ -95,7 +103,7 @@ class Robot:
         """The self-explored grid."""
         self.planning: Grid = self.own.copy()
         """The planning grid: the self-explored one merged with teammates' maps."""
-        narrow = narrow_cells(settings.body.radius_cells, settings.resolution)
+        narrow = narrowest_opening(settings.body.radius_cells, settings.resolution)
         self._noisy_grid = None
         if settings.laser is not None:
             shortest = shortest_frontier(settings.bodies)
@@ -115,20 +123,21 @@ class Robot:
         self._doubted_steps: dict[int, int] = {}
         """Steps for which each teammate's map has been left out."""
         self._announcements = Announcements(settings)
-        self._strategy = strategy(settings.strategy)(settings.options, settings)
+        self.strategy = strategy(settings.strategy)(settings.options, settings)
+        """Chooses the target at the end of each step."""
         self._sense: Sense | None = None
         self._withheld: list[bytes] = []
         """Log entries that the strategy has not published yet."""
         self._idle_steps = 0
         self._sure_after = sure_after(settings)
         self._second_look = None
-        if settings.people and not self._strategy.returns(settings.options):
+        if settings.people and not self.strategy.returns(settings.options):
             self._second_look = SecondLook(settings)
 
     def share(self, common: dict[str, Any]) -> None:
         """Share memory with the other robots of this process (`agent.encodings.base.MapEncoding.use_shared_cache`)."""
         self._encoding.use_shared_cache(common)
-        self._strategy.use_shared_cache(common)
+        self.strategy.use_shared_cache(common)
 
     @property
     def polygons(self) -> Mapping[int, Polygons]:
@@ -184,10 +193,10 @@ class Robot:
         entries = encoding.encode_changes(self.own, scan, change, delivered=delivered)
         check_entries(encoding, entries)
         self._withheld += entries
-        if not self._strategy.defers_publication:
+        if not self.strategy.defers_publication:
             self._publish()
-        if self._strategy.publishes_pose:
-            self._announcements.set_pose(sense.x, sense.y, leads=self._strategy.leads)
+        if self.strategy.publishes_pose:
+            self._announcements.set_pose(sense.x, sense.y, leads=self.strategy.leads)
 
     def announce(self, in_range: Sequence[int]) -> bytes | None:
         """Return the packets to broadcast to the teammates in range; None if there are none.
@@ -195,7 +204,7 @@ class Robot:
         They are this robot's pose, the target of the last decision, relayed state of other teammates, the digest of
         this robot's log, and requests for entries.
         """
-        team, relays = self._team, self._strategy.forwards_state
+        team, relays = self._team, self.strategy.forwards_state
         before, team.in_range = team.in_range, tuple(in_range)
         announced = self._announcements.next_packets(team.step, in_range, relays=relays)
         if relays:
@@ -226,26 +235,34 @@ class Robot:
             self._announcements.sent(report.step, self._team.in_range)
             self.replication.announced()
 
-    def decide(self) -> Move:
-        """End a step: merge, and let the strategy choose a target and a path."""
+    def assess(self) -> Situation:
+        """Merge the maps at the end of a step, and return what the strategy is to decide on."""
         sense = self._sense
         if sense is None:
-            raise RuntimeError("decide before the first perceive")
+            raise RuntimeError("assess before the first perceive")
         self.planning = self._encoding.merge(self.own, self._team.in_range)
         self._report_false_maps()
-        situation = self._team.situation(
+        return self._team.situation(
             sense,
             self._explorable(sense),
             log_entries=len(self.replication.replica.own_log),
             backlog=self.replication.undelivered(),
         )
-        decision = self._strategy.decide(situation)
+
+    def decide(self, situation: Situation | None = None) -> Move:
+        """End a step: let the strategy choose a target and a path.
+
+        `situation` is the result of `assess`, which is called if it is omitted.
+        """
+        if situation is None:
+            situation = self.assess()
+        decision = self.strategy.decide(situation)
         decision = self._try_again(decision)
         self._idle_steps = self._idle_steps + 1 if decision.explored else 0
         decision = self._look_again(situation, decision)
         self._apply(decision)
         return Move(
-            sense.step,
+            situation.step,
             cells_to_bytes(decision.path[:MAX_WAY_CELLS]),
             decision.heading,
             decision.explored and self._idle_steps > self._waiting_steps(situation) + self._verifying_steps(),
@@ -275,11 +292,15 @@ class Robot:
         return replace(decision, explored=False, status="waiting to try targets again that it did not reach")
 
     def _look_again(self, situation: Situation, decision: Decision) -> Decision:
-        """Return a decision that does not end the run yet if a person may stand before a frontier."""
+        """Return a decision that does not end the run yet if a person may stand before a frontier.
+
+        A robot to which teammates leave no target looks again as well.
+        """
         if self._second_look is None:
             return decision
-        self._second_look.note(situation.grid, explored=decision.explored)
-        way = self._second_look.way(situation.grid, situation.here) if decision.explored else None
+        is_idle = decision.explored or (decision.target is None and not len(decision.path))
+        self._second_look.note(situation.grid, is_idle=is_idle)
+        way = self._second_look.way(situation.grid, situation.here) if is_idle else None
         if way is None:
             return decision
         return replace(decision, path=way, explored=False, status="looking again at a wall before a frontier")
@@ -295,7 +316,7 @@ class Robot:
 
     def _waiting_steps(self, situation: Situation) -> int:
         """Return for how many steps nothing must have been left: none if no doubtful wall can hide a frontier."""
-        if self._noisy_grid is None or self._sure_after != SURE_AFTER_NOISE:
+        if self._noisy_grid is None or self._sure_after > SURE_AFTER_NOISE:
             return self._sure_after
         doubtful = (self.own == OCCUPIED) & ~self.settled
         grid = self._noisy_grid.clean_optimistic(self.planning, doubtful)
@@ -309,7 +330,7 @@ class Robot:
 
     def _apply(self, decision: Decision) -> None:
         """Take over a decision, and prepare what teammates are sent of it."""
-        if self._strategy.publishes_target and decision.target is not None and decision.target != self.target:
+        if self.strategy.publishes_target and decision.target is not None and decision.target != self.target:
             self._announcements.set_target(decision.target)
         self.target = decision.target
         self.status = decision.status

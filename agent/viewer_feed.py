@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from agent.outline.polygons import SIDE_X, SIDE_Y, Polygons
@@ -73,8 +75,9 @@ class _OutlineFeed:
         return [Outlines(step, map_id, outline_bytes(polygons)) for map_id, polygons in changed]
 
 
+@lru_cache(maxsize=256)
 def outline_bytes(polygons: Polygons) -> bytes:
-    """Encode polygons as described in `protocol.messages.Outlines`."""
+    """Encode polygons as described in `protocol.messages.Outlines`; robots of this process share the result."""
     sizes = np.diff(polygons.start)
     rows = np.empty((len(polygons.x), 4), "<i2")
     rows[:, 0] = np.repeat(np.arange(polygons.objects), sizes)

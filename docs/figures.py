@@ -192,6 +192,16 @@ def percent(share: float, digits: int = 2) -> str:
     return f"{100 * share:.{digits}f} %"
 
 
+# Lessons
+
+
+def lesson(row: Row, column: str) -> str:
+    """Steps or bytes of the class's team by its bandwidth."""
+    bandwidth = row["bandwidth"].partition(" ")[0]
+    found = summary(f"explore --map office-plain --robots 3 --bandwidth {bandwidth}")
+    return f"{found['bytes']['total']:,}" if column == "bytes transmitted" else str(found["steps"])
+
+
 # Radios
 
 
@@ -380,6 +390,31 @@ def rivals(stem: str) -> Value:
     return value
 
 
+def kinds(row: Row, column: str) -> str:
+    """Steps of `repairmen` over those of others, by kind of building; the recorded runs are beside the page."""
+    runs = pl.read_csv(DOCS / "results" / "kinds" / "training.csv")
+    if row["map"] != "all":
+        runs = runs.filter(pl.col("map") == row["map"].strip("`"))
+    ours = runs.filter(pl.col("strategy") == "repairmen")
+    if column == "runs":
+        return str(len(ours))
+    if column == "offline plan":
+        return f"{(ours['steps'] / ours['offline_steps']).mean():.2f}"
+    name, _, metric = column.partition(", ")
+    name = _best_other(runs) if name == "best other" else name.strip("`")
+    theirs = runs.filter(pl.col("strategy") == name)
+    both = ours.join(theirs, on=["map", "seed"], suffix="_theirs")
+    ratios = both[metric or "steps"] / both[f"{metric or 'steps'}_theirs"]
+    return f"{ratios.mean():.2f}"
+
+
+def _best_other(runs: pl.DataFrame) -> str:
+    """The strategy other than `repairmen` with the fewest steps."""
+    others = runs.filter(pl.col("strategy") != "repairmen")
+    means = others.group_by("strategy").agg(pl.col("steps").mean()).sort("steps", "strategy")
+    return str(means["strategy"][0])
+
+
 def short_range(_: Row, column: str) -> str:
     """Steps of `repairmen` over those of `meier`, by bandwidth and range."""
     bandwidth, reach = column.split(", ")
@@ -390,6 +425,7 @@ def short_range(_: Row, column: str) -> str:
 
 
 FIGURES = (
+    Figure("lesson-45.md", "| bandwidth |", lesson, fast=((3, 1),)),
     Figure("results/radios.md", "| radio, robots |", losses, fast=((0, 1),)),
     Figure("results/radios.md", "| dissemination |", late_frames, fast=((1, 1),)),
     Figure("real-sensors.md", "| encoding | F1", map_quality),
@@ -407,6 +443,7 @@ FIGURES = (
     Figure("results/reliability.md", "| encoding | bytes per step |", forwarding, labels=2),
     Figure("results/repairmen.md", "| strategy | scans, 3 robots |", rivals(""), ALL_CELLS),
     Figure("results/repairmen.md", "| strategy | scans, 3 robots |", rivals("large-"), ALL_CELLS, number=1),
+    Figure("results/kinds.md", "| map | runs |", kinds, ALL_CELLS),
     Figure("repairmen.md", "| 100 B, 100 % |", short_range, labels=0),
 )
 """The tables of measurements that are checked."""

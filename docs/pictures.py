@@ -2,6 +2,7 @@
 
 ``python docs/pictures.py gallery FILE.png`` draws the paths of a team with each strategy instead (docs/strategies.md).
 ``python docs/pictures.py noisy FILE.png`` draws maps of noisy lasers (docs/real-sensors.md).
+``python docs/pictures.py maps FILE.png`` draws a map of each kind of building (docs/maps.md).
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from deploy.run.in_memory import MemoryRun
 from deploy.scenario import plan
 from deploy.scenario.scenario import parse
 from murmur import Step, steps
+from worldsim import generators
 
 AFTER = 80
 """The step in the pictures."""
@@ -152,6 +154,18 @@ def noisy(path: Path) -> None:
     figure.savefig(path, dpi=80)
 
 
+def kinds(path: Path) -> None:
+    """Draw the map of each kind of building with seed 0, with meters on the axes."""
+    names = ("office", "wings", "mixed", "office-campus", "caves", "maze", "warehouse", "unstructured")
+    figure, panels = plt.subplots(2, 4, figsize=(14.4, 6.6), layout="constrained")
+    for axes, name in zip(panels.flat, names, strict=True):
+        made = generators.make(name)
+        show_grid(axes, made, made.cells)
+        axes.set_title(name)
+        axes.set(xlabel="", ylabel="")
+    figure.savefig(path, dpi=80)
+
+
 def _bytes(step: Step, kinds: tuple[str, ...]) -> int:
     rows = step.traffic
     return int(rows.filter(rows["carried"] & rows["kind"].is_in(kinds))["bytes"].sum())
@@ -184,5 +198,7 @@ if __name__ == "__main__" and sys.argv[1:2] == ["gallery"]:
     gallery(Path(sys.argv[2]))
 elif __name__ == "__main__" and sys.argv[1:2] == ["noisy"]:
     noisy(Path(sys.argv[2]))
+elif __name__ == "__main__" and sys.argv[1:2] == ["maps"]:
+    kinds(Path(sys.argv[2]))
 elif __name__ == "__main__":
     main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent / "concepts")

@@ -1,7 +1,8 @@
 """Murmur from Python: run a swarm of exploring robots, step through a run, compare runs.
 
 ``murmur.explore(robots=5)`` runs a scenario to its end, ``for step in murmur.steps(robots=5): ...`` one step at a time.
-``sweep``, ``compare`` and ``size`` repeat runs over seeds and settings. ``merge`` joins records of robots in the field.
+``sweep``, ``compare`` and ``size`` repeat runs over seeds and settings. ``read_run`` reads a run
+directory, ``merge`` joins records of robots in the field, and `murmur.gym` has environments for learning.
 Everything else is in the packages `deploy` (running and recording), `agent` (the robot), `worldsim` (the world),
 `netshaper` (the radio) and `protocol`.
 """
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from deploy.after.merge import merge
+    from deploy.after.recorded_run import read_run
     from deploy.run.exploration import Result, explore
     from deploy.run.failure import RunFailed
     from deploy.run.stepwise import Step, Steps, steps
@@ -23,8 +25,8 @@ if TYPE_CHECKING:
     from deploy.study.sweep import sweep
 
 __all__ = [
-    "Result", "RunFailed", "Scenario", "ScenarioError", "Step", "Steps", "compare", "explore", "load", "merge", "size",
-    "size_radios", "steps", "sweep",
+    "Result", "RunFailed", "Scenario", "ScenarioError", "Step", "Steps", "compare", "explore", "load", "merge",
+    "read_run", "size", "size_radios", "steps", "sweep",
 ]  # fmt: skip
 
 _MODULES = {
@@ -38,6 +40,7 @@ _MODULES = {
     "explore": "deploy.run.exploration",
     "load": "deploy.scenario.scenario",
     "merge": "deploy.after.merge",
+    "read_run": "deploy.after.recorded_run",
     "size": "deploy.study.sizing",
     "size_radios": "deploy.study.radio_sizing",
     "steps": "deploy.run.stepwise",

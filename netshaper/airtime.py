@@ -160,7 +160,7 @@ class Airtime:
         """Record that a robot has sent `size` bytes."""
         self.left = self.left.minus(size)
         around = (robot, *self._neighbors.get(robot, ())) if self._reuse else (0,)
-        for bucket in (self._senders[robot], *(self._around[each] for each in around)):
+        for bucket in [self._senders[robot], *map(self._around.__getitem__, around)]:
             if bucket is not None:
                 bucket.take(size)
         if self._duty_cycles and self._budget.limit:

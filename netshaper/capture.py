@@ -22,26 +22,45 @@ microseconds, so that equal runs write equal files.
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import msgspec
+import numpy as np
 
 from netshaper import pcapng
 from netshaper.frame_log import (
+    COMMENT,
+    CONNECTION,
+    FRAME,
+    MAP,
+    RECEIVER,
+    RECEIVERS,
+    ROUND,
+    SENDER,
+    VERDICT,
     Content,
     FrameLog,
 )
 from netshaper.ledger import CAUSES, FRAMES, on_air
 from netshaper.pcapng import CaptureError
+from protocol.arrays import Int64Rows, Uint8s
+from protocol.grid import MAX_ROBOTS
 
 LINK_TYPE = 147
 """LINKTYPE_USER0, which the dissector reads."""
 
 VERSION, WIDE = 1, 2
 """Versions of the header: the short one, and the one for large teams."""
-HEAD = struct.Struct(">BBBBbbbBIiQ")
-WIDE_HEAD = struct.Struct(">BBBBhhhHIi32s")
+_FIELDS = (
+    "version", "frame", "verdict", "round", "sender", "receiver", "map", "part", "step", "connection", "receivers",
+)  # fmt: skip
+HEAD = np.dtype(
+    list(zip(_FIELDS, ["u1", "u1", "u1", "u1", "i1", "i1", "i1", "u1", ">u4", ">i4", "V8"], strict=True))
+)
+WIDE_HEAD = np.dtype(
+    list(zip(_FIELDS, ["u1", "u1", "u1", "u1", ">i2", ">i2", ">i2", ">u2", ">u4", ">i4", "V32"], strict=True))
+)
+_LAYOUTS = {VERSION: HEAD, WIDE: WIDE_HEAD}
 NARROW = 64
 """Number of robots that the short header supports."""
 
@@ -93,39 +112,64 @@ def head(description: str) -> bytes:
 
 def encode(step: int, log: FrameLog) -> bytes:
     """Write the frames of a step, in the order of the log, as blocks of the file."""
-    written: list[bytes] = []
+    if not len(log):
+        return b""
+    rows, payloads = log.rows(), [content.payload for content in log.contents]
+    received = np.zeros((len(rows), MAX_ROBOTS), np.bool_)
+    received[np.repeat(np.arange(len(rows)), rows[:, RECEIVERS]), log.receivers] = True
+    masks = np.packbits(received, axis=1, bitorder="little")[:, ::-1]
+    parts: Sequence[int] = [0] * len(rows)
+    if max(map(len, payloads)) > PART:
+        frames, parts, payloads = _cut(rows, log.contents)
+        rows, masks = rows[frames], masks[frames]
+    stored = [
+        payload if on_air(verdict) else payload[:KEPT]
+        for payload, verdict in zip(payloads, rows[:, VERDICT].tolist(), strict=True)
+    ]
+    heads = _heads(step, rows, parts, masks)
+    times_us = step * _SECOND + np.minimum(np.arange(len(rows)), _SECOND - 1)
+    data = [head + payload for head, payload in zip(heads, stored, strict=True)]
+    missing = [len(payload) - len(kept) for payload, kept in zip(payloads, stored, strict=True)]
     texts = [pcapng.comment(text) for text in log.texts]
-    first = 0
-    for row, content in zip(log.rows().tolist(), log.contents, strict=True):
-        round_number, connection, frame, sender, receiver, map_id, verdict, text, count, size, _ = row
-        receivers = log.receivers[first : first + count]
-        first += count
-        wide = max(sender, receiver, map_id, *receivers) >= NARROW
-        mask = sum([1 << robot for robot in receivers])
-        whole = on_air(verdict) and size <= PART
-        for part, (kept, length) in enumerate(
-            [(content.payload, size)] if whole else _parts(content, verdict)
-        ):
-            head = (WIDE_HEAD if wide else HEAD).pack(
-                WIDE if wide else VERSION, frame, verdict, round_number, sender, receiver, map_id, part, step,
-                connection, mask.to_bytes(32, "big") if wide else mask,
-            )  # fmt: skip
-            time_us = step * _SECOND + min(len(written), _SECOND - 1)
-            written.append(pcapng.packet(time_us, head + kept, len(head) + length, texts[text]))
-    return b"".join(written)
+    return pcapng.packets(times_us, data, missing, [texts[text] for text in rows[:, COMMENT].tolist()])
 
 
-def _parts(content: Content, verdict: int) -> Iterator[tuple[bytes, int]]:
-    """Cut a frame into packets of the capture; yield the stored bytes and the size of each."""
-    payload, begin = content.payload, 0
-    if not on_air(verdict):
-        yield payload[:KEPT], len(payload)
-        return
+def _cut(rows: Int64Rows, contents: Sequence[Content]) -> tuple[list[int], list[int], list[bytes]]:
+    """Cut long frames on the air into packets: of each packet its frame, its number in the frame, and its bytes."""
+    pieces = [
+        (number, part, payload)
+        for number, (content, verdict) in enumerate(zip(contents, rows[:, VERDICT].tolist(), strict=True))
+        for part, payload in enumerate(_parts(content) if on_air(verdict) else [content.payload])
+    ]
+    frames, parts, payloads = zip(*pieces, strict=True)
+    return list(frames), list(parts), list(payloads)
+
+
+def _parts(content: Content) -> list[bytes]:
+    """Cut a frame into parts of at most `PART` bytes, between packets where that is possible."""
+    payload, begin, parts = content.payload, 0, []
     while len(payload) - begin > PART:
         end = max((end for end in content.packets.ends if end <= begin + PART), default=begin + PART)
-        yield payload[begin:end], end - begin
+        parts.append(payload[begin:end])
         begin = end
-    yield payload[begin:], len(payload) - begin
+    return [*parts, payload[begin:]]
+
+
+def _heads(step: int, rows: Int64Rows, parts: Sequence[int], masks: Uint8s) -> list[bytes]:
+    """Write the headers of packets; `masks`: the receivers of each as a number of 256 bits, shape (packets, 32)."""
+    columns = [rows[:, column] for column in (FRAME, VERDICT, ROUND, SENDER, RECEIVER, MAP)]
+    wide = (rows[:, (SENDER, RECEIVER, MAP)].max(axis=1) >= NARROW) | masks[:, : -NARROW // 8].any(axis=1)
+    versions = []
+    for version, layout in _LAYOUTS.items():
+        heads = np.empty(len(rows), layout)
+        for name, values in zip(_FIELDS, [version, *columns, parts, step, rows[:, CONNECTION]], strict=False):
+            heads[name] = values
+        size = layout["receivers"].itemsize
+        heads["receivers"] = np.ascontiguousarray(masks[:, -size:]).view(f"V{size}").ravel()
+        versions.append(heads.view(f"V{layout.itemsize}").tolist())
+        if not wide.any():
+            return versions[0]
+    return [long if is_wide else short for short, long, is_wide in zip(*versions, wide.tolist(), strict=True)]
 
 
 def read(reader: pcapng.Reader) -> Iterator[Captured]:
@@ -141,21 +185,18 @@ def read(reader: pcapng.Reader) -> Iterator[Captured]:
             raise CaptureError(
                 f"link type {reader.link_type} instead of {LINK_TYPE}: another program's capture"
             )
-        head = _HEADS.get(packet.data[0]) if packet.data else None
-        if head is None or len(packet.data) < head.size:
-            found = packet.data[: HEAD.size].hex()
+        head = _LAYOUTS.get(packet.data[0]) if packet.data else None
+        if head is None or len(packet.data) < head.itemsize:
+            found = packet.data[: HEAD.itemsize].hex()
             raise CaptureError(f"a packet without a header of version {VERSION} or {WIDE}: {found}")
         _, frame, cause, round_number, sender, receiver, map_id, part, step, connection, received = (
-            head.unpack_from(packet.data)
+            np.frombuffer(packet.data, head, 1).item()
         )
         if frame >= len(FRAMES) or cause >= len(VERDICTS):
             raise CaptureError(f"a packet with frame {frame} and verdict {cause}, which are unknown")
-        mask = received if isinstance(received, int) else int.from_bytes(received, "big")
+        mask = int.from_bytes(received, "big")
         receivers = [robot for robot in range(mask.bit_length()) if mask >> robot & 1]
         yield Captured(
             step, round_number, connection, frame, sender, receiver, map_id, cause, receivers, part,
-            packet.size - head.size, packet.data[head.size :], packet.comment,
+            packet.size - head.itemsize, packet.data[head.itemsize :], packet.comment,
         )  # fmt: skip
-
-
-_HEADS = {VERSION: HEAD, WIDE: WIDE_HEAD}

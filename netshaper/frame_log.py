@@ -9,7 +9,7 @@ from functools import lru_cache
 import msgspec
 import numpy as np
 
-from netshaper.ledger import CAUSES, EVERYONE, FIRST_ON_AIR, MALFORMED, ROW
+from netshaper.ledger import CAUSES, EVERYONE, FIRST_ON_AIR, LINK, MALFORMED, ROW
 from protocol.arrays import Int64Rows, ReadOnlyInt32s, ReadOnlyUint8s
 from protocol.kernels import kernel
 from protocol.packet_index import KINDS, PacketIndex
@@ -147,6 +147,17 @@ class FrameLog:
         rows["kind"], rows["packets"], rows["bytes"] = counted[:, 1:].T
         rows["carried"] = (rows["cause"] == 0) | (rows["cause"] >= FIRST_ON_AIR)
         return rows.tobytes()
+
+    def links(self) -> bytes:
+        """Write the bytes that robots received from each other (`netshaper.ledger.LINK`), by sender and receiver."""
+        log = self.rows()
+        counts = log[:, RECEIVERS]
+        pairs = np.column_stack((np.repeat(log[:, SENDER], counts), self.receivers)).astype(np.int64)
+        unique, which = np.unique(pairs, axis=0, return_inverse=True)
+        links = np.zeros(len(unique), LINK)
+        links["sender"], links["receiver"] = unique.T
+        np.add.at(links["bytes"], which.reshape(-1), np.repeat(log[:, BYTES], counts))
+        return links.tobytes()
 
 
 @kernel

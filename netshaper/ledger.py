@@ -46,6 +46,9 @@ ROW = np.dtype(
 )
 """One row. `kind` counts in `ALL_KINDS`, `cause` in `CAUSES`; -1 stands for broadcast, or for no map."""
 
+LINK = np.dtype([("sender", "<i2"), ("receiver", "<i2"), ("bytes", "<i4")])
+"""The bytes that one robot received from another in a step; a broadcast counts once for each robot that received it."""
+
 KIND_NUMBER = {kind: number for number, kind in enumerate(ALL_KINDS)}
 MALFORMED = -1
 """The kind of bytes that do not decode as packets."""

@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 from netshaper import capture
 from netshaper.airtime import Airtime, cut_into_frames
-from netshaper.channel import DAMAGED, LOSS, Channel, Reception, with_checksum
+from netshaper.channel import DAMAGED, LOSS, RECEIVED, Channel, Reception, with_checksum
 from netshaper.frame_log import Connection, Content, Frame, FrameLog
 from netshaper.ledger import CAUSES, DATA, NEWS
 from netshaper.settings import RadioSettings
@@ -35,12 +35,13 @@ class Account(msgspec.Struct, frozen=True, gc=False):
     carried: int
     log: FrameLog
 
-    def report(self, *, captures: bool = True) -> RadioReport:
-        """Write the ledger's rows, and the frames for a capture unless there is none."""
+    def report(self, *, captures: bool = True, links: bool = False) -> RadioReport:
+        """Write the ledger's rows; the frames if there is a capture; the links if a viewer draws them."""
         if not len(self.log):
             return RadioReport(self.step, b"", self.carried, b"")
         written = capture.encode(self.step, self.log) if captures else b""
-        return RadioReport(self.step, self.log.ledger_rows(self.step), self.carried, written)
+        received = self.log.links() if links else b""
+        return RadioReport(self.step, self.log.ledger_rows(self.step), self.carried, written, received)
 
 
 class Arrival(msgspec.Struct, frozen=True, gc=False):
@@ -69,7 +70,7 @@ class Medium:
         self.carried = 0
         """Bytes that were on the air in this step."""
         self._channel = Channel(options, settings.seed, settings.robots)
-        self._closes = settings.perfect
+        self._perfect = settings.perfect
         self._frame_limit = settings.frame_limit
         self._tail = settings.checksum_bytes
         self._step = 0
@@ -101,18 +102,28 @@ class Medium:
 
         Data and news are cut at a packet boundary; other frames are sent whole or not at all.
         """
-        content = frame.content
+        content, size = frame.content, len(frame.content.payload)
+        if self._perfect and self.airtime.left.fits(size) and self._frame_limit.fits(size):
+            self._carry_whole(frame, size, receivers)
+            return size
         shared = self.airtime.shared(frame.sender)
         room = shared.least(self.airtime.own(frame.sender))
         pieces, rest = self._cut(content, room)
         if pieces:
             self._transmit(frame, pieces, receivers)
         if rest is None:
-            return len(content.payload)
+            return size
         self._log.add(self._round, frame, rest, _BUDGET if room == shared else _LIMIT)
-        if self._closes and content.kind != NEWS:
+        if self._perfect and content.kind != NEWS:
             self.airtime.left = Budget(0)
-        return len(content.payload) - len(rest.payload)
+        return size - len(rest.payload)
+
+    def _carry_whole(self, frame: Frame, size: int, receivers: Sequence[int]) -> None:
+        """Put a frame of `size` bytes on the air of a perfect radio, where all receivers receive it at once."""
+        self.airtime.book(frame.sender, size)
+        self.carried += size
+        self._log.add(self._round, frame, frame.content, _CARRIED, receivers=receivers)
+        self._deliver(frame, Reception(receivers, [frame.content.payload], RECEIVED))
 
     def play(self, connection: Connection) -> ConnectionReport:
         """Put a connection on the air frame by frame, except for a lost one; return the carried bytes."""
@@ -159,14 +170,18 @@ class Medium:
             receptions = [self._accept(each, robot) for each in receptions for robot in each.receivers]
         for number, piece in enumerate(pieces):
             self._log_piece(frame, number, piece, receptions)
+        for reception in receptions:
+            self._deliver(frame, reception)
+
+    def _deliver(self, frame: Frame, reception: Reception) -> None:
+        """Let the received part of a frame arrive, except for offers and answers, which arrive in their phases."""
         kind = frame.content.kind
         if frame.connection >= 0 and kind != DATA:
-            return  # robots have received offers and answers in their phases
-        for reception in receptions:
-            if payload := b"".join(reception.frames):
-                delivery = Delivery(frame.sender, payload, frame.connection)
-                arrival = Arrival(self._step + reception.delay, reception.receivers, delivery, kind)
-                self._coming += reception.copies * [arrival]
+            return
+        if payload := b"".join(reception.frames):
+            delivery = Delivery(frame.sender, payload, frame.connection)
+            arrival = Arrival(self._step + reception.delay, reception.receivers, delivery, kind)
+            self._coming += reception.copies * [arrival]
 
     def _accept(self, reception: Reception, receiver: int) -> Reception:
         """Return the part of a reception within the limit of bytes that one of its robots can receive per step."""

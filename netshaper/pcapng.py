@@ -7,10 +7,15 @@ so a file that a killed process left behind can be read up to its last complete 
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import chain
 from typing import BinaryIO
+
+import numpy as np
+
+from protocol.arrays import Int64s
 
 SECTION, INTERFACE, PACKET = 0x0A0D0D0A, 0x00000001, 0x00000006
 COMMENT, NAME, DESCRIPTION, APPLICATION = 1, 2, 3, 4
@@ -20,6 +25,11 @@ _MAGIC = 0x1A2B3C4D
 _BLOCK = struct.Struct("<II")
 _PACKET = struct.Struct("<5I")
 _OPTION = struct.Struct("<HH")
+_PACKET_HEAD = np.dtype(
+    [(name, "<u4") for name in ("kind", "length", "interface", "high", "low", "kept", "size")]
+)
+_PADDINGS = [bytes(-size % 4) for size in range(4)]
+"""Zeros that align data to 4 bytes, by the data's size modulo 4."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,12 +60,18 @@ def comment(text: str) -> bytes:
     return _options((COMMENT, text.encode()))
 
 
-def packet(time_us: int, data: bytes, size: int, options: bytes) -> bytes:
-    """Write an enhanced packet block: its time, its stored bytes, its original size, its options."""
-    padding = bytes(-len(data) % 4)
-    length = _BLOCK.size + _PACKET.size + len(data) + len(padding) + len(options) + 4
-    head = _PACKET.pack(0, time_us >> 32, time_us & 0xFFFFFFFF, len(data), size)
-    return b"".join((_BLOCK.pack(PACKET, length), head, data, padding, options, length.to_bytes(4, "little")))
+def packets(times_us: Int64s, data: Sequence[bytes], cut: Sequence[int], options: Sequence[bytes]) -> bytes:
+    """Write enhanced packet blocks: of each packet its time, stored bytes, number of other bytes, and options."""
+    kept = np.array([len(each) for each in data], np.int64)
+    heads = np.zeros(len(data), _PACKET_HEAD)
+    heads["kind"] = PACKET
+    heads["length"] = _PACKET_HEAD.itemsize + (kept + 3 & ~3) + [len(each) for each in options] + 4
+    heads["high"], heads["low"] = times_us >> 32, times_us & 0xFFFFFFFF
+    heads["kept"], heads["size"] = kept, kept + cut
+    paddings = [_PADDINGS[size] for size in (kept & 3).tolist()]
+    ends = heads["length"].copy().view("V4").tolist()
+    blocks = zip(heads.view(f"V{_PACKET_HEAD.itemsize}").tolist(), data, paddings, options, ends, strict=True)
+    return b"".join(chain.from_iterable(blocks))
 
 
 class Reader:

@@ -335,7 +335,7 @@ class RelayNode:
         accounts, self._radio.accounts = self._radio.accounts, []
         for account in accounts:
             self._put(names.WORLD, pack(Close(account.step)))
-            self._report(account.report(captures=self._captures))
+            self._report(account.report(captures=self._captures, links=self._watched))
 
     def _put(self, name: str, payload: bytes) -> None:
         """Send a packed message to a participant on the control plane."""
@@ -355,8 +355,13 @@ class RelayNode:
             self.give_up_on(names.number(name), TOO_MANY_ERRORS)
 
     def _report(self, message: Record) -> None:
-        """Send a message to the recorder and to the viewer if there is one; only the recorder gets frames."""
-        self._put(names.RECORDER, pack(message))
+        """Send a message to the recorder, and to the viewer if there is one.
+
+        Only the recorder gets the frames of a step, and only the viewer its links.
+        """
+        recorded = shown = message
+        if isinstance(message, RadioReport):
+            recorded, shown = replace(message, links=b""), replace(message, frames=b"")
+        self._put(names.RECORDER, pack(recorded))
         if self._watched:
-            shown = replace(message, frames=b"") if isinstance(message, RadioReport) else message
             self._put(names.VIEW, pack(shown))

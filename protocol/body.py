@@ -8,6 +8,12 @@ import msgspec
 
 from protocol.range_scans import Laser
 
+OPENING_M = 0.3
+"""Width in meters of the narrowest opening that robots with real sensors explore; wider robots need their own width."""
+
+OPENING_CELLS = 2
+"""The same in cells, at least."""
+
 
 class Body(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One robot's hardware."""
@@ -31,3 +37,11 @@ class Body(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     def turn_steps(self) -> int:
         """Steps of a full turn of the scanner."""
         return math.ceil(360 / self.scanner_turn) if self.scanner_turn else 1
+
+
+def narrowest_opening(radius_cells: float, resolution: float) -> int:
+    """Return the width in cells of the narrowest opening that a robot with real sensors explores.
+
+    `radius_cells` is the radius of the robot in cells of `resolution` meters.
+    """
+    return max(OPENING_CELLS, round(OPENING_M / resolution), math.ceil(2 * radius_cells))

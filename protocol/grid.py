@@ -18,7 +18,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.arrays import Int32Rows, Int32s, Int64Rows
+from protocol.arrays import Int32Rows, Int32s, Int64Rows, Int64s
 from protocol.kernels import kernel
 
 UNKNOWN = 0
@@ -148,24 +148,35 @@ def enlarge(grid: Grid, radius_cells: float) -> Grid:
 
     With a radius of at most half a cell, or without obstacles, the grid itself is returned.
     """
-    if radius_cells <= _REACH:
+    if radius_cells <= _REACH or not (grid == OCCUPIED).any():
         return grid
-    from scipy import ndimage  # noqa: PLC0415  slow to import, and few need it
-
-    solid = grid == OCCUPIED
-    if not solid.any():
-        return grid
-    box = _around(solid, int(radius_cells + _REACH) + 1)
-    away = np.rint(ndimage.distance_transform_edt(~solid[box]) ** 2)
-    grown = grid.copy()
-    grown[box][(away < (radius_cells + _REACH) ** 2) & (grid[box] == FREE)] = OCCUPIED
+    grown = np.array(grid, order="C")
+    widths = (np.count_nonzero(disc(radius_cells), axis=1) - 1) // 2
+    _grow(np.ascontiguousarray(grid), widths, grown)
     return grown
 
 
-def _around(solid: NDArray[np.bool_], margin: int) -> tuple[slice, slice]:
-    """Return the rows and columns of the smallest box around all true cells, and `margin` cells more on each side."""
-    rows, columns = np.flatnonzero(solid.any(axis=1)), np.flatnonzero(solid.any(axis=0))
-    first, last = np.array([rows[0], columns[0]]) - margin, np.array([rows[-1], columns[-1]]) + margin + 1
-    top, left = np.maximum(first, 0).tolist()
-    bottom, right = last.tolist()
-    return slice(top, bottom), slice(left, right)
+@kernel
+def _grow(
+    grid: Annotated[NDArray[np.uint8], "Array(uint8, 2, 'C', readonly=True)"], widths: Int64s, out: Grid
+) -> None:
+    """Turn free cells of `out` within a disc around an occupied cell of `grid` into occupied ones.
+
+    `widths`: for each row of the disc, how many cells it extends to either side; -1: the row has none. Only cells at
+    the border of obstacles are visited: they are nearest to the cells around.
+    """
+    height, width = grid.shape
+    reach = len(widths) // 2
+    for y in range(height):
+        for x in range(width):
+            if grid[y, x] != OCCUPIED or (
+                0 < x < width - 1
+                and 0 < y < height - 1
+                and grid[y, x - 1] == grid[y, x + 1] == grid[y - 1, x] == grid[y + 1, x] == OCCUPIED
+            ):
+                continue
+            for row in range(max(0, y - reach), min(height, y + reach + 1)):
+                side = widths[row - y + reach]
+                for column in range(max(0, x - side), min(width, x + side + 1)):
+                    if out[row, column] == FREE:
+                        out[row, column] = OCCUPIED

@@ -5,15 +5,20 @@ reads it from numba's cache, so that commands which compute nothing do not impor
 cache, all imported kernels are compiled at once: this takes a minute, once per installation, and the error stream
 shows the progress. The fork server loads all kernels in one process (`deploy.run.preload`), so robots never compile.
 Fastmath is off: equal versions of the libraries give equal bits on every machine.
+
+The cache is ``__pycache__`` beside each module. If this cannot be written, it is in the user's cache directory, or in
+``NUMBA_CACHE_DIR``. If no directory can be written, each process compiles the kernels again.
 """
 
 from __future__ import annotations
 
+import importlib
 import os
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import cached_property, update_wrapper
+from functools import cache, cached_property, update_wrapper
 from typing import Annotated, Any, TypeVar, cast, get_args, get_origin, get_type_hints
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -27,6 +32,10 @@ class Kernel:
         self.function = function
         self.was_cached = False
         """Whether it was read from numba's cache; False until it is loaded."""
+        self.cache = ""
+        """Directory of numba's cache that has it; empty until it is loaded, or if no directory can be written."""
+        self._modules: list[tuple[Any, bytes]] = []
+        """The library of the compiled function and its LLVM module as bitcode (`release_modules`)."""
 
     def __call__(self, *args: Any) -> Any:
         """Call the compiled function."""
@@ -35,10 +44,11 @@ class Kernel:
     @cached_property
     def loaded(self) -> Any:
         """The compiled function. It replaces this object in its module, so that later calls are direct."""
-        import numba  # noqa: PLC0415  takes half a second, which only computing commands need
-
         check_compiler()
-        dispatcher = numba.njit(cache=True, error_model="numpy")(self.function)
+        try:
+            dispatcher = _numba().njit(cache=True, error_model="numpy")(self.function)
+        except RuntimeError:  # the cache has no directory that can be written
+            dispatcher = _numba().njit(error_model="numpy")(self.function)
         with _before_compiling(dispatcher, self._prepare):
             try:
                 dispatcher.compile(self._signature)
@@ -47,9 +57,12 @@ class Kernel:
                     raise
         dispatcher.disable_compile()
         self.was_cached = bool(dispatcher.stats.cache_hits)
+        self.cache = dispatcher.stats.cache_path or ""
         self._replace(self.function.__name__, dispatcher)
         vars(self)["loaded"] = dispatcher
-        if not self.was_cached:
+        if self.was_cached:
+            self._release_modules()
+        else:
             _compilation.finish_one()
         return dispatcher
 
@@ -70,6 +83,21 @@ class Kernel:
         *parameters, result = map(_numba_type, get_type_hints(self.function, include_extras=True).values())
         return f"{result}({', '.join(parameters)})"
 
+    def restore_modules(self) -> None:
+        """Parse the LLVM modules again, which the compilation of a caller links."""
+        parse_bitcode = importlib.import_module("llvmlite.binding").parse_bitcode
+        while self._modules:
+            library, bitcode = self._modules.pop()
+            library._shared_module = parse_bitcode(bitcode)
+
+    def _release_modules(self) -> None:
+        """Keep LLVM modules of the compiled function as bitcode, which takes a seventh of the memory."""
+        for each in self.loaded.overloads.values():
+            module = getattr(each.library, "_shared_module", None)
+            if module is not None:
+                self._modules.append((each.library, module.as_bitcode()))
+                each.library._shared_module = None
+
     def _prepare(self) -> None:
         """Load the kernels that it calls before numba compiles it."""
         _compilation.begin(self.package)
@@ -77,12 +105,17 @@ class Kernel:
             called = self.function.__globals__.get(name)
             if isinstance(called, Kernel):
                 self._replace(name, called.loaded)
+        for each in _kernels:
+            each.restore_modules()
 
     def _replace(self, name: str, dispatcher: Any) -> None:
         """Replace the kernel called `name` in this module by its compiled function."""
         if isinstance(self.function.__globals__.get(name), Kernel):
             self.function.__globals__[name] = dispatcher
 
+
+NO_CACHE = "numba's cache cannot be written: set NUMBA_CACHE_DIR to a writable directory, or each start compiles again"
+"""Warning if no directory for compiled kernels can be written."""
 
 _kernels: list[Kernel] = []
 
@@ -129,16 +162,32 @@ def compiled() -> int:
     return sum(each.is_loaded and not each.was_cached for each in _kernels)
 
 
+def compilation_s() -> float:
+    """Return the seconds that this process has spent compiling kernels."""
+    return _compilation.seconds
+
+
+def cache_folder() -> str:
+    """Return the directory that contains the caches of all loaded kernels; empty if no directory can be written."""
+    caches = {each.cache for each in _kernels if each.is_loaded}
+    return os.path.commonpath(caches) if caches and "" not in caches else ""
+
+
 class _Compilation:
     """Compilation of all kernels at once; prints its progress to the error stream."""
 
     def __init__(self) -> None:
+        self.seconds = 0.0
+        """Duration of all compilations so far."""
         self._depth = 0
         """Kernels being compiled: a kernel, those that it calls, and so on."""
+        self._began = 0.0
         self._package = ""
 
     def begin(self, package: str) -> None:
         """Report that a kernel of `package` comes next: on a terminal for each kernel, else once per package."""
+        if self._depth == 0:
+            self._began = time.perf_counter()
         self._depth += 1
         done = sum(each.is_loaded for each in _kernels)
         if package != self._package or _is_terminal():
@@ -150,6 +199,9 @@ class _Compilation:
         if self._depth == 1:
             load_all()
             _print(f"compiled {compiled()} kernels", last=True)
+            if not cache_folder():
+                _print(NO_CACHE, last=True)
+            self.seconds += time.perf_counter() - self._began
         self._depth -= 1
 
 
@@ -166,6 +218,21 @@ def _print(text: str, *, last: bool = False) -> None:
         over = _is_terminal()
         end = "\n" if last or not over else ""
         print(f"\r{text:<76}" if over else text, end=end, file=sys.stderr, flush=True)
+
+
+@cache
+def _numba() -> Any:
+    """Import numba without scipy.linalg, which takes 18 MB, and which only np.cov and np.corrcoef need in kernels."""
+    import numba  # noqa: PLC0415  takes half a second, which only computing commands need
+
+    linear_algebra = "scipy.linalg"
+    if linear_algebra not in sys.modules:
+        sys.modules[linear_algebra] = None  # type: ignore[assignment] # so its import fails
+        try:
+            importlib.import_module("numba.np.arraymath")
+        finally:
+            del sys.modules[linear_algebra]
+    return numba
 
 
 @contextmanager

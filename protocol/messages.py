@@ -405,15 +405,17 @@ class RobotStatus(Record, tag=15, frozen=True):
 
 
 class RadioReport(Record, tag=16, frozen=True):
-    """Relay to recorder, once per step: new rows of the ledger (`netshaper.ledger`), and frames for the capture.
+    """Relay to recorder and viewer, once per step: new rows of the ledger (`netshaper.ledger`), and frames or links.
 
-    `frames`: as the capture writes them (`netshaper.capture`).
+    `frames`: for the recorder, as the capture writes them (`netshaper.capture`). `links`: for the viewer, the bytes
+    that robots received from each other (`netshaper.ledger.LINK`).
     """
 
     step: Step
     rows: Blocks
     carried: Count
     frames: Blocks
+    links: Blocks = b""
 
 
 class RequestMaps(Record, tag=28, frozen=True):

@@ -57,9 +57,20 @@ def pytest_configure(config: pytest.Config) -> None:
         settings.load_profile("fresh")
 
 
+SLOWEST_FIRST = ("tests/system", "tests/deploy", "tests/capture", "tests")
+"""Directories, by the duration of their files: the first ones start processes."""
+
+
+def _speed(item: pytest.Item) -> int:
+    """Return the place of a test's directory in `SLOWEST_FIRST`."""
+    return next(place for place, folder in enumerate(SLOWEST_FIRST) if item.nodeid.startswith(folder))
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Count property tests among the long ones if these are selected."""
+    """Count property tests among the long ones if these are selected; let workers begin with the slowest files."""
+    if hasattr(config, "workerinput"):
+        items.sort(key=_speed)  # else one worker would wait for the last files of the other
     if _selects_long(config):
         for item in items:
             if getattr(getattr(item, "obj", None), "is_hypothesis_test", False):

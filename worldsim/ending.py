@@ -9,7 +9,7 @@ from worldsim.base import BaseWorld
 
 OUT_OF_STEPS, ALL_LOST = "out of steps", "all robots are lost"
 
-LONE_REPORT_STEPS = 5
+LONE_REPORT_STEPS = 3
 """Steps after which the report of one robot ends a run with real sensors, if no teammate agrees."""
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.arrays import BoolRows
-from protocol.body import Body
+from protocol.body import Body, narrowest_opening
 from protocol.grid import FREE, Grid, RayTable, disc, enlarge, ray_table
 from protocol.kernels import kernel
 from protocol.keyed_random import keyed_random
@@ -123,8 +123,8 @@ class World(BaseWorld):
     def share_seen(self, robot: int) -> float:
         """Return the share of the cells that a robot can reach which the team's lasers have seen."""
         if robot not in self._reachable_by:
-            radius = self.settings.bodies[robot].radius_cells
-            self._reachable_by[robot] = reachable_by(self.truth, self.settings.starts[robot], radius)
+            body, start = self.settings.bodies[robot], self.settings.starts[robot]
+            self._reachable_by[robot] = _reachable_by_body(self.truth, start, body, self.settings)
         seen = self.seen[self._reachable_by[robot]] == FREE
         return float(seen.mean())
 
@@ -299,15 +299,28 @@ def beams_outside(beams: int, angle: float, width: float) -> NDArray[np.bool_]:
 
 
 def reachable_by_team(truth: Grid, settings: WorldSettings) -> NDArray[np.bool_]:
-    """Return the free cells that at least one robot can reach with its disc."""
+    """Return the free cells that at least one robot explores: those that it can reach with its disc.
+
+    Robots with real sensors do not explore narrow openings, so cells behind them, or in them, do not count.
+    """
     found: NDArray[np.bool_] = np.zeros(truth.shape, np.bool_)
     done: set[float] = set()
     for start, body in zip(settings.starts, settings.bodies, strict=True):
         x, y = start
         if body.radius_cells not in done or not found[y, x]:
-            found |= reachable_by(truth, start, body.radius_cells)
+            found |= _reachable_by_body(truth, start, body, settings)
             done.add(body.radius_cells)
     return found
+
+
+def _reachable_by_body(
+    truth: Grid, start: tuple[int, int], body: Body, settings: WorldSettings
+) -> NDArray[np.bool_]:
+    """Return the free cells that a robot with this body explores from `start`."""
+    found = reachable_by(truth, start, body.radius_cells)
+    if settings.sensors is None:
+        return found
+    return wide_part(found, start, narrowest_opening(body.radius_cells, settings.sensors.resolution))
 
 
 def reachable_by(truth: Grid, start: tuple[int, int], radius_cells: float) -> NDArray[np.bool_]:
@@ -320,6 +333,24 @@ def reachable_by(truth: Grid, start: tuple[int, int], radius_cells: float) -> ND
         return found
     covered: NDArray[np.bool_] = ndimage.binary_dilation(found, disc(radius_cells))
     covered &= truth == FREE
+    return covered
+
+
+def wide_part(cells: NDArray[np.bool_], start: tuple[int, int], width: int) -> NDArray[np.bool_]:
+    """Return the cells that a square of `width` cells covers if it moves within `cells`, shape (h, w).
+
+    It begins as near as possible to `start`. All cells are returned if no such square fits.
+    """
+    from scipy import ndimage  # noqa: PLC0415  slow to import, and few commands need it
+
+    square = np.ones((width, width), np.bool_)
+    places, _ = ndimage.label(ndimage.binary_erosion(cells, square))
+    rows, columns = np.nonzero(places)
+    if not len(rows):
+        return cells
+    nearest = int(np.argmin((columns - start[0]) ** 2 + (rows - start[1]) ** 2))
+    first = places[rows[nearest], columns[nearest]]
+    covered: NDArray[np.bool_] = ndimage.binary_dilation(places == first, square)
     return covered
 
 

@@ -154,8 +154,9 @@ class PredictiveEncoding(GridEncoding):
             return ScanAuthor(stream, self._limits.wait_steps)
         assert isinstance(stream, TileStream)
         settled = 1 if settings.laser is None else SETTLED
-        encoding = settings.encoding
-        return TileAuthor(stream, Bound(encoding.tolerance, settled), encoding.predictive.patience)
+        bound, patience = Bound(settings.encoding.tolerance, settled), self._options.patience
+        at_once = settings.medium.bandwidth.limit is not None and patience == 1
+        return TileAuthor(stream, bound, patience, at_once=at_once)
 
     def _stream(self, map_id: int, histories: Sequence[History]) -> Stream:
         """Make the encoder or decoder of a log, at its beginning."""

@@ -7,6 +7,7 @@ the packets before it, is rejected as a whole.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from hashlib import blake2b
 
 from agent.memo_cache import NO_CACHE, MemoCache
@@ -38,7 +39,7 @@ class Receiver:
     def held(self) -> NumberedPolygons:
         """The approximation as polygons."""
         if self._held is None:
-            self._held = NumberedPolygons(*self.objects.polygons())
+            self._held = _numbered(self.objects)
         return self._held
 
     def changed(self) -> Boxes:
@@ -71,3 +72,9 @@ class Receiver:
             self._changed = union(self._changed, saved.boxes)
         self._digest.update(data[behind:])
         return saved is not None
+
+
+@lru_cache(maxsize=256)
+def _numbered(objects: Objects) -> NumberedPolygons:
+    """Return objects as polygons; robots of this process that hold the same objects share the result."""
+    return NumberedPolygons(*objects.polygons())

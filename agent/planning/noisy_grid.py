@@ -20,19 +20,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.planning.avoided import AvoidedTargets
+from agent.planning.frontier import frontier_cells
+from protocol.arrays import Cells
 from protocol.body import Body
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.kernels import kernel
 from protocol.range_scans import TURN, Laser
 
-OPENING_M = 0.3
-"""Width of the narrowest opening that is worth exploring, in meters; wider robots need at least their own width."""
-
 LEAST_CELLS = 2
-"""The same in cells, at least; also the least cells of a frontier."""
+"""Cells of the shortest frontier that is worth exploring, at least."""
 
 _UNKNOWN_SQUARE, _OPEN_SQUARE = 1, 2
 """Marks of cells in squares of unknown cells, and of cells without walls."""
+
+_NO_STATE = 255
+"""Differs from all states of cells."""
 
 FEW_BEAMS = 3
 """Neighboring beams that may end behind a wall by errors; at the end of the range, they are some cells apart."""
@@ -44,58 +46,73 @@ LONGEST_SPECK = 5
 class NoisyGrid:
     """The planning grid of one robot as its strategy sees it; all grids are uint8 arrays of shape (h, w).
 
-    `narrow` is the width of the narrowest opening (`narrow_cells`), `shortest` the number of cells of the shortest
-    frontier (`shortest_frontier`).
+    `narrow` is the width of the narrowest opening (`protocol.body.narrowest_opening`), `shortest` the number of cells
+    of the shortest frontier (`shortest_frontier`).
     """
 
     def __init__(self, height: int, width: int, narrow: int, shortest: int = 1) -> None:
         self.avoided = AvoidedTargets(2 * narrow, narrow / 2)
         """Targets that the robot could not reach."""
         self._narrow, self._shortest = narrow, shortest
-        self._trail: Grid = np.zeros((height, width), np.uint8)
+        self._trail = np.zeros((height, width), np.bool_)
+        """The cells that the robot has driven over."""
         self._marks: Grid = np.zeros((height, width), np.uint8)
+        self._planning: Grid = np.full((height, width), _NO_STATE, np.uint8)
+        """The planning grid of the last call of `clean`."""
+        self._wide: Grid = np.empty((height, width), np.uint8)
+        """The same without narrow gaps and openings."""
         self._here: tuple[int, int] | None = None
 
     def drive(self, x: int, y: int) -> None:
         """Note that the robot has driven straight to cell (x, y)."""
         column, row = self._here or (x, y)
-        self._trail[row, column] = 1
+        self._trail[row, column] = True
         while (column, row) != (x, y):
             if abs(x - column) >= abs(y - row):
                 column += 1 if x > column else -1
             else:
                 row += 1 if y > row else -1
-            self._trail[row, column] = 1
+            self._trail[row, column] = True
         self._here = x, y
 
     def bump(self, x: int, y: int) -> None:
         """Note that the robot has bumped into something in cell (x, y)."""
         if (x, y) != self._here and 0 <= y < len(self._trail) and 0 <= x < self._trail.shape[1]:
-            self._trail[y, x] = 0
+            self._trail[y, x] = False
 
     def clean(self, planning: Grid) -> Grid:
         """Return a copy of a planning grid without misleading details."""
-        found = self._clean(planning)
+        self._update(planning)
+        found = self._without_specks(self._wide.copy())
         if self._here is not None:
             self.avoided.draw(found, self._here)
         return found
 
     def clean_optimistic(self, planning: Grid, doubtful: NDArray[np.bool_]) -> Grid:
         """Return the same as if all doubtful walls, shape (h, w), were free; no target is avoided."""
-        return self._clean(np.where(doubtful, np.uint8(FREE), planning))
+        optimistic, found = np.where(doubtful, np.uint8(FREE), planning), np.empty_like(planning)
+        _without_gaps(optimistic, self._narrow, self._marks, found)
+        return self._without_specks(found)
 
-    def _clean(self, planning: Grid) -> Grid:
-        found = np.empty_like(planning)
-        _without_gaps(planning, self._narrow, self._marks, found)
-        found[self._trail != 0] = FREE
+    def _update(self, planning: Grid) -> None:
+        """Bring `_wide` up to date, in the rows that have changed and those near by."""
+        rows = np.flatnonzero((planning != self._planning).any(axis=1))
+        if not len(rows):
+            return
+        height, near = len(planning), self._narrow
+        first, end = max(0, int(rows[0]) - near), min(height, int(rows[-1]) + 1 + near)
+        top, bottom = max(0, first - near), min(height, end + near)
+        found = np.empty_like(planning[top:bottom])
+        _without_gaps(planning[top:bottom], near, self._marks[top:bottom], found)
+        self._wide[first:end] = found[first - top : end - top]
+        self._planning[first:end] = planning[first:end]
+
+    def _without_specks(self, grid: Grid) -> Grid:
+        """Open the robot's trail, and close frontiers that are too short; return the grid itself."""
+        np.copyto(grid, np.uint8(FREE), where=self._trail)
         if self._shortest > 1:
-            _close_specks(found, self._shortest, self._marks)
-        return found
-
-
-def narrow_cells(radius_cells: float, resolution: float) -> int:
-    """Return the width in cells of the narrowest opening that a robot explores; cells are `resolution` meters wide."""
-    return max(LEAST_CELLS, round(OPENING_M / resolution), math.ceil(2 * radius_cells))
+            _close_specks(grid, frontier_cells(grid, grid == FREE), self._shortest, self._marks)
+        return grid
 
 
 def shortest_frontier(bodies: Iterable[Body]) -> int:
@@ -116,19 +133,26 @@ def _cells_apart(laser: Laser, range_cells: float) -> float:
 def _mark_squares(grid: Grid, narrow: int, walls: bool, marks: Grid, mark: int) -> None:
     """Mark the cells of all squares of `narrow` by `narrow` cells without walls, or of unknown cells only."""
     height, width = grid.shape
-    for y in range(height - narrow + 1):
+    above = np.zeros(width, np.int32)  # cells of each column, up to this row, that fit into a square
+    for y in range(height):  # marks the lowest row of each square
         run = 0
         for x in range(width):
-            column = 0
-            while column < narrow and (
-                grid[y + column, x] != OCCUPIED if walls else grid[y + column, x] == UNKNOWN
-            ):
-                column += 1
-            run = run + 1 if column == narrow else 0
-            if run >= narrow:
-                for row in range(y, y + narrow):
-                    for left in range(x - narrow + 1, x + 1):
-                        marks[row, left] |= mark
+            fits = grid[y, x] != OCCUPIED if walls else grid[y, x] == UNKNOWN
+            above[x] = above[x] + 1 if fits else 0
+            run = run + 1 if above[x] >= narrow else 0
+            if run == narrow:
+                for left in range(x - narrow + 1, x + 1):
+                    marks[y, left] |= mark
+            elif run > narrow:
+                marks[y, x] |= mark
+    left_to_mark = np.zeros(width, np.int32)
+    for y in range(height - 1, -1, -1):
+        for x in range(width):
+            if marks[y, x] & mark:
+                left_to_mark[x] = narrow
+            if left_to_mark[x]:
+                left_to_mark[x] -= 1
+                marks[y, x] |= mark
 
 
 @kernel
@@ -158,37 +182,23 @@ def _without_gaps(grid: Grid, narrow: int, marks: Grid, out: Grid) -> None:
 
 
 @kernel
-def _is_frontier(grid: Grid, x: int, y: int) -> bool:
-    """Whether a cell is free and has an unknown 4-neighbor."""
-    height, width = grid.shape
-    return bool(grid[y, x] == FREE) and bool(
-        (x > 0 and grid[y, x - 1] == UNKNOWN)
-        or (x + 1 < width and grid[y, x + 1] == UNKNOWN)
-        or (y > 0 and grid[y - 1, x] == UNKNOWN)
-        or (y + 1 < height and grid[y + 1, x] == UNKNOWN)
-    )
-
-
-@kernel
-def _close_specks(grid: Grid, shortest: int, marks: Grid) -> None:
+def _close_specks(grid: Grid, frontier: Cells, shortest: int, marks: Grid) -> None:
     """Turn unknown cells beside frontier cells into walls unless there are `shortest` such cells near by.
 
-    Near by are cells with a distance below `shortest`, the frontier cell itself included. `marks` is a buffer.
+    Near by are cells with a distance below `shortest`, the frontier cell itself included. `frontier`: all frontier
+    cells of the grid. `marks` is a buffer.
     """
     height, width = grid.shape
-    for y in range(height):
-        for x in range(width):
-            marks[y, x] = _is_frontier(grid, x, y)
-    for y in range(height):
-        for x in range(width):
-            if not marks[y, x]:
-                continue
-            count = 0
-            for row in range(max(0, y - shortest + 1), min(height, y + shortest)):
-                for column in range(max(0, x - shortest + 1), min(width, x + shortest)):
-                    count += marks[row, column]
-            if count < shortest:
-                _close_beside(grid, x, y)
+    marks[:] = 0
+    for x, y in frontier:
+        marks[y, x] = 1
+    for x, y in frontier:
+        count = 0
+        for row in range(max(0, y - shortest + 1), min(height, y + shortest)):
+            for column in range(max(0, x - shortest + 1), min(width, x + shortest)):
+                count += marks[row, column]
+        if count < shortest:
+            _close_beside(grid, x, y)
 
 
 @kernel

@@ -1,9 +1,9 @@
 """Look again before the end: a wall of a noisy map may be a person who has moved on.
 
-A robot that has nothing left to explore looks for frontier segments that walls cut off. *Doubtful* walls are small
-ones, and cells that were free for some steps before. If doubtful walls alone close a way to such a segment, the robot
-drives along it up to the first of them. Otherwise, it drives as close as it can to the longest segment. There it waits,
-and sees whether the wall is still there.
+A robot that has nothing left to explore, or to which teammates leave no target, looks for frontier segments that walls
+cut off. *Doubtful* walls are small ones, and cells that were free for some steps before. If doubtful walls alone close
+a way to such a segment, the robot drives along it up to the first of them. Otherwise, it drives as close as it can to
+the longest segment. There it waits, and sees whether the wall is still there.
 """
 
 from __future__ import annotations
@@ -54,10 +54,10 @@ class SecondLook:
         """Steps for which the robot still looks again; infinite before it has begun."""
         self._busy_steps = 0
 
-    def note(self, grid: Grid, *, explored: bool) -> None:
-        """Note the planning grid of a step, and whether the strategy finds nothing left to explore."""
+    def note(self, grid: Grid, *, is_idle: bool) -> None:
+        """Note the planning grid of a step, and whether the strategy has no target for the robot."""
         self._free_steps += (grid == FREE) & (self._free_steps < LASTING)
-        self._busy_steps = 0 if explored else self._busy_steps + 1
+        self._busy_steps = 0 if is_idle else self._busy_steps + 1
         if self._busy_steps >= BUSY:
             self._steps_left = math.inf
 

@@ -7,6 +7,10 @@ update begins with some bytes of its own. Fewer suffice if one has waited for `L
 stands still.
 
 The option `patience` multiplies all of these numbers but `QUIET_STEPS`.
+
+While robots explore with a limited budget, its unused rest is worth nothing, and a late tile sends teammates to places
+that this robot has seen. Then a single ready tile suffices: the encoding asks for an update only if teammates hold the
+last one, so updates are as frequent as the budget allows. Tiles are ready after `FEW_QUIET_STEPS`.
 """
 
 from __future__ import annotations
@@ -29,6 +33,9 @@ from protocol.scans import Change, Scan
 QUIET_STEPS = 3
 """Steps without a change after which a tile is encoded."""
 
+FEW_QUIET_STEPS = 2
+"""The same if updates are as frequent as the budget allows."""
+
 LONGEST_WAIT = 10
 """Steps after which a tile is encoded although it still changes."""
 
@@ -45,10 +52,14 @@ _NEVER = 1 << 40
 
 
 class TileAuthor(Author[TileStream]):
-    """Encodes the tiles in which receivers' copies may lie outside the tolerance."""
+    """Encodes the tiles in which receivers' copies may lie outside the tolerance.
 
-    def __init__(self, stream: TileStream, bound: Bound, patience: int = 1) -> None:
+    With `at_once`, no ready tile waits for others.
+    """
+
+    def __init__(self, stream: TileStream, bound: Bound, patience: int = 1, *, at_once: bool = False) -> None:
         super().__init__(stream)
+        self._at_once, self._quiet_steps = at_once, FEW_QUIET_STEPS if at_once else QUIET_STEPS
         self._enough_tiles, self._interval = patience * ENOUGH_TILES, patience * INTERVAL
         self._longest_wait = patience * LONGEST_WAIT
         height, width = stream.grid.shape
@@ -98,15 +109,15 @@ class TileAuthor(Author[TileStream]):
         violate = self.stream.violations(own, log_odds, self._bound, ready.view(np.uint8))
         since = self._waiting_since
         since[ready & ~violate] = _NEVER
-        if np.count_nonzero(violate) >= self._enough_tiles:
+        if np.count_nonzero(violate) >= (1 if self._at_once else self._enough_tiles):
             return True
-        stands_still = violate.any() and self._arrived <= self._step - QUIET_STEPS
+        stands_still = violate.any() and self._arrived <= self._step - self._quiet_steps
         is_late = (since[violate] <= self._step - self._longest_wait).any()
         return bool((stands_still or is_late) and self._step >= self._last_step + self._interval)
 
     def _ready(self) -> NDArray[np.bool_]:
         """Return the tiles that may be encoded."""
-        is_quiet = self._changed <= self._step - QUIET_STEPS
+        is_quiet = self._changed <= self._step - self._quiet_steps
         is_late = self._waiting_since <= self._step - self._longest_wait
         ready: NDArray[np.bool_] = (self._waiting_since != _NEVER) & (is_quiet | is_late)
         return ready

@@ -15,6 +15,7 @@ One frame at most is sent per step. It holds the robot's broadcast (pose, target
     gossip      up to the end
 
 An empty payload is a hello, which a robot sends after some time of silence, so that others know that it is in range.
+A payload of one zero byte is a farewell: the sender has ended. It is then out of range, until it starts again.
 Robots must gossip and require acknowledgments (`agent.settings.Settings`), since this medium may lose any frame.
 """
 
@@ -49,6 +50,9 @@ MAX_BROADCAST = 255
 FRAME_OVERHEAD = OVERHEAD + LENGTH_FIELD
 """Bytes of a frame besides the robot's packets."""
 
+FAREWELL = bytes(LENGTH_FIELD)
+"""The payload of a farewell: no broadcast, and no gossip."""
+
 WORTHWHILE = 6 * FRAME_OVERHEAD
 """Bytes for which a frame waits, unless the radio's frames are shorter: so overhead is a sixth of a full frame."""
 
@@ -59,7 +63,7 @@ MAX_WAITING = 256
 class FrameRecord(NamedTuple):
     """A frame that this robot sent, or received and accepted; for its ledger and capture.
 
-    `size`: bytes of the sealed frame. `broadcast`, `gossip`: the robot's packets, empty for a hello.
+    `size`: bytes of the sealed frame. `broadcast`, `gossip`: the robot's packets, empty for a hello and a farewell.
     """
 
     time: int
@@ -153,13 +157,17 @@ class PeerMedium:
         """Received frames that were dropped, by reason (`agent.radios.sealing.Reason`)."""
         return {str(reason): count for reason, count in self._opener.dropped.items()}
 
+    def neighbors(self, now: int) -> list[int]:
+        """Return the teammates in range, in ascending order."""
+        return self._neighbors.current(now)
+
     def last_received(self, robot: int) -> int | None:
         """Return when a frame of a teammate arrived last, in nanoseconds; None if none did."""
         return self._neighbors.last(robot)
 
-    def neighbors(self, now: int) -> list[int]:
-        """Return the teammates in range, in ascending order."""
-        return self._neighbors.current(now)
+    def ended(self) -> frozenset[int]:
+        """Return the teammates that have said farewell, and have not started again."""
+        return self._neighbors.ended()
 
     # --- the robot's side
 
@@ -191,6 +199,13 @@ class PeerMedium:
         if broadcast or gossip or self._is_hello_due(now):
             self._schedule(broadcast, gossip, now)
 
+    def say_farewell(self, now: int) -> bool:
+        """Schedule a frame that tells teammates that this robot has ended; return False if it may not send one yet."""
+        if self._due or self._pacer.room(now) < OVERHEAD + len(FAREWELL):
+            return False
+        self._seal(FAREWELL, b"", b"", now)
+        return True
+
     def end_step(self) -> list[MediumEvent]:
         """End a step; return what the robot received in it, and what was sent."""
         received, self._received = self._received, []
@@ -221,7 +236,10 @@ class PeerMedium:
             return
         sender, session, counter, payload = opened
         self._accepted(sender, self._opener.highest(sender))
-        self._neighbors.received(sender, now)
+        if payload == FAREWELL:
+            self._neighbors.farewell(sender, session)
+        else:
+            self._neighbors.received(sender, session, now)
         end = LENGTH_FIELD + payload[0] if payload else 0
         if end > len(payload):
             self._opener.dropped["malformed"] += 1
@@ -246,10 +264,14 @@ class PeerMedium:
         return self._timing.hello if self._last_sent is None else now - self._last_sent
 
     def _schedule(self, broadcast: bytes, gossip: bytes, now: int) -> None:
-        """Seal a frame, and put it into the queue."""
+        """Schedule a frame of packets, or a hello if there are none."""
         packets = bytes([len(broadcast)]) + broadcast + gossip
+        self._seal(packets if len(packets) > LENGTH_FIELD else b"", broadcast, gossip, now)
+
+    def _seal(self, payload: bytes, broadcast: bytes, gossip: bytes, now: int) -> None:
+        """Seal a frame, and put it into the queue."""
         session, counter = self._sealer.session, self._sealer.counter
-        sealed = self._sealer.seal(packets if len(packets) > LENGTH_FIELD else b"")
+        sealed = self._sealer.seal(payload)
         self._last_sent = self._pacer.schedule(len(sealed), now)
         self._due.append((self._last_sent, sealed))
         self.records.append(

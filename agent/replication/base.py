@@ -35,6 +35,8 @@ class Replication(ABC):
         """Salt of the next digest, below 2**7, which no other robot can predict; None: this robot sends no digests."""
         self._digest_step = INTERVAL * (self.peers.robots - self.peers.robot)
         """The step in which to send the next regular digest; robots take turns."""
+        self.ended: frozenset[int] = frozenset()
+        """Peers that have ended, as far as the medium tells: nothing has to be delivered to them."""
         self._asked: dict[tuple[int, int], tuple[int, int]] = {}
         """(peer, map number): before which step a peer's next request is not answered, and the steps after that."""
 
@@ -73,9 +75,10 @@ class Replication(ABC):
         """
 
     def undelivered(self) -> int:
-        """Count the entries of this robot's log that peers have not acknowledged, over all peers."""
+        """Count the entries of this robot's log that are not acknowledged, over all peers that have not ended."""
         acked: list[int] = self.peers.acked[:, self.peers.own].tolist()
-        return len(self.replica.own_log) * (self.peers.robots - 1) - sum(acked)
+        receivers = set(range(self.peers.robots)) - self.ended - {self.peers.robot}
+        return len(self.replica.own_log) * len(receivers) - sum(acked[peer] for peer in receivers)
 
     def undelivered_to(self, peer: int) -> int:
         """Count the entries of this robot's log that a peer has not acknowledged."""

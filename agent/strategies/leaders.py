@@ -3,6 +3,9 @@
     potential-field   all are troopers: repelled by robots and obstacles, drawn to the closest frontier point
     leaders           leaders drive to their closest frontier point along the shortest way, without forces
 
+With real sensors, robots of the first kind leave local minima: a robot that makes no way drives to its closest frontier
+point as leaders do (option `escape`, which is not in the paper).
+
 Robots broadcast their poses, and whether they lead. Both kinds move continuously (`agent.planning.forces`).
 """
 
@@ -16,6 +19,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from agent.planning import forces
+from agent.planning.escape import NEAR_M, STEPS, Escape
 from agent.planning.path_planner import PathPlanner
 from agent.planning.route import Route, corners, crossed
 from agent.planning.visibility import shortest_way
@@ -33,6 +37,10 @@ STALL_STEPS = 60
 
 STALL_METRES = 1.0
 """Distance in meters that counts as a change of place; at most half of what the robot can drive in that time."""
+
+ESCAPES = ("real-sensors", "always", "never")
+"""When robots leave local minima by path planning (`agent.planning.escape`). ``real-sensors``: if lasers or poses have
+errors."""
 
 NOT_HERE = "forces move the robots, so there are no targets to choose from"
 
@@ -64,13 +72,22 @@ class LeaderOptions(FieldOptions):
     dynamic: bool = option(True, "whether others may become leaders")
 
 
+@dataclass(frozen=True)
+class TrooperOptions(FieldOptions):
+    """Options of `potential-field`."""
+
+    escape: str = option(
+        "real-sensors", "when a robot in a local minimum drives to a frontier by path planning", ESCAPES
+    )
+
+
 class PotentialField(Strategy):
     """A potential field in which no robot leads."""
 
     name = "potential-field"
     summary = "robots repel each other, obstacles repel them, the closest frontier draws them; it may stall"
     source = "leader paper, section III-B; without leaders as in its Figs. 3b and 4b"
-    options_type: ClassVar[type] = FieldOptions
+    options_type: ClassVar[type] = TrooperOptions
     refused = dict.fromkeys(("candidates", "costs", "replan", "mission", "scan", "share"), NOT_HERE)
     publishes_target = False
     publishes_pose = True
@@ -84,6 +101,11 @@ class PotentialField(Strategy):
         self._anchor: tuple[float, float] = (0.0, 0.0)
         self._anchor_step = 0
         self._known = -1
+        escape = getattr(self.options, "escape", "never")
+        self._escape: Escape | None = None
+        if escape == "always" or (escape == "real-sensors" and settings.laser is not None):
+            size = settings.resolution
+            self._escape = Escape(self._change_of_place(STEPS) / size, NEAR_M / size)
 
     @classmethod
     def check(cls, options: Mapping[str, Any]) -> Any:
@@ -128,7 +150,8 @@ class PotentialField(Strategy):
             )
         stalled = self._is_stalled(situation, at)
         self.leads = self.is_leader(situation)
-        if self.leads:
+        escapes = self._escape is not None and self._escape.is_needed(at, situation.step, planner, frontier)
+        if self.leads or escapes:
             self._velocity = np.zeros(2)
             target, points = self._lead(situation, planner, frontier)
         else:
@@ -145,8 +168,17 @@ class PotentialField(Strategy):
             points=points,
             heading=self.heading(situation, is_there=True),
             stalled=stalled,
-            status="stalled" if stalled else "leading" if self.leads else "drawn to its closest frontier",
+            status=self._status(stalled=stalled, escapes=escapes),
         )
+
+    def _status(self, *, stalled: bool, escapes: bool) -> str:
+        if escapes:
+            return "driving out of a local minimum"
+        return "stalled" if stalled else "leading" if self.leads else "drawn to its closest frontier"
+
+    def _change_of_place(self, steps: int) -> float:
+        """Return the distance in meters that counts as a change of place within some steps."""
+        return min(STALL_METRES, steps / 2 * self.settings.body.speed * self.settings.resolution)
 
     def is_leader(self, situation: Situation) -> bool:
         """Return whether this robot leads; here none does."""
@@ -166,7 +198,7 @@ class PotentialField(Strategy):
             planner = self._yielding.pass_by(self._route, planner, situation.here, goal, situation.step)
         start = situation.x * FINE + situation.offset[0], situation.y * FINE + situation.offset[1]
         points = None
-        if self.options.way == "visibility" and not self._yielding.has_waited:
+        if getattr(self.options, "way", "cells") == "visibility" and not self._yielding.has_waited:
             points = shortest_way(planner.floor, start, frontier, float(costs.min()))
         if points is None:
             points = corners(planner.floor, start, self._route.cells)
@@ -179,8 +211,7 @@ class PotentialField(Strategy):
         """Whether neither the robot's place nor its map has changed for `STALL_STEPS`."""
         known = int(np.count_nonzero(situation.grid))
         away = np.hypot(at[0] - self._anchor[0], at[1] - self._anchor[1]) * self.settings.resolution
-        enough = min(STALL_METRES, STALL_STEPS / 2 * self.settings.body.speed * self.settings.resolution)
-        if known != self._known or away > enough:
+        if known != self._known or away > self._change_of_place(STALL_STEPS):
             self._known, self._anchor, self._anchor_step = known, at, situation.step
         return situation.step - self._anchor_step >= STALL_STEPS
 

@@ -1,9 +1,12 @@
-"""`murmur export`: a run as a ROS 2 bag in MCAP, for Foxglove and ROS tools.
+"""`murmur export`: a run as a ROS 2 bag in MCAP, for RViz, Foxglove, and other ROS tools.
 
-    /tf                 map -> rN (its pose), map -> rN/laser (its position, not rotated: beams are fixed
-                        to the map)
+    topic               type and content
+    /tf_static          map -> rN/odom (its start pose), rN/base_link -> rN/laser (the same place)
+    /tf                 rN/odom -> rN/base_link, every step: its true motion since the start
     /truth              nav_msgs/OccupancyGrid, once
     /rN/pose            geometry_msgs/PoseStamped, every step
+    /rN/odom            nav_msgs/Odometry, every step: the transform of /tf, and the velocity in this step
+    /rN/goal_pose       geometry_msgs/PoseStamped, when its target changes
     /rN/scan            sensor_msgs/LaserScan, every step: cast again from map and poses (`deploy.after.recast_scans`)
     /rN/map             nav_msgs/OccupancyGrid: its planning map, at the steps where it was updated
     /rN/polygons        visualization_msgs/MarkerArray: the approximations of all maps, as this robot holds them
@@ -11,7 +14,8 @@
     /radio/steps        murmur_msgs/RadioStep, every step: bytes transmitted, by traffic type, and bytes over the budget
 
 Time is the step in seconds. The frame `map` is the frame of the map file: meters, y up. The bag contains the
-definitions of all messages, including the two of Murmur, so that any reader can decode them.
+definitions of all messages, including the two of Murmur, so that any reader can decode them. All topics are reliable;
+maps, polygons, and static transforms are transient local: a viewer that joins later gets the last ones.
 """
 
 from __future__ import annotations
@@ -21,7 +25,6 @@ import math
 import shutil
 import tempfile
 from collections.abc import Iterator
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -29,60 +32,32 @@ import numpy as np
 
 from deploy.after.archive import Archive, Table, read
 from deploy.after.recast_scans import Lasers, Rescan
+from deploy.after.ros_messages import MAP_FRAME, RADIO_FRAME, RADIO_STEP, RosMessages, profile
 from deploy.dashboard.shapes import corner
 from deploy.record.colors import GROUPS, robot_color
 from netshaper.ledger import FRAMES
 from protocol.grid import FREE, OCCUPIED, Grid, RayTable
 from protocol.messages import Outlines
 from protocol.scans import HIT, NONE, Readings
+from protocol.transforms import Pose
 from worldsim.maps import Map
 
 BAG = "rosbag"
-MAP_FRAME = "map"
 EDGE_WIDTH_M = 0.05
 
-RADIO_FRAME, RADIO_STEP = "murmur_msgs/msg/RadioFrame", "murmur_msgs/msg/RadioStep"
-DEFINITIONS = {
-    RADIO_FRAME: """\
-# One frame on the radio, as recorded in the ledger (docs/protocol.md).
-std_msgs/Header header
-int32 round
-# Of this round; -1: a broadcast.
-int32 connection
-# offer, answer, data, broadcast or news
-string frame
-int32 sender
-# -1: all robots in range.
-int32 receiver
-# The robot whose map it describes; -1: none.
-int32 map
-# Its packet kinds, and the number and bytes of packets of each kind.
-string[] kinds
-uint32[] packets
-uint32[] bytes
-# Bytes transmitted, bytes refused, and the reason.
-uint32 carried
-uint32 refused
-string cause
-# Number of robots that received it.
-uint32 received
-""",
-    RADIO_STEP: "\n".join(
-        [
-            "# Traffic of one step, in bytes.",
-            "std_msgs/Header header",
-            "# The limit; NaN: unlimited.",
-            "float64 budget",
-            "uint32 frames",
-            "uint32 carried",
-            "# Bytes over the budget.",
-            "uint32 waiting",
-            *(line for name, group in GROUPS.items() for line in (f"# {group.label}", f"uint32 {name}")),
-            "",
-        ]
-    ),
-}
-"""Definitions of the messages of Murmur, in the format of ROS."""
+GRID, POSE, TRANSFORMS = (
+    "nav_msgs/msg/OccupancyGrid",
+    "geometry_msgs/msg/PoseStamped",
+    "tf2_msgs/msg/TFMessage",
+)
+
+LATCHED = {"map": 1, "truth": 1, "tf_static": 1, "polygons": 100}
+"""Topics whose last messages a viewer gets that joins later: the last part of their name, and how many."""
+
+DEPTH = 100
+"""Queue length of all other topics."""
+
+HERE = Pose(0.0, 0.0, 0.0)
 
 Stamped = tuple[str, str, int, Any]
 """Topic, message type, step, message."""
@@ -104,6 +79,7 @@ def export_mcap(directory: Path) -> Path:
 
     archive = read(directory)
     messages = _Messages(archive)
+    types = messages.ros.types
     with tempfile.TemporaryDirectory(dir=directory, prefix=".export-") as folder:
         writer = Writer(Path(folder) / BAG, version=8, storage_plugin=StoragePlugin.MCAP)
         writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
@@ -111,8 +87,12 @@ def export_mcap(directory: Path) -> Path:
             topics: dict[str, Any] = {}
             for topic, kind, step, message in messages.all():
                 if topic not in topics:
-                    topics[topic] = writer.add_connection(topic, kind, typestore=messages.types)
-                writer.write(topics[topic], step * 10**9, messages.types.serialize_cdr(message, kind))
+                    name = topic.rpartition("/")[2]
+                    offered = profile(latched=name in LATCHED, depth=LATCHED.get(name, DEPTH))
+                    topics[topic] = writer.add_connection(
+                        topic, kind, typestore=types, offered_qos_profiles=[offered]
+                    )
+                writer.write(topics[topic], step * 10**9, types.serialize_cdr(message, kind))
         shutil.rmtree(directory / BAG, ignore_errors=True)
         shutil.move(Path(folder) / BAG, directory / BAG)
     return directory / BAG / f"{BAG}.mcap"
@@ -143,35 +123,79 @@ class _Messages:
     """All messages of a run, in chronological order."""
 
     def __init__(self, archive: Archive) -> None:
-        from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: PLC0415  only exports need it
-
-        self.types = get_typestore(Stores.ROS2_HUMBLE)
-        for name, text in DEFINITIONS.items():
-            self.types.register(get_types_from_msg(text, name))
+        self.ros = RosMessages()
         self._archive = archive
         self._lasers = Lasers(archive)
+        self._tracks = {robot: archive.of_robot(robot) for robot in range(archive.plan.scenario.robots)}
+        self._poses = {robot: _poses(track) for robot, track in self._tracks.items()}
+        """The poses of each robot by step."""
+        self._goals: dict[int, tuple[float, float]] = {}
+        """The last goal of each robot."""
 
     def all(self) -> Iterator[Stamped]:
         """Yield them one by one."""
-        yield "/truth", "nav_msgs/msg/OccupancyGrid", 0, self._grid(0, self._archive.plan.map.cells)
+        yield "/truth", GRID, 0, self._grid(0, self._archive.plan.map.cells)
+        yield "/tf_static", TRANSFORMS, 0, self.ros.transforms(0, self._static_frames())
         maps = self._map_reports()
         for step, scans in self._lasers.scans():
-            poses = {scan.robot: self._pose(scan.robot, step) for scan in scans}
-            yield "/tf", "tf2_msgs/msg/TFMessage", step, self._transforms(step, poses)
+            moved = {(_odom(scan.robot), _base(scan.robot)): self._moved(scan.robot, step) for scan in scans}
+            yield "/tf", TRANSFORMS, step, self.ros.transforms(step, moved)
             for scan in scans:
-                name = f"/r{scan.robot}"
-                pose = self._make(
-                    "geometry_msgs/msg/PoseStamped", header=self._header(step), pose=poses[scan.robot]
-                )
-                yield f"{name}/pose", "geometry_msgs/msg/PoseStamped", step, pose
-                yield f"{name}/scan", "sensor_msgs/msg/LaserScan", step, self._scan(step, scan)
+                yield from self._robot(step, scan)
             for robot, report in maps.get(step, []):
                 if isinstance(report, Outlines):
                     markers = self._markers(step, report)
                     yield f"/r{robot}/polygons", "visualization_msgs/msg/MarkerArray", step, markers
                 else:
-                    yield f"/r{robot}/map", "nav_msgs/msg/OccupancyGrid", step, self._grid(step, report)
+                    yield f"/r{robot}/map", GRID, step, self._grid(step, report)
             yield from self._radio(step)
+
+    def _robot(self, step: int, scan: Rescan) -> Iterator[Stamped]:
+        """The pose, motion, new goal, and scan of a robot in a step."""
+        robot, name = scan.robot, f"/r{scan.robot}"
+        yield f"{name}/pose", POSE, step, self.ros.stamped(step, self._poses[robot][step])
+        yield f"{name}/odom", "nav_msgs/msg/Odometry", step, self._odometry(step, robot)
+        track = self._tracks[robot]
+        (row,) = np.flatnonzero(track["step"] == step)
+        goal = float(track["target_x"][row]), float(track["target_y"][row])
+        if not math.isnan(goal[0]) and goal != self._goals.get(robot):
+            self._goals[robot] = goal
+            yield f"{name}/goal_pose", POSE, step, self.ros.stamped(step, Pose(*goal, 0.0))
+        yield f"{name}/scan", "sensor_msgs/msg/LaserScan", step, self._scan(step, scan)
+
+    def _static_frames(self) -> dict[tuple[str, str], Pose]:
+        """The pose of each frame that does not move, in its parent."""
+        frames = {}
+        for robot, poses in self._poses.items():
+            if poses:
+                frames[MAP_FRAME, _odom(robot)] = next(iter(poses.values()))
+                frames[_base(robot), _laser(robot)] = HERE
+        return frames
+
+    def _moved(self, robot: int, step: int) -> Pose:
+        """A robot's pose in the frame that lies at its first one."""
+        poses = self._poses[robot]
+        return next(iter(poses.values())).inverse().then(poses[step])
+
+    def _odometry(self, step: int, robot: int) -> Any:
+        """A robot's motion since the start, and its velocity in its own frame, from the motion in this step."""
+        before, now = self._poses[robot].get(step - 1), self._poses[robot][step]
+        speed = before.inverse().then(now) if before is not None else HERE
+        twist = self.ros.make(
+            "geometry_msgs/msg/Twist",
+            linear=self.ros.point(speed.x, speed.y, "Vector3"),
+            angular=self.ros.make("geometry_msgs/msg/Vector3", z=math.remainder(speed.yaw, 2 * math.pi)),
+        )
+        pose = self.ros.make(
+            "geometry_msgs/msg/PoseWithCovariance", pose=self.ros.pose(self._moved(robot, step))
+        )
+        return self.ros.make(
+            "nav_msgs/msg/Odometry",
+            header=self.ros.header(step, _odom(robot)),
+            child_frame_id=_base(robot),
+            pose=pose,
+            twist=self.ros.make("geometry_msgs/msg/TwistWithCovariance", twist=twist),
+        )
 
     def _radio(self, step: int) -> Iterator[Stamped]:
         """The frames of a step, in the order of the ledger, and the sums of their bytes."""
@@ -191,9 +215,9 @@ class _Messages:
             for name, group in GROUPS.items()
         }
         budget = float(self._archive.budgets[step])
-        totals = self._make(
+        totals = self.ros.make(
             RADIO_STEP,
-            header=self._header(step),
+            header=self.ros.header(step),
             budget=budget if math.isfinite(budget) else math.nan,
             frames=len(frames),
             carried=int(here["bytes"][carried].sum()),
@@ -207,9 +231,9 @@ class _Messages:
         carried, sizes = here["carried"][rows].astype(bool), here["bytes"][rows]
         kinds = here["kind"][rows]
         unique = list(dict.fromkeys(kinds.tolist()))
-        return self._make(
+        return self.ros.make(
             RADIO_FRAME,
-            header=self._header(step),
+            header=self.ros.header(step),
             **key | {"frame": FRAMES[key["frame"]]},
             kinds=unique,
             packets=np.array([here["packets"][rows][kinds == kind].sum() for kind in unique], np.uint32),
@@ -233,77 +257,35 @@ class _Messages:
             by_step.setdefault(outlines.step, []).append((robot, outlines))
         return by_step
 
-    def _make(self, kind: str, **fields: Any) -> Any:
-        """Make a message; fields that are left out are zero or empty."""
-        return self.types.types[kind](**(self._zeros(kind) | fields))
-
-    @cache  # noqa: B019  as long as the export
-    def _zeros(self, kind: str) -> dict[str, Any]:
-        """Return a message's fields with value zero, or empty."""
-        zeros: dict[str, Any] = {}
-        for name, (node, details) in self.types.fielddefs[kind][1]:
-            if node.name == "NAME":
-                zeros[name] = self._make(details)
-            elif node.name == "BASE":
-                zeros[name] = "" if details[0] == "string" else 0
-            else:
-                zeros[name] = np.empty(0, np.uint8)
-        return zeros
-
-    def _header(self, step: int, frame: str = MAP_FRAME) -> Any:
-        stamp = self._make("builtin_interfaces/msg/Time", sec=step)
-        return self._make("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
-
-    def _point(self, x: float, y: float, kind: str = "Point") -> Any:
-        return self._make(f"geometry_msgs/msg/{kind}", x=float(x), y=float(y))
-
-    def _turn(self, yaw: float) -> Any:
-        return self._make("geometry_msgs/msg/Quaternion", z=math.sin(yaw / 2), w=math.cos(yaw / 2))
-
-    def _placed(self, x: float, y: float, yaw: float = 0.0) -> Any:
-        return self._make("geometry_msgs/msg/Pose", position=self._point(x, y), orientation=self._turn(yaw))
-
-    def _pose(self, robot: int, step: int) -> Any:
-        """A robot's pose; the recorded heading is clockwise, because the world computes with y down."""
-        steps = self._archive.steps
-        (row,) = np.flatnonzero((steps["robot"] == robot) & (steps["step"] == step))
-        return self._placed(steps["x"][row], steps["y"][row], -math.radians(steps["heading"][row]))
-
-    def _transforms(self, step: int, poses: dict[int, Any]) -> Any:
-        kind, header, transforms = "geometry_msgs/msg/TransformStamped", self._header(step), []
-        for robot, pose in poses.items():
-            place = self._point(pose.position.x, pose.position.y, "Vector3")
-            for frame, turn in ((f"r{robot}", pose.orientation), (f"r{robot}/laser", self._turn(0.0))):
-                moved = self._make("geometry_msgs/msg/Transform", translation=place, rotation=turn)
-                transforms.append(self._make(kind, header=header, child_frame_id=frame, transform=moved))
-        return self._make("tf2_msgs/msg/TFMessage", transforms=transforms)
-
     def _scan(self, step: int, scan: Rescan) -> Any:
+        """A scan in the frame of the laser, whose first beam points backward."""
         ray_table, world = self._lasers.ray_tables[scan.robot], self._archive.plan.map
         ranges = ranges_of(scan.readings, ray_table, world.resolution)
         turn = 2 * math.pi / ray_table.beams
-        return self._make(
+        backward = (self._poses[scan.robot][step].yaw - math.pi) / turn  # in beams from +x of the map
+        first = round(backward)
+        angle_min = (first - backward) * turn - math.pi
+        return self.ros.make(
             "sensor_msgs/msg/LaserScan",
-            header=self._header(step, f"r{scan.robot}/laser"),
-            angle_max=turn * (ray_table.beams - 1),
+            header=self.ros.header(step, _laser(scan.robot)),
+            angle_min=angle_min,
+            angle_max=angle_min + turn * (ray_table.beams - 1),
             angle_increment=turn,
             scan_time=1.0,
             range_max=self._archive.plan.world.bodies[scan.robot].range_cells * world.resolution,
-            ranges=ranges,
+            ranges=np.roll(ranges, -first),
         )
 
     def _grid(self, step: int, grid: Grid) -> Any:
         world: Map = self._archive.plan.map
-        info = self._make(
+        info = self.ros.make(
             "nav_msgs/msg/MapMetaData",
             resolution=world.resolution,
             width=world.width,
             height=world.height,
-            origin=self._placed(*world.origin[:2]),
+            origin=self.ros.pose(Pose(*world.origin[:2], 0.0)),
         )
-        return self._make(
-            "nav_msgs/msg/OccupancyGrid", header=self._header(step), info=info, data=occupancy(grid)
-        )
+        return self.ros.make(GRID, header=self.ros.header(step), info=info, data=occupancy(grid))
 
     def _markers(self, step: int, outlines: Outlines) -> Any:
         """One marker per map: its edges, walls in full color, edges to unknown cells in a pale one."""
@@ -315,25 +297,43 @@ class _Messages:
         following[np.append(starts[1:], len(rows)).astype(int) - 1] = starts
         red, green, blue = (part / 255 for part in robot_color(outlines.map_id))
         wall, open_ = (
-            self._make("std_msgs/msg/ColorRGBA", r=red, g=green, b=blue, a=alpha) for alpha in (1.0, 0.4)
+            self.ros.make("std_msgs/msg/ColorRGBA", r=red, g=green, b=blue, a=alpha) for alpha in (1.0, 0.4)
         )
         points, colors = [], []
         for here, there in enumerate(following):
-            points += [self._point(*places[here]), self._point(*places[there])]
+            points += [self.ros.point(*places[here]), self.ros.point(*places[there])]
             colors += 2 * [wall if rows[here, 3] & 1 else open_]
-        kind: Any = self.types.types["visualization_msgs/msg/Marker"]
-        marker = self._make(
+        kind: Any = self.ros.types.types["visualization_msgs/msg/Marker"]
+        marker = self.ros.make(
             "visualization_msgs/msg/Marker",
-            header=self._header(step),
+            header=self.ros.header(step),
             ns="approximations",
             id=outlines.map_id,
             type=kind.LINE_LIST,
             action=kind.ADD if points else kind.DELETE,
-            pose=self._placed(0.0, 0.0),
-            scale=self._make("geometry_msgs/msg/Vector3", x=EDGE_WIDTH_M),
-            color=self._make("std_msgs/msg/ColorRGBA", a=1.0),
+            pose=self.ros.pose(HERE),
+            scale=self.ros.make("geometry_msgs/msg/Vector3", x=EDGE_WIDTH_M),
+            color=self.ros.make("std_msgs/msg/ColorRGBA", a=1.0),
             points=points,
             colors=colors,
             text=f"map of robot {outlines.map_id}",
         )
-        return self._make("visualization_msgs/msg/MarkerArray", markers=[marker])
+        return self.ros.make("visualization_msgs/msg/MarkerArray", markers=[marker])
+
+
+def _poses(track: Table) -> dict[int, Pose]:
+    """Return a robot's poses by step; recorded headings are clockwise, because the world computes with y down."""
+    columns = (track[name].tolist() for name in ("step", "x", "y", "heading"))
+    return {step: Pose(x, y, -math.radians(heading)) for step, x, y, heading in zip(*columns, strict=True)}
+
+
+def _odom(robot: int) -> str:
+    return f"r{robot}/odom"
+
+
+def _base(robot: int) -> str:
+    return f"r{robot}/base_link"
+
+
+def _laser(robot: int) -> str:
+    return f"r{robot}/laser"

@@ -112,7 +112,7 @@ def merge(folders: Sequence[Path | str], out: Path | str, *, view: bool = False)
     failures = _write_capture(out / CAPTURE, plan, logs)
     run_directory.write_results(out, plan, records, summary, failures)
     if view:
-        record_view(plan, records, out / RECORDING)
+        record_view(plan, records, out / RECORDING, {step: log.links() for step, log in logs.items()})
     code = EXPLORED if summary["finished"] else NOT_FINISHED
     return Result(summary, code, out, records, {}, plan)
 

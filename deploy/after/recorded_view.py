@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +15,8 @@ from protocol import keys as names
 from protocol.messages import Missed, Outlines, RadioReport, Snapshot, grid_to_bytes
 
 
-def record_view(plan: Plan, records: Records, path: Path) -> None:
-    """Write the recording of a run, as if the dashboard had watched it."""
+def record_view(plan: Plan, records: Records, path: Path, links: Mapping[int, bytes]) -> None:
+    """Write the recording of a run, as if the dashboard had watched it; `links`: those of each step (`RadioReport`)."""
     from deploy.dashboard.recording import recording  # noqa: PLC0415  imports Rerun
 
     maps = _maps(records)
@@ -38,7 +39,7 @@ def record_view(plan: Plan, records: Records, path: Path) -> None:
             of_step = rows.get(step, b"")
             table = np.frombuffer(of_step, ROW)
             carried = int(table["bytes"][table["carried"] == 1].sum())
-            recorder.take(names.RELAY, RadioReport(step, of_step, carried, b""))
+            recorder.take(names.RELAY, RadioReport(step, of_step, carried, b"", links.get(step, b"")))
         if records.end is not None:
             recorder.take(names.WORLD, records.end)
 

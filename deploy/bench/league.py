@@ -1,6 +1,6 @@
 """The league table: every strategy on the same maps, from the same starts, compared with offline exploration.
 
-The baseline is the plan of a team that knows the map (`deploy.bench.offline_bound`): the table gives a strategy's steps
+The baseline is the plan of a team that knows the map (`deploy.run.offline_bound`): the table gives a strategy's steps
 as a multiple of that plan's. By default robots share raw scans over an unlimited radio, so that only their
 destinations differ.
 """
@@ -17,9 +17,9 @@ import numpy as np
 import polars as pl
 
 from agent.strategies.registry import strategies, strategy
-from deploy.bench.offline_bound import KnownBuilding, offline_steps
 from deploy.bench.replanning import DecisionTimer
 from deploy.run.exploration import explore
+from deploy.run.offline_bound import KnownBuilding, offline_steps
 from deploy.run.workers import workers
 from deploy.scenario import plan as plans
 from deploy.scenario.scenario import Scenario, parse

@@ -7,6 +7,7 @@ from dataclasses import asdict
 from functools import partial
 from typing import Any
 
+from deploy.bench.field import field
 from deploy.bench.kernels import kernels
 from deploy.bench.measurement import Measurement
 from deploy.bench.relay import relay
@@ -20,6 +21,7 @@ BENCHMARKS: dict[str, Callable[[], Iterator[Measurement]]] = {
     "replanning": replanning,
     "relay": relay,
     "scale": scale,
+    "field": field,
 }
 
 

@@ -40,7 +40,7 @@ def report(
 def export(
     directory: Annotated[Path, typer.Argument(metavar="DIR", help="a run directory")],
     mcap: Annotated[
-        bool, typer.Option("--mcap", help="a ROS 2 bag in MCAP, for Foxglove and ROS tools")
+        bool, typer.Option("--mcap", help="a ROS 2 bag in MCAP, for RViz, Foxglove and ROS tools")
     ] = False,
 ) -> None:
     """Export poses, scans, maps, outlines and radio traffic of a run to formats of other programs."""
@@ -49,7 +49,7 @@ def export(
     if not mcap:
         raise ScenarioError("no format given; use --mcap")
     written = export_mcap(directory)
-    screen.print(f"{written}: for Foxglove, or ros2 bag play {written.parent}")
+    screen.print(f"{written}: for RViz and Foxglove, or ros2 bag play {written.parent}")
 
 
 @app.command()

@@ -43,6 +43,7 @@ COMMANDS = {
     "sweep": Entry("studies", "Run a scenario over a grid of settings and print a table."),
     "compare": Entry("studies", "Compare scenarios, strategies, map encodings or radios on the same seeds."),
     "size": Entry("studies", "Find the smallest sufficient team for a building, or for each radio."),
+    "tune": Entry("tune", "Search for the weights of a strategy by runs on training seeds."),
     "reproduce": Entry("studies", "Repeat the experiments of the papers, and judge their claims."),
     "chaos": Entry("chaos", "Run swarms under random faults, and check their invariants."),
     "robot": Entry("robot", "Run one robot of a team in the field."),
@@ -51,6 +52,7 @@ COMMANDS = {
     "serve-ros2": Entry("serve", "Serve simulated robots that look like ROS 2 robots over Zenoh."),
     "run": Entry("by_hand", "Start one process of a run by hand."),
     "bench": Entry("machine", "Benchmark this machine: ratios to references of the same run."),
+    "setup": Entry("machine", "Compile the kernels for this machine, once."),
     "doctor": Entry("machine", "Check that this installation works."),
 }
 

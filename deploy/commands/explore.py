@@ -17,6 +17,7 @@ from deploy.commands.flags import (
     RUN,
     GroupedCommand,
     JsonFlag,
+    KeepServingFlag,
     LaserOption,
     OutOption,
     PeopleOption,
@@ -26,16 +27,19 @@ from deploy.commands.flags import (
     ResolutionOption,
     ScenarioFile,
     SetOption,
+    ShareFlag,
     SpeedOption,
     ViewAs,
     ViewAsOption,
     ViewFlag,
+    WaitFlag,
     command_family,
     duration_s,
     named_values,
     setting_flags,
     switch,
 )
+from deploy.commands.viewing import Viewing
 from deploy.scenario.scenario import SHIPPED, Scenario, load, read_toml
 from deploy.scenario.thesis import STRATEGY, thesis_settings
 
@@ -76,6 +80,9 @@ def explore(
     ] = None,
     view: ViewFlag = False,
     view_as: ViewAsOption = None,
+    share: ShareFlag = False,
+    wait_for_viewer: WaitFlag = False,
+    keep_serving: KeepServingFlag = False,
     pace: SpeedOption = None,
     pictures: PicturesFlag = False,
     out: OutOption = None,
@@ -100,21 +107,25 @@ def explore(
         overrides |= thesis_settings(overrides)
     chosen = load(scenario, overrides)
     choices = {"out": out, "pace": pace, "restart": restart}
-    view_type = view_as or ("auto" if view else None)
-    raise typer.Exit(run_live(chosen, view_type, hosts, choices, pictures=pictures, as_json=as_json))
+    needs_page = share or wait_for_viewer or keep_serving
+    viewing = Viewing(
+        view_as or ("web" if needs_page else "auto" if view else None), share, wait_for_viewer, keep_serving
+    )
+    raise typer.Exit(run_live(chosen, viewing, hosts, choices, pictures=pictures, as_json=as_json))
 
 
 @app.command()
 def watch(
     directory: Annotated[Path, typer.Argument(metavar="DIR", help="a run directory")],
     view_as: ViewAs = "auto",
+    share: ShareFlag = False,
 ) -> None:
     """View a run in progress, or the recording of one (docs/dashboard.md)."""
     from deploy.dashboard import watch as watching  # noqa: PLC0415
     from deploy.dashboard.windows import Window  # noqa: PLC0415
     from deploy.run.interrupt import signals_as_ctrl_c  # noqa: PLC0415
 
-    with signals_as_ctrl_c(), closing(Window(view_as, errors.print)) as window:
+    with signals_as_ctrl_c(), closing(Window(view_as, errors.print, share=share)) as window:
         watching.watch(directory, window)
 
 
@@ -129,7 +140,7 @@ def other_settings(texts: list[str], flags: dict[str, Any]) -> dict[str, Any]:
 
 def run_live(
     scenario: Scenario,
-    view_type: str | None,
+    viewing: Viewing,
     hosts_file: Path | None,
     options: dict[str, Any],
     *,
@@ -139,30 +150,38 @@ def run_live(
     """Run a scenario with its progress line, keys and viewer; `options` go to `exploration.explore`."""
     from deploy.commands.live_keys import at_terminal, controlled  # noqa: PLC0415
     from deploy.dashboard.watch import keep_showing  # noqa: PLC0415
-    from deploy.dashboard.windows import Window  # noqa: PLC0415
     from deploy.run import exploration  # noqa: PLC0415
     from deploy.run.control import Control  # noqa: PLC0415
     from deploy.run.hosts import load as load_hosts  # noqa: PLC0415
     from deploy.run.interrupt import signals_as_ctrl_c  # noqa: PLC0415
 
     hosts = load_hosts(hosts_file) if hosts_file is not None else None
-    control = Control() if at_terminal() and not as_json else None
-    with closing(Window(view_type, errors.print)) if view_type else nullcontext() as window:
-        with controlled(control) as message, progress(shown=not as_json, message=message) as watch:
+    control = Control()
+    has_keys = at_terminal() and not as_json
+    window, commands = viewing.window(control) if viewing.mode is not None else (None, None)
+    is_controlled = has_keys or (window is not None and window.mode == "web")
+    with closing(window) if window is not None else nullcontext():
+        with (
+            controlled(control if has_keys else None) as message,
+            progress(shown=not as_json, message=message) as watch,
+        ):
             result = exploration.explore(
                 scenario,
                 watch=watch,
                 notify=errors.print,
                 window=window,
                 hosts=hosts,
-                control=control,
+                control=control if is_controlled else None,
                 check=False,
                 **options,
             )
+        if commands is not None:
+            commands.has_ended = True
         if pictures and result.directory is not None and result.records.world:
             _draw(result.directory)
         code = report_result(result, as_json=as_json)
-        if window is not None and result.directory is not None and sys.stdout.isatty():
+        keeps = sys.stdout.isatty() or viewing.keep
+        if window is not None and result.directory is not None and keeps:
             with signals_as_ctrl_c():
                 keep_showing(result.directory, window)
     return code

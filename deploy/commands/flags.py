@@ -162,6 +162,17 @@ ViewFlag = Annotated[bool, switch("--view", "view the run live, in a window or o
 ViewAsOption = Annotated[
     str | None, option("native|web|file", "type of viewer; file: only record", VIEW, "--view-as")
 ]
+ShareFlag = Annotated[
+    bool,
+    switch("--share", "serve the page on the local network, for others to watch (docs/dashboard.md)", VIEW),
+]
+WaitFlag = Annotated[
+    bool, switch("--wait-for-viewer", "start when a viewer has opened the page, not before", VIEW)
+]
+KeepServingFlag = Annotated[
+    bool,
+    switch("--keep-serving", "keep the page open after the run until Ctrl-C; default at a terminal", VIEW),
+]
 SpeedOption = Annotated[float | None, option("STEPS_PER_S", "maximum speed, for viewing", VIEW)]
 PicturesFlag = Annotated[bool, switch("--pictures", "draw the maps over time and the channel load", VIEW)]
 ScenarioFile = Annotated[

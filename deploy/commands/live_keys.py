@@ -10,13 +10,14 @@ import threading
 from collections.abc import Callable, Iterator
 
 from deploy.run.control import Control
-from protocol.budget import WORD_FOR_UNLIMITED
+from deploy.run.live_commands import LiveCommands
 
 HELP = "space pause, s step, + - speed, k kill, b bandwidth, r range"
 ASKING = {"k": "kill robot", "b": "bandwidth", "r": "range"}
 """Keys that ask for a value, which ends with Enter."""
-SPEEDS = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
-"""Speeds in steps per second, for + and -; above the last one, the speed is unlimited."""
+COMMANDS = {"k": "kill", "b": "bandwidth", "r": "range"}
+"""The commands of these keys."""
+PAUSED = "paused: space continues, s steps"
 
 
 class Keys:
@@ -26,6 +27,7 @@ class Keys:
         self.message = HELP
         """The line to show: the input so far, a confirmation, an error, or the list of keys."""
         self._control = control
+        self._commands = LiveCommands(control)
         self._asked = ""
         self._typed = ""
 
@@ -34,15 +36,13 @@ class Keys:
         if self._asked:
             self._type(key)
         elif key == " ":
-            (self._control.resume if self._control.paused else self._control.pause)()
-            self.message = "paused: space continues, s steps" if self._control.paused else HELP
+            self._commands.perform("resume" if self._control.paused else "pause")
+            self.message = PAUSED if self._control.paused else HELP
         elif key == "s":
-            self._control.step()
-            self.message = "paused: space continues, s steps"
+            self._commands.perform("step")
+            self.message = PAUSED
         elif key in "+-":
-            self._control.set_speed(_next_speed(self._control.speed, faster=key == "+"))
-            speed = self._control.speed
-            self.message = f"{speed:g} steps/s" if speed else "unlimited speed"
+            self.message = self._commands.perform("faster" if key == "+" else "slower")
         elif key in ASKING:
             self._asked, self._typed = key, ""
             self.message = f"{ASKING[key]}: "
@@ -59,16 +59,9 @@ class Keys:
 
     def _do(self, asked: str, value: str) -> str:
         try:
-            if asked == "k":
-                self._control.kill(_robot(value))
-                return f"robot {value} will be killed at the next step"
-            if asked == "b":
-                self._control.change(bandwidth=value)
-                return f"bandwidth {value}{'' if value == WORD_FOR_UNLIMITED else ' B'} from the next step"
-            self._control.change(range=value)
+            return self._commands.perform(COMMANDS[asked], value)
         except ValueError as error:
             return str(error)
-        return f"range {value} from the next step"
 
 
 @contextlib.contextmanager
@@ -110,15 +103,3 @@ def controlled(control: Control | None) -> Iterator[Callable[[], str]]:
 def at_terminal() -> bool:
     """Whether keys can be read and messages shown."""
     return sys.stdin.isatty() and sys.stderr.isatty() and os.name == "posix"
-
-
-def _next_speed(now: float | None, *, faster: bool) -> float | None:
-    if faster:
-        return next((speed for speed in SPEEDS if now is not None and speed > now), None)
-    return next((speed for speed in reversed(SPEEDS) if now is None or speed < now), SPEEDS[0])
-
-
-def _robot(text: str) -> int:
-    if not text.isdecimal():
-        raise ValueError(f"kill: {text!r} is not a robot number")
-    return int(text)

@@ -9,9 +9,14 @@ import typer
 from rich.text import Text
 
 from deploy.commands.console import screen
-from deploy.commands.flags import Subcommands, command_family, output_file
+from deploy.commands.flags import Subcommands, command_family, named_values, output_file
 
 app = command_family()
+
+OptionFlag = Annotated[
+    list[str] | None,
+    typer.Option(metavar="NAME=VALUE", help="as width_m=60, height_m=40 or clutter=5; repeatable"),
+]
 maps_app = typer.Typer(
     cls=Subcommands, no_args_is_help=True, rich_markup_mode=None, help="List, make and show maps."
 )
@@ -33,6 +38,7 @@ def map_list() -> None:
 def map_make(
     name: Annotated[str, typer.Argument(metavar="NAME", help="a name from `murmur map list`")],
     seed: Annotated[int, typer.Option(min=0, metavar="S", help="seed of the generator")] = 0,
+    option: OptionFlag = None,
     out: Annotated[Path | None, typer.Option(metavar="FILE.yaml", help="default: NAME.yaml here")] = None,
 ) -> None:
     """Make a map and write it in the format of ROS map_server: a YAML file and its picture."""
@@ -41,7 +47,7 @@ def map_make(
     path = out or Path(f"{name}.yaml")
     if path.suffix not in (".yaml", ".yml"):
         raise ValueError(f"out = {path}: must end in .yaml")
-    maps.save(generators.make(name, seed=seed), path)
+    maps.save(generators.make(name, seed=seed, **map_options(option)), path)
     screen.print(f"{path}: {generators.describe(name)}, seed {seed}")
 
 
@@ -52,6 +58,7 @@ def map_show(
     resolution: Annotated[
         float | None, typer.Option(metavar="M", help="meters per cell of a generated map or a picture")
     ] = None,
+    option: OptionFlag = None,
     png: Annotated[
         Path | None,
         typer.Option(
@@ -63,7 +70,8 @@ def map_show(
     from deploy.commands.sketch import sketch  # noqa: PLC0415
     from deploy.scenario.finding_maps import find_map  # noqa: PLC0415
 
-    world_map = find_map(file, seed, {} if resolution is None else {"resolution": resolution})
+    options = map_options(option) | ({} if resolution is None else {"resolution": resolution})
+    world_map = find_map(file, seed, options)
     free = int((world_map.cells == 1).sum())
     screen.print(sketch(world_map.cells, screen))
     screen.print(
@@ -77,3 +85,14 @@ def map_show(
 
         draw_map(png, world_map)
         screen.print(f"drawn to {png}")
+
+
+def map_options(texts: list[str] | None) -> dict[str, float]:
+    """The options of a generator, given as NAME=VALUE; ValueError if one is malformed or no number."""
+    options = named_values(texts or [], "option", "width_m=60")
+    for name, value in options.items():
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise ValueError(f"option = '{name}={value}': must be a number")
+        if name == "seed":
+            raise ValueError("option = 'seed=...': use --seed")
+    return options

@@ -23,6 +23,7 @@ from deploy.commands.flags import (
     option,
     setting_flags,
 )
+from deploy.commands.viewing import Viewing
 from deploy.scenario.scenario import NOT_RECORDED, NOT_RECORDED_REASON, load
 from worldsim.recorded.options import PACES
 
@@ -90,4 +91,6 @@ def play(
     scenario = load(None, overrides)
     view_type = view_as or ("auto" if view else None)
     choices = {"out": out, "pace": rate}
-    raise typer.Exit(run_live(scenario, view_type, None, choices, pictures=pictures, as_json=as_json))
+    raise typer.Exit(
+        run_live(scenario, Viewing(view_type), None, choices, pictures=pictures, as_json=as_json)
+    )

@@ -24,6 +24,7 @@ from deploy.scenario.tables import MAX_RUNS
 from deploy.study.progress import counting
 from protocol.grid import MAX_ROBOTS
 from protocol.presets import PRESETS
+from worldsim.generators.seeds import first_test_seeds
 
 app = command_family()
 
@@ -57,6 +58,10 @@ def sweep(
     scheduler: SchedulerOption = None,
     set_: SetOption = None,
     seeds: SeedsOption = None,
+    test_seeds: Annotated[
+        int | None,
+        typer.Option(min=1, max=MAX_RUNS, metavar="N", help="run N test seeds, from 1000 on (docs/maps.md)"),
+    ] = None,
     variant: Annotated[
         list[str] | None, typer.Option(metavar="NAME", help="run only this variant; repeatable")
     ] = None,
@@ -101,8 +106,12 @@ def sweep(
     if style.formats and not (plot or table):
         raise ValueError("formats: needs --plot FILE or --table FILE, the names of the files")
     settings = named_values(set_ or [], "set", "seed=[0,1]")
+    if seeds is not None and test_seeds is not None:
+        raise ValueError("seeds and test_seeds: give only one of them")
     if seeds is not None:
         settings["seed"] = list(range(seeds))
+    if test_seeds is not None:
+        settings["seed"] = first_test_seeds(test_seeds)
     read = experiments.read(experiment)
     read = experiments.quickened(read) if quick else read
     read = experiments.override(experiments.choose(read, variant or []), settings)

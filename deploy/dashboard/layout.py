@@ -7,48 +7,61 @@ from typing import Any
 import rerun as rr
 import rerun.blueprint as rrb
 
-from deploy.dashboard.recorder import SHARES_HEIGHT, TIMELINE
+from deploy.dashboard.recorder import MARGIN, SHARES_HEIGHT, SMALL_MARGIN, TIMELINE
 from deploy.dashboard.shapes import corner
 from deploy.record.colors import QUIET
 from deploy.scenario.plan import Plan
 
-MOST = 8
-"""Maximum number of robot maps per tab."""
-SERIES_SHARES = [30, 20, 19, 18, 16, 25]
-"""Widths of the views below."""
+MOST, MOST_PAGES = 8, 8
+"""Robot maps per tab, and tabs; larger teams have more maps per tab."""
+MOST_CHOSEN = 32
+"""Maximum number of robots for which there is also a view of the true map with this robot alone."""
+SERIES_SHARES = [250, 200, 290, 270, 270]
+"""Widths of the views below, in pixels of a window 1280 wide; the titles fit there."""
 
 
 def layout(plan: Plan) -> rrb.Blueprint:
-    """The layout of a run's dashboard."""
+    """The layout of a run's dashboard; all text fits into a window of 1280 x 720 or more."""
     robots = range(plan.scenario.robots)
-    world = _map("/world", "True map [m]", plan, ["/world/**", "/paths/**"], margin=0.12)
-    chosen = [_chosen(robot, plan) for robot in robots] if len(robots) > 1 else []
+    world = _map("/world", "True map [m]", plan, ["/world/**", "/paths/**"], MARGIN)
     robot_maps = [
-        _map(f"/robots/{robot}", f"Robot {robot} map", plan, [f"/robots/{robot}/**", f"/paths/{robot}"], 0.24)
+        _map(
+            f"/robots/{robot}",
+            f"Robot {robot} [m]",
+            plan,
+            [f"/robots/{robot}/**", f"/paths/{robot}"],
+            SMALL_MARGIN,
+        )
         for robot in robots
     ]
-    columns = len(robot_maps) if len(robot_maps) < 4 else -(-min(len(robot_maps), MOST) // 2)
-    pages = [
-        rrb.Grid(
-            *robot_maps[first : first + MOST],
-            grid_columns=columns,
-            name=f"robots {first}-{min(first + MOST, len(robot_maps)) - 1}",
-        )
-        for first in range(0, len(robot_maps), MOST)
-    ]
+    pages = _pages(robot_maps, "Maps")
+    if 1 < len(robots) <= MOST_CHOSEN:
+        pages += _pages([_chosen(robot, plan) for robot in robots], "True map")
+    pages.append(rrb.TextDocumentView(origin="/help", name="Help"))
     return rrb.Blueprint(
         rrb.Vertical(
-            rrb.Horizontal(
-                rrb.Tabs(world, *chosen, active_tab=0) if chosen else world,
-                rrb.Tabs(*pages) if len(pages) > 1 else pages[0],
-                column_shares=[33, 67],
-            ),
+            rrb.Horizontal(world, rrb.Tabs(*pages, active_tab=0), column_shares=[33, 67]),
             rrb.Horizontal(*_series(plan), column_shares=SERIES_SHARES),
-            row_shares=[63, 37],
+            row_shares=[60, 40],
         ),
+        rrb.TopPanel(state="hidden"),
         rrb.TimePanel(state="collapsed", timeline=TIMELINE),
         collapse_panels=True,
     )
+
+
+def _pages(views: list[rrb.Spatial2DView], name: str) -> list[rrb.Grid]:
+    """Views of robots in tabs, the first of which has the name: `MOST` in each, or more for at most `MOST_PAGES`."""
+    most = max(MOST, -(-len(views) // MOST_PAGES))
+    pages = []
+    for first in range(0, len(views), most):
+        shown = views[first : first + most]
+        columns = len(shown) if len(shown) < 4 else -(-len(shown) // 2)
+        last = first + len(shown) - 1
+        numbers = f"{first}-{last}" if last > first else f"{first}"
+        title = numbers if first else f"{name} {numbers}"
+        pages.append(rrb.Grid(*shown, grid_columns=columns, name=title))
+    return pages
 
 
 def _chosen(robot: int, plan: Plan) -> rrb.Spatial2DView:
@@ -57,7 +70,7 @@ def _chosen(robot: int, plan: Plan) -> rrb.Spatial2DView:
     own = f"/paths/{robot}", f"/robots/{robot}/self", f"/robots/{robot}/target"
     contents += [f"+ {path}" for path in own]
     dimmed = {"/world/robots": rr.Points2D.from_fields(colors=[QUIET]).visualizer()}
-    return _map("/world", f"{robot}", plan, contents, 0.1, dimmed)
+    return _map("/world", f"Robot {robot} [m]", plan, contents, SMALL_MARGIN, dimmed)
 
 
 def _map(
@@ -72,7 +85,7 @@ def _map(
     width, height = plan.map.width * plan.map.resolution, plan.map.height * plan.map.resolution
     pad = margin * max(width, height)
     bounds = rrb.VisualBounds2D(
-        x_range=[left - pad, left + width + pad / 2], y_range=[top - pad / 2, top + height + pad]
+        x_range=[left - pad, left + width + pad / 3], y_range=[top - pad / 3, top + height + 1.3 * pad]
     )
     return rrb.Spatial2DView(
         origin=origin, contents=contents, name=name, visual_bounds=bounds, overrides=overrides
@@ -80,36 +93,27 @@ def _map(
 
 
 def _series(plan: Plan) -> list[rrb.View | rrb.Container]:
-    """Help, traffic, map quality (with noisy sensors, the walls in front), backlog and missed steps, events."""
-    no_legend = rrb.PlotLegend(visible=False)
+    """Traffic, map quality (with noisy sensors, the walls in front), backlog and missed steps, events."""
     quality = [
-        rrb.TimeSeriesView(
-            origin=origin, name=name, plot_legend=no_legend, axis_y=rrb.ScalarAxis(range=(0, 102))
-        )
-        for origin, name in (
-            ("/explored", "Explored [%]"),
-            ("/walls/f1", "Walls, F1 [%]"),
-            ("/walls/precision", "Walls, precision [%]"),
-        )
+        _curves(origin, name, axis_y=rrb.ScalarAxis(range=(-7, 107)))
+        for origin, name in (("/explored", "Explored [%]"), ("/walls", "Walls [%]"))
     ]
-    waiting = [rrb.TimeSeriesView(origin="/backlog", name="Undelivered packets", plot_legend=no_legend)]
+    waiting: rrb.View | rrb.Container = _curves("/backlog", "Undelivered [packets]")
     if plan.scenario.clock != "barrier":
-        waiting.append(rrb.TimeSeriesView(origin="/missed", name="Missed steps", plot_legend=no_legend))
+        waiting = rrb.Vertical(waiting, _curves("/missed", "Missed [steps]"))
     return [
-        rrb.TextDocumentView(origin="/help", name="Help"),
-        rrb.TimeSeriesView(
-            origin="/traffic",
-            contents=["/traffic/load", "/traffic/budget"],
-            name="Transmitted [B]",
-            plot_legend=no_legend,
+        _curves(
+            "/traffic",
+            "Transmitted [B/step]",
+            contents=["/traffic/load", "/traffic/budget", "/traffic/floor"],
         ),
         rrb.Spatial2DView(
             origin="/traffic/shares",
-            name="Traffic by type",
-            visual_bounds=rrb.VisualBounds2D(x_range=[-5, 105], y_range=[0, SHARES_HEIGHT]),
+            name="By type [%]",
+            visual_bounds=rrb.VisualBounds2D(x_range=[-6, 106], y_range=[-6, SHARES_HEIGHT]),
         ),
         rrb.Tabs(*quality, active_tab=1 if plan.scenario.is_noisy else 0),
-        rrb.Tabs(*waiting) if len(waiting) > 1 else waiting[0],
+        waiting,
         rrb.TextLogView(
             origin="/events",
             name="Events",
@@ -119,3 +123,8 @@ def _series(plan: Plan) -> list[rrb.View | rrb.Container]:
             ),
         ),
     ]
+
+
+def _curves(origin: str, name: str, **more: Any) -> rrb.TimeSeriesView:
+    """Curves over steps; the color tells the robot or the type, as a legend would cover the curves."""
+    return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=rrb.PlotLegend(visible=False), **more)

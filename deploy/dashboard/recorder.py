@@ -13,7 +13,17 @@ import numpy as np
 import rerun as rr
 
 from deploy.dashboard.run_events import Event, RunEvents, explain, shows_range
-from deploy.dashboard.shapes import axes, corner, flip, map_picture, number_strips, outline_strips
+from deploy.dashboard.shapes import (
+    arrow,
+    axes,
+    circle_within,
+    corner,
+    flip,
+    map_picture,
+    number_strips,
+    outline_strips,
+)
+from deploy.dashboard.step_order import StepOrder, StepReports
 from deploy.record.colors import ALARM, GREY, GROUPS, IN_RANGE, PAPER, SIGNAL, TEAM, mix, robot_color
 from deploy.record.map_history import PER_STEP
 from deploy.record.map_quality import WallScore, true_walls_of
@@ -24,7 +34,6 @@ from protocol.grid import FREE
 from protocol.messages import (
     End,
     Outlines,
-    RadioReport,
     Snapshot,
     WorldReport,
     grid_from_bytes,
@@ -35,10 +44,12 @@ TIMELINE = "step"
 NAN = float("nan")
 SHARES_EVERY = 5
 """Steps from one drawing of the traffic shares to the next."""
-SHARES_HEIGHT, BAR_LENGTH = 150.0, 42.0
-"""Height of the picture of traffic shares, which is 100 wide, and the length of its longest bar."""
-LABEL_DROP = 0.26
-"""How far below its point a label appears, in rows of that picture."""
+SHARES_HEIGHT, MOST_TYPES, BAR_AT = 150.0, 6, 0.84
+"""Height of the picture of traffic shares, which is 100 wide; its rows; where in its row a bar is, below its label."""
+FLOOR = 0.07
+"""Room below zero bytes, in the height of the curves: an invisible curve keeps the labels of both axes apart."""
+MARGIN, SMALL_MARGIN = 0.13, 0.3
+"""Room for the labels of axes beside the true map and beside a robot's map, in map sides."""
 FAINT = 0.5
 """Paleness of outlines received from teammates; Rerun draws lines with opacity black."""
 MAP_ORDER, RANGE_ORDER, WAY_ORDER, OUTLINE_ORDER, LINK_ORDER, TARGET_ORDER, ROBOT_ORDER = range(0, 70, 10)
@@ -50,6 +61,7 @@ class Recorder:
 
     def __init__(self, stream: rr.RecordingStream, plan: Plan) -> None:
         self.events = RunEvents(plan)
+        self._order = StepOrder()
         self._stream = stream
         self._plan = plan
         self._robots = range(plan.scenario.robots)
@@ -61,6 +73,8 @@ class Recorder:
         """How often each map of each sender was drawn in this step; -1 is the planning map."""
         side = max(plan.map.width, plan.map.height) * plan.map.resolution
         self._disc = 0.022 * side
+        self._highest = 0
+        """The most bytes of a step so far, or the highest budget."""
         stream.set_time(TIMELINE, sequence=0)
         self._draw_maps()
         self._draw_styles()
@@ -76,21 +90,32 @@ class Recorder:
                 return
         elif isinstance(report, WorldReport):
             self._drawn.clear()
-        events = self.events.take(sender, report)
-        self._stream.set_time(TIMELINE, sequence=self.events.step)
-        if isinstance(report, WorldReport):
+        for step in self._order.put(sender, report):
+            self._draw(step)
+
+    def finish(self) -> None:
+        """Draw all that was held back because its step was incomplete."""
+        for step in self._order.finish():
+            self._draw(step)
+
+    def _draw(self, step: StepReports) -> None:
+        """Draw the reports of a step; those of an earlier step, which arrived late, where they belong."""
+        self._stream.set_time(TIMELINE, sequence=step.step)
+        traffic = self.events.traffic
+        for sender, report in step.reports:
+            for event in self.events.take(sender, report):
+                self._log("events", _line(event))
+            if isinstance(report, Snapshot):
+                self._draw_planning_map(names.number(sender), report)
+            elif isinstance(report, Outlines):
+                outlines = rr.LineStrips2D.from_fields(strips=outline_strips(self._plan.map, report.vertices))
+                self._log(f"robots/{names.number(sender)}/outlines/{report.map_id}", outlines)
+        if step.has_world or any(isinstance(report, End) for _, report in step.reports):
             self._draw_world()
-        elif isinstance(report, RadioReport):
+        if self.events.traffic is not traffic:
             self._draw_traffic()
-        elif isinstance(report, Snapshot):
-            self._draw_planning_map(names.number(sender), report)
-        elif isinstance(report, Outlines):
-            outlines = rr.LineStrips2D.from_fields(strips=outline_strips(self._plan.map, report.vertices))
-            self._log(f"robots/{names.number(sender)}/outlines/{report.map_id}", outlines)
-        elif isinstance(report, End):
-            self._draw_world()
-        for event in events:
-            self._log("events", _line(event))
+            if step.step == self.events.step:
+                self._draw_links()
 
     def _check_size(self, report: Snapshot | Outlines) -> None:
         """Raise ProtocolError if a map of a robot is of another size than the world."""
@@ -114,7 +139,10 @@ class Recorder:
             self._log(f"{tree}/map", place, static=True)
             picture = map_picture(world.width, world.height, cells if tree == "world" else bytes(len(cells)))
             self._log(f"{tree}/map", _image(picture))
-            strips, places, labels = axes(world, most=6 if tree == "world" else 3)
+            large = tree == "world"
+            strips, places, labels = axes(
+                world, most=6 if large else 3, room=MARGIN if large else SMALL_MARGIN
+            )
             lines = rr.LineStrips2D(strips, colors=[GREY], radii=[_px(0.8)])
             self._log(f"{tree}/axes/lines", lines, static=True)
             ticks = rr.Points2D(places, labels=labels, colors=[GREY], radii=[_px(0.1)], show_labels=True)
@@ -126,7 +154,7 @@ class Recorder:
         style = rr.LineStrips2D.from_fields
         lines = {
             "world/links/quiet": style(colors=[IN_RANGE], radii=[_px(0.8)], draw_order=LINK_ORDER),
-            "world/links/busy": style(colors=[SIGNAL], draw_order=LINK_ORDER + 1),
+            "world/ranges": style(radii=[_px(0.5)], draw_order=RANGE_ORDER),
             "world/targets/ways": style(radii=[_px(0.8)], draw_order=TARGET_ORDER),
             "world/robots/numbers": style(colors=[PAPER], radii=[_px(0.9)], draw_order=ROBOT_ORDER + 1),
         }
@@ -147,15 +175,18 @@ class Recorder:
             self._log(f"robots/{robot}/target", mark, static=True)
         for path, line in lines.items():
             self._log(path, line, static=True)
+        arrows = rr.Arrows2D.from_fields(colors=[SIGNAL], draw_order=LINK_ORDER + 1)
+        self._log("world/links/busy", arrows, static=True)
         team = rr.SeriesLines(names=["seen by the team"], colors=[TEAM], widths=[4])
         self._log("explored/team", team, static=True)
         on_map = "on the map of robot"
         for path, label in (
-            ("explored/maps", on_map), ("walls/f1", on_map), ("walls/precision", on_map),
-            ("backlog", "robot"), ("missed", "robot"),
+            ("explored/maps", on_map), ("walls/f1", "F1 on the map of robot"),
+            ("walls/precision", "precision on the map of robot"), ("backlog", "robot"), ("missed", "robot"),
         ):  # fmt: skip
             named = [f"{label} {robot}" for robot in self._robots]
-            series = rr.SeriesLines(names=named, colors=colors, widths=[1.5] * len(colors))
+            width = 0.5 if path == "walls/precision" else 1.5
+            series = rr.SeriesLines(names=named, colors=colors, widths=[width] * len(colors))
             self._log(path, series, static=True)
         groups = list(GROUPS.values())
         load = rr.SeriesLines(
@@ -164,7 +195,9 @@ class Recorder:
             widths=[2.5, *(1.5 for _ in groups)],
         )
         self._log("traffic/load", load, static=True)
-        self._log("traffic/budget", rr.SeriesLines(names=["budget"], colors=[ALARM], widths=[2]), static=True)
+        floor = rr.SeriesLines(names=[""], colors=[(0, 0, 0, 0)], widths=[0.1])
+        self._log("traffic/floor", floor, static=True)
+        self._log("traffic/budget", rr.SeriesLines(names=["budget"], colors=[GREY], widths=[1]), static=True)
 
     def _draw_world(self) -> None:
         """Draw positions, targets and explored area."""
@@ -182,13 +215,14 @@ class Recorder:
         self._log("world/robots/numbers", rr.LineStrips2D.from_fields(strips=numbers))
         reach = events.range_m
         if shows_range(self._plan):
-            circles = rr.Ellipses2D(
-                centers=places,
-                half_sizes=[(reach, reach)] * len(places),
-                colors=[mix(color, GREY, 0.5) for color in colors],
-                line_radii=[_px(0.5)],
-                draw_order=RANGE_ORDER,
-            )
+            world = self._plan.map
+            arcs = [
+                (robot, arc)
+                for robot, place in zip(robots, places, strict=True)
+                for arc in circle_within(world, place, reach)
+            ]
+            shades = [mix(robot_color(robot), GREY, 0.5) for robot, _ in arcs]
+            circles = rr.LineStrips2D.from_fields(strips=[arc for _, arc in arcs], colors=shades)
             self._log("world/ranges", circles)
         for robot, place in zip(robots, places, strict=True):
             way = np.array(events.ways[robot]) * (1, -1)
@@ -221,42 +255,50 @@ class Recorder:
         self._log("world/targets", marks)
 
     def _draw_traffic(self) -> None:
-        """Draw the traffic of the step, in total and between robots."""
+        """Draw the traffic of the step, in total and by type."""
         events = self.events
         traffic = events.traffic
         assert traffic is not None
         used = {group for group in GROUPS if any(kind in events.bytes for kind in GROUPS[group].kinds)}
         load = [traffic.groups[group] if group in used else NAN for group in GROUPS]
         self._log("traffic/load", rr.Scalars([traffic.carried, *load]))
+        self._highest = max(self._highest, traffic.carried, events.budget.limit or 0)
+        self._log("traffic/floor", rr.Scalars(-FLOOR * self._highest))
         if events.budget.limit is not None:
             self._log("traffic/budget", rr.Scalars(events.budget.limit))
-        here = events.positions
-        busy = {pair: size for pair, size in sorted(traffic.links.items()) if here.keys() >= set(pair)}
-        quiet = sorted(events.in_range - busy.keys())
-        for path, pairs in (("quiet", quiet), ("busy", list(busy))):
-            strips = [(flip(here[a]), flip(here[b])) for a, b in pairs]
-            radii = [_px(1.2 + min(2.5, busy[pair] / 200)) for pair in pairs] if path == "busy" else None
-            self._log(f"world/links/{path}", rr.LineStrips2D.from_fields(strips=strips, radii=radii))
         if events.step % SHARES_EVERY == 1:
             self._draw_shares()
 
+    def _draw_links(self) -> None:
+        """Draw who received bytes from whom in this step, and which other robots were in range of each other."""
+        events = self.events
+        assert events.traffic is not None
+        here = events.positions
+        busy = {pair: size for pair, size in events.traffic.links.items() if here.keys() >= set(pair)}
+        quiet = sorted(events.in_range - {(min(pair), max(pair)) for pair in busy})
+        strips = [(flip(here[a]), flip(here[b])) for a, b in quiet]
+        self._log("world/links/quiet", rr.LineStrips2D.from_fields(strips=strips))
+        arrows = [arrow(flip(here[a]), flip(here[b]), 1.2 * self._disc) for a, b in busy]
+        origins, vectors = [each[0] for each in arrows], [each[1] for each in arrows]
+        radii = [_px(0.9 + min(1.6, size / 400)) for size in busy.values()]
+        self._log("world/links/busy", rr.Arrows2D.from_fields(origins=origins, vectors=vectors, radii=radii))
+
     def _draw_shares(self) -> None:
-        """Draw bars of the bytes so far by traffic type, the longest on top, each with its label."""
+        """Draw bars of the bytes so far by traffic type, the longest on top, each below its label."""
         sent = self.events.bytes
         spent = {name: sum(sent.get(kind, 0) for kind in group.kinds) for name, group in GROUPS.items()}
         total = sum(spent.values())
         shown = sorted((group for group in spent if spent[group]), key=lambda group: -spent[group])
         longest = max(spent.values())
-        row = SHARES_HEIGHT / len(GROUPS)
+        row = SHARES_HEIGHT / MOST_TYPES
         bars, places, labels = [], [], []
         for line, group in enumerate(shown):
-            share = 100 * spent[group] / total
-            across, down = BAR_LENGTH * spent[group] / longest, row * (line + 0.5)
-            bars.append([(0.0, down), (across, down)])
-            places.append(((BAR_LENGTH + 100) / 2, down - LABEL_DROP * row))
-            labels.append(f"{group} {share:.0f} %")
+            down = row * (line + BAR_AT)
+            bars.append([(0.0, down), (100 * spent[group] / longest, down)])
+            places.append((50.0, row * line))
+            labels.append(f"{group} {100 * spent[group] / total:.0f} %")
         colors = [GROUPS[group].color for group in shown]
-        self._log("traffic/shares/bars", rr.LineStrips2D(bars, colors=colors, radii=[0.2 * row]))
+        self._log("traffic/shares/bars", rr.LineStrips2D(bars, colors=colors, radii=[0.08 * row]))
         named = rr.Points2D(places, labels=labels, colors=colors, radii=[_px(0.1)], show_labels=True)
         self._log("traffic/shares/names", named)
 

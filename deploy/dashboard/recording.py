@@ -9,9 +9,10 @@ from typing import Any
 
 import rerun as rr
 
+from deploy.dashboard.access import LOOPBACK
 from deploy.dashboard.layout import layout
 from deploy.dashboard.recorder import Recorder
-from deploy.dashboard.windows import LOOPBACK, optimize
+from deploy.dashboard.windows import optimize
 from deploy.scenario.plan import Plan
 
 FLUSH_S = 1.0
@@ -32,9 +33,11 @@ def recording(plan: Plan, path: Path, port: int | None) -> Iterator[Recorder]:
     if port is not None:
         sinks.append(rr.GrpcServerSink(bind_ip=LOOPBACK, port=port, server_memory_limit=SERVER_MEMORY))
     stream.set_sinks(*sinks, default_blueprint=layout(plan))
+    recorder = Recorder(stream, plan)
     try:
-        yield Recorder(stream, plan)
+        yield recorder
     finally:
+        recorder.finish()
         stream.flush(timeout_sec=LAST_S)
         stream.disconnect()
         optimize(path)

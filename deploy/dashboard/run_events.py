@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import dataclass, field
-from itertools import combinations
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +12,8 @@ from numpy.typing import NDArray
 from deploy.dashboard.shapes import Point, extend
 from deploy.record.colors import GROUPS
 from deploy.scenario.plan import Plan
-from netshaper.ledger import CAUSES, EVERYONE, KIND_NUMBER, ROW
+from netshaper.ledger import CAUSES, KIND_NUMBER, LINK, ROW
+from netshaper.topology import links
 from protocol import keys as names
 from protocol.budget import UNLIMITED, Budget
 from protocol.messages import Change, End, ErrorReport, Lost, Missed, RadioReport, RobotStatus, WorldReport
@@ -46,7 +46,7 @@ class StepTraffic:
     cut: int
     """Bytes that were sent but did not fit."""
     links: dict[tuple[int, int], int]
-    """Bytes carried between each pair of robots (lower number first)."""
+    """Bytes that one robot (second) received from another (first); a broadcast counts for each of its receivers."""
 
     @property
     def carried(self) -> int:
@@ -73,6 +73,7 @@ class RunEvents:
     seen: float = 0.0
     """Fraction of the reachable cells that the team has seen."""
     in_range: set[tuple[int, int]] = field(default_factory=set)
+    """Pairs of robots that receive each other in this step, by the radio's model (lower number first)."""
     traffic: StepTraffic | None = None
     bytes: dict[str, int] = field(default_factory=dict)
     """Bytes carried so far, by packet kind."""
@@ -85,6 +86,7 @@ class RunEvents:
     _logged_targets: dict[int, Point] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        self._radio_settings = self.plan.radio
         self.budget, self.range_m = self.plan.radio.budget, self.plan.range_m
 
     def take(self, sender: str, report: object) -> list[Event]:
@@ -129,11 +131,9 @@ class RunEvents:
             del self.targets[robot]
         gone = sorted(here - self.positions.keys())
         before = self.in_range
-        self.in_range = {
-            (a, b)
-            for (a, p), (b, q) in combinations(sorted(self.positions.items()), 2)
-            if math.dist(p, q) <= self.range_m
-        }
+        cells = {robot: (int((x + 0.5) / cell_mm), int((y + 0.5) / cell_mm)) for robot, x, y, _ in poses}
+        near = links(self._radio_settings, self.step, cells)
+        self.in_range = {(a, b) for a, others in near.items() for b in others if a < b}
         events = [Event(self.step, f"robot {robot} has broken down", 2) for robot in gone]
         return events + [
             Event(self.step, f"robots {a} and {b} are in range")
@@ -157,7 +157,7 @@ class RunEvents:
             for name, group in GROUPS.items()
         }
         cut = int(rows["bytes"][rows["cause"] == BUDGET].sum())
-        self.traffic = StepTraffic(groups, cut, _link_bytes(carried))
+        self.traffic = StepTraffic(groups, cut, _link_bytes(report.links))
         events = _emergences(report.step, carried)
         full = cut > 0
         if full != self._full and not self.budget.unlimited:
@@ -209,6 +209,8 @@ class RunEvents:
             changes.append("unlimited" if self.budget.unlimited else f"{self.budget} bytes per step")
         if change.range_mm is not None:
             self.range_m = change.range_mm / 1000
+            cells = self.range_m / self.plan.map.resolution
+            self._radio_settings = replace(self._radio_settings, range_cells=cells)
             changes.append(f"range {self.range_m:.1f} m")
         return [Event(change.step, f"radio changed: {', '.join(changes)}", 2)]
 
@@ -218,15 +220,10 @@ class RunEvents:
         return f"explored; robot {end.first} finished first"
 
 
-def _link_bytes(carried: NDArray[np.void]) -> dict[tuple[int, int], int]:
-    talks: dict[tuple[int, int], int] = {}
-    unicast = carried[carried["receiver"] != EVERYONE]
-    for sender, receiver, size in zip(
-        unicast["sender"].tolist(), unicast["receiver"].tolist(), unicast["bytes"].tolist(), strict=True
-    ):
-        pair = (min(sender, receiver), max(sender, receiver))
-        talks[pair] = talks.get(pair, 0) + size
-    return talks
+def _link_bytes(received: bytes) -> dict[tuple[int, int], int]:
+    rows = np.frombuffer(received, LINK)
+    pairs = zip(rows["sender"].tolist(), rows["receiver"].tolist(), strict=True)
+    return dict(zip(pairs, rows["bytes"].tolist(), strict=True))
 
 
 def _emergences(step: int, carried: NDArray[np.void]) -> list[Event]:
@@ -243,13 +240,14 @@ def _emergences(step: int, carried: NDArray[np.void]) -> list[Event]:
 HELP = """\
 **{robots} robots explore an unknown building.** Sensor range: {sensor} m. Radio: {medium}.
 
-**Left: the {truth} map.** A line leads to each target. {circles}Links: green with traffic, gray in range.{chosen}
+**Left: the {truth} map.** A line leads from each robot to its target. {circles}Dark arrows: bytes received in this \
+step, from the sender to each receiver. Pale lines: robots in range.{chosen}
 
 **Right: each robot's map.** White: free, black: wall, gray: unknown. {outlines}
 
-**Below: the radio.** {budget}Bytes per step, by type. Thick line: area seen by the team; colored lines: area on \
-each robot's map. The gap is map data not yet received. Tabs beside it: walls on each robot's map, within one cell of \
-the true ones (F1), and the share of them that is true (precision).
+**Below: the radio.** {budget}Bytes per step, in total (thick) and by type. Explored: area seen by the team (thick), \
+and area on each robot's map; the gap is map data not yet received. Walls: within one cell of the true ones, F1 \
+(thick) and precision (thin) of each robot's map. Axes below count steps, which Rerun marks with #.
 """
 OUTLINES = "Pale outlines: received from teammates."
 
@@ -272,10 +270,10 @@ def explain(plan: Plan) -> str:
         robots=plan.scenario.robots,
         sensor=_sensor_ranges(plan),
         medium=medium,
-        chosen=" Tabs show one robot each." if plan.scenario.robots > 1 else "",
+        chosen=" The tab *True map* beside it shows one robot at a time." if plan.scenario.robots > 1 else "",
         circles="Circles: radio range. " if shows_range(plan) else "",
         outlines=OUTLINES if polygons else "It includes map data received from teammates.",
-        budget="" if budget.unlimited else "Red: the limit. ",
+        budget="" if budget.unlimited else "Thin gray line: the limit. ",
         truth="true" if plan.has_truth else "team's final",
     )
 

@@ -15,6 +15,9 @@ from PIL import Image
 from deploy.record.colors import ALARM, CELLS
 from worldsim.maps import Map
 
+ARC_POINTS = 73
+"""Points of a full circle: one per five degrees."""
+
 Point = tuple[float, float]
 Strip = list[Point]
 
@@ -72,25 +75,48 @@ def tick_values(first: float, last: float, most: int) -> list[float]:
     return [step * k for k in range(math.ceil(first / step - 1e-9), math.floor(last / step + 1e-9) + 1)]
 
 
-def axes(map_: Map, most: int) -> tuple[list[Strip], list[Point], list[str]]:
-    """Axes along a map's left and lower side: lines, and the positions of labels."""
+def axes(map_: Map, most: int, room: float) -> tuple[list[Strip], list[Point], list[str]]:
+    """Axes along a map's left and lower side: lines, and the positions of labels, with the unit on the last one.
+
+    `room` is that for labels, in map sides. The corner has one label.
+    """
     left, top = corner(map_)
     right, bottom = left + map_.width * map_.resolution, top + map_.height * map_.resolution
-    tick = 0.012 * max(right - left, bottom - top)
+    side = max(right - left, bottom - top)
+    tick, margin = 0.012 * side, room * side
     strips: list[Strip] = [[(left, top), (left, bottom), (right, bottom)]]
     places: list[Point] = []
     labels: list[str] = []
     across = tick_values(left, right, most)
     for x in across:
         strips.append([(x, bottom), (x, bottom + tick)])
-        places.append((x, bottom + 4 * tick))
+        places.append((x, bottom + 0.3 * margin))
         labels.append(f"{x:g} m" if x == across[-1] else f"{x:g}")
     for y in tick_values(-bottom, -top, most):
         strips.append([(left, -y), (left - tick, -y)])
-        if bottom + y > 4 * tick:  # the corner has one figure
-            places.append((left - 4 * tick, -y))
+        if bottom + y > 0.4 * margin:
+            places.append((left - 0.5 * margin, -y - 0.25 * margin))
             labels.append(f"{y:g}")
     return strips, places, labels
+
+
+def arrow(start: Point, end: Point, gap: float) -> tuple[Point, Point]:
+    """The origin and the vector of an arrow between two robots; it ends `gap` before the center of the second one."""
+    length = math.dist(start, end)
+    share = max(0.0, 1 - gap / length) if length else 0.0
+    return start, (share * (end[0] - start[0]), share * (end[1] - start[1]))
+
+
+def circle_within(map_: Map, center: Point, radius: float) -> list[Strip]:
+    """The parts of a circle that lie on the map, so that it covers no labels beside it."""
+    left, top = corner(map_)
+    right, bottom = left + map_.width * map_.resolution, top + map_.height * map_.resolution
+    angles = np.linspace(0, 2 * np.pi, ARC_POINTS)
+    points = np.array(center) + radius * np.column_stack((np.cos(angles), np.sin(angles)))
+    inside = np.all((points >= (left, top)) & (points <= (right, bottom)), axis=1)
+    stops = np.flatnonzero(np.diff(inside)) + 1
+    parts, shown = np.split(points, stops), inside[np.append(0, stops)].tolist()
+    return [part.round(3).tolist() for part, on in zip(parts, shown, strict=True) if on and len(part) > 1]
 
 
 def outline_strips(map_: Map, vertices: bytes) -> list[NDArray[np.float64]]:

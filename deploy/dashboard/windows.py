@@ -1,4 +1,4 @@
-"""Windows that show a run: Rerun's viewer, or its web page; always on the loopback, in a separate process.
+"""Windows that show a run: Rerun's viewer, or a web page with it, in a separate process on the loopback.
 
 This module locates Rerun but does not import it, so that the command line starts quickly, and names the package to
 install if it is missing. Rerun's usage statistics are disabled.
@@ -14,9 +14,13 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from urllib.parse import urlencode
+from typing import TYPE_CHECKING
 
-LOOPBACK = "127.0.0.1"
+from deploy.dashboard.access import LOOPBACK, Access, local_network_address
+
+if TYPE_CHECKING:
+    from deploy.dashboard.page import Page, Panel
+
 MODES = ("auto", "native", "web", "file")
 """Types of viewer: a window, a web page, or recording only; ``auto`` is a window, or a page without a display."""
 PAGE_S = 10.0
@@ -33,67 +37,105 @@ class WindowError(ValueError):
 class Window:
     """One run's window: created before the run, opened once there is something to show.
 
-    `mode` is one of `MODES`; `tell` is called with the address once the page is available.
+    `mode` is one of `MODES`; `tell` is called with the address once the page is available. `panel` is what the buttons
+    of the page control. `share` serves the page on the local network instead of the loopback. `when_seen` is called
+    once the page has a viewer.
 
-    Raises WindowError if Rerun is not installed, or a window is requested where there is no display.
+    Raises WindowError if Rerun is not installed, a window is requested where there is no display, or there is no page
+    to share.
     """
 
-    def __init__(self, mode: str, tell: Callable[[str], object] = lambda _: None) -> None:
+    def __init__(
+        self,
+        mode: str,
+        tell: Callable[[str], object] = lambda _: None,
+        *,
+        panel: Panel | None = None,
+        share: bool = False,
+        when_seen: Callable[[], object] = lambda: None,
+    ) -> None:
         if mode not in MODES:
             raise WindowError(f"view-as = {mode!r}: must be one of {', '.join(MODES)}")
         binary()
         if mode == "native" and not has_display():
             raise WindowError("view-as = 'native': no display; use 'web', or 'file' to record only")
-        self.mode = mode if mode != "auto" else "native" if has_display() else "web"
+        self.mode = mode if mode != "auto" else "native" if has_display() and not share else "web"
+        if share and self.mode != "web":
+            raise WindowError(f"share: there is no page with view-as = {mode!r}; use --view-as web")
         self.port = None if self.mode == "file" else free_port()
         """Port at which the recording is served during the run."""
-        self._page_port = free_port() if self.mode == "web" else None
-        self._page: subprocess.Popen[bytes] | None = None
+        self._panel = panel
+        self._when_seen = when_seen
+        self._access = Access(local_network_address() if share else LOOPBACK)
+        self._page: Page | None = None
+        self._viewer: subprocess.Popen[bytes] | None = None
         self._tell = tell
 
     @property
     def address(self) -> str:
-        """The page's address, or empty if there is no page."""
-        query = urlencode({"url": self._source, "hide_welcome_screen": "1"})
-        return f"http://{LOOPBACK}:{self._page_port}/?{query}" if self._page_port else ""
+        """The page's address with the token to control the run; empty if no page is open."""
+        return self._page.url(controls=True) if self._page is not None else ""
 
     def open(self, recording: Path | None = None) -> None:
-        """Show the run that is served at `port`, or a recording, which the page itself then serves there."""
+        """Show the run that is served at `port`, or a recording; the page keeps its address."""
         source = self._source if recording is None else str(recording)
         if self.mode == "native":
             _start("--port", "auto", "--hide-welcome-screen", source, apart=True)
         elif self.mode == "web":
-            self.close()
-            flags = ["--serve-web", "--web-viewer-port", str(self._page_port)]
-            self._page = _start(*flags, "--port", str(self.port if recording else free_port()), source)
-            if _answers(self._page, self._page_port or 0):
-                until = "" if recording is None else "  (until Ctrl-C)"
-                self._tell(f"Dashboard: {self.address}{until}")
+            assert self.port is not None
+            self._close_viewer()
+            # New ports: a server that has just ended, in this process or another one, may still keep its own.
+            viewer_port, data_port = free_port(), free_port()
+            flags = ["--serve-web", "--web-viewer-port", str(viewer_port), "--port", str(data_port)]
+            self._viewer = _start(*flags, source)
+            if _answers(self._viewer, viewer_port):
+                self._serve(viewer_port, self.port if recording is None else data_port)
             else:
-                self._tell(f"Rerun's page did not start on port {self._page_port}; the run is only recorded")
-
-    @property
-    def _source(self) -> str:
-        return f"rerun+http://{LOOPBACK}:{self.port}/proxy"
+                self._tell("Rerun's page did not start; the run is only recorded")
 
     def wait(self) -> None:
-        """Wait until the page closes, or Ctrl-C."""
-        if self._page is not None:
+        """Keep the page open until Ctrl-C, or until its viewer's server ends."""
+        if self._viewer is not None:
+            self._tell("The page stays open; press Ctrl-C to end.")
             try:
-                self._page.wait()
+                self._viewer.wait()
             except KeyboardInterrupt:
                 self.close()
 
     def close(self) -> None:
         """Close the page; Rerun's window stays open."""
-        if self._page is not None and self._page.poll() is None:
-            self._page.terminate()
-            try:
-                self._page.wait(2.0)
-            except subprocess.TimeoutExpired:
-                self._page.kill()
-                self._page.wait()
+        self._close_viewer()
+        if self._page is not None:
+            self._page.close()
         self._page = None
+
+    @property
+    def _source(self) -> str:
+        return f"rerun+http://{LOOPBACK}:{self.port}/proxy"
+
+    def _serve(self, *ports: int) -> None:
+        """Serve the page, with the viewer and the data at ports of Rerun's servers."""
+        from deploy.dashboard.page import Page  # noqa: PLC0415  a web server, which few runs need
+
+        if self._page is not None:
+            self._page.ports = ports
+            return
+        self._page = Page(self._access, ports, self._panel, self._when_seen)
+        if self._access.address == LOOPBACK:
+            self._tell(f"Dashboard: {self.address}")
+        else:
+            self._tell(f"Dashboard for you: {self.address}")
+            self._tell(f"Dashboard for the class, only to watch: {self._page.url(controls=False)}")
+
+    def _close_viewer(self) -> None:
+        if self._viewer is not None and self._viewer.poll() is None:
+            self._viewer.terminate()
+            try:
+                self._viewer.wait(2.0)
+            except subprocess.TimeoutExpired:
+                self._viewer.kill()
+                self._viewer.wait()
+        self._viewer = None
 
 
 def binary() -> Path:

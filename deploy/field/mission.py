@@ -172,8 +172,9 @@ class Mission:
             if late:
                 self._say(f"{late} steps took longer than {self._settings.step_s:g} s")
         except StoppedError:
-            self._recorder.record(self._step, self._field.medium.records)
+            pass
         finally:
+            self._recorder.record(self._step, self._field.medium.records)
             self._recorder.close(self._field, self._reason or "aborted", is_complete=self._is_complete)
         if self._field.move is not None:
             self._published.clear()
@@ -189,7 +190,7 @@ class Mission:
         else:
             select.select([descriptor], [], [], seconds)
         self._ros.spin()
-        if self._is_stopped():
+        if not self._reason and self._is_stopped():
             raise StoppedError
 
     def _is_stopped(self) -> bool:
@@ -256,7 +257,9 @@ class Mission:
 
     @property
     def _teammates(self) -> list[int]:
-        return [robot for robot in range(self._settings.robots) if robot != self._settings.robot]
+        """The teammates that have not said that they have ended."""
+        gone = {self._settings.robot, *self._field.medium.ended()}
+        return [robot for robot in range(self._settings.robots) if robot not in gone]
 
     def _explored(self) -> str:
         """Return the reason of the end if nothing is left to explore."""
@@ -300,6 +303,7 @@ class Mission:
             "known_cells": robot.known_cells,
             "target": robot.target,
             "neighbors": medium.neighbors(time.monotonic_ns()),
+            "ended": sorted(medium.ended()),
             "undelivered": robot.replication.undelivered(),
             "dropped": medium.dropped,
             "unsent": field.unsent,

@@ -15,8 +15,8 @@ ROBOTS: tuple[Color, ...] = (
 """Colors of robots in turn: distinguishable, and readable on white and on black."""
 
 INK, PAPER, GREY = (20, 24, 30), (255, 255, 255), (128, 134, 142)
-IN_RANGE, SIGNAL, ALARM = (120, 150, 190), (0, 190, 90), (240, 60, 50)
-"""Robots in range of each other; robots exchanging data in this step; the budget's line and losses."""
+IN_RANGE, SIGNAL, ALARM = (176, 184, 196), (70, 82, 104), (240, 60, 50)
+"""Links of robots in range of each other; links that carried data in this step; losses."""
 
 TEAM, QUIET = (138, 132, 118), (172, 178, 186)
 """Data of the whole team; robots other than the selected one. Both are visible on white and on black."""
@@ -39,16 +39,16 @@ class Group:
 
 
 GROUPS: dict[str, Group] = {
-    "vertices": Group("corners of outlines", ("ins", "rep", "del"), (60, 130, 250)),
-    "objects": Group("new and removed outlines", ("em", "chg", "rm"), (240, 140, 20)),
-    "scans": Group("raw laser scans", ("scan",), (45, 165, 220)),
-    "updates": Group("map updates", ("update",), (20, 165, 175)),
-    "handshakes": Group("handshakes", ("conn",), (195, 90, 220)),
-    "targets": Group("targets, poses", ("targ", "pose"), (45, 180, 95)),
-    "saves": Group("ends of updates", ("save",), (135, 141, 150)),
-    "sums": Group("checksums", ("sum",), (150, 120, 90)),
+    "vertices": Group("corners of outlines", ("ins", "rep", "del"), (208, 148, 82)),
+    "objects": Group("new and removed outlines", ("em", "chg", "rm"), (46, 112, 60)),
+    "scans": Group("raw laser scans", ("scan",), (208, 148, 82)),
+    "updates": Group("map updates", ("update",), (208, 148, 82)),
+    "handshakes": Group("handshakes", ("conn",), (184, 148, 184)),
+    "targets": Group("targets, poses", ("targ", "pose"), (176, 88, 140)),
+    "saves": Group("ends of updates", ("save",), (148, 166, 100)),
+    "sums": Group("checksums", ("sum",), (52, 178, 130)),
 }
-"""Purposes of the transmitted bytes."""
+"""Purposes of the transmitted bytes, in colors that no robot has; the three encodings of maps share one color."""
 
 assert sorted(kind for group in GROUPS.values() for kind in group.kinds) == sorted(ALL_KINDS)
 

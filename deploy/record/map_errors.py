@@ -17,6 +17,13 @@ ERRORS = {
 }
 """Text of the errors."""
 
+DIFFERENCES = {
+    FALSE_WALL: "wall, free for the team",
+    UNSEEN: "unknown",
+    WRONG_FREE: "free, not for the team",
+}
+"""Text of the same differences if the true map is unknown, and the team's map replaces it."""
+
 
 def compare(grid: Grid, truth: Grid, reachable: NDArray[np.bool_]) -> NDArray[np.uint8]:
     """Classify each cell of a map.

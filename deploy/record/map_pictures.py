@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from deploy.record import colors
 from deploy.record.colors import Color
-from deploy.record.map_errors import ERRORS, compare, share_correct
+from deploy.record.map_errors import DIFFERENCES, ERRORS, compare, share_correct
 from deploy.record.records import Records
 from deploy.scenario.plan import Plan
 from protocol.grid import Grid
@@ -107,7 +107,7 @@ def maps_figure(plan: Plan, records: Records, summary: dict[str, Any]) -> Figure
         f"{summary['steps']} steps, {summary['bytes']['total'] / 1000:.0f} kB transmitted",
         y=top, va="center",
     )  # fmt: skip
-    _draw_legend(figure, records)
+    _draw_legend(figure, records, ERRORS if plan.has_truth else DIFFERENCES)
     return figure
 
 
@@ -198,8 +198,8 @@ def _page(robots: int, shape: float) -> tuple[Figure, list[Axes]]:
     return figure, [figure.add_subplot(place, anchor="N") for place in places[: 2 + robots]]
 
 
-def _draw_legend(figure: Figure, records: Records) -> None:
-    """Draw the legend of all panels at the bottom of the page."""
+def _draw_legend(figure: Figure, records: Records, differences: dict[int, str]) -> None:
+    """Draw the legend of all panels at the bottom of the page; `differences` names colors of map errors."""
     start: dict[str, Any] = {"markeredgecolor": "black", "markerfacecolor": "white", "markersize": 4}
     disc: dict[str, Any] = {"markerfacecolor": "#555555", "markeredgewidth": 0}
     every = mark_steps(records.step)
@@ -208,7 +208,7 @@ def _draw_legend(figure: Figure, records: Records) -> None:
         Line2D([], [], marker="s", label="start", color="none", **start),
         Line2D([], [], marker="o", label="end", color="none", markersize=8, **disc),
         Line2D([], [], marker="o", label=dots, color="none", markersize=3, **disc),
-        *(Patch(color=rgb(colors.MAP_ERRORS[error]), label=text) for error, text in ERRORS.items()),
+        *(Patch(color=rgb(colors.MAP_ERRORS[error]), label=text) for error, text in differences.items()),
         Patch(facecolor=rgb(colors.MAP_ERRORS[2]), label="wall"),
     ]  # fmt: skip
     figure.legend(

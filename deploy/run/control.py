@@ -33,6 +33,8 @@ class Control:
         self._requests: queue.SimpleQueue[FaultEvent | Change] = queue.SimpleQueue()
         self._scenario: Scenario | None = None
         self._diagonal_m = 0.0
+        self.step_now = 0
+        """The last step that has begun."""
         self._may_kill = True
 
     @property
@@ -44,6 +46,11 @@ class Control:
     def speed(self) -> float | None:
         """Maximum steps per second; None: unlimited."""
         return 1 / self._period.value if self._period.value else None
+
+    @property
+    def robots(self) -> int:
+        """Number of robots; 0 before the run."""
+        return self._scenario.robots if self._scenario is not None else 0
 
     def pause(self) -> None:
         """Open no further steps."""
@@ -82,6 +89,7 @@ class Control:
 
     def heed(self, recorder: RecorderNode) -> None:
         """Send the pending requests."""
+        self.step_now = recorder.records.step
         while not self._requests.empty():
             recorder.request(self._requests.get())
 

@@ -20,6 +20,7 @@ import numpy as np
 from deploy.dashboard.process import RECORDING, ViewTask, watching
 from deploy.dashboard.windows import Window, optimize
 from deploy.record import run_directory
+from deploy.record.pandas_tables import to_pandas
 from deploy.record.records import RecorderNode, Records
 from deploy.record.summary import summarize
 from deploy.run import launch, limits, memory
@@ -29,6 +30,7 @@ from deploy.run.failure import RunFailed
 from deploy.run.hosts import Hosts
 from deploy.run.in_memory import MemoryRun, check_clock
 from deploy.run.interrupt import Interrupt
+from deploy.run.process_table import load_fork_server
 from deploy.run.ssh import Fleet
 from deploy.scenario import plan as plans
 from deploy.scenario import plugins
@@ -37,11 +39,13 @@ from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import Scenario, ScenarioError, check_incarnations, parse
 from protocol import keys as names
 from protocol.grid import Grid
+from protocol.kernels import compilation_s
 from protocol.messages import Missed
 from worldsim.ending import ALL_LOST
 from worldsim.pace import Pace
 
 if TYPE_CHECKING:
+    import pandas as pd
     import polars as pl
     from matplotlib.figure import Figure
 
@@ -85,6 +89,13 @@ class Result:
     def ledger(self) -> pl.DataFrame:
         """One row per frame and packet kind (``ledger.parquet``, columns in docs/protocol.md)."""
         return frame(run_directory.ledger_table(self.records.ledger()))
+
+    def to_pandas(self) -> dict[str, pd.DataFrame]:
+        """Return the tables as pandas frames: ``"steps"`` and ``"ledger"``, with the columns of the parquet files.
+
+        Raises ImportError if pandas is not installed.
+        """
+        return to_pandas(steps=self.steps, ledger=self.ledger)
 
     @property
     def maps(self) -> dict[str | int, Grid]:
@@ -221,6 +232,8 @@ def explore(
     interrupt = Interrupt(notify, control.resume if control is not None else (lambda: None))
     if control is not None:
         control.attach(plan, pace, may_kill=hosts is None)
+    if scenario.bus == "zenoh":
+        load_fork_server()
     with (
         Fleet(hosts, scenario.robots, notify, plugins.on_robots(scenario))
         if hosts is not None
@@ -275,9 +288,10 @@ class _Execution:
 
     def complete(self, plan: Plan) -> tuple[Result, str]:
         """Run a plan to its end, write the results, and return them, and why the run failed (`_failure`)."""
-        began = time.perf_counter()
+        began, compiled_s = time.perf_counter(), compilation_s()
         plan, outcome = self._run(plan)
-        result = conclude(plan, outcome, self.directory, time.perf_counter() - began)
+        wall_s = time.perf_counter() - began - (compilation_s() - compiled_s)
+        result = conclude(plan, outcome, self.directory, wall_s)
         if self.directory is not None and self.window is not None and outcome.view_fault:
             optimize(self.directory / RECORDING)  # the failed viewer did not close it
         return result, _failure(outcome)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol
@@ -45,7 +45,8 @@ class MemoryRun:
     the end to use; `view` is a viewer; `wait` is called before each step, which it may delay. `on_crash` is called when
     a robot's code raises, which loses the robot; without it, the exception propagates. `journals` is the directory for
     journals of robots that may be restarted; by default, they are kept in memory. `missed` is the record of a run by
-    the wall clock (`Records.missed`), which this run repeats.
+    the wall clock (`Records.missed`), which this run repeats. `held` has the robots that wait at the end of each step
+    for the caller (`agent.process.AgentNode.decide`).
 
     Raises ScenarioError if the scenario's clock is the wall clock, and there is no record.
     """
@@ -61,6 +62,7 @@ class MemoryRun:
         on_crash: OnCrash | None = None,
         journals: Path | None = None,
         missed: Sequence[Missed] | None = None,
+        held: Collection[int] = (),
     ) -> None:
         check_clock(plan.scenario, missed)
         robots = plan.scenario.robots
@@ -70,6 +72,7 @@ class MemoryRun:
         self._wrap = wrap
         self._on_crash = on_crash
         self._journals = journals
+        self._held = held
         self._kept: dict[int, BytesIO] = {}
         self._shared: dict[str, Any] = {}
         """Caches that the robots share (`agent.robot.Robot.share`)."""
@@ -133,6 +136,7 @@ class MemoryRun:
         """Run, and yield each completed step, from 0, the time before the first.
 
         At this point the step is recorded, and the world has opened the next one, but no robot has received it.
+        While robots are held, yield the last completed step again and again: the caller must let them decide.
         `heed` may end the run early (`deploy.run.interrupt`).
         """
         over = -1
@@ -149,7 +153,11 @@ class MemoryRun:
                         yield over
             while self._due:
                 self._restart(self._due.pop())
-            if not received and not self._is_done():
+            if received or self._is_done():
+                continue
+            if any(agent.situation is not None and not agent.done for agent in self.agents):
+                yield over
+            else:
                 self._time_out()
 
     def complete(
@@ -222,7 +230,8 @@ class MemoryRun:
 
     def _agent(self, number: int) -> AgentNode:
         bus = self._buses[self._robots[number]]
-        return AgentNode(bus, self._hub.keys, number, self._journal(number), self._shared)
+        keys, journal, held = self._hub.keys, self._journal(number), number in self._held
+        return AgentNode(bus, keys, number, journal, self._shared, held=held)
 
     def _journal(self, number: int) -> Journal | None:
         """Return a robot's journal; None if robots are not restarted in this run."""

@@ -3,7 +3,7 @@
 The processes share this memory as long as none of them writes to it. Frozen objects are exempt from garbage
 collection, which would write to each of them.
 
-`python -m deploy.run.preload` compiles the kernels of a fresh installation; `make setup` runs it.
+The import compiles kernels that are not in the cache: those of a fresh installation (`murmur setup`).
 """
 
 from __future__ import annotations
@@ -15,8 +15,9 @@ import scipy.optimize
 
 from deploy.run import processes
 from protocol import kernels
+from worldsim import people, world
 
-__all__ = ["processes", "scipy"]
+__all__ = ["people", "processes", "scipy", "world"]
 
 kernels.load_all()
 gc.collect()

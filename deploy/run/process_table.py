@@ -26,6 +26,7 @@ from deploy.run.crash_report import crash_report
 from deploy.run.processes import BROKEN_OFF, in_background
 from deploy.run.reply_timeout import CHECK_S, REPLY_TIMEOUT_S, RunningClock
 from protocol import keys as names
+from protocol.temporary import temporary_folder
 
 FORK_SERVER = "the fork server"
 UNKNOWN = 255
@@ -58,6 +59,30 @@ class Child:
             how = f"killed by {signal.Signals(-code).name}"
         output = crash_report(self.log.read_text(errors="replace")) if self.log.exists() else ""
         return f"{how}; last output: {output}" if output else f"{how}, no output"
+
+
+def load_fork_server() -> None:
+    """Start the fork server, and wait until it has loaded the kernels, which it compiles at the first use.
+
+    All runs of this process share it. If it fails, the run reports that. KeyboardInterrupt ends it.
+    """
+    if _fork_server_pid() is not None:
+        return
+    with (
+        temporary_folder() as folder,
+        contextlib.suppress(ConnectionError),
+        ProcessTable(folder / "logs") as table,
+    ):
+        try:
+            table.start("preload", _do_nothing, needed=False)
+        except KeyboardInterrupt:
+            if (pid := _fork_server_pid()) is not None:
+                os.kill(pid, signal.SIGKILL)
+            raise
+
+
+def _do_nothing() -> None:
+    """Serve as nothing: a child that starts once the fork server has loaded its modules."""
 
 
 class ProcessTable:

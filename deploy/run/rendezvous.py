@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from ipaddress import ip_address
 
-from deploy.dashboard.windows import LOOPBACK, free_port
+from deploy.dashboard.access import LOOPBACK
+from deploy.dashboard.windows import free_port
 from deploy.scenario.scenario import ScenarioError
 from netshaper import access
 from protocol import keys as names

@@ -24,6 +24,7 @@ from deploy.record.records import Records
 from deploy.record.summary import VALUE_BYTES, raw_scan_bytes, summarize
 from deploy.run.in_memory import MemoryRun
 from deploy.scenario.plan import Plan
+from deploy.study.offline import known_map_steps
 from deploy.study.recovery import recovery
 from netshaper.ledger import KIND_NUMBER
 from protocol.budget import WORD_FOR_UNLIMITED
@@ -77,6 +78,11 @@ def agreement(plan: Plan) -> Metrics:
         "agreement.last": float(planning[-1]) if len(planning) else None,
         "agreement.own": float(own.mean()) if len(own) else None,
     }
+
+
+def offline(plan: Plan) -> Metrics:
+    """Run the plan's scenario as `exploration` does; ``offline.steps`` is the time of a team that knows the map."""
+    return exploration(plan) | {"offline.steps": known_map_steps(plan)}
 
 
 def _agreement(grids: Sequence[Grid]) -> float:
@@ -160,6 +166,7 @@ MEASURES: dict[str, Measure] = {
     "assignment": assignment,
     "voronoi": voronoi,
     "recovery": recovery,
+    "offline": offline,
 }
 
 EXPLORED = (
@@ -176,9 +183,10 @@ METRICS: dict[str, tuple[str, ...]] = {
         "assignment.greedy_ms", "assignment.optimal_ms", "assignment.greedy_value", "assignment.optimal_value",
     ),
     "voronoi": ("voronoi.ratio", "voronoi.ratio_smoothed", "voronoi.pixels", "voronoi.contour"),
+    "offline": (*EXPLORED, "offline.steps"),
     "recovery": ("recovery.steps", "recovery.bytes", "recovery.exclusive", "recovery.reexplored", "recovery.end"),
 }  # fmt: skip
-"""Metrics of each measure; `exploration` and `agreement` have those of a summary as well."""
+"""Metrics of each measure; `exploration`, `agreement` and `offline` have those of a summary as well."""
 
 
 def _carried(records: Records) -> NDArray[np.int64]:

@@ -29,6 +29,7 @@ from protocol.boxes import Box, bounding_box
 from protocol.grid import UNKNOWN, ray_table
 from protocol.messages import Sense, cells_from_bytes
 from protocol.scans import draw
+from worldsim.generators.seeds import check_training_seeds
 
 MAPS = ("office", "mixed", "burgard-office", "autolab-like", "jh-like", "unstructured", "office-plain")
 TEAMS = (3, 6)
@@ -75,7 +76,9 @@ def counted(plan: Plan, senses: list[list[Sense]]) -> Iterator[NDArray[np.uint16
 def train() -> NDArray[np.uint16]:
     """Train the counts, shape (CONTEXTS, 2)."""
     total = np.zeros((contexts.CONTEXTS, 2))
-    for number, (name, robots, speed) in enumerate(product(MAPS, TEAMS, SPEEDS)):
+    runs = list(product(MAPS, TEAMS, SPEEDS))
+    check_training_seeds(range(len(runs)))
+    for number, (name, robots, speed) in enumerate(runs):
         settings = {
             "map": name, "map_seed": number, "seed": number, "robots": robots, "speed": speed, "steps": STEPS,
             "strategy": "meier", "map_encoding": "scans", "bandwidth": "unlimited", "bus": "memory",

@@ -8,11 +8,11 @@ import pytest
 from msgspec.structs import replace
 
 from agent.encodings.catalog import ENCODINGS
-from agent.field import FieldFiles, FieldRobot, drive, field_settings, team_context
+from agent.field import FAREWELLS, FieldFiles, FieldRobot, drive, field_settings, team_context
 from agent.pose_guard import PoseGuard
 from agent.radios.memory_air import Faults, MemoryAir
 from agent.radios.options import LinkOptions
-from agent.radios.sealing import KEY_BYTES, Sealer
+from agent.radios.sealing import KEY_BYTES, OVERHEAD, Sealer
 from agent.radios.session_file import SessionFileError
 from agent.settings import EncodingSettings, Settings
 from protocol.messages import Move, Sense
@@ -26,6 +26,8 @@ KEY = bytes(range(KEY_BYTES))
 OPTIONS = LinkOptions("udp", interface="lo", bytes_per_s=1000)
 PLAN = small_plan(side_m=10.0, map_encoding="predictive", dissemination="gossip", robots=2)
 STEP = SECOND // 5
+HELLO = OVERHEAD
+"""Bytes of a hello."""
 
 
 class Alone(WorldBody):
@@ -64,11 +66,16 @@ class Clock:
         self.now += max(1, duration)
 
 
-def field_robot(folder: Path, body: WorldBody, settings: Settings = PLAN.robot_settings[0]) -> FieldRobot:
-    wire = Wire(MemoryAir(1, Faults()).join(0, OPTIONS.longest))
+def field_robot(
+    folder: Path,
+    body: WorldBody,
+    settings: Settings = PLAN.robot_settings[0],
+    options: LinkOptions = OPTIONS,
+) -> FieldRobot:
+    wire = Wire(MemoryAir(1, Faults()).join(0, options.longest))
     guard = PoseGuard(5 * settings.body.speed, slack=1.0, settle=3 * SECOND)
     files = FieldFiles.open(folder, KEY, settings)
-    robot = FieldRobot(settings, OPTIONS, files, body, wire, guard, 5 * SECOND)
+    robot = FieldRobot(settings, options, files, body, wire, guard, 5 * SECOND)
     robot.sent = wire.sent  # type: ignore[attr-defined]
     return robot
 
@@ -77,17 +84,22 @@ def test_a_robot_that_receives_nothing_explores_alone_step_by_step(tmp_path: Pat
     body, clock = Alone(PLAN.make_world()), Clock()
     robot = field_robot(tmp_path, body)
     known: list[int] = []
+    times: list[int] = []
 
     def is_over(step: int) -> bool:
         known.append(robot.robot.known_cells)
+        times.append(clock.now)
         return step == 40
 
     assert drive(robot, STEP, clock, clock.wait, is_over) == 0
     assert body.steps == list(range(1, 41))
-    assert clock.now == 5 * SECOND + 40 * STEP
+    assert times[-1] == 5 * SECOND + 40 * STEP
     assert known[-1] > known[1] > known[0]
     assert body.stops == 1
-    assert len(robot.sent) == 1  # type: ignore[attr-defined]  # a hello, and in 8 s none more
+    sent = robot.sent  # type: ignore[attr-defined]
+    assert [len(frame) for frame in sent] == [HELLO, *[HELLO + 1] * FAREWELLS], (
+        "a hello, and in 8 s none more"
+    )
 
 
 def test_steps_that_take_too_long_are_counted_and_shift_later_ones(tmp_path: Path) -> None:
@@ -109,7 +121,7 @@ def test_a_body_that_does_not_know_its_pose_stands_still_and_the_robot_is_silent
     assert all((move is None) == (step < 20) for step, move in moves)
     assert body.stops == 19 + 1
     sent = robot.sent  # type: ignore[attr-defined]
-    assert len(sent) == 1
+    assert len(sent) == 1 + FAREWELLS
 
 
 def test_a_robot_whose_pose_jumps_stays_silent_until_it_has_settled(tmp_path: Path) -> None:
@@ -154,9 +166,10 @@ def test_the_files_are_released_if_the_body_cannot_stop(
         raise OSError("the motors do not answer")
 
     body.stop = fail  # type: ignore[method-assign]
+    clock = Clock()
     with pytest.raises(OSError, match="do not answer"):
-        robot.stop()
-    field_robot(tmp_path, Alone(PLAN.make_world()), settings).stop()
+        robot.end(clock, clock.wait)
+    field_robot(tmp_path, Alone(PLAN.make_world()), settings).end(clock, clock.wait)
 
 
 def test_frames_of_robots_with_other_maps_do_not_open(tmp_path: Path) -> None:
@@ -187,3 +200,17 @@ def test_a_dissemination_that_needs_a_relay_is_refused() -> None:
     settings = small_plan(side_m=10.0, dissemination="backoff", robots=2).robot_settings[0]
     with pytest.raises(ValueError, match="dissemination = 'backoff': must be 'gossip'"):
         field_settings(settings, OPTIONS)
+
+
+def test_a_robot_without_teammates_and_one_that_may_not_send_end_without_a_farewell(tmp_path: Path) -> None:
+    plan = small_plan(side_m=10.0, map_encoding="predictive", dissemination="gossip", robots=1)
+    alone = field_robot(tmp_path / "alone", WorldBody(), plan.robot_settings[0])
+    clock = Clock()
+    drive(alone, STEP, clock, clock.wait, lambda step: True)
+    assert (alone.sent, clock.now) == ([], 5 * SECOND)  # type: ignore[attr-defined]
+    seldom = LinkOptions("udp", interface="lo", preset="lora-sf9", duty_cycle=0.01)
+    robot = field_robot(tmp_path / "seldom", WorldBody(), options=seldom)
+    clock = Clock()
+    drive(robot, STEP, clock, clock.wait, lambda step: True)
+    assert robot.sent == []  # type: ignore[attr-defined]
+    assert clock.now >= 10 * SECOND

@@ -74,8 +74,8 @@ GIVEN = {
 """Files that exist before a page runs, each with the command that makes it."""
 
 SMALLER = {
-    "strategies meier,repairmen --map em --seeds 5": "strategies meier,repairmen --map em --seeds 2",
-    "size --map em --robots 2..4": "size --map em --robots 2..3 --bandwidth 1000 --range 30% --seeds 1",
+    "strategies meier,repairmen --map office-plain --seeds 5": "strategies meier,repairmen --map em --seeds 2",
+    "size --map office-plain --robots 2..4": "size --map em --robots 2..3 --bandwidth 1000 --range 30% --seeds 1",
     "murmur reproduce --quick": "murmur reproduce --quick A1 --seeds 1",
     "murmur sweep lossy.toml": "murmur sweep lossy.toml --quick --seeds 1",
     "seeds=10)": "seeds=2)",
@@ -91,6 +91,12 @@ NOT_RUN = {
     "make setup",
     ". .venv/bin/activate",
     "pip install 'murmur-robots[view]'",
+    # See test_packaging.py.
+    "pip install build",
+    "python -m build",
+    "pip install --constraint constraints.txt murmur_robots-0.2.0-py3-none-any.whl",
+    "podman build --tag murmur .",
+    'podman run --rm --volume "$PWD/runs:/work/runs" murmur explore --robots 5',
     # They need logs of real robots.
     "murmur play my.log.gz --robots 8",
     "murmur play my.log.gz --robots 8 --bandwidth 50",

@@ -22,7 +22,7 @@ from agent.outline.edits import NumberedPolygons
 from agent.outline.receiver import Receiver
 from agent.outline.simplify import refine
 from agent.predictive.scan_updates import MAX_SCANS
-from agent.predictive.tile_author import ENOUGH_TILES, INTERVAL, LONGEST_WAIT, QUIET_STEPS
+from agent.predictive.tile_author import ENOUGH_TILES, FEW_QUIET_STEPS, INTERVAL, LONGEST_WAIT, QUIET_STEPS
 from agent.replication import handshakes, neighbors
 from agent.replication.base import Replication
 from agent.replication.engine import DISSEMINATIONS
@@ -44,7 +44,9 @@ from protocol.presets import PRESETS
 from protocol.scans import Scan, draw, encode_scan, fragments
 from tests.agent.outline.edit_scripts import canonical, edit_script
 from tests.agent.replication.network import make_engine
+from worldsim import generators
 from worldsim.laser import cast
+from worldsim.map_error import MapError
 from worldsim.sensor_options import LASERS, POSES
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -466,5 +468,23 @@ def test_the_page_of_the_predictive_encoding_tells_when_tiles_are_sent() -> None
         f"when it has waited for {LONGEST_WAIT} steps",
         f"when {ENOUGH_TILES} ready tiles violate it",
         f"at least {INTERVAL} steps must have passed",
+        f"has not changed for {FEW_QUIET_STEPS} steps",
     ):
         assert rule in text
+
+
+def test_the_table_of_generated_maps_has_their_sizes_limits_and_clutter() -> None:
+    text = (DOCS / "maps.md").read_text(encoding="utf-8")
+    table = text[text.index("| generator |") :].partition("\n\n")[0].splitlines()[2:]
+    for line in table:
+        name, _, size, shortest, clutter, objects = (cell.strip(" `") for cell in line.strip("|").split("|"))
+        width, height = map(float, size.split(" x "))
+        world = generators.make(name)
+        assert (world.width, world.height) == (round(width * 10), round(height * 10))
+        least = {"width_m": float(shortest), "height_m": float(shortest)}
+        generators.make(name, **least)
+        with pytest.raises(MapError, match=f"at least {shortest} m"):
+            generators.make(name, **least | {"width_m": float(shortest) - 0.2})
+        assert np.array_equal(generators.make(name, clutter=float(clutter)).cells, world.cells)
+        with pytest.raises(MapError, match=f"0 to 20 .*{objects} per 100"):
+            generators.make(name, clutter=20.5)

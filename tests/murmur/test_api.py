@@ -9,12 +9,14 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
+import pandas
 import polars
 import pytest
 
 import murmur
+from deploy.record.columns import LEDGER, STEPS
 from deploy.scenario.scenario import ScenarioError
-from murmur import Result, Scenario, explore
+from murmur import Result, Scenario, explore, read_run
 from protocol.grid import FREE
 
 SMALL = {"map": "em", "robots": 2, "bus": "memory", "steps": 12}
@@ -79,6 +81,37 @@ def test_steps_and_ledger_are_frames_that_agree_with_the_summary() -> None:
     assert steps.height == 2 * 12 and steps["step"].max() == 12
     carried = ledger.filter(polars.col("carried"))["bytes"].sum()
     assert carried == small().summary["bytes"]["total"]
+
+
+def test_pandas_frames_have_the_rows_and_columns_of_the_tables() -> None:
+    tables = small().to_pandas()
+    assert list(tables) == ["steps", "ledger"]
+    assert all(isinstance(table, pandas.DataFrame) for table in tables.values())
+    assert list(tables["steps"].columns) == [column.name for column in STEPS]
+    assert list(tables["ledger"].columns) == [column.name for column in LEDGER]
+    driven = tables["steps"].groupby("robot")["driven"].max()
+    assert driven.round(3).tolist() == small().summary["path_length"]
+    ledger = tables["ledger"]
+    assert ledger[ledger["carried"]]["bytes"].sum() == small().summary["bytes"]["total"]
+
+
+def test_a_run_directory_gives_the_frames_of_its_result(tmp_path: Path) -> None:
+    result = explore(out=tmp_path / "run", **SMALL)  # type: ignore[arg-type]
+    run = read_run(tmp_path / "run")
+    assert repr(run) == f"<RecordedRun: 2 robots on em, in {tmp_path / 'run'}>"
+    assert run.summary["digest"] == result.summary["digest"]
+    assert run.steps.drop("work_us").equals(result.steps.drop("work_us"))
+    assert run.ledger.equals(result.ledger)
+    for name, table in run.to_pandas().items():
+        pandas.testing.assert_frame_equal(table, result.to_pandas()[name])
+    with pytest.raises(ScenarioError, match=r"not a run directory: scenario\.toml is missing"):
+        read_run(str(tmp_path))
+
+
+def test_without_pandas_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+    with pytest.raises(ImportError, match=r"pip install 'murmur-robots\[pandas\]'"):
+        small().to_pandas()
 
 
 def test_maps_are_grids_by_name_and_robot() -> None:

@@ -25,6 +25,14 @@ def four_times(number: int) -> int:
 def unused(number: int) -> int:
     return number
 """
+CALLER = """
+from sums import four_times, kernel, twice
+
+
+@kernel
+def eight_times(number: int) -> int:
+    return twice(four_times(number))
+"""
 CALL = "import sums; assert not sums.compiled(); print(sums.four_times(3), sums.loaded(), sums.compiled())"
 
 
@@ -36,9 +44,9 @@ print(sums.four_times(3), sums.loaded(), sums.compiled())
 """
 
 
-def call(folder: Path, command: str = CALL) -> subprocess.CompletedProcess[str]:
+def call(folder: Path, command: str = CALL, **more: str) -> subprocess.CompletedProcess[str]:
     here = Path(__file__).parents[2]
-    more = {"PYTHONPATH": f"{folder}:{here}", "NUMBA_CACHE_DIR": str(folder / "cache")}
+    more = {"PYTHONPATH": f"{folder}:{here}", "NUMBA_CACHE_DIR": str(folder / "cache")} | more
     return subprocess.run(
         [sys.executable, "-c", command], capture_output=True, text=True, check=True, env=os.environ | more
     )
@@ -62,3 +70,47 @@ def test_a_kernel_can_be_compiled_after_the_kernels_that_it_calls_were_loaded(tm
     for file in (tmp_path / "cache").rglob("*four_times*"):
         file.unlink()
     assert call(tmp_path, LOAD_ALL).stdout == "12 2 1\n"
+
+
+FOLDER = """
+import sums
+from protocol.kernels import cache_folder, compilation_s
+assert cache_folder() == "" and compilation_s() == 0
+print(sums.four_times(3), cache_folder(), compilation_s() > 0)
+"""
+
+
+def test_code_that_cannot_be_written_is_cached_in_the_cache_directory_of_the_user(tmp_path: Path) -> None:
+    code, home = tmp_path / "code", tmp_path / "home"
+    code.mkdir()
+    home.mkdir()
+    (code / "sums.py").write_text(MODULE)
+    (code / "__pycache__").write_text("no directory, so that it cannot be written, not even by root")
+    places = {"NUMBA_CACHE_DIR": "", "HOME": str(home), "XDG_CACHE_HOME": str(home / "cache")}
+    result, folder, took = call(code, FOLDER, **places).stdout.split()
+    assert (result, took) == ("12", "True")
+    assert Path(folder).is_relative_to(home)
+    assert call(code, FOLDER, **places).stdout.split() == ["12", folder, "False"], "read from the cache"
+
+
+def test_without_a_directory_for_the_cache_kernels_work_and_the_user_is_advised(tmp_path: Path) -> None:
+    code, file = tmp_path / "code", tmp_path / "file"
+    code.mkdir()
+    file.write_text("no directory")
+    (code / "sums.py").write_text(MODULE)
+    (code / "__pycache__").write_text("no directory, so that it cannot be written, not even by root")
+    nowhere = {"NUMBA_CACHE_DIR": "", "HOME": str(file), "XDG_CACHE_HOME": str(file / "cache")}
+    done = call(code, FOLDER, **nowhere)
+    assert done.stdout.split() == ["12", "True"]
+    assert "set NUMBA_CACHE_DIR to a writable directory" in done.stderr.splitlines()[-1]
+
+
+def test_a_kernel_that_calls_kernels_of_the_cache_can_be_compiled(tmp_path: Path) -> None:
+    (tmp_path / "sums.py").write_text(MODULE)
+    call(tmp_path)
+    (tmp_path / "more.py").write_text(CALLER)
+    command = (
+        "import more, sums; sums.four_times(1); print(more.eight_times(3), sums.loaded(), sums.compiled())"
+    )
+    assert call(tmp_path, command).stdout == "24 3 1\n"
+    assert call(tmp_path, command).stdout == "24 2 0\n"

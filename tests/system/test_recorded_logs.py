@@ -60,6 +60,6 @@ def test_a_listener_holds_the_walls_of_a_short_log() -> None:
 
 
 def test_no_wall_is_forgotten_on_a_scarce_medium() -> None:
-    summary = play("intel.log.gz", robots=4, recording={"every": 10}, bandwidth=30)
+    summary = play("intel.log.gz", robots=4, recording={"every": 20}, bandwidth=30)
     assert summary["finished"]
     assert summary["worst_walls_within_tolerance"] >= 0.99

@@ -15,6 +15,8 @@ from deploy.after import archive
 from deploy.dashboard.process import RECORDING
 from deploy.dashboard.watch import LIVE
 from deploy.dashboard.windows import binary
+from deploy.run.exploration import explore
+from deploy.scenario.scenario import load
 from tests.system.headless import viewer
 from tests.system.test_processes import child, finish, summary, swarm, wait_for, wait_for_steps
 
@@ -42,6 +44,7 @@ def test_a_run_that_is_terminated_leaves_a_recording_that_opens(tmp_path: Path) 
         assert not any(view.reports for view in client.get_state().views)
 
 
+@pytest.mark.long
 def test_a_viewer_that_is_terminated_keeps_its_recording(tmp_path: Path) -> None:
     out = tmp_path / "run"
     with swarm(out, "--view-as", "file") as process:
@@ -53,7 +56,7 @@ def test_a_viewer_that_is_terminated_keeps_its_recording(tmp_path: Path) -> None
     assert archive.read(out).maps.steps(0)
 
 
-@pytest.mark.parametrize("number", [signal.SIGSTOP, signal.SIGKILL])
+@pytest.mark.parametrize("number", [signal.SIGSTOP, pytest.param(signal.SIGKILL, marks=pytest.mark.long)])
 def test_a_viewer_that_hangs_or_dies_harms_nothing(number: int, tmp_path: Path) -> None:
     out = tmp_path / "run"
     with swarm(out, "--view-as", "file") as process:
@@ -69,27 +72,29 @@ def test_a_viewer_that_hangs_or_dies_harms_nothing(number: int, tmp_path: Path) 
 
 
 def test_a_viewer_changes_no_digest_and_the_pace_is_kept(tmp_path: Path) -> None:
-    short = ["--steps", "40"]
-    with swarm(tmp_path / "plain", *short) as process:
-        finish(process, 60)
     began = time.monotonic()
-    with swarm(tmp_path / "shown", *short, "--view-as", "file", "--pictures", "--pace", "20") as process:
+    more = ["--steps", "40", "--view-as", "file", "--pictures", "--pace", "20"]
+    with swarm(tmp_path / "shown", *more) as process:
         finish(process, 60)
     assert time.monotonic() - began > 40 / 20
-    assert summary(tmp_path / "plain")["digest"] == summary(tmp_path / "shown")["digest"]
+    plain = explore(load(tmp_path / "shown" / "scenario.toml", {"bus": "memory"}), keep=False)
+    assert plain.summary["digest"] == summary(tmp_path / "shown")["digest"]
     assert (tmp_path / "shown" / "pictures" / "maps-over-time.png").exists()
 
 
 def test_a_viewer_can_attach_late_to_a_run_without_a_viewer(tmp_path: Path) -> None:
     out = tmp_path / "run"
-    with swarm(out, "--pace", "10", "--steps", "120") as process:
+    watch = [sys.executable, "-m", "deploy.commands.main", "watch", str(out), "--view-as", "file"]
+    with swarm(out, "--pace", "5") as process:
         wait_for(out / LIVE, process)
         assert (out / LIVE).stat().st_mode & 0o077 == 0
         child(process, "r2")
-        watch = [sys.executable, "-m", "deploy.commands.main", "watch", str(out), "--view-as", "file"]
-        watched = subprocess.run(watch, capture_output=True, text=True, timeout=60, check=False)
+        watching = subprocess.Popen(watch, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        wait_for(out / RECORDING, process, 10_000)
+        process.terminate()
         finish(process, 60)
-    assert watched.returncode == 0, watched.stderr
+        _, errors = watching.communicate(timeout=60)
+    assert watching.returncode == 0, errors
     verify(out / RECORDING)
     maps = archive.read(out).maps
     assert all(maps.steps(robot) for robot in range(3))

@@ -21,7 +21,7 @@ from worldsim.motion import INTERFERENCE, NOT_BLOCKED, ROBOT, WALL
 from worldsim.sensor_options import LaserOptions, PoseOptions
 from worldsim.sensors import RobotSensors, SensorSettings
 from worldsim.starts import start_cells
-from worldsim.world import MOVES_AS_PLANNED, World, WorldSettings, reachable_by
+from worldsim.world import MOVES_AS_PLANNED, World, WorldSettings, reachable_by, wide_part
 
 Cell = tuple[int, int]
 seeds = st.integers(0, 2**32 - 1)
@@ -418,6 +418,49 @@ def test_reachable_cells_need_no_cut_corners(seed: int) -> None:
                 queue.append((nx, ny))
     reachable = reachable_by(truth, (10, 10), 0.0)
     assert {(int(x), int(y)) for y, x in np.argwhere(reachable)} == found
+
+
+@given(seeds, st.integers(1, 4))
+def test_the_wide_part_is_what_a_moving_square_covers(seed: int, width: int) -> None:
+    free = random_walls(seed, 0.8) == FREE
+    start = 10, 10
+    fits = {
+        (x, y)
+        for y in range(21 - width)
+        for x in range(21 - width)
+        if free[y : y + width, x : x + width].all()
+    }
+    corner = start[0] - width // 2, start[1] - width // 2
+    places, queue = {corner}, [corner]
+    while queue:
+        x, y = queue.pop()
+        for place in ((x + 1, y), (x - 1, y), (x, y + 1), (x, y - 1)):
+            if place in fits and place not in places:
+                places.add(place)
+                queue.append(place)
+    covered = np.zeros_like(free)
+    for x, y in places:
+        covered[y : y + width, x : x + width] = True
+    assert (wide_part(free, start, width) == covered).all()
+
+
+def test_cells_behind_a_narrow_opening_count_only_with_exact_sensors() -> None:
+    truth = np.full((21, 41), FREE, np.uint8)
+    truth[:, 20] = OCCUPIED
+    body, start = Body(10.0, 360.0, 1.0), ((5, 10),)
+    laser = Laser(beams=9, first=0, span=TURN // 2, reach_mm=1000)
+    sensors = SensorSettings(LaserOptions(range_error_m=0.01), PoseOptions(), (laser,), 0.1)
+    for opening, exact, real in ((2, True, False), (3, True, True)):
+        truth[10 : 10 + opening, 20] = FREE
+        worlds = [World(truth, WorldSettings((body,), start, 4, sensors=each)) for each in (None, sensors)]
+        assert [bool(world.reachable[10, 30]) for world in worlds] == [exact, real]
+        assert worlds[1].share_seen(0) == 0.0
+
+
+def test_all_cells_count_where_no_square_fits() -> None:
+    corridor = np.zeros((5, 9), np.bool_)
+    corridor[2] = True
+    assert (wide_part(corridor, (4, 2), 3) == corridor).all()
 
 
 def test_diagonal_step_counts_one_with_cell_steps() -> None:

@@ -1,4 +1,4 @@
-"""The environments of the papers, and a warehouse, drawn from a seed: `make("office", seed=3)`.
+"""The environments of the papers, and further kinds of buildings, drawn from a seed: `make("office", seed=3)`.
 
 The papers show most of them only as pictures. The environments drawn here have the size and the features that
 the texts describe; a seed determines rooms, doors and objects. Environments without random parts (`em`, `two-circles`,
@@ -14,8 +14,12 @@ import numpy as np
 
 from protocol.errors import there_are
 from worldsim.generators import alkhawaldah, burgard, faigl, leader, meier
+from worldsim.generators.caves import caves
 from worldsim.generators.drawing import Environment
+from worldsim.generators.maze import maze
+from worldsim.generators.office_campus import office_campus
 from worldsim.generators.warehouse import warehouse
+from worldsim.generators.wings import wings
 from worldsim.map_error import MapError
 from worldsim.maps import Map
 
@@ -39,6 +43,10 @@ _ENVIRONMENTS: dict[str, Environment] = {
     "burgard-corridor": burgard.corridor,
     "burgard-unstructured": burgard.unstructured,
     "warehouse": warehouse,
+    "caves": caves,
+    "maze": maze,
+    "wings": wings,
+    "office-campus": office_campus,
 }
 
 
@@ -58,7 +66,7 @@ def make(name: str, seed: int = 0, **parameters: float) -> Map:
     """Draw an environment; the same `seed`, 0 or more, and parameters give the same cells.
 
     `parameters` replace the paper's values: `resolution` (meters per cell), and, if the size is variable, `width_m` and
-    `height_m`, or `side_m` (meters); of the warehouse, also `clutter`.
+    `height_m`, or `side_m` (meters); of some, also `clutter` (objects per 100 square meters).
 
     Raises MapError if the name or a parameter is unknown, or a value is out of range.
     """

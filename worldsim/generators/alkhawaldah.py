@@ -51,14 +51,14 @@ def campus(cells: Grid, random: np.random.Generator, resolution: float) -> None:
     road = round(7.0 / resolution)
     most = round(40.0 / resolution)
     floor = inside(cells, wall + road // 2)
-    for block in _blocks(random, floor, most, road):
+    for block in blocks(random, floor, most, road):
         _building(cells, random, block.shrunk(round(random.uniform(1.0, 3.0) / resolution)), resolution)
     count = round(0.01 * int((cells == FREE).sum()) * resolution**2)
     radii = (0.5 / resolution, 1.2 / resolution)
     scatter(cells, random, cells == FREE, count=count, radii=radii, gap=2.0 / resolution, shapes=(disc,))
 
 
-def _blocks(random: np.random.Generator, area: Box, most: int, road: int) -> list[Box]:
+def blocks(random: np.random.Generator, area: Box, most: int, road: int) -> list[Box]:
     """Divide an area by roads until no side of a block is longer than `most`."""
     if max(area.width, area.height) <= most:
         return [area]
@@ -69,7 +69,7 @@ def _blocks(random: np.random.Generator, area: Box, most: int, road: int) -> lis
     else:
         first = Box(area.left, area.top, area.right, area.top + along)
         second = Box(area.left, first.bottom + road, area.right, area.bottom)
-    return _blocks(random, first, most, road) + _blocks(random, second, most, road)
+    return blocks(random, first, most, road) + blocks(random, second, most, road)
 
 
 def _building(cells: Grid, random: np.random.Generator, plot: Box, resolution: float) -> None:

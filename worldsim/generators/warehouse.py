@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 from protocol.grid import FREE, OCCUPIED, Grid
-from worldsim.generators.drawing import Points, canvas, carve, enclose, scatter, wall_thickness
+from worldsim.generators.clutter import add_clutter, check_clutter
+from worldsim.generators.drawing import Points, canvas, carve, enclose, wall_thickness
 from worldsim.generators.floorplan import Box, inside
-from worldsim.map_error import MapError
 
 LEAST_M = 20.0
 """Shortest side of a warehouse, in meters."""
@@ -30,9 +30,6 @@ TRAILER_M, DOCK_M = (2.5, 4.0), 4.5
 PALLET_M = (1.2, 0.8)
 """Sides of a pallet, in meters (EN 13698-1)."""
 
-MOST_CLUTTER = 20.0
-"""Maximum number of pallets per 100 square meters."""
-
 
 def warehouse(
     random: np.random.Generator,
@@ -47,20 +44,18 @@ def warehouse(
     `clutter` is the number of pallets per 100 square meters of floor; fewer are drawn where there is no place.
     """
     cells = canvas(width_m, height_m, resolution, LEAST_M)
-    if not 0 <= clutter <= MOST_CLUTTER:
-        raise MapError(
-            f"clutter is {clutter}; it must be 0 to {MOST_CLUTTER:g} pallets per 100 square meters"
-        )
+    check_clutter(clutter, "pallets")
     wall = wall_thickness(resolution)
     whole = inside(cells, wall)
     hall = Box(whole.left, whole.top, whole.right, whole.bottom - round(TRAILER_M[1] / resolution) - wall)
     carve(cells, hall.left, hall.top, hall.right, hall.bottom)
     _docks(cells, random, hall, whole.bottom, resolution)
     _racks(cells, random, hall, resolution)
-    pallets = round(clutter / 100 * int((cells == FREE).sum()) * resolution**2)
-    radius = np.hypot(*PALLET_M) / 2 / resolution
-    radii = (radius, radius)
-    scatter(cells, random, cells == FREE, count=pallets, radii=radii, gap=0.7 / resolution, shapes=(_pallet,))
+    radius_m = float(np.hypot(*PALLET_M)) / 2
+    radii_m = (radius_m, radius_m)
+    add_clutter(
+        cells, random, cells == FREE, clutter, resolution=resolution, radii_m=radii_m, shapes=(_pallet,)
+    )
     enclose(cells, wall)
     return cells
 

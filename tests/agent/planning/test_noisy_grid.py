@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from agent.planning.noisy_grid import LONGEST_SPECK, NoisyGrid, narrow_cells, shortest_frontier
+from agent.planning.noisy_grid import LONGEST_SPECK, NoisyGrid, shortest_frontier
 from protocol.body import Body
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.range_scans import TURN, Laser
@@ -50,6 +50,17 @@ def test_gaps_disappear_as_in_a_plain_implementation_at_every_call(
         assert np.array_equal(noisy.clean(grid), plain_clean(grid, narrow))
 
 
+@given(st.integers(0, 2**32 - 1), st.integers(1, 4))
+def test_changes_of_a_few_rows_have_the_same_result_as_a_new_grid(seed: int, narrow: int) -> None:
+    random = np.random.default_rng(seed)
+    noisy = NoisyGrid(40, 12, narrow, 3)
+    grid = random.choice(np.array([UNKNOWN, FREE, OCCUPIED], np.uint8), (40, 12), p=[0.6, 0.3, 0.1])
+    for _ in range(4):
+        assert np.array_equal(noisy.clean(grid), NoisyGrid(40, 12, narrow, 3).clean(grid))
+        row, column = random.integers(40), random.integers(12)
+        grid[row : row + 3, column : column + 4] = random.integers(3)
+
+
 def test_the_way_that_a_robot_has_driven_stays_open() -> None:
     grid = np.full((20, 20), OCCUPIED, np.uint8)
     noisy = NoisyGrid(20, 20, 2)
@@ -72,12 +83,6 @@ def test_an_obstacle_on_the_way_closes_it() -> None:
     cleaned = noisy.clean(grid)
     assert cleaned[3, 8] == OCCUPIED
     assert cleaned[3, 9] == FREE, "the robot's own cell"
-
-
-def test_openings_are_as_wide_as_the_robot_and_at_least_30_cm() -> None:
-    assert narrow_cells(0.0, 0.1) == 3
-    assert narrow_cells(0.0, 0.2) == 2
-    assert narrow_cells(2.5, 0.1) == 5
 
 
 @pytest.mark.parametrize(("shortest", "state"), [(1, UNKNOWN), (3, UNKNOWN), (4, OCCUPIED)])

@@ -23,7 +23,7 @@ def rooms(door: int, *, unknown: int = 6) -> Grid:
 def way_to_look_again(grid: Grid, here: tuple[int, int], radius_cells: float, *earlier: Grid) -> Cells | None:
     second_look = SecondLook(settings_for(grid, radii_cells=[radius_cells] * 2))
     for each in (*earlier, grid):
-        second_look.note(each, explored=True)
+        second_look.note(each, is_idle=True)
     return second_look.way(grid, here)
 
 
@@ -33,12 +33,12 @@ def test_a_robot_gives_up_after_its_way_and_some_steps_and_begins_anew_if_someth
     for _ in range(2):
         steps = 0
         while second_look.way(grid, (4, 4)) is not None:
-            second_look.note(grid, explored=True)
+            second_look.note(grid, is_idle=True)
             steps += 1
         assert steps == PATIENCE + 15 / 5
         for _ in range(BUSY):
             assert second_look.way(grid, (4, 4)) is None
-            second_look.note(grid, explored=False)
+            second_look.note(grid, is_idle=False)
 
 
 def test_a_robot_drives_up_to_a_wall_that_was_free_before() -> None:

@@ -11,7 +11,14 @@ from agent.mapping.bound import TILE, Bound, tiles_of
 from agent.mapping.estimator import SETTLED
 from agent.predictive.history import DecodedUpdate, History
 from agent.predictive.scan_updates import STATE
-from agent.predictive.tile_author import ENOUGH_TILES, INTERVAL, LONGEST_WAIT, QUIET_STEPS, TileAuthor
+from agent.predictive.tile_author import (
+    ENOUGH_TILES,
+    FEW_QUIET_STEPS,
+    INTERVAL,
+    LONGEST_WAIT,
+    QUIET_STEPS,
+    TileAuthor,
+)
 from agent.predictive.tile_stream import TileStream
 from protocol.boxes import NO_BOX, Box
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
@@ -31,9 +38,9 @@ def make_stream() -> TileStream:
 class Mapper:
     """A robot that writes an estimate by hand, and the author of its log."""
 
-    def __init__(self, tolerance: int = 1) -> None:
+    def __init__(self, tolerance: int = 1, *, at_once: bool = False) -> None:
         self.tolerance = tolerance
-        self.author = TileAuthor(make_stream(), Bound(tolerance, SETTLED))
+        self.author = TileAuthor(make_stream(), Bound(tolerance, SETTLED), at_once=at_once)
         self.own: Grid = np.zeros((HEIGHT, WIDTH), np.uint8)
         self.log_odds = np.zeros((HEIGHT, WIDTH), np.int8)
         self.step = 0
@@ -86,6 +93,16 @@ def test_many_tiles_are_sent_as_soon_as_they_have_stopped_changing() -> None:
     assert [len(updates) for updates in sent] == [0] * QUIET_STEPS + [1]
     assert (mapper.held == FREE).all()
     assert not mapper.author.has_changes
+
+
+def test_a_limited_budget_lets_no_ready_tile_wait_for_others() -> None:
+    mapper = Mapper(at_once=True)
+    for _ in range(2):
+        sent = [mapper.play(mapper.draw(SMALL, FREE))] + [mapper.play() for _ in range(FEW_QUIET_STEPS)]
+        assert [len(updates) for updates in sent] == [0] * FEW_QUIET_STEPS + [1]
+        mapper.play(mapper.draw(SMALL, OCCUPIED))
+        assert not mapper.play()
+        assert mapper.play(), "no interval between updates"
 
 
 def test_tiles_that_never_stop_changing_are_sent_after_the_longest_wait() -> None:

@@ -134,8 +134,9 @@ class AirTeam:
         return member
 
     def restart(self, number: int) -> None:
-        """Kill a robot's process and start it again."""
-        self.leave(number)
+        """Start a robot's process again; kill it first if it runs."""
+        if number in self.members:
+            self.leave(number)
         self.start(number)
 
     def play(self, *, moving: bool = True, ticks: int = 20) -> None:
@@ -144,9 +145,7 @@ class AirTeam:
         moves = self.moves
         if not moving:
             moves = {robot: Move(move.step, b"", move.heading, False) for robot, move in moves.items()}
-        senses = {
-            number: sense for number, sense in self.world.advance(moves).items() if number in self.members
-        }
+        senses = {robot: sense for robot, sense in self.world.advance(moves).items() if robot in self.members}
         begin = self.step * SECOND
         for number, sense in senses.items():
             member = self.members[number]
@@ -171,9 +170,23 @@ class AirTeam:
             self.play(moving=False)
 
     def close(self) -> None:
-        """Stop all robots."""
+        """End all robots."""
         for member in self.members.values():
-            member.field.stop()
+            self._end(member)
+
+    def end(self, number: int) -> None:
+        """End a robot after the last step; the others wait until it has."""
+        self._end(self.members.pop(number))
+
+    def _end(self, member: Member) -> None:
+        now = (self.step + 1) * SECOND
+
+        def wait(duration: int) -> None:
+            nonlocal now
+            now += duration
+            self._set_time(now)
+
+        member.field.end(lambda: now, wait)
 
 
 def exchange_all(team: AirTeam, steps: int) -> None:

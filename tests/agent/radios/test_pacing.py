@@ -138,9 +138,9 @@ def test_the_airtime_of_a_preset_grows_with_the_frame_up_to_that_of_a_full_one(n
 
 def test_neighbors_are_those_received_within_the_timeout() -> None:
     neighbors = Neighbors(10 * SECOND)
-    neighbors.received(3, 0)
-    neighbors.received(1, 4 * SECOND)
+    neighbors.received(3, 1, 0)
+    neighbors.received(1, 1, 4 * SECOND)
     assert neighbors.current(10 * SECOND - 1) == [1, 3]
     assert neighbors.current(10 * SECOND) == [1]
-    neighbors.received(3, 12 * SECOND)
+    neighbors.received(3, 1, 12 * SECOND)
     assert neighbors.current(14 * SECOND) == [3]

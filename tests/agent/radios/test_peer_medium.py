@@ -219,3 +219,37 @@ def test_a_robot_that_must_save_for_a_frame_sends_packets_and_no_hellos() -> Non
     sizes = [len(frame) for number in range(1, 600) for frame in step(end, number, b"", REPORT * 25)[1]]
     assert min(sizes) > WORTHWHILE - len(REPORT)
     assert sum(sizes) > 1000
+
+
+def farewell(end: PeerMedium, now: int) -> bytes:
+    """The frame of a farewell, which may be sent at once."""
+    assert end.say_farewell(now)
+    (frame,) = end.poll(now + 10 * SECOND)
+    assert len(frame) == OVERHEAD + 1
+    return frame
+
+
+def test_a_robot_that_said_farewell_is_out_of_range_until_it_starts_again() -> None:
+    sender, receiver = medium(0), medium(1)
+    late, usual = (step(sender, number, POSE)[1][0] for number in (1, 5))
+    receiver.receive(usual, 6 * SECOND)
+    assert (receiver.neighbors(6 * SECOND), receiver.ended()) == ([0], frozenset())
+    receiver.receive(farewell(sender, 9 * SECOND), 9 * SECOND)
+    assert (receiver.neighbors(9 * SECOND), receiver.ended()) == ([], {0})
+    receiver.end_step()
+    receiver.receive(late, 10 * SECOND)
+    assert (receiver.neighbors(10 * SECOND), receiver.ended()) == ([], {0}), (
+        "an earlier frame, which came late"
+    )
+    assert receiver.end_step()[0] == Broadcasts(0, [Delivery(0, POSE)])
+    again = Sealer(KEY, 0, 2)
+    receiver.receive(again.seal(b""), 11 * SECOND)
+    assert (receiver.neighbors(11 * SECOND), receiver.ended()) == ([0], frozenset())
+
+
+def test_a_farewell_waits_for_the_budget() -> None:
+    end = medium(0)
+    step(end, 1, POSE, REPORT * 90)
+    assert not end.say_farewell(SECOND + SECOND // 10)
+    end.poll(20 * SECOND)
+    farewell(end, 20 * SECOND)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 import select
-import tty
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,64 +15,13 @@ from agent.radios.cobs import LineReader, line
 from agent.radios.options import LinkOptions
 from agent.radios.serial_modem import SerialModem
 from agent.radios.transport import MAX_PER_CALL, Transport, TransportError, waiting
-from protocol.keyed_random import keyed_random
 from protocol.token_bucket import SECOND
 from tests.agent.radios.air_team import AirTeam, assert_maps_agree, exchange_all
+from tests.agent.radios.modems import LONGEST, RATE, Modems, Terminal
 from tests.agent.radios.test_teams_on_the_air import TEAM
 from tests.system.team import small_plan
 
-LONGEST = 222
-RATE = 200
-"""Bytes per second of the modems, and how many of them a robot may use."""
 PATIENCE_S = 5
-
-
-class Terminal:
-    """A pseudo-terminal: robots open its `path`, and the test has the other side."""
-
-    def __init__(self) -> None:
-        self.side, terminal = os.openpty()
-        tty.setraw(self.side)
-        os.set_blocking(self.side, False)
-        self.path = Path(os.ttyname(terminal))
-        os.close(terminal)
-
-    def read(self) -> bytes:
-        with contextlib.suppress(OSError):  # EIO while no process has the terminal open
-            return os.read(self.side, 1 << 16)
-        return b""
-
-
-class Modems:
-    """Modems that carry frames between terminals at `RATE`, half duplex, and lose a share of them."""
-
-    def __init__(self, robots: int, loss: float) -> None:
-        self.terminals = [Terminal() for _ in range(robots)]
-        self.frames = self.lost = 0
-        self._loss = loss
-        self._readers = [LineReader(LONGEST) for _ in range(robots)]
-        self._on_air: list[tuple[int, int, bytes]] = []
-        """When each frame ends, its sender, and the frame."""
-        self._free = 0
-
-    def carry(self, now: int) -> None:
-        for number, terminal in enumerate(self.terminals):
-            for frame in self._readers[number].feed(terminal.read()):
-                self._free = max(self._free, now) + len(frame) * SECOND // RATE
-                self._on_air.append((self._free, number, frame))
-        while self._on_air and self._on_air[0][0] <= now:
-            _, sender, frame = self._on_air.pop(0)
-            self.frames += 1
-            for receiver, terminal in enumerate(self.terminals):
-                if receiver != sender:
-                    if keyed_random(3, "modem", self.frames, receiver).random() < self._loss:
-                        self.lost += 1
-                    else:
-                        os.write(terminal.side, line(frame))
-
-    def close(self) -> None:
-        for terminal in self.terminals:
-            os.close(terminal.side)
 
 
 @pytest.fixture

@@ -212,3 +212,24 @@ def test_receivers_accept_what_teammates_with_better_sensors_have_seen(tmp_path:
     seen = far.own != UNKNOWN
     assert np.count_nonzero(seen) > 10 * np.count_nonzero(near.own != UNKNOWN)
     assert np.mean(near.planning[seen] != UNKNOWN) > 0.95
+
+
+def test_nothing_is_undelivered_to_a_robot_that_has_ended_until_it_starts_again(tmp_path: Path) -> None:
+    team = on_the_air(tmp_path, 3)
+    for _ in range(25):
+        team.play()
+    team.end(1)
+    team.explore(300)
+    exchange_all(team, 200)
+    first, last = team.robots
+    assert first.replication.undelivered() == last.replication.undelivered() == 0
+    assert team.members[0].medium.ended() == {1}
+    own = first.replication.peers.own
+    assert first.replication.peers.acked[1, own] < len(first.replication.replica.own_log)
+    assert_maps_agree(team)
+    team.restart(1)
+    team.stand(20)
+    assert team.members[0].medium.ended() == frozenset()
+    exchange_all(team, 200)
+    assert first.replication.peers.acked[1, own] == len(first.replication.replica.own_log)
+    assert_maps_agree(team)

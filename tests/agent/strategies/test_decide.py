@@ -503,6 +503,28 @@ def test_a_robot_without_progress_is_stalled() -> None:
     assert stalled.index(True) == 60
 
 
+def test_a_trooper_escapes_from_a_local_minimum_until_it_has_observed_the_frontier() -> None:
+    grid = drawn(
+        "..........",
+        "..........",
+        "#######...",
+        "..........",
+        "?.........",
+    )
+    seen = np.full_like(grid, FREE)
+    seen[0, 9] = UNKNOWN
+    reach = {}
+    for escape in ("always", "never", "real-sensors"):
+        trooper = make_strategy("potential-field", {"escape": escape}, grid, speed_cells=30.0, resolution=1.0)
+        held = [trooper.decide(replace(robot_at(0, 0, grid=grid), step=step)) for step in range(1, 14)]
+        reach[escape] = [each.points[:, 0].max() >= 6500 for each in held]
+        after = trooper.decide(replace(robot_at(0, 3, grid=seen), step=14))
+        assert after.status == "drawn to its closest frontier"
+    assert reach["always"] == 10 * [False] + 3 * [True]
+    assert not any(reach["never"])
+    assert not any(reach["real-sensors"]), "lasers and poses are exact"
+
+
 def test_a_slow_leader_that_drives_is_not_stalled() -> None:
     # A hundredth of a metre a step, in cells of 0.1 m: in 60 steps it does not get away a metre.
     leader = make_strategy("leaders", {}, resolution=0.1, speed_cells=0.1)

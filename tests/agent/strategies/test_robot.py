@@ -6,13 +6,15 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from agent.announcements import REPEAT_POSE
-from agent.robot import SURE_AFTER, Robot
+from agent.robot import SURE_AFTER, SURE_AFTER_NOISE, SURE_AFTER_NOISE_IN_TEAM, Robot, sure_after
 from agent.strategies.base import Decision, Pose, Situation, Strategy
 from protocol import packets
 from protocol.grid import ray_table
 from protocol.messages import Delivery, RoundReport, SendReport, Sense
+from protocol.range_scans import TURN, Laser
 from protocol.scans import NONE
 from tests.agent.planning.planning_references import drawn, settings_for
 
@@ -167,6 +169,19 @@ def test_with_inferred_cells_a_robot_is_done_only_after_some_steps(
         explored.append(robot.decide().explored)
     assert explored.index(True) + 1 == first
     assert all(explored[first - 1 :])
+
+
+@pytest.mark.parametrize(
+    ("robots", "people", "steps"),
+    [(1, False, SURE_AFTER_NOISE), (2, True, SURE_AFTER_NOISE), (2, False, SURE_AFTER_NOISE_IN_TEAM)],
+)
+def test_with_real_sensors_a_team_without_people_waits_less_for_the_end(
+    robots: int, people: bool, steps: int
+) -> None:
+    laser = Laser(beams=9, first=0, span=TURN // 2, reach_mm=1000)
+    settings = settings_for(GRID, robots=robots, strategy="meier", laser=laser, people=people)
+    assert sure_after(settings) == steps
+    assert sure_after(replace(settings, laser=None)) == 0
 
 
 def test_entries_that_depend_on_unsent_entries_do_no_harm() -> None:

@@ -19,8 +19,10 @@ from deploy.run.in_memory import MemoryRun
 from protocol.grid import ray_table
 from protocol.messages import Sense, unpack
 from protocol.scans import HIT, NONE
+from protocol.transforms import Pose
 from tests.deploy.small_run import small_directory, small_plan
 from worldsim.maps import to_cell, to_world
+from worldsim.recorded import reading
 
 needs_packages = [
     pytest.importorskip("rosbags", reason="rosbags is not installed: pip install 'murmur-robots[mcap]'"),
@@ -54,9 +56,14 @@ def test_every_robot_has_its_topics_every_step() -> None:
     names = {
         "/truth",
         "/tf",
+        "/tf_static",
         "/radio/frames",
         "/radio/steps",
-        *(f"/r{r}/{what}" for r in range(3) for what in ("pose", "scan", "map", "polygons")),
+        *(
+            f"/r{r}/{what}"
+            for r in range(3)
+            for what in ("pose", "odom", "goal_pose", "scan", "map", "polygons")
+        ),
     }
     assert set(bag()) == names
     for robot in range(3):
@@ -75,20 +82,159 @@ def test_poses_are_those_of_the_run_in_the_maps_frame() -> None:
         assert math.cos(yaw + math.radians(table["heading"][row])) == pytest.approx(1.0)
 
 
+def placed(transform: Any) -> Pose:
+    """The pose of a transform's frame in its parent."""
+    place, turn = transform.transform.translation, transform.transform.rotation
+    assert (place.z, turn.x, turn.y) == (0, 0, 0)
+    return Pose(place.x, place.y, 2 * math.atan2(turn.z, turn.w))
+
+
+def frames(step: int) -> dict[str, tuple[str, Pose]]:
+    """Each frame's parent and its pose in it, at a step."""
+    (_, static), (_, moving) = bag()["/tf_static"][0], bag()["/tf"][step - 1]
+    both = [*static.transforms, *moving.transforms]
+    assert all(each.header.stamp.sec == 0 for each in static.transforms)
+    assert all(each.header.stamp.sec == step for each in moving.transforms)
+    edges = {each.child_frame_id: (each.header.frame_id, placed(each)) for each in both}
+    assert len(edges) == len(both), "each frame has one parent"
+    return edges
+
+
+def in_map(frame: str, step: int) -> Pose:
+    """The pose of a frame in the frame of the map."""
+    edges, pose = frames(step), Pose(0, 0, 0)
+    while frame != "map":
+        frame, outer = edges[frame]
+        pose = outer.then(pose)
+    return pose
+
+
+def test_frames_are_those_of_a_ros_robot_below_the_map() -> None:
+    assert {frame: parent for frame, (parent, _) in frames(1).items()} == {
+        **{f"r{robot}/odom": "map" for robot in range(3)},
+        **{f"r{robot}/base_link": f"r{robot}/odom" for robot in range(3)},
+        **{f"r{robot}/laser": f"r{robot}/base_link" for robot in range(3)},
+    }
+    for robot in range(3):
+        assert frames(1)[f"r{robot}/base_link"][1] == pytest.approx((0, 0, 0))
+        for step in (1, 17, 40):
+            place = bag()[f"/r{robot}/pose"][step - 1][1].pose
+            base = in_map(f"r{robot}/base_link", step)
+            assert (base.x, base.y) == pytest.approx((place.position.x, place.position.y))
+            turned = base.yaw - 2 * math.atan2(place.orientation.z, place.orientation.w)
+            assert math.cos(turned) == pytest.approx(1.0)
+
+
+def test_odometry_is_the_motion_since_the_start_and_its_velocity() -> None:
+    resolution = small_plan().map.resolution
+    for robot in range(3):
+        messages = [message for _, message in bag()[f"/r{robot}/odom"]]
+        assert len(messages) == 40
+        driven = 0.0
+        for step, message in enumerate(messages, 1):
+            assert (message.header.frame_id, message.child_frame_id) == (
+                f"r{robot}/odom",
+                f"r{robot}/base_link",
+            )
+            _, moved = frames(step)[f"r{robot}/base_link"]
+            place = message.pose.pose.position
+            assert (place.x, place.y) == pytest.approx(moved[:2])
+            driven += math.hypot(message.twist.twist.linear.x, message.twist.twist.linear.y)
+        table = steps()
+        length = table["driven"][(table["robot"] == robot) & (table["step"] == 40)]
+        assert length * 0.8 <= driven <= length + resolution
+
+
+def test_goals_are_published_when_they_change() -> None:
+    table = steps()
+    for robot in range(3):
+        rows = table["robot"] == robot
+        targets = list(
+            zip(*(table[name][rows].tolist() for name in ("step", "target_x", "target_y")), strict=True)
+        )
+        changes, last = [], None
+        for step, x, y in targets:
+            if not math.isnan(x) and (x, y) != last:
+                changes.append((step, x, y))
+                last = x, y
+        goals = [
+            (second, message.pose.position.x, message.pose.position.y)
+            for second, message in bag()[f"/r{robot}/goal_pose"]
+        ]
+        assert goals == changes
+        assert len(goals) > 1
+        assert {message.header.frame_id for _, message in bag()[f"/r{robot}/goal_pose"]} == {"map"}
+        assert {message.pose.orientation.w for _, message in bag()[f"/r{robot}/goal_pose"]} == {1.0}
+
+
+def test_viewers_that_join_late_get_maps_and_static_transforms() -> None:
+    from rosbags.interfaces import QosDurability, QosHistory, QosReliability
+    from rosbags.rosbag2 import Reader
+
+    bag()
+    with Reader(small_directory() / "rosbag") as reader:
+        profiles = {each.topic: each.ext.offered_qos_profiles for each in reader.connections}  # type: ignore[union-attr]
+    assert profiles.keys() == bag().keys()
+    latched = set()
+    for topic, (profile,) in profiles.items():
+        assert profile.reliability == QosReliability.RELIABLE, "it suits subscriptions of both kinds"
+        assert profile.history == QosHistory.KEEP_LAST
+        assert (
+            profile.deadline
+            == profile.lifespan
+            == profile.liveliness_lease_duration
+            == (9223372036, 854775807)
+        )
+        if profile.durability == QosDurability.TRANSIENT_LOCAL:
+            latched.add(topic)
+    per_robot = {f"/r{robot}/{name}" for robot in range(3) for name in ("map", "polygons")}
+    assert latched == {"/truth", "/tf_static", *per_robot}
+    assert {profiles[topic][0].depth for topic in ("/truth", "/r0/map")} == {1}
+
+
+def test_the_mcap_file_has_the_same_profiles_as_its_metadata() -> None:
+    from mcap.reader import make_reader
+
+    bag()
+    folder = small_directory() / "rosbag"
+    data = yaml.safe_load((folder / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    listed = {
+        each["topic_metadata"]["name"]: yaml.safe_load(each["topic_metadata"]["offered_qos_profiles"])
+        for each in data["topics_with_message_count"]
+    }
+    with (folder / "rosbag.mcap").open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    channels = {
+        each.topic: yaml.safe_load(each.metadata["offered_qos_profiles"])
+        for each in summary.channels.values()
+    }
+    assert channels == listed
+    assert listed["/r0/map"][0]["durability"] == 1
+    assert listed["/r0/scan"][0]["durability"] == 2
+
+
+def test_the_bag_can_be_replayed_as_a_robots_log() -> None:
+    bag()
+    log = reading.read(small_directory() / "rosbag", topic="/r1/scan")
+    table = steps()
+    rows = table["robot"] == 1
+    poses = np.column_stack([table["x"][rows], table["y"][rows], -np.radians(table["heading"][rows])])
+    assert log.poses[:, :2] == pytest.approx(poses[:, :2], abs=1e-3)
+    assert np.cos(log.poses[:, 2] - poses[:, 2]) == pytest.approx(1.0)
+
+
 def test_a_scan_drawn_in_the_maps_frame_hits_walls_of_the_truth() -> None:
     world = small_plan().map
-    places = {
-        transform.child_frame_id: transform.transform.translation
-        for transform in bag()["/tf"][20 - 1][1].transforms
-    }
     for robot in range(3):
         second, scan = bag()[f"/r{robot}/scan"][20 - 1]
         assert second == 20
-        place = places[scan.header.frame_id]
+        place = in_map(scan.header.frame_id, 20)
+        assert scan.angle_min == pytest.approx(-math.pi)
         hits = 0
         for beam, meters in enumerate(scan.ranges):
             if math.isfinite(meters):
-                angle = scan.angle_min + beam * scan.angle_increment
+                angle = place.yaw + scan.angle_min + beam * scan.angle_increment
                 x, y = to_cell(world, place.x + meters * math.cos(angle), place.y + meters * math.sin(angle))
                 near = world.cells[round(y) - 1 : round(y) + 2, round(x) - 1 : round(x) + 2]
                 assert (near == 2).any()

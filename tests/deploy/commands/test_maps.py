@@ -20,3 +20,12 @@ def test_maps_can_be_made_shown_and_explored(floor: str) -> None:
     assert {line[0] + line[-1] for line in drawing} == {"██"}
     listed = murmur("map", "list").stdout
     assert all(name in listed for name in generators.names())
+
+
+def test_size_and_clutter_of_a_map_are_options(floor: str) -> None:
+    murmur("map", "make", "caves", "--seed", "3", "--option", "width_m=20", "--option", "height_m=16")
+    words = ["--seed", "3", "--option", "width_m=20", "--option", "height_m=16"]
+    assert "caves: 200 x 160 cells of 0.1 m" in murmur("map", "show", "caves.yaml").stdout
+    assert "caves: 200 x 160 cells of 0.1 m" in murmur("map", "show", "caves", *words).stdout
+    plain, full = (murmur("map", "show", "caves", *words, "--option", f"clutter={n}").stdout for n in (0, 9))
+    assert plain != full

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+import tomllib
 from pathlib import Path
 
 import polars as pl
@@ -93,6 +94,36 @@ def test_bad_input_is_refused_before_the_first_run(
     code, table, errors = command(write(tmp_path, EXPERIMENT), *words)
     assert (code, table, errors.count("\n")) == (2, "", 1)
     assert output in errors
+
+
+def test_test_seeds_replace_the_seeds_of_a_sweep(tmp_path: Path) -> None:
+    out = tmp_path / "all.parquet"
+    path = write(tmp_path, EXPERIMENT)
+    assert command(path, "--jobs", 1, "--set", "robots=1", "--test-seeds", 2, "--out", out)[0] == 0
+    assert sorted(pl.read_parquet(out)["seed"]) == [1000, 1000, 1001, 1001]
+
+
+def test_the_command_tune_writes_trials_and_weights_and_continues(tmp_path: Path) -> None:
+    out = tmp_path / "tuned"
+    words = ["meier", "--maps", "em", "--seeds", "0", "--check-seeds", "1", "--evaluations", 3, "--jobs", 1]
+    words += [
+        "--set",
+        "robots=2",
+        "--set",
+        'map_options={"resolution": 0.4}',
+        "--set",
+        "steps=30",
+        "--out",
+        out,
+    ]
+    code, table, errors = command(*words, of="tune")
+    assert code == 0 and "score em" in table and "tune: begins" in errors
+    trials = pl.read_csv(out / "trials.csv")
+    assert trials["trial"].to_list() == [0, 1, 2] and trials["beta"].to_list() == [1.0, 2.0, 0.5]
+    assert tomllib.loads((out / "weights.toml").read_text())["strategy"] == "meier"
+    runs = (out / "runs.parquet").read_bytes()
+    assert command(*words, of="tune")[1] == table
+    assert (out / "runs.parquet").read_bytes() == runs
 
 
 def sweeping_in_a_group(path: Path, out: Path, *words: str) -> subprocess.Popen[str]:

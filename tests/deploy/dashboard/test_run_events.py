@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import pytest
 
 from deploy.dashboard.run_events import RunEvents, explain
-from deploy.scenario import plan as plans
+from deploy.scenario.plan import make
 from deploy.scenario.scenario import parse
-from netshaper.ledger import CAUSES, KIND_NUMBER, ROW
-from protocol.messages import End, ErrorReport, Lost, Missed, RadioReport, RobotStatus, WorldReport
-from tests.deploy.small_run import reports, small_plan
+from netshaper.ledger import CAUSES, KIND_NUMBER, LINK, ROW
+from protocol.messages import Change, End, ErrorReport, Lost, Missed, RadioReport, RobotStatus, WorldReport
+from tests.deploy.small_run import SETTINGS, reports, small_plan
 from worldsim.maps import to_world
 
 
@@ -25,13 +26,14 @@ def status(step: int, x: int, y: int, status: str = "driving to the target") -> 
     return RobotStatus(step, x, y, known=100, error=0, exact_error=-1, backlog=7, status=status, work_us=0)
 
 
-def air(step: int, *rows: dict[str, Any]) -> RadioReport:
+def air(step: int, *rows: dict[str, Any], links: Sequence[tuple[int, int, int]] = ()) -> RadioReport:
     table = np.zeros(len(rows), ROW)
     for row, values in zip(table, rows, strict=True):
         row["step"], row["carried"] = step, 1
         for name, value in values.items():
             row[name] = value
-    return RadioReport(step, table.tobytes(), int(table["bytes"][table["carried"] == 1].sum()), b"")
+    received = np.array(list(links), LINK).tobytes()
+    return RadioReport(step, table.tobytes(), int(table["bytes"][table["carried"] == 1].sum()), b"", received)
 
 
 def texts(events: RunEvents, sender: str, report: object) -> list[str]:
@@ -52,6 +54,15 @@ def test_robots_come_into_range_and_are_lost_from_it(events: RunEvents) -> None:
     ]
     assert events.seen == 0.5
     assert events.positions[0] == to_world(small_plan().map, 10, 10)
+
+
+def test_robots_are_in_range_as_the_radio_model_says() -> None:
+    apart = RunEvents(make(parse(SETTINGS | {"range": "60%", "radio": {"model": "line-of-sight"}})))
+    apart.take("world", where(1, (10, 10), (20, 10), (200, 10)))
+    assert apart.in_range == {(0, 1)}, "walls are between the others"
+    assert texts(apart, "relay", Change(2, range_mm=100)) == ["radio changed: range 0.1 m"]
+    apart.take("world", where(2, (10, 10), (20, 10), (200, 10)))
+    assert not apart.in_range
 
 
 def test_missed_steps_are_counted_and_late_answers_of_the_radio_are_named(events: RunEvents) -> None:
@@ -98,6 +109,7 @@ def test_bytes_are_summed_by_traffic_type_and_link(events: RunEvents) -> None:
             {"kind": new, "bytes": 5, "packets": 1, "sender": 2, "receiver": 0, "map": 1},
             {"kind": target, "bytes": 3, "sender": 1, "receiver": -1},
             {"kind": insert, "bytes": 600, "sender": 0, "receiver": 1, "carried": 0, "cause": waiting},
+            links=[(0, 2, 2), (1, 0, 3), (2, 0, 75)],
         ),
     )
     assert events.traffic is not None
@@ -109,7 +121,7 @@ def test_bytes_are_summed_by_traffic_type_and_link(events: RunEvents) -> None:
     }
     assert events.traffic.carried == 80
     assert events.traffic.cut == 600
-    assert events.traffic.links == {(0, 2): 77}
+    assert events.traffic.links == {(0, 2): 2, (1, 0): 3, (2, 0): 75}
     assert events.bytes == {"ins": 60, "conn": 2, "em": 15, "targ": 3}
     assert report == ["robot 2 reports 2 new objects", "channel full: 600 bytes over the budget"]
     assert texts(events, "relay", air(4)) == []
@@ -152,11 +164,11 @@ def test_the_help_text_describes_this_run() -> None:
     assert "1000 bytes per step" in text
     assert "Sensor range: 5 m" in text
     assert "Pale outlines" in text
-    assert "Red:" in text
+    assert "the limit" in text
     text = explain(small_plan(map_encoding="scans", bandwidth="unlimited", range="100%"))
     assert "unlimited bandwidth" in text
     assert "outlines" not in text
-    assert "Red:" not in text
+    assert "the limit" not in text
     assert "Circles" not in text
     mixed = parse({"robots": 3, "robot": [{"robot": 1, "sensor_range": 6.5}]})
-    assert "Sensor range: 5 to 6.5 m" in explain(plans.make(mixed))
+    assert "Sensor range: 5 to 6.5 m" in explain(make(mixed))

@@ -62,12 +62,12 @@ def test_ticks_are_few_evenly_spaced_and_within(first: float, length: float, mos
 
 
 def test_axes_count_meters_of_the_maps_own_frame() -> None:
-    strips, places, labels = axes(world(), most=4)
+    strips, places, labels = axes(world(), most=4, room=0.2)
     assert strips[0] == [(-3.0, -17.0), (-3.0, -7.0), (12.0, -7.0)]
     across = {label: place for label, place in zip(labels, places, strict=True) if place[1] > -7.0}
     up = {label: place for label, place in zip(labels, places, strict=True) if place[0] < -3.0}
     assert {label: place[0] for label, place in across.items()} == {"0": 0.0, "5": 5.0, "10 m": 10.0}
-    assert {label: -place[1] for label, place in up.items()} == {"10": 10.0, "15": 15.0}
+    assert {label: -place[1] - 0.25 * 0.2 * 15.0 for label, place in up.items()} == {"10": 10.0, "15": 15.0}
 
 
 def test_an_outline_is_closed_and_lies_on_the_map_where_its_vertices_do() -> None:

@@ -38,8 +38,15 @@ def killing(name: str, step: int, number: signal.Signals = signal.SIGKILL) -> Ca
     return watch
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
-@pytest.mark.parametrize("name", ["world", "relay"])
+@pytest.mark.parametrize(
+    ("name", "number"),
+    [
+        ("world", signal.SIGKILL),
+        ("relay", signal.SIGSTOP),
+        pytest.param("world", signal.SIGSTOP, marks=pytest.mark.long),
+        pytest.param("relay", signal.SIGKILL, marks=pytest.mark.long),
+    ],
+)
 def test_run_whose_world_or_relay_dies_or_hangs_reaches_the_digest_of_an_undisturbed_run(
     tmp_path: Path, name: str, number: signal.Signals
 ) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from deploy.scenario import plan as plans
 from deploy.scenario.scenario import parse
-from deploy.study.measures import METRICS, agreement
+from deploy.study.measures import METRICS, agreement, offline
 
 
 @pytest.fixture(scope="module")
@@ -43,3 +43,17 @@ def test_bytes_until_the_map_is_known_are_part_of_all_bytes(shared: dict[str, An
     assert (
         shared["known.raw_scan_bytes"] == 2 * shared["known.scan_values"] == 2 * shared["known_at"] * 362 * 2
     )
+
+
+def test_the_offline_measure_adds_the_same_steps_of_a_team_that_knows_the_map_to_every_strategy() -> None:
+    small = {
+        "bus": "memory", "map": "office", "map_options": {"width_m": 10, "height_m": 10}, "robots": 2,
+        "bandwidth": "unlimited", "map_encoding": "scans",
+    }  # fmt: skip
+    first, other = (
+        offline(plans.make(parse(small | {"strategy": name}))) for name in ("repairmen", "nearest")
+    )
+    assert set(METRICS["offline"]) <= set(first)
+    assert first["offline.steps"] == other["offline.steps"]
+    assert 1 < first["offline.steps"] <= first["steps"]
+    assert offline(plans.make(parse(small | {"seed": 5})))["offline.steps"] != first["offline.steps"]

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from deploy.bench.offline_bound import Cell, KnownBuilding, offline_steps, offline_tours
+from deploy.run.offline_bound import Cell, KnownBuilding, offline_steps, offline_tours
 from protocol.body import Body
 from protocol.grid import FREE, OCCUPIED, Grid
 from protocol.messages import Move, cells_to_bytes

@@ -30,7 +30,7 @@ from worldsim.motion import drive
 from worldsim.world import reachable_from
 
 Cell = tuple[int, int]
-Indices = NDArray[np.int64]
+Indices = NDArray[np.int32]
 
 LATTICE = 1 / 8
 """Spacing of candidate viewpoints, in sensor ranges."""
@@ -89,7 +89,7 @@ class KnownBuilding:
         self._ray_table = ray_table(range_cells, beams)
         self._scratch: Grid = np.full_like(truth, UNKNOWN)
         self._padded_floor = Floor(self.floor)
-        self._seen: dict[Cell, Indices] = {}
+        self.seen = lru_cache(maxsize=1 << 14)(self._seen_from)
         self.field = lru_cache(maxsize=512)(self._field)
         self.scan_positions = lru_cache(maxsize=1 << 14)(self._scan_positions)
         self.viewpoints = self._lattice()
@@ -97,13 +97,11 @@ class KnownBuilding:
         for cell in self.viewpoints:
             self.visible[self.seen(cell)] = True
 
-    def seen(self, cell: Cell) -> Indices:
+    def _seen_from(self, cell: Cell) -> Indices:
         """Required cells that are seen from a cell: ascending indices into the flattened map.
 
         A team has finished when no cell where a robot may stand has an unknown neighbor, so walls are required as well.
         """
-        if cell in self._seen:
-            return self._seen[cell]
         x, y = cell
         readings = cast(self._truth, self._no_robots, self._ray_table, x, y)
         change = draw(self._scratch, self._ray_table, x, y, readings)
@@ -112,9 +110,8 @@ class KnownBuilding:
         box = self._scratch[inside]
         ys, xs = np.nonzero((box != UNKNOWN) & self._required[inside])
         box[:] = UNKNOWN
-        seen: Indices = (ys + y0) * self._scratch.shape[1] + xs + x0
-        self._seen[cell] = seen
-        return seen
+        indices: Indices = ((ys + y0) * self._scratch.shape[1] + xs + x0).astype(np.int32)
+        return indices
 
     def reaches(self, cell: Cell) -> bool:
         """Whether a robot may stand on a cell, and so reach the whole floor from there."""
@@ -280,7 +277,7 @@ class _Plan:
             while at < len(tour):
                 at += self._drop_or_move(tour, at, counts)
 
-    def _drop_or_move(self, tour: list[Cell], at: int, counts: Indices) -> bool:
+    def _drop_or_move(self, tour: list[Cell], at: int, counts: NDArray[np.int64]) -> bool:
         """Drop one viewpoint of a tour if no cell needs it, else move it; return whether it remains."""
         ends = tour[at - 1], tour[at], *tour[at + 1 : at + 2]
         self._count(counts, ends, -1)
@@ -330,7 +327,7 @@ class _Plan:
             cells = np.setdiff1d(cells, self._building.seen(cell), assume_unique=True)
         return cells
 
-    def _count(self, counts: Indices, stops: Sequence[Cell], change: int) -> None:
+    def _count(self, counts: NDArray[np.int64], stops: Sequence[Cell], change: int) -> None:
         """Change the count of each cell by the number of scans between the stops that see it."""
         for cell in self._scan_positions(stops):
             counts[self._building.seen(cell)] += change

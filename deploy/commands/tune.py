@@ -1,0 +1,90 @@
+"""`murmur tune`: search for the weights of a strategy on training seeds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from deploy.commands.console import errors, screen
+from deploy.commands.flags import command_family, named_values
+from deploy.commands.studies import (
+    JobsOption,
+    SchedulerOption,
+    SetOption,
+    items,
+    print_table,
+    stopping,
+    whole_numbers,
+)
+from deploy.scenario.tables import MAX_RUNS
+from deploy.study.progress import counting
+
+app = command_family()
+
+RUNS, TRIALS, RECORD = "runs.parquet", "trials.csv", "weights.toml"
+"""Files in the folder of results."""
+
+
+@app.command()
+def tune(
+    strategy: Annotated[
+        str, typer.Argument(metavar="STRATEGY", help="a name from `murmur strategies`")
+    ] = "repairmen",
+    maps: Annotated[
+        str | None,
+        typer.Option(metavar="A,B,...", help="generators or map files (default: one generator per kind)"),
+    ] = None,
+    seeds: Annotated[str, typer.Option(metavar="0..4|0,3", help="training seeds of the search")] = "0..2",
+    check_seeds: Annotated[
+        str, typer.Option(metavar="5..9|5,7", help="training seeds on which the result is checked")
+    ] = "3..5",
+    evaluations: Annotated[
+        int, typer.Option(min=1, max=10_000, metavar="N", help="weights to try, the default ones included")
+    ] = 20,
+    weights: Annotated[
+        str | None, typer.Option(metavar="A,B,...", help="options to search (default: all weights)")
+    ] = None,
+    search_seed: Annotated[int, typer.Option(min=0, metavar="S", help="seed of the search's order")] = 0,
+    set_: SetOption = None,
+    jobs: JobsOption = None,
+    scheduler: SchedulerOption = None,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="folder for runs, trials and weights")] = Path(
+        "tune"
+    ),
+) -> None:
+    """Search for the weights of a strategy by runs on training seeds; the same command continues.
+
+    The score of weights is their steps over those of the default weights. Test seeds are rejected. Exit code 3: runs
+    failed.
+    """
+    from deploy.commands import terminal  # noqa: PLC0415
+    from deploy.run.workers import workers  # noqa: PLC0415
+    from deploy.study import tuning  # noqa: PLC0415
+    from deploy.study.results import Results, make_folder, write_table  # noqa: PLC0415
+    from worldsim.atomic_files import write_whole  # noqa: PLC0415
+
+    search = tuning.Search(
+        strategy=strategy,
+        maps=items(maps) if maps is not None else tuning.MAPS,
+        seeds=whole_numbers(seeds, "seeds", MAX_RUNS),
+        check_seeds=whole_numbers(check_seeds, "check_seeds", MAX_RUNS),
+        evaluations=evaluations,
+        only=items(weights) if weights is not None else (),
+        search_seed=search_seed,
+        settings=named_values(set_ or [], "set", "robots=6"),
+    )
+    search.check()
+    make_folder(out)
+    with (
+        Results(out / RUNS) as results,
+        stopping(out / RUNS),
+        counting(errors, "tune", announce=True) as report,
+    ):
+        done = tuning.tune(search, results, workers(jobs, scheduler), report)
+    write_table(done.table, out / TRIALS)
+    write_whole(out / RECORD, lambda file: file.write(done.record.encode()))
+    print_table(terminal.table(done.lines))
+    screen.print(done.sentence)
+    screen.print(f"Results: {out} (start with {out / TRIALS} and {out / RECORD})")

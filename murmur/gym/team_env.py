@@ -1,0 +1,150 @@
+"""The PettingZoo environment: each robot is an agent that chooses its goals."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+from pettingzoo import ParallelEnv
+
+from deploy.run.exploration import Result
+from deploy.scenario.scenario import Scenario
+from murmur.gym.chosen_goals import ChosenGoals
+from murmur.gym.episode import Episode
+from murmur.gym.episodes import Episodes, draw_seed
+from murmur.gym.observation import Observation, goal, observation_space, observe
+from murmur.gym.picture import RENDER_MODES, checked_mode, picture
+from murmur.gym.rewards import Reward, discovery, first_info, info
+from protocol import keys as names
+
+Infos = dict[str, dict[str, Any]]
+
+
+class TeamEnv(ParallelEnv[str, Observation, np.int64]):  # type: ignore[misc]
+    """A team's policies: all robots choose whenever one of them needs a goal.
+
+    Agents are ``"r0"``, ``"r1"``, ... Actions and observations of each are those of `ExploreEnv`. Robots that still
+    drive to a target may keep it (action 0), or take another. An agent without an action keeps its target. All agents
+    get the same reward.
+
+    An agent that is lost is terminated. The others are terminated when the run ends, and truncated when the scenario
+    has no steps left.
+
+    Parameters
+    ----------
+    scenario : Scenario, optional
+        The scenario, of which the strategy is not used; default settings if omitted.
+    candidates : int
+        Largest number of candidates of each robot.
+    every : int
+        Choose after that many steps at the latest; with 0, only when a robot needs a goal.
+    reward : callable
+        Computes the reward of a step from its `murmur.gym.Progress`; by default `murmur.gym.discovery`.
+    render_mode : str, optional
+        ``"rgb_array"``, or None.
+    **settings
+        Settings that replace those of `scenario`: ``TeamEnv(map="em", robots=2)``.
+
+    Raises
+    ------
+    ScenarioError
+        The scenario is invalid, or has no simulated robots.
+    ValueError
+        Another argument is invalid.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {
+        "render_modes": list(RENDER_MODES),
+        "render_fps": 10,
+        "name": "murmur_explore_v0",
+    }
+
+    def __init__(
+        self,
+        scenario: Scenario | None = None,
+        *,
+        candidates: int = 8,
+        every: int = 0,
+        reward: Reward = discovery,
+        render_mode: str | None = None,
+        **settings: Any,
+    ) -> None:
+        controlled = {"strategy": ChosenGoals, "options": {}}
+        self._episodes = Episodes(scenario, {**settings, **controlled}, None, candidates, every)
+        self.reward = reward
+        self.render_mode = checked_mode(render_mode)
+        self.possible_agents = [names.robot(number) for number in self._episodes.robots]
+        self.agents: list[str] = []
+        plan = self._episodes.plan
+        self.observation_spaces = {
+            agent: observation_space(plan, candidates) for agent in self.possible_agents
+        }
+        self.action_spaces = {agent: gym.spaces.Discrete(candidates + 1) for agent in self.possible_agents}
+        self._random = np.random.default_rng()
+        self._episode: Episode | None = None
+
+    def observation_space(self, agent: str) -> gym.Space[Observation]:
+        """Return the space of an agent's observations."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> gym.Space[np.int64]:
+        """Return the space of an agent's actions."""
+        return self.action_spaces[agent]
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Observation], Infos]:
+        """Start an episode; `seed` and `options` as in `ExploreEnv.reset`."""
+        if seed is not None:
+            self._random = np.random.default_rng(seed)
+        self._episode = self._episodes.start(draw_seed(self._random) if seed is None else seed, options)
+        self.agents = [names.robot(number) for number in self._episode.active]
+        return self._observe(self.agents), {agent: first_info(self._episode) for agent in self.agents}
+
+    def step(
+        self, actions: Mapping[str, np.int64 | int]
+    ) -> tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], Infos]:
+        """Choose goals, and run until a robot needs the next one.
+
+        Raises RuntimeError before the first reset, and ValueError if an action is of no agent.
+        """
+        episode, acting = self._started(), self.agents
+        goals = {}
+        for agent, action in actions.items():
+            if agent not in self.possible_agents:
+                raise ValueError(f"there is no agent {agent!r}; there are {', '.join(self.possible_agents)}")
+            chosen = goal(episode, names.number(agent), int(action)) if agent in acting else None
+            if chosen is not None:
+                goals[names.number(agent)] = chosen
+        progress = episode.advance(goals)
+        reward, truncated = float(self.reward(progress)), episode.is_truncated
+        self.agents = [names.robot(number) for number in episode.active]
+        gone = [agent for agent in acting if agent not in self.agents]
+        return (
+            self._observe(acting),
+            dict.fromkeys(acting, reward),
+            {agent: agent in gone and not truncated for agent in acting},
+            {agent: agent in gone and truncated for agent in acting},
+            {agent: info(episode, progress) for agent in acting},
+        )
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Return a picture of shape (h, w, 3); None without a render mode."""
+        return picture(self._started()) if self.render_mode == "rgb_array" else None
+
+    @property
+    def result(self) -> Result:
+        """The result of the episode, as `murmur.explore` returns it; RuntimeError before its end."""
+        return self._started().result
+
+    def _started(self) -> Episode:
+        if self._episode is None:
+            raise RuntimeError("no episode has been started: call reset first")
+        return self._episode
+
+    def _observe(self, agents: list[str]) -> dict[str, Observation]:
+        episode, most = self._started(), self._episodes.most
+        return {agent: observe(episode, names.number(agent), most) for agent in agents}

@@ -1,0 +1,105 @@
+"""Caves: chambers joined by winding halls of uneven width, with loops and rocks.
+
+Chambers lie near the points of a lattice. A random spanning tree joins neighbors by halls, so that all chambers are
+connected; some further halls close loops. A hall is a row of irregular blobs along a bent curve.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocol.grid import FREE, UNKNOWN, Grid
+from worldsim.generators.clutter import add_clutter, check_clutter
+from worldsim.generators.drawing import blob, canvas, enclose, fill, rock, wall_thickness
+from worldsim.generators.spanning_tree import spanning_tree
+
+LEAST_M = 15.0
+"""Shortest side of a cave, in meters."""
+
+PITCH_M = 6.5
+"""Approximate distance of neighboring chambers, in meters."""
+JITTER = 0.22
+"""Largest distance of a chamber from its lattice point along each axis, as a share of the lattice's pitch."""
+CHAMBER_M = (1.2, 2.6)
+"""Smallest and largest radius of a chamber, in meters."""
+HALL_M = (0.9, 1.6)
+"""Smallest and largest half of a hall's width, in meters."""
+BEND_M = 2.5
+"""Largest distance of a hall's control point from the straight line, in meters."""
+LOOPS = 0.35
+"""Share of the halls outside the spanning tree that are dug as well."""
+ROCK_M = (0.2, 0.6)
+"""Smallest and largest radius of a rock, in meters."""
+
+_BLOB_STEP_M = 0.4
+"""Distance of neighboring blobs of a hall, in meters."""
+
+Point = NDArray[np.float64]
+"""A position in cells: float64 array of x and y."""
+
+
+def caves(
+    random: np.random.Generator,
+    *,
+    width_m: float = 40.0,
+    height_m: float = 30.0,
+    resolution: float = 0.1,
+    clutter: float = 2.0,
+) -> Grid:
+    """40 x 30 m: chambers and winding halls with loops, rocks on the floor (Murmur).
+
+    `clutter` is the number of rocks per 100 square meters of floor; fewer are drawn where there is no place.
+    """
+    cells = canvas(width_m, height_m, resolution, LEAST_M)
+    check_clutter(clutter, "rocks")
+    wall = wall_thickness(resolution)
+    columns, rows = (max(2, round(side_m / PITCH_M)) for side_m in (width_m, height_m))
+    chambers = _chambers(random, cells.shape, columns, rows)
+    for center in chambers.reshape(-1, 2):
+        _dig(cells, random, center, random.uniform(*CHAMBER_M) / resolution, corners=12)
+    inside = np.array(cells.shape[::-1]) - (2 * wall + 1)
+    for one, other in _halls(random, columns, rows):
+        for center in _curve(random, chambers[one], chambers[other], inside, resolution):
+            _dig(cells, random, center, random.uniform(*HALL_M) / resolution, corners=9)
+    for border in (cells[:wall], cells[-wall:], cells[:, :wall], cells[:, -wall:]):
+        border[:] = UNKNOWN
+    floor = cells == FREE
+    add_clutter(cells, random, floor, clutter, resolution=resolution, radii_m=ROCK_M, shapes=(rock,))
+    enclose(cells, wall)
+    return cells
+
+
+def _chambers(
+    random: np.random.Generator, shape: tuple[int, ...], columns: int, rows: int
+) -> NDArray[np.float64]:
+    """Return the centers of the chambers in cells, shape (rows * columns, 2)."""
+    lattice = np.stack(np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) + 0.5), axis=-1)
+    lattice += random.uniform(-JITTER, JITTER, lattice.shape)
+    centers: NDArray[np.float64] = lattice.reshape(-1, 2) * (shape[1] / columns, shape[0] / rows)
+    return centers
+
+
+def _halls(random: np.random.Generator, columns: int, rows: int) -> list[tuple[int, int]]:
+    """Return the pairs of neighboring chambers that a hall joins: a spanning tree, and `LOOPS` of the others."""
+    tree, others = spanning_tree(random, columns, rows)
+    return tree + [pair for pair in others if random.random() < LOOPS]
+
+
+def _curve(
+    random: np.random.Generator, start: Point, end: Point, inside: Point, resolution: float
+) -> Iterator[Point]:
+    """Yield positions along a quadratic Bezier curve, whose control point lies beside the middle of the line."""
+    along = end - start
+    length = max(float(np.abs(along).max()), 1.0)
+    beside = np.array((-along[1], along[0])) / length * random.uniform(-BEND_M, BEND_M) / resolution
+    control = np.clip((start + end) / 2 + beside, 0, inside)
+    count = 1 + int(1.5 * length * resolution / _BLOB_STEP_M)
+    for part in (np.arange(count + 1) / count).tolist():
+        yield (1 - part) ** 2 * start + 2 * part * (1 - part) * control + part**2 * end
+
+
+def _dig(cells: Grid, random: np.random.Generator, center: Point, radius: float, corners: int) -> None:
+    fill(cells, blob(random, corners, least=0.75) * radius + center, FREE)
