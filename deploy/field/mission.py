@@ -267,7 +267,8 @@ class Mission:
         if not lacking:
             return EXPLORED
         names = ", ".join(map(str, lacking))
-        return f"{EXPLORED}, but not robots {names}: not received for {self._settings.absent_s:g} s"
+        silence = f"robots not received for {self._settings.absent_s:g} s lack this robot's map: {names}"
+        return f"nothing is left to explore; {silence}"
 
     def _activity(self) -> str:
         """Return what the robot does, as text."""
