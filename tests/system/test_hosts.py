@@ -17,6 +17,7 @@ import pytest
 
 from deploy.run.exploration import explore
 from deploy.scenario.scenario import load
+from tests.deploy.commands.office_floor import murmur
 from tests.system.far_host import NEAR, NEAR_6, ROOT, FarHost, far_host, why_not
 
 PATIENCE_S = 120
@@ -107,6 +108,22 @@ def test_delay_and_loss_change_no_result_and_no_secret_is_on_a_command_line(
     here = explore(load(tmp_path / "team.toml", {"bus": "memory"}), keep=False)
     assert json.loads(output)["digest"] == here.summary["digest"]
     assert not (tmp_path / "run" / "logs").exists()
+    assert far.processes() == []
+
+
+def test_a_run_on_two_hosts_by_the_wall_clock_is_repeated_from_its_record(
+    far: FarHost, tmp_path: Path
+) -> None:
+    write_inputs(tmp_path, far, f'steps = {STEPS}\nclock = "wall"\nstep_s = 0.5\n', robots="2")
+    with launched(tmp_path, far) as run:
+        output, faults = run.communicate(timeout=PATIENCE_S)
+    assert run.returncode == 1, faults
+    summary = json.loads(output)
+    assert (summary["steps"], summary["clock"], summary["lost"]) == (STEPS, "wall", {})
+    assert all(missed < STEPS for missed in summary["missed_steps_by_robot"]), "each robot has moved"
+    assert min(summary["path_length"]) > 0
+    result = murmur("replay", str(tmp_path / "run"))
+    assert result.exit_code == 0, result.stderr
     assert far.processes() == []
 
 
