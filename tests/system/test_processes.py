@@ -178,7 +178,8 @@ def test_a_relay_that_is_stopped_and_continued_costs_no_robot(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(
-    "number", [signal.SIGINT, *(pytest.param(n, marks=pytest.mark.long) for n in (signal.SIGTERM, signal.SIGHUP))]
+    "number",
+    [signal.SIGINT, *(pytest.param(n, marks=pytest.mark.long) for n in (signal.SIGTERM, signal.SIGHUP))],
 )
 def test_an_interrupt_ends_all_children_and_writes_the_results_so_far(tmp_path: Path, number: int) -> None:
     with swarm(tmp_path / "run", *SLOW) as process:

@@ -50,9 +50,7 @@ print(run.summary["lost"], run.summary["wall_s"], compilation_s(), elapsed_s)
 def test_the_time_of_a_run_does_not_contain_the_compilation_of_kernels(tmp_path: Path) -> None:
     (tmp_path / "late.py").write_text(STRATEGY)
     env = os.environ | {"PYTHONPATH": f"{tmp_path}:{ROOT}"}
-    done = subprocess.run(
-        [sys.executable, "-c", RUN], capture_output=True, text=True, check=True, env=env
-    )
+    done = subprocess.run([sys.executable, "-c", RUN], capture_output=True, text=True, check=True, env=env)
     lost, *seconds = done.stdout.split()
     run_s, compilation_s, elapsed_s = map(float, seconds)
     assert lost == "{}"
@@ -79,7 +77,18 @@ def murmur(cache: Path, *words: str) -> tuple[subprocess.CompletedProcess[str], 
 def test_the_first_run_of_an_installation_compiles_with_progress_before_its_clock_starts(
     tmp_path: Path, bus: str
 ) -> None:
-    words = ("explore", "--robots", "2", "--steps", "30", "--bus", bus, "--json", "--out", str(tmp_path / "run"))
+    words = (
+        "explore",
+        "--robots",
+        "2",
+        "--steps",
+        "30",
+        "--bus",
+        bus,
+        "--json",
+        "--out",
+        str(tmp_path / "run"),
+    )
     first, took_s = murmur(tmp_path / "cache", *words)
     assert first.returncode == 1, first.stderr
     lines = first.stderr.splitlines()
@@ -105,5 +114,7 @@ def test_setup_compiles_all_kernels_of_a_run(tmp_path: Path) -> None:
     for bus in ("zenoh", "memory"):
         for more in ([], ["--thesis"], ["--laser", "utm-30lx", "--pose", "graph-slam", "--people", "2"]):
             out = str(tmp_path / f"{bus}{len(more)}")
-            run, _ = murmur(cache, "explore", "--robots", "2", "--steps", "20", "--bus", bus, "--out", out, *more)
+            run, _ = murmur(
+                cache, "explore", "--robots", "2", "--steps", "20", "--bus", bus, "--out", out, *more
+            )
             assert "compil" not in run.stderr
