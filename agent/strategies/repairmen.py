@@ -279,13 +279,16 @@ class Repairmen(TeamStrategy):
             SINGLE_ROBOT_HYSTERESIS if self.settings.robots == 1 else 1.0
         )
         ways = table.costs.copy()
-        for way, robot in zip(ways, table.robots, strict=True):
-            target = self.target if robot == self.settings.robot else situation.targets.get(robot)
-            if target is not None:
-                gap = np.abs(table.goals - target).max(axis=1)
-                nearest = int(np.argmin(gap))
-                if gap[nearest] <= SAME * range_cells:
-                    way[nearest] = max(0.0, way[nearest] - target_hysteresis * range_cells)
+        last = [situation.targets.get(robot) for robot in table.robots]
+        own = table.robots.index(self.settings.robot)
+        last[own] = self.target
+        rows = [row for row, target in enumerate(last) if target is not None]
+        targets = np.array([last[row] for row in rows], np.int32).reshape(-1, 1, 2)
+        gaps = np.abs(table.goals - targets).max(axis=2)
+        nearest = gaps.argmin(axis=1)
+        for row, goal, gap in zip(rows, nearest.tolist(), gaps.min(axis=1).tolist(), strict=True):
+            if gap <= SAME * range_cells:
+                ways[row, goal] = max(0.0, ways[row, goal] - target_hysteresis * range_cells)
         return ways
 
 
