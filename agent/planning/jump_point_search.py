@@ -40,15 +40,15 @@ def costs_among(floor: Floor, starts: Cells, goals: Cells) -> tuple[FloatRows, F
     """
     if not len(goals):
         return np.empty((len(starts), 0)), np.empty((0, 0))
-    off = ((goals - goals.mean(axis=0)) ** 2).sum(axis=1)
+    off = ((goals - goals.sum(axis=0) / len(goals)) ** 2).sum(axis=1)
     order = np.argsort(-off, kind="stable")
     ordered = goals[order]
     row = np.arange(len(starts) + len(goals))
     costs = _found(floor, np.concatenate([starts, ordered]), ordered, np.maximum(row - len(starts), 0))
     back = np.argsort(order)
     ways, between = costs[: len(starts), back], costs[len(starts) :]
-    between = np.where(np.tri(len(goals), k=-1), between.T, between)
-    return np.ascontiguousarray(ways), np.ascontiguousarray(between[np.ix_(back, back)])
+    searched = np.minimum.outer(back, back), np.maximum.outer(back, back)
+    return np.ascontiguousarray(ways), between[searched]
 
 
 def _found(floor: Floor, starts: Cells, goals: Cells, first: Int64s) -> FloatRows:

@@ -22,6 +22,8 @@ of its teammates plans minimum-latency tours for a team of one.
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -297,12 +299,12 @@ def _follow(firsts: Assignment, ways: FloatRows, worth: Floats) -> Assignment:
 
     Each follows to the nearest one of those worthwhile goals to which the fewest robots drive. `firsts` is changed.
     """
-    headed = np.bincount(firsts[firsts >= 0], minlength=len(worth)).astype(np.float64)
-    headed[worth < WORTHWHILE] = np.inf
-    for robot in np.flatnonzero(firsts < 0):
-        near = np.where(headed == headed.min(), ways[robot], np.inf)
-        goal = int(np.argmin(near))
-        if np.isfinite(headed[goal]) and np.isfinite(near[goal]):
+    worthwhile = np.flatnonzero(worth >= WORTHWHILE).tolist()
+    headed = Counter(firsts.tolist())
+    for robot in np.flatnonzero(firsts < 0).tolist() if worthwhile else ():
+        fewest = min(headed[goal] for goal in worthwhile)
+        way, goal = min((ways.item(robot, goal), goal) for goal in worthwhile if headed[goal] == fewest)
+        if math.isfinite(way):
             firsts[robot] = goal
             headed[goal] += 1
     return firsts
