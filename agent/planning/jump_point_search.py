@@ -40,15 +40,15 @@ def costs_among(floor: Floor, starts: Cells, goals: Cells) -> tuple[FloatRows, F
     """
     if not len(goals):
         return np.empty((len(starts), 0)), np.empty((0, 0))
-    off = ((goals - goals.mean(axis=0)) ** 2).sum(axis=1)
+    off = ((goals - goals.sum(axis=0) / len(goals)) ** 2).sum(axis=1)
     order = np.argsort(-off, kind="stable")
     ordered = goals[order]
     row = np.arange(len(starts) + len(goals))
     costs = _found(floor, np.concatenate([starts, ordered]), ordered, np.maximum(row - len(starts), 0))
     back = np.argsort(order)
     ways, between = costs[: len(starts), back], costs[len(starts) :]
-    between = np.where(np.tri(len(goals), k=-1), between.T, between)
-    return np.ascontiguousarray(ways), np.ascontiguousarray(between[np.ix_(back, back)])
+    searched = np.minimum.outer(back, back), np.maximum.outer(back, back)
+    return np.ascontiguousarray(ways), between[searched]
 
 
 def _found(floor: Floor, starts: Cells, goals: Cells, first: Int64s) -> FloatRows:
@@ -141,7 +141,7 @@ def _queue_up(
 ) -> int:
     """Queue a jump point if its arrival is new; return the length of the queue."""
     if _reach(cell, new, step, length, came):
-        bucket = (new >> SHIFT) % len(buckets)
+        bucket = (new >> SHIFT) & (len(buckets) - 1)
         queue[used, 0], queue[used, 1], queue[used, 2] = cell, step, buckets[bucket]
         buckets[bucket] = used
         used += 1
@@ -168,8 +168,11 @@ def _search(
     _lay_out(free.reshape(height, stride), is_goal.reshape(height, stride), laid_out)
     jumps = laid_out.reshape(4, height * stride)
     offset = offsets(stride)
-    # More levels than the longest diagonal with a straight run at its end.
-    buckets = np.empty(2 * (height + stride), np.int64)
+    # A power of two, with more levels than the longest diagonal with a straight run at its end.
+    levels = 1
+    while levels < 2 * (height + stride):
+        levels *= 2
+    buckets = np.empty(levels, np.int64)
     queue = np.empty((1024, 3), np.int64)
     for row in range(len(starts)):
         came[:] = 0
@@ -179,8 +182,8 @@ def _search(
         buckets[0] = 0
         used, done, level, reached = 1, 0, 0, first[row]
         while done < used and reached < len(goals):
-            entry = buckets[level % len(buckets)]
-            buckets[level % len(buckets)] = -1
+            entry = buckets[level & (levels - 1)]
+            buckets[level & (levels - 1)] = -1
             while entry >= 0:
                 cell, step, entry = queue[entry]
                 done += 1

@@ -77,8 +77,9 @@ class Replication(ABC):
     def undelivered(self) -> int:
         """Count the entries of this robot's log that are not acknowledged, over all peers that have not ended."""
         acked: list[int] = self.peers.acked[:, self.peers.own].tolist()
-        receivers = set(range(self.peers.robots)) - self.ended - {self.peers.robot}
-        return len(self.replica.own_log) * len(receivers) - sum(acked[peer] for peer in receivers)
+        ended = self.ended - {self.peers.robot}
+        receivers = self.peers.robots - 1 - len(ended)
+        return len(self.replica.own_log) * receivers - sum(acked) + sum([acked[peer] for peer in ended])
 
     def undelivered_to(self, peer: int) -> int:
         """Count the entries of this robot's log that a peer has not acknowledged."""

@@ -22,6 +22,8 @@ of its teammates plans minimum-latency tours for a team of one.
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -279,13 +281,16 @@ class Repairmen(TeamStrategy):
             SINGLE_ROBOT_HYSTERESIS if self.settings.robots == 1 else 1.0
         )
         ways = table.costs.copy()
-        for way, robot in zip(ways, table.robots, strict=True):
-            target = self.target if robot == self.settings.robot else situation.targets.get(robot)
-            if target is not None:
-                gap = np.abs(table.goals - target).max(axis=1)
-                nearest = int(np.argmin(gap))
-                if gap[nearest] <= SAME * range_cells:
-                    way[nearest] = max(0.0, way[nearest] - target_hysteresis * range_cells)
+        last = [situation.targets.get(robot) for robot in table.robots]
+        own = table.robots.index(self.settings.robot)
+        last[own] = self.target
+        rows = [row for row, target in enumerate(last) if target is not None]
+        targets = np.array([last[row] for row in rows], np.int32).reshape(-1, 1, 2)
+        gaps = np.abs(table.goals - targets).max(axis=2)
+        nearest = gaps.argmin(axis=1)
+        for row, goal, gap in zip(rows, nearest.tolist(), gaps.min(axis=1).tolist(), strict=True):
+            if gap <= SAME * range_cells:
+                ways[row, goal] = max(0.0, ways[row, goal] - target_hysteresis * range_cells)
         return ways
 
 
@@ -294,12 +299,12 @@ def _follow(firsts: Assignment, ways: FloatRows, worth: Floats) -> Assignment:
 
     Each follows to the nearest one of those worthwhile goals to which the fewest robots drive. `firsts` is changed.
     """
-    headed = np.bincount(firsts[firsts >= 0], minlength=len(worth)).astype(np.float64)
-    headed[worth < WORTHWHILE] = np.inf
-    for robot in np.flatnonzero(firsts < 0):
-        near = np.where(headed == headed.min(), ways[robot], np.inf)
-        goal = int(np.argmin(near))
-        if np.isfinite(headed[goal]) and np.isfinite(near[goal]):
+    worthwhile = np.flatnonzero(worth >= WORTHWHILE).tolist()
+    headed = Counter(firsts.tolist())
+    for robot in np.flatnonzero(firsts < 0).tolist() if worthwhile else ():
+        fewest = min(headed[goal] for goal in worthwhile)
+        way, goal = min((ways.item(robot, goal), goal) for goal in worthwhile if headed[goal] == fewest)
+        if math.isfinite(way):
             firsts[robot] = goal
             headed[goal] += 1
     return firsts

@@ -15,7 +15,7 @@ from deploy.run.in_memory import MemoryRun
 from deploy.scenario import plan as plans
 from deploy.scenario.scenario import parse
 from netshaper import capture
-from netshaper.capture import HEAD, KEPT, VERDICTS
+from netshaper.capture import KEPT, VERDICTS
 from netshaper.ledger import CAUSES, EVERYONE
 from protocol import packets
 from protocol.errors import ProtocolError
@@ -194,8 +194,8 @@ def test_the_dissector_accepts_exactly_the_packets_that_the_decoder_reads(
 
 def test_a_malformed_header_causes_no_lua_error(tshark: Tshark, tmp_path: Path) -> None:
     chance = random.Random(3)
-    head = HEAD.pack(capture.VERSION, 2, 0, 0, 0, 1, 0, 0, 1, 0, 2)
-    blocks = [plain_ledger.packet(n, head[:n], n, "") for n in range(1, HEAD.size)]
+    head = plain_ledger.HEAD.pack(capture.VERSION, 2, 0, 0, 0, 1, 0, 0, 1, 0, 2)
+    blocks = [plain_ledger.packet(n, head[:n], n, "") for n in range(1, plain_ledger.HEAD.size)]
     blocks += [plain_ledger.packet(n, chance.randbytes(n), n, "") for n in range(24, 60)]
     blocks += [plain_ledger.packet(n, b"\x01" + chance.randbytes(n), n + 1, "") for n in range(23, 400)]
     blocks += [plain_ledger.packet(n, head + b"\x40" * 9, 24 + 9 + n, "") for n in range(9)]

@@ -11,13 +11,16 @@ from hypothesis import strategies as st
 
 from netshaper import pcapng
 from netshaper.admission import content_of
-from netshaper.capture import HEAD, KEPT, PART, VERSION, WIDE, WIDE_HEAD
+from netshaper.capture import KEPT, PART, VERSION, WIDE
 from netshaper.frame_log import Frame, FrameLog, comment
 from netshaper.ledger import CAUSES, KIND_NUMBER, MALFORMED, on_air
 from protocol import packets
 from protocol.errors import ProtocolError
 
 Row = tuple[int, ...]
+
+HEAD, WIDE_HEAD = struct.Struct(">BBBBbbbBIiQ"), struct.Struct(">BBBBhhhHIi32s")
+"""Both headers of a packet, as docs/capture.md describes them."""
 
 
 class LoggedFrame(NamedTuple):

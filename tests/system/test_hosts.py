@@ -144,6 +144,7 @@ def test_a_far_robot_that_dies_is_named_with_its_host_and_the_others_finish(
     assert far.processes() == []
 
 
+@pytest.mark.long
 def test_a_lost_connection_is_reported_with_its_robots(far: FarHost, tmp_path: Path) -> None:
     write_inputs(tmp_path, far, "speed = 0.005\n", robots="3")
     with launched(tmp_path, far) as run:
