@@ -49,7 +49,7 @@ SHARES_HEIGHT, MOST_TYPES, BAR_AT = 150.0, 6, 0.84
 """Height of the picture of traffic shares, which is 100 wide; its rows; where in its row a bar is, below its label."""
 LINE = 36
 """Characters of a line of the events, so that it fits into a window 1280 wide."""
-FLOOR = 0.07
+FLOOR = 0.03
 """Room below zero bytes, in the height of the curves: an invisible curve keeps the labels of both axes apart."""
 MARGIN, SMALL_MARGIN = 0.13, 0.3
 """Room for the labels of axes beside the true map and beside a robot's map, in map sides."""
