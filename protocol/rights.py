@@ -49,37 +49,20 @@ from protocol.messages import (
 ROBOT = "robot"
 """Role of every robot in the table."""
 
+_RELAY_REPORTS = (
+    Lost, Back, Reconnected, End, Shutdown, RadioReport, ErrorReport, FaultEvent, Change, Missed,
+)  # fmt: skip
+_WORLD_REPORTS = WorldReport, FaultEvent, ErrorReport, Missed
+
 RIGHTS: dict[tuple[str, str], tuple[type[Record], ...]] = {
     (RELAY, WORLD): (Begin, Close, Lost, Back, Reconnected, Stop, FaultEvent, Shutdown, Watched),
     (RELAY, ROBOT): (Configure, RelayUpdate, RequestMaps, Reconnected, Shutdown, Watched),
-    (RELAY, RECORDER): (
-        Lost,
-        Back,
-        Reconnected,
-        End,
-        Shutdown,
-        RadioReport,
-        ErrorReport,
-        FaultEvent,
-        Change,
-        Missed,
-    ),
-    (RELAY, VIEW): (
-        Lost,
-        Back,
-        Reconnected,
-        End,
-        Shutdown,
-        RadioReport,
-        ErrorReport,
-        FaultEvent,
-        Change,
-        Missed,
-    ),
+    (RELAY, RECORDER): _RELAY_REPORTS,
+    (RELAY, VIEW): _RELAY_REPORTS,
     (WORLD, RELAY): (Positions, Lost, FaultEvent, End),
     (WORLD, ROBOT): (Sense, FaultEvent),
-    (WORLD, RECORDER): (WorldReport, FaultEvent, ErrorReport, Missed),
-    (WORLD, VIEW): (WorldReport, FaultEvent, ErrorReport, Missed),
+    (WORLD, RECORDER): _WORLD_REPORTS,
+    (WORLD, VIEW): _WORLD_REPORTS,
     (RECORDER, RELAY): (Configure, Lost, Stop, FaultEvent, Change, RequestMaps, Shutdown),
     (ROBOT, RELAY): (RobotFrames,),
     (ROBOT, WORLD): (Move,),

@@ -48,28 +48,13 @@ class Task(NamedTuple):
 
 
 def team_tours(task: Task) -> list[list[int]]:
-    """Plan one tour per robot, goals in their order, with a small `tours_cost`; unreachable goals are left out."""
+    """Plan one tour per robot, goals in their order, at a small cost (see above); unreachable goals are left out."""
     robots, goals = task.starts.shape
     tours = np.full((robots, goals), -1)
     counts = np.zeros(robots, np.int64)
     order = np.lexsort((task.starts.min(axis=0), -task.weights)) if goals else np.empty(0, np.int64)
     _plan((*task,), order, tours, counts)
     return [tour[:count].tolist() for tour, count in zip(tours, counts, strict=True)]
-
-
-def tours_cost(tours: list[list[int]], task: Task) -> float:
-    """Return the cost of tours, which `team_tours` minimizes."""
-    starts, between, weights, latency_weight, last, way, loads = task
-    total, longest = 0.0, 0.0
-    for robot, tour in enumerate(tours):
-        arrival = 0.0
-        for place, goal in enumerate(tour):
-            arrival += starts[robot, goal] if place == 0 else between[tour[place - 1], goal]
-            total += float(weights[goal] * arrival + latency_weight[goal] * arrival**2)
-        end = float(arrival + loads[tour].sum())
-        longest = max(longest, end)
-        total += way * end
-    return total + last * longest
 
 
 _Task = tuple[FloatRows, FloatRows, Floats, Floats, float, float, Floats]

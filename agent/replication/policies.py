@@ -119,6 +119,4 @@ def _in_turn(offers: list[Offer], rounds: Rounds, most: int) -> list[Offer]:
     return offers
 
 
-POLICIES: dict[str, Policy] = {"backoff": backoff, "thesis": thesis}
-
 GOSSIP = "gossip"

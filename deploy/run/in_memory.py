@@ -83,14 +83,8 @@ class MemoryRun:
         self._buses: dict[str, Bus] = {}
         for name in (names.RELAY, *watching, names.RECORDER, names.WORLD, *self._robots):
             self._buses[name] = wrap(name, self._hub.join(name))
-        self._recorder = RecorderNode(
-            self._buses[names.RECORDER],
-            keys,
-            robots,
-            plan.map.cells.shape,
-            capture,
-            on_fault=_note_restarts(self._due),
-        )
+        shape, on_fault = plan.map.cells.shape, _note_restarts(self._due)
+        self._recorder = RecorderNode(self._buses[names.RECORDER], keys, robots, shape, capture, on_fault)
         world = plan.make_world()
         self._reachable = np.flatnonzero(world.reachable)
         self._world = WorldNode(
