@@ -179,9 +179,10 @@ def test_with_real_sensors_a_team_without_people_waits_less_for_the_end(
     robots: int, people: bool, steps: int
 ) -> None:
     laser = Laser(beams=9, first=0, span=TURN // 2, reach_mm=1000)
-    settings = settings_for(GRID, robots=robots, strategy="meier", laser=laser, people=people)
-    assert sure_after(settings) == steps
-    assert sure_after(replace(settings, laser=None)) == 0
+    settings = settings_for(GRID, robots=robots, strategy="meier", people=people)
+    bodies = tuple(replace(body, laser=laser) for body in settings.bodies)
+    assert sure_after(replace(settings, bodies=bodies)) == steps
+    assert sure_after(settings) == 0, "lasers are exact"
 
 
 def test_entries_that_depend_on_unsent_entries_do_no_harm() -> None:
