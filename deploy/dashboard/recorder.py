@@ -7,7 +7,6 @@ then takes about thirty small rows. `deploy.dashboard.layout` arranges the entit
 from __future__ import annotations
 
 from collections import Counter
-from textwrap import wrap
 from typing import Any
 
 import numpy as np
@@ -47,8 +46,6 @@ SHARES_EVERY = 5
 """Steps from one drawing of the traffic shares to the next."""
 SHARES_HEIGHT, MOST_TYPES, BAR_AT = 150.0, 6, 0.84
 """Height of the picture of traffic shares, which is 100 wide; its rows; where in its row a bar is, below its label."""
-LINE = 36
-"""Characters of a line of the events, so that it fits into a window 1280 wide."""
 FLOOR = 0.03
 """Room below zero bytes, in the height of the curves: an invisible curve keeps the labels of both axes apart."""
 MARGIN, SMALL_MARGIN = 0.13, 0.3
@@ -332,5 +329,4 @@ def _px(size: float) -> Any:
 def _line(event: Event) -> rr.TextLog:
     level = (rr.TextLogLevel.DEBUG, rr.TextLogLevel.INFO, rr.TextLogLevel.ERROR)[event.weight]
     color = (GREY, None, ALARM)[event.weight]  # None: the theme's own for text
-    text = "\n".join(wrap(f"{event.step}: {event.text}", LINE))
-    return rr.TextLog(text, level=level, color=color)
+    return rr.TextLog(f"{event.step}: {event.text}", level=level, color=color)
