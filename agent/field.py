@@ -250,7 +250,7 @@ def drive(
 
     `clock` returns the time in nanoseconds; `wait` waits for so many of them, or until a frame has arrived. A step
     that begins late, because the last one took too long, shifts all later ones. In any case, the body then stops, and
-    the robot broadcasts that it has ended.
+    the robot says farewell.
     """
     step = 0
     begin = clock()

@@ -202,6 +202,15 @@ def lesson(row: Row, column: str) -> str:
     return f"{found['bytes']['total']:,}" if column == "bytes transmitted" else str(found["steps"])
 
 
+def exercise(row: Row, column: str) -> str | None:
+    """Steps of the lesson's team by encoding and bandwidth; cells that the page leaves empty are not measured."""
+    measured = {"scans": (50, 300, 2000, 4000, 8000), "predictive": (10, 20, 50, 300)}
+    if (bandwidth := int(row["bandwidth"])) not in measured[column]:
+        return None
+    command = f"explore --map office-plain --robots 3 --map-encoding {column} --bandwidth {bandwidth}"
+    return str(summary(command)["steps"])
+
+
 # Radios
 
 
@@ -426,6 +435,7 @@ def short_range(_: Row, column: str) -> str:
 
 FIGURES = (
     Figure("lesson-45.md", "| bandwidth |", lesson, fast=((3, 1),)),
+    Figure("lesson.md", "| bandwidth |", exercise),
     Figure("results/radios.md", "| radio, robots |", losses, fast=((0, 1),)),
     Figure("results/radios.md", "| dissemination |", late_frames, fast=((1, 1),)),
     Figure("real-sensors.md", "| encoding | F1", map_quality),

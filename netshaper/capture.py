@@ -23,7 +23,6 @@ microseconds, so that equal runs write equal files.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -190,8 +189,8 @@ def read(reader: pcapng.Reader) -> Iterator[Captured]:
         if head is None or len(packet.data) < head.itemsize:
             found = packet.data[: HEAD.itemsize].hex()
             raise CaptureError(f"a packet without a header of version {VERSION} or {WIDE}: {found}")
-        values: Any = np.frombuffer(packet.data, head, 1).item()
-        _, frame, cause, round_number, sender, receiver, map_id, part, step, connection, received = values
+        (fields,) = np.frombuffer(packet.data, head, 1).tolist()
+        _, frame, cause, round_number, sender, receiver, map_id, part, step, connection, received = fields
         if frame >= len(FRAMES) or cause >= len(VERDICTS):
             raise CaptureError(f"a packet with frame {frame} and verdict {cause}, which are unknown")
         mask = int.from_bytes(received, "big")

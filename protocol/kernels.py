@@ -3,8 +3,9 @@
 A kernel has one signature, given by the types of its parameters (`protocol.arrays`). The first call compiles it, or
 reads it from numba's cache, so that commands which compute nothing do not import numba. If a kernel is not in the
 cache, all imported kernels are compiled at once: this takes a minute, once per installation, and the error stream
-shows the progress. The fork server loads all kernels in one process (`deploy.run.preload`), so robots never compile.
-Fastmath is off: equal versions of the libraries give equal bits on every machine.
+shows the progress. `murmur setup` does it with several processes. The fork server loads all kernels in one process
+(`deploy.run.preload`), so robots never compile. Fastmath is off: equal versions of the libraries give equal bits on
+every machine.
 
 The cache is ``__pycache__`` beside each module. If this cannot be written, it is in the user's cache directory, or in
 ``NUMBA_CACHE_DIR``. If no directory can be written, each process compiles the kernels again.
@@ -13,10 +14,12 @@ The cache is ``__pycache__`` beside each module. If this cannot be written, it i
 from __future__ import annotations
 
 import importlib
+import multiprocessing
 import os
 import sys
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from functools import cache, cached_property, update_wrapper
 from typing import Annotated, Any, TypeVar, cast, get_args, get_origin, get_type_hints
@@ -35,7 +38,7 @@ class Kernel:
         self.cache = ""
         """Directory of numba's cache that has it; empty until it is loaded, or if no directory can be written."""
         self._modules: list[tuple[Any, bytes]] = []
-        """The library of the compiled function and its LLVM module as bitcode (`release_modules`)."""
+        """The library of the compiled function and its LLVM module as bitcode (`_release_modules`)."""
 
     def __call__(self, *args: Any) -> Any:
         """Call the compiled function."""
@@ -114,6 +117,9 @@ class Kernel:
             self.function.__globals__[name] = dispatcher
 
 
+SELDOM = 10
+"""Compiled kernels between two lines of progress without a terminal."""
+
 NO_CACHE = "numba's cache cannot be written: set NUMBA_CACHE_DIR to a writable directory, or each start compiles again"
 """Warning if no directory for compiled kernels can be written."""
 
@@ -152,6 +158,33 @@ def load_all() -> None:
         _ = each.loaded
 
 
+def compile_in_parallel(jobs: int) -> int:
+    """Put all imported kernels into the cache, by `jobs` processes; return how many they compiled.
+
+    This process does not load them. If the cache cannot be written, the work ends early.
+    """
+    count, number = 0, len(_kernels)
+    with ProcessPoolExecutor(jobs, multiprocessing.get_context("fork")) as pool:
+        for done, (was_compiled, is_kept) in enumerate(pool.map(_put_into_cache, range(number)), 1):
+            if not is_kept:
+                pool.shutdown(cancel_futures=True)
+                break
+            count += was_compiled
+            if was_compiled and (_is_terminal() or count % SELDOM == 1):
+                _print(f"compiling for this machine, once: {done} of {number} kernels")
+    if count:
+        _print(f"compiled {count} kernels", last=True)
+    return count
+
+
+def _put_into_cache(number: int) -> tuple[bool, bool]:
+    """Load a kernel in a process for this; return whether it was compiled, and whether it is in the cache now."""
+    _compilation.is_single = True
+    each = _kernels[number]
+    _ = each.loaded
+    return not each.was_cached, bool(each.cache)
+
+
 def loaded() -> int:
     """Return the number of kernels that this process read from the cache."""
     return sum(each.was_cached for each in _kernels)
@@ -179,6 +212,8 @@ class _Compilation:
     def __init__(self) -> None:
         self.seconds = 0.0
         """Duration of all compilations so far."""
+        self.is_single = False
+        """Whether to compile only kernels that are called, and print nothing."""
         self._depth = 0
         """Kernels being compiled: a kernel, those that it calls, and so on."""
         self._began = 0.0
@@ -190,13 +225,13 @@ class _Compilation:
             self._began = time.perf_counter()
         self._depth += 1
         done = sum(each.is_loaded for each in _kernels)
-        if package != self._package or _is_terminal():
+        if not self.is_single and (package != self._package or _is_terminal()):
             _print(f"compiling for this machine, once: {done} of {len(_kernels)} kernels, now {package}")
         self._package = package
 
     def finish_one(self) -> None:
         """After a kernel that no other kernel waits for, compile all remaining ones."""
-        if self._depth == 1:
+        if self._depth == 1 and not self.is_single:
             load_all()
             _print(f"compiled {compiled()} kernels", last=True)
             if not cache_folder():

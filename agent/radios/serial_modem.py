@@ -120,7 +120,7 @@ class SerialModem:
             raise TransportError(f"port {self._path} is in use by another process") from None
         except (termios.error, OSError) as error:
             os.close(port)
-            raise TransportError(f"port {self._path} is no serial port: {error}") from None
+            raise TransportError(f"port {self._path} is no serial port: {error.args[-1]}") from None
         return port
 
     def _hang_up(self) -> None:

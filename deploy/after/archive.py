@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import defaultdict
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,10 @@ from deploy.record.map_history import MAP_CHANGES, OUTLINES, MapHistory
 from deploy.record.summary import budgets
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import ScenarioError
+from netshaper import capture, pcapng
+from netshaper.ledger import EVERYONE
+from netshaper.topology import links
+from worldsim.maps import Map
 
 Table = dict[str, NDArray[Any]]
 """Columns by name."""
@@ -52,6 +57,41 @@ class Archive:
         radio = self.plan.radio
         return budgets(radio.budget, radio.changes, self.last_step + 1)
 
+    @cached_property
+    def links(self) -> dict[int, set[tuple[int, int]]]:
+        """Who received bytes from whom, by step: pairs of sender and receiver.
+
+        They are in the capture. Without it, those of broadcasts are unknown, and left out.
+        """
+        found: defaultdict[int, set[tuple[int, int]]] = defaultdict(set)
+        try:
+            with (self.directory / run_directory.CAPTURE).open("rb") as file:
+                for frame in capture.read(pcapng.Reader(file)):
+                    found[frame.step].update((frame.sender, robot) for robot in frame.receivers)
+        except (OSError, pcapng.CaptureError):
+            rows = self.ledger["carried"].astype(bool) & (self.ledger["receiver"] != EVERYONE)
+            columns = (self.ledger[name][rows].tolist() for name in ("step", "sender", "receiver"))
+            for step, sender, receiver in zip(*columns, strict=True):
+                found[step].add((sender, receiver))
+        return found
+
+    def in_range(self, step: int) -> set[tuple[int, int]]:
+        """Pairs of robots that receive each other in a step, by the radio's model (lower number first)."""
+        world, rows = self.plan.map, self.rows_of(step)
+        cells = {
+            int(robot): (int(column), int(row))
+            for robot, x, y in zip(rows["robot"], rows["x"], rows["y"], strict=True)
+            for column, row in [cell_of(world, x, y)]
+        }
+        settings = replace(self.plan.radio, range_cells=self.range_m(step) / world.resolution)
+        near = links(settings, step, cells)
+        return {(a, b) for a, others in near.items() for b in others if a < b}
+
+    def rows_of(self, step: int) -> Table:
+        """The rows of `steps` of one step."""
+        first, end = np.searchsorted(self.steps["step"], (step, step + 1))
+        return {name: column[first:end] for name, column in self.steps.items()}
+
     def range_m(self, step: int) -> float:
         """The communication range in a step, in meters."""
         changed = [
@@ -70,6 +110,12 @@ class Archive:
         """The rows of `steps` of one robot, in the order of steps."""
         rows = self.steps["robot"] == robot
         return {name: column[rows] for name, column in self.steps.items()}
+
+
+def cell_of(world: Map, x: float, y: float) -> tuple[float, float]:
+    """A position in meters of the map's frame, in cells from the upper left corner."""
+    left, bottom, _ = world.origin
+    return (x - left) / world.resolution, world.height - (y - bottom) / world.resolution
 
 
 def read(directory: Path) -> Archive:

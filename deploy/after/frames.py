@@ -1,7 +1,8 @@
 """A finished run as a sequence of pictures, one per step: the frames of films, and of the slider in a report.
 
-The upper part shows the true map with the robots, grayed where no robot knows anything yet, and the map of each robot.
-The lower part shows the explored area over time and the use of the budget, up to the step.
+The upper part shows the true map with the robots, grayed where no robot knows anything yet, and the map of each robot,
+with axes in meters, a scale bar and a legend. The lower part shows the explored area over time and the use of the
+budget, up to the step.
 """
 
 from __future__ import annotations
@@ -9,27 +10,27 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from functools import cache, cached_property
-from itertools import combinations
-from pathlib import Path
 from typing import Any
 
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageDraw
 
-from deploy.after.archive import Archive
+from deploy.after.archive import Archive, cell_of
 from deploy.after.figures import draw_explored, draw_load
+from deploy.after.frame_legend import draw_axes, draw_legend, font
 from deploy.record.colors import CELLS, GREY, IN_RANGE, INK, PAPER, SIGNAL, mix, robot_color
 from deploy.record.map_pictures import counted
-from netshaper.ledger import EVERYONE
 from protocol.grid import FREE, UNKNOWN, Grid
 
 WIDTH = 1280
 MARGIN, LABEL, HEAD = 14, 20, 40
 """Points around and between panels, above a panel, and above all panels."""
-WORLD_SHARE, CHARTS_SHAPE = 0.44, 0.17
+AXIS, TICK = 30, 4
+"""Points for the figures of the axis beside the true map, and length of a tick."""
+WORLD_SHARE, CHARTS_SHAPE = 0.44, 0.21
 """Width of the true map / width of the frame; height / width of the curves."""
 FINE = 2
 """Factor by which lines are drawn larger before they are reduced, to smooth them."""
@@ -69,6 +70,14 @@ class Frames:
         self._write_head(draw, step)
         known = self._draw_robots_maps(frame, draw, step)
         frame.paste(self._world(step, known), self._world_at)
+        draw_axes(draw, self._archive.plan.map, self._world_at, self._world_size, self._scale)
+        draw_legend(
+            draw,
+            self._archive.plan.map,
+            (self._world_at[0], self._legend_at),
+            self._world_size[0],
+            self._scale,
+        )
         self._draw_charts(frame, step)
         return frame
 
@@ -78,7 +87,7 @@ class Frames:
         side = round(WORLD_SHARE * self._width)
         wide = side if shape <= 1 else round(side / shape)
         tall = round(wide * shape)
-        left, top = px(MARGIN), px(HEAD) + px(LABEL)
+        left, top = px(AXIS), px(HEAD) + px(LABEL)
         self._world_at, self._world_size = (left, top), (wide, tall)
         grid_left = left + wide + px(MARGIN)
         free = self._width - grid_left - px(MARGIN), max(tall, round(0.2 * self._width)) + px(LABEL)
@@ -96,7 +105,8 @@ class Frames:
             (round(grid_left + (k % columns) * across), round(px(HEAD) + (k // columns) * down + px(LABEL)))
             for k in self._robots
         ]
-        self._charts_top = top + max(tall, free[1] - px(LABEL)) + px(MARGIN)
+        self._legend_at = top + max(tall + px(LABEL), free[1] - px(LABEL)) + px(LABEL)
+        self._charts_top = self._legend_at + px(LABEL)
         self._height = self._charts_top + round(CHARTS_SHAPE * self._width)
 
     def _px(self, points: float) -> int:
@@ -110,13 +120,13 @@ class Frames:
             f"{self._archive.summary['map']}: {counted(scenario.robots, 'robot')}, {scenario.strategy}, "
             f"{scenario.map_encoding}, {medium}"
         )
-        draw.text((px(MARGIN), px(24)), title, INK, _font(px(15)), "lm")
-        now = f"step {step} of {self.last_step}"
-        draw.text((self._width - px(MARGIN), px(24)), now, INK, _font(px(15), bold=True), "rm")
-        seen = float(self._now(step)["team_seen"].max(initial=0.0))
+        draw.text((px(MARGIN), px(24)), title, INK, font(px(15)), "lm")
+        now = f"step {step} of {self.last_step}, {step * scenario.step_s:g} s"
+        draw.text((self._width - px(MARGIN), px(24)), now, INK, font(px(15), bold=True), "rm")
+        seen = float(self._archive.rows_of(step)["team_seen"].max(initial=0.0))
         what = "the building" if self._archive.plan.has_truth else "the team's map at the end"
         label = f"{what}: {100 * seen:.0f} % seen"
-        draw.text((self._world_at[0], px(HEAD + LABEL / 2)), label, INK, _font(px(12)), "lm")
+        draw.text((self._world_at[0], px(HEAD + LABEL / 2)), label, INK, font(px(12)), "lm")
 
     def _draw_robots_maps(
         self, frame: Image.Image, draw: ImageDraw.ImageDraw, step: int
@@ -124,7 +134,7 @@ class Frames:
         """Draw each robot's map; return the cells that any robot knows."""
         known: NDArray[np.bool_] = np.zeros(self._archive.plan.map.cells.shape, np.bool_)
         px = self._px
-        rows = self._now(step)
+        rows = self._archive.rows_of(step)
         here = {int(robot): k for k, robot in enumerate(rows["robot"])}
         for robot, (left, top) in zip(self._robots, self._thumbs_at, strict=True):
             grid = self._archive.maps.planning(robot, step)
@@ -136,8 +146,8 @@ class Frames:
                 (left - 1, top - 1, left + picture.width, top + picture.height), outline=mix(GREY, PAPER, 0.4)
             )
             text = f"robot {robot}: {100 * share:.0f} %" if self._panel_width > px(110) else f"{robot}"
-            font = _font(px(12 if self._panel_width > px(60) else 9))
-            draw.text((left, top - px(LABEL / 2)), text, robot_color(robot), font, "lm")
+            letters = font(px(12 if self._panel_width > px(60) else 9))
+            draw.text((left, top - px(LABEL / 2)), text, robot_color(robot), letters, "lm")
             if robot in here:
                 x, y = self._cell(rows["x"][here[robot]], rows["y"][here[robot]])
                 size = self._panel_width / self._archive.plan.map.width
@@ -169,7 +179,7 @@ class Frames:
             column, row = self._cell(x, y)
             return size * column, size * row
 
-        rows = self._now(step)
+        rows = self._archive.rows_of(step)
         places = {int(r): at(x, y) for r, x, y in zip(rows["robot"], rows["x"], rows["y"], strict=True)}
         for robot in self._robots:
             track = self._tracks[robot]
@@ -177,10 +187,15 @@ class Frames:
             path = [at(x, y) for x, y in zip(track["x"][:until], track["y"][:until], strict=True)]
             if len(path) > 1:
                 draw.line(path, robot_color(robot), thin, joint="curve")
-        for pair in combinations(sorted(places), 2):
-            busy = pair in self._active_links.get(step, ())
-            if busy or self._in_range(rows, *pair):
-                draw.line([places[k] for k in pair], SIGNAL if busy else IN_RANGE, thin * (2 if busy else 1))
+        busy = {
+            (min(pair), max(pair)) for pair in self._archive.links.get(step, ()) if places.keys() >= set(pair)
+        }
+        for color, width, pairs in (
+            (IN_RANGE, thin, self._archive.in_range(step) - busy),
+            (SIGNAL, 2 * thin, busy),
+        ):
+            for pair in sorted(pairs):
+                draw.line([places[robot] for robot in pair], color, width)
         for robot, x, y in zip(rows["robot"], rows["target_x"], rows["target_y"], strict=True):
             if not math.isnan(x):
                 color, (across, down), radius = robot_color(int(robot)), at(x, y), 3 * thin
@@ -195,38 +210,13 @@ class Frames:
         )
         return panel
 
-    def _in_range(self, rows: dict[str, NDArray[Any]], a: int, b: int) -> bool:
-        (first,), (second,) = (np.flatnonzero(rows["robot"] == robot) for robot in (a, b))
-        x, y = rows["x"], rows["y"]
-        away = math.dist((x[first], y[first]), (x[second], y[second]))
-        return away <= self._archive.range_m(int(rows["step"][first]))
-
-    def _now(self, step: int) -> dict[str, NDArray[Any]]:
-        """The rows of a step."""
-        steps = self._archive.steps
-        first, end = np.searchsorted(steps["step"], (step, step + 1))
-        return {name: column[first:end] for name, column in steps.items()}
-
     def _cell(self, x: float, y: float) -> Place:
         """A position in cells from the upper left corner."""
-        world = self._archive.plan.map
-        left, bottom, _ = world.origin
-        return (x - left) / world.resolution, world.height - (y - bottom) / world.resolution
+        return cell_of(self._archive.plan.map, x, y)
 
     @cached_property
     def _tracks(self) -> dict[int, dict[str, NDArray[Any]]]:
         return {robot: self._archive.of_robot(robot) for robot in self._robots}
-
-    @cached_property
-    def _active_links(self) -> dict[int, set[tuple[int, int]]]:
-        """Pairs of robots that exchanged data, by step."""
-        ledger = self._archive.ledger
-        rows = ledger["carried"].astype(bool) & (ledger["receiver"] != EVERYONE)
-        active: dict[int, set[tuple[int, int]]] = {}
-        columns = (ledger[name][rows].tolist() for name in ("step", "sender", "receiver"))
-        for step, sender, receiver in zip(*columns, strict=True):
-            active.setdefault(step, set()).add((min(sender, receiver), max(sender, receiver)))
-        return active
 
     def _draw_charts(self, frame: Image.Image, step: int) -> None:
         """Draw the curves, pale after the step."""
@@ -254,7 +244,10 @@ class Frames:
                 panel.set_xlim(1, max(2, self.last_step))
                 panel.set_ylim(0, max(1.0, panel.get_ylim()[1]))
                 panel.grid(alpha=0.25)
-            explored.set_ylabel("%")
+                panel.set_xlabel("step")
+            explored.set(title="Explored: by the team (thick), and on each robot's map", ylabel="%")
+            handles, labels = load.get_legend_handles_labels()
+            figure.legend(handles, labels, loc="outside lower right", ncols=len(labels), frameon=False)
             from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415  needed for films only
 
             canvas = FigureCanvasAgg(figure)
@@ -299,12 +292,6 @@ def _disc(robot: int, radius: int, *, numbered: bool) -> Image.Image:
     draw.ellipse((0, 0, fine * side - 1, fine * side - 1), (*PAPER, 255))
     draw.ellipse((fine, fine, fine * (side - 1) - 1, fine * (side - 1) - 1), (*robot_color(robot), 255))
     if numbered:
-        font = _font(round(fine * radius * (1.35, 1.1, 0.8)[len(str(robot)) - 1]), bold=True)
-        draw.text((fine * side / 2, fine * side / 2), str(robot), PAPER, font, "mm")
+        letters = font(round(fine * radius * (1.35, 1.1, 0.8)[len(str(robot)) - 1]), bold=True)
+        draw.text((fine * side / 2, fine * side / 2), str(robot), PAPER, letters, "mm")
     return disc.resize((side, side), Image.Resampling.LANCZOS)
-
-
-@cache
-def _font(size: int, *, bold: bool = False) -> ImageFont.FreeTypeFont:
-    name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
-    return ImageFont.truetype(str(Path(matplotlib.get_data_path(), "fonts", "ttf", name)), size)

@@ -72,8 +72,9 @@ CAPTIONS = {
 }
 
 FRAMES_CAPTION = (
-    "The building, grayed where no robot knows anything yet. Green links carry data in this step, gray ones are in "
-    "range. Beside it the map of each robot; below, the explored area and the use of the radio."
+    "The building, grayed where no robot knows anything yet. Robots at the ends of dark lines received data from each "
+    "other in this step; those of pale lines were in range. Beside it the map of each robot; below, the explored area "
+    "and the use of the radio."
 )
 WALLS_CAPTION = (
     "Precision: share of the walls on a robot's map that lie within one cell of a true wall. Recall: share of the true "

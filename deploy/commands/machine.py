@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 import json
+import os
 import platform
 from collections.abc import Callable
 from pathlib import Path
@@ -19,6 +20,9 @@ from deploy.scenario.tables import MAX_RUNS
 
 app = command_family()
 
+MAX_COMPILERS = 4
+"""Processes that compile kernels at once, at most; each needs half a gigabyte."""
+
 
 @app.command()
 def setup() -> None:
@@ -27,8 +31,13 @@ def setup() -> None:
     Otherwise the first run compiles them before its first step. The error stream shows the progress. Exit codes: 0 the
     kernels are ready, 1 they cannot be kept, so each start compiles again.
     """
+    from deploy.run import processes  # noqa: F401, PLC0415  all kernels, which it must not load
+    from protocol.kernels import compile_in_parallel  # noqa: PLC0415
+    from worldsim import people, world  # noqa: F401, PLC0415
+
+    compiled = compile_in_parallel(min(os.cpu_count() or 1, MAX_COMPILERS))
     try:
-        screen.print(f"kernels: {_kernels()}")
+        screen.print(f"kernels: {_kernels(compiled)}")
     except RuntimeError as error:
         fail(str(error), 1)
 
@@ -89,7 +98,7 @@ def bench(
         list[str] | None,
         typer.Argument(
             metavar="NAME",
-            help="kernels, swarm, replanning, relay, scale; default: all of these. "
+            help="kernels, swarm, replanning, relay, scale, field; default: all of these. "
             "Or strategies: the league table",
         ),
     ] = None,
@@ -180,14 +189,15 @@ def _packages() -> str:
     return ", ".join(f"{name} {version}" for name, version in versions().items() if name != "python")
 
 
-def _kernels() -> str:
+def _kernels(compiled_before: int = 0) -> str:
     """Compile kernels that are not in the cache; RuntimeError if no directory for it can be written."""
     import deploy.run.preload  # noqa: F401, PLC0415
     from protocol.kernels import NO_CACHE, cache_folder, compiled, loaded  # noqa: PLC0415
 
     if not cache_folder():
         raise RuntimeError(NO_CACHE)
-    return f"{loaded() + compiled()} ready, {compiled()} of them compiled now; cache below {cache_folder()}"
+    new = compiled_before + compiled()
+    return f"{loaded() + compiled()} ready, {new} of them compiled now; cache below {cache_folder()}"
 
 
 def _swarm(bus: str) -> str:

@@ -7,6 +7,7 @@ then takes about thirty small rows. `deploy.dashboard.layout` arranges the entit
 from __future__ import annotations
 
 from collections import Counter
+from textwrap import wrap
 from typing import Any
 
 import numpy as np
@@ -46,7 +47,9 @@ SHARES_EVERY = 5
 """Steps from one drawing of the traffic shares to the next."""
 SHARES_HEIGHT, MOST_TYPES, BAR_AT = 150.0, 6, 0.84
 """Height of the picture of traffic shares, which is 100 wide; its rows; where in its row a bar is, below its label."""
-FLOOR = 0.07
+LINE = 36
+"""Characters of a line of the events, so that it fits into a window 1280 wide."""
+FLOOR = 0.03
 """Room below zero bytes, in the height of the curves: an invisible curve keeps the labels of both axes apart."""
 MARGIN, SMALL_MARGIN = 0.13, 0.3
 """Room for the labels of axes beside the true map and beside a robot's map, in map sides."""
@@ -329,4 +332,5 @@ def _px(size: float) -> Any:
 def _line(event: Event) -> rr.TextLog:
     level = (rr.TextLogLevel.DEBUG, rr.TextLogLevel.INFO, rr.TextLogLevel.ERROR)[event.weight]
     color = (GREY, None, ALARM)[event.weight]  # None: the theme's own for text
-    return rr.TextLog(f"{event.step}: {event.text}", level=level, color=color)
+    text = "\n".join(wrap(f"{event.step}: {event.text}", LINE))
+    return rr.TextLog(text, level=level, color=color)

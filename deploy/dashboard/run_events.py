@@ -163,7 +163,7 @@ class RunEvents:
         if full != self._full and not self.budget.unlimited:
             self._full = full
             if full:
-                events.append(Event(report.step, f"channel full: {cut} bytes over the budget", 1))
+                events.append(Event(report.step, f"channel full: {cut} B over the budget", 1))
         return events
 
     def _status(self, robot: int, report: RobotStatus) -> list[Event]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from deploy.record.colors import ALARM, CELLS
+from deploy.record.ticks import tick_values
 from worldsim.maps import Map
 
 ARC_POINTS = 73
@@ -65,14 +66,6 @@ def number_strips(number: int, center: Point, height: float) -> list[Strip]:
 def corner(map_: Map) -> Point:
     """The upper left corner of a map in the dashboard's plane."""
     return map_.origin[0], -(map_.origin[1] + map_.height * map_.resolution)
-
-
-def tick_values(first: float, last: float, most: int) -> list[float]:
-    """Round numbers from `first` to `last`, approximately `most` of them at most."""
-    rough = max((last - first) / most, 1e-9)
-    power = 10.0 ** math.floor(math.log10(rough))
-    step = next(power * factor for factor in (1, 2, 5, 10) if power * factor >= rough * 0.999)
-    return [step * k for k in range(math.ceil(first / step - 1e-9), math.floor(last / step + 1e-9) + 1)]
 
 
 def axes(map_: Map, most: int, room: float) -> tuple[list[Strip], list[Point], list[str]]:

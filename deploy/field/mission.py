@@ -257,7 +257,9 @@ class Mission:
 
     @property
     def _teammates(self) -> list[int]:
-        return [robot for robot in range(self._settings.robots) if robot != self._settings.robot]
+        """The teammates that have not said that they have ended."""
+        gone = {self._settings.robot, *self._field.medium.ended()}
+        return [robot for robot in range(self._settings.robots) if robot not in gone]
 
     def _explored(self) -> str:
         """Return the reason of the end if nothing is left to explore."""
@@ -265,7 +267,8 @@ class Mission:
         if not lacking:
             return EXPLORED
         names = ", ".join(map(str, lacking))
-        return f"{EXPLORED}, but not robots {names}: not received for {self._settings.absent_s:g} s"
+        silence = f"robots not received for {self._settings.absent_s:g} s lack this robot's map: {names}"
+        return f"nothing is left to explore; {silence}"
 
     def _activity(self) -> str:
         """Return what the robot does, as text."""

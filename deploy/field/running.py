@@ -37,9 +37,13 @@ def registry() -> Path:
 def running(folder: Path) -> Iterator[Path]:
     """Lock a record directory for a robot; return the file whose existence asks the robot to stop.
 
-    ScenarioError if another robot runs there.
+    ScenarioError if another robot runs there, or the directory cannot be created.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else str(error)
+        raise ScenarioError(f"record.folder = {str(folder)!r}: {reason}; name a directory") from None
     with _locked(folder, tries=5) as is_free:  # `is_running` of another process holds the lock for a moment
         if not is_free:
             raise ScenarioError(f"record.folder = {folder}: a robot runs there already; murmur stop {folder}")

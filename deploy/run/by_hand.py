@@ -20,7 +20,6 @@ from deploy.dashboard.process import ViewTask, serve
 from deploy.dashboard.windows import Window, free_port
 from deploy.record import run_directory
 from deploy.record.records import RecorderNode, Records
-from deploy.run import preload  # noqa: F401  before the process joins, since others wait for it then
 from deploy.run.exploration import Result, conclude
 from deploy.run.hosts import MOST_PORT
 from deploy.run.interrupt import Interrupt
@@ -50,6 +49,7 @@ def serve_netshaper(
     With `keys`, a directory that `murmur keys` made, participants authenticate with its certificates, else with
     passwords.
     """
+    _load_kernels()
     plan = plans.make(scenario)
     endpoint = _endpoint(listen)
     _check_new(folder)
@@ -135,6 +135,7 @@ def _is_everywhere(host: str) -> bool:
 def serve_worldsim(scenario: Scenario, credential: Path) -> None:
     """Serve as the world of the run that the credential belongs to."""
     _check_same(scenario, credential)
+    _load_kernels()
     plan = plans.make(scenario)
     limit = scenario.reply_timeout_s
     task = WorldTask(plan.make_world(), scenario.steps, 1000 * plan.map.resolution, reply_timeout_s=limit)
@@ -151,6 +152,7 @@ def serve_robot(credential: Path) -> None:
         if beside.exists():
             load(beside, {})  # before it joins: are its plug-ins here?
     names.number(read.name)
+    _load_kernels()
     serve_agent(read)
 
 
@@ -198,6 +200,11 @@ def serve_viewer(scenario: Scenario, credential: Path, out: Path, window: Window
     out.mkdir(parents=True, exist_ok=True)
     task = ViewTask(plans.make(scenario), out, port=window.port)
     serve(_credential(credential, names.VIEW), task, window.open)
+
+
+def _load_kernels() -> None:
+    """Load all kernels, and compile those that are not in the cache: before a process joins, since others wait then."""
+    from deploy.run import preload  # noqa: F401, PLC0415
 
 
 def _check_same(scenario: Scenario, credential: Path) -> None:

@@ -26,7 +26,6 @@ from deploy.run.crash_report import crash_report
 from deploy.run.processes import BROKEN_OFF, in_background
 from deploy.run.reply_timeout import CHECK_S, REPLY_TIMEOUT_S, RunningClock
 from protocol import keys as names
-from protocol.temporary import temporary_folder
 
 FORK_SERVER = "the fork server"
 UNKNOWN = 255
@@ -68,11 +67,8 @@ def load_fork_server() -> None:
     """
     if _fork_server_pid() is not None:
         return
-    with (
-        temporary_folder() as folder,
-        contextlib.suppress(ConnectionError),
-        ProcessTable(folder / "logs") as table,
-    ):
+    logs = Path(parent_watchdog.open_folder()) / "preload"
+    with contextlib.suppress(ConnectionError), ProcessTable(logs) as table:
         try:
             table.start("preload", _do_nothing, needed=False)
         except KeyboardInterrupt:

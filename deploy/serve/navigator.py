@@ -1,17 +1,20 @@
 """A plain planner, in the place of nav2: a shortest path on the true map, along which a robot turns and drives.
 
-A robot that others block waits, then plans a way around those that it sees. It gives up after some attempts.
+A robot that others block waits, then plans a way around those that it sees. If there is none, and it is in the way of a
+robot with a lower number, it backs off to where it is not, and waits there (`deploy.serve.giving_way`). If that robot
+cannot pass either, it backs off itself. A robot gives up after some attempts.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
 
+from deploy.serve.giving_way import Others, pocket
 from protocol.grid import FREE, Grid
 from protocol.map_frame import MapFrame
 from protocol.range_scans import UNIT
@@ -34,6 +37,10 @@ PROGRESS_M = 0.1
 """Distance that counts as progress."""
 MOST_RECOVERIES = 6
 """New plans for one goal, as in nav2."""
+INSISTENT = 3
+"""New plans without progress after which a robot backs off for those with higher numbers, too."""
+YIELD_S = 20.0
+"""Longest time for which a robot backs off and waits."""
 
 
 class Outcome(Enum):
@@ -44,6 +51,16 @@ class Outcome(Enum):
     STUCK = "stuck"
     REPLACED = "replaced by another goal"
     CANCELED = "canceled"
+
+
+@dataclass
+class Retreat:
+    """The cell that a robot leaves, for everyone or for lower numbers only; where it waits, and for how long."""
+
+    left: tuple[int, int]
+    everyone: bool
+    pocket: Pose
+    lasted_s: float = 0.0
 
 
 class Navigator:
@@ -76,12 +93,24 @@ class Navigator:
         self._anchor = Pose(0.0, 0.0, 0.0)
         """Where the robot last made progress."""
         self._stalled_s = 0.0
+        self._in_vain = 0
+        """New plans since it last made progress."""
         self._touched_wall = False
+        self._retreat: Retreat | None = None
+        """Where the robot backs off to; None while it drives to its goal."""
+
+    @property
+    def ahead(self) -> NDArray[np.int32]:
+        """The cells ahead, shape (n, 2)."""
+        return self._path
 
     def plan(self, here: Pose, goal: Pose, *, is_new: bool = True) -> bool:
         """Plan the way to a goal; return whether there is one. A repeated goal keeps what is known of the last."""
         if is_new:
-            self.recoveries, self._anchor, self._stalled_s, self._touched_wall = 0, here, 0.0, False
+            self.recoveries, self._in_vain, self._touched_wall, self._retreat = 0, 0, False, None
+            self._anchor, self._stalled_s = here, 0.0
+        elif self._retreat is not None:
+            return True
         return self._plan(here, goal, self._floor if is_new else self._planned_on) or self._plan(
             here, goal, self._floor
         )
@@ -93,14 +122,13 @@ class Navigator:
         points = np.vstack([self._place(here), self._path + 0.5])
         return float(np.hypot(*np.diff(points, axis=0).T).sum()) * self._frame.resolution
 
-    def steer(
-        self, here: Pose, goal: Pose, blocked: str, taken: Callable[[], NDArray[np.bool_]]
-    ) -> tuple[Velocity, Outcome | None]:
+    def steer(self, here: Pose, goal: Pose, blocked: str, others: Others) -> tuple[Velocity, Outcome | None]:
         """Return the velocity of the next step, and how the way has ended, if it has.
 
-        `blocked` says what stopped the robot in the last step. `taken` returns the cells, shape (h, w), that it cannot
-        enter because of robots and people nearby.
+        `blocked` says what stopped the robot in the last step.
         """
+        if self._retreat is not None:
+            return self._back_off(self._retreat, here, goal, others), None
         if blocked == WALL:
             self._touched_wall = True
             self._plan(here, goal, self._floor)
@@ -109,15 +137,41 @@ class Navigator:
         self.recoveries += 1
         if self.recoveries > MOST_RECOVERIES:
             return STOP, Outcome.STUCK
-        around: Grid = np.where(taken(), np.uint8(0), self._floor)
+        self._in_vain += 1
+        around: Grid = np.where(others.taken(), np.uint8(0), self._floor)
         if not self._plan(here, goal, around):
+            self._retreat = self._plan_retreat(here, around, others)
+            if self._retreat is not None:
+                return self._follow(here, self._retreat.pocket)[0], None
             self._plan(here, goal, self._floor)
         return self._follow(here, goal)
+
+    def _plan_retreat(self, here: Pose, around: Grid, others: Others) -> Retreat | None:
+        """Plan the way to where this robot blocks none that goes first; None if it need not back off, or cannot."""
+        start, everyone = self._cell(here), self._in_vain >= INSISTENT
+        ways = others.ways(everyone)
+        if not any(way.blocks(start) for way in ways):
+            return None
+        end = pocket(around, start, ways)
+        if end is None:
+            return None
+        self._path, self._planned_on = shortest_way(around, start, end), around
+        return Retreat(start, everyone, self._center(end))
+
+    def _back_off(self, retreat: Retreat, here: Pose, goal: Pose, others: Others) -> Velocity:
+        """Return the velocity of a robot that backs off; it drives to its goal again once the others have passed."""
+        retreat.lasted_s += self._step_s
+        is_there = math.dist(here[:2], retreat.pocket[:2]) <= POSITION_M
+        has_passed = is_there and not any(way.blocks(retreat.left) for way in others.ways(retreat.everyone))
+        if has_passed or retreat.lasted_s > YIELD_S:
+            self._retreat, self._anchor, self._stalled_s = None, here, 0.0
+            self._plan(here, goal, self._floor)
+        return STOP if is_there else self._follow(here, retreat.pocket)[0]
 
     def _makes_progress(self, here: Pose) -> bool:
         """Return whether the robot has moved lately; if not, the time without progress begins again."""
         if math.dist(here[:2], self._anchor[:2]) >= min(PROGRESS_M, self._speed * WAIT_S / 4):
-            self._anchor, self._stalled_s = here, 0.0
+            self._anchor, self._stalled_s, self._in_vain = here, 0.0, 0
         self._stalled_s += self._step_s
         if self._stalled_s <= WAIT_S:
             return True

@@ -7,13 +7,12 @@ and poses are in the robot's map frame, which begins at its start pose.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.mapping.estimator import Estimator
+from deploy.serve.giving_way import Others
 from deploy.serve.navigator import TURN_SPEED, Navigator, Outcome
 from protocol.arrays import Uint16s
 from protocol.grid import UNKNOWN, Grid
@@ -101,8 +100,13 @@ class SimulatedRobot:
         if task.outcome is None:
             task.outcome = Outcome.CANCELED
 
-    def decide(self, now_ns: int, taken: Callable[[], NDArray[np.bool_]]) -> Velocity:
-        """Return the velocity of the next step; `taken` returns cells that others occupy (`Navigator.steer`)."""
+    @property
+    def is_driving(self) -> bool:
+        """Whether it drives to a goal."""
+        return self.task is not None and self.task.outcome is None
+
+    def decide(self, now_ns: int, others: Others) -> Velocity:
+        """Return the velocity of the next step."""
         task = self.task
         if now_ns < self._command_until:
             self.velocity = self._command
@@ -110,7 +114,7 @@ class SimulatedRobot:
             self.velocity = STOP
         else:
             goal = self._to_true(task.goal)
-            self.velocity, task.outcome = self.navigator.steer(self.true, goal, self.blocked, taken)
+            self.velocity, task.outcome = self.navigator.steer(self.true, goal, self.blocked, others)
         return self.velocity
 
     def moved(self, true: Pose, blocked: str, time_s: float) -> None:

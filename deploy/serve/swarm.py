@@ -6,10 +6,12 @@ import math
 from dataclasses import dataclass, replace
 from functools import partial
 
+import numpy as np
 from msgspec.structs import replace as changed
 
 from deploy.scenario.bodies import laser_of
 from deploy.scenario.plan import Plan
+from deploy.serve.giving_way import Others, Way
 from deploy.serve.navigator import Navigator
 from deploy.serve.robot import SimulatedRobot
 from protocol.map_frame import MapFrame
@@ -24,6 +26,8 @@ LATEST = 10
 """Steps by which the simulation may be late; it skips the time beyond them."""
 AVOID_M = 3.0
 """Distance up to which robots plan around each other."""
+MARGIN_CELLS = 1.0
+"""Distance that a robot which gives way keeps in addition to both radii."""
 LASER_AHEAD_M = 0.1
 """How far the laser is ahead of the robot's center, at most half its radius."""
 
@@ -48,6 +52,7 @@ class Swarm:
         sensors = tuple(_sensors(plan, robot) for robot in range(scenario.robots))
         headings = [robot % 4 * math.pi / 2 for robot in range(scenario.robots)]
         step_s = self.step_ns / SECOND
+        self._radii = [body.radius_cells for body in plan.world.bodies]
         self.world = VelocityWorld(
             world_map.cells,
             frame,
@@ -95,13 +100,26 @@ class Swarm:
 
     def _step(self) -> None:
         velocities = [
-            robot.decide(self.next_ns, partial(self.world.near_others, number, AVOID_M))
-            for number, robot in enumerate(self.robots)
+            robot.decide(self.next_ns, self._others(number)) for number, robot in enumerate(self.robots)
         ]
         blocked = self.world.advance(velocities)
         for number, robot in enumerate(self.robots):
             robot.moved(self.world.pose(number), blocked[number], self.time_ns / SECOND)
         self._look()
+
+    def _others(self, number: int) -> Others:
+        return Others(partial(self.world.near_others, number, AVOID_M), partial(self._ways, number))
+
+    def _ways(self, number: int, everyone: bool) -> list[Way]:
+        """Return the ways of robots that drive to a goal and go before one: those with lower numbers, or all."""
+        return [
+            Way(
+                np.concatenate([np.array([self.world.cell(other)], np.int32), robot.navigator.ahead]),
+                self._radii[number] + self._radii[other] + MARGIN_CELLS,
+            )
+            for other, robot in enumerate(self.robots)
+            if robot.is_driving and (other < number or (everyone and other != number))
+        ]
 
     def _look(self) -> None:
         for number, robot in enumerate(self.robots):

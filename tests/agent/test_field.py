@@ -7,13 +7,14 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
+from agent.encodings.catalog import ENCODINGS
 from agent.field import FAREWELLS, FieldFiles, FieldRobot, drive, field_settings, team_context
 from agent.pose_guard import PoseGuard
 from agent.radios.memory_air import Faults, MemoryAir
 from agent.radios.options import LinkOptions
 from agent.radios.sealing import KEY_BYTES, OVERHEAD, Sealer
 from agent.radios.session_file import SessionFileError
-from agent.settings import Settings
+from agent.settings import EncodingSettings, Settings
 from protocol.messages import Move, Sense
 from protocol.range_scans import Laser
 from protocol.token_bucket import SECOND
@@ -182,6 +183,17 @@ def test_frames_of_robots_with_other_maps_do_not_open(tmp_path: Path) -> None:
     robot.medium.receive(Sealer(KEY, 1, 1, team_context(other)).seal(b""), 0)
     robot.medium.receive(Sealer(KEY, 1, 1, team_context(settings)).seal(b""), 0)
     assert robot.medium.dropped == {"not authentic": 1}
+
+
+def test_only_encodings_that_send_scans_need_equal_lasers() -> None:
+    settings = PLAN.robot_settings[0]
+    teams = []
+    for beams in (4, 8):
+        body = replace(settings.body, laser=Laser(beams, 0, 49152, 8000))
+        teams.append(replace(settings, bodies=(body,) * settings.robots))
+    for name in ENCODINGS:
+        one, other = (team_context(replace(each, encoding=EncodingSettings(name))) for each in teams)
+        assert (one == other) == (name not in ("scans", "slam-toolbox")), name
 
 
 def test_a_dissemination_that_needs_a_relay_is_refused() -> None:

@@ -197,6 +197,12 @@ def test_the_blocks_of_a_page_run(page: Path, tmp_path: Path, monkeypatch: pytes
     gc.collect()  # removes strategies that a page defines
 
 
+def test_no_page_has_a_placeholder() -> None:
+    for page in PAGES:
+        text = BLOCK.sub("", page.read_text(encoding="utf-8"))
+        assert re.findall(r"^[A-Z]{4,}$|\bTODO\b|\bTBD\b", text, re.M) == [], page.name
+
+
 def test_lines_in_the_rules_are_on_a_page() -> None:
     text = "\n".join(page.read_text(encoding="utf-8") for page in PAGES)
     on_pages = {line for page in PAGES for block in blocks(page) for line in commands(block)}

@@ -114,3 +114,20 @@ def test_a_kernel_that_calls_kernels_of_the_cache_can_be_compiled(tmp_path: Path
     )
     assert call(tmp_path, command).stdout == "24 3 1\n"
     assert call(tmp_path, command).stdout == "24 2 0\n"
+
+
+PARALLEL = """
+import sums
+from protocol.kernels import compile_in_parallel, compiled, loaded
+print(compile_in_parallel(2) > 0, loaded(), compiled(), sums.four_times(3), loaded(), compiled())
+"""
+
+
+def test_processes_compile_kernels_for_later_ones(tmp_path: Path) -> None:
+    (tmp_path / "sums.py").write_text(MODULE)
+    first = call(tmp_path, PARALLEL)
+    assert first.stdout == "True 0 0 12 1 0\n", "this process reads what others have compiled"
+    assert first.stderr.splitlines()[0].startswith("compiling for this machine, once: ")
+    again = call(tmp_path, PARALLEL)
+    assert (again.stdout, again.stderr) == ("False 0 0 12 1 0\n", "")
+    assert call(tmp_path, LOAD_ALL).stdout == "12 3 0\n"

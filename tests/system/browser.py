@@ -67,6 +67,12 @@ class Browser:
         page = self._ask("Target.createTarget", url=address)["targetId"]
         self._session = self._ask("Target.attachToTarget", targetId=page, flatten=True)["sessionId"]
 
+    def click(self, x: int, y: int) -> None:
+        """Click at a pixel of the page."""
+        at = {"x": x, "y": y, "button": "left", "clickCount": 1}
+        for kind in ("mousePressed", "mouseReleased"):
+            self._ask("Input.dispatchMouseEvent", type=kind, **at)
+
     def picture(self) -> bytes:
         """The page as it looks now, a PNG."""
         return base64.b64decode(self._ask("Page.captureScreenshot", format="png")["data"])

@@ -52,7 +52,6 @@ QUICK = [
     {"map_encoding": "polygons", "robots": 8, "bandwidth": 150, "range": "30%"},
     {"map_encoding": "polygons", "robots": 5, "bandwidth": "unlimited", "dissemination": "thesis"},
     {"map_encoding": "scans", "robots": 2, "bandwidth": "unlimited", "range": 4},
-    {"map_encoding": "scans", "robots": 5, "bandwidth": 1000},
     {"map_encoding": "none", "robots": 2, "range": "20%"},
     {"map_encoding": "predictive", "robots": 5, "bandwidth": 50, "dissemination": "gossip"},
     {
@@ -64,14 +63,18 @@ QUICK = [
     },
     {"map_encoding": "predictive", "robots": 3, "bandwidth": 200},
     {"map_encoding": "cells", "robots": 3, "bandwidth": 300, "dissemination": "gossip"},
+]
+MORE = [
+    {"map_encoding": "scans", "robots": 5, "bandwidth": 1000},
     {"map_encoding": "cells", "robots": 3, "bandwidth": 1000},
     {"map_encoding": "polygons", "robots": 3, "bandwidth": 500, "range": 5, "dissemination": "gossip"},
     {"map_encoding": "scans", "robots": 3, "bandwidth": "unlimited", "range": 5, "dissemination": "gossip"},
     {"map_encoding": "polygons", "robots": 1},
 ]
+CASES = [*QUICK, *(pytest.param(case, marks=pytest.mark.long) for case in MORE)]
 
 
-@pytest.mark.parametrize("settings", QUICK, ids=lambda case: "-".join(str(value) for value in case.values()))
+@pytest.mark.parametrize("settings", CASES, ids=lambda case: "-".join(str(value) for value in case.values()))
 def test_the_digest_is_the_same_on_both_buses(floor: str, settings: dict[str, Any]) -> None:
     polygons = asdict(THESIS_OPTIONS) if settings.get("dissemination") == "thesis" else {}
     check_both_buses(map=floor, steps=40, seed=7, polygons=polygons, **settings)

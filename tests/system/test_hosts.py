@@ -17,6 +17,7 @@ import pytest
 
 from deploy.run.exploration import explore
 from deploy.scenario.scenario import load
+from tests.deploy.commands.office_floor import murmur
 from tests.system.far_host import NEAR, NEAR_6, ROOT, FarHost, far_host, why_not
 
 PATIENCE_S = 120
@@ -110,6 +111,22 @@ def test_delay_and_loss_change_no_result_and_no_secret_is_on_a_command_line(
     assert far.processes() == []
 
 
+def test_a_run_on_two_hosts_by_the_wall_clock_is_repeated_from_its_record(
+    far: FarHost, tmp_path: Path
+) -> None:
+    write_inputs(tmp_path, far, f'steps = {STEPS}\nclock = "wall"\nstep_s = 0.5\n', robots="2")
+    with launched(tmp_path, far) as run:
+        output, faults = run.communicate(timeout=PATIENCE_S)
+    assert run.returncode == 1, faults
+    summary = json.loads(output)
+    assert (summary["steps"], summary["clock"], summary["lost"]) == (STEPS, "wall", {})
+    assert all(missed < STEPS for missed in summary["missed_steps_by_robot"]), "each robot has moved"
+    assert min(summary["path_length"]) > 0
+    result = murmur("replay", str(tmp_path / "run"))
+    assert result.exit_code == 0, result.stderr
+    assert far.processes() == []
+
+
 def test_a_far_robot_that_dies_is_named_with_its_host_and_the_others_finish(
     far: FarHost, tmp_path: Path
 ) -> None:
@@ -127,6 +144,7 @@ def test_a_far_robot_that_dies_is_named_with_its_host_and_the_others_finish(
     assert far.processes() == []
 
 
+@pytest.mark.long
 def test_a_lost_connection_is_reported_with_its_robots(far: FarHost, tmp_path: Path) -> None:
     write_inputs(tmp_path, far, "speed = 0.005\n", robots="3")
     with launched(tmp_path, far) as run:

@@ -31,7 +31,7 @@ EXACT: dict[str, Any] = {
 NOISY: dict[str, Any] = {
     "pose": {"preset": "graph-slam"},
     "robot": [
-        {"robot": 0, "laser": "rplidar-a1", "sensor_range": 6.0},
+        {"robot": 0, "laser": "rplidar-a1", "pose": "exact", "sensor_range": 6.0},
         {"robot": 1, "laser": {"preset": "sick-lms", "rate": 0.5}, "pose": "particle-filter", "radius": 0.15},
     ],
 }  # fmt: skip

@@ -78,12 +78,13 @@ def test_when_the_leader_breaks_down_another_leads_and_the_team_finishes() -> No
     assert ends == {True: (EXPLORED_ALL, True), False: (STALLED, False)}
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", ["burgard", "greedy", "hungarian-depot", "leaders", "meier", "repairmen"])
 def test_a_strategy_gives_the_same_digest_on_both_buses(name: str) -> None:
+    """One strategy of each kind; the long test below runs all of them."""
     assert run(name, "zenoh").summary["digest"] == run(name).summary["digest"]
 
 
-@pytest.mark.parametrize("map_encoding", [name for name in EXACT if name != "polygons"])
+@pytest.mark.parametrize("map_encoding", ["scans", "predictive"])
 def test_a_sub_team_strategy_gives_equal_digests_on_both_buses_with_every_map_encoding(
     map_encoding: str,
 ) -> None:

@@ -49,20 +49,25 @@ def assert_shows_robots(png: bytes, robots: int) -> None:
     pixels = np.array(Image.open(io.BytesIO(png)).convert("RGB")).reshape(-1, 3).astype(int)
     for robot in range(min(8, robots)):
         near = np.abs(pixels - robot_color(robot)).max(axis=1) <= 6
-        assert near.sum() > 200, f"robot {robot} is hardly to be seen"
+        assert near.sum() > 120, f"robot {robot} is hardly to be seen"
 
 
-def assert_is_to_be_read(png: bytes, *, light: bool, kinds: int = 4) -> None:
+TOP_BAR, TITLE, TIME_BAR = 37, 32, 30
+"""Rows of the bar above the panels, of a panel's title, and of the time panel below."""
+
+
+def assert_is_to_be_read(png: bytes, *, light: bool, kinds: int = 4, top: int = TOP_BAR) -> None:
     """The theme is what was asked for, the team's curves stand out from it, and each bar has its caption above it."""
     picture = np.array(Image.open(io.BytesIO(png)).convert("RGB")).astype(int)
-    lower = picture[int(0.68 * len(picture)) : int(0.95 * len(picture))]
+    panels = picture[top:-TIME_BAR]
+    lower = panels[int(0.6 * len(panels)) + TITLE :]
     wide = lower.shape[1]
     paper = np.median(lower.reshape(-1, 3), axis=0)
     assert (paper > 230).all() if light else (paper < 40).all()
     edges = [sum(SERIES_SHARES[:n]) * wide // sum(SERIES_SHARES) for n in range(len(SERIES_SHARES) + 1)]
     for left, right in (edges[0:2], edges[2:4]):
         curve = lower[:, left:right]
-        assert (np.abs(curve - TEAM).max(axis=2) <= 30).sum() > 300, "the team's curve is hardly to be seen"
+        assert (np.abs(curve - TEAM).max(axis=2) <= 30).sum() > 150, "the team's curve is hardly to be seen"
     panel = lower[:, edges[1] + 4 : edges[2] - 4]
     bars = 0
     for color in {group.color for group in GROUPS.values()}:
@@ -70,7 +75,7 @@ def assert_is_to_be_read(png: bytes, *, light: bool, kinds: int = 4) -> None:
         rows = np.flatnonzero((off <= 6).sum(axis=1) > 0.1 * panel.shape[1])
         if len(rows):
             bars += 1
-            caption = off[max(0, rows[0] - 40) : rows[0] - 3] <= 60
+            caption = off[max(0, rows[0] - 45) : rows[0] - 3] <= 60
             assert caption.sum() > 20, f"the bar of color {color} has no caption"
             assert not caption[:, [0, -1]].any(), "a caption is cut off"
     assert bars >= kinds
@@ -109,23 +114,41 @@ def test_all_robots_are_shown_in_the_dark_and_no_view_reports_an_error(
     assert_is_to_be_read(png, light=False, kinds=kinds)
 
 
-@pytest.mark.parametrize("robots", [5, pytest.param(16, marks=pytest.mark.long)])
-def test_a_light_page_shows_the_dashboard_in_a_real_browser(robots: int, tmp_path: Path) -> None:
-    recording = recorded(tmp_path, robots=robots, range="30%", steps=25, **OUTLINES)
+SIZES = [(1280, 720), (1366, 768), (1920, 1080)]
+long = pytest.mark.long
+
+
+@pytest.fixture(scope="module")
+def small_recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return recorded(tmp_path_factory.mktemp("small"), robots=8, range="30%", steps=25, **OUTLINES)
+
+
+@pytest.mark.parametrize(
+    ("theme", "size"),
+    [
+        ("light", SIZES[0]),
+        *(pytest.param("light", size, marks=long) for size in SIZES[1:]),
+        *(pytest.param("dark", size, marks=long) for size in SIZES),
+    ],
+    ids=str,
+)
+def test_the_page_shows_the_dashboard_in_a_real_browser(
+    theme: str, size: tuple[int, int], small_recording: Path
+) -> None:
     printed: list[str] = []
     window = Window("web", printed.append)
-    with Browser(1440, 900) as browser:
-        window.open(recording)
+    with Browser(*size) as browser:
+        window.open(small_recording)
         try:
-            assert printed == [f"Dashboard: {window.address}  (until Ctrl-C)"]
+            assert printed == [f"Dashboard: {window.address}"]
             assert window.address.startswith("http://127.0.0.1:")
-            browser.open(f"{window.address}&persist=0&renderer=webgl&theme=light")
-            png = browser.settled_picture(120.0, least=100_000)
+            browser.open(f"{window.address}&persist=0&renderer=webgl&theme={theme}")
+            png = browser.settled_picture(120.0, least=60_000)
         finally:
             window.close()
-    keep(f"dashboard-light-{robots}", png)
-    assert_shows_robots(png, robots)
-    assert_is_to_be_read(png, light=True)
+    keep(f"dashboard-{theme}-{size[0]}", png)
+    assert_shows_robots(png, 8)
+    assert_is_to_be_read(png, light=theme == "light", kinds=3, top=0)
 
 
 @pytest.mark.long

@@ -449,7 +449,7 @@ def test_cells_behind_a_narrow_opening_count_only_with_exact_sensors() -> None:
     truth[:, 20] = OCCUPIED
     body, start = Body(10.0, 360.0, 1.0), ((5, 10),)
     laser = Laser(beams=9, first=0, span=TURN // 2, reach_mm=1000)
-    sensors = SensorSettings(LaserOptions(range_error_m=0.01), PoseOptions(), (laser,), 0.1)
+    sensors = SensorSettings((RobotSensors(LaserOptions(range_error_m=0.01), PoseOptions(), laser),), 0.1)
     for opening, exact, real in ((2, True, False), (3, True, True)):
         truth[10 : 10 + opening, 20] = FREE
         worlds = [World(truth, WorldSettings((body,), start, 4, sensors=each)) for each in (None, sensors)]

@@ -10,23 +10,23 @@ from protocol.arrays import Cells
 from protocol.grid import FREE, UNKNOWN, Grid
 
 
-def cells(*unknown: tuple[int, int]) -> tuple[Grid, PathPlanner, Cells]:
-    grid = np.full((20, 20), FREE, np.uint8)
+def frontier_beside(*unknown: tuple[int, int]) -> tuple[PathPlanner, Cells]:
+    grid: Grid = np.full((20, 20), FREE, np.uint8)
     for x, y in unknown:
         grid[y, x] = UNKNOWN
     planner = PathPlanner(grid)
-    return grid, planner, planner.frontier(2, 2)
+    return planner, planner.frontier(2, 2)
 
 
 def needed(
     escape: Escape, first: int, steps: int, at: tuple[float, float], *unknown: tuple[int, int]
 ) -> list[bool]:
-    _, planner, frontier = cells(*unknown)
+    planner, frontier = frontier_beside(*unknown)
     return [escape.is_needed(at, step, planner, frontier) for step in range(first, first + steps)]
 
 
 def test_a_robot_that_oscillates_escapes_and_one_that_drives_does_not() -> None:
-    _, planner, frontier = cells((15, 15))
+    planner, frontier = frontier_beside((15, 15))
     for width, expected in ((2.0, True), (4.0, False)):
         escape = Escape(3.0, 2.0)
         places = [(2.0 + width * (step % 2), 2.0) for step in range(2 * STEPS)]

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from functools import cache
+from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, ImageDraw
 from typer.testing import CliRunner
 
 from deploy.after import archive
 from deploy.after.frames import VEIL, Frames, side_by_side
 from deploy.after.movie import MP4, MovieError, write_movie
 from deploy.commands.app import app
-from deploy.record.colors import GREY, PAPER, Color, mix, robot_color
+from deploy.record.colors import GREY, PAPER, SIGNAL, Color, mix, robot_color
 from protocol.grid import FREE, UNKNOWN
 from tests.deploy.small_run import small_directory
 
@@ -53,6 +55,55 @@ def test_frames_differ_between_steps_and_repeat_after_the_end() -> None:
     first, later, last = (frames().at(step).tobytes() for step in (1, 20, 40))
     assert len({first, later, last}) == 3
     assert frames().at(99).tobytes() == last
+
+
+def drawn_texts(shown: Frames, step: int, monkeypatch: pytest.MonkeyPatch) -> dict[str, tuple[float, ...]]:
+    """The texts of a frame with their boxes, without the numbers on the robots."""
+    boxes: dict[str, tuple[float, ...]] = {}
+    write = ImageDraw.ImageDraw.text
+
+    def noted(self: Any, place: Any, text: str, fill: Any, letters: Any, anchor: str) -> None:
+        if anchor != "mm":
+            boxes[f"{text} at {place}"] = self.textbbox(place, text, letters, anchor)
+        write(self, place, text, fill, letters, anchor)
+
+    monkeypatch.setattr(ImageDraw.ImageDraw, "text", noted)
+    shown.at(step)
+    monkeypatch.undo()
+    return boxes
+
+
+@pytest.mark.parametrize("width", [560, 840, 960, 1120, 1280])
+def test_no_text_of_a_frame_is_cut_or_covers_another(width: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    shown = Frames(archive.read(small_directory()), width)
+    boxes = drawn_texts(shown, 40, monkeypatch)
+    for text, (left, top, right, bottom) in boxes.items():
+        assert 0 <= left < right <= shown.size[0], text
+        assert 0 <= top < bottom <= shown.size[1], text
+    for (one, a), (other, b) in combinations(boxes.items(), 2):
+        apart = a[2] <= b[0] or b[2] <= a[0] or a[3] <= b[1] or b[3] <= a[1]
+        assert apart, f"{one} covers {other}"
+
+
+def test_a_frame_has_axes_a_scale_bar_a_legend_and_the_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    texts = [each.split(" at ")[0] for each in drawn_texts(frames(), 30, monkeypatch)]
+    assert "step 30 of 40, 30 s" in texts
+    assert {"0", "5", "10", "15", "20", "25 m"} <= set(texts)
+    assert {"5 m", "unknown", "free", "wall", "received data", "in range", "target"} <= set(texts)
+
+
+def test_links_of_a_frame_are_those_that_carried_data_also_by_broadcast(tmp_path: Path) -> None:
+    from deploy.run.exploration import explore
+    from deploy.scenario.scenario import parse
+
+    explore(parse({"robots": 3, "range": "100%", "steps": 12, "bus": "memory"}), out=tmp_path / "run")
+    run = archive.read(tmp_path / "run")
+    assert len(run.links[10]) > 2
+    assert count(Frames(run).at(10), SIGNAL, 30) > 20
+    assert run.in_range(10) == {(0, 1), (0, 2), (1, 2)}
+    (tmp_path / "run" / "radio.pcapng").unlink()
+    without = archive.read(tmp_path / "run")
+    assert without.links[10] <= run.links[10]
 
 
 def test_many_robots_and_a_flat_building_fit_into_a_frame(tmp_path: Path) -> None:

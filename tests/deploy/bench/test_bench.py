@@ -19,6 +19,7 @@ from agent.strategies.registry import strategies
 from deploy.bench import (
     baselines,
     explorations,
+    field,
     kernels,
     registry,
     relay,
@@ -249,3 +250,14 @@ def test_numpy_draws_the_same_scan(seed: int) -> None:
     draw(mine, beams, *cell, cast(grid, no_robots, beams, *cell))
     baselines.scan_in_numpy(grid, beams, cell, theirs)
     assert (mine == theirs).all()
+
+
+def test_a_robot_in_the_field_is_measured_beside_simulated_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("rosbags", reason="rosbags is in the extra ros2")
+    monkeypatch.setattr(field, "SIDES_M", (10,))
+    monkeypatch.setattr(field, "WARM_UP_S", 0.2)
+    monkeypatch.setattr(field, "MEASURED_S", 1.0)
+    memory, anonymous, processor = field.field()
+    assert [each.unit for each in (memory, anonymous, processor)] == ["MB", "MB", "% of a core"]
+    assert memory.value > anonymous.value > 50
+    assert 0 < processor.value < 200

@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 from agent.radios.team_key import read_key
 from deploy.commands.app import app
+from deploy.run import preload  # noqa: F401  which the servers do, in threads with a time limit
 from deploy.run.by_hand import serve_netshaper, serve_routing
 from deploy.scenario.scenario import ScenarioError, parse
 from protocol import keys as names

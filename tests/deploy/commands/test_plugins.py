@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 from zipfile import ZipFile
 
 import pytest
@@ -100,22 +102,40 @@ def test_strategies_of_a_package_are_listed_even_if_their_import_fails(installed
     assert "package farthest-first torn cannot be imported: RuntimeError: torn" in printed
 
 
+def called(installed: Path, *commands: str) -> list[dict[str, Any]]:
+    """Call commands of murmur in one process; return the exit code, output, and errors of each."""
+    done = python(installed, "-c", CALL, *commands)
+    assert (done.returncode, done.stderr) == (0, ""), done.stderr
+    return [json.loads(line) for line in done.stdout.splitlines()]
+
+
+CALL = """
+import json, shlex, sys
+from typer.testing import CliRunner
+from deploy.commands.app import app
+
+for words in sys.argv[1:]:
+    done = CliRunner().invoke(app, shlex.split(words))
+    print(json.dumps({"code": done.exit_code, "output": done.stdout, "errors": done.stderr}))
+assert "torn_strategy" not in sys.modules
+"""
+
+
 def test_finished_runs_are_read_without_the_code_that_their_scenario_names(
     installed: Path, tmp_path: Path
 ) -> None:
     """The module `torn_strategy` fails when it is imported; replay runs code of other folders only if it is trusted."""
-    run, murmur = str(tmp_path / "run"), ("-m", "deploy.commands.main")
-    python(
-        installed, *murmur, "explore", "--map", "em", "--robots", "2", "--steps", "4", "--bus", "memory", "--out", run,
-        "--strategy", "farthest",
-    )  # fmt: skip
-    refused = python(installed, *murmur, "replay", run)
-    assert refused.returncode == 2
+    run = str(tmp_path / "run")
+    settings = "--map em --robots 2 --steps 4 --bus memory --strategy farthest"
+    explored, refused, trusted = called(
+        installed, f"explore {settings} --out {run}", f"replay {run}", f"replay {run} --trust"
+    )
+    assert (explored["code"], refused["code"]) == (1, 2)
     place = f"module farthest_first ({installed / 'farthest_first.py'})"
-    assert refused.stderr == (
+    assert refused["errors"] == (
         f"murmur: {run}: would run {place}, which is no installed package: read it, then use --trust\n"
     )
-    assert python(installed, *murmur, "replay", run, "--trust").stdout.startswith("Replay matches")
+    assert trusted["output"].startswith("Replay matches")
 
     copies = []
     for number, name in enumerate(("torn", "torn_strategy:Torn", "no_longer_there:Strategy")):
@@ -124,30 +144,18 @@ def test_finished_runs_are_read_without_the_code_that_their_scenario_names(
         lines = scenario.read_text().splitlines()
         changed = [f'strategy = "{name}"' if line.startswith("strategy = ") else line for line in lines]
         scenario.write_text("\n".join(changed))
-    done = python(installed, "-c", READ, *map(str, copies))
-    assert (done.returncode, done.stderr) == (0, ""), done.stderr
-    by_name, by_module, missing = done.stdout.splitlines()
-    assert "module torn_strategy" in by_name
-    assert "module torn_strategy" in by_module
-    assert "module torn_strategy" not in missing
-    assert "No module named 'no_longer_there'" in missing
-    torn = python(installed, *murmur, "replay", str(copies[2]), "--trust")
-    assert (torn.returncode, torn.stderr.count("Traceback")) == (2, 0)
-
-
-READ = """
-import sys
-from typer.testing import CliRunner
-from deploy.commands.app import app
-
-for run in sys.argv[1:]:
-    commands = ["capture --robot 0", *(("report", "export --mcap") if run == sys.argv[1] else ())]
-    for words in commands:
-        done = CliRunner().invoke(app, [*words.split(), run])
-        assert done.exit_code == 0, done.output
-    refused = CliRunner().invoke(app, ["replay", run])
-    assert refused.exit_code == 2
-    print(" ".join(refused.stderr.split()))
-assert "torn_strategy" not in sys.modules
-"""
-"""Reads run directories in one process, and prints why each cannot be replayed."""
+    reading = [
+        *(f"capture --robot 0 {copy}" for copy in copies),
+        f"report {copies[1]}",
+        f"export --mcap {copies[1]}",
+    ]
+    by_name, by_module, missing, torn, *read = called(
+        installed, *(f"replay {copy}" for copy in copies), f"replay {copies[2]} --trust", *reading
+    )
+    assert [each["code"] for each in read] == [0] * len(reading), read
+    assert [each["code"] for each in (by_name, by_module, missing, torn)] == [2, 2, 2, 2]
+    assert "module torn_strategy" in by_name["errors"]
+    assert "module torn_strategy" in by_module["errors"]
+    assert "module torn_strategy" not in missing["errors"]
+    assert "No module named 'no_longer_there'" in missing["errors"]
+    assert "Traceback" not in torn["errors"]

@@ -19,9 +19,9 @@ from deploy.dashboard.shapes import (
     map_picture,
     number_strips,
     outline_strips,
-    tick_values,
 )
 from deploy.record.colors import CELLS, GROUPS, robot_color
+from deploy.record.ticks import tick_values
 from protocol.grid import MAX_ROBOTS, Grid
 from protocol.messages import grid_from_bytes, grid_to_bytes
 from protocol.packets import ALL_KINDS

@@ -64,3 +64,13 @@ def test_without_a_robot_there_is_nothing_to_stop(tmp_path: Path) -> None:
     assert murmur("stop").exit_code == 2
     every = murmur("stop", "--all")
     assert (every.exit_code, every.stdout) == (0, "no robot of this user runs on this host\n")
+
+
+@pytest.mark.parametrize(("name", "reason"), [("file", "File exists"), ("file/record", "Not a directory")])
+def test_a_record_directory_that_cannot_be_created_is_named(tmp_path: Path, name: str, reason: str) -> None:
+    (tmp_path / "file").touch()
+    with (
+        pytest.raises(ScenarioError, match=f"record.folder = '.*{name}': {reason}"),
+        running(tmp_path / name),
+    ):
+        pass

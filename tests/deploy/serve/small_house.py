@@ -48,3 +48,20 @@ def run(robots: Swarm, seconds: float) -> None:
     until = robots.now_ns + round(seconds * 10**9)
     while robots.next_ns <= until:
         robots.advance(robots.next_ns)
+
+
+def corridor(length: int, room: int) -> Grid:
+    """A room of 2 m, and a corridor of `length` cells in which robots cannot pass each other.
+
+    At its other end is a room of `room` cells; without any, a dead end.
+    """
+    truth = np.full((24, 22 + length + room), OCCUPIED, np.uint8)
+    truth[2:-2, 2:20] = FREE
+    truth[9:15, 20 : 20 + length] = FREE
+    truth[2:-2, 20 + length : 20 + length + room] = FREE
+    return truth
+
+
+def corridor_plan(length: int, room: int, *starts: tuple[float, float]) -> Plan:
+    given = {"robots": len(starts), "starts": starts, "radius": 0.2, "sensor_range": 8.0}
+    return plans.make(parse(given), Map("corridor", corridor(length, room), CELL))

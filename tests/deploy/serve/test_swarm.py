@@ -21,6 +21,7 @@ from tests.deploy.serve.small_house import (
     FIRST_ROOM,
     SECOND_ROOM,
     STEP_NS,
+    corridor_plan,
     goal_at,
     house,
     house_plan,
@@ -141,6 +142,29 @@ def test_a_robot_drives_around_one_in_its_way() -> None:
     run(team, 20)
     assert task.outcome is Outcome.REACHED
     assert robot.navigator.recoveries >= 1
+
+
+@pytest.mark.parametrize(("first", "second"), [(1.3, 4.5), (4.5, 1.3)])
+def test_robots_that_meet_in_a_door_pass_one_after_the_other(first: float, second: float) -> None:
+    team = swarm((first, 1.3), (second, 1.3))
+    one, other = team.robots
+    tasks = [one.go(goal_at(one, (second, 1.0)), 0), other.go(goal_at(other, (first, 1.6)), 0)]
+    run(team, 40)
+    assert [task.outcome for task in tasks] == [Outcome.REACHED, Outcome.REACHED]
+
+
+@pytest.mark.parametrize(("room", "end_m"), [(18, 5.9), (0, 4.7)], ids=["two rooms", "dead end"])
+@pytest.mark.parametrize("swapped", [False, True])
+def test_robots_that_meet_in_a_corridor_back_off_to_a_room(room: int, end_m: float, swapped: bool) -> None:
+    """Before a dead end, only the robot on the side of the room can back off, whatever its number."""
+    places = [(1.0, 1.2), (end_m, 1.2)]
+    starts = places[::-1] if swapped else places
+    team = Swarm(corridor_plan(30, room, *starts), SwarmSettings(), 0)
+    tasks = [
+        robot.go(goal_at(robot, place), 0) for robot, place in zip(team.robots, starts[::-1], strict=True)
+    ]
+    run(team, 90)
+    assert [task.outcome for task in tasks] == [Outcome.REACHED, Outcome.REACHED]
 
 
 def test_a_robot_before_a_blocked_door_gives_up() -> None:

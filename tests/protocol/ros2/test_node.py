@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import signal
 import socket
-from collections.abc import Callable
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -282,6 +285,47 @@ def test_nodes_find_each_other_again_after_the_router_has_restarted() -> None:
         spin_until(lambda: publisher.publish(message, 0) or received, receiver)
         spin_until(lambda: len(receiver.graph().nodes) == 2)
     router.close()
+
+
+@pytest.fixture
+def router_process() -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
+    """A router in a process of its own, and its address."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        address = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    code = f"""
+from protocol.ros2.session import open_router
+router = open_router({address!r})
+print("open", flush=True)
+input()
+"""
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"open\n"
+        yield address, process
+        process.kill()
+
+
+def test_messages_arrive_again_after_the_router_could_not_keep_up(
+    router_process: tuple[str, subprocess.Popen[bytes]],
+) -> None:
+    address, process = router_process
+    received: Received = []
+    with Ros2Node("sender", router=address) as sender, Ros2Node("receiver", router=address) as receiver:
+        receiver.subscription("chatter", names.STRING, DEFAULT, collect(received))
+        publisher = sender.publisher("chatter", names.STRING)
+        wait_for_subscription(publisher)
+        message = sender.messages[names.STRING](data="x" * 50_000)
+        process.send_signal(signal.SIGSTOP)
+        for _ in range(400):  # more than the buffers of the connection hold
+            publisher.publish(message, 0)
+        process.send_signal(signal.SIGCONT)
+        last = sender.messages[names.STRING](data="last")
+        spin_until(
+            lambda: publisher.publish(last, 0) or (received and received[-1][0].data == "last"), receiver
+        )
 
 
 def test_without_a_router_a_node_says_what_to_do() -> None:
