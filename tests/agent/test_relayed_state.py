@@ -79,7 +79,7 @@ class Line:
 
     @property
     def teams(self) -> list[tuple[int, ...]]:
-        return [robot._strategy.members for robot in self.robots]  # type: ignore[attr-defined]
+        return [robot.strategy.members for robot in self.robots]  # type: ignore[attr-defined]
 
 
 def test_in_a_chain_of_three_all_plan_for_three_with_relayed_states(
@@ -94,7 +94,7 @@ def test_in_a_chain_of_three_all_plan_for_three_with_relayed_states(
         first, last = line.teams[0], line.teams[2]
         assert [first, last] == ends
         assert line.teams[1] == (0, 1, 2)
-    situation = line.robots[2]._strategy.situation  # type: ignore[attr-defined]
+    situation = line.robots[2].strategy.situation  # type: ignore[attr-defined]
     assert situation.connected == (0,)
     assert situation.poses[0] == Pose(6, 10, leads=False), "where it was a step ago"
     assert situation.targets[0] in targets

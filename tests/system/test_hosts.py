@@ -111,6 +111,7 @@ def test_delay_and_loss_change_no_result_and_no_secret_is_on_a_command_line(
     assert far.processes() == []
 
 
+@pytest.mark.long
 def test_a_run_on_two_hosts_by_the_wall_clock_is_repeated_from_its_record(
     far: FarHost, tmp_path: Path
 ) -> None:

@@ -65,6 +65,7 @@ def test_two_agents_explore_a_house_although_one_robot_offers_only_its_map(
     assert_maps_are_true(maps, plan)
 
 
+@pytest.mark.long
 def test_two_agents_share_a_house_over_modems_of_200_bytes_per_second_that_lose_a_tenth(
     router: str, tmp_path: Path
 ) -> None:
