@@ -55,6 +55,7 @@ def state_of(address: str) -> dict[str, Any]:
     return state
 
 
+@pytest.mark.long
 def test_a_run_waits_for_a_viewer_obeys_its_buttons_and_its_page_stays(tmp_path: Path) -> None:
     log = tmp_path / "log"
     more = ["--wait-for-viewer", "--keep-serving", "--pace", "1", "--out", str(tmp_path / "run")]

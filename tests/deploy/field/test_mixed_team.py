@@ -146,7 +146,7 @@ def test_a_robot_that_starts_late_gets_the_whole_map_in_few_bytes(team: HouseTea
     assert "malformed" not in second.output
 
 
-@pytest.mark.parametrize("ending", ["stopped", "killed"])
+@pytest.mark.parametrize("ending", ["stopped", pytest.param("killed", marks=pytest.mark.long)])
 def test_a_robot_that_leaves_for_good_does_not_keep_its_teammate_from_finishing(
     team: HouseTeam, ending: str
 ) -> None:
@@ -163,6 +163,7 @@ def test_a_robot_that_leaves_for_good_does_not_keep_its_teammate_from_finishing(
     wait_until(lambda: known_share(team.nodes[0].team_map, house()) > 0.97)
 
 
+@pytest.mark.long
 def test_a_robot_beyond_the_size_of_the_team_is_explained_at_both_ends(team: HouseTeam) -> None:
     team.place(0, Pose(0.0, 0.0, 0.0), drives=False)
     team.place(1, RIGHT_ROOM, drives=False)
@@ -172,6 +173,7 @@ def test_a_robot_beyond_the_size_of_the_team_is_explained_at_both_ends(team: Hou
     assert json.loads(team.nodes[0].statuses[-1])["neighbors"] == []
 
 
+@pytest.mark.long
 def test_a_robot_that_leaves_and_returns_continues(team: HouseTeam) -> None:
     team.place(0, Pose(0.0, 0.0, 0.0))
     team.place(1, RIGHT_ROOM)
