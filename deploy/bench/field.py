@@ -36,7 +36,7 @@ START_S = 180.0
 END_S = 30.0
 MURMUR = (sys.executable, "-m", "deploy.commands.main")
 MEMORY = {"VmRSS": "memory", "RssAnon": "memory, anonymous"}
-"""Lines of ``/proc/PID/status``, and what they measure."""
+"""Names of lines of ``/proc/PID/status``, and of the figures that they give."""
 
 
 def field() -> Iterator[Measurement]:

@@ -88,7 +88,7 @@ def map_show(
 
 
 def map_options(texts: list[str] | None) -> dict[str, float]:
-    """The options of a generator, given as NAME=VALUE; ValueError if one is malformed or no number."""
+    """Return the options of a generator, given as NAME=VALUE; ValueError if one is not NAME=VALUE with a number."""
     options = named_values(texts or [], "option", "width_m=60")
     for name, value in options.items():
         if isinstance(value, bool) or not isinstance(value, int | float):

@@ -171,7 +171,7 @@ def _namespaces(names: str | None, robots: int) -> tuple[str, ...]:
 
 
 def _print_json(scenario: Scenario, swarm: Swarm, chosen: ServeSettings, files: AgentFiles | None) -> None:
-    """Write the agents' files, and print what is served as a line of JSON."""
+    """Write the settings files of the agents, and print the router, the map, and the robots as a line of JSON."""
     from deploy.serve.agent_files import grid  # noqa: PLC0415
 
     if files is not None:
@@ -185,7 +185,10 @@ def _print_json(scenario: Scenario, swarm: Swarm, chosen: ServeSettings, files: 
 
 
 def _print_text(scenario: Scenario, swarm: Swarm, chosen: ServeSettings, files: AgentFiles | None) -> None:
-    """Print what is served, and how to start the agents: with their files, which are written, or their settings."""
+    """Print the map and the router, and how to start the agents.
+
+    Writes their settings files if the user asked for them; else prints the settings.
+    """
     from deploy.serve.agent_files import agent_settings  # noqa: PLC0415
 
     started = "a router started" if chosen.own_router else "the router"

@@ -240,7 +240,7 @@ class RobotSettings(Table):
         return self
 
     def _check_teammates(self) -> None:
-        """Raise ValueError if a table of a teammate names no teammate, or one twice."""
+        """Raise ValueError if a `[[teammate]]` table names a robot that is no teammate, or two tables name the same."""
         numbers = [each.robot for each in self.teammate]
         for number in numbers:
             if number >= self.robots:

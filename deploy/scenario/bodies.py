@@ -17,9 +17,10 @@ from worldsim.sensors import RobotSensors, SensorSettings
 
 
 def bodies_of(scenario: Scenario, cell: float, recording: Recording | None = None) -> list[Body]:
-    """Return the body of each robot, with cells of `cell` meters; ScenarioError if one is too large or sees too little.
+    """Return the body of each robot, with cells of `cell` meters.
 
-    Bodies have lasers with beams unless all lasers and poses are exact.
+    Bodies have lasers with beams unless all lasers and poses are exact. Raises ScenarioError if a robot is too large
+    for the map, or its sensor range too short for its size.
     """
     bodies = []
     for robot in range(scenario.robots):

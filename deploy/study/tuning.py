@@ -1,8 +1,8 @@
 """Search for the weights of a strategy on training seeds: `murmur tune`.
 
 The search is a coordinate search with multiplicative steps. It starts with the default weights. In each round, it
-takes the weights in random order, and tries a `STEP` times larger and smaller value of each. The better one is kept if
-it lowers the score. After a round without improvement, the step becomes its square root.
+visits all weights in random order. It multiplies and divides each by the step, first `STEP`, and keeps the better of
+the two values if it lowers the score. After a round without improvement, the step becomes its square root.
 
 The score of weights is the mean over all runs of their steps divided by those of the default weights for the same map
 and seed. It decides which weights are kept, so it is optimistic for the winner. Therefore the winner runs again on

@@ -130,6 +130,7 @@ def test_figures_that_need_a_true_map_are_null_and_agreement_is_not(merged: Resu
     assert summary["lost"] == {"2": "its record breaks off"}
     assert [robot for _, robot in summary["returned"]] == [1]
     assert 0.7 < summary["worst_walls_within_tolerance"] <= summary["walls_within_tolerance"] <= 1
+    assert summary["walls_within_tolerance"] > 0.85
     assert 0.3 < summary["worst_team_map_held"] <= summary["team_map_held"] <= 1
     assert summary["robot_maps"]["2"]["walls_within_tolerance"] is None, "a killed robot left no shared map"
     assert summary["missed_steps_by_robot"] == [0, 0, 0]
