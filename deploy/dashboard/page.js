@@ -26,7 +26,7 @@ function show(state) {
   if (!hasRun) return;
   paused = state.paused;
   find("step").value = `step ${state.step}` + (state.ended ? ", ended" : paused ? ", paused" : "");
-  find("speed").value = state.speed ? `${state.speed} steps/s` : "unlimited";
+  find("speed").value = state.speed ? `${state.speed} step${state.speed === 1 ? "" : "s"}/s` : "unlimited";
   find("pause").textContent = paused ? "Resume" : "Pause";
   for (const part of ["pace", "faults", "radio"]) {
     find(part).hidden = !state.controls;

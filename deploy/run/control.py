@@ -13,7 +13,7 @@ from typing import Any, Literal
 from deploy.record.records import NO_MAPS, RecorderNode, Records
 from deploy.run.gate import Gate
 from deploy.scenario.plan import Plan
-from deploy.scenario.scenario import Scenario
+from deploy.scenario.scenario import Scenario, ScenarioError
 from deploy.scenario.tables import ChangeTable, FaultTable
 from protocol.messages import Change, FaultEvent
 from worldsim.pace import SLOWEST
@@ -115,7 +115,10 @@ def change(
 ) -> Change:
     """Return the request to change the radio; ScenarioError if the values are invalid."""
     table = {"step": 1, "bandwidth": bandwidth, "range": range}
-    valid = Scenario(**scenario.model_dump() | {"change": [table]}).changes(diagonal_m)[0]
+    try:
+        valid = Scenario(**scenario.model_dump() | {"change": [table]}).changes(diagonal_m)[0]
+    except ScenarioError as error:
+        raise ScenarioError(str(error).replace("change.0.", "")) from None  # no scenario file has this table
     return Change(0, valid.budget, valid.range_mm)
 
 

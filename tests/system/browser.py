@@ -64,14 +64,21 @@ class Browser:
 
     def open(self, address: str) -> None:
         """Open a page."""
-        page = self._ask("Target.createTarget", url=address)["targetId"]
+        page = self._ask("Target.createTarget", url="about:blank")["targetId"]
         self._session = self._ask("Target.attachToTarget", targetId=page, flatten=True)["sessionId"]
+        self._ask("Page.navigate", url=address)
 
     def click(self, x: int, y: int) -> None:
         """Click at a pixel of the page."""
         at = {"x": x, "y": y, "button": "left", "clickCount": 1}
         for kind in ("mousePressed", "mouseReleased"):
             self._ask("Input.dispatchMouseEvent", type=kind, **at)
+
+    def evaluate(self, expression: str) -> Any:
+        """Return the value of an expression in the page's script, which JSON can represent."""
+        answer = self._ask("Runtime.evaluate", expression=expression, returnByValue=True)
+        assert "exceptionDetails" not in answer, answer["exceptionDetails"]
+        return answer["result"].get("value")
 
     def picture(self) -> bytes:
         """The page as it looks now, a PNG."""

@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from itertools import product
 from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
@@ -77,15 +78,73 @@ def test_a_run_waits_for_a_viewer_obeys_its_buttons_and_its_page_stays(tmp_path:
 
             wait_for(lambda: "The page stays open; press Ctrl-C to end." in log.read_text(), process, log)
             assert state_of(address)["ended"]
-            png = browser.settled_picture(120.0, least=40_000)
-            if folder := os.environ.get("MURMUR_PICTURES"):
-                Path(folder, "page-after-run.png").write_bytes(png)
             process.send_signal(signal.SIGINT)
             assert process.wait(20) in (0, 1)
         finally:
             process.kill()
             process.wait()
     assert json.loads((tmp_path / "run" / "summary.json").read_text())["reason"] != "interrupted"
+
+
+SIZES = [(1280, 720), (1366, 768), (1920, 1080)]
+
+MISFITS = """
+(() => {
+  const bar = document.getElementById("bar"), limits = bar.getBoundingClientRect(), found = [];
+  if (bar.hidden || limits.right > innerWidth) found.push("bar");
+  for (const each of bar.querySelectorAll("button, input, select, output")) {
+    const box = each.getBoundingClientRect(), name = each.id || each.textContent;
+    if (box.left < limits.left || box.right > limits.right || box.top < limits.top || box.bottom > limits.bottom)
+      found.push(name + " outside the bar");
+    if (each.scrollWidth > each.clientWidth + 1 || each.scrollHeight > each.clientHeight + 3)
+      found.push(name + " has text outside its box");
+    for (const other of bar.querySelectorAll("button, input, select, output")) {
+      const off = other.getBoundingClientRect();
+      if (each !== other && box.width && off.width && box.left < off.right - 1 && off.left < box.right - 1
+          && box.top < off.bottom - 1 && off.top < box.bottom - 1) found.push(name + " overlaps " + other.id);
+    }
+  }
+  return found;
+})()
+"""
+"""Which parts of the bar lie outside it, overlap, or have text that does not fit."""
+
+WRONG_BANDWIDTH = """
+document.getElementById("bandwidth").value = "fast";
+document.querySelector("[data-command=bandwidth]").click();
+"""
+
+SHOWS_A_STEP = "/[0-9]/.test(document.querySelector('#step')?.textContent)"
+SHOWS_AN_ERROR = "document.querySelector('#message.error')?.textContent"
+
+
+@pytest.mark.long
+def test_the_buttons_fit_the_page_in_both_themes_and_three_sizes(tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    team = ["--map", "office", "--robots", "8", "--range", "30%", "--pace", "4", "--steps", "900"]
+    command = [sys.executable, "-m", "deploy.commands.main", *RUN, *team, "--out", str(tmp_path / "run")]
+    with log.open("wb") as output:
+        process = subprocess.Popen(command, stdout=output, stderr=output)
+    try:
+        address = wait_for(lambda: re.search(r"Dashboard: (\S+)", log.read_text()), process, log)[1]
+        wait_for(lambda: state_of(address)["step"] > 20, process, log)
+        for number, (theme, size) in enumerate(product(("dark", "light"), SIZES)):
+            with Browser(*size) as browser:
+                browser.open(f"{address}&persist=0&renderer=webgl&theme={theme}")
+                wait_for(lambda browser=browser: browser.evaluate(SHOWS_A_STEP), process, log)
+                if number == 0:
+                    browser.evaluate("document.querySelector('#pause').click()")
+                assert browser.evaluate("getComputedStyle(document.body).colorScheme") == theme
+                assert browser.evaluate(MISFITS) == []
+                browser.evaluate(WRONG_BANDWIDTH)
+                wait_for(lambda browser=browser: browser.evaluate(SHOWS_AN_ERROR), process, log)
+                assert browser.evaluate(MISFITS) == []
+                if folder := os.environ.get("MURMUR_PICTURES"):
+                    png = browser.settled_picture(120.0, least=100_000)
+                    Path(folder, f"page-{theme}-{size[0]}.png").write_bytes(png)
+    finally:
+        process.kill()
+        process.wait()
 
 
 def test_without_a_terminal_the_page_ends_with_the_run(tmp_path: Path) -> None:
