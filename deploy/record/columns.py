@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 
 class Column(NamedTuple):
@@ -155,10 +155,3 @@ FILES = {
     "outlines.parquet": OUTLINES,
     "missed.parquet": MISSED,
 }
-
-
-def schema(columns: tuple[Column, ...]) -> Any:
-    """The Arrow schema of the columns."""
-    import pyarrow as pa  # noqa: PLC0415  takes half a second to import
-
-    return pa.schema([(column.name, pa.type_for_alias(column.type)) for column in columns])

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deploy.record.arrow_tables import table
 from deploy.record.columns import MAP_CHANGES as CHANGE_COLUMNS
 from deploy.record.columns import OUTLINES as OUTLINE_COLUMNS
-from deploy.record.columns import schema
 from protocol.errors import ProtocolError
 from protocol.grid import OCCUPIED, Grid
 from protocol.messages import MapChanges, Outlines
@@ -129,8 +129,8 @@ class MapHistory:
         from pyarrow import parquet  # noqa: PLC0415  half a second to import
 
         history = cls(shape)
-        table = parquet.read_table(folder / MAP_CHANGES)
-        columns = {name: table[name].to_numpy() for name in table.column_names}
+        read = parquet.read_table(folder / MAP_CHANGES)
+        columns = {name: read[name].to_numpy() for name in read.column_names}
         cells = columns["y"].astype(np.uint32) * shape[1] + columns["x"]
         values = columns["own"] | columns["planning"] << 2
         key = columns["robot"].astype(np.int64) << 32 | columns["step"]
@@ -169,8 +169,7 @@ def _check_order(report: MapChanges | Outlines, before: Sequence[int]) -> None:
 
 
 def _write_table(path: Path, columns: dict[str, Any], described: Any) -> None:
-    import pyarrow as pa  # noqa: PLC0415  half a second to import
-    from pyarrow import parquet  # noqa: PLC0415
+    from pyarrow import parquet  # noqa: PLC0415  half a second to import
 
-    table = pa.table(columns, schema(described))
-    write_whole(path, lambda file: parquet.write_table(table, file, compression="zstd"))
+    written = table(columns, described)
+    write_whole(path, lambda file: parquet.write_table(written, file, compression="zstd"))

@@ -8,8 +8,8 @@ from typing import Any
 
 import msgspec
 
+from deploy.record.arrow_tables import table
 from deploy.record.columns import MISSED as COLUMNS
-from deploy.record.columns import schema
 from deploy.scenario.scenario import ScenarioError
 from netshaper.phase_clock import PHASES
 from protocol.messages import Missed
@@ -21,16 +21,12 @@ MISSED = "missed.parquet"
 
 def write(path: Path, record: Iterable[Missed]) -> None:
     """Write a record, in its order."""
-    import pyarrow as pa  # noqa: PLC0415  half a second to import
-    from pyarrow import parquet  # noqa: PLC0415
+    from pyarrow import parquet  # noqa: PLC0415  half a second to import
 
-    rows = [
-        {"step": missed.step, "phase": missed.phase, "round": missed.round, "robot": robot}
-        for missed in record
-        for robot in missed.robots
-    ]
-    table = pa.Table.from_pylist(rows, schema=schema(COLUMNS))
-    write_whole(path, lambda file: parquet.write_table(table, file))
+    rows = [(missed, robot) for missed in record for robot in missed.robots]
+    columns = {name: [getattr(missed, name) for missed, _ in rows] for name in ("step", "phase", "round")}
+    written = table({**columns, "robot": [robot for _, robot in rows]}, COLUMNS)
+    write_whole(path, lambda file: parquet.write_table(written, file))
 
 
 def read(path: Path, robots: int) -> list[Missed]:

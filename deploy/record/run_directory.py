@@ -23,7 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.record import missed_phases
-from deploy.record.columns import FILES, schema
+from deploy.record.arrow_tables import table
+from deploy.record.columns import FILES
+from deploy.record.columns import LEDGER as LEDGER_COLUMNS
 from deploy.record.columns import STEPS as STEP_COLUMNS
 from deploy.record.map_history import MAP_CHANGES
 from deploy.record.missed_phases import MISSED
@@ -292,11 +294,9 @@ def sha256(path: Path) -> str:
 
 def steps_table(plan: Plan, records: Records) -> Any:
     """One row per step and robot: pose and state; meters in the map's frame."""
-    import pyarrow as pa  # noqa: PLC0415
-
     cell = plan.map.resolution
     statuses = {(r, report.step): report for r, reports in enumerate(records.statuses) for report in reports}
-    rows: list[dict[str, Any]] = []
+    columns: dict[str, list[Any]] = {column.name: [] for column in STEP_COLUMNS}
     for report in records.world:
         for robot, x_mm, y_mm, heading in np.frombuffer(report.poses, "<i4").reshape(-1, 4).tolist():
             x, y = to_world(plan.map, x_mm / 1000 / cell, y_mm / 1000 / cell)
@@ -312,17 +312,16 @@ def steps_table(plan: Plan, records: Records) -> Any:
                 if status.target_x >= 0:
                     target = to_world(plan.map, status.target_x, status.target_y)
                     row |= {"target_x": target[0], "target_y": target[1]}
-            rows.append(row)
-    return pa.Table.from_pylist(rows, schema=schema(STEP_COLUMNS))
+            for name, values in columns.items():
+                values.append(row.get(name))
+    return table(columns, STEP_COLUMNS)
 
 
 def ledger_table(ledger: NDArray[np.void]) -> Any:
     """The rows of a ledger (`netshaper.ledger.ROW`) as a table: one row per frame and packet kind."""
-    import pyarrow as pa  # noqa: PLC0415
-
     columns: dict[str, Any] = {name: np.ascontiguousarray(ledger[name]) for name in ledger.dtype.names or ()}
     kinds = np.where(columns["kind"] == MALFORMED, len(ALL_KINDS), columns["kind"])
     columns["kind"] = np.array([*ALL_KINDS, "malformed"])[kinds]
     columns["cause"] = np.array(CAUSES)[columns["cause"]]
     columns["carried"] = columns["carried"] == 1
-    return pa.table({name: pa.array(column) for name, column in columns.items()})
+    return table(columns, LEDGER_COLUMNS)
