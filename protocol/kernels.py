@@ -22,8 +22,9 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from functools import cached_property, update_wrapper
+from inspect import get_annotations
 from types import FunctionType
-from typing import Annotated, Any, TypeVar, cast, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, TypeVar, cast, get_args, get_origin
 
 from protocol.native import library
 from protocol.native.digest import digest_of
@@ -78,6 +79,7 @@ class Kernel:
         dispatcher.disable_compile()
         self.was_compiled = not dispatcher.stats.cache_hits
         self.cache = dispatcher.stats.cache_path or ""
+        vars(self)["dispatcher"] = dispatcher  # before the callers are compiled
         if not self.is_loaded:
             self._install(dispatcher)
         if self.was_compiled:
@@ -100,7 +102,7 @@ class Kernel:
     @cached_property
     def signature(self) -> str:
         """The signature in numba's notation."""
-        *parameters, result = map(_numba_type, get_type_hints(self.function, include_extras=True).values())
+        *parameters, result = map(_numba_type, get_annotations(self.function, eval_str=True).values())
         return f"{result}({', '.join(parameters)})"
 
     @cached_property
@@ -108,7 +110,8 @@ class Kernel:
         """The kernels that it calls, by the names that it has for them."""
         found = {name: self.function.__globals__.get(name) for name in self.function.__code__.co_names}
         kernels = {
-            name: each if isinstance(each, Kernel) else _installed.get(id(each)) for name, each in found.items()
+            name: each if isinstance(each, Kernel) else _installed.get(id(each))
+            for name, each in found.items()
         }
         return {name: each for name, each in kernels.items() if each is not None}
 
@@ -172,7 +175,7 @@ def all_kernels() -> Sequence[Kernel]:
     return _kernels
 
 
-_SCALARS = {int: "int64", float: "float64", bool: "boolean", type(None): "void"}
+_SCALARS = {int: "int64", float: "float64", bool: "boolean", None: "void"}
 
 
 def _numba_type(hint: Any) -> str:

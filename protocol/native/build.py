@@ -120,15 +120,25 @@ def _link(compiled: Sequence[CompiledKernel], folder: Path) -> Path:
     platform = ["-undefined", "dynamic_lookup"] if sys.platform == "darwin" else []
     objects = [f"{each.symbol}.o" for each in functions]
     command = [*_compiler(), *OPTIONS, *platform, *(f"-I{each}" for each in include), "wrappers.c", *objects]
-    done = subprocess.run([*command, "-lm", "-o", file], cwd=folder, capture_output=True, text=True, check=False)
-    if done.returncode:
-        found = [line for line in done.stderr.splitlines() if "error" in line]
-        raise BuildError(f"the C compiler failed: {found[0] if found else _last_line(done.stderr)}")
+    _run([*command, "-lm", "-o", str(file)], folder)
     try:
         library.load(file)
     except ImportError as error:
         raise BuildError(f"the library cannot be loaded: {error}") from error
     return file
+
+
+def _run(command: Sequence[str], folder: Path) -> None:
+    """Run the C compiler in a directory; BuildError with its first error if it fails."""
+    try:
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    except OSError as error:
+        raise BuildError(f"the C compiler cannot be called: {error}") from error
+    if done.returncode:
+        found = [line for line in done.stderr.splitlines() if "error" in line]
+        reason = found[0] if found else _last_line(done.stderr) or f"exit code {done.returncode}"
+        advice = "; install the package with Python's headers, python3-dev" if "Python.h" in reason else ""
+        raise BuildError(f"the C compiler failed: {reason}{advice}")
 
 
 def _compiler() -> list[str]:

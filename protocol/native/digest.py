@@ -56,7 +56,9 @@ def _names(code: CodeType) -> list[str]:
 def _code(code: CodeType) -> str:
     """Return the bytecode with its constants and names."""
     names = (code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars, code.co_argcount)
-    constants = ",".join(_code(each) if isinstance(each, CodeType) else _text(each) for each in code.co_consts)
+    constants = ",".join(
+        _code(each) if isinstance(each, CodeType) else _text(each) for each in code.co_consts
+    )
     return f"{code.co_code.hex()} {code.co_exceptiontable.hex()} {names} {constants}"
 
 

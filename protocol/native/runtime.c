@@ -114,8 +114,8 @@ static int refuse(const char *kernel, const char *argument, const char *expected
         return -1;
     if (PyArray_Check(given)) {
         PyArrayObject *array = (PyArrayObject *)given;
-        PyErr_Format(PyExc_TypeError, "%s(): argument %s must be %s, not an array of %S with %d dimensions%s%s",
-                     kernel, argument, expected, PyArray_DESCR(array), PyArray_NDIM(array),
+        PyErr_Format(PyExc_TypeError, "%s(): argument %s must be %s, not a %d-dimensional array of %S%s%s",
+                     kernel, argument, expected, PyArray_NDIM(array), PyArray_DESCR(array),
                      PyArray_IS_C_CONTIGUOUS(array) ? "" : ", not contiguous",
                      PyArray_ISWRITEABLE(array) ? "" : ", read-only");
     } else {
@@ -128,7 +128,7 @@ static int refuse(const char *kernel, const char *argument, const char *expected
 static int has_count(const char *kernel, Py_ssize_t given, Py_ssize_t expected)
 {
     if (given != expected)
-        PyErr_Format(PyExc_TypeError, "%s() takes %zd arguments, not %zd", kernel, expected, given);
+        PyErr_Format(PyExc_TypeError, "%s() takes %zd argument(s), not %zd", kernel, expected, given);
     return given == expected;
 }
 

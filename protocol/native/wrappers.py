@@ -89,7 +89,9 @@ def _wrapper(number: int, function: Function) -> str:
     name = json.dumps(function.name)
     result = _c_type(function.result)
     shares = _has_array(function.result)
-    leaves = [leaf for place, (_, kind) in enumerate(function.parameters) for leaf in _leaves(kind, f"a{place}")]
+    leaves = [
+        leaf for place, (_, kind) in enumerate(function.parameters) for leaf in _leaves(kind, f"a{place}")
+    ]
     types = "".join(f", {kind}" for leaf, member in leaves for kind, _ in _members(leaf, member))
     values = "".join(f", {value}" for leaf, member in leaves for _, value in _members(leaf, member))
     lines = [
@@ -166,7 +168,9 @@ def _takes(kind: Type, variable: str, given: str, place: str, shares: bool) -> I
     yield f"    if ({condition}) {{ refuse({place}, {json.dumps(describe(kind))}, {given}); goto failed; }}"
     if isinstance(kind, Tuple):
         for number, item in enumerate(kind.items):
-            yield from _takes(item, f"{variable}_{number}", f"PyTuple_GET_ITEM({given}, {number})", place, shares)
+            yield from _takes(
+                item, f"{variable}_{number}", f"PyTuple_GET_ITEM({given}, {number})", place, shares
+            )
 
 
 def describe(kind: Type) -> str:
@@ -176,7 +180,7 @@ def describe(kind: Type) -> str:
     if isinstance(kind, Scalar):
         return "a number"
     writes = ", writable" if kind.writes else ""
-    return f"an array of {kind.dtype} with {kind.dimensions} dimensions, contiguous{writes}"
+    return f"a contiguous{writes}, {kind.dimensions}-dimensional array of {kind.dtype}"
 
 
 def _c_type(kind: Type | None) -> str:
