@@ -1,11 +1,14 @@
 """Compilation of hot loops by numba.
 
-A kernel has one signature, given by the types of its parameters (`protocol.arrays`). The first call compiles it, or
-reads it from numba's cache, so that commands which compute nothing do not import numba. If a kernel is not in the
-cache, all imported kernels are compiled at once: this takes a minute, once per installation, and the error stream
-shows the progress. `murmur setup` does it with several processes. The fork server loads all kernels in one process
+A kernel has one signature, given by the types of its parameters (`protocol.arrays`). `murmur setup` compiles all
+kernels into a library (`protocol.native`). At its first call, a kernel is taken from there, if its code has not
+changed since. This needs neither numba nor LLVM.
+
+Otherwise numba compiles the kernel, or reads it from its own cache. If a kernel is in neither, all imported kernels
+are compiled at once: this takes a minute, once per installation, and the error stream shows the progress. Without a C
+compiler, `murmur setup` fills the cache with several processes. The fork server loads all kernels in one process
 (`deploy.run.preload`), so robots never compile. Fastmath is off: equal versions of the libraries give equal bits on
-every machine.
+every machine, and the library and the cache have the same code.
 
 The cache is ``__pycache__`` beside each module. If this cannot be written, it is in the user's cache directory, or in
 ``NUMBA_CACHE_DIR``. If no directory can be written, each process compiles the kernels again.

@@ -105,6 +105,15 @@ def check(number: int) -> int:
     return number
 '''
 
+SMALL = """
+from protocol.kernels import kernel
+
+
+@kernel
+def shifted(number: int) -> int:
+    return number + 10
+"""
+
 PLUG_IN = """
 from parts import shifted
 from protocol.kernels import kernel
