@@ -31,7 +31,7 @@ from typing import Annotated, Any, TypeVar, cast, get_args, get_origin
 
 from protocol.native import library
 from protocol.native.digest import digest_of
-from protocol.numba_import import import_numba
+from protocol.numba_import import check_compiler, import_numba
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -190,14 +190,6 @@ def _numba_type(hint: Any) -> str:
     return _SCALARS[hint]
 
 
-def check_compiler() -> None:
-    """Raise ValueError if the environment forbids numba to compile."""
-    if os.environ.get("NUMBA_DISABLE_JIT", "0").strip() not in ("", "0"):
-        raise ValueError(
-            "NUMBA_DISABLE_JIT is set, but kernels must be compiled: unset this environment variable"
-        )
-
-
 def load_all() -> None:
     """Load all imported kernels; compile those that are neither in the library nor in the cache."""
     for each in _kernels:
@@ -219,15 +211,15 @@ def compile_in_parallel(jobs: int) -> int:
                     break
                 count += was_compiled
                 if was_compiled:
-                    report_progress(done, len(missing))
+                    report_progress(done, len(missing), count)
     if count:
         _print(f"compiled {count} kernels", last=True)
     return count
 
 
-def report_progress(done: int, number: int) -> None:
-    """Print how many kernels several processes have compiled: on a terminal each, else some of them."""
-    if _is_terminal() or done % SELDOM == 1:
+def report_progress(done: int, number: int, compiled: int) -> None:
+    """Print how many kernels are done, after the next one was compiled: on a terminal each, else some of them."""
+    if _is_terminal() or compiled % SELDOM == 1:
         _print(f"compiling for this machine, once: {done} of {number} kernels", last=done == number)
 
 

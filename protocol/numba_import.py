@@ -3,9 +3,18 @@
 from __future__ import annotations
 
 import importlib
+import os
 import sys
 from functools import cache
 from typing import Any
+
+
+def check_compiler() -> None:
+    """Raise ValueError if the environment forbids numba to compile."""
+    if os.environ.get("NUMBA_DISABLE_JIT", "0").strip() not in ("", "0"):
+        raise ValueError(
+            "NUMBA_DISABLE_JIT is set, but kernels must be compiled: unset this environment variable"
+        )
 
 
 @cache

@@ -33,13 +33,13 @@ class BuildError(RuntimeError):
     """The library cannot be built; the message says why, in one line."""
 
 
-def build_library(jobs: int, report: Callable[[int, int], object]) -> int:
+def build_library(jobs: int, report: Callable[[int, int, int], object]) -> int:
     """Build the library of all imported kernels by `jobs` processes, unless it exists; return how many were compiled.
 
     Parameters
     ----------
     report
-        Called with the number of kernels that are compiled, and of all that will be.
+        Called for each compiled kernel, with the arguments of `protocol.kernels.report_progress`.
 
     Raises
     ------
@@ -72,7 +72,9 @@ def _temporary_folder() -> tempfile.TemporaryDirectory[str]:
     raise BuildError(kernels.NO_CACHE)
 
 
-def _compile(ours: Sequence[Kernel], jobs: int, report: Callable[[int, int], object]) -> list[CompiledKernel]:
+def _compile(
+    ours: Sequence[Kernel], jobs: int, report: Callable[[int, int, int], object]
+) -> list[CompiledKernel]:
     """Compile kernels to object files. Kernels that call each other are compiled by the same process."""
     done: dict[str, CompiledKernel] = {}
     with ProcessPoolExecutor(jobs, multiprocessing.get_context("fork")) as pool:
@@ -81,7 +83,7 @@ def _compile(ours: Sequence[Kernel], jobs: int, report: Callable[[int, int], obj
             for task in as_completed(tasks):
                 for each in task.result():
                     done[each.function.digest] = each
-                    report(len(done), len(ours))
+                    report(len(done), len(ours), len(done))
         except Exception as error:
             pool.shutdown(cancel_futures=True)
             raise BuildError(_last_line(str(error)) or type(error).__name__) from error

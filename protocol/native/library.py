@@ -25,7 +25,7 @@ MODULE = "murmur_kernels"
 PACKAGES = ("numba", "llvmlite", "numpy")
 
 _HERE = Path(__file__).parent
-_BUILDERS = ("build.py", "machine_code.py", "wrappers.py", "runtime.c")
+_BUILDERS = ("machine_code.py", "wrappers.py", "runtime.c")
 _PROCESSOR = (
     "vendor_id", "cpu family", "model", "model name", "stepping", "flags",
     "CPU implementer", "CPU architecture", "CPU variant", "CPU part", "Features",

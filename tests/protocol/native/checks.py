@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-PARTS = '''
+PARTS = """
 import numpy as np
 from protocol.arrays import Bools, FloatRows, Floats, Int64s, Int32Rows, ReadOnlyUint8s, Uint8, Uint8s
 from protocol.kernels import kernel
@@ -103,7 +103,7 @@ def check(number: int) -> int:
     if number > 9:
         raise IndexError("above nine", number)
     return number
-'''
+"""
 
 SMALL = """
 from protocol.kernels import kernel
@@ -130,20 +130,53 @@ def print_results() -> None:
     parts = importlib.import_module("parts")
     numbers = np.array([5, -3, 8, 1], np.int64)
     rows = np.zeros((2, 3))
-    show(parts.twice_shifted(4), parts.less(1.0, 2.0), parts.ratio(1.0, 3.0), parts.ratio(1.0, 0.0), parts.byte(7))
-    show(parts.fill(rows, 2.5), rows, parts.total(numbers, 0.1), parts.count(np.frombuffer(b"a\0b", np.uint8)))
-    show(*parts.views(numbers), parts.above(rows[0], 2.0), parts.rows_of(numbers, 2), parts.sorted_by_list(numbers))
+    show(
+        parts.twice_shifted(4),
+        parts.less(1.0, 2.0),
+        parts.ratio(1.0, 3.0),
+        parts.ratio(1.0, 0.0),
+        parts.byte(7),
+    )
+    show(
+        parts.fill(rows, 2.5), rows, parts.total(numbers, 0.1), parts.count(np.frombuffer(b"a\0b", np.uint8))
+    )
+    show(
+        *parts.views(numbers),
+        parts.above(rows[0], 2.0),
+        parts.rows_of(numbers, 2),
+        parts.sorted_by_list(numbers),
+    )
     show(parts.member((3, (np.array([0.5, 0.25]), True)), 1))
-    show(parts.same(numbers) is numbers, parts.views(numbers)[0] is numbers, parts.views(numbers)[1].base is None)
+    show(
+        parts.same(numbers) is numbers,
+        parts.views(numbers)[0] is numbers,
+        parts.views(numbers)[1].base is None,
+    )
     show(parts.same(np.zeros(0, np.int64)), parts.rows_of(np.zeros(0, np.int64), 3))
 
 
 def print_conversions() -> None:
     """Print what becomes of numbers of other types."""
     parts = importlib.import_module("parts")
-    for number in (True, 3, 2.75, -2.75, np.int8(-4), np.uint16(5), np.float32(0.1), np.float64(1e3), np.True_):
+    for number in (
+        True,
+        3,
+        2.75,
+        -2.75,
+        np.int8(-4),
+        np.uint16(5),
+        np.float32(0.1),
+        np.float64(1e3),
+        np.True_,
+    ):
         show(parts.shifted(number), parts.less(number, 3), parts.negated(number), parts.ratio(number, 7))
-    show(parts.negated(256), parts.negated(0.5), parts.byte(255), parts.byte(np.int64(44)), parts.ratio(2**70, 1))
+    show(
+        parts.negated(256),
+        parts.negated(0.5),
+        parts.byte(255),
+        parts.byte(np.int64(44)),
+        parts.ratio(2**70, 1),
+    )
     show(parts.member((np.uint8(2), (np.zeros(1), 1)), 0))
 
 
@@ -164,7 +197,13 @@ def print_errors() -> None:
         attempt(parts.views, each)
     for each in ("1", None, 1j, [1], numbers, np.array(1), 2**64):
         attempt(parts.shifted, each)
-    for each in ((1, 2), (1, [numbers * 1.0, True]), (1, (numbers, True)), (1, (numbers * 1.0, True), 2), [1, (2, 3)]):
+    for each in (
+        (1, 2),
+        (1, [numbers * 1.0, True]),
+        (1, (numbers, True)),
+        (1, (numbers * 1.0, True), 2),
+        [1, (2, 3)],
+    ):
         attempt(parts.member, each, 0)
     attempt(parts.shifted)
     attempt(parts.shifted, 1, 2)

@@ -20,7 +20,7 @@ BUILD = """
 import parts
 from protocol.native.build import BuildError, build_library
 try:
-    print(build_library(2, lambda done, number: None))
+    print(build_library(2, lambda *progress: None))
 except BuildError as error:
     print("failed:", error)
 """
@@ -92,7 +92,9 @@ def test_returned_arrays_keep_memory_as_long_as_they_live(built: Path) -> None:
 
 def test_a_changed_constant_or_body_is_compiled_again_with_its_callers_only(copy: Path) -> None:
     code = "import parts; print(parts.shifted(1), parts.twice_shifted(1), parts.less(1, 2)); "
-    code += "from protocol import kernels; print([k.__name__ for k in kernels.all_kernels() if k.was_compiled])"
+    code += (
+        "from protocol import kernels; print([k.__name__ for k in kernels.all_kernels() if k.was_compiled])"
+    )
     assert run(copy, code) == "11 22 True\n[]\n"
     file = copy / "parts.py"
     file.write_text("# a comment\n" + file.read_text().replace("SHIFT = 10", "SHIFT = 20"))
@@ -128,7 +130,9 @@ def test_without_a_working_compiler_the_reason_is_one_line(tmp_path: Path) -> No
     missing = run(tmp_path, BUILD, CC=str(tmp_path / "none"))
     assert missing.startswith("failed: the C compiler cannot be called: ")
     assert run(tmp_path, BUILD, CC="false") == "failed: the C compiler failed: exit code 1\n"
-    assert run(tmp_path, BUILD, CC="", PATH="") == f"failed: no C compiler was found ({', '.join(COMPILERS)})\n"
+    assert (
+        run(tmp_path, BUILD, CC="", PATH="") == f"failed: no C compiler was found ({', '.join(COMPILERS)})\n"
+    )
 
 
 def test_every_kernel_of_murmur_can_be_in_the_library() -> None:
