@@ -157,7 +157,7 @@ class Kernel:
 
 
 SELDOM = 10
-"""Compiled kernels between two lines of progress without a terminal."""
+"""Turns from one line of progress to the next without a terminal."""
 
 NO_CACHE = "numba's cache cannot be written: set NUMBA_CACHE_DIR to a writable directory, or each start compiles again"
 """Warning if no directory for compiled kernels can be written."""
@@ -213,14 +213,19 @@ def compile_in_parallel(jobs: int) -> int:
                 if was_compiled:
                     report_progress(done, len(missing), count)
     if count:
-        _print(f"compiled {count} kernels", last=True)
+        report_compiled(count)
     return count
 
 
-def report_progress(done: int, number: int, compiled: int) -> None:
-    """Print how many kernels are done, after the next one was compiled: on a terminal each, else some of them."""
-    if _is_terminal() or compiled % SELDOM == 1:
-        _print(f"compiling for this machine, once: {done} of {number} kernels", last=done == number)
+def report_progress(done: int, number: int, turn: int) -> None:
+    """Print how many of `number` kernels are done: on a terminal at each turn, from 1, else at every tenth."""
+    if _is_terminal() or turn % SELDOM == 1:
+        _print(f"compiling for this machine, once: {done} of {number} kernels")
+
+
+def report_compiled(count: int) -> None:
+    """Print how many kernels have been compiled, after the last of them."""
+    _print(f"compiled {count} kernels", last=True)
 
 
 def _put_into_cache(number: int) -> tuple[bool, bool]:
@@ -279,7 +284,7 @@ class _Compilation:
         """After a kernel that no other kernel waits for, compile all remaining ones."""
         if self._depth == 1 and not self.is_single:
             load_all()
-            _print(f"compiled {compiled()} kernels", last=True)
+            report_compiled(compiled())
             if not cache_folder():
                 _print(NO_CACHE, last=True)
             self.seconds += time.perf_counter() - self._began

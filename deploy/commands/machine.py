@@ -35,13 +35,13 @@ def setup() -> None:
     progress. Exit codes: 0 the kernels are ready, 1 they cannot be kept, so each start compiles again.
     """
     from deploy.run import processes  # noqa: F401, PLC0415  all kernels, which it must not load
-    from protocol.kernels import compile_in_parallel, report_progress  # noqa: PLC0415
+    from protocol.kernels import compile_in_parallel  # noqa: PLC0415
     from protocol.native.build import BuildError, build_library  # noqa: PLC0415
     from worldsim import people, world  # noqa: F401, PLC0415
 
     jobs, compiled = min(os.cpu_count() or 1, MAX_COMPILERS), 0
     try:
-        compiled = build_library(jobs, report_progress)
+        compiled = build_library(jobs)
     except BuildError as error:
         errors.print(Text(f"no library of kernels: {error}"))
     compiled += compile_in_parallel(jobs)

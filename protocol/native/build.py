@@ -13,7 +13,7 @@ import subprocess
 import sys
 import sysconfig
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from importlib.util import find_spec
 from pathlib import Path
@@ -33,13 +33,10 @@ class BuildError(RuntimeError):
     """The library cannot be built; the message says why, in one line."""
 
 
-def build_library(jobs: int, report: Callable[[int, int, int], object]) -> int:
+def build_library(jobs: int) -> int:
     """Build the library of all imported kernels by `jobs` processes, unless it exists; return how many were compiled.
 
-    Parameters
-    ----------
-    report
-        Called for each compiled kernel, with the arguments of `protocol.kernels.report_progress`.
+    The error stream shows the progress.
 
     Raises
     ------
@@ -52,7 +49,7 @@ def build_library(jobs: int, report: Callable[[int, int, int], object]) -> int:
     with _temporary_folder() as name:
         folder = Path(name)
         _link([], folder)  # an error now, rather than in a minute
-        compiled = _compile(ours, jobs, report)
+        compiled = _compile(ours, jobs)
         file = _link(compiled, folder)
         file.replace(folder.parent / library.file_name())
     library.forget()
@@ -72,21 +69,22 @@ def _temporary_folder() -> tempfile.TemporaryDirectory[str]:
     raise BuildError(kernels.NO_CACHE)
 
 
-def _compile(
-    ours: Sequence[Kernel], jobs: int, report: Callable[[int, int, int], object]
-) -> list[CompiledKernel]:
+def _compile(ours: Sequence[Kernel], jobs: int) -> list[CompiledKernel]:
     """Compile kernels to object files. Kernels that call each other are compiled by the same process."""
     done: dict[str, CompiledKernel] = {}
+    kernels.report_progress(0, len(ours), 1)
     with ProcessPoolExecutor(jobs, multiprocessing.get_context("fork")) as pool:
         tasks = [pool.submit(_compile_group, [each.number for each in group]) for group in groups(ours)]
         try:
             for task in as_completed(tasks):
                 for each in task.result():
                     done[each.function.digest] = each
-                    report(len(done), len(ours), len(done))
+                    kernels.report_progress(len(done), len(ours), len(done) + 1)
         except Exception as error:
             pool.shutdown(cancel_futures=True)
             raise BuildError(_last_line(str(error)) or type(error).__name__) from error
+        finally:
+            kernels.report_compiled(len(done))
     return [done[digest] for digest in dict.fromkeys(each.digest for each in ours)]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import weakref
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -241,8 +242,7 @@ def print_references() -> None:
 
 def resident() -> int:
     """Return the resident memory of this process in bytes."""
-    with open("/proc/self/statm", encoding="ascii") as file:
-        return int(file.read().split()[1]) * 4096
+    return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * 4096
 
 
 def show(*results: Any) -> None:

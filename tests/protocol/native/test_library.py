@@ -20,7 +20,7 @@ BUILD = """
 import parts
 from protocol.native.build import BuildError, build_library
 try:
-    print(build_library(2, lambda *progress: None))
+    print(build_library(2))
 except BuildError as error:
     print("failed:", error)
 """
