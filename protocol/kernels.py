@@ -1,11 +1,14 @@
 """Compilation of hot loops by numba.
 
-A kernel has one signature, given by the types of its parameters (`protocol.arrays`). The first call compiles it, or
-reads it from numba's cache, so that commands which compute nothing do not import numba. If a kernel is not in the
-cache, all imported kernels are compiled at once: this takes a minute, once per installation, and the error stream
-shows the progress. `murmur setup` does it with several processes. The fork server loads all kernels in one process
+A kernel has one signature, given by the types of its parameters (`protocol.arrays`). `murmur setup` compiles all
+kernels into a library (`protocol.native`). At its first call, a kernel is taken from there, if its code has not
+changed since. This needs neither numba nor LLVM.
+
+Otherwise numba compiles the kernel, or reads it from its own cache. If a kernel is in neither, all imported kernels
+are compiled at once: this takes a minute, once per installation, and the error stream shows the progress. Without a C
+compiler, `murmur setup` fills the cache with several processes. The fork server loads all kernels in one process
 (`deploy.run.preload`), so robots never compile. Fastmath is off: equal versions of the libraries give equal bits on
-every machine.
+every machine, and the library and the cache have the same code.
 
 The cache is ``__pycache__`` beside each module. If this cannot be written, it is in the user's cache directory, or in
 ``NUMBA_CACHE_DIR``. If no directory can be written, each process compiles the kernels again.
@@ -18,25 +21,33 @@ import multiprocessing
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
-from functools import cache, cached_property, update_wrapper
-from typing import Annotated, Any, TypeVar, cast, get_args, get_origin, get_type_hints
+from functools import cached_property, update_wrapper
+from inspect import get_annotations
+from types import FunctionType
+from typing import Annotated, Any, TypeVar, cast, get_args, get_origin
+
+from protocol.native import library
+from protocol.native.digest import digest_of
+from protocol.numba_import import check_compiler, import_numba
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 class Kernel:
-    """A function that the first call compiles for one signature."""
+    """A function that is compiled for one signature, at the latest by the first call."""
 
-    def __init__(self, function: Callable[..., Any]) -> None:
+    def __init__(self, function: FunctionType, number: int) -> None:
         update_wrapper(self, function)
         self.function = function
-        self.was_cached = False
-        """Whether it was read from numba's cache; False until it is loaded."""
+        self.number = number
+        """Its place among all kernels."""
+        self.was_compiled = False
+        """Whether this process compiled it."""
         self.cache = ""
-        """Directory of numba's cache that has it; empty until it is loaded, or if no directory can be written."""
+        """Directory from which it was read, or to which it was written; empty if there is none."""
         self._modules: list[tuple[Any, bytes]] = []
         """The library of the compiled function and its LLVM module as bitcode (`_release_modules`)."""
 
@@ -48,30 +59,41 @@ class Kernel:
     def loaded(self) -> Any:
         """The compiled function. It replaces this object in its module, so that later calls are direct."""
         check_compiler()
+        native = library.find(self.digest)
+        if native is None:
+            return self.dispatcher
+        self.cache = str(library.folder())
+        self._install(native)
+        return native
+
+    @cached_property
+    def dispatcher(self) -> Any:
+        """The function that numba compiled, or read from its cache."""
         try:
-            dispatcher = _numba().njit(cache=True, error_model="numpy")(self.function)
+            dispatcher = import_numba().njit(cache=True, error_model="numpy")(self.function)
         except RuntimeError:  # the cache has no directory that can be written
-            dispatcher = _numba().njit(error_model="numpy")(self.function)
+            dispatcher = import_numba().njit(error_model="numpy")(self.function)
         with _before_compiling(dispatcher, self._prepare):
             try:
-                dispatcher.compile(self._signature)
+                dispatcher.compile(self.signature)
             except OSError:
                 if not dispatcher.signatures:  # else it is compiled, and only the cache cannot be written
                     raise
         dispatcher.disable_compile()
-        self.was_cached = bool(dispatcher.stats.cache_hits)
+        self.was_compiled = not dispatcher.stats.cache_hits
         self.cache = dispatcher.stats.cache_path or ""
-        self._replace(self.function.__name__, dispatcher)
-        vars(self)["loaded"] = dispatcher
-        if self.was_cached:
-            self._release_modules()
-        else:
+        vars(self)["dispatcher"] = dispatcher  # before the callers are compiled
+        if not self.is_loaded:
+            self._install(dispatcher)
+        if self.was_compiled:
             _compilation.finish_one()
+        else:
+            self._release_modules(dispatcher)
         return dispatcher
 
     @property
     def is_loaded(self) -> bool:
-        """Whether it is compiled or read from the cache."""
+        """Whether it is compiled, or read from the library or the cache."""
         return "loaded" in vars(self)
 
     @property
@@ -80,59 +102,83 @@ class Kernel:
         module = self.function.__module__
         return module.rpartition(".")[0] or module
 
-    @property
-    def _signature(self) -> str:
+    @cached_property
+    def signature(self) -> str:
         """The signature in numba's notation."""
-        *parameters, result = map(_numba_type, get_type_hints(self.function, include_extras=True).values())
+        *parameters, result = map(_numba_type, get_annotations(self.function, eval_str=True).values())
         return f"{result}({', '.join(parameters)})"
+
+    @cached_property
+    def called(self) -> dict[str, Kernel]:
+        """The kernels that it calls, by the names that it has for them."""
+        found = {name: self.function.__globals__.get(name) for name in self.function.__code__.co_names}
+        kernels = {
+            name: each if isinstance(each, Kernel) else _installed.get(id(each))
+            for name, each in found.items()
+        }
+        return {name: each for name, each in kernels.items() if each is not None}
+
+    @cached_property
+    def digest(self) -> str:
+        """Digest of what determines its machine code; empty if it cannot be in the library."""
+        called = {name: each.digest for name, each in self.called.items()}
+        return digest_of(self.function, self.signature, called)
 
     def restore_modules(self) -> None:
         """Parse the LLVM modules again, which the compilation of a caller links."""
         parse_bitcode = importlib.import_module("llvmlite.binding").parse_bitcode
         while self._modules:
-            library, bitcode = self._modules.pop()
-            library._shared_module = parse_bitcode(bitcode)
+            compiled, bitcode = self._modules.pop()
+            compiled._shared_module = parse_bitcode(bitcode)
 
-    def _release_modules(self) -> None:
+    def _release_modules(self, dispatcher: Any) -> None:
         """Keep LLVM modules of the compiled function as bitcode, which takes a seventh of the memory."""
-        for each in self.loaded.overloads.values():
+        for each in dispatcher.overloads.values():
             module = getattr(each.library, "_shared_module", None)
             if module is not None:
                 self._modules.append((each.library, module.as_bitcode()))
                 each.library._shared_module = None
 
     def _prepare(self) -> None:
-        """Load the kernels that it calls before numba compiles it."""
+        """Load the kernels that it calls before numba compiles it, which must find its own functions there."""
         _compilation.begin(self.package)
-        for name in self.function.__code__.co_names:
-            called = self.function.__globals__.get(name)
-            if isinstance(called, Kernel):
-                self._replace(name, called.loaded)
+        for name, called in self.called.items():
+            self.function.__globals__[name] = called.dispatcher
         for each in _kernels:
             each.restore_modules()
 
-    def _replace(self, name: str, dispatcher: Any) -> None:
-        """Replace the kernel called `name` in this module by its compiled function."""
-        if isinstance(self.function.__globals__.get(name), Kernel):
-            self.function.__globals__[name] = dispatcher
+    def _install(self, compiled: Any) -> None:
+        """Replace this kernel by its compiled function in its module."""
+        vars(self)["loaded"] = compiled
+        _installed[id(compiled)] = self
+        module = self.function.__globals__
+        if module.get(self.function.__name__) is self:
+            module[self.function.__name__] = compiled
 
 
 SELDOM = 10
-"""Compiled kernels between two lines of progress without a terminal."""
+"""Turns from one line of progress to the next without a terminal."""
 
 NO_CACHE = "numba's cache cannot be written: set NUMBA_CACHE_DIR to a writable directory, or each start compiles again"
 """Warning if no directory for compiled kernels can be written."""
 
 _kernels: list[Kernel] = []
+_installed: dict[int, Kernel] = {}
+"""Loaded kernels by the identity of their compiled function."""
 
 
 def kernel(function: Function) -> Function:
     """Compile the decorated function at its first call; its annotations give the signature (`protocol.arrays`)."""
-    _kernels.append(Kernel(function))
+    _kernels.append(Kernel(cast("FunctionType", function), len(_kernels)))
     return cast("Function", _kernels[-1])
 
 
-_SCALARS = {int: "int64", float: "float64", bool: "boolean", type(None): "void"}
+def all_kernels() -> Sequence[Kernel]:
+    """Return all kernels of imported modules."""
+    return _kernels
+
+
+_SCALARS = {int: "int64", float: "float64", bool: "boolean", None: "void"}
 
 
 def _numba_type(hint: Any) -> str:
@@ -144,37 +190,42 @@ def _numba_type(hint: Any) -> str:
     return _SCALARS[hint]
 
 
-def check_compiler() -> None:
-    """Raise ValueError if the environment forbids numba to compile."""
-    if os.environ.get("NUMBA_DISABLE_JIT", "0").strip() not in ("", "0"):
-        raise ValueError(
-            "NUMBA_DISABLE_JIT is set, but kernels must be compiled: unset this environment variable"
-        )
-
-
 def load_all() -> None:
-    """Load all imported kernels; compile those that are not in the cache."""
+    """Load all imported kernels; compile those that are neither in the library nor in the cache."""
     for each in _kernels:
         _ = each.loaded
 
 
 def compile_in_parallel(jobs: int) -> int:
-    """Put all imported kernels into the cache, by `jobs` processes; return how many they compiled.
+    """Put imported kernels that are not in the library into numba's cache; return how many were compiled.
 
-    This process does not load them. If the cache cannot be written, the work ends early.
+    `jobs` processes do this; this process does not load them. If the cache cannot be written, the work ends early.
     """
-    count, number = 0, len(_kernels)
-    with ProcessPoolExecutor(jobs, multiprocessing.get_context("fork")) as pool:
-        for done, (was_compiled, is_kept) in enumerate(pool.map(_put_into_cache, range(number)), 1):
-            if not is_kept:
-                pool.shutdown(cancel_futures=True)
-                break
-            count += was_compiled
-            if was_compiled and (_is_terminal() or count % SELDOM == 1):
-                _print(f"compiling for this machine, once: {done} of {number} kernels")
+    missing = [each.number for each in _kernels if library.find(each.digest) is None]
+    count = 0
+    if missing:
+        with ProcessPoolExecutor(jobs, multiprocessing.get_context("fork")) as pool:
+            for done, (was_compiled, is_kept) in enumerate(pool.map(_put_into_cache, missing), 1):
+                if not is_kept:
+                    pool.shutdown(cancel_futures=True)
+                    break
+                count += was_compiled
+                if was_compiled:
+                    report_progress(done, len(missing), count)
     if count:
-        _print(f"compiled {count} kernels", last=True)
+        report_compiled(count)
     return count
+
+
+def report_progress(done: int, number: int, turn: int) -> None:
+    """Print how many of `number` kernels are done: on a terminal at each turn, from 1, else at every tenth."""
+    if _is_terminal() or turn % SELDOM == 1:
+        _print(f"compiling for this machine, once: {done} of {number} kernels")
+
+
+def report_compiled(count: int) -> None:
+    """Print how many kernels have been compiled, after the last of them."""
+    _print(f"compiled {count} kernels", last=True)
 
 
 def _put_into_cache(number: int) -> tuple[bool, bool]:
@@ -182,17 +233,17 @@ def _put_into_cache(number: int) -> tuple[bool, bool]:
     _compilation.is_single = True
     each = _kernels[number]
     _ = each.loaded
-    return not each.was_cached, bool(each.cache)
+    return each.was_compiled, bool(each.cache)
 
 
 def loaded() -> int:
-    """Return the number of kernels that this process read from the cache."""
-    return sum(each.was_cached for each in _kernels)
+    """Return the number of kernels that this process read from the library or from the cache."""
+    return sum(each.is_loaded and not each.was_compiled for each in _kernels)
 
 
 def compiled() -> int:
     """Return the number of kernels that this process compiled."""
-    return sum(each.is_loaded and not each.was_cached for each in _kernels)
+    return sum(each.was_compiled for each in _kernels)
 
 
 def compilation_s() -> float:
@@ -201,7 +252,7 @@ def compilation_s() -> float:
 
 
 def cache_folder() -> str:
-    """Return the directory that contains the caches of all loaded kernels; empty if no directory can be written."""
+    """Return the directory from which all loaded kernels can be read; empty if no directory can be written."""
     caches = {each.cache for each in _kernels if each.is_loaded}
     return os.path.commonpath(caches) if caches and "" not in caches else ""
 
@@ -233,7 +284,7 @@ class _Compilation:
         """After a kernel that no other kernel waits for, compile all remaining ones."""
         if self._depth == 1 and not self.is_single:
             load_all()
-            _print(f"compiled {compiled()} kernels", last=True)
+            report_compiled(compiled())
             if not cache_folder():
                 _print(NO_CACHE, last=True)
             self.seconds += time.perf_counter() - self._began
@@ -253,21 +304,6 @@ def _print(text: str, *, last: bool = False) -> None:
         over = _is_terminal()
         end = "\n" if last or not over else ""
         print(f"\r{text:<76}" if over else text, end=end, file=sys.stderr, flush=True)
-
-
-@cache
-def _numba() -> Any:
-    """Import numba without scipy.linalg, which takes 18 MB, and which only np.cov and np.corrcoef need in kernels."""
-    import numba  # noqa: PLC0415  takes half a second, which only computing commands need
-
-    linear_algebra = "scipy.linalg"
-    if linear_algebra not in sys.modules:
-        sys.modules[linear_algebra] = None  # type: ignore[assignment] # so its import fails
-        try:
-            importlib.import_module("numba.np.arraymath")
-        finally:
-            del sys.modules[linear_algebra]
-    return numba
 
 
 @contextmanager

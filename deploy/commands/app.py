@@ -11,7 +11,7 @@ from typing import Annotated, Any, NamedTuple
 import typer
 from typer.core import TyperGroup
 
-from protocol.kernels import check_compiler
+from protocol.numba_import import check_compiler
 
 PACKAGE = "murmur-robots"
 """The distribution's name."""

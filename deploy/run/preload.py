@@ -3,7 +3,8 @@
 The processes share this memory as long as none of them writes to it. Frozen objects are exempt from garbage
 collection, which would write to each of them.
 
-The import compiles kernels that are not in the cache: those of a fresh installation (`murmur setup`).
+The import compiles kernels that are neither in the library nor in numba's cache: those of a fresh installation
+(`murmur setup`).
 """
 
 from __future__ import annotations
@@ -11,7 +12,6 @@ from __future__ import annotations
 import gc
 
 import scipy.ndimage
-import scipy.optimize
 
 from deploy.run import processes
 from protocol import kernels
