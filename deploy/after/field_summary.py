@@ -20,7 +20,7 @@ from protocol.messages import End
 
 NEEDS_TRUTH = (
     "explored_at", "coverage", "map_accuracy", "claimed_map_accuracy", "t50", "t90", "t95", "t99",
-    "longest_path_95", "overlap", "overlap_sum", "seen_std", "range_m",
+    "longest_path_95", "longest_path_99", "overlap", "overlap_sum", "seen_std", "range_m",
     "raw_scan_bytes", "approximation_error", "approximation_error_net", "over_budget_steps",
 )  # fmt: skip
 """Keys that are null: they need a true map, the distances of a relay, or a budget per step."""

@@ -177,13 +177,14 @@ def _robot_figures(
 
 
 def _progress(records: Records) -> dict[str, float | None]:
-    """Return when the team had seen shares of the area, and the longest paths of a robot at 95 % and at the end."""
+    """Return when the team had seen shares of the area, and the longest paths of a robot."""
     found = {f"t{percent}": report_at(records.world, percent / 100) for percent in (50, 90, 95, 99)}
     last = records.world[-1] if records.world else None
     return {
         **{key: None if report is None else report.step for key, report in found.items()},
         "longest_path": longest_path_m(last),
         "longest_path_95": longest_path_m(found["t95"]),
+        "longest_path_99": longest_path_m(found["t99"]),
     }
 
 
