@@ -1,7 +1,8 @@
 """Benchmark of strategies by the rules of other simulators and papers, which docs/peers.md describes.
 
-Each peer's rules are an experiment. The baseline is a strategy or a map encoding that the peer compares with as well,
-on the same maps and from the same starts. The benchmark runs the reduced experiments; ``murmur sweep`` runs all.
+Each peer's rules are an experiment. The baseline of strategies is exploration of the nearest frontier, and that of
+encodings the default one, on the same maps and from the same starts. The benchmark runs the reduced experiments;
+``murmur sweep`` runs all.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ PEERS = (
     Peer("Explore-Bench", "peer-explore-bench.toml", ("t90", "t99", "overlap_sum", "longest_path_99")),
     Peer("MAES", "peer-maes.toml", ("t90", "t99")),
     Peer("MRESim", "peer-mresim.toml", ("t95", "steps")),
-    Peer("slam_toolbox", "real-baselines.toml", ("bytes.total",), "slam-toolbox", {"map": ["office"]}),
+    Peer("slam_toolbox", "real-baselines.toml", ("bytes.total",), "predictive", {"map": ["office"]}),
 )
 """All peers; docs/peers.md cites the source of their rules."""
 
