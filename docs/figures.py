@@ -424,6 +424,45 @@ def _best_other(runs: pl.DataFrame) -> str:
     return str(means["strategy"][0])
 
 
+PEER_COLUMNS = {
+    "longest path to 95 %, m": ("longest_path_95", 0),
+    "over `nearest`": ("", 2),
+    "steps to 90 %": ("t90", 0),
+    "steps to 95 %": ("t95", 0),
+    "steps to 99 %": ("t99", 0),
+    "bytes per step": ("bytes_per_step", 0),
+    "T90": ("t90", 0),
+    "T99": ("t99", 0),
+    "T99 over `nearest`": ("t99", 2),
+    "overlap": ("overlap_sum", 2),
+    "spread": ("seen_std", 3),
+    "longest path to T99, m": ("longest_path_99", 0),
+    "steps until all know": ("steps", 0),
+    "all know over `nearest`": ("steps", 2),
+}
+"""The metric of each column of the tables of peers, and its decimals."""
+
+
+def peers(peer: str, compared: str) -> Value:
+    """Means over the recorded runs by the rules of a peer; `compared` is the metric of the column over `nearest`."""
+
+    def value(row: Row, column: str) -> str:
+        runs = pl.read_csv(DOCS / "results" / "peers.csv").filter(pl.col("peer") == peer)
+        if "robots" in row:
+            runs = runs.filter(pl.col("robots") == int(row["robots"]))
+        variant = (row.get("strategy") or row["variant"]).strip("`")
+        ours = runs.filter(pl.col("variant") == variant)
+        metric, digits = PEER_COLUMNS[column]
+        if not column.endswith("over `nearest`"):
+            return f"{ours[metric].mean():,.{digits}f}"
+        metric = metric or compared
+        nearest = runs.filter(pl.col("variant") == "nearest")
+        both = ours.join(nearest, on=["map", "robots", "seed"], suffix="_nearest")
+        return f"{(both[metric] / both[f'{metric}_nearest']).mean():.{digits}f}"
+
+    return value
+
+
 def short_range(_: Row, column: str) -> str:
     """Steps of `repairmen` over those of `meier`, by bandwidth and range."""
     bandwidth, reach = column.split(", ")
@@ -454,11 +493,17 @@ FIGURES = (
     Figure("results/repairmen.md", "| strategy | scans, 3 robots |", rivals(""), ALL_CELLS),
     Figure("results/repairmen.md", "| strategy | scans, 3 robots |", rivals("large-"), ALL_CELLS, number=1),
     Figure("results/kinds.md", "| map | runs |", kinds, ALL_CELLS),
+    Figure("peers.md", "| variant | longest path", peers("dars", "longest_path_95"), ALL_CELLS),
+    Figure("peers.md", "| robots | strategy |", peers("explore-bench", "t99"), ALL_CELLS, labels=2),
+    Figure("peers.md", "| strategy | steps to 90 %", peers("maes", "t90"), ALL_CELLS),
+    Figure("peers.md", "| strategy | steps to 95 %", peers("mresim", "t95"), ALL_CELLS),
     Figure("repairmen.md", "| 100 B, 100 % |", short_range, labels=0),
 )
 """The tables of measurements that are checked."""
 
 NOT_CHECKED = {
+    "peers.md | peer |": "means over the rows of the tables below it",
+    "peers.md | rule |": "rules that the cited sources state",
     "real-sensors.md | encoding | office | intel |": "murmur sweep real-baselines.toml --out real-baselines.parquet",
     "real-sensors.md | sensors | map |": "murmur sweep real-sensors.toml: the page describes which runs it shows",
     "results/performance.md | robots | polygons": "murmur bench scale: times depend on the machine",

@@ -12,13 +12,15 @@ from deploy.after.field_run import FieldStart
 from deploy.record.map_quality import Figures, TrueWalls, robot_figures, team_figures
 from deploy.record.records import Records
 from deploy.record.summary import digest, median_work, per_kind, tolerance, undelivered
+from deploy.record.team_effort import longest_path_m
 from deploy.record.versions import versions
 from deploy.scenario.plan import Plan
 from protocol.grid import FREE, OCCUPIED
 from protocol.messages import End
 
 NEEDS_TRUTH = (
-    "explored_at", "coverage", "map_accuracy", "claimed_map_accuracy", "t50", "t90", "t99", "overlap", "range_m",
+    "explored_at", "coverage", "map_accuracy", "claimed_map_accuracy", "t50", "t90", "t95", "t99",
+    "longest_path_95", "longest_path_99", "overlap", "overlap_sum", "seen_std", "range_m",
     "raw_scan_bytes", "approximation_error", "approximation_error_net", "over_budget_steps",
 )  # fmt: skip
 """Keys that are null: they need a true map, the distances of a relay, or a budget per step."""
@@ -53,6 +55,7 @@ def summarize_field(plan: Plan, records: Records, starts: Sequence[FieldStart]) 
         "worst_team_map_held": min(known, default=None),
         "robot_maps": {str(robot): each for robot, each in figures.items()},
         "refuted_maps": [],
+        "longest_path": longest_path_m(records.world[-1] if records.world else None),
         "path_length": [mm / 1000 for mm in records.world[-1].driven] if records.world else [],
         "robots": scenario.robots,
         "seed": scenario.seed,

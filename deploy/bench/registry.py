@@ -10,6 +10,7 @@ from typing import Any
 from deploy.bench.field import field
 from deploy.bench.kernels import kernels
 from deploy.bench.measurement import Measurement
+from deploy.bench.peers import peers
 from deploy.bench.relay import relay
 from deploy.bench.replanning import replanning
 from deploy.bench.scale import ROBOTS, scale
@@ -22,7 +23,11 @@ BENCHMARKS: dict[str, Callable[[], Iterator[Measurement]]] = {
     "relay": relay,
     "scale": scale,
     "field": field,
+    "peers": peers,
 }
+
+ON_REQUEST = ("peers",)
+"""Benchmarks that take minutes, and so run only if they are named."""
 
 
 def run_benchmarks(
@@ -33,7 +38,7 @@ def run_benchmarks(
     Parameters
     ----------
     names : sequence of str
-        Benchmarks to run; all if empty.
+        Benchmarks to run; all but those `ON_REQUEST` if empty.
     report : callable
         Called with each line of text.
     robots : sequence of int
@@ -49,7 +54,7 @@ def run_benchmarks(
         raise ValueError(f"no benchmark is called {unknown[0]!r}; there are: {', '.join(BENCHMARKS)}")
     known = BENCHMARKS | {"scale": partial(scale, robots or ROBOTS)}
     measurements = []
-    for name in names or BENCHMARKS:
+    for name in names or (name for name in BENCHMARKS if name not in ON_REQUEST):
         report(f"{name}:")
         for measurement in known[name]():
             report("  " + measurement.line())

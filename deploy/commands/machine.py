@@ -108,7 +108,7 @@ def bench(
         typer.Argument(
             metavar="NAME",
             help="kernels, swarm, replanning, relay, scale, field; default: all of these. "
-            "Or strategies: the league table",
+            "Or strategies: the league table; or peers: the rules of other simulators",
         ),
     ] = None,
     robots: Annotated[
@@ -146,7 +146,8 @@ def bench(
     """Benchmark this machine: each value as a ratio to a baseline measured in the same run.
 
     ``murmur bench strategies`` prints the league table: all strategies on the same maps, from the same starts, as
-    multiples of the steps of a plan that knows the map (docs/results/strategies.md).
+    multiples of the steps of a plan that knows the map (docs/results/strategies.md). ``murmur bench peers`` takes
+    minutes: strategies by the rules of other simulators (docs/peers.md).
     """
     if names == ["strategies"]:
         values = named_values(settings or [], "set", "bandwidth=1000")

@@ -102,8 +102,12 @@ SUMMARY = {
     "robot_maps": "for each robot: `map_accuracy`, `wall_precision`, `wall_recall`, `wall_f1`, and of its teammates' "
     "walls `walls_within_tolerance` and `worst_walls_within_tolerance`",
     "refuted_maps": "robots whose own map is false beyond noise, or too large; other keys leave them out",
-    "t50, t90, t99": "steps at which the team had seen 50, 90, and 99 %",
+    "t50, t90, t95, t99": "steps at which the team had seen 50, 90, 95, and 99 %",
+    "longest_path, longest_path_95, longest_path_99": "meters of the robot that had driven farthest: at the end, at "
+    "`t95`, at `t99`",
     "overlap": "cells seen by more than one robot over cells seen; null if a robot was lost with its grid",
+    "overlap_sum": "cells seen by each robot, summed, over cells seen by the team, minus 1 (overlap of Explore-Bench)",
+    "seen_std": "standard deviation over robots of the share of the reachable cells that each has seen itself",
     "path_length": "meters, one value per robot",
     "robots, seed, map, bus, strategy, map_encoding, bandwidth, range_m": "settings",
     "finish": "robots that had to finish: `first`, or `all`, as in missions that return and recorded runs",

@@ -23,6 +23,14 @@ from deploy.record.map_quality import (
 from deploy.record.missed_phases import figures as figures_of_missed
 from deploy.record.recorded_runs import recorded_figures
 from deploy.record.records import Records
+from deploy.record.team_effort import (
+    longest_path_m,
+    overlap,
+    overlap_sum,
+    report_at,
+    seen_by_each,
+    seen_std,
+)
 from deploy.record.versions import versions
 from deploy.scenario.plan import Plan
 from netshaper.airtime import HOUR_S, Saving
@@ -70,10 +78,8 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "robot_maps": {
             str(robot): {"map_accuracy": accuracy[robot]} | each for robot, each in figures.items()
         },
-        "t50": _first_step(records, 0.50),
-        "t90": _first_step(records, 0.90),
-        "t99": _first_step(records, 0.99),
-        "overlap": None if refuted else _overlap(records, reachable),
+        **_progress(records),
+        **_overlaps(records, reachable, refuted),
         "refuted_maps": refuted,
         "path_length": [mm / 1000 for mm in records.world[-1].driven] if records.world else [],
         "robots": scenario.robots,
@@ -170,18 +176,29 @@ def _robot_figures(
     return robot_figures(planning, shared, walls, true_walls_of(plan, reachable), tolerance(plan))
 
 
-def _overlap(records: Records, reachable: Mask) -> float | None:
-    """Share of the seen cells that several robots have seen; None if a grid is missing."""
-    if not records.own or not records.has_all_grids:
-        return None
-    seen = np.zeros(reachable.shape, np.int64)
-    for grid in records.own.values():
-        seen += (grid == FREE) & reachable
-    return float((seen > 1).sum() / (seen > 0).sum())
+def _progress(records: Records) -> dict[str, float | None]:
+    """Return when the team had seen shares of the area, and the longest paths of a robot."""
+    found = {f"t{percent}": report_at(records.world, percent / 100) for percent in (50, 90, 95, 99)}
+    last = records.world[-1] if records.world else None
+    return {
+        **{key: None if report is None else report.step for key, report in found.items()},
+        "longest_path": longest_path_m(last),
+        "longest_path_95": longest_path_m(found["t95"]),
+        "longest_path_99": longest_path_m(found["t99"]),
+    }
 
 
-def _first_step(records: Records, share: float) -> int | None:
-    return next((w.step for w in records.world if w.seen >= share * w.reachable), None)
+def _overlaps(records: Records, reachable: Mask, refuted: Collection[int]) -> dict[str, float | None]:
+    """Return how much several robots have seen; None for all if a grid is missing or false."""
+    if refuted or not records.own or not records.has_all_grids:
+        return dict.fromkeys(("overlap", "overlap_sum", "seen_std"))
+    own = records.own.values()
+    seen = seen_by_each(own, reachable)
+    return {
+        "overlap": overlap(seen),
+        "overlap_sum": overlap_sum(seen),
+        "seen_std": seen_std(own, reachable),
+    }
 
 
 def per_kind(ledger: NDArray[np.void], name: str) -> dict[str, int]:

@@ -13,17 +13,21 @@ SHARE: Final = "share"
 NAMES: Final = {
     "steps": "exploration time", "explored": "explored area", "carried": "transmitted", "robots": "number of robots",
     "range": "communication range", "bytes.total": "transmitted", "t50": "time to 50 %", "t90": "time to 90 %",
-    "t99": "time to 99 %", "known_at": "time until a robot knows the full map",
+    "t95": "time to 95 %", "t99": "time to 99 %", "longest_path_95": "longest path to 95 %",
+    "longest_path_99": "longest path to 99 %", "overlap_sum": "overlap, summed",
+    "seen_std": "standard deviation of seen shares", "known_at": "time until a robot knows the full map",
 }  # fmt: skip
 """Names of metrics and settings, where they differ from their keys."""
 
 UNITS: Final = {
-    "steps": "steps", "t50": "steps", "t90": "steps", "t99": "steps", "explored_at": "steps", "known_at": "steps",
-    "missed_steps": "steps",
+    "steps": "steps", "t50": "steps", "t90": "steps", "t95": "steps", "t99": "steps", "explored_at": "steps",
+    "known_at": "steps", "missed_steps": "steps",
     "over_budget_steps": "steps", "missed_phases": "phases", "protocol_errors": "errors", "tolerance": "cells",
     "coverage": "share of reachable cells", "explored": "share of reachable cells",
     "approximation_error": "share of cells", "approximation_error_net": "share of cells",
-    "overlap": "share of seen cells", "duty_cycle": "share of an hour", "finished": "share of runs",
+    "overlap": "share of seen cells", "overlap_sum": "share of seen cells", "seen_std": "share of reachable cells",
+    "longest_path": "m", "longest_path_95": "m", "longest_path_99": "m",
+    "duty_cycle": "share of an hour", "finished": "share of runs",
     "carried": "bytes per step", "bandwidth": "bytes per step",
     "raw_scan_bytes": "bytes", "sensor_range": "m", "range": "m",
     "speed": "m per step", "steps_per_s": "steps per s", "robots": "",

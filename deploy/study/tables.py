@@ -39,7 +39,8 @@ MIN_COVERAGE = 0.99
 
 METRICS = (
     "steps", "coverage", "map_accuracy", "mean_map_accuracy", "worst_map_accuracy",
-    "t50", "t90", "t99", "overlap", "finished", "first_robot",
+    "t50", "t90", "t95", "t99", "longest_path", "longest_path_95", "longest_path_99",
+    "overlap", "overlap_sum", "seen_std", "finished", "first_robot",
     "claimed_map_accuracy", "claimed_mean_map_accuracy", "claimed_worst_map_accuracy",
     "claimed_wall_precision", "claimed_wall_recall", "claimed_wall_f1",
     "claimed_mean_wall_precision", "claimed_mean_wall_recall", "claimed_mean_wall_f1",

@@ -10,7 +10,7 @@ import pytest
 from docs import figures
 from docs.figures import DOCS, FIGURES, NOT_CHECKED, Figure, NotThere, differences
 
-MEASURED = ["predictive.md", "real-sensors.md", "recorded.md", "repairmen.md", "results"]
+MEASURED = ["peers.md", "predictive.md", "real-sensors.md", "recorded.md", "repairmen.md", "results"]
 """Pages and folders with measurements; `tests/deploy/test_docs.py` compares tables of other pages with the code."""
 
 FROM_CODE = {
