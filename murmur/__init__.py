@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from deploy.after.merge import merge
     from deploy.after.recorded_run import read_run
-    from deploy.run.exploration import Result, explore
+    from deploy.run.exploration import explore
     from deploy.run.failure import RunFailed
+    from deploy.run.result import Result
     from deploy.run.stepwise import Step, Steps, steps
     from deploy.scenario.scenario import Scenario, ScenarioError, load
     from deploy.study.comparison import compare
@@ -30,7 +31,7 @@ __all__ = [
 ]  # fmt: skip
 
 _MODULES = {
-    "Result": "deploy.run.exploration",
+    "Result": "deploy.run.result",
     "RunFailed": "deploy.run.failure",
     "Scenario": "deploy.scenario.scenario",
     "ScenarioError": "deploy.scenario.scenario",

@@ -14,9 +14,8 @@ from typing import Any, NoReturn
 import typer
 from rich.console import Console
 
+from deploy.run.exit_codes import BAD_INPUT, BROKEN_OFF
 from deploy.run.failure import RunFailed
-
-BAD_INPUT, BROKEN_OFF = 2, 3
 
 errors = Console(stderr=True, highlight=False, soft_wrap=True, markup=False)
 screen = Console(highlight=False, soft_wrap=True, markup=False)

@@ -11,15 +11,16 @@ from typing import Annotated, Any, NoReturn
 import typer
 from rich.console import Console
 
-from deploy.commands.console import BROKEN_OFF, FILE_WIDTH, errors, fail, screen
+from deploy.commands.console import FILE_WIDTH, errors, fail, screen
 from deploy.commands.flags import (
     GroupedCommand,
     command_family,
     figure_flags,
+    file_option,
     named_values,
-    output_file,
-    setting_flags,
 )
+from deploy.commands.scenario_flags import setting_flags
+from deploy.run.exit_codes import BROKEN_OFF
 from deploy.scenario.tables import MAX_RUNS
 from deploy.study.progress import counting
 from protocol.grid import MAX_ROBOTS
@@ -67,28 +68,14 @@ def sweep(
     ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="apply the [quick] section of the file")] = False,
     out: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.parquet",
-            callback=output_file(".parquet"),
-            help="the table of runs; existing runs are reused",
-        ),
+        Path | None, file_option("FILE.parquet", "the table of runs; existing runs are reused")
     ] = None,
     table: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.csv|.parquet",
-            callback=output_file(".csv", ".parquet"),
-            help="write means, intervals and quartiles",
-        ),
+        Path | None, file_option("FILE.csv|.parquet", "write means, intervals and quartiles")
     ] = None,
     plot: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE.png|.pdf|.svg",
-            callback=output_file(".png", ".pdf", ".svg"),
-            help="draw the file's plots (FILE-2.png and so on for more)",
-        ),
+        file_option("FILE.png|.pdf|.svg", "draw the file's plots (FILE-2.png and so on for more)"),
     ] = None,
     retry: RetryFlag = False,
     *,

@@ -8,7 +8,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.run.exploration import Result
+from deploy.run.result import Result
 from deploy.scenario.scenario import Scenario
 from murmur.gym.episode import Episode
 from murmur.gym.episodes import Episodes, draw_seed

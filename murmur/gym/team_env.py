@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
-from deploy.run.exploration import Result
+from deploy.run.result import Result
 from deploy.scenario.scenario import Scenario
 from murmur.gym.chosen_goals import ChosenGoals
 from murmur.gym.episode import Episode

@@ -11,7 +11,8 @@ from msgspec.structs import replace
 from agent.encodings.base import NO_SENDER
 from agent.encodings.catalog import make_encoding
 from agent.robot import Robot
-from deploy.run.exploration import Result, explore
+from deploy.run.exploration import explore
+from deploy.run.result import Result
 from protocol.grid import UNKNOWN, Grid
 from tests.system.team import Team, small_plan
 

@@ -7,7 +7,8 @@ from typing import Any
 
 import pytest
 
-from deploy.run.exploration import Result, explore
+from deploy.run.exploration import explore
+from deploy.run.result import Result
 from deploy.scenario.scenario import ScenarioError, load
 from protocol.grid import UNKNOWN
 

@@ -8,8 +8,9 @@ from typing import Any
 
 import pytest
 
-from deploy.run.exploration import EXPLORED, NOT_FINISHED, Result
+from deploy.run.exit_codes import EXPLORED, NOT_FINISHED
 from deploy.run.in_memory import MemoryRun
+from deploy.run.result import Result
 from deploy.scenario import plan
 from deploy.scenario.scenario import ScenarioError, parse
 from murmur import explore

@@ -20,8 +20,9 @@ from deploy.record.missed_phases import MISSED
 from deploy.record.records import Records
 from deploy.record.summary import digest, summarize
 from deploy.run.control import why_unrepeatable
-from deploy.run.exploration import Result, explore
+from deploy.run.exploration import explore
 from deploy.run.in_memory import MemoryRun
+from deploy.run.result import Result
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import ScenarioError
 from protocol.keyed_random import keyed_random

@@ -11,9 +11,10 @@ from msgspec.structs import replace
 from deploy.commands.terminal import summary_lines
 from deploy.record.records import Records
 from deploy.record.summary import summarize
-from deploy.run.exploration import NOT_FINISHED, conclude
+from deploy.run.exit_codes import NOT_FINISHED
 from deploy.run.in_memory import MemoryRun
 from deploy.run.launch import Outcome
+from deploy.run.result import conclude
 from deploy.scenario.plan import Plan
 from protocol import keys as names
 from protocol import rights

@@ -12,7 +12,8 @@ import pytest
 
 from deploy.record.records import Records
 from deploy.run.control import Control
-from deploy.run.exploration import Result, explore
+from deploy.run.exploration import explore
+from deploy.run.result import Result
 from deploy.run.stepwise import steps
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import ScenarioError, load, parse

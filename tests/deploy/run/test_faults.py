@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deploy.run.exploration import EXPLORED, Result, explore
+from deploy.run.exit_codes import EXPLORED
+from deploy.run.exploration import explore
+from deploy.run.result import Result
 from deploy.scenario.scenario import ScenarioError, parse
 from protocol.grid import FREE
 from worldsim import maps
