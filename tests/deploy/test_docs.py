@@ -420,7 +420,7 @@ def test_a_shipped_scenario_runs(name: str) -> None:
     assert records.end is not None
     assert records.end.step == 70
     assert not records.lost
-    assert not records.protocol_errors
+    assert not records.protocol_errors.texts
     alive = {len(np.frombuffer(report.poses, "<i4")) // 4 for report in records.world}
     assert alive == ({4, 3} if name == "breakdown.toml" else {4})
 

@@ -43,7 +43,7 @@ KINDS = {"exact": EXACT, "noisy": NOISY}
 
 def run(**settings: Any) -> Result:
     result = explore(**({"bus": "memory"} | SMALL | settings))
-    assert not result.records.protocol_errors
+    assert not result.records.protocol_errors.texts
     return result
 
 

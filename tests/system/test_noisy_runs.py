@@ -97,7 +97,7 @@ def test_baselines_reach_late_robots_over_a_lossy_radio(map_encoding: str, disse
         "fault": [{"step": 20, "robot": 1, "kind": "restart"}],
     }  # fmt: skip
     result = run(**late)
-    assert not result.records.protocol_errors
+    assert not result.records.protocol_errors.texts
     before = result.records.own[0] != UNKNOWN
     lacking = before & (result.records.own[1] == UNKNOWN)
     assert lacking.any()

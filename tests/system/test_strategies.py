@@ -44,7 +44,7 @@ def run(
 @pytest.mark.parametrize("name", NAMES)
 def test_every_strategy_explores_all_reachable_cells_or_reports_a_stall(name: str) -> None:
     result = run(name)
-    assert not result.records.protocol_errors
+    assert not result.records.protocol_errors.texts
     if name == STALLS:
         assert result.exit_code == NOT_FINISHED
         assert result.summary["reason"] == STALLED

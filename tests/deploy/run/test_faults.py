@@ -63,7 +63,7 @@ def test_a_run_with_all_kinds_of_faults_ends_explored_and_repeats(
     ]
     assert runs[0].exit_code == EXPLORED
     assert runs[0].summary["coverage"] > 0.97
-    assert not runs[0].records.protocol_errors
+    assert not runs[0].records.protocol_errors.texts
     assert runs[0].summary["digest"] == runs[1].summary["digest"]
 
 
