@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from deploy.run.failure import RunFailed
     from deploy.run.result import Result
     from deploy.run.stepwise import Step, Steps, steps
-    from deploy.scenario.scenario import Scenario, ScenarioError, load
+    from deploy.scenario.errors import ScenarioError
+    from deploy.scenario.scenario import Scenario, load
     from deploy.study.comparison import compare
     from deploy.study.radio_sizing import size_radios
     from deploy.study.sizing import size
@@ -34,7 +35,7 @@ _MODULES = {
     "Result": "deploy.run.result",
     "RunFailed": "deploy.run.failure",
     "Scenario": "deploy.scenario.scenario",
-    "ScenarioError": "deploy.scenario.scenario",
+    "ScenarioError": "deploy.scenario.errors",
     "Step": "deploy.run.stepwise",
     "Steps": "deploy.run.stepwise",
     "compare": "deploy.study.comparison",

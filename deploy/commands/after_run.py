@@ -13,7 +13,8 @@ from deploy.commands.console import errors, explain_difference, progress, report
 from deploy.commands.flags import JsonFlag, command_family
 from deploy.run.exit_codes import BROKEN_OFF
 from deploy.scenario import plugins
-from deploy.scenario.scenario import Scenario, ScenarioError, load
+from deploy.scenario.errors import ScenarioError
+from deploy.scenario.scenario import Scenario, load
 
 app = command_family()
 

@@ -30,8 +30,9 @@ from deploy.commands.flags import (
 )
 from deploy.commands.scenario_flags import run_flags
 from deploy.commands.viewing import Viewing
-from deploy.scenario.scenario import SHIPPED, Scenario, load, read_toml
+from deploy.scenario.scenario import SHIPPED, Scenario, load
 from deploy.scenario.thesis import STRATEGY, thesis_settings
+from deploy.scenario.toml_files import read_toml
 
 app = command_family()
 

@@ -14,7 +14,8 @@ import typer
 from deploy.commands.console import errors, screen
 from deploy.commands.flags import ROBOTS, GroupedCommand, command_family, option, switch
 from deploy.commands.scenario_flags import OwnFlag, run_flags
-from deploy.scenario.scenario import Scenario, ScenarioError, load
+from deploy.scenario.errors import ScenarioError
+from deploy.scenario.scenario import Scenario, load
 
 if TYPE_CHECKING:
     from deploy.serve.agent_files import AgentFiles

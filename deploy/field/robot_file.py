@@ -7,21 +7,24 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from agent.encoding_options import PolygonOptions, PredictiveOptions
 from agent.radios.options import LinkOptions
-from deploy.scenario.scenario import DEFAULT_STRATEGY, ScenarioError, explained, read_toml
+from deploy.field.mission_settings import MissionSettings
+from deploy.scenario.control_settings import ControlSettings
+from deploy.scenario.errors import ScenarioError, explained
 from deploy.scenario.tables import (
     MAX_INTEGER,
-    MAX_TOLERANCE,
     Meters,
     NotNegative,
     Positive,
     Table,
     Whole,
-    check_types,
+    check_numbers,
+    exact,
 )
+from deploy.scenario.toml_files import read_toml
 from protocol.grid import MAX_ROBOTS, MAX_SIDE
 from protocol.packets import MAX_GOSSIP_MAPS
 from protocol.range_scans import MAX_REACH_M
@@ -29,7 +32,6 @@ from protocol.range_scans import MAX_REACH_M
 EXAMPLE = Path(__file__).with_name("robot.toml")
 """The commented settings file that `murmur robot --example` prints."""
 
-Seconds = Annotated[float, Field(strict=True, gt=0, le=86400)]
 Turn = Annotated[float, Field(strict=True, ge=-360, le=360)]
 
 
@@ -140,7 +142,7 @@ class TeammateTable(Table):
     radius: NotNegative | None = Field(None, description="its radius, meters; default: this robot's")
 
 
-class RobotSettings(Table):
+class RobotSettings(MissionSettings, ControlSettings):
     """All settings of one robot in the field.
 
     Raises
@@ -159,55 +161,16 @@ class RobotSettings(Table):
     robots: Whole = Field(ge=1, le=MAX_ROBOTS, description="number of robots of the team")
     grid: GridTable = Field(description="the team's grid")
     ros2: Ros2Table = Field(description="the robot's ROS 2 nodes")
-    radio: RadioTable = Field(description="the radio")
+    radio: Annotated[RadioTable, exact(RadioTable)] = Field(description="the radio")
     record: RecordTable = Field(default_factory=RecordTable, description="records")
     teammate: tuple[TeammateTable, ...] = Field((), description="teammates with other hardware")
     seed: Whole = Field(0, ge=0, le=MAX_INTEGER, description="seed of all random draws")
     starts: Whole = Field(8, ge=1, le=256, description="how often each robot may start in this mission")
-    strategy: str = Field(DEFAULT_STRATEGY, description="exploration strategy (murmur strategies lists all)")
-    options: dict[str, Any] = Field(default_factory=dict, description="options of the strategy, by name")
-    map_encoding: str = Field("predictive", description="map encoding")
-    predictive: PredictiveOptions = Field(
-        default_factory=PredictiveOptions, description="options of the predictive encoding"
-    )
-    polygons: PolygonOptions = Field(
-        default_factory=PolygonOptions, description="options of the polygon encoding"
-    )
-    tolerance: Whole = Field(
-        1, ge=0, le=MAX_TOLERANCE, description="cells between a wall and its copy on teammates' maps at most"
-    )
     sensor_range: float = Field(
         5.0, strict=True, gt=0, le=MAX_REACH_M, description="range up to which scans are mapped, meters"
     )
     speed: Positive = Field(0.5, description="largest speed of the robot, meters per second")
     radius: NotNegative = Field(0.2, description="radius of the robot, meters")
-    step_s: float = Field(1.0, strict=True, ge=0.1, le=60.0, description="duration of a step, seconds")
-    steps: Whole = Field(86400, ge=1, le=MAX_INTEGER, description="maximum number of steps")
-    finish_s: Seconds = Field(
-        30.0, description="the robot ends when it was done for so long: nothing to explore, and all delivered"
-    )
-    dead_man_s: Seconds = Field(
-        3.0, description="the robot stands still if no scan with a pose has arrived for so long, seconds"
-    )
-    patience_s: Seconds = Field(20.0, description="a goal without progress for so long counts as unreachable")
-    avoid_s: Seconds = Field(60.0, description="how long an unreachable goal is avoided, at first")
-    absent_s: Seconds = Field(
-        300.0, description="a teammate that has not been received for so long is not waited for at the end"
-    )
-
-    @field_validator("polygons", "predictive", "radio", mode="before")
-    @classmethod
-    def _types_are_exact(cls, value: object, info: ValidationInfo) -> object:
-        check_types(cls.model_fields[str(info.field_name)].annotation, value)
-        return value
-
-    @field_validator("map_encoding")
-    @classmethod
-    def _encoding_is_known(cls, value: str) -> str:
-        from agent.encodings.catalog import encoding_class  # noqa: PLC0415  loads numpy, which --help does not need
-
-        encoding_class(value)
-        return value
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
@@ -215,9 +178,7 @@ class RobotSettings(Table):
         from agent.encodings.scans import ScanEncoding  # noqa: PLC0415
         from agent.strategies.registry import strategy  # noqa: PLC0415
 
-        chosen = strategy(self.strategy)
-        chosen.check(self.options)
-        if not chosen.explores:
+        if not strategy(self.strategy).explores:
             raise ValueError(f"strategy = {self.strategy!r}: does not explore; choose another one")
         if not self.ros2.scan and issubclass(encoding_class(self.map_encoding), ScanEncoding):
             raise ValueError(
@@ -242,15 +203,11 @@ class RobotSettings(Table):
     def _check_teammates(self) -> None:
         """Raise ValueError if a `[[teammate]]` table names a robot that is no teammate, or two tables name the same."""
         numbers = [each.robot for each in self.teammate]
-        for number in numbers:
-            if number >= self.robots:
-                raise ValueError(f"[[teammate]] names robot {number}; the last one is {self.robots - 1}")
-            if number == self.robot:
-                raise ValueError(
-                    f"[[teammate]] names robot {number}, which is this robot: set its values at the top of the file"
-                )
-        if len(set(numbers)) < len(numbers):
-            raise ValueError(f"[[teammate]] names a robot twice: {numbers}")
+        check_numbers("teammate", numbers, self.robots)
+        if self.robot in numbers:
+            raise ValueError(
+                f"[[teammate]] names robot {self.robot}, which is this robot: set its values at the top of the file"
+            )
 
 
 _KEYS = {

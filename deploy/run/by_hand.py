@@ -26,8 +26,9 @@ from deploy.run.launch import Outcome, attend
 from deploy.run.processes import WorldTask, relay, serve_agent, serve_world
 from deploy.run.result import Result, conclude
 from deploy.scenario import plan as plans
+from deploy.scenario.errors import ScenarioError
 from deploy.scenario.plan import Plan
-from deploy.scenario.scenario import Scenario, ScenarioError, load
+from deploy.scenario.scenario import Scenario, load
 from netshaper import access
 from netshaper.hub import open_hub
 from netshaper.router import Router

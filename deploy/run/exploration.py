@@ -18,8 +18,9 @@ from deploy.run.in_memory import check_clock
 from deploy.run.result import Result
 from deploy.scenario import plan as plans
 from deploy.scenario import plugins
+from deploy.scenario.errors import ScenarioError
 from deploy.scenario.plan import Plan
-from deploy.scenario.scenario import Scenario, ScenarioError, check_incarnations, parse
+from deploy.scenario.scenario import Scenario, check_incarnations, parse
 from protocol.messages import Missed
 from worldsim.pace import Pace
 

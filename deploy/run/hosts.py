@@ -19,7 +19,8 @@ from pydantic import (
     model_validator,
 )
 
-from deploy.scenario.scenario import ScenarioError, explain, read_toml
+from deploy.scenario.errors import ScenarioError, explain
+from deploy.scenario.toml_files import read_toml
 from protocol.grid import MAX_ROBOTS
 
 MOST_PORT = 65535

@@ -25,7 +25,7 @@ from deploy.run.exit_codes import BROKEN_OFF
 from deploy.run.hosts import Host, Hosts
 from deploy.run.remote_agents import MAX_LINE, MAX_LOG, hello
 from deploy.run.rendezvous import by_certificates
-from deploy.scenario.scenario import ScenarioError
+from deploy.scenario.errors import ScenarioError
 from protocol import keys as names
 from protocol.zenoh_bus import Credential
 

@@ -24,10 +24,11 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from deploy.scenario.errors import ScenarioError, explain
 from deploy.scenario.scenario import SHIPPED as SCENARIOS
-from deploy.scenario.scenario import ScenarioError, beside, explain, lay, read_toml
 from deploy.scenario.tables import MAX_RUNS, Whole
 from deploy.scenario.tables import Table as Keys
+from deploy.scenario.toml_files import beside, lay, read_toml
 from deploy.study.claims import Claim, Rule, check_claim
 from deploy.study.measures import EXPLORATION, MEASURES, METRICS
 from deploy.study.plots import Plot, check_plot

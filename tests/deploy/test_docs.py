@@ -30,8 +30,9 @@ from agent.settings import EncodingSettings, ReplicationSettings, Settings
 from deploy.record.columns import SUMMARY
 from deploy.run.exploration import explore
 from deploy.run.in_memory import MemoryRun
+from deploy.scenario.errors import ScenarioError
 from deploy.scenario.plan import make
-from deploy.scenario.scenario import SHIPPED, Scenario, ScenarioError, load
+from deploy.scenario.scenario import SHIPPED, Scenario, load
 from docs import code_tables, made_pages, packet_tables
 from netshaper import access
 from netshaper.ledger import CAUSES

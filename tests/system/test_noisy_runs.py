@@ -9,7 +9,8 @@ import pytest
 
 from deploy.run.exploration import explore
 from deploy.run.result import Result
-from deploy.scenario.scenario import ScenarioError, load
+from deploy.scenario.errors import ScenarioError
+from deploy.scenario.scenario import load
 from protocol.grid import UNKNOWN
 
 SMALL: dict[str, Any] = {

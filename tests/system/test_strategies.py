@@ -12,7 +12,8 @@ from deploy.run.exit_codes import EXPLORED, NOT_FINISHED
 from deploy.run.in_memory import MemoryRun
 from deploy.run.result import Result
 from deploy.scenario import plan
-from deploy.scenario.scenario import ScenarioError, parse
+from deploy.scenario.errors import ScenarioError
+from deploy.scenario.scenario import parse
 from murmur import explore
 from tests.agent.encodings.names import EXACT
 from worldsim import generators

@@ -23,8 +23,8 @@ from deploy.run.control import why_unrepeatable
 from deploy.run.exploration import explore
 from deploy.run.in_memory import MemoryRun
 from deploy.run.result import Result
+from deploy.scenario.errors import ScenarioError
 from deploy.scenario.plan import Plan
-from deploy.scenario.scenario import ScenarioError
 from protocol.keyed_random import keyed_random
 from protocol.messages import Missed
 from tests.deploy.commands.office_floor import murmur

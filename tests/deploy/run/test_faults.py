@@ -11,7 +11,8 @@ import pytest
 from deploy.run.exit_codes import EXPLORED
 from deploy.run.exploration import explore
 from deploy.run.result import Result
-from deploy.scenario.scenario import ScenarioError, parse
+from deploy.scenario.errors import ScenarioError
+from deploy.scenario.scenario import parse
 from protocol.grid import FREE
 from worldsim import maps
 from worldsim.maps import Map

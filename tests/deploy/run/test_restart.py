@@ -16,8 +16,9 @@ from deploy.run import launch
 from deploy.run.control import why_unrepeatable
 from deploy.run.exit_codes import BROKEN_OFF, EXPLORED
 from deploy.run.exploration import explore
+from deploy.scenario.errors import ScenarioError
 from deploy.scenario.plan import Plan
-from deploy.scenario.scenario import ScenarioError, parse
+from deploy.scenario.scenario import parse
 
 
 def scenario(**settings: Any) -> Any:
