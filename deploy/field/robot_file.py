@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationError, model_validator
 
-from agent.encoding_options import PolygonOptions, PredictiveOptions
 from agent.radios.options import LinkOptions
 from deploy.field.mission_settings import MissionSettings
 from deploy.scenario.control_settings import ControlSettings
@@ -155,7 +154,7 @@ class RobotSettings(MissionSettings, ControlSettings):
         try:
             super().__init__(**settings)
         except ValidationError as error:
-            raise explained(error, _KEYS) from None
+            raise explained(error, RobotSettings) from None
 
     robot: Whole = Field(ge=0, le=MAX_ROBOTS - 1, description="number of this robot, from 0")
     robots: Whole = Field(ge=1, le=MAX_ROBOTS, description="number of robots of the team")
@@ -210,19 +209,6 @@ class RobotSettings(MissionSettings, ControlSettings):
             )
 
 
-_KEYS = {
-    "": list(RobotSettings.model_fields),
-    "grid": list(GridTable.model_fields),
-    "ros2": list(Ros2Table.model_fields),
-    "record": list(RecordTable.model_fields),
-    "teammate": list(TeammateTable.model_fields),
-    "radio": [field.name for field in fields(RadioTable)],
-    "polygons": [field.name for field in fields(PolygonOptions)],
-    "predictive": [field.name for field in fields(PredictiveOptions)],
-}
-"""The valid keys of each table."""
-
-
 @dataclass(frozen=True)
 class RobotFile:
     """The settings of a robot, and the directory to which paths in them are relative."""
@@ -262,5 +248,4 @@ def load_robot(path: Path) -> RobotFile:
     try:
         return RobotFile(RobotSettings(**data), path.parent)
     except ScenarioError as error:
-        lines = str(error).splitlines()
-        raise ScenarioError("\n".join(f"robot {path}: {line}" for line in lines)) from None
+        raise error.within(f"robot {path}") from None

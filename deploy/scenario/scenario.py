@@ -3,30 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields
 from pathlib import Path
 from typing import Any, Self
 
 import tomli_w
 from pydantic import Field, ValidationError, model_validator
 
-from agent.encoding_options import PolygonOptions, PredictiveOptions
 from deploy.scenario import plugins
 from deploy.scenario.building_settings import BuildingSettings
 from deploy.scenario.communication_settings import CommunicationSettings
 from deploy.scenario.control_settings import DEFAULT_STRATEGY, ControlSettings
 from deploy.scenario.errors import ScenarioError, explained
-from deploy.scenario.hardware import RobotOverride
 from deploy.scenario.run_settings import RunSettings
-from deploy.scenario.tables import MAX_TOLERANCE, ChangeTable, FaultTable, Whole
+from deploy.scenario.tables import MAX_TOLERANCE, Whole
 from deploy.scenario.team_settings import TeamSettings, has_errors
 from deploy.scenario.toml_files import beside, lay, read_toml, remove_preset_keys
-from netshaper.radio_options import Partition, RadioOptions
 from protocol import faults
 from protocol.errors import shown
-from worldsim.people_options import PeopleOptions
 from worldsim.recorded.options import RecordingOptions
-from worldsim.sensor_options import IDEAL, LASERS, LaserOptions, PoseOptions
+from worldsim.sensor_options import IDEAL, LASERS
 
 SHIPPED = Path(__file__).with_name("shipped")
 """Directory of the scenarios that are installed with the code; a file name alone can refer to one."""
@@ -64,7 +59,7 @@ class Scenario(RunSettings, CommunicationSettings, ControlSettings, TeamSettings
         try:
             super().__init__(**plugins.with_names(settings))
         except ValidationError as error:
-            raise explained(error, _KEYS) from None
+            raise explained(error, Scenario) from None
         except ValueError as error:
             raise ScenarioError(str(error)) from None
 
@@ -233,23 +228,4 @@ def parse(data: dict[str, Any], where: str = "scenario") -> Scenario:
     try:
         return Scenario(**data)
     except ScenarioError as error:
-        raise ScenarioError("\n".join(f"{where}: {line}" for line in str(error).splitlines())) from None
-
-
-_KEYS = {
-    "": list(Scenario.model_fields),
-    "robot": list(RobotOverride.model_fields),
-    "fault": list(FaultTable.model_fields),
-    "change": list(ChangeTable.model_fields),
-    "polygons": [field.name for field in fields(PolygonOptions)],
-    "predictive": [field.name for field in fields(PredictiveOptions)],
-    "radio": [field.name for field in fields(RadioOptions)],
-    "laser": [field.name for field in fields(LaserOptions)],
-    "robot.laser": [field.name for field in fields(LaserOptions)],
-    "pose": [field.name for field in fields(PoseOptions)],
-    "robot.pose": [field.name for field in fields(PoseOptions)],
-    "people": [field.name for field in fields(PeopleOptions)],
-    "recording": [field.name for field in fields(RecordingOptions)],
-    "radio.partition": [field.name for field in fields(Partition)],
-}
-"""The valid keys of each table."""
+        raise error.within(where) from None
