@@ -1,10 +1,9 @@
 """Murmur from Python: run a swarm of exploring robots, step through a run, compare runs.
 
 ``murmur.explore(robots=5)`` runs a scenario to its end, ``for step in murmur.steps(robots=5): ...`` one step at a time.
-``sweep``, ``compare`` and ``size`` repeat runs over seeds and settings. ``read_run`` reads a run
-directory, ``merge`` joins records of robots in the field, and `murmur.gym` has environments for learning.
-Everything else is in the packages `deploy` (running and recording), `agent` (the robot), `worldsim` (the world),
-`netshaper` (the radio) and `protocol`.
+``sweep``, ``compare`` and ``size`` repeat runs over seeds and settings. ``read_run`` reads a run directory, ``merge``
+joins records of robots in the field, and `murmur.gym` has environments for learning. Everything else is in the packages
+`deploy` (running and recording), `agent` (the robot), `worldsim` (the world), `netshaper` (the radio) and `protocol`.
 """
 
 from __future__ import annotations

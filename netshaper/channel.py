@@ -1,9 +1,9 @@
 """Channel model: loss, delay, damage and duplication of frames.
 
 Frames are lost independently of each other. During a burst, a link is bad for some steps and loses more frames (the
-two-state chain of Gilbert and Elliott). A receiver finds a flipped bit by the checksum and drops
-the frame. Random draws are keyed by frame and receiver (`protocol.keyed_random`), so other robots in range do not
-change them. The channel of a perfect radio has none of these effects.
+two-state chain of Gilbert and Elliott). A receiver finds a flipped bit by the checksum and drops the frame. Random
+draws are keyed by frame and receiver (`protocol.keyed_random`), so other robots in range do not change them. The
+channel of a perfect radio has none of these effects.
 """
 
 from __future__ import annotations

@@ -1,4 +1,13 @@
-"""A scenario: all settings that determine the result of a run; read from TOML and validated before the run starts."""
+"""A scenario: all settings that determine the result of a run; read from TOML and validated before the run starts.
+
+A class for each group has its settings, and checks that need no other group. Here are the checks across groups.
+
+    `building_settings`        the map, people, and where robots start; or logs of a real building
+    `team_settings`            the robots and their hardware
+    `control_settings`         the strategy and the map encoding, also those of robots in the field
+    `communication_settings`   the radio, and how robots offer their maps
+    `run_settings`             seed, clock, end, and faults
+"""
 
 from __future__ import annotations
 
