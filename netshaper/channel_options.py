@@ -1,4 +1,4 @@
-"""Options of the channel: what happens to a frame on its way to a robot in range."""
+"""Options of the channel between robots in range: loss, delay, duplication, and damage of frames."""
 
 from __future__ import annotations
 

@@ -74,7 +74,7 @@ class Sensors:
         active: NDArray[np.bool_],
         people: FloatRows = NO_DISCS,
     ) -> Sense:
-        """Return what a robot senses, from its true pose and what exact sensors would measure.
+        """Return a robot's readings, given its true pose and the readings of exact sensors.
 
         `truth` and `teammates` have shape (h, w). `active`, shape (beams,), marks the beams that the scanner sends.
         `people`, shape (n, 3), are discs (`worldsim.people.People.discs`).

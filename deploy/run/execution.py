@@ -77,14 +77,14 @@ def execute(plan: Plan, options: RunOptions, out: Path | None, *, keep: bool) ->
 
 
 def _notes(plan: Plan) -> list[str]:
-    """Return what the user should know about the radio and the logs of a plan."""
+    """Return notes for the user on the radio and the logs of a plan."""
     radio = effective_radio(plan)
     return ([radio] if radio else []) + list(plan.recording.notes if plan.recording is not None else ())
 
 
 @dataclass(frozen=True, eq=False)
 class _Execution:
-    """The execution of one plan in this process or as processes, again after a crash if the options say so."""
+    """The execution of one plan in this process or as processes, again after a crash if `RunOptions.restart` is set."""
 
     options: RunOptions
     directory: Path | None

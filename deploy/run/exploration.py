@@ -70,7 +70,7 @@ def explore(
     missed : sequence of Missed, optional
         The record of a run by the wall clock, which this run repeats on the memory bus (docs/clocks.md).
     check : bool
-        Whether to raise RunFailed; else only `Result.exit_code` tells that the run failed.
+        Whether to raise RunFailed; else only `Result.exit_code` shows that the run failed.
     **settings
         Settings that replace those of `scenario`: ``explore(robots=5, bandwidth=1000)``.
 

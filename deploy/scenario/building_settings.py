@@ -1,4 +1,4 @@
-"""Settings of what robots explore: a building with people in it, or logs of a real one."""
+"""Settings of the environment: a building with people in it, or logs of a real one."""
 
 from __future__ import annotations
 

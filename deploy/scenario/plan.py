@@ -51,7 +51,7 @@ class Plan:
     incarnations: int = 1
     """How often each robot may start: once, and once more for each restart."""
     recording: Recording | None = None
-    """What the robots replay; None: they explore a simulated building."""
+    """The logs that robots replay; None: they explore a simulated building."""
 
     @property
     def has_truth(self) -> bool:

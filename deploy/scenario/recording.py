@@ -63,7 +63,7 @@ class Recording:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the user should know about the logs."""
+        """Notes on the logs for the user."""
         return tuple(note for log in self.logs for note in log.notes)
 
 

@@ -11,7 +11,7 @@ from protocol.messages import FaultEvent
 
 
 class RunSettings(Table):
-    """How a run is executed, when it ends, and what fails in it."""
+    """How a run is executed, when it ends, and which robots fail in it."""
 
     seed: Whole = Field(
         0, ge=0, le=MAX_INTEGER, description="seed of the start poses and of all random draws"
