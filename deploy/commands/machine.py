@@ -158,7 +158,7 @@ def _league(
     as_json: bool,
 ) -> None:
     from deploy.bench import league  # noqa: PLC0415
-    from deploy.commands.studies import print_table  # noqa: PLC0415
+    from deploy.commands.study_output import print_table  # noqa: PLC0415
     from deploy.commands.terminal import table  # noqa: PLC0415
     from deploy.study.progress import counting  # noqa: PLC0415
 
