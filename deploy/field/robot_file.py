@@ -10,7 +10,6 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, ValidationError, model_validator
 
 from agent.radios.options import LinkOptions
-from deploy.field.mission_settings import MissionSettings
 from deploy.scenario.control_settings import ControlSettings
 from deploy.scenario.errors import ScenarioError, explained
 from deploy.scenario.tables import (
@@ -31,6 +30,7 @@ from protocol.range_scans import MAX_REACH_M
 EXAMPLE = Path(__file__).with_name("robot.toml")
 """The commented settings file that `murmur robot --example` prints."""
 
+Seconds = Annotated[float, Field(strict=True, gt=0, le=86400)]
 Turn = Annotated[float, Field(strict=True, ge=-360, le=360)]
 
 
@@ -141,7 +141,7 @@ class TeammateTable(Table):
     radius: NotNegative | None = Field(None, description="its radius, meters; default: this robot's")
 
 
-class RobotSettings(MissionSettings, ControlSettings):
+class RobotSettings(ControlSettings):
     """All settings of one robot in the field.
 
     Raises
@@ -170,6 +170,19 @@ class RobotSettings(MissionSettings, ControlSettings):
     )
     speed: Positive = Field(0.5, description="largest speed of the robot, meters per second")
     radius: NotNegative = Field(0.2, description="radius of the robot, meters")
+    step_s: float = Field(1.0, strict=True, ge=0.1, le=60.0, description="duration of a step, seconds")
+    steps: Whole = Field(86400, ge=1, le=MAX_INTEGER, description="maximum number of steps")
+    finish_s: Seconds = Field(
+        30.0, description="the robot ends when it was done for so long: nothing to explore, and all delivered"
+    )
+    dead_man_s: Seconds = Field(
+        3.0, description="the robot stands still if no scan with a pose has arrived for so long, seconds"
+    )
+    patience_s: Seconds = Field(20.0, description="a goal without progress for so long counts as unreachable")
+    avoid_s: Seconds = Field(60.0, description="how long an unreachable goal is avoided, at first")
+    absent_s: Seconds = Field(
+        300.0, description="a teammate that has not been received for so long is not waited for at the end"
+    )
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
