@@ -22,6 +22,8 @@ HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
 parts = st.from_regex(r"[A-Za-z_][A-Za-z0-9_]{0,8}", fullmatch=True)
 names = st.lists(parts, min_size=1, max_size=4).map(lambda each: "/" + "/".join(each))
 types = st.tuples(parts, st.sampled_from(["msg", "srv", "action"]), parts).map("/".join)
+hashes = st.just(NO_HASH) | st.from_regex(r"RIHS01_[0-9a-f]{64}", fullmatch=True)
+data_keys = st.builds(DataKey, st.integers(0, 232), names, types, hashes)
 
 
 def test_a_topic_has_the_key_of_rmw_zenoh() -> None:
