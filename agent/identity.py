@@ -1,12 +1,13 @@
 """The identity of a robot across restarts: incarnation numbers, persisted in a journal, and map IDs.
 
-A robot that crashes loses its state but for its journal: its incarnations so far, and its start cell. Incarnations have
-numbers, like the epochs of a restarted process in other distributed systems (for example SWIM, Das et al. 2002). Each
-one begins a new log with a new map ID (`agent.replication.peers`). Packets have a limited number of map IDs
+A robot that crashes loses its state except for its journal: its incarnations so far, and its start cell. Incarnations
+have numbers, like the epochs of a restarted process in other distributed systems (for example SWIM, Das et al. 2002).
+Each one begins a new log with a new map ID (`agent.replication.peers`). Packets have a limited number of map IDs
 (`protocol.packets.MAX_MAPS`), which bounds robots times incarnations.
 
 The log of an earlier incarnation stays valid. Teammates continue to forward it to all robots that lack it, so the
-restarted robot recovers its former map. A teammate that receives a newer incarnation number begins anew with the robot.
+restarted robot recovers its former map. A teammate that receives a newer incarnation number forgets which entries the
+robot held.
 """
 
 from __future__ import annotations

@@ -87,7 +87,7 @@ class AgentNode:
         self._held = held
         self.robot: Robot | None = None
         self.situation: Situation | None = None
-        """What a held robot is to decide on; None if it does not wait for `decide`."""
+        """The situation of a robot that waits for `decide`; None if it does not wait."""
         self._unconfigured: list[object] = []
         """Messages that arrived before this robot's settings."""
         self._early: list[MediumEvent] = []

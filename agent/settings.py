@@ -82,7 +82,7 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     has_own_map: bool = False
     """Whether the robot makes its map by itself (`protocol.messages.Sense.own_map`); its laser then only bounds it."""
     people: bool = False
-    """Whether people walk about in the building: what lasers see as a wall may be a person."""
+    """Whether people walk about in the building: a wall in a scan may be a person."""
     incarnations: int = 1
     """Largest number of incarnations of a robot: one, and one more for each restart (`agent.identity`)."""
     incarnation: int = 0

@@ -1,10 +1,9 @@
 """Murmur from Python: run a swarm of exploring robots, step through a run, compare runs.
 
 ``murmur.explore(robots=5)`` runs a scenario to its end, ``for step in murmur.steps(robots=5): ...`` one step at a time.
-``sweep``, ``compare`` and ``size`` repeat runs over seeds and settings. ``read_run`` reads a run
-directory, ``merge`` joins records of robots in the field, and `murmur.gym` has environments for learning.
-Everything else is in the packages `deploy` (running and recording), `agent` (the robot), `worldsim` (the world),
-`netshaper` (the radio) and `protocol`.
+``sweep``, ``compare`` and ``size`` repeat runs over seeds and settings. ``read_run`` reads a run directory, ``merge``
+joins records of robots in the field, and `murmur.gym` has environments for learning. Everything else is in the packages
+`deploy` (running and recording), `agent` (the robot), `worldsim` (the world), `netshaper` (the radio) and `protocol`.
 """
 
 from __future__ import annotations
@@ -15,10 +14,12 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from deploy.after.merge import merge
     from deploy.after.recorded_run import read_run
-    from deploy.run.exploration import Result, explore
+    from deploy.run.exploration import explore
     from deploy.run.failure import RunFailed
+    from deploy.run.result import Result
     from deploy.run.stepwise import Step, Steps, steps
-    from deploy.scenario.scenario import Scenario, ScenarioError, load
+    from deploy.scenario.errors import ScenarioError
+    from deploy.scenario.scenario import Scenario, load
     from deploy.study.comparison import compare
     from deploy.study.radio_sizing import size_radios
     from deploy.study.sizing import size
@@ -30,10 +31,10 @@ __all__ = [
 ]  # fmt: skip
 
 _MODULES = {
-    "Result": "deploy.run.exploration",
+    "Result": "deploy.run.result",
     "RunFailed": "deploy.run.failure",
     "Scenario": "deploy.scenario.scenario",
-    "ScenarioError": "deploy.scenario.scenario",
+    "ScenarioError": "deploy.scenario.errors",
     "Step": "deploy.run.stepwise",
     "Steps": "deploy.run.stepwise",
     "compare": "deploy.study.comparison",

@@ -1,4 +1,4 @@
-"""Admission: the relay parses each submitted frame once and refuses those that break the protocol.
+"""Admission: the relay parses each submitted frame once and refuses frames that break the protocol.
 
 The packet index found here travels with the frame: the medium uses it to cut frames at the budget, and the ledger to
 count packets. The relay trusts no robot, and accepts only these frames:

@@ -47,7 +47,7 @@ HOUR_S = 3600
 
 @dataclass(frozen=True)
 class Saving:
-    """What of a budget per step can be saved: that of `steps` steps in total, and at least `least` bytes.
+    """The budget that can be saved: that of `steps` steps in total, and at least `least` bytes.
 
     By default, unused budget lapses at the end of the step.
     """
@@ -98,7 +98,7 @@ class Airtime:
         self._now = 0
         """The time in nanoseconds, if a step lasts a second."""
         self._senders = [self._bucket(most) for most in send or [0] * robots]
-        """What each robot itself can send; None: no limit."""
+        """Bytes that each robot itself can send; None: no limit."""
         self._can_receive = receive or [0] * robots
         self.limits_reception = any(self._can_receive)
         """Whether a robot's reception is limited."""
@@ -119,7 +119,7 @@ class Airtime:
         """Change the budget from the next step on; the airtime of duty cycles stays."""
         self._budget = budget
         self._around = [self._bucket(budget.limit or 0) for _ in range(self._robots if self._reuse else 1)]
-        """What may be sent around each robot, with spatial reuse, else by the team; None: nothing, or without limit."""
+        """Bytes that may be sent around each robot, with spatial reuse, else by the team; None: none, or no limit."""
 
     def next_step(self, neighbors: Mapping[int, Sequence[int]]) -> None:
         """Begin a step, with the robots in range of each."""

@@ -1,9 +1,9 @@
 """Channel model: loss, delay, damage and duplication of frames.
 
 Frames are lost independently of each other. During a burst, a link is bad for some steps and loses more frames (the
-two-state chain of Gilbert and Elliott). A receiver finds a flipped bit by the checksum and drops
-the frame. Random draws are keyed by frame and receiver (`protocol.keyed_random`), so other robots in range do not
-change them. The channel of a perfect radio has none of these effects.
+two-state chain of Gilbert and Elliott). A receiver finds a flipped bit by the checksum and drops the frame. Random
+draws are keyed by frame and receiver (`protocol.keyed_random`), so other robots in range do not change them. The
+channel of a perfect radio has none of these effects.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from netshaper.channel_options import ChannelOptions
 from netshaper.ledger import CAUSES
-from netshaper.radio_options import RadioOptions
 from protocol import packets
 from protocol.keyed_random import keyed_random
 from protocol.packets import Check
@@ -41,7 +41,7 @@ class Reception(msgspec.Struct, frozen=True, gc=False):
 class Channel:
     """The links between all robots of a run."""
 
-    def __init__(self, options: RadioOptions, seed: int, robots: int) -> None:
+    def __init__(self, options: ChannelOptions, seed: int, robots: int) -> None:
         self._options = options
         self._seed = seed
         self._bad: NDArray[np.bool_] = np.zeros((robots, robots), np.bool_)

@@ -14,7 +14,7 @@ from itertools import compress
 import numpy as np
 from numpy.typing import NDArray
 
-from netshaper.radio_options import Partition
+from netshaper.radio_options import Partition, PathLossOptions
 from protocol.arrays import Int64Rows
 from protocol.grid import OCCUPIED, Grid
 from protocol.kernels import kernel
@@ -58,10 +58,7 @@ def log_distance(
     range_cells: float,
     walls: Grid,
     cell_m: float,
-    *,
-    exponent: float,
-    db_per_meter: float,
-    db_per_wall: float,
+    options: PathLossOptions,
     extra_db: NDArray[np.float64] | float = 0.0,
 ) -> Links:
     """Return the links whose path loss is at most that of an open link as long as the range.
@@ -74,8 +71,8 @@ def log_distance(
         return np.zeros((len(places), len(places)), np.bool_)
     x, y = places.T
     away = np.hypot(x[:, None] - x, y[:, None] - y).astype(np.float64)
-    loss = (db_per_wall * walls_crossed(walls, places) + extra_db).astype(np.float64)
-    received: Links = margin_db(away, loss, range_cells, cell_m, exponent, db_per_meter) >= 0
+    loss = (options.db_per_wall * walls_crossed(walls, places) + extra_db).astype(np.float64)
+    received: Links = margin_db(away, loss, range_cells, cell_m, options) >= 0
     return received
 
 
@@ -84,8 +81,7 @@ def margin_db(
     loss_db: NDArray[np.float64],
     range_cells: float,
     cell_m: float,
-    exponent: float,
-    db_per_meter: float,
+    options: PathLossOptions,
 ) -> NDArray[np.float64]:
     """Return how much stronger frames are than at the end of an open link as long as the range, in dB.
 
@@ -101,23 +97,26 @@ def margin_db(
     """
     near = np.maximum(away, 1e-9)
     reach = max(range_cells, 1e-9)
-    margin = 10 * exponent * np.log10(reach / near) + db_per_meter * cell_m * (range_cells - away)
+    margin = 10 * options.exponent * np.log10(reach / near)
+    margin += options.db_per_meter * cell_m * (range_cells - away)
     margin -= loss_db
     # Rounded to thousandths of a dB, so that results do not depend on the machine's logarithm.
     rounded: NDArray[np.float64] = np.where(away == 0, np.inf, np.rint(1000 * margin) / 1000)
     return rounded
 
 
-def shadowing(
-    places: Places, cell_m: float, seed: int, deviation_db: float, square_m: float
-) -> NDArray[np.float64]:
-    """Return the shadowing between any two places, in dB: normal, constant within squares of side `square_m`.
+def shadowing(places: Places, cell_m: float, seed: int, options: PathLossOptions) -> NDArray[np.float64]:
+    """Return the shadowing between any two places, in dB: normal, constant within squares of side `shadowing_m`.
 
     It depends on the two squares, not on robots or steps: robots that stand still keep their links.
     """
-    squares = [(int(x * cell_m // square_m), int(y * cell_m // square_m)) for x, y in places.tolist()]
+    side_m = options.shadowing_m
+    squares = [(int(x * cell_m // side_m), int(y * cell_m // side_m)) for x, y in places.tolist()]
     return np.array(
-        [[deviation_db * _drawn_between(seed, *sorted((one, other))) for other in squares] for one in squares]
+        [
+            [options.shadowing_db * _drawn_between(seed, *sorted((one, other))) for other in squares]
+            for one in squares
+        ]
     ).reshape(len(squares), len(squares))
 
 

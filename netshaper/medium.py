@@ -1,9 +1,9 @@
 """The medium: it carries frames as far as the budget allows, and logs every frame and its fate.
 
 All bytes on the air count against the budget, a broadcast once; unused budget lapses, unless steps end by the wall
-clock (`netshaper.settings.RadioSettings.saving`). A frame of several packets
-is cut at a packet boundary where the budget ends. On a perfect radio, the first packet that does not fit closes the
-medium for the rest of the step, except for a packet of news: there a shorter frame may still use the rest.
+clock (`netshaper.settings.RadioSettings.saving`). A frame of several packets is cut at a packet boundary where the
+budget ends. On a perfect radio, the first packet that does not fit closes the medium for the rest of the step. A packet
+of news does not: a shorter frame may still use the rest.
 """
 
 from __future__ import annotations

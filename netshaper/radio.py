@@ -8,12 +8,12 @@ A round of handshakes, on a perfect radio without gossip, has three phases:
     offers    all robots send their poses and targets (first round) and offers; poses and targets go on the air
     answers   each receiver of offers answers every one, in the drawn order
     data      each sender of offers has the answers, and sends missing entries
-    (play)    the connections go on the air in the drawn order until the budget is spent; both ends get reports
+    (end)     the connections go on the air in the drawn order until the budget is spent; both ends get reports
 
-Every other round has one phase: robots broadcast, or send frames to one robot, and the relay puts them on the air by
+All other rounds have one phase: robots broadcast, or send frames to one robot, and the relay puts them on the air by
 priority and fair share. Replies follow in the next round. Senders learn which bytes were on the air, not which arrived.
 
-A phase ends when all robots that it concerns have answered or are dead. By the wall clock, it ends without those that
+A phase ends when all robots that it concerns have answered or are dead. By the wall clock, it ends without robots that
 are late (`netshaper.phase_clock`): they miss the step's further phases, as if their radios were mute. A further round
 begins while some budget is left. A frame that is malformed, out of range or out of turn is logged as such and delivered
 to no robot.
@@ -396,7 +396,7 @@ class Radio:
             self.events.append((robot, PhaseDelivery(self._step, self._round, PHASES[kind], deliveries)))
 
     def _collect(self, kind: int) -> None:
-        """Match the submitted frames to their connections; refuse those that belong to none."""
+        """Match the submitted frames to their connections; refuse frames that belong to none."""
         for sender, submitted in sorted(self._submitted.items()):
             for each in submitted.frames:
                 receiver, content = each.receiver, self._readers[kind](each.payload)

@@ -73,14 +73,9 @@ class LogDistance(RadioModel):
         """Return the links of a step."""
         del step
         options = settings.options
-        extra = connectivity.shadowing(
-            places, settings.cell_m, settings.seed, options.shadowing_db, options.shadowing_m
-        )
-        return connectivity.log_distance(
-            places, settings.range_cells, _walls(settings), settings.cell_m,
-            exponent=options.exponent, db_per_meter=options.db_per_meter, db_per_wall=options.db_per_wall,
-            extra_db=extra,
-        )  # fmt: skip
+        extra = connectivity.shadowing(places, settings.cell_m, settings.seed, options)
+        walls = _walls(settings)
+        return connectivity.log_distance(places, settings.range_cells, walls, settings.cell_m, options, extra)
 
 
 RADIO_MODELS: dict[str, type[RadioModel]] = {kind.name: kind for kind in (Disc, LineOfSight, LogDistance)}

@@ -69,7 +69,7 @@ class RadioSettings:
 
     @property
     def saving(self) -> Saving:
-        """What can be saved of budgets: nothing beyond a step with the barrier.
+        """The part of unused budgets that later steps can use: none with the barrier.
 
         By the wall clock, steps may be short: a second's budget can be saved, and at least one frame, as in the field.
         """

@@ -54,7 +54,7 @@ class Plugins(Generic[Part]):
     built_in: Mapping[str, Part]
     """The parts of this package, by name."""
     stand_in: Any
-    """What `find` returns instead of a part outside this package, inside `without_import`."""
+    """The stand-in that `find` returns for a part outside this package, inside `without_import`."""
     unlisted: frozenset[str] = frozenset()
     """Built-in names that error messages do not suggest."""
     are_classes: bool = True

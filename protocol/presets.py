@@ -23,7 +23,7 @@ LORA_HEAD = 13
 
 @dataclass(frozen=True)
 class Limit:
-    """What the law of the European Union demands of a radio.
+    """Legal limits of a radio in the European Union.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ EU_2400 = Limit(1.0, "ETSI EN 300 328, 2.4 GHz")
 
 @dataclass(frozen=True)
 class Link:
-    """What determines the range of a radio, with antennas without gain.
+    """The link budget of a radio, which determines its range; antennas have no gain.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ class Preset:
     spreading : int
         Spreading factor of LoRa; 0 for other radios.
     link : Link or None
-        What determines the range; None: a disc.
+        The link budget; None: the range is that of a disc.
     limit : Limit
         The legal limit.
     """

@@ -1,4 +1,4 @@
-"""The physical world: maps, laser, motion and the clock.
+"""The simulated world: maps, lasers and their errors, the motion of robots and people, and the clock.
 
 It imports `protocol` only. Start with `world.py`, the true state step by step; `process.py` is the shell around it.
 """

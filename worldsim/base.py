@@ -1,7 +1,7 @@
-"""The interface of all worlds: which robots take part, where they are, and what they sense in each step.
+"""The interface of all worlds: which robots take part, where they are, and their readings in each step.
 
-The world owns the clock. `worldsim.process` drives it: it applies the robots' moves, and sends each robot what it
-senses. `worldsim.world` simulates a building; `worldsim.recorded.world` replays logs of real robots.
+The world owns the clock. `worldsim.process` drives it: it applies the robots' moves, and sends each robot its
+readings. `worldsim.world` simulates a building; `worldsim.recorded.world` replays logs of real robots.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ class BaseWorld(ABC):
     """The state that all worlds have. `truth`, uint8 of shape (h, w), is the map of the world."""
 
     finished = EXPLORED
-    """Why a run ends whose robots have all finished."""
+    """Reason of a run's end: all robots have finished."""
     stalled = STALLED
-    """Why a run ends whose robots make no progress."""
+    """Reason of a run's end: no robot makes progress."""
     reachable: NDArray[np.bool_]
     """The free cells that the team can see, shape (h, w)."""
 

@@ -1,4 +1,4 @@
-"""What a robot knows of its pose: odometry that drifts, and a map frame to which its SLAM corrects it.
+"""A robot's information about its pose: odometry that drifts, and a map frame to which its SLAM corrects it.
 
 The map frame is the robot's start pose. The error that SLAM leaves is that of `worldsim.pose_error`, which varies over
 tens of seconds. Odometry measures each motion with a constant relative error, so it drifts without limit.

@@ -74,7 +74,7 @@ class Sensors:
         active: NDArray[np.bool_],
         people: FloatRows = NO_DISCS,
     ) -> Sense:
-        """Return what a robot senses, from its true pose and what exact sensors would measure.
+        """Return a robot's readings, given its true pose and the readings of exact sensors.
 
         `truth` and `teammates` have shape (h, w). `active`, shape (beams,), marks the beams that the scanner sends.
         `people`, shape (n, 3), are discs (`worldsim.people.People.discs`).
@@ -93,7 +93,7 @@ class Sensors:
         scan = RangeScan((x, y), (turn + error_turn) % TURN, ranges)
         return Sense(
             step, scan.x, scan.y, exact.heading, b"", b"", exact.blocked,
-            _offset(x), _offset(y), encode_range_scan(scan),
+            offset(x), offset(y), encode_range_scan(scan),
         )  # fmt: skip
 
     def beam_degrees(self, robot: int) -> NDArray[np.float64]:
@@ -106,6 +106,6 @@ def _units(cell: int, offset: int) -> int:
     return (cell * FINE + FINE // 2 + offset) * UNIT // FINE
 
 
-def _offset(units: int) -> int:
+def offset(units: int) -> int:
     """Return a position as thousandths of a cell from the center of its cell."""
     return (units % UNIT * FINE + FINE // 2) // UNIT - FINE // 2

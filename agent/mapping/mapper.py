@@ -1,6 +1,7 @@
 """From the world's messages to this robot's map.
 
-Exact readings are drawn, scans of real lasers are estimated, and a map that the robot makes by itself is taken over.
+Exact readings are drawn on the map. Scans of real lasers update an occupancy estimate. A map that the robot's own SLAM
+makes is copied.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Incremental approximation: the coarse polygons that a robot sends to its team (thesis, section 4.2).
 
 An approximation A(t) is a set of marked points of the exact contours P(t); their order and objects follow from P(t). A
-vertex that is still a contour point never moves, which keeps updates short. `repair` needs no cutting and tracing, for
-the cases of section 4.2.1 become
+vertex that is still a contour point never moves, which keeps updates short. `repair` replaces the cutting and tracing
+of section 4.2.1. Its cases become
 
 1. vertices that vanish: their points are not on P(t), and the contour connects their neighbors;
 2. edges that no longer fit: they are refined afterwards (`agent.outline.simplify`);

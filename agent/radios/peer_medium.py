@@ -131,8 +131,6 @@ class PeerMedium:
     ) -> None:
         self.records: list[FrameRecord] = []
         """Frames since this list was last emptied."""
-        self.too_long = 0
-        """Broadcasts that were not sent because no frame has room for them."""
         self._robot = robot
         self._longest_broadcast = min(MAX_BROADCAST, frame_bytes - FRAME_OVERHEAD)
         self._worthwhile = min(frame_bytes, WORTHWHILE)
@@ -183,8 +181,6 @@ class PeerMedium:
     def submit(self, frames: RobotFrames, now: int) -> None:
         """Take a robot's answer to `begin_step`, and schedule its frame; ValueError if it does not gossip."""
         broadcast, gossip = frames.broadcast, b""
-        if len(broadcast) > self._longest_broadcast:
-            self.too_long += 1
         if len(broadcast) > min(self._longest_broadcast, self._space):
             broadcast = b""
         sent = []

@@ -90,7 +90,7 @@ class AckedFrames(Replication):
         return frames
 
     def close_round(self, report: RoundReport) -> list[Rejected]:
-        """Note what was on the air, and process the received frames."""
+        """Note which parts of the frames were on the air, and process the received frames."""
         sent = {each.frame: each.sent for each in report.sent}
         for frame, builder in enumerate(self._builders):
             builder.sent(sent.get(frame, 0))

@@ -36,7 +36,7 @@ class Replication(ABC):
         self._digest_step = INTERVAL * (self.peers.robots - self.peers.robot)
         """The step in which to send the next regular digest; robots take turns."""
         self.ended: frozenset[int] = frozenset()
-        """Peers that have ended, as far as the medium tells: nothing has to be delivered to them."""
+        """Peers that have ended, by the reports of the medium: nothing has to be delivered to them."""
         self._asked: dict[tuple[int, int], tuple[int, int]] = {}
         """(peer, map number): before which step a peer's next request is not answered, and the steps after that."""
 

@@ -81,14 +81,14 @@ def read_answer(payload: bytes, offered_block: int) -> int | None:
 
 
 def header(number: int, first: int) -> bytes:
-    """Encode the shortest packet that says: entries of map `number` follow, from offset `first` on."""
+    """Encode the shortest packet in front of entries of map `number`, from offset `first` on."""
     return packets.encode(
         [FromEarly(number, first) if first < EARLY else From(number, first % GOSSIP_WINDOW)]
     )
 
 
 def report(number: int, length: int) -> bytes:
-    """Encode the shortest packet that says: this robot holds `length` entries of map `number`."""
+    """Encode the shortest report that this robot holds `length` entries of map `number`."""
     return packets.encode(
         [HeldEarly(number, length) if length < EARLY else Held(number, length % GOSSIP_WINDOW)]
     )

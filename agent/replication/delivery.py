@@ -1,9 +1,9 @@
 """Acknowledgments in gossip: how a robot learns that entries arrived.
 
 On a reliable medium, which loses nothing, the send report is the acknowledgment. If the medium may lose, delay,
-repeat or reorder frames, a broadcast only raises what a peer is *expected* to hold. Peers acknowledge by `Held`
-reports, or by sending entries themselves. An expectation that is not acknowledged within the retransmission timeout
-is dropped, so the entries are broadcast again:
+repeat or reorder frames, a broadcast only raises the number of entries that a peer is *expected* to hold. Peers
+acknowledge by `Held` reports, or by sending entries themselves. An expectation that is not acknowledged within the
+retransmission timeout is dropped, so the entries are broadcast again:
 
     event                                                       reaction
     entries are new, or were already held and came again        report the map within `_interval` steps
@@ -28,7 +28,7 @@ from agent.replication.peers import Mask, PeerTable, Table
 from protocol.packets import Held
 
 PATIENCE = 6
-"""Steps after which a robot repeats its report of a gap, and after which the next peer forwards what another lacks."""
+"""Steps after which a robot repeats its report of a gap, and after which the next peer forwards missing entries."""
 
 GAP_REPORTS = 2
 """Steps after which a gap is reported again where the medium may lose the report."""
@@ -56,7 +56,7 @@ class Acks:
         self.gap_interval = PATIENCE if reliable else GAP_REPORTS
         """Steps between two reports of a gap."""
         self.turn = PATIENCE
-        """Steps after which the next peer may forward what another lacks."""
+        """Steps after which the next peer may forward entries that another lacks."""
         self._peers = peers
         if not reliable:
             peers.acked = peers.new_table()

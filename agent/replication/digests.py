@@ -5,7 +5,7 @@ than a byte per step for the whole team. A receiver hashes as many entries of it
 entries. Otherwise a forwarder forged some of them, or a frame was damaged; the receiver drops all entries that have not
 been verified and asks for them again (`agent.replication.replica`).
 
-A digest also tells whether the author has sent further entries; if not, those that a receiver holds are forged.
+A digest also contains whether the author has sent further entries. If not, a receiver's further entries are forged.
 
 The salt, which the author draws from its sensor readings, is hashed behind the entries. A forger cannot know it in
 advance, so a forgery of the same length passes with a probability of 2**-16. A digest proves that its sender wrote the
@@ -55,7 +55,7 @@ class LogVerifier:
     def digest(self, length: int, salt: int, *, complete: bool) -> LogDigest:
         """Return the digest of the first `length` entries, no fewer than are verified.
 
-        `salt` is below 2**7; `complete` tells that the author has sent no further entries.
+        `salt` is below 2**7; `complete`: whether the author has sent no further entries.
         """
         digest = self._hash.copy()
         digest.update(self._log.read(self.length, None, length) + bytes([salt]))
@@ -92,7 +92,7 @@ class LogVerifier:
     def _ends(self, length: int, salt: int) -> bool:
         """Return whether a digest of a complete log of that length shows that entries behind it are not the author's.
 
-        If digests may be late, a second one must say the same.
+        If digests may be late, a second one must agree.
         """
         before, self._end = self._end, (length, salt)
         return self._ordered or (before is not None and before[0] == length and before[1] != salt)

@@ -10,7 +10,7 @@ budget, and counts entries as delivered when the medium or the peers acknowledge
     gossip                  perfect         `gossip`         the medium's send report (`delivery.Acks`)
     gossip                  lossy           `gossip`         peers' reports (`delivery.Acks`)
 
-Plug-ins (`protocol.plugins`) travel like ``backoff``: a subclass of `OfferDissemination` chooses what to offer to whom.
+Plug-ins (`protocol.plugins`) travel like ``backoff``: a subclass of `OfferDissemination` chooses offers and receivers.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Dissemination(ABC):
 
 
 class OfferDissemination(Dissemination):
-    """Robots offer log ranges to each other, and send what the receiver asks for."""
+    """Robots offer log ranges to each other, and send the entries that the receiver asks for."""
 
     def make(
         self, settings: ReplicationSettings, replica: Replica, dependencies: Dependencies
@@ -61,7 +61,7 @@ class OfferDissemination(Dissemination):
         Parameters
         ----------
         rounds : Rounds
-            The peers in range, what each is known to hold, and the rounds so far.
+            The peers in range, the entries that each is known to hold, and the rounds so far.
         lengths : int64 array, shape (maps,)
             Entries of each map that this robot may offer.
         """

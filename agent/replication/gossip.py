@@ -46,7 +46,7 @@ Robots = list[int] | NDArray[np.intp]
 
 
 class Gossip(Replication):
-    """One robot's broadcasts and what it learns from those of others."""
+    """One robot's broadcasts, and its processing of those that it receives."""
 
     def __init__(self, replica: Replica, acks: Acks, dependencies: Dependencies) -> None:
         super().__init__(replica)
@@ -109,7 +109,7 @@ class Gossip(Replication):
             self._requests_sent()
 
     def close_round(self, report: RoundReport) -> list[Rejected]:
-        """Update the tables by what was on the air, and accept the entries that arrived."""
+        """Update the tables by the parts that were on the air, and accept the entries that arrived."""
         frames: list[tuple[int, ParsedFrame]] = []
         for delivery in report.deliveries:
             try:

@@ -125,7 +125,7 @@ class Handshakes(Replication):
         return frames
 
     def close_round(self, report: RoundReport) -> list[Rejected]:
-        """Update the peer table by what was carried, and accept the data that arrived."""
+        """Update the peer table by the bytes that were carried, and accept the data that arrived."""
         for carried in report.connections:
             connection = self._answered.get(carried.connection)
             if connection is not None and carried.answer:

@@ -139,7 +139,7 @@ class BroadcastCursors:
         """Offset after each peer's last broadcast of its own log, if this robot received it."""
 
     def begin_step(self, in_range: list[int]) -> None:
-        """Forget what robots out of range may have missed."""
+        """Forget the cursors of robots out of range, which may have missed broadcasts."""
         self._aware.intersection_update(in_range)
         self._others = {peer: self._others[peer] for peer in in_range if peer in self._others}
 

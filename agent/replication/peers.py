@@ -4,7 +4,7 @@ A robot that restarts after losing its state starts a new log (`agent.identity`)
 robot plus `robots` times incarnation.
 
 A row of the peer table is a peer's version vector, as in anti-entropy protocols: one log length for each map. `acked`
-has the lengths that are certain; `expected` adds what was sent and should have arrived. On a medium that loses nothing
+has the lengths that are certain; `expected` adds entries that should have arrived. On a medium that loses nothing
 the two are one. Scuttlebutt (van Renesse et al., 2008) reconciles replicas by comparing such vectors.
 """
 
@@ -36,7 +36,7 @@ def map_ids(robots: int, incarnations: int = 1) -> list[MapId]:
 
 
 class PeerTable:
-    """What one robot knows of its peers' logs. Tables have a row for each robot and a column for each map number."""
+    """One robot's knowledge of its peers' logs. Tables have a row for each robot and a column for each map number."""
 
     def __init__(self, own: MapId, maps: list[MapId]) -> None:
         self.own = own.number
@@ -67,7 +67,7 @@ class PeerTable:
         return number >= self.own and self.maps[number].robot == self.robot
 
     def restarted(self, peer: int, number: int) -> bool:
-        """Return whether a peer's use of a map number shows that it restarted; it lost what it had received then."""
+        """Return whether a peer's use of a map number shows that it restarted; it lost all received entries then."""
         if not self.current[peer] < number < len(self.maps) or self.maps[number].robot != peer:
             return False
         self.current[peer] = number

@@ -33,7 +33,7 @@ class Offer(NamedTuple):
 
 
 class Rounds:
-    """The rounds of the medium as one robot sees them, and what it offers in each."""
+    """The rounds of the medium as one robot sees them, and its offers in each."""
 
     def __init__(self, replica: Replica, policy: Policy, *, forwards: bool) -> None:
         self.peers = replica.peers

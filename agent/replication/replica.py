@@ -1,4 +1,4 @@
-"""This robot's replica of all maps: the logs, the peer table, and the check of what arrives.
+"""This robot's replica of all maps: the logs, the peer table, and the check of received entries.
 
 A robot forwards the logs of others, so an entry can be forged by a forwarder or damaged on the air. Entries are decoded
 as they arrive, and verified later by digests, which only the author can send (`agent.replication.digests`):
@@ -70,7 +70,7 @@ class _Request(NamedTuple):
 
 
 class Replica:
-    """Logs by map number, and what peers hold of them.
+    """Logs by map number, and the number of entries that peers hold of each.
 
     `rebuild` is called after decoded entries were dropped; `ordered`: frames of a robot arrive in their order.
     """

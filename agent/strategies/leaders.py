@@ -11,6 +11,7 @@ Robots broadcast their poses, and whether they lead. Both kinds move continuousl
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
@@ -81,13 +82,9 @@ class TrooperOptions(FieldOptions):
     )
 
 
-class PotentialField(Strategy):
-    """A potential field in which no robot leads."""
+class FieldStrategy(Strategy):
+    """The common part of both strategies: robots that forces move, unless they lead or escape."""
 
-    name = "potential-field"
-    summary = "robots repel each other, obstacles repel them, the closest frontier draws them; it may stall"
-    source = "leader paper, section III-B; without leaders as in its Figs. 3b and 4b"
-    options_type: ClassVar[type] = TrooperOptions
     refused = dict.fromkeys(("candidates", "costs", "replan", "mission", "scan", "share"), NOT_HERE)
     publishes_target = False
     publishes_pose = True
@@ -101,11 +98,7 @@ class PotentialField(Strategy):
         self._anchor: tuple[float, float] = (0.0, 0.0)
         self._anchor_step = 0
         self._known = -1
-        escape = getattr(self.options, "escape", "never")
         self._escape: Escape | None = None
-        if escape == "always" or (escape == "real-sensors" and settings.laser is not None):
-            size = settings.resolution
-            self._escape = Escape(self._change_of_place(STEPS) / size, NEAR_M / size)
 
     @classmethod
     def check(cls, options: Mapping[str, Any]) -> Any:
@@ -180,10 +173,19 @@ class PotentialField(Strategy):
         """Return the distance in meters that counts as a change of place within some steps."""
         return min(STALL_METRES, steps / 2 * self.settings.body.speed * self.settings.resolution)
 
+    @abstractmethod
     def is_leader(self, situation: Situation) -> bool:
-        """Return whether this robot leads; here none does."""
-        del situation
-        return False
+        """Return whether this robot leads."""
+
+    def straight_way(
+        self, planner: PathPlanner, start: tuple[int, int], frontier: Cells, length: float
+    ) -> Cells | None:
+        """Return waypoints of a way in the continuous plane to the frontier; None: over cells.
+
+        `length` is that of the shortest way over cells.
+        """
+        del planner, start, frontier, length
+        return None
 
     def _lead(self, situation: Situation, planner: PathPlanner, frontier: Cells) -> tuple[Cells, Cells]:
         """Return the closest frontier cell, and waypoints of the shortest way to it."""
@@ -198,8 +200,8 @@ class PotentialField(Strategy):
             planner = self._yielding.pass_by(self._route, planner, situation.here, goal, situation.step)
         start = situation.x * FINE + situation.offset[0], situation.y * FINE + situation.offset[1]
         points = None
-        if getattr(self.options, "way", "cells") == "visibility" and not self._yielding.has_waited:
-            points = shortest_way(planner.floor, start, frontier, float(costs.min()))
+        if not self._yielding.has_waited:
+            points = self.straight_way(planner, start, frontier, float(costs.min()))
         if points is None:
             points = corners(planner.floor, start, self._route.cells)
         else:
@@ -216,13 +218,34 @@ class PotentialField(Strategy):
         return situation.step - self._anchor_step >= STALL_STEPS
 
 
-class Leaders(PotentialField):
+class PotentialField(FieldStrategy):
+    """A potential field in which no robot leads."""
+
+    name = "potential-field"
+    summary = "robots repel each other, obstacles repel them, the closest frontier draws them; it may stall"
+    source = "leader paper, section III-B; without leaders as in its Figs. 3b and 4b"
+    options_type: ClassVar[type] = TrooperOptions
+
+    def __init__(self, options: Mapping[str, Any], settings: Settings) -> None:
+        super().__init__(options, settings)
+        escape = self.options.escape
+        if escape == "always" or (escape == "real-sensors" and settings.laser is not None):
+            size = settings.resolution
+            self._escape = Escape(self._change_of_place(STEPS) / size, NEAR_M / size)
+
+    def is_leader(self, situation: Situation) -> bool:
+        """Return that it does not."""
+        del situation
+        return False
+
+
+class Leaders(FieldStrategy):
     """A potential field with leaders."""
 
     name = "leaders"
     summary = "a potential field whose leaders drive the shortest way, past local minima"
     source = "leader paper, sections III-A to III-C"
-    options_type = LeaderOptions
+    options_type: ClassVar[type] = LeaderOptions
 
     def __init__(self, options: Mapping[str, Any], settings: Settings) -> None:
         super().__init__(options, settings)
@@ -239,6 +262,14 @@ class Leaders(PotentialField):
         ]  # fmt: skip
         robot = self.settings.robot
         return elect(robot, self.leads, sensed, self.options.first, dynamic=self.options.dynamic)
+
+    def straight_way(
+        self, planner: PathPlanner, start: tuple[int, int], frontier: Cells, length: float
+    ) -> Cells | None:
+        """Return the way by a visibility graph, with ``way = "visibility"``."""
+        if self.options.way != "visibility":
+            return None
+        return shortest_way(planner.floor, start, frontier, length)
 
 
 def elect(robot: int, leads: bool, leaders_sensed: list[int], first: int, *, dynamic: bool = True) -> bool:

@@ -15,8 +15,8 @@ from deploy.record import run_directory
 from deploy.record.columns import FILES
 from deploy.record.map_history import MAP_CHANGES, OUTLINES, MapHistory
 from deploy.record.summary import budgets
+from deploy.scenario.errors import ScenarioError
 from deploy.scenario.plan import Plan
-from deploy.scenario.scenario import ScenarioError
 from netshaper import capture, pcapng
 from netshaper.ledger import EVERYONE
 from netshaper.topology import links

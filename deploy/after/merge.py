@@ -23,7 +23,8 @@ from deploy.record import run_directory
 from deploy.record.field_records import FieldRecord, read_field_record
 from deploy.record.link_records import FrameLine, contents, read_frames
 from deploy.record.run_directory import CAPTURE, CaptureFile
-from deploy.run.exploration import EXPLORED, NOT_FINISHED, Result
+from deploy.run.exit_codes import EXPLORED, NOT_FINISHED
+from deploy.run.result import Result
 from deploy.scenario.plan import Plan
 from netshaper import capture, pcapng
 from netshaper.frame_log import Frame, FrameLog

@@ -11,8 +11,10 @@ import typer
 
 from deploy.commands.console import errors, explain_difference, progress, report_deaths, screen
 from deploy.commands.flags import JsonFlag, command_family
+from deploy.run.exit_codes import BROKEN_OFF
 from deploy.scenario import plugins
-from deploy.scenario.scenario import Scenario, ScenarioError, load
+from deploy.scenario.errors import ScenarioError
+from deploy.scenario.scenario import Scenario, load
 
 app = command_family()
 
@@ -118,8 +120,8 @@ def replay(
     with progress(shown=not as_json) as watch:
         result = exploration.explore(scenario, keep=False, watch=watch, missed=missed, check=False)
     report_deaths(result.deaths)
-    if result.exit_code == exploration.BROKEN_OFF:
-        raise typer.Exit(exploration.BROKEN_OFF)
+    if result.exit_code == BROKEN_OFF:
+        raise typer.Exit(BROKEN_OFF)
     now = digest(result.records, without=control.maps_not_sent(before))
     same = now == before["digest"]
     if as_json:

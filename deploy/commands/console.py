@@ -14,9 +14,8 @@ from typing import Any, NoReturn
 import typer
 from rich.console import Console
 
+from deploy.run.exit_codes import BAD_INPUT, BROKEN_OFF
 from deploy.run.failure import RunFailed
-
-BAD_INPUT, BROKEN_OFF = 2, 3
 
 errors = Console(stderr=True, highlight=False, soft_wrap=True, markup=False)
 screen = Console(highlight=False, soft_wrap=True, markup=False)
@@ -38,7 +37,7 @@ def report_result(result: Any, *, as_json: bool) -> int:
         errors.print(f"robot {robot} was lost: {cause}")
     for step, robot in result.records.reconnected:
         errors.print(f"the connection of robot {robot} was cut in step {step} and restored")
-    for fault in result.records.protocol_errors[:5]:
+    for fault in result.records.protocol_errors.texts[:5]:
         errors.print(f"protocol error: {fault}")
     if as_json:
         print(json.dumps(result.summary))

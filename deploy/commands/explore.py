@@ -9,7 +9,6 @@ from typing import Annotated, Any
 
 import typer
 
-from deploy.commands import flags
 from deploy.commands.console import errors, progress, report_result
 from deploy.commands.flags import (
     RADIO,
@@ -17,100 +16,71 @@ from deploy.commands.flags import (
     RUN,
     GroupedCommand,
     JsonFlag,
-    KeepServingFlag,
-    LaserOption,
     OutOption,
-    PeopleOption,
     PicturesFlag,
-    PoseOption,
-    RadioOption,
-    ResolutionOption,
     ScenarioFile,
-    SetOption,
     ShareFlag,
     SpeedOption,
     ViewAs,
-    ViewAsOption,
-    ViewFlag,
-    WaitFlag,
     command_family,
-    duration_s,
     named_values,
-    setting_flags,
+    option,
     switch,
+    view_flags,
 )
+from deploy.commands.scenario_flags import run_flags
 from deploy.commands.viewing import Viewing
-from deploy.scenario.scenario import SHIPPED, Scenario, load, read_toml
+from deploy.scenario.scenario import SHIPPED, Scenario, load
 from deploy.scenario.thesis import STRATEGY, thesis_settings
+from deploy.scenario.toml_files import read_toml
 
 app = command_family()
 
-NESTED = {
-    "radio.preset": "--radio", "laser.preset": "--laser", "pose.preset": "--pose",
-    "map_options.resolution": "--resolution", "people.number": "--people", "step_s": "--step",
-}  # fmt: skip
-"""Keys of tables, and settings with other units, that have a flag of their own."""
-
-STRATEGY_OPTION = "an option of the strategy (murmur strategies NAME lists them); repeatable"
-
 
 @app.command(cls=GroupedCommand)
-@setting_flags()
+@run_flags()
+@view_flags
 def explore(
     scenario: ScenarioFile = None,
-    resolution: ResolutionOption = None,
-    option: Annotated[list[str] | None, flags.option("NAME=VALUE", STRATEGY_OPTION, ROBOTS)] = None,
-    radio: RadioOption = None,
-    laser: LaserOption = None,
-    pose: PoseOption = None,
-    people: PeopleOption = None,
-    step: Annotated[
-        str | None,
-        flags.option("DURATION", "duration of a step with --clock wall, as 200ms (default 1s)", RUN),
+    options: Annotated[
+        list[str] | None,
+        option(
+            "NAME=VALUE",
+            "an option of the strategy (murmur strategies NAME lists them); repeatable",
+            ROBOTS,
+            "--option",
+        ),
     ] = None,
     thesis: Annotated[
         bool, switch("--thesis", "the rules of the thesis, without later additions", RADIO)
     ] = False,
-    set_: SetOption = None,
     restart: Annotated[
         bool, switch("--restart", "restart processes that die, and continue (docs/reliability.md)", RUN)
     ] = False,
     hosts: Annotated[
-        Path | None, flags.option("HOSTS.toml", "run robots on other hosts, too (docs/hosts.md)", RUN)
+        Path | None, option("HOSTS.toml", "run robots on other hosts, too (docs/hosts.md)", RUN)
     ] = None,
-    view: ViewFlag = False,
-    view_as: ViewAsOption = None,
-    share: ShareFlag = False,
-    wait_for_viewer: WaitFlag = False,
-    keep_serving: KeepServingFlag = False,
     pace: SpeedOption = None,
     pictures: PicturesFlag = False,
     out: OutOption = None,
     as_json: JsonFlag = False,
     *,
     settings: dict[str, Any],
+    viewing: Viewing,
 ) -> None:
     """Explore a building: start a world, a radio relay and N robots as processes, and wait until they finish.
 
     The run directory contains all results: summary.json, tables, pictures, maps, and scenario.toml, from which
     `murmur replay` repeats the run. docs/settings.md lists all settings.
     """
-    step_s = duration_s(step) if step is not None else None
-    for name, value in zip(NESTED, (radio, laser, pose, resolution, people, step_s), strict=True):
-        settings |= {name: value} if value is not None else {}
-    overrides = settings | other_settings(set_ or [], settings)
-    if option:
-        overrides["options"] = named_values(option, "option", "beta=0.5")
+    if options:
+        settings["options"] = named_values(options, "option", "beta=0.5")
     if thesis:
         in_file = {} if scenario is None else read_toml(scenario, "scenario", SHIPPED)[1]
-        overrides = {"strategy": in_file.get("strategy", STRATEGY)} | overrides
-        overrides |= thesis_settings(overrides)
-    chosen = load(scenario, overrides)
+        settings = {"strategy": in_file.get("strategy", STRATEGY)} | settings
+        settings |= thesis_settings(settings)
+    chosen = load(scenario, settings)
     choices = {"out": out, "pace": pace, "restart": restart}
-    needs_page = share or wait_for_viewer or keep_serving
-    viewing = Viewing(
-        view_as or ("web" if needs_page else "auto" if view else None), share, wait_for_viewer, keep_serving
-    )
     raise typer.Exit(run_live(chosen, viewing, hosts, choices, pictures=pictures, as_json=as_json))
 
 
@@ -127,15 +97,6 @@ def watch(
 
     with signals_as_ctrl_c(), closing(Window(view_as, errors.print, share=share)) as window:
         watching.watch(directory, window)
-
-
-def other_settings(texts: list[str], flags: dict[str, Any]) -> dict[str, Any]:
-    """The settings given with --set; ValueError if a flag gives one of them, too."""
-    values = named_values(texts, "set", "radius=0.2")
-    for name in values.keys() & flags.keys():
-        flag = NESTED.get(name, f"--{name.replace('_', '-')}")
-        raise ValueError(f"set = '{name}=...': {flag} is given, too; remove one of them")
-    return values
 
 
 def run_live(

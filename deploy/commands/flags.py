@@ -1,4 +1,4 @@
-"""Flags shared by several commands: those derived from the scenario's settings, and the parsing of values."""
+"""Flags that several commands share, the help that groups them, and the parsing of values."""
 
 from __future__ import annotations
 
@@ -14,25 +14,15 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from deploy.commands.console import BAD_INPUT, fail
-from protocol.presets import PRESETS
-from worldsim.sensor_options import LASERS, POSES
+from deploy.commands.console import fail
+from deploy.commands.viewing import Viewing
+from deploy.run.exit_codes import BAD_INPUT
 
-SETTINGS = {
-    "World": {"map": "FILE|NAME", "map_seed": "S", "start": "X,Y"},
-    "Robots": {"robots": "N", "strategy": "NAME", "sensor_range": "METERS", "speed": "METERS"},
-    "Radio": {
-        "range": "METERS|P%", "bandwidth": "BYTES|unlimited", "map_encoding": "NAME", "dissemination": "NAME",
-        "tolerance": "CELLS",
-    },
-    "Run": {
-        "seed": "S", "steps": "MAX", "finish": "first|all", "bus": "zenoh|memory", "clock": "barrier|wall",
-    },
-}  # fmt: skip
-"""Settings of a scenario with a flag of their own, by group of the help, each with the metavar of its value."""
+Command = Callable[..., None]
+Flag = tuple[str, Any, Any]
+"""A flag of a command: the name of its parameter, its annotation, and its default."""
 
-WORLD, ROBOTS, RADIO, RUN = SETTINGS
-VIEW, FIGURES = "View", "Figures and tables"
+WORLD, ROBOTS, RADIO, RUN, VIEW, FIGURES = "World", "Robots", "Radio", "Run", "View", "Figures and tables"
 """Groups of flags in the help of a command."""
 
 
@@ -46,29 +36,7 @@ def switch(name: str, help: str, group: str) -> Any:
     return typer.Option(name, help=help, rich_help_panel=group)
 
 
-def setting_flags(*without: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Give a command a flag for each of `SETTINGS` but those in `without`.
-
-    The command receives the settings that the user gave as the dictionary `settings`.
-    """
-
-    flags = [
-        (name, _flag(name, metavar, group), None)
-        for group, names in SETTINGS.items()
-        for name, metavar in names.items()
-        if name not in without
-    ]
-
-    def given(**values: Any) -> dict[str, Any]:
-        settings = {name: value for name, value in values.items() if value is not None}
-        if "start" in settings:
-            settings["start"] = position(settings["start"])
-        return settings
-
-    return lambda command: _with_flags(command, flags, "settings", given)
-
-
-def figure_flags(command: Callable[..., None]) -> Callable[..., None]:
+def figure_flags(command: Command) -> Command:
     """Give a command the flags of figures and tables; it receives them as a `FigureStyle`, the parameter `style`."""
 
     def style(formats: str, figure_width: float | None, font: str | None, font_size: float) -> Any:
@@ -77,12 +45,20 @@ def figure_flags(command: Callable[..., None]) -> Callable[..., None]:
         names = tuple(name.strip() for name in formats.split(",") if name.strip())
         return FigureStyle(names, figure_width, font, font_size)
 
-    return _with_flags(command, FIGURE_FLAGS, "style", style)
+    return with_flags(command, FIGURE_FLAGS, "style", style)
 
 
-def _with_flags(
-    command: Callable[..., None], flags: Sequence[tuple[str, Any, Any]], name: str, make: Callable[..., Any]
-) -> Callable[..., None]:
+def view_flags(command: Command) -> Command:
+    """Give a command of one run the flags of its view; it receives them as a `Viewing`, the parameter `viewing`."""
+
+    def viewing(view: bool, view_as: str | None, **page: bool) -> Viewing:
+        mode = "web" if any(page.values()) else "auto" if view else None
+        return Viewing(view_as or mode, page["share"], page["wait_for_viewer"], page["keep_serving"])
+
+    return with_flags(command, VIEW_FLAGS, "viewing", viewing)
+
+
+def with_flags(command: Command, flags: Sequence[Flag], name: str, make: Callable[..., Any]) -> Command:
     """Give a command flags (name, annotation, default) whose values it receives as one parameter, made by `make`.
 
     Its own flags follow them; its first parameter, the argument, precedes them.
@@ -92,30 +68,18 @@ def _with_flags(
     every = [first, *flags, *rest]
 
     @functools.wraps(command)
-    def with_flags(**given: Any) -> None:
+    def called(**given: Any) -> None:
         values = {flag: given.pop(flag) for flag, *_ in flags}
         command(**given, **{name: make(**values)})
 
-    with_flags.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+    called.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
         [
             inspect.Parameter(flag, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
             for flag, annotation, default in every
         ]
     )
-    with_flags.__annotations__ = {flag: annotation for flag, annotation, _ in every}
-    return with_flags
-
-
-def _flag(name: str, metavar: str, group: str) -> Any:
-    """The annotation of a setting's flag: its type, its description and its default."""
-    from deploy.scenario.scenario import Scenario  # noqa: PLC0415  not all commands have settings
-
-    info = Scenario.model_fields[name]
-    kind = info.annotation if info.annotation in (int, float) else str
-    has_default = info.default is not None and info.default_factory is None
-    text = f"{info.description}" + (f" (default {info.default})" if has_default else "")
-    flag = "--" + name.replace("_", "-")
-    return Annotated[kind | None, typer.Option(flag, help=text, metavar=metavar, rich_help_panel=group)]
+    called.__annotations__ = {flag: annotation for flag, annotation, _ in every}
+    return called
 
 
 def command_family() -> typer.Typer:
@@ -128,50 +92,23 @@ def preformatted(text: str) -> str:
     return text.replace("\n\n", "\n\n\b\n")
 
 
-def output_file(*suffixes: str) -> Callable[[typer.CallbackParam, Path | None], Path | None]:
-    """The check of a flag that names an output file: its suffix, and that its folder exists."""
+def file_option(metavar: str, help: str) -> Any:
+    """Return a flag for a file in an existing directory; `metavar`, as ``FILE.csv|.parquet``, has the suffixes."""
+    suffixes = re.findall(r"\.\w+", metavar)
 
-    def checked(flag: typer.CallbackParam, path: Path | None) -> Path | None:
+    def check(flag: typer.CallbackParam, path: Path | None) -> Path | None:
         if path is not None and path.suffix not in suffixes:
             fail(f"{flag.name} = {path}: must end in {' or '.join(suffixes)}", BAD_INPUT)
         if path is not None and not path.parent.is_dir():
             fail(f"{flag.name} = {path}: no such folder: {path.parent}", BAD_INPUT)
         return path
 
-    return checked
+    return typer.Option(metavar=metavar, callback=check, help=help)
 
 
-ResolutionOption = Annotated[
-    float | None, option("METERS", "cell size of a generated map or a picture", WORLD)
-]
-PeopleOption = Annotated[
-    int | None, option("N", "people who walk about in the building (docs/real-sensors.md)", WORLD)
-]
-LaserOption = Annotated[str | None, option("NAME", f"a laser with its errors: {', '.join(LASERS)}", ROBOTS)]
-PoseOption = Annotated[str | None, option("NAME", f"errors of the robots' poses: {', '.join(POSES)}", ROBOTS)]
-RadioOption = Annotated[
-    str | None, option("NAME", f"a radio preset (bandwidth, frame size, range): {', '.join(PRESETS)}", RADIO)
-]
-SetOption = Annotated[
-    list[str] | None,
-    option(
-        "KEY=VALUE", "any other setting, as radio.loss=0.1 or polygons.lazy=false; repeatable", RUN, "--set"
-    ),
-]
-ViewFlag = Annotated[bool, switch("--view", "view the run live, in a window or on a web page", VIEW)]
-ViewAsOption = Annotated[
-    str | None, option("native|web|file", "type of viewer; file: only record", VIEW, "--view-as")
-]
 ShareFlag = Annotated[
     bool,
     switch("--share", "serve the page on the local network, for others to watch (docs/dashboard.md)", VIEW),
-]
-WaitFlag = Annotated[
-    bool, switch("--wait-for-viewer", "start when a viewer has opened the page, not before", VIEW)
-]
-KeepServingFlag = Annotated[
-    bool,
-    switch("--keep-serving", "keep the page open after the run until Ctrl-C; default at a terminal", VIEW),
 ]
 SpeedOption = Annotated[float | None, option("STEPS_PER_S", "maximum speed, for viewing", VIEW)]
 PicturesFlag = Annotated[bool, switch("--pictures", "draw the maps over time and the channel load", VIEW)]
@@ -188,6 +125,39 @@ ViewAs = Annotated[
         metavar="native|web|file", help="type of viewer (default: a window, or a web page without a display)"
     ),
 ]
+VIEW_FLAGS = (
+    (
+        "view",
+        Annotated[bool, switch("--view", "view the run live, in a window or on a web page", VIEW)],
+        False,
+    ),
+    (
+        "view_as",
+        Annotated[
+            str | None, option("native|web|file", "type of viewer; file: only record", VIEW, "--view-as")
+        ],
+        None,
+    ),
+    ("share", ShareFlag, False),
+    (
+        "wait_for_viewer",
+        Annotated[
+            bool, switch("--wait-for-viewer", "start when a viewer has opened the page, not before", VIEW)
+        ],
+        False,
+    ),
+    (
+        "keep_serving",
+        Annotated[
+            bool,
+            switch(
+                "--keep-serving", "keep the page open after the run until Ctrl-C; default at a terminal", VIEW
+            ),
+        ],
+        False,
+    ),
+)
+"""The flags of commands that run one scenario."""
 FIGURE_FLAGS = (
     (
         "formats",
@@ -205,7 +175,7 @@ FIGURE_FLAGS = (
     ("font", Annotated[str | None, option("NAME", "font of figures, as serif or Arial", FIGURES)], None),
     ("font_size", Annotated[float, option("POINTS", "size of all text in figures", FIGURES)], 10.0),
 )
-"""The flags of all commands that write figures and tables: name, annotation, default."""
+"""The flags of all commands that write figures and tables."""
 
 
 class Subcommands(TyperGroup):

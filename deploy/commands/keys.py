@@ -10,7 +10,7 @@ import typer
 
 from deploy.commands.console import screen
 from deploy.commands.flags import command_family
-from deploy.scenario.scenario import ScenarioError
+from deploy.scenario.errors import ScenarioError
 from protocol import keys as names
 from protocol.grid import MAX_ROBOTS
 

@@ -14,8 +14,9 @@ from typing import Annotated, Any
 import typer
 from rich.text import Text
 
-from deploy.commands.console import BAD_INPUT, errors, fail, screen
-from deploy.commands.flags import JsonFlag, command_family, named_values, output_file
+from deploy.commands.console import errors, fail, screen
+from deploy.commands.flags import JsonFlag, command_family, file_option, named_values
+from deploy.run.exit_codes import BAD_INPUT
 from deploy.scenario.tables import MAX_RUNS
 
 app = command_family()
@@ -130,14 +131,7 @@ def bench(
             "--set", metavar="KEY=VALUE", help="a setting of all scenarios for strategies; repeatable"
         ),
     ] = None,
-    picture: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.png",
-            callback=output_file(".png"),
-            help="draw the league table",
-        ),
-    ] = None,
+    picture: Annotated[Path | None, file_option("FILE.png", "draw the league table")] = None,
     jobs: Annotated[
         int | None, typer.Option(min=1, metavar="N", help="processes for strategies (default: one per core)")
     ] = None,
@@ -174,7 +168,7 @@ def _league(
     as_json: bool,
 ) -> None:
     from deploy.bench import league  # noqa: PLC0415
-    from deploy.commands.studies import print_table  # noqa: PLC0415
+    from deploy.commands.study_output import print_table  # noqa: PLC0415
     from deploy.commands.terminal import table  # noqa: PLC0415
     from deploy.study.progress import counting  # noqa: PLC0415
 

@@ -9,7 +9,7 @@ import typer
 from rich.text import Text
 
 from deploy.commands.console import screen
-from deploy.commands.flags import Subcommands, command_family, named_values, output_file
+from deploy.commands.flags import Subcommands, command_family, file_option, named_values
 
 app = command_family()
 
@@ -59,12 +59,7 @@ def map_show(
         float | None, typer.Option(metavar="M", help="meters per cell of a generated map or a picture")
     ] = None,
     option: OptionFlag = None,
-    png: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.png", callback=output_file(".png"), help="draw the map with axes in meters"
-        ),
-    ] = None,
+    png: Annotated[Path | None, file_option("FILE.png", "draw the map with axes in meters")] = None,
 ) -> None:
     """Show a map in the terminal, with its size."""
     from deploy.commands.sketch import sketch  # noqa: PLC0415

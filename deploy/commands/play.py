@@ -7,22 +7,19 @@ from typing import Annotated, Any
 
 import typer
 
-from deploy.commands.explore import other_settings, run_live
+from deploy.commands.explore import run_live
 from deploy.commands.flags import (
     ROBOTS,
     GroupedCommand,
     JsonFlag,
     OutOption,
     PicturesFlag,
-    RadioOption,
-    SetOption,
     SpeedOption,
-    ViewAsOption,
-    ViewFlag,
     command_family,
     option,
-    setting_flags,
+    view_flags,
 )
+from deploy.commands.scenario_flags import OwnFlag, run_flags
 from deploy.commands.viewing import Viewing
 from deploy.scenario.scenario import NOT_RECORDED, NOT_RECORDED_REASON, load
 from worldsim.recorded.options import PACES
@@ -30,10 +27,40 @@ from worldsim.recorded.options import PACES
 app = command_family()
 
 LOG = "Log"
+NOT_PLAYED = (
+    "map", "map_seed", "map_options.resolution", "start", "strategy", "speed", "finish", "laser.preset", "pose.preset",
+    "people.number", "step_s",
+)  # fmt: skip
+"""Settings of which this command has no flag."""
+LOG_FLAGS = {
+    "recording.every": OwnFlag("every", int, option("K", "replay each K-th scan (default 1)", LOG)),
+    "recording.pace": OwnFlag(
+        "pace",
+        str,
+        option(
+            "|".join(PACES),
+            "scan: one scan per robot and step; recorded: a step is a second of the log (default scan)",
+            LOG,
+        ),
+    ),
+    "recording.topic": OwnFlag("topic", str, option("TOPIC", "the laser, if a bag has several", LOG)),
+    "recording.resolution": OwnFlag(
+        "resolution", float, option("METERS", "cell size of the map (default 0.1)", LOG)
+    ),
+    "recording.listeners": OwnFlag(
+        "listeners",
+        int,
+        option("N", "how many of the robots have no scans, and only receive (default 0)", LOG),
+    ),
+    "sensor_range": OwnFlag(
+        "sensor_range", float, option("METERS", "range up to which robots map (default 10)", ROBOTS)
+    ),
+}
 
 
 @app.command(cls=GroupedCommand)
-@setting_flags("map", "map_seed", "start", "strategy", "speed", "sensor_range", "finish")
+@run_flags(*NOT_PLAYED, more=LOG_FLAGS)
+@view_flags
 def play(
     logs: Annotated[
         list[Path],
@@ -41,33 +68,13 @@ def play(
             metavar="LOG...", help="a log for the whole team, or one per robot (docs/recorded.md)"
         ),
     ],
-    every: Annotated[int | None, option("K", "replay each K-th scan (default 1)", LOG)] = None,
-    pace: Annotated[
-        str | None,
-        option(
-            "|".join(PACES),
-            "scan: one scan per robot and step; recorded: a step is a second of the log (default scan)",
-            LOG,
-        ),
-    ] = None,
-    topic: Annotated[str | None, option("TOPIC", "the laser, if a bag has several", LOG)] = None,
-    resolution: Annotated[float | None, option("METERS", "cell size of the map (default 0.1)", LOG)] = None,
-    listeners: Annotated[
-        int | None, option("N", "how many of the robots have no scans, and only receive (default 0)", LOG)
-    ] = None,
-    sensor_range: Annotated[
-        float | None, option("METERS", "range up to which robots map (default 10)", ROBOTS)
-    ] = None,
-    radio: RadioOption = None,
-    set_: SetOption = None,
-    view: ViewFlag = False,
-    view_as: ViewAsOption = None,
     rate: SpeedOption = None,
     pictures: PicturesFlag = False,
     out: OutOption = None,
     as_json: JsonFlag = False,
     *,
     settings: dict[str, Any],
+    viewing: Viewing,
 ) -> None:
     """Replay logs of real robots: each robot takes the scans of its part of the log, and the team shares its maps.
 
@@ -75,22 +82,9 @@ def play(
     directory contains the scans, so `murmur replay` repeats the run without the logs. docs/recorded.md describes
     formats and results.
     """
-    overrides = settings | other_settings(set_ or [], settings)
-    for name in overrides:
+    for name in settings:
         if name.partition(".")[0] in (*NOT_RECORDED, "map", "strategy"):
             raise ValueError(f"set = '{name}=...': {NOT_RECORDED_REASON}")
-    given: dict[str, Any] = {
-        "recording.every": every, "recording.pace": pace, "recording.topic": topic,
-        "recording.resolution": resolution, "recording.listeners": listeners, "sensor_range": sensor_range,
-        "radio.preset": radio,
-    }  # fmt: skip
-    given = {name: value for name, value in given.items() if value is not None}
-    for name in sorted(given.keys() & overrides.keys()):
-        raise ValueError(f"set = '{name}=...': a flag of murmur play sets it; remove one of them")
-    overrides |= given | {"recording.files": [str(path) for path in logs]}
-    scenario = load(None, overrides)
-    view_type = view_as or ("auto" if view else None)
+    scenario = load(None, settings | {"recording.files": [str(path) for path in logs]})
     choices = {"out": out, "pace": rate}
-    raise typer.Exit(
-        run_live(scenario, Viewing(view_type), None, choices, pictures=pictures, as_json=as_json)
-    )
+    raise typer.Exit(run_live(scenario, viewing, None, choices, pictures=pictures, as_json=as_json))

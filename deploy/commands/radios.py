@@ -9,7 +9,7 @@ import typer
 from rich.text import Text
 
 from deploy.commands.console import screen
-from deploy.commands.flags import Subcommands, command_family, output_file, position
+from deploy.commands.flags import Subcommands, command_family, file_option, position
 from protocol.presets import PRESETS
 
 app = command_family()
@@ -47,9 +47,7 @@ def radio_coverage(
     at: Annotated[
         str | None, typer.Option(metavar="X,Y", help="the place in meters (default: where robots start)")
     ] = None,
-    out: Annotated[
-        Path, typer.Option(metavar="FILE.png", callback=output_file(".png"), help="the picture")
-    ] = Path("coverage.png"),
+    out: Annotated[Path, file_option("FILE.png", "the picture")] = Path("coverage.png"),
 ) -> None:
     """Draw where robots receive one that stands in one place, with each of some radio presets."""
     from deploy.record.coverage import draw_coverage  # noqa: PLC0415

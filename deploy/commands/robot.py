@@ -7,8 +7,9 @@ from typing import Annotated
 
 import typer
 
-from deploy.commands.console import BAD_INPUT, BROKEN_OFF, fail, screen
+from deploy.commands.console import fail, screen
 from deploy.commands.flags import command_family
+from deploy.run.exit_codes import BAD_INPUT, BROKEN_OFF
 
 app = command_family()
 

@@ -12,21 +12,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deploy.commands.console import errors, screen
-from deploy.commands.explore import other_settings
-from deploy.commands.flags import (
-    ROBOTS,
-    GroupedCommand,
-    LaserOption,
-    PeopleOption,
-    PoseOption,
-    ResolutionOption,
-    SetOption,
-    command_family,
-    option,
-    setting_flags,
-    switch,
-)
-from deploy.scenario.scenario import Scenario, ScenarioError, load
+from deploy.commands.flags import ROBOTS, GroupedCommand, command_family, option, switch
+from deploy.commands.scenario_flags import OwnFlag, run_flags
+from deploy.scenario.errors import ScenarioError
+from deploy.scenario.scenario import Scenario, load
 
 if TYPE_CHECKING:
     from deploy.serve.agent_files import AgentFiles
@@ -44,23 +33,20 @@ NOT_SERVED = (
     "clock",
 )  # fmt: skip
 """Settings of runs with agents, radio, and records."""
+SERVED = {
+    "radius": OwnFlag(
+        "radius", float, option("METERS", f"radius of the robots (default {RADIUS_M:g})", ROBOTS)
+    )
+}
 
 
 @app.command("serve-ros2", cls=GroupedCommand)
-@setting_flags(*NOT_SERVED)
+@run_flags(*NOT_SERVED, "radio.preset", "step_s", more=SERVED)
 def serve_ros2(
     names: Annotated[str | None, option("A,B,...", "namespaces (default r0,r1,...)", ROS)] = None,
-    resolution: ResolutionOption = None,
-    people: PeopleOption = None,
-    radius: Annotated[
-        float | None, option("METERS", f"radius of the robots (default {RADIUS_M:g})", ROBOTS)
-    ] = None,
-    laser: LaserOption = None,
-    pose: PoseOption = None,
     sees_robots: Annotated[
         bool, switch("--sees-robots", "lasers see other robots, instead of filtering them", ROBOTS)
     ] = False,
-    set_: SetOption = None,
     rate: Annotated[float, option("HZ", "scans and transforms per second", ROS)] = 10.0,
     domain: Annotated[int, option("ID", "ROS_DOMAIN_ID", ROS)] = 0,
     distro: Annotated[str, option("NAME", "distribution, as jazzy or humble", ROS)] = "jazzy",
@@ -93,12 +79,7 @@ def serve_ros2(
     Each robot publishes scan, tf, tf_static, odom, and map in its namespace. It accepts goal_pose, cmd_vel, and the
     action navigate_to_pose. docs/ros2.md describes them.
     """
-    given = {
-        "laser.preset": laser, "pose.preset": pose, "people.number": people,
-        "map_options.resolution": resolution, "radius": radius,
-    }  # fmt: skip
-    settings |= {name: value for name, value in given.items() if value is not None}
-    scenario = _scenario(settings | other_settings(set_ or [], settings))
+    scenario = _scenario(settings)
     if router is not None and listen is not None:
         raise ValueError(f"listen = {listen!r}: --router starts no router; remove one of them")
     if not MIN_RATE <= rate <= MAX_RATE:

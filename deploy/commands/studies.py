@@ -2,24 +2,31 @@
 
 from __future__ import annotations
 
-import inspect
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
 import typer
-from rich.console import Console
 
-from deploy.commands.console import BROKEN_OFF, FILE_WIDTH, errors, fail, screen
+from deploy.commands.console import errors, screen
 from deploy.commands.flags import (
     GroupedCommand,
     command_family,
     figure_flags,
+    file_option,
     named_values,
-    output_file,
-    setting_flags,
 )
+from deploy.commands.scenario_flags import setting_flags
+from deploy.commands.study_flags import (
+    JobsOption,
+    RetryFlag,
+    SchedulerOption,
+    SeedsOption,
+    SetOption,
+    items,
+    other_settings,
+    whole_numbers,
+)
+from deploy.commands.study_output import end_study, print_table, report_failures, report_sweep, stopping
 from deploy.scenario.tables import MAX_RUNS
 from deploy.study.progress import counting
 from protocol.grid import MAX_ROBOTS
@@ -30,22 +37,6 @@ app = command_family()
 
 BANDWIDTHS, RANGES = "100,1000,10000", "30%,100%"
 """Bandwidths and ranges that `murmur size` tries by default."""
-
-JobsOption = Annotated[int | None, typer.Option(min=1, metavar="N", help="processes (default: one per core)")]
-SchedulerOption = Annotated[
-    str | None,
-    typer.Option(metavar="ADDRESS", help="run on the workers of a Dask scheduler, as tcp://10.0.0.1:8786"),
-]
-SeedsOption = Annotated[
-    int | None, typer.Option(min=1, max=MAX_RUNS, metavar="N", help="run the seeds 0 to N - 1")
-]
-SetOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set", metavar="KEY=VALUE", help="a setting of all runs, or a list of its values; repeatable"
-    ),
-]
-RetryFlag = Annotated[bool, typer.Option("--retry", help="repeat failed runs of the table")]
 
 
 @app.command(cls=GroupedCommand)
@@ -67,28 +58,14 @@ def sweep(
     ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="apply the [quick] section of the file")] = False,
     out: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.parquet",
-            callback=output_file(".parquet"),
-            help="the table of runs; existing runs are reused",
-        ),
+        Path | None, file_option("FILE.parquet", "the table of runs; existing runs are reused")
     ] = None,
     table: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.csv|.parquet",
-            callback=output_file(".csv", ".parquet"),
-            help="write means, intervals and quartiles",
-        ),
+        Path | None, file_option("FILE.csv|.parquet", "write means, intervals and quartiles")
     ] = None,
     plot: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE.png|.pdf|.svg",
-            callback=output_file(".png", ".pdf", ".svg"),
-            help="draw the file's plots (FILE-2.png and so on for more)",
-        ),
+        file_option("FILE.png|.pdf|.svg", "draw the file's plots (FILE-2.png and so on for more)"),
     ] = None,
     retry: RetryFlag = False,
     *,
@@ -340,75 +317,3 @@ def size_radios(
         screen.print(sentence)
     screen.print(f"Results: {out} (start with {done.write(out, style)[0]})")
     end_study(done.failures, 0 if any(answer.is_enough for answer in done.answers) else 1)
-
-
-def other_settings(
-    texts: list[str], study: Callable[..., Any], example: str, flags: dict[str, Any]
-) -> dict[str, Any]:
-    """The settings given with --set; ValueError if the command has a flag for one of them."""
-    settings = named_values(texts, "set", example)
-    for name in settings:
-        if name in (*inspect.signature(study).parameters, *flags, "seed"):
-            raise ValueError(f"set = '{name}=...': use the flag of this command (--help)")
-    return settings
-
-
-def items(text: str) -> list[str]:
-    """The items of a comma-separated list."""
-    return [item.strip() for item in text.split(",") if item.strip()]
-
-
-def whole_numbers(text: str, flag: str, most: int) -> list[int]:
-    """Parse ``2..8`` or ``2,4,8``; ValueError if it is neither, or a number exceeds `most`."""
-    first, dots, last = text.partition("..")
-    try:
-        numbers: Sequence[int] = (
-            range(int(first), int(last) + 1) if dots else [int(item) for item in items(text)]
-        )
-    except ValueError:
-        numbers = []
-    if not numbers or max(numbers[0], numbers[-1]) > most:
-        raise ValueError(f"{flag} = {text!r}: must be whole numbers of at most {most}, as 2..8 or 2,4,8")
-    return list(numbers)
-
-
-def report_sweep(sweep: Any) -> None:
-    """Print the causes of a sweep's failed runs, and its table of means; end the command if all runs failed."""
-    from deploy.commands import terminal  # noqa: PLC0415
-    from deploy.study.tables import tabulate  # noqa: PLC0415
-
-    report_failures(sweep.failures)
-    table, runs = sweep.experiment.table, len(sweep.rows)
-    if not runs and sweep.failures:
-        fail("all runs failed", BROKEN_OFF)
-    if runs:
-        of = f" of {len(sweep.cases)}" if runs < len(sweep.cases) else ""
-        intervals = " with 95 % intervals" if table.interval else ""
-        screen.print(f"{' '.join(table.values)}, means of {runs}{of} runs{intervals}")
-        print_table(terminal.table(tabulate(table, sweep.rows)))
-
-
-@contextmanager
-def stopping(out: Path | None) -> Iterator[None]:
-    """On Ctrl-C, print how to continue."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        fail("stopped" + (f"; the same command continues from {out}" if out is not None else ""), 130)
-
-
-def end_study(failures: dict[str, int], code: int = 0) -> NoReturn:
-    """End the command with a code for its result, or with `BROKEN_OFF` if runs have failed."""
-    raise typer.Exit(BROKEN_OFF if failures else code)
-
-
-def print_table(table: Any) -> None:
-    """Print a table, as wide as the terminal or `FILE_WIDTH`."""
-    paper = screen if screen.is_terminal else Console(width=FILE_WIDTH, highlight=False, markup=False)
-    paper.print(table)
-
-
-def report_failures(causes: dict[str, int]) -> None:
-    """Print the causes of failed runs."""
-    for cause, count in causes.items():
-        errors.print(f"{count} run{'s' if count > 1 else ''} failed: {cause}")

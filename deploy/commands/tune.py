@@ -9,15 +9,8 @@ import typer
 
 from deploy.commands.console import errors, screen
 from deploy.commands.flags import command_family, named_values
-from deploy.commands.studies import (
-    JobsOption,
-    SchedulerOption,
-    SetOption,
-    items,
-    print_table,
-    stopping,
-    whole_numbers,
-)
+from deploy.commands.study_flags import JobsOption, SchedulerOption, SetOption, items, whole_numbers
+from deploy.commands.study_output import print_table, stopping
 from deploy.scenario.tables import MAX_RUNS
 from deploy.study.progress import counting
 

@@ -18,7 +18,7 @@ from pathlib import Path
 from deploy.dashboard.process import RECORDING, ViewTask, serve
 from deploy.dashboard.windows import Window
 from deploy.record import run_directory
-from deploy.scenario.scenario import ScenarioError
+from deploy.scenario.errors import ScenarioError
 from protocol.files import read_file
 from protocol.zenoh_bus import Credential
 from worldsim.atomic_files import naming

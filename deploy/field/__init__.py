@@ -6,6 +6,6 @@ running       the lock and the request to stop of a robot that runs on this host
 goals         goals over `goal_pose` or `navigate_to_pose`
 ros2_robot    node and body
 mission       the loop from the first readings to the end
-listener      what the robot's nodes send, without sending anything
+listener      receives what the robot's nodes send, and sends nothing
 doctor        checks of what the listener has received
 """

@@ -3,25 +3,26 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_validator
+from pydantic import Field, ValidationError, model_validator
 
-from agent.encoding_options import PolygonOptions, PredictiveOptions
 from agent.radios.options import LinkOptions
-from deploy.scenario.scenario import DEFAULT_STRATEGY, ScenarioError, explained, read_toml
+from deploy.scenario.control_settings import ControlSettings
+from deploy.scenario.errors import ScenarioError, explained
 from deploy.scenario.tables import (
     MAX_INTEGER,
-    MAX_TOLERANCE,
     Meters,
     NotNegative,
     Positive,
     Table,
     Whole,
-    check_types,
+    check_numbers,
+    exact,
 )
+from deploy.scenario.toml_files import read_toml
 from protocol.grid import MAX_ROBOTS, MAX_SIDE
 from protocol.packets import MAX_GOSSIP_MAPS
 from protocol.range_scans import MAX_REACH_M
@@ -140,7 +141,7 @@ class TeammateTable(Table):
     radius: NotNegative | None = Field(None, description="its radius, meters; default: this robot's")
 
 
-class RobotSettings(Table):
+class RobotSettings(ControlSettings):
     """All settings of one robot in the field.
 
     Raises
@@ -153,29 +154,17 @@ class RobotSettings(Table):
         try:
             super().__init__(**settings)
         except ValidationError as error:
-            raise explained(error, _KEYS) from None
+            raise explained(error, RobotSettings) from None
 
     robot: Whole = Field(ge=0, le=MAX_ROBOTS - 1, description="number of this robot, from 0")
     robots: Whole = Field(ge=1, le=MAX_ROBOTS, description="number of robots of the team")
     grid: GridTable = Field(description="the team's grid")
     ros2: Ros2Table = Field(description="the robot's ROS 2 nodes")
-    radio: RadioTable = Field(description="the radio")
+    radio: Annotated[RadioTable, exact(RadioTable)] = Field(description="the radio")
     record: RecordTable = Field(default_factory=RecordTable, description="records")
     teammate: tuple[TeammateTable, ...] = Field((), description="teammates with other hardware")
     seed: Whole = Field(0, ge=0, le=MAX_INTEGER, description="seed of all random draws")
     starts: Whole = Field(8, ge=1, le=256, description="how often each robot may start in this mission")
-    strategy: str = Field(DEFAULT_STRATEGY, description="exploration strategy (murmur strategies lists all)")
-    options: dict[str, Any] = Field(default_factory=dict, description="options of the strategy, by name")
-    map_encoding: str = Field("predictive", description="map encoding")
-    predictive: PredictiveOptions = Field(
-        default_factory=PredictiveOptions, description="options of the predictive encoding"
-    )
-    polygons: PolygonOptions = Field(
-        default_factory=PolygonOptions, description="options of the polygon encoding"
-    )
-    tolerance: Whole = Field(
-        1, ge=0, le=MAX_TOLERANCE, description="cells between a wall and its copy on teammates' maps at most"
-    )
     sensor_range: float = Field(
         5.0, strict=True, gt=0, le=MAX_REACH_M, description="range up to which scans are mapped, meters"
     )
@@ -195,29 +184,13 @@ class RobotSettings(Table):
         300.0, description="a teammate that has not been received for so long is not waited for at the end"
     )
 
-    @field_validator("polygons", "predictive", "radio", mode="before")
-    @classmethod
-    def _types_are_exact(cls, value: object, info: ValidationInfo) -> object:
-        check_types(cls.model_fields[str(info.field_name)].annotation, value)
-        return value
-
-    @field_validator("map_encoding")
-    @classmethod
-    def _encoding_is_known(cls, value: str) -> str:
-        from agent.encodings.catalog import encoding_class  # noqa: PLC0415  loads numpy, which --help does not need
-
-        encoding_class(value)
-        return value
-
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
         from agent.encodings.catalog import encoding_class  # noqa: PLC0415  loads kernels, which --help does not need
         from agent.encodings.scans import ScanEncoding  # noqa: PLC0415
         from agent.strategies.registry import strategy  # noqa: PLC0415
 
-        chosen = strategy(self.strategy)
-        chosen.check(self.options)
-        if not chosen.explores:
+        if not strategy(self.strategy).explores:
             raise ValueError(f"strategy = {self.strategy!r}: does not explore; choose another one")
         if not self.ros2.scan and issubclass(encoding_class(self.map_encoding), ScanEncoding):
             raise ValueError(
@@ -242,28 +215,11 @@ class RobotSettings(Table):
     def _check_teammates(self) -> None:
         """Raise ValueError if a `[[teammate]]` table names a robot that is no teammate, or two tables name the same."""
         numbers = [each.robot for each in self.teammate]
-        for number in numbers:
-            if number >= self.robots:
-                raise ValueError(f"[[teammate]] names robot {number}; the last one is {self.robots - 1}")
-            if number == self.robot:
-                raise ValueError(
-                    f"[[teammate]] names robot {number}, which is this robot: set its values at the top of the file"
-                )
-        if len(set(numbers)) < len(numbers):
-            raise ValueError(f"[[teammate]] names a robot twice: {numbers}")
-
-
-_KEYS = {
-    "": list(RobotSettings.model_fields),
-    "grid": list(GridTable.model_fields),
-    "ros2": list(Ros2Table.model_fields),
-    "record": list(RecordTable.model_fields),
-    "teammate": list(TeammateTable.model_fields),
-    "radio": [field.name for field in fields(RadioTable)],
-    "polygons": [field.name for field in fields(PolygonOptions)],
-    "predictive": [field.name for field in fields(PredictiveOptions)],
-}
-"""The valid keys of each table."""
+        check_numbers("teammate", numbers, self.robots)
+        if self.robot in numbers:
+            raise ValueError(
+                f"[[teammate]] names robot {self.robot}, which is this robot: set its values at the top of the file"
+            )
 
 
 @dataclass(frozen=True)
@@ -305,5 +261,4 @@ def load_robot(path: Path) -> RobotFile:
     try:
         return RobotFile(RobotSettings(**data), path.parent)
     except ScenarioError as error:
-        lines = str(error).splitlines()
-        raise ScenarioError("\n".join(f"robot {path}: {line}" for line in lines)) from None
+        raise error.within(f"robot {path}") from None

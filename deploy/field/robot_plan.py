@@ -8,7 +8,7 @@ from msgspec.structs import replace
 
 from agent.pose_guard import PoseGuard
 from agent.replication.policies import GOSSIP
-from agent.settings import EncodingSettings, MediumSettings, ReplicationSettings, Settings
+from agent.settings import MediumSettings, ReplicationSettings, Settings
 from deploy.field.robot_file import RobotSettings
 from deploy.record.field_records import RobotSetup, clock_id
 from protocol.body import Body
@@ -59,9 +59,7 @@ def agent_settings(settings: RobotSettings, laser: Laser) -> Settings:
         beams=BEAMS,
         seed=settings.seed,
         strategy=settings.strategy,
-        encoding=EncodingSettings(
-            settings.map_encoding, settings.polygons, settings.predictive, settings.tolerance
-        ),
+        encoding=settings.encoding,
         replication=ReplicationSettings(GOSSIP),
         medium=MediumSettings(Budget(team_bytes)),
         options=settings.options,

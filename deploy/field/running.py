@@ -17,7 +17,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from deploy.scenario.scenario import ScenarioError
+from deploy.scenario.errors import ScenarioError
 
 LOCK, STOP = "robot.lock", "stop"
 POLL_S = 0.1

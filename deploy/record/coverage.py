@@ -32,9 +32,7 @@ def coverage(plan: Plan) -> Margins:
     rows, columns = np.indices(cells.shape)
     away: Margins = np.hypot(columns - x, rows - y).astype(np.float64)
     loss = options.db_per_wall * walls_from(cells, x, y).astype(np.float64)
-    return margin_db(
-        away, loss, plan.radio.range_cells, plan.map.resolution, options.exponent, options.db_per_meter
-    )
+    return margin_db(away, loss, plan.radio.range_cells, plan.map.resolution, options)
 
 
 def share_covered(plan: Plan, margins: Margins) -> float:

@@ -1,4 +1,4 @@
-"""What a robot in the field records besides its radio: how it drove, and how its maps changed.
+"""Records that a robot in the field makes besides those of its radio: how it drove, and how its maps changed.
 
     setup.json        the robot's settings, its clock, and where the team's grid lies; written at the start
     steps.csv         one line per step: when it began, the pose, and the state of the robot

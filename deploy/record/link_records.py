@@ -1,4 +1,4 @@
-"""What a robot in the field records of its radio: every frame that it sent, or received from a teammate.
+"""Records that a robot in the field makes of its radio: every frame that it sent, or received from a teammate.
 
     radio.pcapng    the packets of each frame, for Wireshark
     frames.csv      one line per frame: when, and its number, by which the directories of several robots are joined

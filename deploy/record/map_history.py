@@ -59,7 +59,7 @@ class MapHistory:
         self._outlines: dict[tuple[int, int], list[Outlines]] = {}
 
     def take(self, robot: int, report: MapChanges | Outlines) -> None:
-        """Add what a robot reports; ProtocolError if it is out of order or does not fit the map."""
+        """Add a robot's report; ProtocolError if it is out of order or does not fit the map."""
         if isinstance(report, Outlines):
             held = self._outlines.setdefault((robot, report.map_id), [])
             _check_order(report, [each.step for each in held[-PER_STEP:]])

@@ -10,7 +10,7 @@ import msgspec
 
 from deploy.record.arrow_tables import table
 from deploy.record.columns import MISSED as COLUMNS
-from deploy.scenario.scenario import ScenarioError
+from deploy.scenario.errors import ScenarioError
 from netshaper.phase_clock import PHASES
 from protocol.messages import Missed
 from worldsim.atomic_files import write_whole

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from agent.settings import Settings
 from deploy.record.map_collection import MapCollection
 from deploy.record.map_history import MapHistory
+from deploy.record.protocol_errors import ProtocolErrors
 from netshaper.ledger import ROW
 from netshaper.process import ENDED
 from protocol import keys as names
@@ -47,49 +48,56 @@ from protocol.rights import MAX_PROTOCOL_ERRORS, TOO_MANY_BYTES, TOO_MANY_ERRORS
 
 NO_MAPS = "it did not send its maps"
 """Cause of the loss of a robot that does not answer a request for its maps."""
-MAX_PROTOCOL_ERROR_TEXTS = 1000
-"""Number of protocol errors of each participant of which the text is kept; further ones are counted."""
 MIN_STEP_BYTES, BYTES_PER_CELL = 1 << 22, 10
 """Bytes that a robot may report in a step: these, and these for each cell, since it may report each cell twice."""
 
 
 @dataclass(repr=False)
 class Records:
-    """All data reported during a run so far.
-
-    `maps` has the robots' maps over time, if the run records them. `own`, `planning`, and `shared` have the final
-    self-explored, planning, and shared grids by robot, and `settled` the cells of the first of which the robot is
-    certain (`protocol.map_parts.FinalMaps`). `world` has one report per step, `statuses` one list per robot, `rows` the
-    rows of the ledger per step. `lost` has the cause of each unexpected failure by robot, `killed` the robots that a
-    fault event killed and none restarted, `returned` step and robot of each return after an unexpected failure,
-    `reconnected` of each connection that was cut and restored. `missed` has the phases of steps that robots missed by
-    the wall clock: with the scenario, they repeat the run. `protocol_errors` has sender and text of the first
-    `MAX_PROTOCOL_ERROR_TEXTS` protocol errors of each sender. `carried` is the number of bytes transmitted in the last
-    step. `known_at` is the first step at whose end a robot knew the full map (`deploy.record.map_quality.knows_all`),
-    or 0 as long as none did. It is None in runs as processes: no report has the planning grid of each step.
-    """
+    """All data reported during a run so far."""
 
     robots: int
+    """Number of robots."""
     maps: MapHistory
+    """The robots' maps over time, if the run records them."""
     world: list[WorldReport] = field(default_factory=list)
+    """One report per step."""
     statuses: list[list[RobotStatus]] = field(default_factory=list)
+    """The reports of each robot, by its number."""
     rows: list[bytes] = field(default_factory=list)
+    """The rows of the ledger (`netshaper.ledger.ROW`), step by step."""
     own: dict[int, Grid] = field(default_factory=dict)
+    """The final self-explored grid of each robot that has sent its maps."""
     planning: dict[int, Grid] = field(default_factory=dict)
+    """The final planning grids of these robots."""
     shared: dict[int, Grid] = field(default_factory=dict)
+    """Their final shared grids."""
     settled: dict[int, NDArray[np.bool_]] = field(default_factory=dict)
+    """The cells of their self-explored grids of which they are certain."""
     lost: dict[int, str] = field(default_factory=dict)
+    """The cause of each unexpected failure, by robot."""
     fault_events: list[FaultEvent] = field(default_factory=list)
+    """The faults that have occurred, except for restarts of lost robots."""
     changes: list[Change] = field(default_factory=list)
+    """The changes of the radio that have occurred."""
     killed: set[int] = field(default_factory=set)
+    """Robots that a fault event killed and none restarted."""
     returned: list[tuple[int, int]] = field(default_factory=list)
+    """Step and robot of each return after an unexpected failure."""
     reconnected: list[tuple[int, int]] = field(default_factory=list)
+    """Step and robot of each connection that was cut and restored."""
     missed: list[Missed] = field(default_factory=list)
-    protocol_errors: list[str] = field(default_factory=list)
-    _error_texts: Counter[str] = field(default_factory=Counter)
+    """Phases of steps that robots missed by the wall clock; with the scenario, they repeat the run."""
+    protocol_errors: ProtocolErrors = field(default_factory=ProtocolErrors)
     end: End | None = None
+    """How the run ended; None as long as it has not."""
     carried: int = 0
+    """Number of bytes transmitted in the last step."""
     known_at: int | None = None
+    """The first step at whose end a robot knew the full map (`deploy.record.map_quality.knows_all`); 0 before.
+
+    None in runs as processes: no report has the planning grid of each step.
+    """
 
     def __post_init__(self) -> None:
         self.statuses = [[] for _ in range(self.robots)]
@@ -112,17 +120,6 @@ class Records:
         """Whether the grids contain all cells that any robot has seen: no robot ended without sending its grids."""
         ended = {event.kind for event in self.fault_events} & {"kill", "restart"}
         return not (self.lost or self.returned or ended)
-
-    @property
-    def protocol_error_count(self) -> int:
-        """Number of protocol errors."""
-        return self._error_texts.total()
-
-    def note_protocol_error(self, sender: str, text: str) -> None:
-        """Record a protocol error of a sender."""
-        self._error_texts[sender] += 1
-        if self._error_texts[sender] <= MAX_PROTOCOL_ERROR_TEXTS:
-            self.protocol_errors.append(f"{sender}: {text}")
 
     def team_map(self, without: Collection[int]) -> Grid:
         """Return the union of the robots' own grids, without those of some robots."""
@@ -235,7 +232,7 @@ class RecorderNode:
 
     def _record_protocol_error(self, sender: str, text: str) -> None:
         """Record a protocol error; a robot that exceeds `MAX_PROTOCOL_ERRORS` in a step counts as lost."""
-        self.records.note_protocol_error(sender, text)
+        self.records.protocol_errors.add(sender, text)
         self._protocol_errors[sender] += 1
         if self._protocol_errors[sender] == MAX_PROTOCOL_ERRORS + 1 and names.is_robot(sender):
             self._send(Lost(names.number(sender), TOO_MANY_ERRORS))
@@ -268,7 +265,7 @@ class RecorderNode:
                 records.changes.append(message)
             case ErrorReport():
                 reported_by_core = sender in (names.RELAY, names.WORLD)
-                records.note_protocol_error(
+                records.protocol_errors.add(
                     message.participant if reported_by_core else sender, message.reason
                 )
             case End():

@@ -31,9 +31,10 @@ from deploy.record.map_history import MAP_CHANGES
 from deploy.record.missed_phases import MISSED
 from deploy.record.records import Records
 from deploy.scenario import plan as plans
+from deploy.scenario.errors import ScenarioError
 from deploy.scenario.plan import Plan
 from deploy.scenario.recording import Recording
-from deploy.scenario.scenario import Scenario, ScenarioError, load, parse
+from deploy.scenario.scenario import Scenario, load, parse
 from netshaper import capture
 from netshaper.ledger import CAUSES, MALFORMED
 from protocol.files import open_file, read_file

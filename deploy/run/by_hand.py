@@ -20,14 +20,15 @@ from deploy.dashboard.process import ViewTask, serve
 from deploy.dashboard.windows import Window, free_port
 from deploy.record import run_directory
 from deploy.record.records import RecorderNode, Records
-from deploy.run.exploration import Result, conclude
 from deploy.run.hosts import MOST_PORT
 from deploy.run.interrupt import Interrupt
 from deploy.run.launch import Outcome, attend
 from deploy.run.processes import WorldTask, relay, serve_agent, serve_world
+from deploy.run.result import Result, conclude
 from deploy.scenario import plan as plans
+from deploy.scenario.errors import ScenarioError
 from deploy.scenario.plan import Plan
-from deploy.scenario.scenario import Scenario, ScenarioError, load
+from deploy.scenario.scenario import Scenario, load
 from netshaper import access
 from netshaper.hub import open_hub
 from netshaper.router import Router

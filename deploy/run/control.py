@@ -12,8 +12,9 @@ from typing import Any, Literal
 
 from deploy.record.records import NO_MAPS, RecorderNode, Records
 from deploy.run.gate import Gate
+from deploy.scenario.errors import ScenarioError
 from deploy.scenario.plan import Plan
-from deploy.scenario.scenario import Scenario, ScenarioError
+from deploy.scenario.scenario import Scenario
 from deploy.scenario.tables import ChangeTable, FaultTable
 from protocol.messages import Change, FaultEvent
 from worldsim.pace import SLOWEST

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from deploy.run.exploration import Result
+    from deploy.run.result import Result
 
 
 class RunFailed(RuntimeError):  # noqa: N818  a run failed, which is more than an error in the call

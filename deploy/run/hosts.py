@@ -19,7 +19,8 @@ from pydantic import (
     model_validator,
 )
 
-from deploy.scenario.scenario import ScenarioError, explain, read_toml
+from deploy.scenario.errors import ScenarioError, explained
+from deploy.scenario.toml_files import read_toml
 from protocol.grid import MAX_ROBOTS
 
 MOST_PORT = 65535
@@ -155,8 +156,4 @@ def parse(data: dict[str, Any], where: str = "hosts") -> Hosts:
     try:
         return Hosts.model_validate(data)
     except ValidationError as error:
-        lines = [
-            explain(item, {"": list(Hosts.model_fields), "host": list(Host.model_fields)})
-            for item in error.errors()
-        ]
-        raise ScenarioError("\n".join(f"{where}: {line}" for line in dict.fromkeys(lines))) from None
+        raise explained(error, Hosts).within(where) from None

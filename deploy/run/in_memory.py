@@ -13,8 +13,9 @@ from agent.journal import Journal, journal_name
 from agent.process import AgentNode
 from deploy.record.map_quality import FULL_SHARE, knows_all
 from deploy.record.records import RecorderNode, Records
+from deploy.scenario.errors import ScenarioError
 from deploy.scenario.plan import Plan
-from deploy.scenario.scenario import Scenario, ScenarioError
+from deploy.scenario.scenario import Scenario
 from netshaper.phase_clock import RecordedPhases
 from netshaper.process import RelayNode
 from protocol import keys as names

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from deploy.run.limits import DATA_BYTES, MEMORY_BYTES, soft_limit
+from deploy.scenario.errors import ScenarioError
 from deploy.scenario.plan import Plan
-from deploy.scenario.scenario import ScenarioError
 
 MB = 1_000_000
 

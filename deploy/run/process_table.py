@@ -23,7 +23,8 @@ from typing import Self
 
 from deploy.run import parent_watchdog
 from deploy.run.crash_report import crash_report
-from deploy.run.processes import BROKEN_OFF, in_background
+from deploy.run.exit_codes import BROKEN_OFF
+from deploy.run.processes import in_background
 from deploy.run.reply_timeout import CHECK_S, REPLY_TIMEOUT_S, RunningClock
 from protocol import keys as names
 

@@ -22,6 +22,7 @@ from agent.journal import Journal, JournalError
 from agent.process import AgentNode
 from deploy.run import parent_watchdog
 from deploy.run.crash_report import traceback_of
+from deploy.run.exit_codes import BROKEN_OFF
 from deploy.run.gate import LONGEST_PAUSE_S, Gate
 from deploy.run.reply_timeout import REPLY_TIMEOUT_S, ReplyTimeout
 from netshaper.hub import open_hub
@@ -41,7 +42,6 @@ from worldsim.process import WorldNode
 if TYPE_CHECKING:
     from deploy.dashboard.process import ViewTask
 
-BROKEN_OFF = 3
 POLL_S = 0.25
 FAREWELL_S = 2.0
 """Time limit for the others to leave once everything is recorded."""

@@ -9,7 +9,7 @@ from ipaddress import ip_address
 
 from deploy.dashboard.access import LOOPBACK
 from deploy.dashboard.windows import free_port
-from deploy.scenario.scenario import ScenarioError
+from deploy.scenario.errors import ScenarioError
 from netshaper import access
 from protocol import keys as names
 from protocol.zenoh_bus import Certificate, Credential

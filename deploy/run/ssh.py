@@ -21,11 +21,11 @@ from typing import IO, Annotated, Any, Self
 
 import msgspec
 
+from deploy.run.exit_codes import BROKEN_OFF
 from deploy.run.hosts import Host, Hosts
-from deploy.run.processes import BROKEN_OFF
 from deploy.run.remote_agents import MAX_LINE, MAX_LOG, hello
 from deploy.run.rendezvous import by_certificates
-from deploy.scenario.scenario import ScenarioError
+from deploy.scenario.errors import ScenarioError
 from protocol import keys as names
 from protocol.zenoh_bus import Credential
 

@@ -14,9 +14,10 @@ from agent.outline.polygons import Polygons
 from deploy.record import run_directory
 from deploy.run import memory
 from deploy.run.control import change, kill
-from deploy.run.exploration import Result, conclude, frame, scenario_of
+from deploy.run.exploration import scenario_of
 from deploy.run.in_memory import MemoryRun
 from deploy.run.launch import Outcome
+from deploy.run.result import Result, conclude, frame
 from deploy.scenario import plan as plans
 from deploy.scenario.scenario import Scenario
 from netshaper.ledger import ROW

@@ -7,38 +7,41 @@ from collections.abc import Sequence
 import numpy as np
 from msgspec.structs import replace
 
+from deploy.scenario.errors import ScenarioError
 from deploy.scenario.hardware import Hardware
 from deploy.scenario.recording import Recording
-from deploy.scenario.scenario import Scenario, ScenarioError
+from deploy.scenario.team_settings import TeamSettings
 from protocol.body import Body
 from protocol.grid import MAX_SIDE, disc
 from protocol.range_scans import MAX_REACH_M, TURN, Laser
 from worldsim.sensors import RobotSensors, SensorSettings
 
 
-def bodies_of(scenario: Scenario, cell: float, recording: Recording | None = None) -> list[Body]:
+def bodies_of(
+    team: TeamSettings, cell: float, recording: Recording | None = None, *, noisy: bool
+) -> list[Body]:
     """Return the body of each robot, with cells of `cell` meters.
 
-    Bodies have lasers with beams unless all lasers and poses are exact. Raises ScenarioError if a robot is too large
-    for the map, or its sensor range too short for its size.
+    Bodies have lasers with beams if sensors are `noisy`, or if robots replay a recording. Raises ScenarioError if a
+    robot is too large for the map, or its sensor range too short for its size.
     """
     bodies = []
-    for robot in range(scenario.robots):
-        hardware = scenario.body_of(robot)
+    for robot in range(team.robots):
+        hardware = team.body_of(robot)
         body = _body(hardware, cell)
         if recording is not None:
             body = replace(body, speed=max(recording.speed_cells, 1.0), laser=recording.laser)
-        elif scenario.is_noisy:
-            body = replace(body, laser=laser_of(hardware, scenario.beams))
+        elif noisy:
+            body = replace(body, laser=laser_of(hardware, team.beams))
         bodies.append(body)
     return bodies
 
 
-def sensors_of(scenario: Scenario, bodies: Sequence[Body], cell: float) -> SensorSettings | None:
+def sensors_of(team: TeamSettings, bodies: Sequence[Body], cell: float) -> SensorSettings | None:
     """Return the real sensors of the robots, with cells of `cell` meters; None if lasers and poses are exact."""
     robots = []
     for robot, body in enumerate(bodies):
-        hardware = scenario.body_of(robot)
+        hardware = team.body_of(robot)
         if body.laser is None:
             return None
         robots.append(RobotSensors(hardware.laser, hardware.pose, body.laser))

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import Field
 
 from deploy.scenario.tables import (
     MAX_INTEGER,
@@ -16,15 +16,13 @@ from deploy.scenario.tables import (
     Positive,
     Table,
     Whole,
-    check_types,
+    exact,
 )
 from protocol.errors import shown, there_are
 from worldsim.sensor_options import LASERS, POSES, LaserOptions, PoseOptions
 
 PRESETS: Mapping[str, Mapping[str, Mapping[str, float]]] = {"laser": LASERS, "pose": POSES}
 """The presets of each table of sensors, by name."""
-
-_KINDS = {"laser": LaserOptions, "pose": PoseOptions}
 
 
 class RobotOverride(Table):
@@ -38,19 +36,13 @@ class RobotOverride(Table):
     receive_bytes: LimitOrNone = Field(None, description="maximum bytes received per step")
     radius: NotNegative | None = Field(None, description="meters; 0: a point")
     scanner_turn: Degrees | None = Field(None, ge=0, description="degrees per step; 0: full view at once")
-    laser: LaserOptions | None = Field(
+    laser: Annotated[LaserOptions | None, exact(LaserOptions)] = Field(
         None, description="the name of a laser, or a table as `laser`, which it replaces as a whole"
     )
-    pose: PoseOptions | None = Field(
+    pose: Annotated[PoseOptions | None, exact(PoseOptions)] = Field(
         None,
         description="the name of a localization method, or a table as `pose`, which it replaces as a whole",
     )
-
-    @field_validator("laser", "pose", mode="before")
-    @classmethod
-    def _types_are_exact(cls, value: object, info: ValidationInfo) -> object:
-        check_types(_KINDS[str(info.field_name)], value)
-        return value
 
     @property
     def changes_body(self) -> bool:

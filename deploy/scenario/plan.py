@@ -11,12 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.replication.policies import GOSSIP
-from agent.settings import EncodingSettings, MediumSettings, ReplicationSettings, Settings
+from agent.settings import MediumSettings, ReplicationSettings, Settings
 from agent.strategies.registry import strategy
 from deploy.scenario.bodies import bodies_of, sensors_of
+from deploy.scenario.building_settings import BuildingSettings
+from deploy.scenario.errors import ScenarioError
 from deploy.scenario.finding_maps import find_map
 from deploy.scenario.recording import Recording, load_recording
-from deploy.scenario.scenario import Scenario, ScenarioError
+from deploy.scenario.scenario import Scenario
 from netshaper.radio_models import PLUGINS as RADIO_MODELS
 from netshaper.settings import RadioSettings
 from protocol import faults
@@ -28,6 +30,7 @@ from worldsim.base import BaseWorld
 from worldsim.map_error import MapError
 from worldsim.maps import Map, to_cell
 from worldsim.people import PeopleSettings
+from worldsim.people_options import PeopleOptions
 from worldsim.recorded.world import RecordedWorld
 from worldsim.starts import Cell, check_free, jittered, start_cells
 from worldsim.world import World, WorldSettings
@@ -48,7 +51,7 @@ class Plan:
     incarnations: int = 1
     """How often each robot may start: once, and once more for each restart."""
     recording: Recording | None = None
-    """What the robots replay; None: they explore a simulated building."""
+    """The logs that robots replay; None: they explore a simulated building."""
 
     @property
     def has_truth(self) -> bool:
@@ -84,7 +87,7 @@ def make(
     world_map = recording.map if recording is not None else world_map or load_map(scenario)
     incarnations = max(incarnations, faults.incarnations(scenario.faults))
     cell = world_map.resolution
-    bodies = bodies_of(scenario, cell, recording)
+    bodies = bodies_of(scenario, cell, recording, noisy=scenario.is_noisy)
     if recording is not None:
         starts = recording.starts
     else:
@@ -107,7 +110,7 @@ def of_field(scenario: Scenario, world_map: Map | None = None) -> Plan:
     Raises ScenarioError if the map cannot be loaded.
     """
     world_map = world_map or load_map(scenario)
-    bodies = bodies_of(scenario, world_map.resolution)
+    bodies = bodies_of(scenario, world_map.resolution, noisy=scenario.is_noisy)
     range_m = scenario.range_m(world_map.diagonal_m)
     world = WorldSettings(tuple(bodies), (), scenario.beams, scenario.seed)
     return Plan(scenario, world_map, world, _radio_settings(scenario, world_map, range_m, 1), {}, range_m)
@@ -130,14 +133,13 @@ def _world_settings(
         robots_collide=scenario.robots_collide,
         min_coverage=scenario.min_coverage,
         sensors=sensors_of(scenario, bodies, cell),
-        people=_people(scenario, cell),
+        people=_people(scenario.people, cell),
         step_ns=scenario.step_ns,
     )
 
 
-def _people(scenario: Scenario, cell: float) -> PeopleSettings | None:
+def _people(people: PeopleOptions, cell: float) -> PeopleSettings | None:
     """Return the people in the building, with cells of `cell` meters; None if there are none."""
-    people = scenario.people
     return PeopleSettings(people.number, people.speed / cell, people.radius / cell) if people.number else None
 
 
@@ -163,8 +165,8 @@ def _radio_settings(scenario: Scenario, world_map: Map, range_m: float, incarnat
         scenario.radio,
         world_map.resolution,
         world_map.cells if RADIO_MODELS.find(scenario.radio.model).needs_walls else None,
-        tuple(robot.send_bytes for robot in hardware),
-        tuple(robot.receive_bytes for robot in hardware),
+        tuple(robot.send_bytes or scenario.radio.send_bytes for robot in hardware),
+        tuple(robot.receive_bytes or scenario.radio.receive_bytes for robot in hardware),
         scenario.changes(world_map.diagonal_m),
         tuple(fault for fault in scenario.faults if fault.kind in faults.RADIO_KINDS),
         scenario.step_ns,
@@ -179,9 +181,6 @@ def _robot_settings(
     *,
     record_maps: bool,
 ) -> dict[int, Settings]:
-    encoding = EncodingSettings(
-        scenario.map_encoding, scenario.polygons, scenario.predictive, scenario.tolerance
-    )
     replication = ReplicationSettings(
         scenario.dissemination,
         forward_maps=scenario.forward_maps,
@@ -198,7 +197,7 @@ def _robot_settings(
             beams=scenario.beams,
             seed=scenario.seed,
             strategy=scenario.strategy,
-            encoding=encoding,
+            encoding=scenario.encoding,
             replication=replication,
             medium=medium,
             options=scenario.options,
@@ -211,14 +210,14 @@ def _robot_settings(
     }
 
 
-def load_map(scenario: Scenario) -> Map:
-    """Load or generate the scenario's map; raise ScenarioError if that fails."""
+def load_map(building: BuildingSettings) -> Map:
+    """Load or generate the map of a building; raise ScenarioError if that fails."""
     try:
-        return find_map(scenario.map, scenario.map_seed, scenario.map_options)
+        return find_map(building.map, building.map_seed, building.map_options)
     except MapError as error:
         raise ScenarioError(str(error)) from None
     except OSError as error:
-        raise ScenarioError(f"map = {shown(scenario.map)}: {error.strerror}") from None
+        raise ScenarioError(f"map = {shown(building.map)}: {error.strerror}") from None
 
 
 def _starts(scenario: Scenario, world_map: Map, radii_cells: list[float]) -> list[Cell]:

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from deploy.scenario.errors import ScenarioError
 from protocol.plugins import MAIN, Plugins
 
 if TYPE_CHECKING:
@@ -88,8 +89,6 @@ def check_importable(scenario: Scenario, who: str, instead: str = "") -> None:
 
     The message names these processes (`who`), and what helps `instead` of a module.
     """
-    from deploy.scenario.scenario import ScenarioError  # noqa: PLC0415  which imports this module
-
     for setting, _, name in named(scenario):
         module, _, part = name.partition(":")
         if module == MAIN:
@@ -101,8 +100,6 @@ def check_importable(scenario: Scenario, who: str, instead: str = "") -> None:
 
 def check_distinct(scenarios: Iterable[Scenario]) -> None:
     """Raise ScenarioError if two plug-ins of one kind have the same name."""
-    from deploy.scenario.scenario import ScenarioError  # noqa: PLC0415  which imports this module
-
     taken: dict[tuple[str, str], str] = {}
     for setting, plugins, name in (each for scenario in scenarios for each in named(scenario)):
         if ":" in name and plugins.are_classes:

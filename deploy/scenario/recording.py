@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from agent.mapping.estimator import Estimator
 from agent.mapping.mapper import add_scan
-from deploy.scenario.scenario import Scenario, ScenarioError
+from deploy.scenario.errors import ScenarioError
+from deploy.scenario.scenario import Scenario
 from protocol.grid import FREE, MAX_SIDE, UNKNOWN
 from protocol.metric_scans import BeamAngles
 from protocol.range_scans import MAX_REACH_M, NO_MEASUREMENT, TURN, UNIT, Laser, RangeScan, beam_ends
@@ -62,7 +63,7 @@ class Recording:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the user should know about the logs."""
+        """Notes on the logs for the user."""
         return tuple(note for log in self.logs for note in log.notes)
 
 

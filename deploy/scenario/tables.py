@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import is_dataclass
 from typing import Annotated, Any, Literal, Self, get_args, get_origin, get_type_hints
 
@@ -107,6 +108,36 @@ class Table(BaseModel):
     """Base of all tables: immutable, without unknown keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+def exact(kind: type) -> BeforeValidator:
+    """Return a validator of a table of the dataclass `kind`, which converts no types (`check_types`)."""
+
+    def checked(value: object) -> object:
+        check_types(kind, value)
+        return value
+
+    return BeforeValidator(checked)
+
+
+def tables(name: str, kind: type[Table], hint: str = "") -> BeforeValidator:
+    """Return a validator of the list of tables ``[[name]]``; `hint` ends the message for anything else."""
+
+    def checked(value: object) -> object:
+        if isinstance(value, list | tuple) and all(isinstance(each, dict | Table) for each in value):
+            return value
+        raise ValueError(f"must be tables, [[{name}]], of {', '.join(kind.model_fields)}{hint}")
+
+    return BeforeValidator(checked)
+
+
+def check_numbers(name: str, numbers: Sequence[int], robots: int) -> None:
+    """Raise ValueError if tables ``[[name]]`` name a robot twice, or one beyond a team of this size."""
+    for number in numbers:
+        if number >= robots:
+            raise ValueError(f"[[{name}]] names robot {number}; the last one is {robots - 1}")
+    if len(set(numbers)) < len(numbers):
+        raise ValueError(f"[[{name}]] names a robot twice: {[*numbers]}")
 
 
 class FaultTable(Table):

@@ -11,8 +11,9 @@ import tomli_w
 
 from agent.radios.team_key import create_key
 from deploy.field.robot_file import RobotSettings
+from deploy.scenario.errors import ScenarioError
 from deploy.scenario.hardware import Hardware
-from deploy.scenario.scenario import Scenario, ScenarioError
+from deploy.scenario.scenario import Scenario
 from deploy.serve.process import ServeSettings
 from deploy.serve.swarm import Swarm
 

@@ -12,7 +12,9 @@ import polars as pl
 
 from deploy.run.failure import RunFailed
 from deploy.scenario import plugins
-from deploy.scenario.scenario import Scenario, ScenarioError, load, remove_preset_keys
+from deploy.scenario.errors import ScenarioError
+from deploy.scenario.scenario import Scenario, load
+from deploy.scenario.toml_files import remove_preset_keys
 from deploy.study import plots
 from deploy.study.claims import HOLDS, UNDECIDED, Finding, Rule, judge
 from deploy.study.figure_style import DEFAULT, FigureStyle

@@ -18,17 +18,18 @@ An experiment is a TOML file:
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from deploy.scenario.errors import ScenarioError, explained
 from deploy.scenario.scenario import SHIPPED as SCENARIOS
-from deploy.scenario.scenario import ScenarioError, beside, explain, lay, read_toml
 from deploy.scenario.tables import MAX_RUNS, Whole
 from deploy.scenario.tables import Table as Keys
-from deploy.study.claims import Claim, Rule, check_claim
+from deploy.scenario.toml_files import beside, lay, read_toml
+from deploy.study.claims import Claim, check_claim
 from deploy.study.measures import EXPLORATION, MEASURES, METRICS
 from deploy.study.plots import Plot, check_plot
 from deploy.study.tables import RELATIVE, VARIANT, Table, check_table
@@ -74,15 +75,6 @@ class ExperimentFile(Keys):
 
 RADIO_AXES = ("radio", "radio.preset")
 """Settings whose values are names of radio presets; a list of them is always an axis."""
-
-KEYS = {
-    "": list(ExperimentFile.model_fields),
-    "table": [each.name for each in fields(Table)],
-    "plot": [each.name for each in fields(Plot)],
-    "claim": [each.name for each in fields(Claim)],
-    "claim.rule": [each.name for each in fields(Rule)],
-}
-"""The valid keys of each table."""
 
 
 @dataclass(frozen=True)
@@ -140,8 +132,7 @@ def read(path: Path) -> Experiment:
     try:
         return _checked(path, ExperimentFile.model_validate(data))
     except ValidationError as error:
-        lines = [f"{where}: {explain(item, KEYS)}" for item in error.errors()]
-        raise ScenarioError("\n".join(lines)) from None
+        raise explained(error, ExperimentFile).within(where) from None
     except ValueError as error:
         raise ScenarioError(f"{where}: {error}") from None
 

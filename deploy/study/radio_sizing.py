@@ -25,9 +25,10 @@ from deploy.study.figure_style import DEFAULT, FigureStyle
 from deploy.study.paper_tables import texts, write_tables
 from deploy.study.plots import Plot
 from deploy.study.progress import Report, counting
+from deploy.study.requirements import MIN_MAP_ACCURACY, Requirements
 from deploy.study.results import Results, Row, make_folder, write_table
 from deploy.study.runs import PLACE, Case, cases, failures, looked_up, make
-from deploy.study.sizing import METRICS, MIN_MAP_ACCURACY, SEEDS
+from deploy.study.sizing import METRICS, SEEDS
 from deploy.study.statistics import Interval, interval
 from deploy.study.sweep import as_text, of_settings
 from deploy.study.tables import has_finished, short
@@ -242,7 +243,7 @@ def size_radios(
     }
     made = of_settings("size", {"map": map, "finish": finish, **settings}, grid, {"plain": {}}, METRICS)
     possible = cases(made)
-    need = _Need(deadline, min_map_accuracy, finish)
+    requirements = Requirements(deadline, min_map_accuracy, finish)
     if out is not None:
         make_folder(out.parent)
     console = Console(stderr=True, quiet=not progress)
@@ -250,38 +251,17 @@ def size_radios(
         Results(out) as results,
         nullcontext(progress) if callable(progress) else counting(console, "size") as report,
     ):
-        run = _search(possible, results, need, report, jobs, scheduler)
+        run = _search(possible, results, requirements, report, jobs, scheduler)
         if not looked_up(run, results):
             raise RunFailed(f"all runs failed: {as_text(failures(run, results))}")
-        answers = [_answer(name, run, looked_up(run, results), need) for name in radio]
-    return RadioSizing(answers, run, results, need.text(short(map)))
-
-
-@dataclass(frozen=True)
-class _Need:
-    """What a run must meet."""
-
-    deadline: int | None
-    min_map_accuracy: float
-    finish: str
-
-    def is_met(self, row: Row) -> bool:
-        """Return whether a run meets it."""
-        accuracy = row["worst_map_accuracy" if self.finish == "all" else "map_accuracy"] or 0.0
-        in_time = self.deadline is None or row["steps"] <= self.deadline
-        return has_finished(row) and in_time and accuracy >= self.min_map_accuracy
-
-    def text(self, building: str) -> str:
-        """Return it as text."""
-        time = "" if self.deadline is None else f" within {self.deadline} steps"
-        whose = "each robot's map" if self.finish == "all" else "the first robot's map"
-        return f"{building}{time} with at least {100 * self.min_map_accuracy:g} % of {whose} correct"
+        answers = [_answer(name, run, looked_up(run, results), requirements) for name in radio]
+    return RadioSizing(answers, run, results, f"{short(map)} {requirements}")
 
 
 def _search(
     possible: Sequence[Case],
     results: Results,
-    need: _Need,
+    requirements: Requirements,
     report: Report,
     jobs: int | None,
     scheduler: str | None,
@@ -293,7 +273,7 @@ def _search(
         todo = [c for c in possible if c.place["robots"] == robots and c.place["radio"] not in enough]
         make(todo, results, workers(jobs, scheduler), _after(len(run), report))
         run += todo
-        met = Counter(row[PLACE]["radio"] for row in looked_up(todo, results) if need.is_met(row))
+        met = Counter(row[PLACE]["radio"] for row in looked_up(todo, results) if requirements.are_met(row))
         enough |= {
             name for name, count in Counter(c.place["radio"] for c in todo).items() if met[name] == count
         }
@@ -305,7 +285,7 @@ def _after(before: int, report: Report) -> Report:
     return lambda done, total: report(before + done, before + total)
 
 
-def _answer(radio: str, run: Sequence[Case], rows: Sequence[Row], need: _Need) -> RadioAnswer:
+def _answer(radio: str, run: Sequence[Case], rows: Sequence[Row], requirements: Requirements) -> RadioAnswer:
     """The smallest sufficient team of a radio, or else the one with most sufficient runs, then the fastest."""
     places = [case.place for case in run if case.place["radio"] == radio]
     tried = Counter(place["robots"] for place in places)
@@ -313,7 +293,7 @@ def _answer(radio: str, run: Sequence[Case], rows: Sequence[Row], need: _Need) -
     for robots, runs in tried.items():
         own = [row for row in rows if (row[PLACE]["radio"], row[PLACE]["robots"]) == (radio, robots)]
         steps = interval([row["steps"] for row in own if has_finished(row)])
-        met = sum(map(need.is_met, own))
+        met = sum(map(requirements.are_met, own))
         worst = min((row["worst_map_accuracy"] or 0.0 for row in own), default=None)
         used = max((row["duty_cycle"] or 0.0 for row in own), default=None)
         teams.append(RadioAnswer(radio, sorted(tried), robots, met, runs, steps, worst, used))

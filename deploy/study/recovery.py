@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from deploy.run.in_memory import MemoryRun
+from deploy.scenario.errors import ScenarioError
 from deploy.scenario.plan import Plan
-from deploy.scenario.scenario import ScenarioError
 from protocol.grid import FREE, UNKNOWN, Grid
 
 RECOVERED = 0.97

@@ -17,7 +17,7 @@ import tomli_w
 
 from deploy.record.versions import versions
 from deploy.run.workers import Workers
-from deploy.scenario.scenario import ScenarioError
+from deploy.scenario.errors import ScenarioError
 from deploy.study import experiment as experiments
 from deploy.study.claims import HOLDS, Claim, Finding, Verdict, judge
 from deploy.study.experiment import SHIPPED, Experiment

@@ -24,10 +24,12 @@ from deploy.run import memory
 from deploy.run.workers import Workers
 from deploy.scenario import plan as plans
 from deploy.scenario import plugins
+from deploy.scenario.errors import ScenarioError
 from deploy.scenario.finding_maps import FILES
-from deploy.scenario.scenario import Scenario, ScenarioError, lay, parse
+from deploy.scenario.scenario import Scenario, parse
 from deploy.scenario.tables import MAX_RUNS
 from deploy.scenario.thesis import thesis_settings
+from deploy.scenario.toml_files import lay
 from deploy.study.experiment import Experiment, settings_of
 from deploy.study.measures import MEASURES
 from deploy.study.progress import Report

@@ -16,6 +16,7 @@ from deploy.study.experiment import listed
 from deploy.study.figure_style import DEFAULT, FigureStyle
 from deploy.study.paper_tables import texts, write_tables
 from deploy.study.plots import Plot
+from deploy.study.requirements import MIN_MAP_ACCURACY, Requirements
 from deploy.study.results import write_table
 from deploy.study.runs import Case
 from deploy.study.statistics import Interval, interval, share
@@ -31,7 +32,6 @@ KEYS = ("robots", "bandwidth", "range")
 METRICS = ("steps", "map_accuracy", "worst_map_accuracy")
 """Columns of the printed table."""
 
-MIN_MAP_ACCURACY = 0.95
 SEEDS = 5
 
 
@@ -76,21 +76,12 @@ class Sizing:
         The runs.
     options : list of Option
         By robots, bandwidth and range, ascending.
-    deadline : int or None
-        Maximum number of steps of an exploration.
-    min_map_accuracy : float
-        Minimum share of correct cells on the map of the first robot, or of the worst (`finish`).
+    requirements : Requirements
     """
 
     sweep: Sweep
     options: list[Option]
-    deadline: int | None
-    min_map_accuracy: float
-
-    @property
-    def finish(self) -> str:
-        """Which robots had to finish with an accurate map: ``first`` or ``all``."""
-        return str(self.sweep.experiment.base["finish"])
+    requirements: Requirements
 
     @property
     def enough(self) -> Option | None:
@@ -101,10 +92,7 @@ class Sizing:
     def sentence(self) -> str:
         """The answer as a sentence."""
         building = short(self.sweep.experiment.base["map"])
-        whose = "each robot's map" if self.finish == "all" else "the first robot's map"
-        goal = f"with at least {100 * self.min_map_accuracy:g} % of {whose} correct"
-        if self.deadline is not None:
-            goal = f"within {self.deadline} steps and {goal}"
+        goal = str(self.requirements)
         if best := self.enough:
             return (
                 f"{best} explore {building} {goal}: in {best.time}, {best.met.n} of {best.met.n} runs (at least "
@@ -130,10 +118,11 @@ class Sizing:
     def plot(self, style: FigureStyle = DEFAULT) -> Figure:
         """Steps over the number of robots, with a curve per bandwidth, a panel per range, and 95 % intervals."""
         canvas = self.sweep.plot(0, style)
-        if self.deadline is not None:
+        deadline = self.requirements.deadline
+        if deadline is not None:
             for panel in canvas.axes:
-                panel.axhline(self.deadline, color="#555555", linewidth=1, linestyle="--")
-                panel.set_ylim(top=max(1.05 * self.deadline, panel.get_ylim()[1]))
+                panel.axhline(deadline, color="#555555", linewidth=1, linestyle="--")
+                panel.set_ylim(top=max(1.05 * deadline, panel.get_ylim()[1]))
         return canvas
 
     def write(self, folder: Path, style: FigureStyle = DEFAULT) -> list[Path]:
@@ -206,14 +195,15 @@ def size(
     made = of_settings("size", {"map": map, "finish": finish, **settings}, grid, {"plain": {}}, METRICS)
     plot = Plot("steps", "robots", lines="bandwidth", panels="range")
     done = run(replace(made, plots=(plot,)), jobs=jobs, scheduler=scheduler, out=out, progress=progress)
-    return Sizing(done, _options(done, deadline, min_map_accuracy), deadline, min_map_accuracy)
+    requirements = Requirements(deadline, min_map_accuracy, finish)
+    return Sizing(done, _options(done, requirements), requirements)
 
 
 _counted = range
 """The builtin; `size` has a parameter of that name."""
 
 
-def _options(done: Sweep, deadline: int | None, min_map_accuracy: float) -> list[Option]:
+def _options(done: Sweep, requirements: Requirements) -> list[Option]:
     """The results of each tested team, ascending."""
     diagonal_m = load_map(done.cases[0].scenario).diagonal_m
     teams: dict[tuple[int, float, float], list[Case]] = {}
@@ -225,12 +215,8 @@ def _options(done: Sweep, deadline: int | None, min_map_accuracy: float) -> list
     options = []
     for _, cases in sorted(teams.items()):
         team = {key: cases[0].place[key] for key in KEYS}
-        accuracy = "worst_map_accuracy" if cases[0].scenario.finish == "all" else "map_accuracy"
-        finished = [row for row in done.rows if team.items() <= row["place"].items() and has_finished(row)]
-        met = [
-            row for row in finished
-            if (deadline is None or row["steps"] <= deadline) and (row[accuracy] or 0) >= min_map_accuracy
-        ]  # fmt: skip
-        steps = interval([row["steps"] for row in finished])
-        options.append(Option(**team, met=share(len(met), len(cases)), steps=steps))
+        rows = [row for row in done.rows if team.items() <= row["place"].items()]
+        met = sum(map(requirements.are_met, rows))
+        steps = interval([row["steps"] for row in rows if has_finished(row)])
+        options.append(Option(**team, met=share(met, len(cases)), steps=steps))
     return options

@@ -14,7 +14,7 @@ from rich.console import Console
 from deploy.run.failure import RunFailed
 from deploy.run.workers import workers
 from deploy.scenario import plugins
-from deploy.scenario.scenario import ScenarioError
+from deploy.scenario.errors import ScenarioError
 from deploy.study import experiment as experiments
 from deploy.study import paper_tables, plots
 from deploy.study.experiment import Experiment

@@ -15,9 +15,9 @@ import msgspec
 import numpy as np
 
 from agent.strategies.base import Cell, Situation
-from deploy.run.exploration import Result, conclude
 from deploy.run.in_memory import MemoryRun
 from deploy.run.launch import Outcome
+from deploy.run.result import Result, conclude
 from deploy.scenario.plan import Plan
 from murmur.gym.chosen_goals import Candidates, ChosenGoals
 from protocol.grid import Grid

@@ -10,7 +10,8 @@ import numpy as np
 from deploy.run import memory
 from deploy.run.exploration import scenario_of
 from deploy.scenario import plan as plans
-from deploy.scenario.scenario import Scenario, ScenarioError
+from deploy.scenario.errors import ScenarioError
+from deploy.scenario.scenario import Scenario
 from murmur.gym.episode import Episode
 
 MAX_SEED = 2**31

@@ -8,16 +8,15 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.run.exploration import Result
 from deploy.scenario.scenario import Scenario
-from murmur.gym.episode import Episode
-from murmur.gym.episodes import Episodes, draw_seed
-from murmur.gym.observation import Observation, goal, observation_space, observe
-from murmur.gym.picture import checked_mode, picture
+from murmur.gym.episodes import Episodes
+from murmur.gym.goal_env import GoalEnv
+from murmur.gym.observation import Observation, goal, observation_space
+from murmur.gym.picture import RENDER_MODES
 from murmur.gym.rewards import Reward, discovery, first_info, info
 
 
-class ExploreEnv(gym.Env[Observation, np.int64]):
+class ExploreEnv(GoalEnv, gym.Env[Observation, np.int64]):
     """One robot's policy: it chooses a goal whenever the robot needs one, and the robot plans its way there.
 
     Observations have what the robot knows: ``map``, ``position``, ``candidates``, ``team``, and ``action_mask``
@@ -55,7 +54,7 @@ class ExploreEnv(gym.Env[Observation, np.int64]):
         Another argument is invalid.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 10}  # type: ignore[misc]
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": list(RENDER_MODES), "render_fps": 10}  # type: ignore[misc]
 
     def __init__(
         self,
@@ -68,13 +67,10 @@ class ExploreEnv(gym.Env[Observation, np.int64]):
         render_mode: str | None = None,
         **settings: Any,
     ) -> None:
-        self._episodes = Episodes(scenario, settings, [robot], candidates, every)
+        super().__init__(Episodes(scenario, settings, [robot], candidates, every), reward, render_mode)
         self.robot = robot
-        self.reward = reward
-        self.render_mode = checked_mode(render_mode)
         self.observation_space = observation_space(self._episodes.plan, candidates)
         self.action_space = gym.spaces.Discrete(candidates + 1)
-        self._episode: Episode | None = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -85,8 +81,8 @@ class ExploreEnv(gym.Env[Observation, np.int64]):
         have settings of this episode, ``{"settings": {"map_seed": 3}}``, which keep the size of the map and the team.
         """
         super().reset(seed=seed)
-        self._episode = self._episodes.start(draw_seed(self.np_random) if seed is None else seed, options)
-        return self._observe(), first_info(self._episode)
+        episode = self._start(seed, self.np_random, options)
+        return self._seen_by(self.robot), first_info(episode)
 
     def step(self, action: np.int64 | int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Choose a goal, and run until the next choice; RuntimeError before the first reset."""
@@ -95,25 +91,14 @@ class ExploreEnv(gym.Env[Observation, np.int64]):
         progress = episode.advance({} if chosen is None else {self.robot: chosen})
         truncated = episode.is_truncated
         terminated = not episode.active and not truncated
-        return self._observe(), float(self.reward(progress)), terminated, truncated, info(episode, progress)
-
-    def render(self) -> NDArray[np.uint8] | None:
-        """Return a picture of shape (h, w, 3); None without a render mode."""
-        return picture(self._started()) if self.render_mode == "rgb_array" else None
+        return (
+            self._seen_by(self.robot),
+            float(self.reward(progress)),
+            terminated,
+            truncated,
+            info(episode, progress),
+        )
 
     def action_masks(self) -> NDArray[np.bool_]:
         """Return the action mask as booleans, as libraries for maskable policies ask for it."""
-        return self._observe()["action_mask"].astype(np.bool_)
-
-    @property
-    def result(self) -> Result:
-        """The result of the episode, as `murmur.explore` returns it; RuntimeError before its end."""
-        return self._started().result
-
-    def _started(self) -> Episode:
-        if self._episode is None:
-            raise RuntimeError("no episode has been started: call reset first")
-        return self._episode
-
-    def _observe(self) -> Observation:
-        return observe(self._started(), self.robot, self._episodes.most)
+        return self._seen_by(self.robot)["action_mask"].astype(np.bool_)

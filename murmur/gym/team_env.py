@@ -7,23 +7,21 @@ from typing import Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
-from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
-from deploy.run.exploration import Result
 from deploy.scenario.scenario import Scenario
 from murmur.gym.chosen_goals import ChosenGoals
-from murmur.gym.episode import Episode
-from murmur.gym.episodes import Episodes, draw_seed
-from murmur.gym.observation import Observation, goal, observation_space, observe
-from murmur.gym.picture import RENDER_MODES, checked_mode, picture
+from murmur.gym.episodes import Episodes
+from murmur.gym.goal_env import GoalEnv
+from murmur.gym.observation import Observation, goal, observation_space
+from murmur.gym.picture import RENDER_MODES
 from murmur.gym.rewards import Reward, discovery, first_info, info
 from protocol import keys as names
 
 Infos = dict[str, dict[str, Any]]
 
 
-class TeamEnv(ParallelEnv[str, Observation, np.int64]):  # type: ignore[misc]
+class TeamEnv(GoalEnv, ParallelEnv[str, Observation, np.int64]):  # type: ignore[misc]
     """A team's policies: all robots choose whenever one of them needs a goal.
 
     Agents are ``"r0"``, ``"r1"``, ... Actions and observations of each are those of `ExploreEnv`. Robots that still
@@ -37,14 +35,8 @@ class TeamEnv(ParallelEnv[str, Observation, np.int64]):  # type: ignore[misc]
     ----------
     scenario : Scenario, optional
         The scenario, of which the strategy is not used; default settings if omitted.
-    candidates : int
-        Largest number of candidates of each robot.
-    every : int
-        Choose after that many steps at the latest; with 0, only when a robot needs a goal.
-    reward : callable
-        Computes the reward of a step from its `murmur.gym.Progress`; by default `murmur.gym.discovery`.
-    render_mode : str, optional
-        ``"rgb_array"``, or None.
+    candidates, every, reward, render_mode
+        As in `ExploreEnv`; `candidates` and `every` are those of each robot.
     **settings
         Settings that replace those of `scenario`: ``TeamEnv(map="em", robots=2)``.
 
@@ -73,18 +65,15 @@ class TeamEnv(ParallelEnv[str, Observation, np.int64]):  # type: ignore[misc]
         **settings: Any,
     ) -> None:
         controlled = {"strategy": ChosenGoals, "options": {}}
-        self._episodes = Episodes(scenario, {**settings, **controlled}, None, candidates, every)
-        self.reward = reward
-        self.render_mode = checked_mode(render_mode)
+        episodes = Episodes(scenario, {**settings, **controlled}, None, candidates, every)
+        super().__init__(episodes, reward, render_mode)
         self.possible_agents = [names.robot(number) for number in self._episodes.robots]
         self.agents: list[str] = []
-        plan = self._episodes.plan
         self.observation_spaces = {
-            agent: observation_space(plan, candidates) for agent in self.possible_agents
+            agent: observation_space(episodes.plan, candidates) for agent in self.possible_agents
         }
         self.action_spaces = {agent: gym.spaces.Discrete(candidates + 1) for agent in self.possible_agents}
         self._random = np.random.default_rng()
-        self._episode: Episode | None = None
 
     def observation_space(self, agent: str) -> gym.Space[Observation]:
         """Return the space of an agent's observations."""
@@ -100,9 +89,9 @@ class TeamEnv(ParallelEnv[str, Observation, np.int64]):  # type: ignore[misc]
         """Start an episode; `seed` and `options` as in `ExploreEnv.reset`."""
         if seed is not None:
             self._random = np.random.default_rng(seed)
-        self._episode = self._episodes.start(draw_seed(self._random) if seed is None else seed, options)
-        self.agents = [names.robot(number) for number in self._episode.active]
-        return self._observe(self.agents), {agent: first_info(self._episode) for agent in self.agents}
+        episode = self._start(seed, self._random, options)
+        self.agents = [names.robot(number) for number in episode.active]
+        return self._observe(self.agents), {agent: first_info(episode) for agent in self.agents}
 
     def step(
         self, actions: Mapping[str, np.int64 | int]
@@ -131,20 +120,5 @@ class TeamEnv(ParallelEnv[str, Observation, np.int64]):  # type: ignore[misc]
             {agent: info(episode, progress) for agent in acting},
         )
 
-    def render(self) -> NDArray[np.uint8] | None:
-        """Return a picture of shape (h, w, 3); None without a render mode."""
-        return picture(self._started()) if self.render_mode == "rgb_array" else None
-
-    @property
-    def result(self) -> Result:
-        """The result of the episode, as `murmur.explore` returns it; RuntimeError before its end."""
-        return self._started().result
-
-    def _started(self) -> Episode:
-        if self._episode is None:
-            raise RuntimeError("no episode has been started: call reset first")
-        return self._episode
-
     def _observe(self, agents: list[str]) -> dict[str, Observation]:
-        episode, most = self._started(), self._episodes.most
-        return {agent: observe(episode, names.number(agent), most) for agent in agents}
+        return {agent: self._seen_by(names.number(agent)) for agent in agents}

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from protocol.errors import ProtocolError, shown
+from protocol.errors import shown
 
 MAX_DOMAIN = 232
 """Largest domain that ROS 2 allows."""
@@ -115,19 +115,3 @@ class DataKey:
 
     def __str__(self) -> str:
         return f"{self.domain}/{self.name.strip('/')}/{dds_type(self.type)}/{self.type_hash}"
-
-
-def parse_data_key(key: str) -> DataKey:
-    """Parse the key of a topic or service; ProtocolError says which part is wrong."""
-    parts = key.split("/")
-    if len(parts) < 4:
-        raise ProtocolError("ROS 2 key", 0, f"{shown(key)} has {len(parts)} parts instead of at least 4")
-    try:
-        return DataKey(
-            domain_of(parts[0]),
-            qualified("/" + "/".join(parts[1:-2])),
-            ros_type(parts[-2]),
-            check_hash(parts[-1]),
-        )
-    except ValueError as error:
-        raise ProtocolError("ROS 2 key", 0, f"{error}, in {shown(key)}") from None

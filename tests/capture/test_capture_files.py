@@ -15,7 +15,8 @@ import pyarrow.parquet
 import pytest
 
 from deploy.record import run_directory
-from deploy.run.exploration import Result, explore
+from deploy.run.exploration import explore
+from deploy.run.result import Result
 from deploy.scenario.scenario import parse
 from netshaper import capture
 from netshaper.capture import Captured

@@ -11,7 +11,8 @@ from typer.testing import CliRunner
 
 from deploy.after.wireshark import install as wireshark
 from deploy.commands.app import app
-from deploy.run.exploration import Result, explore
+from deploy.run.exploration import explore
+from deploy.run.result import Result
 from deploy.scenario.scenario import parse
 from netshaper.capture import VERDICTS
 from netshaper.ledger import CAUSES, FRAMES

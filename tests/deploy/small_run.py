@@ -10,8 +10,9 @@ from deploy.after.archive import read
 from deploy.after.figures import write_figures
 from deploy.dashboard.process import ViewNode
 from deploy.record import run_directory
-from deploy.run.exploration import Result, explore
+from deploy.run.exploration import explore
 from deploy.run.in_memory import MemoryRun
+from deploy.run.result import Result
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import parse

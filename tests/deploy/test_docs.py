@@ -30,8 +30,9 @@ from agent.settings import EncodingSettings, ReplicationSettings, Settings
 from deploy.record.columns import SUMMARY
 from deploy.run.exploration import explore
 from deploy.run.in_memory import MemoryRun
+from deploy.scenario.errors import ScenarioError
 from deploy.scenario.plan import make
-from deploy.scenario.scenario import SHIPPED, Scenario, ScenarioError, load
+from deploy.scenario.scenario import SHIPPED, Scenario, load
 from docs import code_tables, made_pages, packet_tables
 from netshaper import access
 from netshaper.ledger import CAUSES
@@ -420,7 +421,7 @@ def test_a_shipped_scenario_runs(name: str) -> None:
     assert records.end is not None
     assert records.end.step == 70
     assert not records.lost
-    assert not records.protocol_errors
+    assert not records.protocol_errors.texts
     alive = {len(np.frombuffer(report.poses, "<i4")) // 4 for report in records.world}
     assert alive == ({4, 3} if name == "breakdown.toml" else {4})
 

@@ -39,7 +39,9 @@ from agent.settings import EncodingSettings, MediumSettings, ReplicationSettings
 from deploy.record import missed_phases
 from deploy.record.link_records import FRAMES, FrameLine, read_frames
 from deploy.scenario import plan as plans
-from deploy.scenario.scenario import Scenario, ScenarioError, lay, parse
+from deploy.scenario.errors import ScenarioError
+from deploy.scenario.scenario import Scenario, parse
+from deploy.scenario.toml_files import lay
 from netshaper.radio_options import RadioOptions
 from protocol import packet_index, packets
 from protocol.body import Body

@@ -17,7 +17,6 @@ from protocol.messages import Sense
 from protocol.ros2 import messages as names
 from protocol.ros2.attachments import Attachment, decode_attachment
 from protocol.ros2.interfaces import NAVIGATE_TO_POSE
-from protocol.ros2.names import parse_data_key
 from protocol.ros2.qos import parse_qos
 from protocol.ros2.tokens import parse_token
 from tests.agent.bodies.test_ros2 import (
@@ -36,7 +35,6 @@ HASH = f"RIHS01_{'0a' * 32}"
 NODE = "@ros2_lv/2/aac3178e146ba6f1fc6e6a4085e77f21/0/0/NN/%/%r1/talker"
 TYPE = "std_msgs::msg::dds_::String_"
 ENDPOINT = f"@ros2_lv/2/8b20917502ee955ac4476e02/0/10/MP/%/%/talker/%chatter/{TYPE}/{HASH}/::,7:,:,:,,"
-KEY = f"0/chatter/{TYPE}/{HASH}"
 QOS = "1:1:1,10:9,9:9,9:1,9,9"
 
 GRID_MESSAGE = MESSAGES.new(names.OCCUPANCY_GRID, data=np.zeros(16, np.int8))
@@ -107,7 +105,6 @@ def test_any_text_or_attachment_is_read_or_rejected_with_a_message(
     for read, valid in (
         (parse_token, NODE),
         (parse_token, ENDPOINT),
-        (parse_data_key, KEY),
         (parse_qos, QOS),
     ):
         try:

@@ -15,7 +15,7 @@ import pytest
 
 import murmur
 from deploy.record.columns import LEDGER, STEPS
-from deploy.scenario.scenario import ScenarioError
+from deploy.scenario.errors import ScenarioError
 from murmur import Result, Scenario, explore, read_run
 from protocol.grid import FREE
 

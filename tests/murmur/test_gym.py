@@ -17,7 +17,7 @@ from pettingzoo.test import parallel_api_test, parallel_seed_test
 from agent.strategies.burgard import Nearest
 from agent.strategies.options import with_defaults
 from agent.strategies.targets import Parts
-from deploy.scenario.scenario import ScenarioError
+from deploy.scenario.errors import ScenarioError
 from murmur import Result, explore
 from murmur.gym import ENVIRONMENT, ExploreEnv, Progress, TeamEnv
 from protocol.grid import FREE, UNKNOWN

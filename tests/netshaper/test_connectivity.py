@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from fractions import Fraction
 from itertools import pairwise, product
 
@@ -22,7 +23,7 @@ from netshaper.connectivity import (
     shadowing,
     walls_crossed,
 )
-from netshaper.radio_options import Partition
+from netshaper.radio_options import Partition, PathLossOptions
 from protocol.grid import FREE, OCCUPIED, Grid
 
 
@@ -69,10 +70,10 @@ def test_without_a_limit_all_robots_receive_each_other(count: int) -> None:
 def test_at_range_0_no_robot_receives_another_even_in_its_own_cell() -> None:
     places = np.array([(1, 1), (1, 1), (1, 2)])
     walls = np.full((4, 4), FREE, np.uint8)
-    loss = {"exponent": 3.0, "db_per_meter": 0.0, "db_per_wall": 9.0}
+    loss = PathLossOptions(exponent=3.0, db_per_wall=9.0)
     assert not line_of_sight(places, 0.0, walls).any()
-    assert not log_distance(places, 0.0, walls, 0.1, **loss).any()
-    assert line_of_sight(places, 0.1, walls).sum() == log_distance(places, 0.1, walls, 0.1, **loss).sum() == 5
+    assert not log_distance(places, 0.0, walls, 0.1, loss).any()
+    assert line_of_sight(places, 0.1, walls).sum() == log_distance(places, 0.1, walls, 0.1, loss).sum() == 5
 
 
 ROOMS = np.array(
@@ -138,9 +139,7 @@ def test_without_walls_and_shadowing_the_logarithmic_model_is_the_disc(
         range_cells,
         np.full_like(ROOMS, FREE),
         0.1,
-        exponent=exponent,
-        db_per_meter=per_meter,
-        db_per_wall=9.0,
+        PathLossOptions(exponent, per_meter, db_per_wall=9.0),
     )
     assert (links == disc(places, range_cells)).all()
 
@@ -148,12 +147,12 @@ def test_without_walls_and_shadowing_the_logarithmic_model_is_the_disc(
 @given(st.lists(inside, min_size=2, max_size=5), st.integers(0, 99))
 def test_walls_only_remove_links_and_links_are_mutual_and_constant(cells: list[Cell], seed: int) -> None:
     places = np.array(cells, np.int64)
-    extra = shadowing(places, 0.5, seed, 8.0, 2.0)
+    options = PathLossOptions(shadowing_db=8.0, shadowing_m=2.0)
+    extra = shadowing(places, 0.5, seed, options)
     assert (extra == extra.T).all()
-    assert (extra == shadowing(places, 0.5, seed, 8.0, 2.0)).all()
-    loss = {"exponent": 2.0, "db_per_meter": 0.0, "extra_db": extra}
-    walls = log_distance(places, 6.0, ROOMS, 0.5, db_per_wall=6.9, **loss)
-    without = log_distance(places, 6.0, ROOMS, 0.5, db_per_wall=0.0, **loss)
+    assert (extra == shadowing(places, 0.5, seed, options)).all()
+    walls = log_distance(places, 6.0, ROOMS, 0.5, options, extra)
+    without = log_distance(places, 6.0, ROOMS, 0.5, replace(options, db_per_wall=0.0), extra)
     assert (walls == walls.T).all()
     assert (walls <= without).all()
 
@@ -163,15 +162,16 @@ def test_a_wall_of_6_db_halves_the_range() -> None:
     wall[0, 3] = OCCUPIED
     for length in range(4, 25):
         places = np.array([(0, 0), (length, 0)])
-        reachable = log_distance(
-            places, 20.0, wall, 1.0, exponent=2.0, db_per_meter=0.0, db_per_wall=20 * math.log10(2)
-        )[0, 1]
+        options = PathLossOptions(db_per_wall=20 * math.log10(2))
+        reachable = log_distance(places, 20.0, wall, 1.0, options)[0, 1]
         assert reachable == (length <= 10)
 
 
 def test_shadowing_has_the_given_deviation() -> None:
     places = np.array([(x, y) for x in range(0, 60, 4) for y in range(0, 24, 4)])
-    drawn = shadowing(places, 1.0, 3, 8.0, 2.0)[np.triu_indices(len(places), 1)]
+    drawn = shadowing(places, 1.0, 3, PathLossOptions(shadowing_db=8.0, shadowing_m=2.0))[
+        np.triu_indices(len(places), 1)
+    ]
     assert abs(drawn.mean()) < 0.5
     assert drawn.std() == pytest.approx(8.0, rel=0.05)
 

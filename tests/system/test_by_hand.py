@@ -19,7 +19,8 @@ from pathlib import Path
 import pytest
 
 from deploy.run.by_hand import serve_netshaper, serve_recorder, serve_worldsim
-from deploy.scenario.scenario import ScenarioError, parse
+from deploy.scenario.errors import ScenarioError
+from deploy.scenario.scenario import parse
 from netshaper import access
 from tests.deploy.commands.office_floor import murmur
 

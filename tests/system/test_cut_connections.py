@@ -37,7 +37,7 @@ def check_undisturbed(plan: Plan, records: Records, cuts: int) -> None:
     assert [robot for _, robot in records.reconnected] == cuts * [CUT]
     assert records.lost == {}
     assert records.returned == []
-    assert records.protocol_errors == []
+    assert records.protocol_errors.texts == []
     assert digest(records) == digest(in_memory.MemoryRun(plan).complete())
 
 

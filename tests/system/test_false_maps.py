@@ -53,7 +53,7 @@ def test_a_lying_robot_is_reported_and_deceives_no_honest_one(
     for agent in agents:
         assert agent.robot is not None
         assert agent.robot.disbelieved == (set() if agent.robot.settings.robot == LYING else {LYING})
-    reports = [error for error in records.protocol_errors if "false map" in error]
+    reports = [error for error in records.protocol_errors.texts if "false map" in error]
     assert {error.partition(":")[0] for error in reports} == {"r0", "r2", "r3"}
     assert all(f"from r{LYING}: this robot sees" in error for error in reports)
 
@@ -66,7 +66,7 @@ def test_honest_robots_are_believed_although_they_restart_and_frames_are_lost(ma
         robots=3, map_encoding=map_encoding, bandwidth=2000, steps=60, seed=4, fault=restarts, radio=radio
     )
     _, records, agents = explored(plan)
-    assert not records.protocol_errors
+    assert not records.protocol_errors.texts
     assert not any(agent.robot.disbelieved for agent in agents if agent.robot is not None)
 
 

@@ -149,7 +149,7 @@ def test_a_byzantine_robot_is_named_in_the_records() -> None:
         return _Forger(bus) if name == names.robot(BYZANTINE) else bus
 
     records = MemoryRun(small_plan(robots=3, steps=30), wrap=wrap).complete()
-    assert set(records.protocol_errors) >= {
+    assert set(records.protocol_errors.texts) >= {
         f"{names.robot(honest)}: malformed message from {names.robot(BYZANTINE)}: "
         "save at byte 0: nothing has changed since the last save point"
         for honest in (0, 2)

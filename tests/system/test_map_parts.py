@@ -34,7 +34,7 @@ def check(outcome: launch.Outcome, robots: int) -> None:
     assert outcome.deaths == {}
     assert outcome.records.lost == {}
     assert sorted(outcome.records.own) == sorted(outcome.records.planning) == list(range(robots))
-    assert outcome.records.protocol_errors == []
+    assert outcome.records.protocol_errors.texts == []
 
 
 def test_each_map_of_a_run_arrives() -> None:

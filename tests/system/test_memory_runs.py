@@ -70,7 +70,7 @@ def check_finished(plan: Plan, records: Records) -> None:
     for grid in (*records.own.values(), *records.planning.values()):
         assert (plan.map.cells[grid == FREE] == FREE).all()
         assert (plan.map.cells[grid == OCCUPIED] != FREE).all()
-    assert records.protocol_errors == []
+    assert records.protocol_errors.texts == []
     assert records.lost == {}
 
 

@@ -11,7 +11,8 @@ from msgspec.structs import replace
 from agent.encodings.base import NO_SENDER
 from agent.encodings.catalog import make_encoding
 from agent.robot import Robot
-from deploy.run.exploration import Result, explore
+from deploy.run.exploration import explore
+from deploy.run.result import Result
 from protocol.grid import UNKNOWN, Grid
 from tests.system.team import Team, small_plan
 
@@ -42,7 +43,7 @@ KINDS = {"exact": EXACT, "noisy": NOISY}
 
 def run(**settings: Any) -> Result:
     result = explore(**({"bus": "memory"} | SMALL | settings))
-    assert not result.records.protocol_errors
+    assert not result.records.protocol_errors.texts
     return result
 
 

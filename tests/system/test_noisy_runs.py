@@ -7,8 +7,10 @@ from typing import Any
 
 import pytest
 
-from deploy.run.exploration import Result, explore
-from deploy.scenario.scenario import ScenarioError, load
+from deploy.run.exploration import explore
+from deploy.run.result import Result
+from deploy.scenario.errors import ScenarioError
+from deploy.scenario.scenario import load
 from protocol.grid import UNKNOWN
 
 SMALL: dict[str, Any] = {
@@ -96,7 +98,7 @@ def test_baselines_reach_late_robots_over_a_lossy_radio(map_encoding: str, disse
         "fault": [{"step": 20, "robot": 1, "kind": "restart"}],
     }  # fmt: skip
     result = run(**late)
-    assert not result.records.protocol_errors
+    assert not result.records.protocol_errors.texts
     before = result.records.own[0] != UNKNOWN
     lacking = before & (result.records.own[1] == UNKNOWN)
     assert lacking.any()

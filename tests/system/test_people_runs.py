@@ -7,9 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deploy.run.exploration import Result, explore
+from deploy.run.exploration import explore
+from deploy.run.result import Result
 from deploy.scenario import plan as plans
-from deploy.scenario.scenario import ScenarioError, load, parse
+from deploy.scenario.errors import ScenarioError
+from deploy.scenario.scenario import load, parse
 from tests.system.team import corridor
 
 SMALL: dict[str, Any] = {

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deploy.run.exploration import Result, explore
+from deploy.run.exploration import explore
+from deploy.run.result import Result
 from deploy.scenario.scenario import load
 from netshaper.frame_log import BYTES, VERDICT
 from netshaper.ledger import CAUSES, EVERYONE, FIRST_ON_AIR, KIND_NUMBER

@@ -10,7 +10,9 @@ import polars as pl
 import pytest
 
 from deploy.after.archive import read
-from deploy.run.exploration import EXPLORED, NOT_FINISHED, Result, explore
+from deploy.run.exit_codes import EXPLORED, NOT_FINISHED
+from deploy.run.exploration import explore
+from deploy.run.result import Result
 from deploy.scenario.scenario import load
 from protocol.grid import FREE, UNKNOWN
 from tests.worldsim.recorded.made_logs import FULL_CIRCLE, Bag, distances, drive, write_carmen

@@ -8,10 +8,12 @@ from typing import Any
 
 import pytest
 
-from deploy.run.exploration import EXPLORED, NOT_FINISHED, Result
+from deploy.run.exit_codes import EXPLORED, NOT_FINISHED
 from deploy.run.in_memory import MemoryRun
+from deploy.run.result import Result
 from deploy.scenario import plan
-from deploy.scenario.scenario import ScenarioError, parse
+from deploy.scenario.errors import ScenarioError
+from deploy.scenario.scenario import parse
 from murmur import explore
 from tests.agent.encodings.names import EXACT
 from worldsim import generators
@@ -43,7 +45,7 @@ def run(
 @pytest.mark.parametrize("name", NAMES)
 def test_every_strategy_explores_all_reachable_cells_or_reports_a_stall(name: str) -> None:
     result = run(name)
-    assert not result.records.protocol_errors
+    assert not result.records.protocol_errors.texts
     if name == STALLS:
         assert result.exit_code == NOT_FINISHED
         assert result.summary["reason"] == STALLED

@@ -77,7 +77,7 @@ def test_a_robot_that_restarts_continues_from_its_journal_over_a_lossy_radio(dis
         "radio": {"loss": 0.1}, "fault": [{"step": 25, "robot": 1, "kind": "restart"}],
     }  # fmt: skip
     result = explore(**late, **NOISY)
-    assert not result.records.protocol_errors
+    assert not result.records.protocol_errors.texts
     lacking = (result.records.own[0] != UNKNOWN) & (result.records.own[1] == UNKNOWN)
     assert lacking.any()
     assert (result.records.planning[1] != UNKNOWN)[lacking].mean() > 0.5

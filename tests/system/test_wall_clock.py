@@ -20,10 +20,11 @@ from deploy.record.missed_phases import MISSED
 from deploy.record.records import Records
 from deploy.record.summary import digest, summarize
 from deploy.run.control import why_unrepeatable
-from deploy.run.exploration import Result, explore
+from deploy.run.exploration import explore
 from deploy.run.in_memory import MemoryRun
+from deploy.run.result import Result
+from deploy.scenario.errors import ScenarioError
 from deploy.scenario.plan import Plan
-from deploy.scenario.scenario import ScenarioError
 from protocol.keyed_random import keyed_random
 from protocol.messages import Missed
 from tests.deploy.commands.office_floor import murmur
@@ -82,7 +83,7 @@ def test_a_stopped_robot_misses_steps_and_continues_and_the_run_repeats(tmp_path
     page = write_report(out).read_text(encoding="utf-8")
     assert "steps that robots missed" in page
     assert "most by robot 1" in page
-    assert not result.records.protocol_errors
+    assert not result.records.protocol_errors.texts
     assert any("missed steps: " in line for line in summary_lines(result.summary, out, noisy=False))
     again = murmur("replay", str(out))
     assert again.exit_code == 0, again.stdout + again.stderr
@@ -144,7 +145,7 @@ def test_a_run_in_memory_repeats_any_record(radio: str) -> None:
     plan = small_plan(robots=4, steps=40, clock="wall", step_s=0.1, **RADIOS[radio])
     record = random_record(1, 40, 4)
     records = MemoryRun(plan, missed=record).complete()
-    assert not records.protocol_errors
+    assert not records.protocol_errors.texts
     assert not records.lost
     assert records.world[-1].step == 40
     repeated = MemoryRun(plan, missed=records.missed).complete()
@@ -178,7 +179,7 @@ def busy_record(steps: int, robots: int) -> list[Missed]:
 def test_runs_in_which_most_robots_are_late_repeat(settings: dict[str, Any]) -> None:
     plan = small_plan(steps=40, clock="wall", step_s=0.1, **settings)
     records = MemoryRun(plan, missed=busy_record(40, settings["robots"])).complete()
-    assert not records.protocol_errors
+    assert not records.protocol_errors.texts
     assert not records.lost
     assert records.world[-1].step == 40
     repeated = MemoryRun(plan, missed=records.missed).complete()

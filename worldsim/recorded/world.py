@@ -17,7 +17,7 @@ from protocol.messages import Move, Sense
 from protocol.range_scans import NO_MEASUREMENT, TURN, UNIT, RangeScan, encode_range_scan
 from worldsim.base import BaseWorld
 from worldsim.laser import HEADINGS
-from worldsim.motion import FINE
+from worldsim.sensors import offset
 from worldsim.world import WorldSettings
 
 END_OF_LOG = "end of the log"
@@ -104,10 +104,5 @@ class RecordedWorld(BaseWorld):
         before, self._places[robot] = self._places[robot], scan.place
         self.driven[robot] += math.dist(before, scan.place) / UNIT
         self.cells[robot] = scan.x, scan.y
-        self.offsets[robot] = _offset(scan.place[0]), _offset(scan.place[1])
+        self.offsets[robot] = offset(scan.place[0]), offset(scan.place[1])
         self.headings[robot] = round(scan.heading * HEADINGS / TURN) % HEADINGS
-
-
-def _offset(units: int) -> int:
-    """Return a position as thousandths of a cell from the center of its cell."""
-    return (units % UNIT * FINE + FINE // 2) // UNIT - FINE // 2

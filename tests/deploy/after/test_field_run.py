@@ -18,8 +18,9 @@ from deploy.after.field_summary import NEEDS_TRUTH
 from deploy.after.merge import merge
 from deploy.after.report import write_report
 from deploy.record.field_records import END, MAPS, SETUP, STEP_LINES, read_field_record
-from deploy.run.exploration import NOT_FINISHED, Result
-from deploy.scenario.scenario import ScenarioError
+from deploy.run.exit_codes import NOT_FINISHED
+from deploy.run.result import Result
+from deploy.scenario.errors import ScenarioError
 from protocol.grid import FREE, UNKNOWN, Grid
 from protocol.token_bucket import SECOND
 from tests.deploy.after.recorded_team import CORNER, RATE, RecordedTeam

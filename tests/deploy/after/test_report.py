@@ -24,7 +24,8 @@ from deploy.commands.app import app
 from deploy.record import run_directory
 from deploy.record.map_history import MAP_CHANGES, OUTLINES
 from deploy.run.exploration import explore
-from deploy.scenario.scenario import ScenarioError, parse
+from deploy.scenario.errors import ScenarioError
+from deploy.scenario.scenario import parse
 from protocol.arrays import Cells
 from tests.deploy.small_run import SETTINGS, small_directory, small_run
 

@@ -12,9 +12,9 @@ from typing import Any
 import pytest
 
 from deploy.record import run_directory
-from deploy.run.exploration import conclude
 from deploy.run.in_memory import MemoryRun
 from deploy.run.launch import Outcome
+from deploy.run.result import conclude
 from deploy.scenario import plan as plans
 from deploy.scenario.scenario import parse
 from protocol import keys as names

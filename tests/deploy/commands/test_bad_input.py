@@ -400,7 +400,7 @@ def test_all_errors_are_reported_at_once(desk: Path) -> None:
     result = murmur("explore", "--robots", "0", "--speed", "-1", "--map-encoding", "x")
     assert result.exit_code == BAD_INPUT
     assert [line.split(" = ")[0] for line in result.stderr.splitlines()] == [
-        f"murmur: scenario: {key}" for key in ("robots", "map_encoding", "speed")
+        f"murmur: scenario: {key}" for key in ("robots", "speed", "map_encoding")
     ]
 
 

@@ -14,7 +14,8 @@ from agent.radios.team_key import read_key
 from deploy.commands.app import app
 from deploy.run import preload  # noqa: F401  which the servers do, in threads with a time limit
 from deploy.run.by_hand import serve_netshaper, serve_routing
-from deploy.scenario.scenario import ScenarioError, parse
+from deploy.scenario.errors import ScenarioError
+from deploy.scenario.scenario import parse
 from protocol import keys as names
 from protocol.bus import Bus
 from protocol.keys import Keys

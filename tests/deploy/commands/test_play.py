@@ -102,7 +102,7 @@ def test_flags_set_pace_cells_range_and_listeners(room: str) -> None:
         (("--set", "strategy=meier"), "set = 'strategy=...': has no meaning for robots that replay a log"),
         (("--set", "map=office"), "set = 'map=...': has no meaning for robots that replay a log"),
         (("--set", "laser.preset=utm-30lx"), "set = 'laser.preset=...': has no meaning"),
-        (("--set", "recording.every=2", "--every", "3"), "set = 'recording.every=...': a flag of murmur play sets it"),
+        (("--set", "recording.every=2", "--every", "3"), "set = 'recording.every=...': --every is given, too"),
         (("--robots", "2", "--listeners", "2"), "recording.listeners = 2: one robot must replay the log"),
         (("--listeners", "-1"), "listeners = -1: must not be negative"),
         (("room.log.gz", "--robots", "2", "--listeners", "1"), "has one robot, and 1 have none"),

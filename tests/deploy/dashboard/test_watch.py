@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from deploy.dashboard.watch import LIVE, announced, read_live, recording_of
-from deploy.scenario.scenario import ScenarioError
+from deploy.scenario.errors import ScenarioError
 from protocol.zenoh_bus import Credential
 
 

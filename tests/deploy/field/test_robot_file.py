@@ -20,7 +20,7 @@ from deploy.field.robot_file import (
     load_robot,
 )
 from deploy.field.robot_plan import agent_settings, map_frame
-from deploy.scenario.scenario import ScenarioError
+from deploy.scenario.errors import ScenarioError
 from protocol.range_scans import TURN, Laser
 from protocol.ros2.messages import DISTROS
 from tests.deploy.commands.office_floor import murmur
@@ -43,7 +43,7 @@ from tests.deploy.field.robot_processes import settings, write
             {"robots": 2, "teammate": [{"robot": 1, "sensor_range": 0.1}]},
             "sensor_range = 0.1: must be two cells",
         ),
-        ({"colour": 1}, "colour: unknown setting; there are: robot, robots, grid"),
+        ({"colour": 1}, "colour: unknown setting; there are: strategy, options, map_encoding"),
         ({"strategy": "meyer"}, "did you mean meier?"),
         ({"strategy": "playback"}, "strategy = 'playback': does not explore"),
         ({"options": {"depth": 1}}, "has no option 'depth'"),

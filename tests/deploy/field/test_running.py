@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from deploy.field.running import ask_to_stop, has_ended, is_running, robots, running
-from deploy.scenario.scenario import ScenarioError
+from deploy.scenario.errors import ScenarioError
 from tests.deploy.commands.office_floor import murmur
 
 

@@ -11,7 +11,7 @@ from pyarrow import Table, parquet
 from deploy.record import missed_phases
 from deploy.record.columns import FILES
 from deploy.record.missed_phases import MISSED
-from deploy.scenario.scenario import ScenarioError
+from deploy.scenario.errors import ScenarioError
 from netshaper.ledger import CAUSES, ROW
 from protocol.messages import Missed
 from tests.deploy.small_run import small_directory

@@ -11,9 +11,10 @@ from msgspec.structs import replace
 from deploy.commands.terminal import summary_lines
 from deploy.record.records import Records
 from deploy.record.summary import summarize
-from deploy.run.exploration import NOT_FINISHED, conclude
+from deploy.run.exit_codes import NOT_FINISHED
 from deploy.run.in_memory import MemoryRun
 from deploy.run.launch import Outcome
+from deploy.run.result import conclude
 from deploy.scenario.plan import Plan
 from protocol import keys as names
 from protocol import rights
@@ -51,8 +52,10 @@ def test_one_robot_that_reports_the_end_too_early_does_not_end_the_run() -> None
     assert records.end.reason == "explored"
     assert records.end.step > 20
     assert records.explored == 1
-    assert len(records.protocol_errors) == 1
-    assert records.protocol_errors[0].startswith("r1: robot 1 reported 'explored' when the team had seen ")
+    assert len(records.protocol_errors.texts) == 1
+    assert records.protocol_errors.texts[0].startswith(
+        "r1: robot 1 reported 'explored' when the team had seen "
+    )
     assert summarize(plan, records, 1.0)["finished"]
 
 

@@ -12,10 +12,12 @@ import pytest
 
 from deploy.record.records import Records
 from deploy.run.control import Control
-from deploy.run.exploration import Result, explore
+from deploy.run.exploration import explore
+from deploy.run.result import Result
 from deploy.run.stepwise import steps
+from deploy.scenario.errors import ScenarioError
 from deploy.scenario.plan import Plan
-from deploy.scenario.scenario import ScenarioError, load, parse
+from deploy.scenario.scenario import load, parse
 
 SETTINGS = {"map": "em", "robots": 3, "range": "30%", "bandwidth": 600, "steps": 60, "bus": "memory"}
 

@@ -26,8 +26,9 @@ from deploy.record import run_directory
 from deploy.record.records import Records
 from deploy.record.summary import summarize
 from deploy.run import exploration
-from deploy.run.exploration import BROKEN_OFF, EXPLORED, NOT_FINISHED, Result
+from deploy.run.exit_codes import BROKEN_OFF, EXPLORED, NOT_FINISHED
 from deploy.run.in_memory import MemoryRun
+from deploy.run.result import Result
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import Scenario, load, parse

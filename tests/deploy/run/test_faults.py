@@ -8,8 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deploy.run.exploration import EXPLORED, Result, explore
-from deploy.scenario.scenario import ScenarioError, parse
+from deploy.run.exit_codes import EXPLORED
+from deploy.run.exploration import explore
+from deploy.run.result import Result
+from deploy.scenario.errors import ScenarioError
+from deploy.scenario.scenario import parse
 from protocol.grid import FREE
 from worldsim import maps
 from worldsim.maps import Map
@@ -61,7 +64,7 @@ def test_a_run_with_all_kinds_of_faults_ends_explored_and_repeats(
     ]
     assert runs[0].exit_code == EXPLORED
     assert runs[0].summary["coverage"] > 0.97
-    assert not runs[0].records.protocol_errors
+    assert not runs[0].records.protocol_errors.texts
     assert runs[0].summary["digest"] == runs[1].summary["digest"]
 
 

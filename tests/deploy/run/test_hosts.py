@@ -11,7 +11,7 @@ import pytest
 
 from deploy.run.hosts import Host, Hosts, load, parse
 from deploy.run.ssh import command_line
-from deploy.scenario.scenario import ScenarioError
+from deploy.scenario.errors import ScenarioError
 
 
 def hosts(*robots: object, **more: Any) -> Hosts:

@@ -10,8 +10,9 @@ import pytest
 
 from deploy.run import memory
 from deploy.scenario import plan as plans
+from deploy.scenario.errors import ScenarioError
 from deploy.scenario.plan import Plan
-from deploy.scenario.scenario import ScenarioError, parse
+from deploy.scenario.scenario import parse
 from deploy.study.experiment import read
 from deploy.study.runs import cases
 

@@ -14,9 +14,11 @@ import pytest
 from deploy.record.records import Records
 from deploy.run import launch
 from deploy.run.control import why_unrepeatable
-from deploy.run.exploration import BROKEN_OFF, EXPLORED, explore
+from deploy.run.exit_codes import BROKEN_OFF, EXPLORED
+from deploy.run.exploration import explore
+from deploy.scenario.errors import ScenarioError
 from deploy.scenario.plan import Plan
-from deploy.scenario.scenario import ScenarioError, parse
+from deploy.scenario.scenario import parse
 
 
 def scenario(**settings: Any) -> Any:

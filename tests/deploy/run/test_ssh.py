@@ -20,7 +20,7 @@ from deploy.run.hosts import Hosts, parse
 from deploy.run.remote_agents import hello
 from deploy.run.ssh import Fleet, HostError
 from deploy.scenario import scenario as scenarios
-from deploy.scenario.scenario import ScenarioError
+from deploy.scenario.errors import ScenarioError
 from netshaper.hub import open_hub
 from protocol import keys as names
 from protocol.bus import Bus, Message

@@ -9,7 +9,7 @@ import numpy as np
 import polars
 import pytest
 
-from deploy.scenario.scenario import ScenarioError
+from deploy.scenario.errors import ScenarioError
 from murmur import Step, explore, steps
 from protocol.grid import FREE, UNKNOWN
 

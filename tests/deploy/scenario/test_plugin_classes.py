@@ -14,7 +14,8 @@ from agent.replication.policies import Offer, Rounds, thesis
 from agent.strategies.meier import Meier
 from agent.strategies.registry import strategy
 from agent.strategies.targets import TargetStrategy
-from deploy.scenario.scenario import Scenario, ScenarioError
+from deploy.scenario.errors import ScenarioError
+from deploy.scenario.scenario import Scenario
 from murmur import compare, explore, sweep
 from netshaper.connectivity import Links, Places
 from netshaper.radio_models import RadioModel

@@ -12,7 +12,8 @@ import pytest
 from deploy.run.exploration import explore
 from deploy.scenario import plan as plans
 from deploy.scenario.effective_radio import effective_radio
-from deploy.scenario.scenario import Scenario, ScenarioError, load, parse
+from deploy.scenario.errors import ScenarioError
+from deploy.scenario.scenario import Scenario, load, parse
 from netshaper.connectivity import places_of, walls_crossed
 from netshaper.topology import links
 from protocol.grid import FREE

@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from deploy.scenario.errors import ScenarioError
 from deploy.scenario.plan import make
 from deploy.scenario.recording import Recording, load_recording
-from deploy.scenario.scenario import ScenarioError, load, parse
+from deploy.scenario.scenario import load, parse
 from protocol.grid import FREE, OCCUPIED
 from tests.worldsim.recorded.made_logs import (
     HEIGHT,

@@ -15,7 +15,8 @@ from agent.encoding_options import PolygonOptions
 from agent.encodings.catalog import ENCODINGS
 from agent.replication.engine import DISSEMINATIONS
 from agent.strategies.meier import Meier
-from deploy.scenario.scenario import SHIPPED, Scenario, ScenarioError, load, parse
+from deploy.scenario.errors import ScenarioError
+from deploy.scenario.scenario import SHIPPED, Scenario, load, parse
 from protocol.budget import WORD_FOR_UNLIMITED
 from protocol.grid import MAX_ROBOTS
 from protocol.packets import MAX_MAPS

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from deploy.scenario.errors import ScenarioError
 from deploy.scenario.plan import make
-from deploy.scenario.scenario import Scenario, ScenarioError
+from deploy.scenario.scenario import Scenario
 from protocol.grid import FREE
 from worldsim.maps import Map
 

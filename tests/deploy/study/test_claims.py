@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from deploy.scenario.scenario import ScenarioError
+from deploy.scenario.errors import ScenarioError
 from deploy.study import experiment as experiments
 from deploy.study.claims import HOLDS, IN_PART, NOT, UNDECIDED, judge
 from tests.deploy.study.small_experiment import EXPERIMENT, write

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from agent.strategies.registry import strategies
-from deploy.scenario.scenario import ScenarioError, load
+from deploy.scenario.errors import ScenarioError
+from deploy.scenario.scenario import load
 from deploy.scenario.thesis import thesis_settings
 from deploy.study import experiment as experiments
 from deploy.study import runs

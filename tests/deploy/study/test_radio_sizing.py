@@ -10,7 +10,7 @@ import polars as pl
 import pytest
 from rich.console import Console
 
-from deploy.scenario.scenario import ScenarioError
+from deploy.scenario.errors import ScenarioError
 from deploy.study.progress import counting
 from murmur import compare, size_radios, sweep
 from protocol.presets import PRESETS

@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from deploy.commands.app import app
-from deploy.scenario.scenario import ScenarioError
+from deploy.scenario.errors import ScenarioError
 from deploy.study import measures, reproduction, runs
 from deploy.study.claims import UNDECIDED, judge
 from deploy.study.reproduction import CLAIMS, requested

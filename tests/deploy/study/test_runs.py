@@ -9,8 +9,9 @@ from typing import Any
 import polars as pl
 import pytest
 
+from deploy.scenario.errors import ScenarioError
 from deploy.scenario.plan import Plan
-from deploy.scenario.scenario import ScenarioError, parse
+from deploy.scenario.scenario import parse
 from deploy.study import experiment as experiments
 from deploy.study import measures, runs
 from deploy.study.results import Results

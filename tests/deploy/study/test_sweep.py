@@ -9,7 +9,7 @@ import polars as pl
 import pytest
 
 import murmur
-from deploy.scenario.scenario import ScenarioError
+from deploy.scenario.errors import ScenarioError
 from murmur import RunFailed, Scenario, compare, size, sweep
 from tests.deploy.study.small_experiment import EXPERIMENT, write
 

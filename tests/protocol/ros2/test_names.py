@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol.errors import ProtocolError
 from protocol.ros2.names import (
     NO_HASH,
     DataKey,
@@ -16,7 +13,6 @@ from protocol.ros2.names import (
     dds_type,
     demangled,
     mangled,
-    parse_data_key,
     qualified,
     ros_type,
 )
@@ -43,11 +39,6 @@ def test_a_service_has_the_key_of_rmw_zenoh() -> None:
 def test_humble_has_a_literal_instead_of_a_hash() -> None:
     key = DataKey(0, "/scan", "sensor_msgs/msg/LaserScan", NO_HASH)
     assert str(key) == "0/scan/sensor_msgs::msg::dds_::LaserScan_/TypeHashNotSupported"
-
-
-@given(data_keys)
-def test_keys_are_parsed_to_what_they_were_made_of(key: DataKey) -> None:
-    assert parse_data_key(str(key)) == key
 
 
 @given(types)
@@ -88,25 +79,3 @@ def test_a_node_has_a_namespace_with_one_slash() -> None:
     assert check_node("murmur", "team/r1/") == "/team/r1"
     with pytest.raises(ValueError, match="is not the name of a node"):
         check_node("my node", "/")
-
-
-@pytest.mark.parametrize(
-    ("key", "reason"),
-    [
-        ("0/scan", "has 2 parts instead of at least 4"),
-        (f"x/scan/std_msgs::msg::dds_::String_/{HASH}", "'x' is not a domain"),
-        (f"233/scan/std_msgs::msg::dds_::String_/{HASH}", "domain 233 is not from 0 to 232"),
-        (f"0/a-b/std_msgs::msg::dds_::String_/{HASH}", "'/a-b' in namespace '/' is not a name of ROS"),
-        (f"0/scan/std_msgs/String/{HASH}", "'String' is not a DDS type"),
-        ("0/scan/std_msgs::msg::dds_::String_/RIHS01_12", "'RIHS01_12' is not a type hash"),
-    ],
-)
-def test_a_malformed_key_gets_an_error_that_names_the_part(key: str, reason: str) -> None:
-    with pytest.raises(ProtocolError, match=reason):
-        parse_data_key(key)
-
-
-@given(st.text(max_size=80))
-def test_any_text_is_parsed_or_refused(text: str) -> None:
-    with contextlib.suppress(ProtocolError):
-        assert str(parse_data_key(text)) == text

@@ -1,0 +1,160 @@
+"""Flags that set settings of a scenario: most are derived from it, some have another name or unit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from deploy.commands.flags import (
+    RADIO,
+    ROBOTS,
+    RUN,
+    WORLD,
+    Command,
+    Flag,
+    duration_s,
+    named_values,
+    option,
+    position,
+    with_flags,
+)
+from protocol.presets import PRESETS
+from worldsim.sensor_options import LASERS, POSES
+
+SETTINGS = {
+    WORLD: {"map": "FILE|NAME", "map_seed": "S", "start": "X,Y"},
+    ROBOTS: {"robots": "N", "strategy": "NAME", "sensor_range": "METERS", "speed": "METERS"},
+    RADIO: {
+        "range": "METERS|P%", "bandwidth": "BYTES|unlimited", "map_encoding": "NAME", "dissemination": "NAME",
+        "tolerance": "CELLS",
+    },
+    RUN: {
+        "seed": "S", "steps": "MAX", "finish": "first|all", "bus": "zenoh|memory", "clock": "barrier|wall",
+    },
+}  # fmt: skip
+"""Settings with a flag of the same name, by group of the help, each with the metavar of its value."""
+
+
+@dataclass(frozen=True)
+class OwnFlag:
+    """A flag whose name, unit, or default differs from those of its setting."""
+
+    name: str
+    """Name of the flag, with underscores."""
+    kind: Any
+    """Type of its value."""
+    option: Any
+    """Its help, as `deploy.commands.flags.option` returns it."""
+    parse: Callable[[Any], Any] = lambda value: value
+    """Returns the value of the setting."""
+
+    @property
+    def flag(self) -> Flag:
+        """The flag, None by default."""
+        return self.name, Annotated[self.kind | None, self.option], None
+
+
+KEYS = {
+    "map_options.resolution": OwnFlag(
+        "resolution", float, option("METERS", "cell size of a generated map or a picture", WORLD)
+    ),
+    "laser.preset": OwnFlag(
+        "laser", str, option("NAME", f"a laser with its errors: {', '.join(LASERS)}", ROBOTS)
+    ),
+    "pose.preset": OwnFlag(
+        "pose", str, option("NAME", f"errors of the robots' poses: {', '.join(POSES)}", ROBOTS)
+    ),
+    "radio.preset": OwnFlag(
+        "radio",
+        str,
+        option("NAME", f"a radio preset (bandwidth, frame size, range): {', '.join(PRESETS)}", RADIO),
+    ),
+    "people.number": OwnFlag(
+        "people", int, option("N", "people who walk about in the building (docs/real-sensors.md)", WORLD)
+    ),
+    "step_s": OwnFlag(
+        "step",
+        str,
+        option("DURATION", "duration of a step with --clock wall, as 200ms (default 1s)", RUN),
+        duration_s,
+    ),
+}
+"""Flags of other settings, by the name of the setting."""
+
+
+def setting_flags(*without: str) -> Callable[[Command], Command]:
+    """Give a command a flag for each of `SETTINGS` but those in `without`.
+
+    The command receives the settings that the user gave as the dictionary `settings`.
+    """
+    flags = _derived_flags(without)
+    return lambda command: with_flags(command, flags, "settings", lambda **values: _given(values, {}))
+
+
+def run_flags(*without: str, more: dict[str, OwnFlag] | None = None) -> Callable[[Command], Command]:
+    """Give a command of one run the flags of `SETTINGS` and `KEYS` but those in `without`, and ``--set``.
+
+    Flags in `more` replace those of the same settings. The command receives the settings that the user gave as the
+    dictionary `settings`. It raises ValueError if ``--set`` and a flag give the same setting.
+    """
+    more = more or {}
+    own = {key: flag for key, flag in KEYS.items() if key not in without} | more
+    flags = [
+        *_derived_flags((*without, *more)),
+        *(each.flag for each in own.values()),
+        ("set_", SetOption, None),
+    ]
+
+    def given(set_: list[str] | None, **values: Any) -> dict[str, Any]:
+        settings = _given(values, own)
+        others = named_values(set_ or [], "set", "radius=0.2")
+        for key in sorted(others.keys() & settings.keys()):
+            flag = own[key].name if key in own else key
+            raise ValueError(f"set = '{key}=...': --{_dashed(flag)} is given, too; remove one of them")
+        return settings | others
+
+    return lambda command: with_flags(command, flags, "settings", given)
+
+
+def _given(values: dict[str, Any], own: Mapping[str, OwnFlag]) -> dict[str, Any]:
+    """Return the settings that flags give, by name of the setting."""
+    settings = {
+        key: flag.parse(value) for key, flag in own.items() if (value := values.pop(flag.name)) is not None
+    }
+    settings |= {name: value for name, value in values.items() if value is not None}
+    if "start" in settings:
+        settings["start"] = position(settings["start"])
+    return settings
+
+
+def _derived_flags(without: tuple[str, ...]) -> list[Flag]:
+    """Return a flag for each of `SETTINGS` but those in `without`, with the setting's type, text, and default."""
+    from deploy.scenario.scenario import Scenario  # noqa: PLC0415  not all commands have settings
+
+    flags = []
+    for group, names in SETTINGS.items():
+        for name, metavar in names.items():
+            if name in without:
+                continue
+            info = Scenario.model_fields[name]
+            kind: Any = info.annotation if info.annotation in (int, float) else str
+            has_default = info.default is not None and info.default_factory is None
+            text = f"{info.description}" + (f" (default {info.default})" if has_default else "")
+            flags.append(
+                (name, Annotated[kind | None, option(metavar, text, group, f"--{_dashed(name)}")], None)
+            )
+    return flags
+
+
+def _dashed(name: str) -> str:
+    """Return the name of a flag as the user writes it, without its dashes in front."""
+    return name.replace("_", "-")
+
+
+SetOption = Annotated[
+    list[str] | None,
+    option(
+        "KEY=VALUE", "any other setting, as radio.loss=0.1 or polygons.lazy=false; repeatable", RUN, "--set"
+    ),
+]

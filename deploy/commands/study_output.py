@@ -1,0 +1,56 @@
+"""The end of commands for many runs: tables of results, causes of failed runs, and exit codes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NoReturn
+
+import typer
+from rich.console import Console
+
+from deploy.commands.console import FILE_WIDTH, errors, fail, screen
+from deploy.run.exit_codes import BROKEN_OFF
+
+
+def report_sweep(sweep: Any) -> None:
+    """Print the causes of a sweep's failed runs, and its table of means; end the command if all runs failed."""
+    from deploy.commands import terminal  # noqa: PLC0415
+    from deploy.study.tables import tabulate  # noqa: PLC0415
+
+    report_failures(sweep.failures)
+    table, runs = sweep.experiment.table, len(sweep.rows)
+    if not runs and sweep.failures:
+        fail("all runs failed", BROKEN_OFF)
+    if runs:
+        of = f" of {len(sweep.cases)}" if runs < len(sweep.cases) else ""
+        intervals = " with 95 % intervals" if table.interval else ""
+        screen.print(f"{' '.join(table.values)}, means of {runs}{of} runs{intervals}")
+        print_table(terminal.table(tabulate(table, sweep.rows)))
+
+
+@contextmanager
+def stopping(out: Path | None) -> Iterator[None]:
+    """On Ctrl-C, print how to continue."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        fail("stopped" + (f"; the same command continues from {out}" if out is not None else ""), 130)
+
+
+def end_study(failures: dict[str, int], code: int = 0) -> NoReturn:
+    """End the command with a code for its result, or with `BROKEN_OFF` if runs have failed."""
+    raise typer.Exit(BROKEN_OFF if failures else code)
+
+
+def print_table(table: Any) -> None:
+    """Print a table, as wide as the terminal or `FILE_WIDTH`."""
+    paper = screen if screen.is_terminal else Console(width=FILE_WIDTH, highlight=False, markup=False)
+    paper.print(table)
+
+
+def report_failures(causes: dict[str, int]) -> None:
+    """Print the causes of failed runs."""
+    for cause, count in causes.items():
+        errors.print(f"{count} run{'s' if count > 1 else ''} failed: {cause}")
