@@ -93,7 +93,7 @@ def sweep(
     read = experiments.quickened(read) if quick else read
     read = experiments.override(experiments.choose(read, variant or []), settings)
     with Results(out) as results:
-        done = Sweep(read, cases(read), results)
+        done = Sweep(cases(read), results, read)
         try:
             with stopping(out):
                 done.make(jobs=jobs, scheduler=scheduler, retry=retry)

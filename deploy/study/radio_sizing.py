@@ -9,7 +9,6 @@ from collections import Counter
 from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,7 +26,7 @@ from deploy.study.plots import Plot
 from deploy.study.progress import Report, counting
 from deploy.study.requirements import MIN_MAP_ACCURACY, Requirements
 from deploy.study.results import Results, Row, make_folder, write_table
-from deploy.study.runs import PLACE, Case, cases, failures, looked_up, make
+from deploy.study.runs import PLACE, Case, StudyRuns, cases, failures, looked_up, make
 from deploy.study.sizing import METRICS, SEEDS
 from deploy.study.statistics import Interval, interval
 from deploy.study.sweep import as_text, of_settings
@@ -108,35 +107,19 @@ HEAD = [
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class RadioSizing:
+class RadioSizing(StudyRuns):
     """The smallest team for each radio; a notebook shows the sentences, curves and table.
 
     Attributes
     ----------
     answers : list of RadioAnswer
         One per radio, in the given order.
-    cases : list of Case
-        The runs.
-    results : Results
-        The table of runs, which includes their series.
     goal : str
         The requirements, as text.
     """
 
     answers: list[RadioAnswer]
-    cases: list[Case]
-    results: Results
     goal: str
-
-    @cached_property
-    def rows(self) -> list[Row]:
-        """The successful runs, each with its ``place``."""
-        return looked_up(self.cases, self.results)
-
-    @cached_property
-    def failures(self) -> dict[str, int]:
-        """Error messages of failed runs, and their counts."""
-        return failures(self.cases, self.results)
 
     @property
     def lines(self) -> list[list[str]]:
@@ -255,7 +238,7 @@ def size_radios(
         if not looked_up(run, results):
             raise RunFailed(f"all runs failed: {as_text(failures(run, results))}")
         answers = [_answer(name, run, looked_up(run, results), requirements) for name in radio]
-    return RadioSizing(answers, run, results, f"{short(map)} {requirements}")
+    return RadioSizing(run, results, answers, f"{short(map)} {requirements}")
 
 
 def _search(

@@ -112,7 +112,7 @@ def reproduce(
     make(every, results, workers, report, retry=retry)
     judged = []
     for listed in todo.values():
-        parts = [Sweep(each, some, results) for each, some in listed]
+        parts = [Sweep(some, results, each) for each, some in listed]
         claims = [part.experiment.claim for part in parts if part.experiment.claim is not None]
         if claims:
             rules = ((claim.rule, part.rows) for claim, part in zip(claims, parts, strict=True))

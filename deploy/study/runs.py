@@ -13,7 +13,7 @@ import zlib
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
@@ -174,6 +174,32 @@ def failures(todo: Iterable[Case], results: Results) -> dict[str, int]:
     """Error messages and their counts."""
     rows = results.rows({case.key for case in todo}).values()
     return dict(Counter(row[ERROR] for row in rows if row[ERROR] is not None))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class StudyRuns:
+    """The runs of a study.
+
+    Attributes
+    ----------
+    cases : list of Case
+        All cases, in the order of the study.
+    results : Results
+        The table of runs, which includes their series.
+    """
+
+    cases: list[Case]
+    results: Results
+
+    @cached_property
+    def rows(self) -> list[Row]:
+        """The successful runs, each with its ``place`` in the study."""
+        return looked_up(self.cases, self.results)
+
+    @cached_property
+    def failures(self) -> dict[str, int]:
+        """Error messages of failed runs, and their counts."""
+        return failures(self.cases, self.results)
 
 
 def run_case(case: Case) -> Row:

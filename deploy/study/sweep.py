@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,8 +19,8 @@ from deploy.study import paper_tables, plots
 from deploy.study.experiment import Experiment
 from deploy.study.figure_style import DEFAULT, FigureStyle
 from deploy.study.progress import counting
-from deploy.study.results import Results, Row, make_folder
-from deploy.study.runs import Case, cases, failures, looked_up, make
+from deploy.study.results import Results, make_folder
+from deploy.study.runs import StudyRuns, cases, make
 from deploy.study.tables import DEFAULT_METRICS, VARIANT, Table, described, means, short, tabulate
 
 if TYPE_CHECKING:
@@ -29,21 +28,15 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Sweep:
+class Sweep(StudyRuns):
     """The runs of an experiment; a notebook shows the table of means.
 
     Attributes
     ----------
     experiment : Experiment
-    cases : list of Case
-        All cases in the order of the grid.
-    results : Results
-        The table of runs, which includes their series.
     """
 
     experiment: Experiment
-    cases: list[Case]
-    results: Results
 
     def make(
         self, *, jobs: int | None, scheduler: str | None, progress: bool = True, retry: bool = False
@@ -52,16 +45,6 @@ class Sweep:
         pool = workers(jobs, scheduler)
         with counting(Console(stderr=True, quiet=not progress), self.experiment.name) as report:
             make(self.cases, self.results, pool, report, retry=retry)
-
-    @cached_property
-    def rows(self) -> list[Row]:
-        """The successful runs, each with its ``place`` in the grid."""
-        return looked_up(self.cases, self.results)
-
-    @cached_property
-    def failures(self) -> dict[str, int]:
-        """Error messages and their counts."""
-        return failures(self.cases, self.results)
 
     @property
     def runs(self) -> pl.DataFrame:
@@ -166,7 +149,7 @@ def run(
     if out is not None:
         make_folder(out.parent)
     with Results(out) as results:
-        done = Sweep(experiment, todo, results)
+        done = Sweep(todo, results, experiment)
         done.make(jobs=jobs, scheduler=scheduler, progress=progress)
     if not done.rows and done.failures:
         raise RunFailed(f"all runs failed: {as_text(done.failures)}")
