@@ -32,7 +32,9 @@ $(VENV)/dev.stamp: $(VENV)/main.stamp
 demo: setup
 	$(BIN)/murmur explore --map office --robots 5 --bandwidth 50
 
+# Kernels may have changed since the last set-up.
 test: $(VENV)/dev.stamp check
+	$(BIN)/murmur setup
 	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 # All but the tests of commands, reports, studies, captures and swarms of processes.
