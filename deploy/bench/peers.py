@@ -63,6 +63,8 @@ def peers(chosen: Sequence[Peer] = PEERS) -> Iterator[Measurement]:
     ------
     ConnectionError
         A run failed.
+    RunFailed
+        All runs of a peer failed.
     """
     for peer in chosen:
         experiment = experiments.quickened(experiments.read(Path(peer.experiment)))
