@@ -71,6 +71,7 @@ class Kernel:
         """The function that numba compiled, or read from its cache."""
         try:
             dispatcher = import_numba().njit(cache=True, error_model="numpy")(self.function)
+            _add_to_key(dispatcher._cache, self.digest)
         except RuntimeError:  # the cache has no directory that can be written
             dispatcher = import_numba().njit(error_model="numpy")(self.function)
         with _before_compiling(dispatcher, self._prepare):
@@ -304,6 +305,12 @@ def _print(text: str, *, last: bool = False) -> None:
         over = _is_terminal()
         end = "\n" if last or not over else ""
         print(f"\r{text:<76}" if over else text, end=end, file=sys.stderr, flush=True)
+
+
+def _add_to_key(cache: Any, digest: str) -> None:
+    """Let numba's cache of a function also depend on `digest`: called kernels may be in other modules."""
+    key_of = cache._index_key
+    cache._index_key = lambda signature, codegen: (*key_of(signature, codegen), digest)
 
 
 @contextmanager

@@ -24,7 +24,9 @@ app = command_family()
 MAX_COMPILERS = 4
 """Processes that compile kernels at once, at most; each needs half a gigabyte."""
 
-WITHOUT_LIBRARY = "no library, so each process loads numba (130 MB, 1.7 s): with a C compiler, `murmur setup` builds it"
+WITHOUT_LIBRARY = (
+    "no library, so each process loads numba (130 MB, 1.7 s): with a C compiler, `murmur setup` builds it"
+)
 
 
 @app.command()

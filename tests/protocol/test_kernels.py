@@ -116,6 +116,17 @@ def test_a_kernel_that_calls_kernels_of_the_cache_can_be_compiled(tmp_path: Path
     assert call(tmp_path, command).stdout == "24 2 0\n"
 
 
+def test_a_kernel_is_compiled_again_if_one_that_it_calls_has_changed_in_another_module(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "sums.py").write_text(MODULE)
+    (tmp_path / "more.py").write_text(CALLER)
+    command = "import more; print(more.eight_times(3))"
+    assert call(tmp_path, command).stdout == "24\n"
+    (tmp_path / "sums.py").write_text(MODULE.replace("number + number", "number + number + 1"))
+    assert call(tmp_path, command).stdout == "31\n"
+
+
 PARALLEL = """
 import sums
 from protocol.kernels import compile_in_parallel, compiled, loaded
