@@ -12,6 +12,9 @@ the lengths of all tours and of the longest one count as well (`agent.planning.t
 from some distance, so each goal is a neighborhood. Each robot drives to the first goal of its own tour, and plans anew
 in every step.
 
+Long tours cost time only if robots are scarce. So the weight of the lengths of all tours decreases when the team has
+more robots than goals of large gain: at the start, in narrow corridors, and toward the end. Then more robots get tours.
+
 A robot does not drive up to a small frontier. It observes it from a viewpoint that lies on or near its tour
 (`agent.planning.viewpoint`).
 
@@ -52,7 +55,11 @@ PLENTY = 1 / 8
 """A goal whose expected gain is at least this share of the sensor's disc has weight 1."""
 
 WORTHWHILE = 1 / 2
-"""A robot without a tour follows teammates to a goal of at least this weight."""
+"""A robot without a tour follows teammates to goals whose gain is at least this share of the largest one. In narrow
+corridors, all gains are small."""
+
+LEAST_WORTH = 1 / 20
+"""Weight by expected gain below which a goal does not need a second robot."""
 
 SAME = 1 / 4
 """A goal within this many sensor ranges of a robot's last target counts as the same target."""
@@ -74,8 +81,11 @@ SINGLE_ROBOT_HYSTERESIS = 1 / 4
 MAX_GOALS = 96
 """Approximate limit of the goals of a plan: every step searches the ways between all pairs of them."""
 
+SMALL_FRONTIER = 1 / 4
+"""Longest frontier segment, in sensor ranges, that is observed from a viewpoint; longer ones show more from near by."""
+
 SMALL_FRONTIER_CELLS = 2
-"""Longest frontier segment, in cells, that is observed from a viewpoint; longer ones show more from near by."""
+"""A segment of at most this many cells is observed from a viewpoint even if the sensor range is short."""
 
 AHEAD = 5
 """Goals after the next one that influence the choice of its viewpoint."""
@@ -102,7 +112,9 @@ class Options(Parts):
         0.2, "growth of a goal's weight per sensor range of way until it is reached", least=0
     )
     longest_tour: float = option(6.0, "weight of the length of the longest tour", least=0)
-    total_length: float = option(6.0, "weight of the lengths of all tours", least=0)
+    total_length: float = option(
+        6.0, "weight of the lengths of all tours; less with more robots than goals of large gain", least=0
+    )
     viewpoint_range: float = option(
         0.9, "sensor ranges from which a small frontier is observed; 0: robots drive up to it", least=0
     )
@@ -210,7 +222,8 @@ class Repairmen(TeamStrategy):
         self._tour = []
         chosen = super().choose(situation, goals, planner)
         numbers = self._tour[: 1 + AHEAD]
-        self._next = goals[numbers], self._lengths[numbers] <= SMALL_FRONTIER_CELLS
+        small_cells = max(SMALL_FRONTIER_CELLS, SMALL_FRONTIER * self.settings.scale_cells)
+        self._next = goals[numbers], self._lengths[numbers] <= small_cells
         return chosen
 
     def stand(self, situation: Situation, planner: PathPlanner) -> Cell | None:
@@ -261,13 +274,14 @@ class Repairmen(TeamStrategy):
         ways, between = (np.maximum(costs - near, REMAINS * costs) for costs in (nearer, self._between))
         gain = expected_gain(situation.grid, table.goals, self._lengths, range_cells)
         worth = np.minimum(gain / PLENTY, 1.0)
+        demand = min(1.0, math.fsum(worth) / len(table.robots))
         task = Task(
             starts=ways,
             between=between,
             weights=worth + self.options.small_frontier,
             latency_weight=np.full(len(table.goals), self.options.latency_weight / (2 * range_cells)),
             last=self.options.longest_tour,
-            way=self.options.total_length,
+            way=self.options.total_length * demand,
             loads=self.options.expected_work * range_cells * worth,
         )
         tours = team_tours(task)
@@ -295,11 +309,11 @@ class Repairmen(TeamStrategy):
 
 
 def _follow(firsts: Assignment, ways: FloatRows, worth: Floats) -> Assignment:
-    """Send robots without a tour after their teammates, to goals of large expected gain.
+    """Send robots without a tour after their teammates, to the goals of largest expected gain.
 
     Each follows to the nearest one of those worthwhile goals to which the fewest robots drive. `firsts` is changed.
     """
-    worthwhile = np.flatnonzero(worth >= WORTHWHILE).tolist()
+    worthwhile = np.flatnonzero(worth >= max(LEAST_WORTH, WORTHWHILE * worth.max(initial=0.0))).tolist()
     headed = Counter(firsts.tolist())
     for robot in np.flatnonzero(firsts < 0).tolist() if worthwhile else ():
         fewest = min(headed[goal] for goal in worthwhile)
