@@ -344,6 +344,7 @@ class Robot:
     def _publish(self) -> None:
         """Append all withheld entries to the log."""
         self.replication.append(self._withheld)
+        self.replication.urgency = self._encoding.urgency
         self._withheld = []
 
 
