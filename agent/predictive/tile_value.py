@@ -17,8 +17,8 @@ from protocol.arrays import Floats
 from protocol.grid import FREE, UNKNOWN, Grid
 from protocol.kernels import kernel
 
-FRONTIER_CELLS = 3
-"""Value of a closed frontier cell, in new cells."""
+FRONTIER_CELLS = 5
+"""Value of a closed frontier cell, in new cells. Within a tolerance, a few walls close a long frontier."""
 
 FREE_TILE_BYTES, TILE_BYTES = 0.12, 2.0
 """Typical bytes of a tile that is new and free, and of any other one."""
@@ -80,9 +80,7 @@ def _is_frontier(target: Grid, received: Grid, tiles: Grid, x: int, y: int) -> b
 
 
 @kernel
-def _rate(
-    target: Grid, received: Grid, tiles: Grid, cells: Floats, size: Floats, opened: Floats
-) -> None:
+def _rate(target: Grid, received: Grid, tiles: Grid, cells: Floats, size: Floats, opened: Floats) -> None:
     """Write the value of each marked tile, its bytes, and the number of its new frontier cells."""
     rows, columns = tiles.shape
     height, width = target.shape

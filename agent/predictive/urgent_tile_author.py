@@ -65,11 +65,13 @@ class UrgentTileAuthor(TileAuthor):
         complete = useful & (values.is_complete | (self._waiting_since <= self._step - LONGEST_WAIT))
         if useful.any():
             places = np.flatnonzero(complete if complete.any() else useful)
-            rank = -values.cells.reshape(-1)[places] / values.size.reshape(-1)[places]
+            order = np.argsort(
+                -values.cells.reshape(-1)[places] / values.size.reshape(-1)[places], kind="stable"
+            )
         else:
             places = np.flatnonzero(self._violate)
-            rank = self._waiting_since.reshape(-1)[places]
-        places = places[np.argsort(rank, kind="stable")]
+            order = np.argsort(self._waiting_since.reshape(-1)[places], kind="stable")
+        places = places[order]
         sizes = np.cumsum(values.size.reshape(-1)[places])
         chosen.reshape(-1)[places[: max(1, int(np.searchsorted(sizes, most, side="right")))]] = True
         return chosen
