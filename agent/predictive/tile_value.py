@@ -20,7 +20,7 @@ from protocol.kernels import kernel
 FRONTIER_CELLS = 5
 """Value of a closed frontier cell, in new cells. Within a tolerance, a few walls close a long frontier."""
 
-FREE_TILE_BYTES, TILE_BYTES = 0.12, 2.0
+FREE_TILE_BYTES, OTHER_TILE_BYTES = 0.12, 2.0
 """Typical bytes of a tile that is new and free, and of any other one."""
 
 OPEN_CELLS = 2
@@ -101,4 +101,4 @@ def _rate(target: Grid, received: Grid, tiles: Grid, cells: Floats, size: Floats
                     closed += not now and _is_frontier(target, received, nothing, x, y)
             cells[tile] = new + FRONTIER_CELLS * closed
             opened[tile] = opens
-            size[tile] = FREE_TILE_BYTES if is_free else TILE_BYTES
+            size[tile] = FREE_TILE_BYTES if is_free else OTHER_TILE_BYTES

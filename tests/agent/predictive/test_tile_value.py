@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from agent.mapping.bound import TILE, tiles_of
-from agent.predictive.tile_value import FREE_TILE_BYTES, FRONTIER_CELLS, OPEN_CELLS, TILE_BYTES, tile_values
+from agent.predictive.tile_value import (
+    FREE_TILE_BYTES,
+    FRONTIER_CELLS,
+    OPEN_CELLS,
+    OTHER_TILE_BYTES,
+    tile_values,
+)
 from protocol.grid import FREE, UNKNOWN, Grid
 
 HEIGHT, WIDTH = 29, 35
@@ -52,5 +58,5 @@ def test_values_are_those_of_a_plain_implementation(seed: int) -> None:
         opened = sum(new[at] for at in cells & left)
         assert values.is_complete[row, column] == (opened <= OPEN_CELLS)
         is_free = all(new[at] and target[at] == FREE for at in cells)
-        assert values.size[row, column] == (FREE_TILE_BYTES if is_free else TILE_BYTES)
+        assert values.size[row, column] == (FREE_TILE_BYTES if is_free else OTHER_TILE_BYTES)
     assert values.size[0, 0] == FREE_TILE_BYTES
