@@ -56,7 +56,7 @@ SURE_AFTER_NOISE = 3
 not wait if nothing would be left even if all walls were open of which it is not certain."""
 
 SURE_AFTER_NOISE_IN_TEAM = 1
-"""The same in a team without people in the building: a second robot must agree (`worldsim.ending`)."""
+"""The same in a team: a second robot must agree (`worldsim.ending`)."""
 
 SURE_AFTER_LOG = 20
 """Steps for which a robot that replays a log must have nothing to deliver: changes may wait until they are encoded."""
@@ -79,8 +79,7 @@ def sure_after(settings: Settings) -> int:
     if not encoding_class(settings.encoding.name).infers_cells(settings):
         if settings.laser is None:
             return 0
-        is_safe = settings.robots > 1 and not settings.people
-        return SURE_AFTER_NOISE_IN_TEAM if is_safe else SURE_AFTER_NOISE
+        return SURE_AFTER_NOISE_IN_TEAM if settings.robots > 1 else SURE_AFTER_NOISE
     return 2 * SURE_AFTER if settings.replication.requires_acks else SURE_AFTER
 
 
@@ -344,6 +343,7 @@ class Robot:
     def _publish(self) -> None:
         """Append all withheld entries to the log."""
         self.replication.append(self._withheld)
+        self.replication.urgency = self._encoding.urgency
         self._withheld = []
 
 

@@ -34,6 +34,7 @@ from agent.predictive.shared_decoder import CachedReader, SharedDecoderCache
 from agent.predictive.stream import Stream
 from agent.predictive.tile_author import TileAuthor
 from agent.predictive.tile_stream import TileStream
+from agent.predictive.urgent_tile_author import UrgentTileAuthor
 from agent.settings import Settings
 from protocol.errors import ProtocolError
 from protocol.grid import Grid, ray_table
@@ -155,8 +156,9 @@ class PredictiveEncoding(GridEncoding):
         assert isinstance(stream, TileStream)
         settled = 1 if settings.laser is None else SETTLED
         bound, patience = Bound(settings.encoding.tolerance, settled), self._options.patience
-        at_once = settings.medium.bandwidth.limit is not None and patience == 1
-        return TileAuthor(stream, bound, patience, at_once=at_once)
+        if settings.medium.bandwidth.limit is not None and patience == 1:
+            return UrgentTileAuthor(stream, bound)
+        return TileAuthor(stream, bound, patience)
 
     def _stream(self, map_id: int, histories: Sequence[History]) -> Stream:
         """Make the encoder or decoder of a log, at its beginning."""
@@ -216,6 +218,7 @@ class PredictiveEncoding(GridEncoding):
             if encoded is None:
                 break
             message, self._last = encoded
+            self.urgency = author.urgency
             self._count_votes(self._last)
             packets += fragments(message, log.updates, limits.packet_bytes, limits.fragment_bytes)
             log.ends.append(log.packets + len(packets))

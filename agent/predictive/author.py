@@ -21,6 +21,8 @@ class Author(ABC, Generic[AnyStream]):
 
     def __init__(self, stream: AnyStream) -> None:
         self.stream = stream
+        self.urgency: float | None = None
+        """How much the last update changes the plans of teammates, per byte; None: updates have no ranks."""
 
     @property
     @abstractmethod

@@ -7,10 +7,6 @@ update begins with some bytes of its own. Fewer suffice if one has waited for `L
 stands still.
 
 The option `patience` multiplies all of these numbers but `QUIET_STEPS`.
-
-While robots explore with a limited budget, its unused rest is worth nothing, and a late tile sends teammates to places
-that this robot has seen. Then a single ready tile suffices: the encoding asks for an update only if teammates hold the
-last one, so updates are as frequent as the budget allows. Tiles are ready after `FEW_QUIET_STEPS`.
 """
 
 from __future__ import annotations
@@ -33,9 +29,6 @@ from protocol.scans import Change, Scan
 QUIET_STEPS = 3
 """Steps without a change after which a tile is encoded."""
 
-FEW_QUIET_STEPS = 2
-"""The same if updates are as frequent as the budget allows."""
-
 LONGEST_WAIT = 10
 """Steps after which a tile is encoded although it still changes."""
 
@@ -52,14 +45,13 @@ _NEVER = 1 << 40
 
 
 class TileAuthor(Author[TileStream]):
-    """Encodes the tiles in which receivers' copies may lie outside the tolerance.
+    """Encodes the tiles in which receivers' copies may lie outside the tolerance."""
 
-    With `at_once`, no ready tile waits for others.
-    """
-
-    def __init__(self, stream: TileStream, bound: Bound, patience: int = 1, *, at_once: bool = False) -> None:
+    def __init__(
+        self, stream: TileStream, bound: Bound, patience: int = 1, *, quiet_steps: int = QUIET_STEPS
+    ) -> None:
         super().__init__(stream)
-        self._at_once, self._quiet_steps = at_once, FEW_QUIET_STEPS if at_once else QUIET_STEPS
+        self._quiet_steps = quiet_steps
         self._enough_tiles, self._interval = patience * ENOUGH_TILES, patience * INTERVAL
         self._longest_wait = patience * LONGEST_WAIT
         height, width = stream.grid.shape
@@ -77,6 +69,8 @@ class TileAuthor(Author[TileStream]):
         """The step since which each tile has been waiting; `_NEVER` if it fulfills the bound."""
         self._encoded = self._waiting_since
         """`_waiting_since` before the last update."""
+        self._chosen: NDArray[np.bool_] = np.zeros(shape, np.bool_)
+        """The tiles that `encode` chose last."""
 
     @property
     def has_changes(self) -> bool:
@@ -103,17 +97,21 @@ class TileAuthor(Author[TileStream]):
         Ready tiles that fulfill the bound stop waiting.
         """
         del received
-        ready = self._ready()
-        if not ready.any():
-            return False
-        violate = self.stream.violations(own, log_odds, self._bound, ready.view(np.uint8))
-        since = self._waiting_since
-        since[ready & ~violate] = _NEVER
-        if np.count_nonzero(violate) >= (1 if self._at_once else self._enough_tiles):
+        violate = self._drop_fulfilled(own, log_odds)
+        if np.count_nonzero(violate) >= self._enough_tiles:
             return True
         stands_still = violate.any() and self._arrived <= self._step - self._quiet_steps
-        is_late = (since[violate] <= self._step - self._longest_wait).any()
+        is_late = (self._waiting_since[violate] <= self._step - self._longest_wait).any()
         return bool((stands_still or is_late) and self._step >= self._last_step + self._interval)
+
+    def _drop_fulfilled(self, own: Grid, log_odds: Int8Grid) -> NDArray[np.bool_]:
+        """Return the ready tiles that violate the bound; those that fulfill it stop waiting."""
+        ready = self._ready()
+        if not ready.any():
+            return ready
+        violate = self.stream.violations(own, log_odds, self._bound, ready.view(np.uint8))
+        self._waiting_since[ready & ~violate] = _NEVER
+        return violate
 
     def _ready(self) -> NDArray[np.bool_]:
         """Return the tiles that may be encoded."""
@@ -123,24 +121,30 @@ class TileAuthor(Author[TileStream]):
         return ready
 
     def encode(self, own: Grid, log_odds: Int8Grid, most: float) -> tuple[bytes, DecodedUpdate] | None:
-        """Encode an update of the tiles that are ready; the first ones to wait, if they exceed `most` bytes."""
-        since, ready = self._waiting_since, self._ready()
-        places = np.flatnonzero(ready)
-        limit = max(1, int(min(most / TILE_BYTES, len(places))))
-        if len(places) > limit:
-            first = places[np.argsort(since.reshape(-1)[places], kind="stable")[:limit]]
-            ready[:] = False
-            ready.reshape(-1)[first] = True
-        if not len(places):
+        """Encode an update of tiles that are ready, of about `most` bytes."""
+        since = self._waiting_since
+        self._chosen = chosen = self._choose(most)
+        if not chosen.any():
             return None
         before = since.copy()
-        encoded = self.stream.encode(own, log_odds, self._bound, ready.view(np.uint8), self._pose)
+        encoded = self.stream.encode(own, log_odds, self._bound, chosen.view(np.uint8), self._pose)
         if encoded is not None:
             self._encoded, self._last_step = before, self._step
             for box in (encoded[1].box, *self.stream.bases):
                 self._wait(box)  # cells of other tiles may have relied on walls that are gone
-        since[ready] = _NEVER
+        since[chosen] = _NEVER
         return encoded
+
+    def _choose(self, most: float) -> NDArray[np.bool_]:
+        """Return the tiles of the next update: those that are ready, or the first ones to wait."""
+        chosen = self._ready()
+        places = np.flatnonzero(chosen)
+        limit = max(1, int(min(most / TILE_BYTES, len(places))))
+        if len(places) > limit:
+            first = places[np.argsort(self._waiting_since.reshape(-1)[places], kind="stable")[:limit]]
+            chosen[:] = False
+            chosen.reshape(-1)[first] = True
+        return chosen
 
     def retract(self) -> None:
         """Take back the last update; its tiles wait again."""

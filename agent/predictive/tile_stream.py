@@ -33,14 +33,15 @@ class TileStream(Stream):
         super().__init__(map_id, grid, *args, **options)
         self._chances, self._ages, self._weights = start_model()
         self._last_box = np.zeros(4, np.int64)
-        self._target = np.empty_like(grid)
+        self.target = np.empty_like(grid)
+        """The states that receivers shall hold in and around the tiles of the last call of `violations` or `encode`."""
         self._changed = np.zeros(tiles_of(*grid.shape), np.uint8)
         self.bases: list[Box] = []
         """Boxes of the other maps' updates on which the last encoded update was the first to depend."""
 
     def violations(self, own: Grid, log_odds: Int8Grid, bound: Bound, tiles: Grid) -> NDArray[np.bool_]:
         """Return which of the marked tiles violate the bound; the parameters are those of `encode`."""
-        bound.apply(own, log_odds, self.grid, tiles, self._target, self._changed)
+        bound.apply(own, log_odds, self.grid, tiles, self.target, self._changed)
         return self._changed.astype(np.bool_)
 
     def encode(
@@ -66,7 +67,7 @@ class TileStream(Stream):
         (message, update)
             None if all cells of the tiles fulfill the bound already; the stream is unchanged then.
         """
-        size, buffers = FIRST_BUFFER, (self._target, self._changed)
+        size, buffers = FIRST_BUFFER, (self.target, self._changed)
         if not bound.apply(own, log_odds, self.grid, tiles, *buffers):
             return None
         rows, columns = np.nonzero(tiles)
@@ -84,7 +85,7 @@ class TileStream(Stream):
             code_pose(coder, self._motion, *pose)
             has_tiles = bound.apply(own, log_odds, self.grid, tiles, *buffers) > 0
             code_bit(coder, contexts.HAS_TILES, int(has_tiles), REST_MOST)
-            update = self._code_tiles(coder, self._target, has_tiles=has_tiles)
+            update = self._code_tiles(coder, self.target, has_tiles=has_tiles)
             if not state[FAILED]:
                 message = written(state, data)
                 return message, self._add(update, message)

@@ -33,6 +33,8 @@ class Replication(ABC):
         self.logs = replica.logs
         self.salt: int | None = None
         """Salt of the next digest, below 2**7, which no other robot can predict; None: this robot sends no digests."""
+        self.urgency: float | None = None
+        """How much the entries appended last change the plans of peers, per byte; None: entries have no ranks."""
         self._digest_step = INTERVAL * (self.peers.robots - self.peers.robot)
         """The step in which to send the next regular digest; robots take turns."""
         self.ended: frozenset[int] = frozenset()

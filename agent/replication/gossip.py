@@ -67,7 +67,10 @@ class Gossip(Replication):
         self._reported: Table = np.full(len(peers.maps), -PATIENCE, np.int64)
         """The step in which this robot last reported each map."""
         self._idle_since = 0
-        """The last step in which this robot had nothing to send, or sent something."""
+        """The last step in which this robot had nothing to send, or sent something.
+
+        Without ranks of entries, also one in which the rest of a budget was too small for it.
+        """
         self._builder = FrameBuilder()
 
     def open_round(self, number: int, in_range: list[int], budget: int | None) -> list[OutgoingFrame]:
@@ -92,10 +95,16 @@ class Gossip(Replication):
         payload = self._builder.payload
         if not payload:
             self._builder = FrameBuilder()  # without handlers, which refer to this object
-            self._idle_since = step
-        unfinished = self.replica.last_append < self.shared < len(self.replica.own_log)
+            if number == 0 or self.urgency is None:
+                self._idle_since = step
+        has_own = self.shared < len(self.replica.own_log)
         self.priority = self._policy.priority(
-            served, len(payload), step - self._idle_since, parted=self._parted, unfinished=unfinished
+            served,
+            len(payload),
+            step - self._idle_since,
+            parted=self._parted,
+            unfinished=has_own and self.replica.last_append < self.shared,
+            urgency=self.urgency if has_own else None,
         )
         return [OutgoingFrame(EVERYONE, payload)] if payload else []
 

@@ -147,18 +147,30 @@ class GossipPolicy:
         waited = self._step - self._since.item(peer, number)
         return candidates.index(self._peers.robot) <= waited // self._turn
 
-    def priority(self, served: int | None, size: int, waited: int, *, parted: bool, unfinished: bool) -> int:
+    def priority(
+        self,
+        served: int | None,
+        size: int,
+        waited: int,
+        *,
+        parted: bool,
+        unfinished: bool,
+        urgency: float | None = None,
+    ) -> int:
         """Return the priority of a frame of `size` bytes that waited for some steps, given the first served peer.
 
         If robots have been out of range (`parted`): the more that peer holds, the higher. Else frames come first that
         are `unfinished`: a part of the entries appended last has been on the air, and the rest has not. Other frames
-        rank by how few entries the peer lacks, and by their size.
+        rank by the product of their `urgency`, at least 1, and the steps that they waited. Where entries have no
+        urgency, they rank by how few entries the peer lacks, and by their size.
         """
         if parted:
             held = 0 if served is None else int(self._peers.expected[served].sum())
             priority = min(MAX_HELD_PRIORITY, held // HELD_PER_PRIORITY)
         elif unfinished:
             return MAX_PRIORITY
+        elif urgency is not None:
+            return min(MAX_PRIORITY - 1, int(max(1.0, urgency) * (1 + waited)))
         else:
             lacks = 0 if served is None else sum(self._lacks[served].values())
             priority = max(0, KEEPING_UP - lacks) + min(LONG, size)

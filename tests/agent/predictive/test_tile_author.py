@@ -13,13 +13,13 @@ from agent.predictive.history import DecodedUpdate, History
 from agent.predictive.scan_updates import STATE
 from agent.predictive.tile_author import (
     ENOUGH_TILES,
-    FEW_QUIET_STEPS,
     INTERVAL,
     LONGEST_WAIT,
     QUIET_STEPS,
     TileAuthor,
 )
 from agent.predictive.tile_stream import TileStream
+from agent.predictive.urgent_tile_author import FEW_QUIET_STEPS, LEAST_CELLS, UrgentTileAuthor
 from protocol.boxes import NO_BOX, Box
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.scans import Change, Scan
@@ -38,9 +38,9 @@ def make_stream() -> TileStream:
 class Mapper:
     """A robot that writes an estimate by hand, and the author of its log."""
 
-    def __init__(self, tolerance: int = 1, *, at_once: bool = False) -> None:
+    def __init__(self, tolerance: int = 1, author: type[TileAuthor] = TileAuthor) -> None:
         self.tolerance = tolerance
-        self.author = TileAuthor(make_stream(), Bound(tolerance, SETTLED), at_once=at_once)
+        self.author = author(make_stream(), Bound(tolerance, SETTLED))
         self.own: Grid = np.zeros((HEIGHT, WIDTH), np.uint8)
         self.log_odds = np.zeros((HEIGHT, WIDTH), np.int8)
         self.step = 0
@@ -62,7 +62,7 @@ class Mapper:
         """Play a step; return the updates that the author writes, of `most` bytes as the encoding counts them."""
         self.add(change or Change(0, NO_BOX))
         updates: list[DecodedUpdate] = []
-        if self.author.has_changes and self.author.is_due(self.own, self.log_odds, self.own):
+        if self.author.has_changes and self.author.is_due(self.own, self.log_odds, self.held):
             while most > 0 and (encoded := self.author.encode(self.own, self.log_odds, most)) is not None:
                 updates.append(encoded[1])
                 most -= len(encoded[0])
@@ -95,14 +95,55 @@ def test_many_tiles_are_sent_as_soon_as_they_have_stopped_changing() -> None:
     assert not mapper.author.has_changes
 
 
-def test_a_limited_budget_lets_no_ready_tile_wait_for_others() -> None:
-    mapper = Mapper(at_once=True)
+def test_with_a_limited_budget_no_ready_tile_waits_for_others() -> None:
+    mapper = Mapper(author=UrgentTileAuthor)
     for _ in range(2):
         sent = [mapper.play(mapper.draw(SMALL, FREE))] + [mapper.play() for _ in range(FEW_QUIET_STEPS)]
         assert [len(updates) for updates in sent] == [0] * FEW_QUIET_STEPS + [1]
         mapper.play(mapper.draw(SMALL, OCCUPIED))
         assert not mapper.play()
         assert mapper.play(), "no interval between updates"
+
+
+def test_with_a_limited_budget_new_cells_are_sent_before_other_corrections() -> None:
+    mapper = Mapper(author=UrgentTileAuthor)
+    for _ in range(FEW_QUIET_STEPS + 1):
+        mapper.play(mapper.draw((0, 0, WIDTH, TILE), FREE) if mapper.step == 0 else None)
+    assert mapper.author.urgency is not None and mapper.author.urgency > LEAST_CELLS
+    below = (0, 2 * TILE, WIDTH, 4 * TILE)
+    mapper.draw((2, 2, WIDTH, 3), OCCUPIED)
+    mapper.draw(below, FREE)
+    mapper.play(Change(1, (0, 0, WIDTH, 4 * TILE)))
+    sent = [mapper.play() for _ in range(FEW_QUIET_STEPS + 1)]
+    assert [len(updates) for updates in sent] == [0] * (FEW_QUIET_STEPS - 1) + [1, 1], "one update per step"
+    assert sent[-2][0].box == below
+    assert (sent[-1][0].box[1], sent[-1][0].box[3]) == (2, 3)
+    assert mapper.author.urgency == 0
+    assert mapper.violations() == []
+
+
+def test_with_a_limited_budget_tiles_that_close_a_frontier_are_sent_before_other_corrections() -> None:
+    mapper = Mapper(author=UrgentTileAuthor)
+    room = (0, TILE, WIDTH, HEIGHT)
+    for _ in range(LONGEST_WAIT + FEW_QUIET_STEPS):
+        mapper.play(mapper.draw(room, FREE) if mapper.step == 0 else None)
+    assert (mapper.held[TILE:] == FREE).all()
+    mapper.draw((0, HEIGHT - 3, 4 * TILE, HEIGHT - 2), OCCUPIED)
+    mapper.draw((0, TILE, 4 * TILE, TILE + 1), OCCUPIED)
+    mapper.play(Change(8 * TILE, room))
+    sent = [update for _ in range(2 * FEW_QUIET_STEPS) for update in mapper.play()]
+    assert [(each.box[1], each.box[3]) for each in sent] == [(TILE, TILE + 1), (HEIGHT - 3, HEIGHT - 2)]
+
+
+def test_with_a_limited_budget_complete_tiles_are_sent_before_those_with_a_frontier() -> None:
+    mapper = Mapper(author=UrgentTileAuthor)
+    part, whole = (0, 0, WIDTH, TILE - 2), (0, 3 * TILE, WIDTH, HEIGHT)
+    mapper.draw(part, FREE)
+    mapper.draw(whole, FREE)
+    mapper.draw((0, 3 * TILE, WIDTH, 3 * TILE + 1), OCCUPIED)
+    mapper.play(Change(1, LARGE))
+    sent = [update for _ in range(2 * FEW_QUIET_STEPS) for update in mapper.play()]
+    assert [each.box for each in sent] == [whole, part]
 
 
 def test_tiles_that_never_stop_changing_are_sent_after_the_longest_wait() -> None:
@@ -208,11 +249,12 @@ def test_after_a_restart_the_whole_grid_is_sent_again() -> None:
 @pytest.mark.parametrize("most", [5, 40, math.inf])
 @pytest.mark.parametrize("tolerance", [0, 1, 2])
 @pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("author", [TileAuthor, UrgentTileAuthor])
 def test_when_nothing_waits_any_more_the_copy_fulfills_the_bound(
-    seed: int, tolerance: int, most: float
+    author: type[TileAuthor], seed: int, tolerance: int, most: float
 ) -> None:
     """Whatever has changed meanwhile, and been retracted."""
-    random, mapper = np.random.default_rng(seed), Mapper(tolerance)
+    random, mapper = np.random.default_rng(seed), Mapper(tolerance, author)
     sent = 0
     for _ in range(4):
         for _ in range(30):

@@ -253,6 +253,24 @@ def test_an_unfinished_append_has_the_highest_priority_and_waiting_raises_it() -
     assert each.priority == MAX_PRIORITY
 
 
+def test_with_an_urgency_it_ranks_frames_times_the_steps_that_they_waited() -> None:
+    """A step's later rounds, whose budget is too small, do not count as a step without anything to send."""
+    priorities = []
+    for urgency in (0.0, 3.5):
+        each = engine(0, 2)
+        each.urgency = urgency
+        each.open_round(0, [1], 100)
+        each.append(entries(0, 0, 2))
+        for _ in range(3):
+            each.open_round(0, [1], 100)
+            priorities.append(each.priority)
+            each.open_round(1, [1], 1)
+    assert priorities == [2, 3, 4, 7, 10, 14]
+    each.urgency = 1e9
+    each.open_round(0, [1], 100)
+    assert each.priority == MAX_PRIORITY - 1
+
+
 def test_once_robots_were_apart_serving_a_peer_that_holds_more_has_priority() -> None:
     known, priorities = 400, []
     for held in (known, 0):

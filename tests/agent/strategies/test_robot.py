@@ -173,7 +173,7 @@ def test_with_inferred_cells_a_robot_is_done_only_after_some_steps(
 
 @pytest.mark.parametrize(
     ("robots", "people", "steps"),
-    [(1, False, SURE_AFTER_NOISE), (2, True, SURE_AFTER_NOISE), (2, False, SURE_AFTER_NOISE_IN_TEAM)],
+    [(1, False, SURE_AFTER_NOISE), (2, True, SURE_AFTER_NOISE_IN_TEAM), (2, False, SURE_AFTER_NOISE_IN_TEAM)],
 )
 def test_with_real_sensors_a_team_without_people_waits_less_for_the_end(
     robots: int, people: bool, steps: int

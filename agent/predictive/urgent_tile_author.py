@@ -1,0 +1,77 @@
+"""When and in which order the tiles of a noisy map are encoded while robots explore with a limited budget.
+
+The unused rest of a budget is worth nothing, and a late tile sends teammates to places that this robot has seen. So no
+ready tile waits for others: the encoding asks for an update only if teammates hold the last one, and updates are as
+frequent as the budget allows. An update takes one of three kinds of tiles, the first of which there are any:
+
+1. tiles that are worth at least `LEAST_CELLS` to teammates (`agent.predictive.tile_value`), and that are complete or
+   have waited for `LONGEST_WAIT` steps,
+2. other tiles of this worth,
+3. all others. They bring copies within the bound, but do not change plans.
+
+Of the first two, those with the most value per byte go first, of the last, those that have waited longest.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.mapping.bound import Bound
+from agent.mapping.estimator import Int8Grid
+from agent.predictive.history import DecodedUpdate
+from agent.predictive.tile_author import LONGEST_WAIT, TileAuthor
+from agent.predictive.tile_stream import TileStream
+from agent.predictive.tile_value import TileValues, tile_values
+from protocol.grid import Grid
+
+FEW_QUIET_STEPS = 2
+"""Steps without a change after which a tile is encoded."""
+
+LEAST_CELLS = 8
+"""Value from which a tile is sent before those that do not change the plans of teammates."""
+
+
+class UrgentTileAuthor(TileAuthor):
+    """Encodes the tiles first that change the plans of teammates the most, one update per step."""
+
+    def __init__(self, stream: TileStream, bound: Bound) -> None:
+        super().__init__(stream, bound, quiet_steps=FEW_QUIET_STEPS)
+        self._violate: NDArray[np.bool_] = np.zeros(self._changed.shape, np.bool_)
+        """The ready tiles that violate the bound, as of the last call of `is_due`."""
+        self._values: TileValues | None = None
+
+    def is_due(self, own: Grid, log_odds: Int8Grid, received: Grid) -> bool:
+        """Return whether a ready tile violates the bound; those that fulfill it stop waiting."""
+        self._violate = self._drop_fulfilled(own, log_odds)
+        if not self._violate.any():
+            return False
+        self._values = tile_values(self.stream.target, received, self._violate.view(np.uint8))
+        return True
+
+    def encode(self, own: Grid, log_odds: Int8Grid, most: float) -> tuple[bytes, DecodedUpdate] | None:
+        """Encode the update of this step, and set its `urgency`: the value of its tiles per byte."""
+        encoded = super().encode(own, log_odds, most)
+        if encoded is not None and self._values is not None:
+            self.urgency = float(self._values.cells[self._chosen].sum()) / len(encoded[0])
+        return encoded
+
+    def _choose(self, most: float) -> NDArray[np.bool_]:
+        """Return the tiles of this step's update; none if it has been encoded: a second one could not be retracted."""
+        values, chosen = self._values, np.zeros_like(self._violate)
+        if values is None or self._last_step == self._step:
+            return chosen
+        useful = self._violate & (values.cells >= LEAST_CELLS)
+        complete = useful & (values.is_complete | (self._waiting_since <= self._step - LONGEST_WAIT))
+        if useful.any():
+            places = np.flatnonzero(complete if complete.any() else useful)
+            order = np.argsort(
+                -values.cells.reshape(-1)[places] / values.size.reshape(-1)[places], kind="stable"
+            )
+        else:
+            places = np.flatnonzero(self._violate)
+            order = np.argsort(self._waiting_since.reshape(-1)[places], kind="stable")
+        places = places[order]
+        sizes = np.cumsum(values.size.reshape(-1)[places])
+        chosen.reshape(-1)[places[: max(1, int(np.searchsorted(sizes, most, side="right")))]] = True
+        return chosen
