@@ -113,7 +113,7 @@ class Options(Parts):
     )
     longest_tour: float = option(6.0, "weight of the length of the longest tour", least=0)
     total_length: float = option(
-        6.0, "weight of the lengths of all tours; less with more robots than goals of large gain", least=0
+        6.0, "weight of the lengths of all tours; lower if robots outnumber goals of large gain", least=0
     )
     viewpoint_range: float = option(
         0.9, "sensor ranges from which a small frontier is observed; 0: robots drive up to it", least=0
@@ -274,6 +274,7 @@ class Repairmen(TeamStrategy):
         ways, between = (np.maximum(costs - near, REMAINS * costs) for costs in (nearer, self._between))
         gain = expected_gain(situation.grid, table.goals, self._lengths, range_cells)
         worth = np.minimum(gain / PLENTY, 1.0)
+        # Below 1, the team has more robots than goals of large gain.
         demand = min(1.0, math.fsum(worth) / len(table.robots))
         task = Task(
             starts=ways,

@@ -74,7 +74,7 @@ def test_a_robot_that_restarts_continues_from_its_journal_over_a_lossy_radio(dis
     late: dict[str, Any] = {
         "map": "office", "map_options": {"width_m": 12.0, "height_m": 10.0}, "robots": 3, "seed": 5, "steps": 60,
         "sensor_range": 4.0, "bus": "memory", "bandwidth": 200, "dissemination": dissemination, "digests": True,
-        "radio": {"loss": 0.1}, "fault": [{"step": 25, "robot": 1, "kind": "restart"}],
+        "radio": {"loss": 0.1}, "fault": [{"step": 15, "robot": 1, "kind": "restart"}],
     }  # fmt: skip
     result = explore(**late, **NOISY)
     assert not result.records.protocol_errors.texts
