@@ -59,7 +59,7 @@ class Modems:
             self.frames += 1
             for receiver, terminal in enumerate(self.terminals):
                 if receiver != sender:
-                    if keyed_random(3, "modem", self.frames, receiver).random() < self._loss:
+                    if keyed_random(1, "modem", self.frames, receiver).random() < self._loss:
                         self.lost += 1
                     else:
                         with contextlib.suppress(BlockingIOError):  # no process reads
