@@ -22,7 +22,8 @@ from agent.outline.edits import NumberedPolygons
 from agent.outline.receiver import Receiver
 from agent.outline.simplify import refine
 from agent.predictive.scan_updates import MAX_SCANS
-from agent.predictive.tile_author import ENOUGH_TILES, FEW_QUIET_STEPS, INTERVAL, LONGEST_WAIT, QUIET_STEPS
+from agent.predictive.tile_author import ENOUGH_TILES, INTERVAL, LONGEST_WAIT, QUIET_STEPS
+from agent.predictive.urgent_tile_author import FEW_QUIET_STEPS
 from agent.replication import handshakes, neighbors
 from agent.replication.base import Replication
 from agent.replication.engine import DISSEMINATIONS

@@ -15,7 +15,7 @@ from msgspec.structs import replace
 from agent.field import FieldFiles, FieldRobot
 from agent.pose_guard import PoseGuard
 from agent.radios.options import LinkOptions
-from agent.radios.sealing import KEY_BYTES
+from agent.radios.sealing import KEY_BYTES, OVERHEAD
 from agent.radios.transport import Transport
 from agent.robot import Robot
 from deploy.scenario.plan import Plan
@@ -117,6 +117,10 @@ class AirTeam:
 
     def sent_bytes(self) -> int:
         return sum(len(frame) for member in self.members.values() for frame in member.sent)
+
+    def sent_packet_bytes(self) -> int:
+        """The same without the seals, which have no counterpart behind a relay."""
+        return self.sent_bytes() - OVERHEAD * self.sent_frames()
 
     def sent_frames(self) -> int:
         return sum(len(member.sent) for member in self.members.values())

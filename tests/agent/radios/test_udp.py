@@ -6,6 +6,7 @@ import select
 import socket
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -126,12 +127,9 @@ class Lossy:
         return bool(keyed_random(5, "lossy", self._number, self._frames).random() < 0.1)
 
 
-@needs_namespaces
-def test_four_robots_agree_after_a_tenth_of_loss_and_a_minute_of_partition(
-    net: Hosts, tmp_path: Path
-) -> None:
+def cut_off(net: Hosts, folder: Path, **settings: Any) -> tuple[AirTeam, int]:
+    """A team that has explored over UDP with loss and a partition, and the bytes of the same team behind a relay."""
     options = LinkOptions("udp", interface=INTERFACE, bytes_per_s=1000)
-    plan = small_plan(robots=4, **TEAM)
 
     def join(number: int) -> Transport:
         return Lossy(net.on(number, options.open_transport), number)
@@ -140,19 +138,38 @@ def test_four_robots_agree_after_a_tenth_of_loss_and_a_minute_of_partition(
         if now in (15 * SECOND, 75 * SECOND):
             net.plug(in_=now > 15 * SECOND)
 
-    team = AirTeam(plan, options, join, tmp_path, set_time)
+    team = AirTeam(small_plan(robots=4, **TEAM | settings), options, join, folder, set_time)
     team.explore(300)
     exchange_all(team, 300)
     team.close()
     assert_maps_agree(team)
-    assert np.count_nonzero(team.robots[0].planning) > 2000
 
     partition = [{"first": 15, "last": 74, "groups": [[0, 1]]}]
     radio = {"loss": 0.1, "partition": partition}
-    relayed = Team(small_plan(robots=4, bandwidth=4 * options.rate, radio=radio, **TEAM))
+    relayed = Team(small_plan(robots=4, bandwidth=4 * options.rate, radio=radio, **TEAM | settings))
     relayed.explore(300)
     while any(robot.replication.undelivered() for robot in relayed.robots):
         relayed.stand(dict(relayed.world.cells))
         assert relayed.step < 600
     rows = relayed.ledger()
-    assert team.sent_bytes() <= 1.3 * rows["bytes"][rows["carried"] == 1].sum()
+    return team, int(rows["bytes"][rows["carried"] == 1].sum())
+
+
+@needs_namespaces
+def test_four_robots_agree_after_a_tenth_of_loss_and_a_minute_of_partition(
+    net: Hosts, tmp_path: Path
+) -> None:
+    team, relayed = cut_off(net, tmp_path)
+    assert np.count_nonzero(team.robots[0].planning) > 2000
+    assert team.sent_packet_bytes() <= 1.3 * relayed
+
+
+@pytest.mark.long
+@needs_namespaces
+def test_six_teams_send_few_more_bytes_than_behind_a_relay(net: Hosts, tmp_path: Path) -> None:
+    sent = relayed = 0
+    for seed in range(6):
+        team, behind_relay = cut_off(net, tmp_path / str(seed), seed=seed, side_m=20.0)
+        sent, relayed = sent + team.sent_bytes(), relayed + behind_relay
+    print(f"bytes over UDP and behind a relay: {sent}, {relayed}, ratio {sent / relayed:.3f}")
+    assert sent <= 1.3 * relayed
