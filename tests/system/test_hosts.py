@@ -80,11 +80,9 @@ def title(pid: int) -> str:
 
 @pytest.mark.parametrize(
     ("address", "router"),
-    [
-        pytest.param(NEAR, "false", id="IPv4", marks=pytest.mark.long),
-        pytest.param(NEAR_6, "true", id="IPv6 through a router"),
-    ],
+    [pytest.param(NEAR, "false", id="IPv4"), pytest.param(NEAR_6, "true", id="IPv6 through a router")],
 )
+@pytest.mark.long
 def test_delay_and_loss_change_no_result_and_no_secret_is_on_a_command_line(
     far: FarHost, tmp_path: Path, address: str, router: str
 ) -> None:

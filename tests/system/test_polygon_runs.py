@@ -196,7 +196,11 @@ def test_at_a_kilobyte_a_step_the_team_sees_all_and_the_planning_map_is_nearly_c
 
 @pytest.mark.parametrize(
     ("name", "robots", "bandwidth", "reach", "seed"),
-    [("hilbert-3", 4, 1000, "20%", 3), ("hilbert-3", 5, 250, "100%", 2), ("leader-trap", 8, 1000, "100%", 1)],
+    [
+        ("hilbert-3", 4, 1000, "20%", 3),
+        pytest.param("hilbert-3", 5, 250, "100%", 2, marks=pytest.mark.long),
+        ("leader-trap", 8, 1000, "100%", 1),
+    ],
 )
 def test_an_opening_that_appears_closed_at_first_does_not_end_a_run(
     name: str, robots: int, bandwidth: int, reach: str, seed: int

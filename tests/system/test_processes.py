@@ -231,6 +231,7 @@ def test_ctrl_c_to_all_processes_ends_a_run_with_a_viewer_after_a_whole_step(
     assert (out / "pictures" / "channel-load.png").exists()
 
 
+@pytest.mark.long
 def test_ctrl_c_while_processes_start_ends_the_run(tmp_path: Path) -> None:
     with swarm(tmp_path / "run", *SLOW) as process:
         while not any("forkserver" in " ".join(each.cmdline()) for each in descendants(process)):
@@ -270,7 +271,7 @@ def test_a_launcher_that_is_killed_leaves_no_process_and_no_folder_behind(
     assert not [each for each in folders if each.exists()]
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+@pytest.mark.parametrize("number", [pytest.param(signal.SIGKILL, marks=pytest.mark.long), signal.SIGSTOP])
 def test_a_fork_server_that_dies_or_hangs_is_named_once_and_all_is_written(
     tmp_path: Path, number: int
 ) -> None:

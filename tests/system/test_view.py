@@ -115,7 +115,6 @@ def test_all_robots_are_shown_in_the_dark_and_no_view_reports_an_error(
 
 
 SIZES = [(1280, 720), (1366, 768), (1920, 1080)]
-long = pytest.mark.long
 
 
 @pytest.fixture(scope="module")
@@ -123,15 +122,9 @@ def small_recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return recorded(tmp_path_factory.mktemp("small"), robots=8, range="30%", steps=25, **OUTLINES)
 
 
-@pytest.mark.parametrize(
-    ("theme", "size"),
-    [
-        ("light", SIZES[0]),
-        *(pytest.param("light", size, marks=long) for size in SIZES[1:]),
-        *(pytest.param("dark", size, marks=long) for size in SIZES),
-    ],
-    ids=str,
-)
+@pytest.mark.long
+@pytest.mark.parametrize("size", SIZES, ids=str)
+@pytest.mark.parametrize("theme", ["light", "dark"])
 def test_the_page_shows_the_dashboard_in_a_real_browser(
     theme: str, size: tuple[int, int], small_recording: Path
 ) -> None:

@@ -28,6 +28,7 @@ def verify(recording: Path) -> None:
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.long
 def test_a_run_that_is_terminated_leaves_a_recording_that_opens(tmp_path: Path) -> None:
     out = tmp_path / "run"
     with swarm(out, "--view-as", "file") as process:

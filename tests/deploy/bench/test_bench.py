@@ -252,6 +252,7 @@ def test_numpy_draws_the_same_scan(seed: int) -> None:
     assert (mine == theirs).all()
 
 
+@pytest.mark.long
 def test_a_robot_in_the_field_is_measured_beside_simulated_ones(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("rosbags", reason="rosbags is in the extra ros2")
     monkeypatch.setattr(field, "SIDES_M", (10,))

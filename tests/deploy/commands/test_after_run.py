@@ -101,7 +101,13 @@ app(sys.argv[1:])
 """
 
 
-@pytest.mark.parametrize("words", ["explore --map floor.yaml --bus memory --out two --json", "report run"])
+@pytest.mark.parametrize(
+    "words",
+    [
+        "explore --map floor.yaml --bus memory --out two --json",
+        pytest.param("report run", marks=pytest.mark.long),
+    ],
+)
 def test_a_full_disk_is_named_with_the_file_and_ends_with_3(floor: str, words: str) -> None:
     explore(floor, "--steps", "30", "--out", "run")
     done = subprocess.run(

@@ -66,7 +66,7 @@ def test_values_are_typed_corrected_and_checked(control: Control) -> None:
     assert control._requests.qsize() == 3
 
 
-@pytest.mark.parametrize("bus", ["memory", "zenoh"])
+@pytest.mark.parametrize("bus", [pytest.param("memory", marks=pytest.mark.long), "zenoh"])
 def test_keys_control_a_run_which_can_be_replayed_and_the_terminal_is_restored(
     bus: str, tmp_path: Path
 ) -> None:

@@ -131,6 +131,7 @@ def test_a_simulated_robot_and_a_real_one_explore_the_same_building(
     wait_until(lambda: known_share(team.nodes[1].team_map, house()) > 0.95)
 
 
+@pytest.mark.long
 def test_a_robot_that_starts_late_gets_the_whole_map_in_few_bytes(team: HouseTeam) -> None:
     team.place(0, Pose(0.0, 0.0, 0.0))
     team.place(1, RIGHT_ROOM, drives=False)

@@ -54,6 +54,7 @@ def house() -> Plan:
     return house_plan((1.5, 2.0), (0.7, 3.2), speed=2.0, sensor_range=4.0)
 
 
+@pytest.mark.long
 def test_two_agents_explore_a_house_although_one_robot_offers_only_its_map(
     router: str, tmp_path: Path
 ) -> None:

@@ -55,7 +55,14 @@ def test_requests_take_effect_and_enter_the_scenario_with_their_steps() -> None:
     assert 1 not in result.records.planning
 
 
-@pytest.mark.parametrize("more", [{}, {"dissemination": "gossip"}, {"radio": {"loss": 0.1}}])
+@pytest.mark.parametrize(
+    "more",
+    [
+        pytest.param({}, marks=pytest.mark.long),
+        pytest.param({"dissemination": "gossip"}, marks=pytest.mark.long),
+        {"radio": {"loss": 0.1}},
+    ],
+)
 def test_controlled_run_repeats_from_its_scenario(more: dict[str, Any]) -> None:
     result = controlled_run(**more)
     again = explore(parse(result.plan.scenario.model_dump()), keep=False)
@@ -64,7 +71,7 @@ def test_controlled_run_repeats_from_its_scenario(more: dict[str, Any]) -> None:
     assert result.plan.scenario.change and result.plan.scenario.fault
 
 
-@pytest.mark.parametrize("wider", ["unlimited", 5000])
+@pytest.mark.parametrize("wider", ["unlimited", pytest.param(5000, marks=pytest.mark.long)])
 def test_robots_use_a_higher_bandwidth_and_none_is_lost(wider: str | int) -> None:
     change = [{"step": 20, "bandwidth": wider}]
     settings = {"map_encoding": "scans", "dissemination": "gossip", "bandwidth": 6, "change": change}

@@ -44,7 +44,7 @@ def killing(name: str, step: int, number: signal.Signals = signal.SIGKILL) -> Ca
     ("name", "number"),
     [
         ("world", signal.SIGKILL),
-        ("relay", signal.SIGSTOP),
+        pytest.param("relay", signal.SIGSTOP, marks=pytest.mark.long),
         pytest.param("world", signal.SIGSTOP, marks=pytest.mark.long),
         pytest.param("relay", signal.SIGKILL, marks=pytest.mark.long),
     ],

@@ -236,6 +236,7 @@ def test_remote_robots_end_when_their_parent_is_killed(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are found by /proc")
+@pytest.mark.long
 def test_crash_report_of_a_router_names_its_robots(tmp_path: Path) -> None:
     host = {"name": "h0", "robots": 2, "command": MURMUR, "router": True}
     routed = parse({"address": "127.0.0.1", "host": [host]})

@@ -45,6 +45,7 @@ def test_an_unknown_claim_is_named() -> None:
         requested(["B9"], quick=True, settings={})
 
 
+@pytest.mark.long
 def test_without_leaders_the_team_stalls_where_with_leaders_it_finishes(tmp_path: Path) -> None:
     stem = tmp_path / "docs"
     words = ["reproduce", "L1", "--quick", "--jobs", "1", "--out", str(stem), "--formats", "pdf,tex,csv"]
