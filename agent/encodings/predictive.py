@@ -155,7 +155,8 @@ class PredictiveEncoding(GridEncoding):
             return ScanAuthor(stream, self._limits.wait_steps)
         assert isinstance(stream, TileStream)
         settled = 1 if settings.laser is None else SETTLED
-        bound, patience = Bound(settings.encoding.tolerance, settled), self._options.patience
+        patience = self._options.patience
+        bound = Bound(settings.encoding.tolerance, settled, closes_gaps=patience == 1)
         if settings.medium.bandwidth.limit is not None and patience == 1:
             return UrgentTileAuthor(stream, bound)
         return TileAuthor(stream, bound, patience)

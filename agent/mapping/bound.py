@@ -7,10 +7,12 @@ least a given absolute value. After an update
 2. every held wall on a cell that is settled as free has a wall of the robot's own grid within the tolerance,
 3. every settled free cell is held as free, or has a held wall within the tolerance,
 4. receivers hold a state of every known wall. They also hold one of every free cell beside a wall, and of every cell
-   whose surroundings are mostly free, or a wall within the tolerance of it.
+   whose surroundings are mostly free, or a wall within the tolerance of it,
+5. receivers hold no free cell beside an unknown one where the robot has found a wall within the tolerance, settled or
+   not, unless it has seen the cell free.
 
-The last condition completes areas that the robot has seen once from afar: without it, teammates would explore them
-again. Single beams into unknown areas are not sent.
+The last two conditions save teammates useless ways: the fourth completes areas that the robot has seen once from afar,
+the fifth closes gaps that scans of other robots have left in walls. Single beams into unknown areas are not sent.
 
 With tolerance 0, receivers hold every known cell of the robot's own grid, settled or not.
 """
@@ -33,10 +35,10 @@ TILE = 8
 MOSTLY = 6
 """Free cells, of a cell and its eight neighbors, from which it counts as free although it is not settled."""
 
-_REMOVE, _WALLS, _FREE, _FILL = range(4)
+_REMOVE, _WALLS, _FREE, _FILL, _CLOSE = range(5)
 """Phases, in this order: remove walls that the robot has not found (2), add walls (1), add free cells (3), also those
-that have lost their wall, fill incomplete (4) and changed tiles. A removed wall is never the only copy of a settled
-wall, because it has no wall of the robot's own grid within the tolerance."""
+that have lost their wall, fill incomplete (4) and changed tiles, close gaps (5). A removed wall is never the only copy
+of a settled wall, because it has no wall of the robot's own grid within the tolerance."""
 
 
 def tiles_of(height: int, width: int) -> tuple[int, int]:
@@ -52,6 +54,8 @@ class Bound:
     """Cells between a wall and its copy at most."""
     settled: int
     """Absolute log odds from which a cell is settled."""
+    closes_gaps: bool = True
+    """Whether the fifth condition counts; it serves robots that plan with the maps of others."""
 
     def tiles_near(self, box: Box) -> tuple[slice, slice]:
         """Return the rows and columns of tiles in which changes of the cells in a box may violate the bound.
@@ -82,7 +86,8 @@ class Bound:
             Result: 1 for tiles in which they differ from the held ones.
         """
         settled = self.settled if self.tolerance else 0
-        return int(_apply(own, log_odds, settled, held, tiles, self.tolerance, target, changed))
+        last = _CLOSE if self.closes_gaps else _FILL
+        return int(_apply(own, log_odds, settled, held, tiles, self.tolerance, last, target, changed))
 
 
 @kernel
@@ -139,6 +144,29 @@ def _must_change(phase: int, own: Grid, held: Grid, x: int, y: int, tolerance: i
 
 
 @kernel
+def _borders_unknown(own: Grid, held: Grid, x: int, y: int) -> bool:
+    """Whether neither receivers nor the robot know a 4-neighbor of a cell."""
+    height, width = own.shape
+    for row, column in ((y, x - 1), (y, x + 1), (y - 1, x), (y + 1, x)):
+        if 0 <= row < height and 0 <= column < width and held[row, column] == UNKNOWN == own[row, column]:
+            return True
+    return False
+
+
+@kernel
+def _close_frontier(own: Grid, target: Grid, box: Int64s, tolerance: int) -> bool:
+    """Turn the cells of a tile that violate the fifth condition into walls; return whether there are any."""
+    closed = False
+    for y in range(box[1], box[3]):
+        for x in range(box[0], box[2]):
+            is_open = target[y, x] == FREE != own[y, x] and _has_wall(own, x, y, tolerance)
+            if is_open and _borders_unknown(own, target, x, y):
+                target[y, x] = OCCUPIED
+                closed = True
+    return closed
+
+
+@kernel
 def _change_tile(
     phase: int,
     own: Grid,
@@ -158,6 +186,8 @@ def _change_tile(
                 if target[y, x] == UNKNOWN:
                     target[y, x] = _shared(own, log_odds, settled, x, y)
         return True
+    if phase == _CLOSE:
+        return _close_frontier(own, target, box, tolerance) or was_changed
     changed = was_changed
     for y in range(box[1], box[3]):
         for x in range(box[0], box[2]):
@@ -177,6 +207,7 @@ def _apply(
     held: Grid,
     tiles: Grid,
     tolerance: int,
+    last: int,
     target: Grid,
     changed: Grid,
 ) -> int:
@@ -193,7 +224,7 @@ def _apply(
             target[y, x] = held[y, x] & 3
     count = 0
     box = np.empty(4, np.int64)
-    for phase in (_REMOVE, _WALLS, _FREE, _FILL):
+    for phase in range(last + 1):
         for tile_y in range(top, bottom + 1):
             for tile_x in range(left, right + 1):
                 if not tiles[tile_y, tile_x]:

@@ -44,4 +44,9 @@ def violations(
             and not settled
         ):
             found.append(("incomplete", x, y))
+        cross = [(y, x - 1), (y, x + 1), (y - 1, x), (y + 1, x)]
+        beside = [cell for cell in cross if 0 <= cell[0] < own.shape[0] and 0 <= cell[1] < own.shape[1]]
+        borders_unknown = any(held[cell] == UNKNOWN == own[cell] for cell in beside)
+        if copy == FREE != state and near_own and borders_unknown:
+            found.append(("open gap", x, y))
     return found

@@ -94,3 +94,25 @@ def test_a_free_cell_of_the_next_tile_is_sent_if_the_wall_near_it_is_removed() -
     tiles[bound.tiles_near((6, 4, 7, 5))] = 1  # there was a wall in (6, 4)
     assert bound.apply(own, np.full((16, 16), -40, np.int8), held, tiles, target, changed) == 2
     assert (target[:8] == FREE).all()
+
+
+@pytest.mark.parametrize("tolerance", [1, 2])
+def test_a_wall_that_is_not_settled_closes_a_gap_before_unknown_cells(tolerance: int) -> None:
+    def gap(own: Grid, log_odds: NDArray[np.int8], held: Grid) -> None:
+        own[:5], held[:5] = UNKNOWN, UNKNOWN
+        own[5], log_odds[:6] = OCCUPIED, SETTLED - 1
+
+    changed, target = applied(gap, tolerance)
+    assert changed == 3
+    assert (target[5] == OCCUPIED).all()
+
+
+def test_a_cell_that_the_robot_has_seen_free_remains_a_frontier() -> None:
+    def opening(own: Grid, log_odds: NDArray[np.int8], held: Grid) -> None:
+        own[:5], held[:5] = UNKNOWN, UNKNOWN
+        own[5, 8:12] = OCCUPIED
+        log_odds[:6] = SETTLED - 1
+
+    _, target = applied(opening)
+    assert (target[5, 8:12] == OCCUPIED).all()
+    assert (target[5, :8] == FREE).all()
