@@ -99,7 +99,9 @@ def test_a_changed_constant_or_body_is_compiled_again_with_its_callers_only(copy
     file = copy / "parts.py"
     file.write_text("# a comment\n" + file.read_text().replace("SHIFT = 10", "SHIFT = 20"))
     assert run(copy, code) == "21 42 True\n['shifted', 'twice_shifted']\n"
-    file.write_text(file.read_text().replace("return one < other", "return one > other"))
+    file.write_text(
+        "# another comment\n" + file.read_text().replace("return one < other", "return one > other")
+    )
     assert run(copy, code) == "21 42 False\n['shifted', 'twice_shifted', 'less']\n"
 
 
