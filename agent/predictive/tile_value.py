@@ -1,8 +1,8 @@
 """The value of a tile for the planning of teammates, and its approximate bytes.
 
-Teammates plan with what they have received. A tile that tells them cells which they do not know saves them a way
-there. So does one that closes a frontier of theirs: at first, scans from afar leave gaps in walls, which later scans
-close. A tile that only moves walls by a cell hardly changes their plans, and takes as many bytes.
+Teammates plan with the maps that they have received. A tile with cells that are new to them saves them a drive there.
+So does one that closes a frontier of theirs: scans from afar leave gaps in walls, which later scans close. A tile that
+only moves walls by a cell hardly changes their plans, and takes as many bytes.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class TileValues:
 
 
 def tile_values(target: Grid, received: Grid, tiles: Grid) -> TileValues:
-    """Compare what teammates know with what they would know if they received some tiles.
+    """Rate tiles by the cells that teammates would learn from them.
 
     Parameters
     ----------

@@ -50,10 +50,10 @@ def run(**settings: Any) -> Result:
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("map_encoding", ["predictive", "polygons", "cells", "scans"])
 def test_a_team_with_different_sensors_explores_everything(kind: str, map_encoding: str) -> None:
-    summary = run(map_encoding=map_encoding, **KINDS[kind]).summary
+    summary = run(map_encoding=map_encoding, finish="all", **KINDS[kind]).summary
     assert summary["finished"]
     assert summary["coverage"] >= 0.98
-    assert summary["claimed_worst_wall_f1"] >= 0.94
+    assert summary["claimed_worst_wall_f1"] >= 0.95
     assert summary["refuted_maps"] == []
 
 
