@@ -97,9 +97,9 @@ def test_all_robots_are_shown_in_the_dark_and_no_view_reports_an_error(
     request: pytest.FixtureRequest,
 ) -> None:
     where = name if name == "office" else str(request.getfixturevalue("real_maps") / "intel.yaml")
-    recording = recorded(tmp_path, map=where, robots=robots, range="30%", steps=130, **more)
+    recording = recorded(tmp_path, map=where, robots=robots, range="30%", steps=65, **more)
     with viewer(recording) as client:
-        png = settled_picture(client, 125)
+        png = settled_picture(client, 60)
         state = client.get_state()
         logs = client.get_logs()
     keep(f"dashboard-{name}", png)

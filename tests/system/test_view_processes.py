@@ -86,7 +86,7 @@ def test_a_viewer_changes_no_digest_and_the_pace_is_kept(tmp_path: Path) -> None
 def test_a_viewer_can_attach_late_to_a_run_without_a_viewer(tmp_path: Path) -> None:
     out = tmp_path / "run"
     watch = [sys.executable, "-m", "deploy.commands.main", "watch", str(out), "--view-as", "file"]
-    with swarm(out, "--pace", "5") as process:
+    with swarm(out, "--pace", "2") as process:
         wait_for(out / LIVE, process)
         assert (out / LIVE).stat().st_mode & 0o077 == 0
         child(process, "r2")
