@@ -32,10 +32,10 @@ $(VENV)/dev.stamp: $(VENV)/main.stamp
 demo: setup
 	$(BIN)/murmur explore --map office --robots 5 --bandwidth 50
 
-# Kernels may have changed since the last set-up.
+# Kernels may have changed since the last set-up. Four workers occupy two cores: many tests wait for processes.
 test: $(VENV)/dev.stamp check
 	$(BIN)/murmur setup
-	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+	$(BIN)/python -m pytest -n 4 --dist loadfile --no-loadscope-reorder
 
 # All but the tests of commands, reports, studies, captures and swarms of processes.
 quick: $(VENV)/dev.stamp

@@ -58,7 +58,9 @@ def pytest_configure(config: pytest.Config) -> None:
         settings.load_profile("fresh")
 
 
-SLOWEST_FIRST = ("tests/system", "tests/deploy", "tests/capture", "tests")
+SLOWEST_FIRST = (
+    "tests/system", "tests/deploy", "tests/capture", "tests/protocol", "tests/worldsim", "tests/netshaper", "tests"
+)  # fmt: skip
 """Directories, by the duration of their files: the first ones start processes."""
 
 
