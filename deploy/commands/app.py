@@ -6,6 +6,7 @@ A command is imported only when it is called, so that help and short commands st
 from __future__ import annotations
 
 import importlib
+from functools import cache
 from typing import Annotated, Any, NamedTuple
 
 import typer
@@ -57,6 +58,12 @@ COMMANDS = {
 }
 
 
+@cache
+def _group(module: str) -> Any:
+    """Import a module of commands, and build its group of click commands."""
+    return typer.main.get_group(importlib.import_module(f"deploy.commands.{module}").app)
+
+
 class Commands(TyperGroup):
     """The commands of `COMMANDS`, each imported when it is called."""
 
@@ -68,8 +75,7 @@ class Commands(TyperGroup):
         """Import a command; None if the name is unknown."""
         if cmd_name not in COMMANDS:
             return None
-        family = importlib.import_module(f"deploy.commands.{COMMANDS[cmd_name].module}")
-        return typer.main.get_group(family.app).get_command(ctx, cmd_name)
+        return _group(COMMANDS[cmd_name].module).get_command(ctx, cmd_name)
 
     def invoke(self, ctx: Any) -> Any:
         """Run a command; report errors that the user can fix."""

@@ -14,14 +14,15 @@ def violations(
 ) -> list[tuple[str, int, int]]:
     """Return the cells (x, y) of a robot's own grid that a copy violates, with the condition."""
 
-    def count(grid: Grid, state: int, x: int, y: int, reach: int) -> int:
-        near = grid[max(0, y - reach) : y + reach + 1, max(0, x - reach) : x + reach + 1]
-        return int((near == state).sum())
+    def count(grid: list[list[int]], state: int, x: int, y: int, reach: int) -> int:
+        rows = grid[max(0, y - reach) : y + reach + 1]
+        return sum(row[max(0, x - reach) : x + reach + 1].count(state) for row in rows)
 
     found = []
+    own_rows, held_rows = own.tolist(), held.tolist()
     for y, x in np.ndindex(own.shape):
-        state, copy = own[y, x], held[y, x]
-        near_copy, near_own = (count(grid, OCCUPIED, x, y, tolerance) for grid in (held, own))
+        state, copy = own_rows[y][x], held_rows[y][x]
+        near_copy, near_own = (count(rows, OCCUPIED, x, y, tolerance) for rows in (held_rows, own_rows))
         if tolerance == 0:
             if state not in (UNKNOWN, copy):
                 found.append(("not exact", x, y))
@@ -33,9 +34,11 @@ def violations(
                 found.append(("invented wall", x, y))
             if state == FREE and copy != FREE and not near_copy:
                 found.append(("missing free cell", x, y))
-        beside_wall = state == FREE and count(own, OCCUPIED, x, y, 1)
+        beside_wall = state == FREE and count(own_rows, OCCUPIED, x, y, 1)
         surrounded = (
-            state != OCCUPIED and not count(own, OCCUPIED, x, y, 1) and count(own, FREE, x, y, 1) >= 6
+            state != OCCUPIED
+            and not count(own_rows, OCCUPIED, x, y, 1)
+            and count(own_rows, FREE, x, y, 1) >= 6
         )
         settled = state == UNKNOWN and abs(log_odds[y, x]) >= SETTLED
         if (
