@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from deploy.after.field_run import FieldStart
+from deploy.record.map_code import map_code_figures
 from deploy.record.map_quality import Figures, TrueWalls, robot_figures, team_figures
 from deploy.record.records import Records
 from deploy.record.summary import digest, median_work, per_kind, tolerance, undelivered
@@ -41,6 +42,7 @@ def summarize_field(plan: Plan, records: Records, starts: Sequence[FieldStart]) 
         if each.record.steps:
             late[each.robot] += each.record.steps[-1].late_steps
     ledger = records.ledger()
+    sizes = per_kind(ledger, "bytes")
     figures = _figures(plan, records)
     held = [each["team_map_held"] for each in figures.values()]
     known = [share for share in held if share is not None]
@@ -70,7 +72,8 @@ def summarize_field(plan: Plan, records: Records, starts: Sequence[FieldStart]) 
         "missed_steps_by_robot": late,
         "missed_phases": 0,
         "tolerance": tolerance(plan),
-        "bytes": per_kind(ledger, "bytes"),
+        "bytes": sizes,
+        **map_code_figures(records.planning.get(first), sizes["total"]),
         "packets": per_kind(ledger, "packets"),
         "undelivered": undelivered(ledger),
         "lost": {str(robot): cause for robot, cause in sorted(records.lost.items())},

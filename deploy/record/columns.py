@@ -119,6 +119,9 @@ SUMMARY = {
     "if lasers or poses have errors",
     "bytes, packets": "transmitted, by kind of packet",
     "raw_scan_bytes": "raw scans by the thesis' formula (section 6.3): steps x 362 values of 2 bytes x r(r - 1)",
+    "map_code_bytes": "an adaptive context code of the first robot's planning grid (`deploy.record.map_code`): "
+    "about the fewest bytes that describe the building",
+    "map_code_multiple": "transmitted bytes over `map_code_bytes`",
     "approximation_error": "Eq. 6.1, of the first robot: mean over its steps, as a share of the cells to explore; null "
     "for map encodings that do not approximate",
     "approximation_error_net": "the same minus that of an exact approximation; null without `polygons.exact_error`",

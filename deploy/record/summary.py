@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.robot import sure_after
+from deploy.record.map_code import map_code_figures
 from deploy.record.map_quality import (
     Figures,
     Mask,
@@ -97,6 +98,7 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "tolerance": tolerance(plan),
         "bytes": sizes,
         "raw_scan_bytes": raw_scan_bytes(steps, scenario.robots),
+        **map_code_figures(records.planning.get(first), sizes["total"]),
         "packets": per_kind(ledger, "packets"),
         **recorded_figures(plan, records, steps, sizes["total"]),
         **_approximation_error(records, first, int(reachable.sum()), scenario.map_encoding),

@@ -16,6 +16,7 @@ NAMES: Final = {
     "t95": "time to 95 %", "t99": "time to 99 %", "longest_path_95": "longest path to 95 %",
     "longest_path_99": "longest path to 99 %", "overlap_sum": "overlap, summed",
     "seen_std": "standard deviation of seen shares", "known_at": "time until a robot knows the full map",
+    "map_code_bytes": "context code of the map", "map_code_multiple": "transmitted",
 }  # fmt: skip
 """Names of metrics and settings, where they differ from their keys."""
 
@@ -29,7 +30,8 @@ UNITS: Final = {
     "longest_path": "m", "longest_path_95": "m", "longest_path_99": "m",
     "duty_cycle": "share of an hour", "finished": "share of runs",
     "carried": "bytes per step", "bandwidth": "bytes per step",
-    "raw_scan_bytes": "bytes", "sensor_range": "m", "range": "m",
+    "raw_scan_bytes": "bytes", "map_code_bytes": "bytes", "map_code_multiple": "codes of the map",
+    "sensor_range": "m", "range": "m",
     "speed": "m per step", "steps_per_s": "steps per s", "robots": "",
 }  # fmt: skip
 """Units of metrics and settings that neither their table nor their suffix determines."""

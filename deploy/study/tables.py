@@ -47,7 +47,8 @@ METRICS = (
     "claimed_worst_wall_precision", "claimed_worst_wall_recall", "claimed_worst_wall_f1",
     "walls_within_tolerance", "worst_walls_within_tolerance", "tolerance",
     "approximation_error", "approximation_error_net", "explored_at", "known_at", "robots", "seed", "range_m",
-    "raw_scan_bytes", "over_budget_steps", "duty_cycle", "protocol_errors", "wall_s", "steps_per_s", "work_us_median",
+    "raw_scan_bytes", "map_code_bytes", "map_code_multiple",
+    "over_budget_steps", "duty_cycle", "protocol_errors", "wall_s", "steps_per_s", "work_us_median",
     "step_s", "missed_steps", "missed_phases",
 )  # fmt: skip
 """Numeric values of a summary (`deploy.record.summary.summarize`)."""
