@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -18,12 +19,14 @@ FILES = (".yaml", ".yml", *IMAGES)
 def find_map(name: str, seed: int, options: Mapping[str, float]) -> Map:
     """Load a map file, or generate a map with `seed` and `options`; an image has one option, ``resolution``.
 
+    A file is searched in the working directory, then in the directory of the environment variable MURMUR_MAPS.
+
     Raises MapError if the map does not exist or cannot be read, or an option is unknown or missing.
     """
     if name.endswith(IMAGES):
-        return maps.load_picture(name, **_image_options(name, options))
+        return maps.load_picture(_located(name), **_image_options(name, options))
     if name.endswith(FILES) or Path(name).is_file():
-        found = maps.load(name)
+        found = maps.load(_located(name))
         if "resolution" in options:
             raise MapError(
                 f"resolution = {options['resolution']:g}: {name} itself gives the size of its cells, "
@@ -42,6 +45,12 @@ def find_map(name: str, seed: int, options: Mapping[str, float]) -> Map:
     if "name" in options or "seed" in options:
         raise MapError("map_options: name and seed are the settings map and map_seed")
     return generators.make(name, seed=seed, **options)
+
+
+def _located(name: str) -> str:
+    """Return the path of a map file: `name`, unless only MURMUR_MAPS has such a file."""
+    elsewhere = Path(os.environ.get("MURMUR_MAPS", "")) / name
+    return str(elsewhere) if not Path(name).exists() and elsewhere.exists() else name
 
 
 def _image_options(name: str, options: Mapping[str, float]) -> Mapping[str, float]:
