@@ -1,4 +1,4 @@
-"""The context code of a map: about the fewest bytes that describe it to somebody who knows nothing of the building.
+"""The context code of a map: about the fewest bytes that describe it without prior knowledge of the building.
 
 A cell is coded with the probability that its state had so far after the same states of six neighbors, as in JBIG
 (ITU-T T.82) and with the estimator of Krichevsky and Trofimov (1981). The length of such a code does not depend on the
