@@ -123,13 +123,18 @@ def _flood(free: Bools, stride: int, start: int) -> Int32Rows:
 @kernel
 def _collect(grid: Grid, stride: int, runs: Int32Rows) -> Cells:
     """Return the frontier cells of runs, row by row."""
-    out = np.empty(((runs[:, 1] - runs[:, 0] + 1).sum(), 2), np.int32)
+    found = np.empty((runs[:, 1] - runs[:, 0] + 1).sum(), np.int32)
     count = 0
-    for index in np.argsort(runs[:, 0]):
+    for index in range(len(runs)):
         y = runs[index, 0] // stride - 1
-        for x in range(runs[index, 0] % stride - 1, runs[index, 1] % stride):
-            if is_frontier(grid, x, y):
-                out[count, 0] = x
-                out[count, 1] = y
+        for cell in range(runs[index, 0], runs[index, 1] + 1):
+            if is_frontier(grid, cell - (y + 1) * stride - 1, y):
+                found[count] = cell
                 count += 1
-    return out[:count].copy()
+    # Few of the cells are frontier cells, so sorting them is faster than sorting the runs.
+    ordered = np.sort(found[:count])
+    out = np.empty((count, 2), np.int32)
+    for index in range(count):
+        out[index, 0] = ordered[index] % stride - 1
+        out[index, 1] = ordered[index] // stride - 1
+    return out

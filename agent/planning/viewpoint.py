@@ -21,6 +21,9 @@ _BEGUN = 1 / 2
 _DIGITS = 6
 """Decimals to which lengths are compared."""
 
+_OUTSIDE = 255
+"""State of cells outside the part of the grid that a beam may cross."""
+
 
 def viewpoint_cells(grid: Grid, goal: tuple[int, int], around: RayTable, reach: float) -> Cells:
     """Find all cells from which a beam reaches an unknown 4-neighbor of a goal over free cells, row by row.
@@ -30,10 +33,12 @@ def viewpoint_cells(grid: Grid, goal: tuple[int, int], around: RayTable, reach: 
     """
     x0, y0 = max(0, goal[0] - int(reach) - 1), max(0, goal[1] - int(reach) - 1)
     x1, y1 = goal[0] + int(reach) + 2, goal[1] + int(reach) + 2
-    part = np.ascontiguousarray(grid[y0:y1, x0:x1])
+    part = np.pad(grid[y0:y1, x0:x1], 1, constant_values=_OUTSIDE)
+    x0, y0 = x0 - 1, y0 - 1
     found = np.zeros(part.shape, np.bool_)
     found[goal[1] - y0, goal[0] - x0] = True
-    _trace_back(part, goal[0] - x0, goal[1] - y0, around.cells, around.start, reach, found)
+    flat = around.flat(part.shape[1])
+    _trace_back(part, goal[0] - x0, goal[1] - y0, around.cells, flat, around.start, reach, found)
     y, x = np.nonzero(found)
     return np.stack([x + x0, y + y0], axis=1).astype(np.int32)
 
@@ -77,28 +82,36 @@ def _are_among(cells: Cells, others: Cells) -> Bools:
 
 @kernel
 def _trace_back(
-    part: Grid, x: int, y: int, beam_cells: Cells, start: Int32s, reach: float, found: BoolRows
+    part: Grid, x: int, y: int, beam_cells: Cells, flat: Int32s, start: Int32s, reach: float, found: BoolRows
 ) -> None:
-    """Mark the cells from which a beam reaches an unknown neighbor of (x, y), by following each beam backwards."""
-    height, width = part.shape
-    for side_x, side_y in ((x + 1, y), (x, y + 1), (x - 1, y), (x, y - 1)):
-        if side_x < 0 or side_y < 0 or side_x >= width or side_y >= height:
+    """Mark the cells from which a beam reaches an unknown neighbor of (x, y), by following each beam backwards.
+
+    `part` has a rim of `_OUTSIDE`; `flat` has the offsets `beam_cells` as index differences on it.
+    """
+    stride = part.shape[1]
+    cells, marked = part.reshape(-1), found.reshape(-1)
+    ends = np.empty(len(start) - 1, np.int64)
+    for beam in range(len(ends)):
+        ends[beam] = start[beam]
+        for at in range(start[beam], start[beam + 1]):
+            dx, dy = beam_cells[at, 0], beam_cells[at, 1]
+            if dx * dx + dy * dy > reach * reach:
+                break
+            ends[beam] = at + 1
+    goal = y * stride + x
+    for side in (goal + 1, goal + stride, goal - 1, goal - stride):
+        if cells[side] != UNKNOWN:
             continue
-        if part[side_y, side_x] != UNKNOWN:
-            continue
-        for beam in range(len(start) - 1):
-            for at in range(start[beam], start[beam + 1]):
-                dx, dy = beam_cells[at, 0], beam_cells[at, 1]
-                from_x, from_y = side_x - dx, side_y - dy
-                if dx * dx + dy * dy > reach * reach or from_x < 0 or from_y < 0:
+        for beam in range(len(ends)):
+            for at in range(start[beam], ends[beam]):
+                here = side - flat[at]
+                if cells[here] == _OUTSIDE:
                     break
-                if from_x >= width or from_y >= height:
-                    break
-                if part[from_y, from_x] != FREE or found[from_y, from_x]:
+                if cells[here] != FREE or marked[here]:
                     continue
                 clear = True
                 for before in range(at - 1, start[beam] - 1, -1):
-                    if part[from_y + beam_cells[before, 1], from_x + beam_cells[before, 0]] != FREE:
+                    if cells[here + flat[before]] != FREE:
                         clear = False
                         break
-                found[from_y, from_x] = clear
+                marked[here] = clear
