@@ -42,14 +42,33 @@ def frontier_cells(grid: Grid, reached: BoolRows) -> Cells:
     return np.column_stack([x, y]).astype(np.int32)
 
 
+class Regions:
+    """The frontiers of the regions of one grid and its floor, each collected on first use."""
+
+    def __init__(self) -> None:
+        self._known: list[tuple[Int32Rows, Cells]] = []
+        """The runs of rows of each region, and its frontier."""
+
+    def frontier(self, floor: Floor, grid: Grid, x: int, y: int) -> Cells:
+        """Return the same as `reachable_frontier`; callers must not modify it."""
+        at = floor.at(x, y)
+        for runs, cells in self._known:
+            if ((runs[:, 0] <= at) & (at <= runs[:, 1])).any():
+                return cells
+        runs = _flood(floor.free, floor.stride, at)
+        cells = _collect(grid, floor.stride, runs)
+        if floor.free[at]:  # else the runs may join regions
+            self._known.append((runs, cells))
+        return cells
+
+
 def reachable_frontier(floor: Floor, grid: Grid, x: int, y: int) -> Cells:
     """Return all frontier cells of `grid` that are reachable from cell (x, y), row by row.
 
     A diagonal step needs both cells beside it free, so the 4-connected cells of the floor are reachable. A flood fill
     takes a fraction of the time of a cost field.
     """
-    found: Cells = _collect(grid, floor.stride, _flood(floor.free, floor.stride, floor.at(x, y)))
-    return found
+    return Regions().frontier(floor, grid, x, y)
 
 
 @kernel

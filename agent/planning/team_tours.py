@@ -46,6 +46,10 @@ class Task(NamedTuple):
     loads: Floats
     """Length that each goal adds to the end of its tour, for the expected work behind it, shape (n,)."""
 
+    def key(self) -> tuple[object, ...]:
+        """Return a key for caches: equal for equal tasks."""
+        return Task, self.starts.shape, *(np.asarray(each).tobytes() for each in self)
+
 
 def team_tours(task: Task) -> list[list[int]]:
     """Plan one tour per robot, goals in their order, at a small cost (see above); unreachable goals are left out."""

@@ -29,6 +29,7 @@ import math
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -48,8 +49,8 @@ from agent.strategies.base import Cell, Situation
 from agent.strategies.options import option
 from agent.strategies.targets import Parts
 from agent.strategies.team import PLAN_ALONE_AFTER, Table, TeamStrategy
-from protocol.arrays import Cells, FloatRows, Floats
-from protocol.grid import ray_table
+from protocol.arrays import Cells, FloatRows, Floats, Int64s
+from protocol.grid import Grid, ray_table
 
 PLENTY = 1 / 8
 """A goal whose expected gain is at least this share of the sensor's disc has weight 1."""
@@ -194,17 +195,9 @@ class Repairmen(TeamStrategy):
         if not len(frontier):
             return frontier
         range_cells = self.settings.scale_cells
-        edges, sizes = components(frontier)
-        counts = np.minimum(sizes, count_representatives(sizes, range_cells))
-        cells, edge = medoids(edges, sizes, counts)
-        lengths = sizes[edge]
-        gap = GAP * range_cells
-        stays = thin_out(situation.grid, cells, lengths, gap)
-        while len(stays) > MAX_GOALS and gap < range_cells:
-            gap *= 1.5
-            stays = thin_out(situation.grid, cells, lengths, gap)
-        self._lengths = lengths[stays]
-        return cells[stays]
+        find = partial(_representatives, situation.grid, frontier, range_cells)
+        cells, self._lengths = planner.shared((_representatives, frontier.tobytes(), range_cells), find)
+        return cells
 
     def table(self, situation: Situation, goals: Cells, planner: PathPlanner) -> Table:
         """Return the costs of all robots and goals; ways between goals come from the same search."""
@@ -264,7 +257,6 @@ class Repairmen(TeamStrategy):
 
     def assign(self, table: Table, situation: Situation, planner: PathPlanner) -> Assignment:
         """Return the first goal of each robot's tour: minimum latency for a team, least length for a single robot."""
-        del planner
         range_cells = self.settings.scale_cells
         nearer = self._with_hysteresis(table, situation)
         if self.settings.robots == 1:
@@ -272,7 +264,10 @@ class Repairmen(TeamStrategy):
             return np.array((self._tour or [-1])[:1])
         near = NEAR * range_cells
         ways, between = (np.maximum(costs - near, REMAINS * costs) for costs in (nearer, self._between))
-        gain = expected_gain(situation.grid, table.goals, self._lengths, range_cells)
+        gain = planner.shared(
+            (expected_gain, table.goals.tobytes(), self._lengths.tobytes(), range_cells),
+            partial(expected_gain, situation.grid, table.goals, self._lengths, range_cells),
+        )
         worth = np.minimum(gain / PLENTY, 1.0)
         # Below 1, the team has more robots than goals of large gain.
         demand = min(1.0, math.fsum(worth) / len(table.robots))
@@ -285,7 +280,7 @@ class Repairmen(TeamStrategy):
             way=self.options.total_length * demand,
             loads=self.options.expected_work * range_cells * worth,
         )
-        tours = team_tours(task)
+        tours = self._cache.get(task.key(), partial(team_tours, task))
         self._tour = tours[table.robots.index(self.settings.robot)]
         return _follow(np.array([tour[0] if tour else -1 for tour in tours]), table.costs, worth)
 
@@ -307,6 +302,23 @@ class Repairmen(TeamStrategy):
             if gap <= SAME * range_cells:
                 ways[row, goal] = max(0.0, ways[row, goal] - target_hysteresis * range_cells)
         return ways
+
+
+def _representatives(grid: Grid, frontier: Cells, range_cells: float) -> tuple[Cells, Int64s]:
+    """Return representatives of the segments of a frontier, merged if they are close to each other.
+
+    With each, return the number of cells of its segment, shape (n,). `range_cells` is the sensor range.
+    """
+    edges, sizes = components(frontier)
+    counts = np.minimum(sizes, count_representatives(sizes, range_cells))
+    cells, edge = medoids(edges, sizes, counts)
+    lengths = sizes[edge]
+    gap = GAP * range_cells
+    stays = thin_out(grid, cells, lengths, gap)
+    while len(stays) > MAX_GOALS and gap < range_cells:
+        gap *= 1.5
+        stays = thin_out(grid, cells, lengths, gap)
+    return cells[stays], lengths[stays]
 
 
 def _follow(firsts: Assignment, ways: FloatRows, worth: Floats) -> Assignment:
