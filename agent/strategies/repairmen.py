@@ -26,7 +26,6 @@ of its teammates plans minimum-latency tours for a team of one.
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -51,6 +50,7 @@ from agent.strategies.targets import Parts
 from agent.strategies.team import PLAN_ALONE_AFTER, Table, TeamStrategy
 from protocol.arrays import Cells, FloatRows, Floats, Int64s
 from protocol.grid import Grid, ray_table
+from protocol.kernels import kernel
 
 PLENTY = 1 / 8
 """A goal whose expected gain is at least this share of the sensor's disc has weight 1."""
@@ -176,16 +176,17 @@ class Repairmen(TeamStrategy):
         """
         members = super().team(situation)
         for peer, target in situation.targets.items():
-            if situation.step - situation.target_steps.get(peer, 0) <= RECALL:
-                members.setdefault(peer, target)
-        for peer in members:
+            if peer not in members and situation.step - situation.target_steps.get(peer, 0) <= RECALL:
+                members[peer] = target
+        for peer in members if self._waited else ():
             stands = situation.step - situation.last_moved.get(peer, situation.step) >= STILL
-            if self._waited >= PLAN_ALONE_AFTER or (self._waited and stands and peer in situation.peers):
+            if self._waited >= PLAN_ALONE_AFTER or (stands and peer in situation.peers):
                 self._given_up[peer] = situation.target_steps.get(peer, 0)
         return {
             peer: members[peer]
             for peer in sorted(members)
             if peer == self.settings.robot
+            or not self._given_up
             or situation.target_steps.get(peer, 0) > self._given_up.get(peer, -1)
         }
 
@@ -282,7 +283,9 @@ class Repairmen(TeamStrategy):
         )
         tours = self._cache.get(task.key(), partial(team_tours, task))
         self._tour = tours[table.robots.index(self.settings.robot)]
-        return _follow(np.array([tour[0] if tour else -1 for tour in tours]), table.costs, worth)
+        firsts = np.array([tour[0] if tour else -1 for tour in tours])
+        _follow(firsts, table.costs, worth, max(LEAST_WORTH, WORTHWHILE * worth.max(initial=0.0)))
+        return firsts
 
     def _with_hysteresis(self, table: Table, situation: Situation) -> FloatRows:
         """Return the costs of all goals, reduced for the goal nearest to each robot's last target."""
@@ -321,17 +324,29 @@ def _representatives(grid: Grid, frontier: Cells, range_cells: float) -> tuple[C
     return cells[stays], lengths[stays]
 
 
-def _follow(firsts: Assignment, ways: FloatRows, worth: Floats) -> Assignment:
-    """Send robots without a tour after their teammates, to the goals of largest expected gain.
+@kernel
+def _follow(firsts: Int64s, ways: FloatRows, worth: Floats, least: float) -> None:
+    """Send robots without a tour, those of which the first goal is -1, after their teammates.
 
-    Each follows to the nearest one of those worthwhile goals to which the fewest robots drive. `firsts` is changed.
+    Each follows to the nearest one of those goals to which the fewest robots drive and whose worth is at least `least`.
     """
-    worthwhile = np.flatnonzero(worth >= max(LEAST_WORTH, WORTHWHILE * worth.max(initial=0.0))).tolist()
-    headed = Counter(firsts.tolist())
-    for robot in np.flatnonzero(firsts < 0).tolist() if worthwhile else ():
-        fewest = min(headed[goal] for goal in worthwhile)
-        way, goal = min((ways.item(robot, goal), goal) for goal in worthwhile if headed[goal] == fewest)
-        if math.isfinite(way):
-            firsts[robot] = goal
+    headed = np.zeros(len(worth), np.int64)
+    for goal in firsts:
+        if goal >= 0:
             headed[goal] += 1
-    return firsts
+    for robot in range(len(firsts)):
+        if firsts[robot] >= 0:
+            continue
+        best = -1
+        for goal in range(len(worth)):
+            if worth[goal] < least:
+                continue
+            if (
+                best < 0
+                or headed[goal] < headed[best]
+                or (headed[goal] == headed[best] and ways[robot, goal] < ways[robot, best])
+            ):
+                best = goal
+        if best >= 0 and np.isfinite(ways[robot, best]):
+            firsts[robot] = best
+            headed[best] += 1
