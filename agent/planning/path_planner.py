@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Hashable
 from functools import cached_property
 
@@ -62,6 +63,7 @@ class PathPlanner:
         self._others: dict[float, PathPlanner] = {}
         self._fields: dict[Cell, Field] = {}
         self._ways: dict[tuple[Cell, Cell], Cells] = {}
+        self._lengths: dict[tuple[Cell, Cell], float] = {}
 
     @cached_property
     def _laid_out(self) -> Floor:
@@ -131,7 +133,11 @@ class PathPlanner:
         known = self._fields.get(start)
         if known is not None and np.isfinite(known[end[1], end[0]]):
             return way(self.floor, known, *end)
-        return way_between(self._laid_out, start, end)
+        return way_between(self._laid_out, start, end, self._lengths.get((start, end), math.inf))
+
+    def note_cost(self, start: Cell, end: Cell, cost: float) -> None:
+        """Note the cost of the best way between two cells, as this planner has returned it: `path` is then faster."""
+        self._lengths[start, end] = cost
 
     def frontier(self, x: int, y: int) -> Cells:
         """Return all frontier cells that are reachable from (x, y), row by row; callers must not modify them."""

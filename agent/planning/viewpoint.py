@@ -112,7 +112,11 @@ def best_viewpoint(
         if (places == goal).all():
             break
     best = int(np.lexsort((ways, np.round(cost, _DIGITS)))[0])
-    return (int(cells[best, 0]), int(cells[best, 1])) if np.isfinite(cost[best]) else None
+    if not np.isfinite(cost[best]):
+        return None
+    found = int(cells[best, 0]), int(cells[best, 1])
+    planner.note_cost(here, found, ways.item(best))
+    return found
 
 
 def _are_among(cells: Cells, others: Cells, shape: tuple[int, ...]) -> Bools:
