@@ -6,16 +6,18 @@ import math
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
+from PIL import Image
 
 from deploy.record import colors
 from deploy.record.colors import Color
@@ -55,7 +57,20 @@ def robot_color(robot: int) -> Rgb:
 
 def save(path: Path, figure: Figure, dpi: int) -> None:
     """Write a figure atomically, in the format of the file's suffix."""
-    write_whole(path, lambda file: figure.savefig(file, format=path.suffix[1:] or "png", dpi=dpi))
+    kind = path.suffix[1:] or "png"
+    if kind == "png":
+        write_whole(path, lambda file: _write_png(file, figure, dpi))
+    else:
+        write_whole(path, lambda file: figure.savefig(file, format=kind, dpi=dpi))
+
+
+def _write_png(file: IO[bytes], figure: Figure, dpi: int) -> None:
+    """Write a figure as a PNG without transparency; `Figure.savefig` writes larger files and takes longer."""
+    canvas = FigureCanvasAgg(figure)
+    figure.set_dpi(dpi)
+    canvas.draw()
+    picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+    picture.save(file, "PNG", dpi=(dpi, dpi), compress_level=4)
 
 
 def draw_map(path: Path, world_map: Map) -> None:
@@ -83,6 +98,7 @@ def maps_figure(plan: Plan, records: Records, summary: dict[str, Any]) -> Figure
     seen = records.team_map(summary["refuted_maps"])
     reachable = plan.reachable
     _show_errors(team, plan, compare(seen, plan.map.cells, reachable))
+    team.tick_params(labelsize=7)
     share = f": {_percent(summary['coverage'])}" if plan.has_truth else ""
     _set_title(team, f"seen by the team{share}", fontsize=11)
     size = min(11.0, 3.2 + 3.0 * panels[0].get_position().width * PAGE_WIDTH) if panels else 0
@@ -233,7 +249,6 @@ def _draw_legend(figure: Figure, records: Records, differences: dict[int, str]) 
 
 def _show_errors(axes: Axes, plan: Plan, errors: NDArray[np.uint8]) -> None:
     _show(axes, errors, MAP_ERRORS, plan.map)
-    axes.tick_params(labelsize=7)
 
 
 def _show(axes: Axes, cells: NDArray[np.uint8], palette: ListedColormap, world_map: Map) -> None:
