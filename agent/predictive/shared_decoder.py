@@ -93,4 +93,5 @@ class CachedReader:
 
 
 def _key(history: History) -> bytes:
-    return history.last.key if history.last is not None else b""
+    last = history.last
+    return last.key if last is not None else b""

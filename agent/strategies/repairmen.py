@@ -297,13 +297,12 @@ class Repairmen(TeamStrategy):
         last = [situation.targets.get(robot) for robot in table.robots]
         own = table.robots.index(self.settings.robot)
         last[own] = self.target
-        rows = [row for row, target in enumerate(last) if target is not None]
-        targets = np.array([last[row] for row in rows], np.int32).reshape(-1, 1, 2)
+        rows = np.array([row for row, target in enumerate(last) if target is not None], np.intp)
+        targets = np.array([target for target in last if target is not None], np.int32).reshape(-1, 1, 2)
         gaps = np.abs(table.goals - targets).max(axis=2)
-        nearest = gaps.argmin(axis=1)
-        for row, goal, gap in zip(rows, nearest.tolist(), gaps.min(axis=1).tolist(), strict=True):
-            if gap <= SAME * range_cells:
-                ways[row, goal] = max(0.0, ways[row, goal] - target_hysteresis * range_cells)
+        near = gaps.min(axis=1) <= SAME * range_cells
+        same = rows[near], gaps.argmin(axis=1)[near]
+        ways[same] = np.maximum(0.0, ways[same] - target_hysteresis * range_cells)
         return ways
 
 
