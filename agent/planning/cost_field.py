@@ -291,9 +291,7 @@ def _spread_to(free: Bools, stride: int, start: int, cells: Cells, work: Workspa
 
 
 @kernel
-def _lead(
-    free: Bools, stride: int, start: int, end: int, limit: int, work: Workspace
-) -> tuple[bool, Cells]:
+def _lead(free: Bools, stride: int, start: int, end: int, limit: int, work: Workspace) -> tuple[bool, Cells]:
     fill = np.empty(5, np.int64)
     offset = offsets(stride)
     _settle_until(free, work, begin(work, fill, start), fill, offset, 0, start, end, (end, limit))

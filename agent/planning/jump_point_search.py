@@ -73,7 +73,7 @@ def _found(floor: Floor, starts: Cells, goals: Cells, first: Int64s) -> FloatRow
 def _cropped(floor: Floor, cells: Cells) -> tuple[BoolRows, int, int]:
     """Return the part of a floor, rim included, that contains all free cells and `cells`; and its left and top."""
     free = floor.free.reshape(floor.height + 2, floor.stride)
-    rows, columns = (free.any(axis=axis).nonzero()[0] - 1 for axis in (1, 0))
+    rows, columns = (np.flatnonzero(free.any(axis=axis)) - 1 for axis in (1, 0))
     x = np.concatenate([cells[:, 0], columns[:1], columns[-1:]])
     y = np.concatenate([cells[:, 1], rows[:1], rows[-1:]])
     left, top = int(x.min()), int(y.min())
