@@ -133,10 +133,14 @@ class PathPlanner:
         known = self._fields.get(start)
         if known is not None and np.isfinite(known[end[1], end[0]]):
             return way(self.floor, known, *end)
-        return way_between(self._laid_out, start, end, self._lengths.get((start, end), math.inf))
+        length = self._lengths.get((start, end), math.inf)
+        found = way_between(self._laid_out, start, end, length)
+        if found is None and math.isfinite(length):  # the strategy has changed the cost
+            found = way_between(self._laid_out, start, end)
+        return found
 
     def note_cost(self, start: Cell, end: Cell, cost: float) -> None:
-        """Note the cost of the best way between two cells, as this planner has returned it: `path` is then faster."""
+        """Note the cost of the best way between two cells, as this planner returned it, so that `path` takes less time."""
         self._lengths[start, end] = cost
 
     def frontier(self, x: int, y: int) -> Cells:

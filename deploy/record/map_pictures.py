@@ -172,8 +172,8 @@ def draw_paths(axes: Axes, plan: Plan, records: Records) -> None:
             markeredgewidth=0.5, zorder=5 + robot / 1000,
         )  # fmt: skip
         axes.text(
-            places[-1][0], places[-1][1], str(robot), color="white", fontsize=(6.5, 5.5, 4.2)[len(str(robot)) - 1] * size,
-            fontweight="bold", ha="center", va="center_baseline", zorder=5.0005 + robot / 1000,
+            places[-1, 0], places[-1, 1], str(robot), color="white", fontweight="bold", ha="center",
+            fontsize=(6.5, 5.5, 4.2)[len(str(robot)) - 1] * size, va="center_baseline", zorder=5.0005 + robot / 1000,
         )  # fmt: skip
 
 
