@@ -140,7 +140,7 @@ class PathPlanner:
         return found
 
     def note_cost(self, start: Cell, end: Cell, cost: float) -> None:
-        """Note the cost of the best way between two cells, as this planner returned it, so that `path` takes less time."""
+        """Note the cost of the best way between two cells, as this planner returned it; `path` is then faster."""
         self._lengths[start, end] = cost
 
     def frontier(self, x: int, y: int) -> Cells:
