@@ -38,6 +38,7 @@ from agent.predictive.urgent_tile_author import UrgentTileAuthor
 from agent.settings import Settings
 from protocol.errors import ProtocolError
 from protocol.grid import Grid, ray_table
+from protocol.packet_index import cache_short
 from protocol.packets import (
     LONG_UPDATE_DATA,
     SHORT_HEAD,
@@ -124,6 +125,7 @@ class PredictiveEncoding(GridEncoding):
     def __init__(self, settings: Settings) -> None:
         super().__init__(settings)
         self._options = settings.encoding.predictive
+        self._own_map = settings.own_map
         self._limits = _Limits.of(settings)
         self._histories = [History() for _ in range(settings.maps)]
         self._scratch = np.empty((2 * settings.height * settings.width, 2), np.int32)
@@ -286,12 +288,7 @@ class PredictiveEncoding(GridEncoding):
 
     def _has_bases(self, update: DecodedUpdate) -> bool:
         """Return whether all updates on which one depends are decoded, and are those that its author had."""
-        histories = self._histories
-        return all(
-            len(histories[base.map_id]) >= base.end
-            and histories[base.map_id].between(base.end - 1, base.end)[0].key == base.key
-            for base in update.bases
-        )
+        return all(self._histories[base.map_id].key_before(base.end) == base.key for base in update.bases)
 
     def apply(self, map_id: int, frame: bytes, *, step: int, sender: int) -> None:
         """Reassemble updates, and decode those of all logs whose dependencies are there.
@@ -303,7 +300,7 @@ class PredictiveEncoding(GridEncoding):
         if log.error and not self.settings.replication.digests:
             raise ProtocolError(Update.name, 0, log.error)
         self._step = step
-        packets = decode_kind(frame, Update)
+        packets = _updates(frame)
         fragments, updates, withdrawn = log.fragments, log.updates, 0
         new: list[tuple[bytes, int]] = []
         for count, packet in enumerate(packets, log.packets + 1):
@@ -420,12 +417,13 @@ class PredictiveEncoding(GridEncoding):
         An update of this robot is final as soon as a received update claims to depend on it, be the claim true or
         forged: retracting it would remove a state on which the decoder of that log relies.
         """
-        ends, number = self._states[map_id].ends, len(self._histories[map_id]) - 1
-        requires = tuple((base.map_id, self._states[base.map_id].ends[base.end - 1]) for base in update.bases)
+        states = self._states
+        ends, number = states[map_id].ends, len(self._histories[map_id]) - 1
+        requires = tuple([(base.map_id, states[base.map_id].ends[base.end - 1]) for base in update.bases])
         if requires:
             first = ends[number - 1] if number else 0
             self._dependencies[map_id].append(Dependency(first, ends[number], requires))
-        if (self.settings.own_map, self._states[self.settings.own_map].packets) in requires:
+        if (self._own_map, states[self._own_map].packets) in requires:
             self.retractable = 0
 
     def dependencies(self, map_id: int) -> Sequence[Dependency]:
@@ -442,6 +440,12 @@ class PredictiveEncoding(GridEncoding):
         self.votes.count(robot, update.places, update.states)
         if len(update.places):
             self.received_changed(update.box)
+
+
+@cache_short(512)
+def _updates(frame: bytes) -> tuple[Update, ...]:
+    """Read a frame of a log, which several robots of a process may receive."""
+    return tuple(decode_kind(frame, Update))
 
 
 def fragments(message: bytes, number: int, most: int, size: int = UPDATE_DATA) -> list[bytes]:

@@ -14,6 +14,7 @@ from heapq import heappop, heappush
 import numpy as np
 
 from agent.planning.cost_field import (
+    NO_BOUND,
     SHIFT,
     UNIT,
     Workspace,
@@ -88,7 +89,7 @@ def _search(
     best_cell = -1
     while best_cell < 0:
         if fill[:4].any() and (len(queue) == 0 or -queue[0][0] <= 1.0 - beta * (level / scale)):
-            buckets = settle(free, work, buckets, fill, offset, level, start)
+            buckets = settle(free, work, buckets, fill, offset, level, start, NO_BOUND)
             for at in range(fill[level & 3]):
                 cell = buckets[level & 3, at]
                 if length[cell] >> SHIFT != level or is_enclosed(free, cell, stride):

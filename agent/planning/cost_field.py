@@ -47,6 +47,11 @@ Workspace = tuple[Int64s, Uint8s, Int32s]
 """Working memory of a search: the length of the way to each cell, the last step of this way (8 after the cell is
 settled), and a list of the reached cells."""
 
+Bound = tuple[int, int]
+"""A cell and a length: cells that cannot be on a way of this length to the cell need no successors."""
+
+NO_BOUND: Bound = (0, FAR)
+
 _NO_WEIGHTS = np.empty((0, 0))
 
 
@@ -60,13 +65,17 @@ def workspace(cells: int) -> Workspace:
     return np.full(cells, FAR, np.int64), np.zeros(cells, np.uint8), np.empty(cells, np.int32)
 
 
-def way_between(floor: Floor, start: tuple[int, int], end: tuple[int, int]) -> Cells | None:
+def way_between(
+    floor: Floor, start: tuple[int, int], end: tuple[int, int], length: float = math.inf
+) -> Cells | None:
     """Return the cells of a shortest way between two cells, without the start; None if there is none.
 
-    The way equals that of `way` on a whole field, but the search ends at `end`.
+    The way equals that of `way` on a whole field, but the search ends at `end`. If its `length` is known, in cells as
+    other functions of this module return it, the search leaves out the cells that cannot be on a way of this length.
     """
+    limit = round(length * ONE) if math.isfinite(length) else FAR
     found, cells = _lead(
-        floor.free, floor.stride, floor.at(*start), floor.at(*end), workspace(len(floor.free))
+        floor.free, floor.stride, floor.at(*start), floor.at(*end), limit, workspace(len(floor.free))
     )
     return cells if found else None
 
@@ -143,7 +152,14 @@ def tidy(work: Workspace, fill: Int64s) -> None:
 
 @kernel
 def settle(
-    free: Bools, work: Workspace, buckets: Int32Rows, fill: Int64s, offset: Int64s, level: int, start: int
+    free: Bools,
+    work: Workspace,
+    buckets: Int32Rows,
+    fill: Int64s,
+    offset: Int64s,
+    level: int,
+    start: int,
+    bound: Bound,
 ) -> Int32Rows:
     """Settle the cells of one bucket, and put their neighbors into the next two; the bucket stays filled.
 
@@ -164,6 +180,8 @@ def settle(
         base = length[cell]
         if came[cell] == 8 or base >> SHIFT != level:
             continue  # a duplicate, or reached on a shorter way since
+        if bound[1] < FAR and base + _least(cell, bound[0], offset[1]) > bound[1]:
+            continue
         direction = came[cell]
         came[cell] = 8
         if cell == start:
@@ -208,6 +226,13 @@ def settle(
 
 
 @kernel
+def _least(one: int, other: int, stride: int) -> int:
+    """Return the length of the shortest way between two cells of a floor without obstacles."""
+    dx, dy = abs(one % stride - other % stride), abs(one // stride - other // stride)
+    return int(min(dx, dy) * ROOT + abs(dx - dy) * ONE)
+
+
+@kernel
 def offsets(stride: int) -> Int64s:
     """Return the index difference of each step on a flat floor."""
     offset = np.empty(8, np.int64)
@@ -226,10 +251,11 @@ def _settle_until(
     level: int,
     start: int,
     end: int,
+    bound: Bound,
 ) -> tuple[Int32Rows, int]:
     """Settle bucket after bucket until the cell `end` is settled or all are empty; return the buckets and the level."""
     while fill[:4].any() and work[1][end] != 8:
-        buckets = settle(free, work, buckets, fill, offset, level, start)
+        buckets = settle(free, work, buckets, fill, offset, level, start, bound)
         fill[level & 3] = 0
         level += 1
     return buckets, level
@@ -241,7 +267,7 @@ def _spread(free: Bools, start: int, work: Workspace, field: Field) -> None:
     fill = np.empty(5, np.int64)
     buckets = begin(work, fill, start)
     _settle_until(
-        free, work, buckets, fill, offsets(width + 2), 0, start, 0
+        free, work, buckets, fill, offsets(width + 2), 0, start, 0, NO_BOUND
     )  # cell 0, on the rim, is never settled
     length = work[0]
     for row in range(height):
@@ -259,16 +285,16 @@ def _spread_to(free: Bools, stride: int, start: int, cells: Cells, work: Workspa
     offset = offsets(stride)
     for index in range(len(cells)):
         cell = (cells[index, 1] + 1) * stride + cells[index, 0] + 1
-        buckets, level = _settle_until(free, work, buckets, fill, offset, level, start, cell)
+        buckets, level = _settle_until(free, work, buckets, fill, offset, level, start, cell, NO_BOUND)
         found[index] = work[0][cell] * UNIT if work[0][cell] != FAR else np.inf
     tidy(work, fill)
 
 
 @kernel
-def _lead(free: Bools, stride: int, start: int, end: int, work: Workspace) -> tuple[bool, Cells]:
+def _lead(free: Bools, stride: int, start: int, end: int, limit: int, work: Workspace) -> tuple[bool, Cells]:
     fill = np.empty(5, np.int64)
     offset = offsets(stride)
-    _settle_until(free, work, begin(work, fill, start), fill, offset, 0, start, end)
+    _settle_until(free, work, begin(work, fill, start), fill, offset, 0, start, end, (end, limit))
     found = work[0][end] != FAR
     cells = way_back(free, work[0], offset, end) if found else np.empty((0, 2), np.int32)
     tidy(work, fill)
@@ -289,7 +315,7 @@ def _spread_to_frontier(
     first = -1
     found = -1
     while fill[:4].any() and found < 0:
-        buckets = settle(free, work, buckets, fill, offset, level, start)
+        buckets = settle(free, work, buckets, fill, offset, level, start, NO_BOUND)
         nearest = -1
         for at in range(fill[level & 3]):
             cell = buckets[level & 3, at]

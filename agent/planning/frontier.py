@@ -42,14 +42,33 @@ def frontier_cells(grid: Grid, reached: BoolRows) -> Cells:
     return np.column_stack([x, y]).astype(np.int32)
 
 
+class Regions:
+    """The frontiers of the regions of one grid and its floor, each collected on first use."""
+
+    def __init__(self) -> None:
+        self._known: list[tuple[Int32Rows, Cells]] = []
+        """The runs of rows of each region, and its frontier."""
+
+    def frontier(self, floor: Floor, grid: Grid, x: int, y: int) -> Cells:
+        """Return the same as `reachable_frontier`; callers must not modify it."""
+        at = floor.at(x, y)
+        for runs, cells in self._known:
+            if ((runs[:, 0] <= at) & (at <= runs[:, 1])).any():
+                return cells
+        runs = _flood(floor.free, floor.stride, at)
+        cells = _collect(grid, floor.stride, runs)
+        if floor.free[at]:  # else the runs may join regions
+            self._known.append((runs, cells))
+        return cells
+
+
 def reachable_frontier(floor: Floor, grid: Grid, x: int, y: int) -> Cells:
     """Return all frontier cells of `grid` that are reachable from cell (x, y), row by row.
 
     A diagonal step needs both cells beside it free, so the 4-connected cells of the floor are reachable. A flood fill
     takes a fraction of the time of a cost field.
     """
-    found: Cells = _collect(grid, floor.stride, _flood(floor.free, floor.stride, floor.at(x, y)))
-    return found
+    return Regions().frontier(floor, grid, x, y)
 
 
 @kernel
@@ -123,13 +142,18 @@ def _flood(free: Bools, stride: int, start: int) -> Int32Rows:
 @kernel
 def _collect(grid: Grid, stride: int, runs: Int32Rows) -> Cells:
     """Return the frontier cells of runs, row by row."""
-    out = np.empty(((runs[:, 1] - runs[:, 0] + 1).sum(), 2), np.int32)
+    found = np.empty((runs[:, 1] - runs[:, 0] + 1).sum(), np.int32)
     count = 0
-    for index in np.argsort(runs[:, 0]):
+    for index in range(len(runs)):
         y = runs[index, 0] // stride - 1
-        for x in range(runs[index, 0] % stride - 1, runs[index, 1] % stride):
-            if is_frontier(grid, x, y):
-                out[count, 0] = x
-                out[count, 1] = y
+        for cell in range(runs[index, 0], runs[index, 1] + 1):
+            if is_frontier(grid, cell - (y + 1) * stride - 1, y):
+                found[count] = cell
                 count += 1
-    return out[:count].copy()
+    # Few of the cells are frontier cells, so sorting them is faster than sorting the runs.
+    ordered = np.sort(found[:count])
+    out = np.empty((count, 2), np.int32)
+    for index in range(count):
+        out[index, 0] = ordered[index] % stride - 1
+        out[index, 1] = ordered[index] // stride - 1
+    return out

@@ -61,29 +61,46 @@ def expected_gain(grid: Grid, cells: Cells, lengths: Int64s, range_cells: float)
     """
     around = ray_table(range_cells, BEAMS)
     unknown = np.empty(len(cells))
-    _sum_unknown(grid, cells, around.cells, around.start, unknown)
+    _sum_unknown(grid, cells, around.cells, around.flat(grid.shape[1] + 2), around.start, unknown)
     floor = np.minimum(_LEAST_FLOOR + _A_LENGTH * lengths / range_cells, _MOST_FLOOR)
     shares: Floats = floor * unknown / (BEAMS * range_cells**2 / 2)
     return shares
 
 
 @kernel
-def _sum_unknown(grid: Grid, cells: Cells, beam_cells: Int32Rows, start: Int32s, unknown: Floats) -> None:
-    """Sum over all beams of each cell the integral of the distance over unknown cells, up to the first obstacle."""
+def _sum_unknown(
+    grid: Grid, cells: Cells, beam_cells: Int32Rows, flat: Int32s, start: Int32s, unknown: Floats
+) -> None:
+    """Sum over all beams of each cell the integral of the distance over unknown cells, up to the first obstacle.
+
+    `flat` has the offsets `beam_cells` as index differences on the grid with a rim of obstacles, which beams cannot
+    cross.
+    """
     height, width = grid.shape
+    stride = width + 2
+    rimmed = np.full((height + 2) * stride, np.uint8(OCCUPIED))
+    for y in range(height):
+        begin = (y + 1) * stride + 1
+        rimmed[begin : begin + width] = grid[y]
+    # Twice the integral over each cell: the increase of the squared distance.
+    grows = np.empty(len(flat), np.int64)
+    for beam in range(len(start) - 1):
+        before = 0
+        for at in range(start[beam], start[beam + 1]):
+            squared = beam_cells[at, 0] * beam_cells[at, 0] + beam_cells[at, 1] * beam_cells[at, 1]
+            grows[at] = squared - before
+            before = squared
     for index in range(len(cells)):
-        total = 0.0
+        center = (cells[index, 1] + 1) * stride + cells[index, 0] + 1
+        total = 0
         for beam in range(len(start) - 1):
-            before = 0.0
             for at in range(start[beam], start[beam + 1]):
-                x, y = cells[index, 0] + beam_cells[at, 0], cells[index, 1] + beam_cells[at, 1]
-                if x < 0 or y < 0 or x >= width or y >= height or grid[y, x] == OCCUPIED:
+                state = rimmed[center + flat[at]]
+                if state == OCCUPIED:
                     break
-                squared = float(beam_cells[at, 0] ** 2 + beam_cells[at, 1] ** 2)
-                if grid[y, x] == UNKNOWN:
-                    total += (squared - before) / 2
-                before = squared
-        unknown[index] = total
+                if state == UNKNOWN:
+                    total += grows[at]
+        unknown[index] = total / 2
 
 
 @kernel

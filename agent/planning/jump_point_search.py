@@ -53,25 +53,41 @@ def costs_among(floor: Floor, starts: Cells, goals: Cells) -> tuple[FloatRows, F
 
 def _found(floor: Floor, starts: Cells, goals: Cells, first: Int64s) -> FloatRows:
     """Return the length of the shortest way from each start to each goal with an index of at least its `first`."""
+    free, left, top = _cropped(floor, np.concatenate([starts, goals]))
+    height, stride = free.shape
     start, goal = (
-        (cells[:, 1].astype(np.int64) + 1) * floor.stride + cells[:, 0] + 1 for cells in (starts, goals)
+        (cells[:, 1].astype(np.int64) + (1 - top)) * stride + cells[:, 0] + (1 - left)
+        for cells in (starts, goals)
     )
-    is_goal = np.zeros(len(floor.free), np.bool_)
+    is_goal = np.zeros(free.size, np.bool_)
     is_goal[goal] = True
     costs = np.empty((len(starts), len(goals)))
-    jumps, length, came = _workspace(floor.height + 2, floor.stride)
-    _search(floor.free, is_goal, jumps, start, goal, first, length, came, costs)
+    jumps, length, came = _workspace(len(floor.free))
+    runs = jumps[: 4 * free.size].reshape(4, height, stride)
+    _search(
+        free.reshape(-1), is_goal, runs, start, goal, first, length[: free.size], came[: free.size], costs
+    )
     return costs
 
 
+def _cropped(floor: Floor, cells: Cells) -> tuple[BoolRows, int, int]:
+    """Return the part of a floor, rim included, that contains all free cells and `cells`; and its left and top."""
+    free = floor.free.reshape(floor.height + 2, floor.stride)
+    rows, columns = (np.flatnonzero(free.any(axis=axis)) - 1 for axis in (1, 0))
+    x = np.concatenate([cells[:, 0], columns[:1], columns[-1:]])
+    y = np.concatenate([cells[:, 1], rows[:1], rows[-1:]])
+    left, top = int(x.min()), int(y.min())
+    part = free[top : int(y.max()) + 3, left : int(x.max()) + 3]
+    return np.ascontiguousarray(part), left, top
+
+
 @lru_cache(maxsize=1)
-def _workspace(height: int, stride: int) -> tuple[_Jumps, Int64s, Uint8s]:
+def _workspace(cells: int) -> tuple[NDArray[np.int16], Int64s, Uint8s]:
     """Return the working memory that all searches on floors of one size share: jumps, lengths, arrival steps.
 
-    Each search initializes it.
+    Each search initializes the part that it uses.
     """
-    cells = height * stride
-    return np.zeros((4, height, stride), np.int16), np.empty(cells, np.int64), np.empty(cells, np.uint8)
+    return np.empty(4 * cells, np.int16), np.empty(cells, np.int64), np.empty(cells, np.uint8)
 
 
 @kernel
@@ -82,6 +98,8 @@ def _lay_out(free: BoolRows, is_goal: BoolRows, jumps: _Jumps) -> None:
     +y and -y.
     """
     height, width = free.shape
+    # No run leaves the floor.
+    jumps[0, :, width - 2] = jumps[1, height - 2, :] = jumps[2, :, 1] = jumps[3, 1, :] = 0
     stop = np.zeros(width, np.bool_)
     for y in range(1, height - 1):
         for way in (1, -1):

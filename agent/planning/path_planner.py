@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Hashable
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from agent.memo_cache import NO_CACHE, MemoCache, Result
+from agent.memo_cache import NO_CACHE, Content, MemoCache, Result
 from agent.planning.best_frontier import TradeOff, best_frontier
 from agent.planning.breadth_first import first_by_hops
 from agent.planning.cost_field import Field, costs, costs_to, nearest_first, way, way_between
-from agent.planning.frontier import Floor, reachable_frontier
+from agent.planning.frontier import Floor, Regions
 from agent.planning.jump_point_search import costs_among, costs_between
 from agent.planning.occupancy import barred, entry_costs, weighted_costs
 from protocol.arrays import Cells, FloatRows, Floats
@@ -62,14 +63,17 @@ class PathPlanner:
         self._others: dict[float, PathPlanner] = {}
         self._fields: dict[Cell, Field] = {}
         self._ways: dict[tuple[Cell, Cell], Cells] = {}
+        self._lengths: dict[tuple[Cell, Cell], float] = {}
 
     @cached_property
     def _laid_out(self) -> Floor:
         return Floor(self.floor)
 
     @cached_property
-    def _all_of_the_floor(self) -> tuple[tuple[int, ...], bytes]:
-        return self.floor.shape, self.floor.tobytes()
+    def _content(self) -> Content:
+        """The floor and the grid; robots with equal ones use the same object, which is the fastest to compare."""
+        content = Content(self.floor) if self.floor is self.grid else Content(self.floor, self.grid)
+        return self._cache.get(content, lambda: content)
 
     @cached_property
     def _weights(self) -> FloatRows | None:
@@ -102,14 +106,21 @@ class PathPlanner:
             return self._searched(costs_among, starts, goals)
         return self.costs_between(starts, goals), self.costs_between(goals, goals)
 
+    def shared(self, key: Hashable, work: Callable[[], Result]) -> Result:
+        """Return `work()`, which depends on the grid, the floor and `key` alone; callers must not modify the result.
+
+        Robots of this process that have the same grid and floor compute it once.
+        """
+        if self._cache is NO_CACHE:
+            return work()
+        return self._cache.get((self._content, key), work)
+
     def _searched(
         self, search: Callable[[Floor, Cells, Cells], Result], starts: Cells, goals: Cells
     ) -> Result:
         """Return the result of a search on the floor; callers must not modify it, as robots share it."""
-        if self._cache is NO_CACHE:
-            return search(self._laid_out, starts, goals)
-        key = search, self._all_of_the_floor, starts.tobytes(), goals.tobytes()
-        return self._cache.get(key, lambda: search(self._laid_out, starts, goals))
+        key = search, starts.tobytes(), goals.tobytes()
+        return self.shared(key, lambda: search(self._laid_out, starts, goals))
 
     def path(self, start: Cell, end: Cell) -> Cells | None:
         """Return the cells of a best way, without the start; None if there is none."""
@@ -122,11 +133,19 @@ class PathPlanner:
         known = self._fields.get(start)
         if known is not None and np.isfinite(known[end[1], end[0]]):
             return way(self.floor, known, *end)
-        return way_between(self._laid_out, start, end)
+        length = self._lengths.get((start, end), math.inf)
+        found = way_between(self._laid_out, start, end, length)
+        if found is None and math.isfinite(length):  # the strategy has changed the cost
+            found = way_between(self._laid_out, start, end)
+        return found
+
+    def note_cost(self, start: Cell, end: Cell, cost: float) -> None:
+        """Note the cost of the best way between two cells, as this planner returned it; `path` is then faster."""
+        self._lengths[start, end] = cost
 
     def frontier(self, x: int, y: int) -> Cells:
-        """Return all frontier cells that are reachable from (x, y), row by row."""
-        return reachable_frontier(self._laid_out, self.grid, x, y)
+        """Return all frontier cells that are reachable from (x, y), row by row; callers must not modify them."""
+        return self.shared(Regions, Regions).frontier(self._laid_out, self.grid, x, y)
 
     def best_frontier(self, x: int, y: int, trade_off: TradeOff) -> Cell | None:
         """Return the frontier cell of the best trade-off of utility and length of way; None if there is none.

@@ -46,6 +46,10 @@ class Task(NamedTuple):
     loads: Floats
     """Length that each goal adds to the end of its tour, for the expected work behind it, shape (n,)."""
 
+    def key(self) -> tuple[object, ...]:
+        """Return a key for caches: equal for equal tasks."""
+        return Task, self.starts.shape, *(np.asarray(each).tobytes() for each in self)
+
 
 def team_tours(task: Task) -> list[list[int]]:
     """Plan one tour per robot, goals in their order, at a small cost (see above); unreachable goals are left out."""
@@ -61,6 +65,7 @@ _Task = tuple[FloatRows, FloatRows, Floats, Floats, float, float, Floats]
 _Books = Annotated[NDArray[np.float64], "float64[:,:,::1]"]
 _Plan = tuple[Int64Rows, Int64s, _Books]
 """Tours by robot and place, the length of each, and the sums of `_drive`."""
+_Ranks = tuple[int, int, int]
 
 
 @kernel
@@ -102,13 +107,27 @@ def _end(books: _Books, counts: Int64s, robot: int) -> float:
 
 
 @kernel
-def _longest(books: _Books, counts: Int64s, one: int, other: int) -> float:
-    """Return the length of the longest tour of the robots other than these two."""
-    longest = 0.0
+def _rank(books: _Books, counts: Int64s) -> tuple[int, int, int]:
+    """Return the robots of the three longest tours, the longest first; -1 where there are fewer robots."""
+    first, second, third = -1, -1, -1
     for robot in range(len(counts)):
+        end = _end(books, counts, robot)
+        if first < 0 or end > _end(books, counts, first):
+            first, second, third = robot, first, second
+        elif second < 0 or end > _end(books, counts, second):
+            second, third = robot, second
+        elif third < 0 or end > _end(books, counts, third):
+            third = robot
+    return first, second, third
+
+
+@kernel
+def _longest(books: _Books, counts: Int64s, ranks: _Ranks, one: int, other: int) -> float:
+    """Return the length of the longest tour of the robots other than these two, given the `_rank` of all tours."""
+    for robot in ranks:
         if robot not in (one, other):
-            longest = max(longest, _end(books, counts, robot))
-    return longest
+            return _end(books, counts, robot) if robot >= 0 else 0.0
+    return 0.0
 
 
 @kernel
@@ -117,10 +136,11 @@ def _best_place(goal: int, task: _Task, plan: _Plan) -> tuple[float, int, int]:
     starts, between, weights, latency_weight, last, way, loads = task
     tours, counts, books = plan
     least, best_robot, best_place = np.inf, -1, -1
+    ranks = _rank(books, counts)
     for robot in range(len(counts)):
         if not np.isfinite(starts[robot, goal]):
             continue
-        others = _longest(books, counts, robot, robot)
+        others = _longest(books, counts, ranks, robot, robot)
         end = _end(books, counts, robot)
         for place in range(counts[robot] + 1):
             arrival = starts[robot, goal]
@@ -150,7 +170,7 @@ def _move(goal: int, task: _Task, plan: _Plan) -> bool:
             if tours[each, at] == goal:
                 robot, place = each, at
     if robot >= 0:
-        others = _longest(books, counts, robot, robot)
+        others = _longest(books, counts, _rank(books, counts), robot, robot)
         end = _end(books, counts, robot)
         gain = last * max(others, end) + way * end
         gain += _drive(robot, task, plan)
@@ -174,11 +194,14 @@ def _move(goal: int, task: _Task, plan: _Plan) -> bool:
 
 
 @kernel
-def _swap_ends(one: int, other: int, task: _Task, plan: _Plan) -> bool:
-    """Swap the ends of two tours at the best places; return whether the cost decreases."""
+def _swap_ends(one: int, other: int, ranks: _Ranks, task: _Task, plan: _Plan) -> bool:
+    """Swap the ends of two tours at the best places; return whether the cost decreases.
+
+    `ranks` is the `_rank` of all tours before.
+    """
     starts, between, _, _, last, way, _ = task
     tours, counts, books = plan
-    others = _longest(books, counts, one, other)
+    others = _longest(books, counts, ranks, one, other)
     end_one, end_other = _end(books, counts, one), _end(books, counts, other)
     now = max(others, end_one, end_other)
     best, best_one, best_other = -_LEAST, -1, -1
@@ -223,7 +246,9 @@ def _reverse_part(robot: int, task: _Task, plan: _Plan) -> bool:
     starts, between, weights, latency_weight, last, way, _ = task
     tours, counts, books = plan
     tour, count, book = tours[robot], counts[robot], books[robot]
-    others, end = _longest(books, counts, robot, robot), _end(books, counts, robot)
+    if count < 2:
+        return False
+    others, end = _longest(books, counts, _rank(books, counts), robot, robot), _end(books, counts, robot)
     best, best_first, best_last = -_LEAST, -1, -1
     for first in range(count - 1):
         for final in range(first + 1, count):
@@ -264,9 +289,12 @@ def _plan(task: _Task, order: Int64s, tours: Int64Rows, counts: Int64s) -> None:
         improved = False
         for goal in order:
             improved |= _move(goal, task, plan)
+        ranks = _rank(plan[2], counts)
         for one in range(robots):
             for other in range(one):
-                improved |= _swap_ends(one, other, task, plan)
+                if counts[one] + counts[other] and _swap_ends(one, other, ranks, task, plan):
+                    improved = True
+                    ranks = _rank(plan[2], counts)
         for robot in range(robots):
             improved |= _reverse_part(robot, task, plan)
         if not improved:

@@ -81,6 +81,10 @@ class History:
         """Remove the last update, which no other log depends on."""
         self._updates.pop()
 
+    def key_before(self, end: int) -> bytes | None:
+        """Return the key of update `end` - 1; None if it is not decoded yet."""
+        return self._updates[end - 1].key if end <= len(self._updates) else None
+
     def between(self, first: int, end: int) -> list[DecodedUpdate]:
         """Return updates `first` to `end` - 1."""
         return self._updates[first:end]

@@ -38,12 +38,10 @@ class SharedDecoderCache:
         key = _key(histories[self._map_id])
         known = self._decoded.setdefault((key, message), [])
         for update in known:
-            if any(len(histories[base.map_id]) < base.end for base in update.bases):
+            keys = [histories[base.map_id].key_before(base.end) for base in update.bases]
+            if None in keys:
                 return None
-            if all(
-                histories[base.map_id].between(base.end - 1, base.end)[0].key == base.key
-                for base in update.bases
-            ):
+            if keys == [base.key for base in update.bases]:
                 histories[self._map_id].append(update)
                 return update
         decoder = self._decoder(key, histories)
@@ -95,4 +93,5 @@ class CachedReader:
 
 
 def _key(history: History) -> bytes:
-    return history.last.key if history.last is not None else b""
+    last = history.last
+    return last.key if last is not None else b""

@@ -137,6 +137,8 @@ class Acks:
 
     def stored(self, number: int, length: int) -> tuple[int, bytes] | None:
         """Take the stored entry at offset `length`; if there is none, drop those before it."""
+        if number not in self._stored:
+            return None
         entry = self._stored[number].pop(length, None)
         if entry is None:
             self._stored[number] = {at: each for at, each in self._stored[number].items() if at > length}

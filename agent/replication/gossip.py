@@ -24,7 +24,6 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.replication.base import Replication
 from agent.replication.control_packets import Header, ParsedFrame, header, offset, parse, report
@@ -41,8 +40,6 @@ from protocol.packets import From, FromEarly, Gone, Held, HeldEarly, LogDigest, 
 
 REFRESH = 16
 """Steps after which a robot that has not always had all others in range reports one more map."""
-
-Robots = list[int] | NDArray[np.intp]
 
 
 class Gossip(Replication):
@@ -200,7 +197,7 @@ class Gossip(Replication):
         length = len(self.logs[number])
         self._reported[number] = self.replica.step
         self._gaps.discard(number)
-        self._inform(self._in_range, number, length)
+        self._inform(self._listeners(), number, length)
         self._acks.report_sent(number, length)
 
     def _reports_sent(self, owed: list[int]) -> None:
@@ -210,13 +207,20 @@ class Gossip(Replication):
 
     def _entries_sent(self, number: int, first: int, end: int) -> None:
         """Entries `first` to `end` - 1 of a map were on the air."""
-        self._inform(self._in_range, number, end)
-        self._expect(self._in_range, number, first, end)
+        listeners = self._listeners()
+        self._inform(listeners, number, end)
+        self._expect(listeners, number, first, end)
         if number == self.peers.own:
             self._cursors.sent(end, self._in_range)
             self.shared = max(self.shared, end)
         elif self.peers.maps[number].robot == self.peers.robot:
             self._cursors.sent_earlier_incarnation()
+
+    def _listeners(self) -> Mask:
+        """Return the mask of the robots in range."""
+        listeners = np.zeros(self.peers.robots, np.bool_)
+        listeners[self._in_range] = True
+        return listeners
 
     # --- receiving
 
@@ -298,19 +302,20 @@ class Gossip(Replication):
         if first <= len(log) < end and not self.peers.is_own(number):
             replica.accept(peer, number, b"".join(entries[len(log) - first :]))
         receivers = self._neighbors.receivers(peer)
-        self._expect(receivers.nonzero()[0], number, first, end)
+        self._expect(receivers, number, first, end)
         if len(log) >= end:
-            receivers[[peer, self.peers.robot]] = True
-            self._inform(receivers.nonzero()[0], number, end)
+            receivers[peer] = receivers[self.peers.robot] = True
+            self._inform(receivers, number, end)
         while (stored := self._acks.stored(number, len(log))) is not None:
             self._gaps.add(number)
             replica.accept(stored[0], number, stored[1])
 
-    def _expect(self, peers: Robots, number: int, first: int, end: int) -> None:
+    def _expect(self, peers: Mask, number: int, first: int, end: int) -> None:
         """Peers received entries `first` to `end` - 1 of a map; they take them unless they lack earlier ones."""
-        expected = self.peers.expected[peers, number]
-        self.peers.expected[peers, number] = np.where(expected >= first, np.maximum(expected, end), expected)
+        expected = self.peers.expected[:, number]
+        np.maximum(expected, end, out=expected, where=peers & (expected >= first))
 
-    def _inform(self, peers: Robots, number: int, length: int) -> None:
+    def _inform(self, peers: Mask, number: int, length: int) -> None:
         """Peers know that this robot holds so many entries of a map."""
-        self._informed[peers, number] = np.maximum(self._informed[peers, number], length)
+        informed = self._informed[:, number]
+        np.maximum(informed, length, out=informed, where=peers)

@@ -38,6 +38,9 @@ Events: the peer comes into range (arrived), reports, restarts or leaves the ran
 (informed); the greeting times out.
 """
 
+_AWAITING = ("meeting", "awaiting")
+"""States in which this robot waits for the peer's report."""
+
 
 class Meetings:
     """This robot's meetings with all peers.
@@ -74,10 +77,11 @@ class Meetings:
 
     def known(self, in_range: Iterable[int]) -> list[int]:
         """Return the peers in range whose report is not awaited."""
-        return [peer for peer in in_range if not self._awaits_report(peer)]
+        states = self._states
+        return [peer for peer in in_range if states[peer] not in _AWAITING]
 
     def _awaits_report(self, peer: int) -> bool:
-        return self._states[peer] in ("meeting", "awaiting")
+        return self._states[peer] in _AWAITING
 
 
 class Neighbors:

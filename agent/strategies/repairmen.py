@@ -26,9 +26,9 @@ of its teammates plans minimum-latency tours for a team of one.
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -48,8 +48,9 @@ from agent.strategies.base import Cell, Situation
 from agent.strategies.options import option
 from agent.strategies.targets import Parts
 from agent.strategies.team import PLAN_ALONE_AFTER, Table, TeamStrategy
-from protocol.arrays import Cells, FloatRows, Floats
-from protocol.grid import ray_table
+from protocol.arrays import Cells, FloatRows, Floats, Int64s
+from protocol.grid import Grid, ray_table
+from protocol.kernels import kernel
 
 PLENTY = 1 / 8
 """A goal whose expected gain is at least this share of the sensor's disc has weight 1."""
@@ -175,16 +176,17 @@ class Repairmen(TeamStrategy):
         """
         members = super().team(situation)
         for peer, target in situation.targets.items():
-            if situation.step - situation.target_steps.get(peer, 0) <= RECALL:
-                members.setdefault(peer, target)
-        for peer in members:
+            if peer not in members and situation.step - situation.target_steps.get(peer, 0) <= RECALL:
+                members[peer] = target
+        for peer in members if self._waited else ():
             stands = situation.step - situation.last_moved.get(peer, situation.step) >= STILL
-            if self._waited >= PLAN_ALONE_AFTER or (self._waited and stands and peer in situation.peers):
+            if self._waited >= PLAN_ALONE_AFTER or (stands and peer in situation.peers):
                 self._given_up[peer] = situation.target_steps.get(peer, 0)
         return {
             peer: members[peer]
             for peer in sorted(members)
             if peer == self.settings.robot
+            or not self._given_up
             or situation.target_steps.get(peer, 0) > self._given_up.get(peer, -1)
         }
 
@@ -194,17 +196,9 @@ class Repairmen(TeamStrategy):
         if not len(frontier):
             return frontier
         range_cells = self.settings.scale_cells
-        edges, sizes = components(frontier)
-        counts = np.minimum(sizes, count_representatives(sizes, range_cells))
-        cells, edge = medoids(edges, sizes, counts)
-        lengths = sizes[edge]
-        gap = GAP * range_cells
-        stays = thin_out(situation.grid, cells, lengths, gap)
-        while len(stays) > MAX_GOALS and gap < range_cells:
-            gap *= 1.5
-            stays = thin_out(situation.grid, cells, lengths, gap)
-        self._lengths = lengths[stays]
-        return cells[stays]
+        find = partial(_representatives, situation.grid, frontier, range_cells)
+        cells, self._lengths = planner.shared((_representatives, frontier.tobytes(), range_cells), find)
+        return cells
 
     def table(self, situation: Situation, goals: Cells, planner: PathPlanner) -> Table:
         """Return the costs of all robots and goals; ways between goals come from the same search."""
@@ -264,7 +258,6 @@ class Repairmen(TeamStrategy):
 
     def assign(self, table: Table, situation: Situation, planner: PathPlanner) -> Assignment:
         """Return the first goal of each robot's tour: minimum latency for a team, least length for a single robot."""
-        del planner
         range_cells = self.settings.scale_cells
         nearer = self._with_hysteresis(table, situation)
         if self.settings.robots == 1:
@@ -272,7 +265,10 @@ class Repairmen(TeamStrategy):
             return np.array((self._tour or [-1])[:1])
         near = NEAR * range_cells
         ways, between = (np.maximum(costs - near, REMAINS * costs) for costs in (nearer, self._between))
-        gain = expected_gain(situation.grid, table.goals, self._lengths, range_cells)
+        gain = planner.shared(
+            (expected_gain, table.goals.tobytes(), self._lengths.tobytes(), range_cells),
+            partial(expected_gain, situation.grid, table.goals, self._lengths, range_cells),
+        )
         worth = np.minimum(gain / PLENTY, 1.0)
         # Below 1, the team has more robots than goals of large gain.
         demand = min(1.0, math.fsum(worth) / len(table.robots))
@@ -285,9 +281,11 @@ class Repairmen(TeamStrategy):
             way=self.options.total_length * demand,
             loads=self.options.expected_work * range_cells * worth,
         )
-        tours = team_tours(task)
+        tours = self._cache.get(task.key(), partial(team_tours, task))
         self._tour = tours[table.robots.index(self.settings.robot)]
-        return _follow(np.array([tour[0] if tour else -1 for tour in tours]), table.costs, worth)
+        firsts = np.array([tour[0] if tour else -1 for tour in tours])
+        _follow(firsts, table.costs, worth, max(LEAST_WORTH, WORTHWHILE * worth.max(initial=0.0)))
+        return firsts
 
     def _with_hysteresis(self, table: Table, situation: Situation) -> FloatRows:
         """Return the costs of all goals, reduced for the goal nearest to each robot's last target."""
@@ -299,27 +297,55 @@ class Repairmen(TeamStrategy):
         last = [situation.targets.get(robot) for robot in table.robots]
         own = table.robots.index(self.settings.robot)
         last[own] = self.target
-        rows = [row for row, target in enumerate(last) if target is not None]
-        targets = np.array([last[row] for row in rows], np.int32).reshape(-1, 1, 2)
+        rows = np.array([row for row, target in enumerate(last) if target is not None], np.intp)
+        targets = np.array([target for target in last if target is not None], np.int32).reshape(-1, 1, 2)
         gaps = np.abs(table.goals - targets).max(axis=2)
-        nearest = gaps.argmin(axis=1)
-        for row, goal, gap in zip(rows, nearest.tolist(), gaps.min(axis=1).tolist(), strict=True):
-            if gap <= SAME * range_cells:
-                ways[row, goal] = max(0.0, ways[row, goal] - target_hysteresis * range_cells)
+        near = gaps.min(axis=1) <= SAME * range_cells
+        same = rows[near], gaps.argmin(axis=1)[near]
+        ways[same] = np.maximum(0.0, ways[same] - target_hysteresis * range_cells)
         return ways
 
 
-def _follow(firsts: Assignment, ways: FloatRows, worth: Floats) -> Assignment:
-    """Send robots without a tour after their teammates, to the goals of largest expected gain.
+def _representatives(grid: Grid, frontier: Cells, range_cells: float) -> tuple[Cells, Int64s]:
+    """Return representatives of the segments of a frontier, merged if they are close to each other.
 
-    Each follows to the nearest one of those worthwhile goals to which the fewest robots drive. `firsts` is changed.
+    With each, return the number of cells of its segment, shape (n,). `range_cells` is the sensor range.
     """
-    worthwhile = np.flatnonzero(worth >= max(LEAST_WORTH, WORTHWHILE * worth.max(initial=0.0))).tolist()
-    headed = Counter(firsts.tolist())
-    for robot in np.flatnonzero(firsts < 0).tolist() if worthwhile else ():
-        fewest = min(headed[goal] for goal in worthwhile)
-        way, goal = min((ways.item(robot, goal), goal) for goal in worthwhile if headed[goal] == fewest)
-        if math.isfinite(way):
-            firsts[robot] = goal
+    edges, sizes = components(frontier)
+    counts = np.minimum(sizes, count_representatives(sizes, range_cells))
+    cells, edge = medoids(edges, sizes, counts)
+    lengths = sizes[edge]
+    gap = GAP * range_cells
+    stays = thin_out(grid, cells, lengths, gap)
+    while len(stays) > MAX_GOALS and gap < range_cells:
+        gap *= 1.5
+        stays = thin_out(grid, cells, lengths, gap)
+    return cells[stays], lengths[stays]
+
+
+@kernel
+def _follow(firsts: Int64s, ways: FloatRows, worth: Floats, least: float) -> None:
+    """Send robots without a tour, those of which the first goal is -1, after their teammates.
+
+    Each follows to the nearest one of those goals to which the fewest robots drive and whose worth is at least `least`.
+    """
+    headed = np.zeros(len(worth), np.int64)
+    for goal in firsts:
+        if goal >= 0:
             headed[goal] += 1
-    return firsts
+    for robot in range(len(firsts)):
+        if firsts[robot] >= 0:
+            continue
+        best = -1
+        for goal in range(len(worth)):
+            if worth[goal] < least:
+                continue
+            if (
+                best < 0
+                or headed[goal] < headed[best]
+                or (headed[goal] == headed[best] and ways[robot, goal] < ways[robot, best])
+            ):
+                best = goal
+        if best >= 0 and np.isfinite(ways[robot, best]):
+            firsts[robot] = best
+            headed[best] += 1

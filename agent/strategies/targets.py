@@ -53,8 +53,8 @@ HOME_AFTER = 10
 """A robot counts as home after teammates have stopped it this often near its depot, or after this many steps without a
 way home."""
 
-MAX_CACHED_SEARCHES = 64
-"""Capacity of the cache of path searches that the robots of a process share."""
+MAX_CACHED_RESULTS = 256
+"""Capacity of the cache of path searches and other results that the robots of a process share."""
 
 
 class Clash(NamedTuple):
@@ -119,9 +119,9 @@ class TargetStrategy(Strategy):
         self._cache = NO_CACHE
 
     def use_shared_cache(self, cache: dict[str, Any]) -> None:
-        """Share path searches with robots of this process that have the same planning grid."""
+        """Share path searches and frontiers with robots of this process that have the same planning grid."""
         if self.settings.robots > 1:
-            self._cache = cache.setdefault("ways", MemoCache(MAX_CACHED_SEARCHES))
+            self._cache = cache.setdefault("ways", MemoCache(MAX_CACHED_RESULTS))
 
     @classmethod
     def check(cls, options: Mapping[str, Any]) -> Any:

@@ -104,11 +104,14 @@ class TeamStrategy(TargetStrategy):
     def choose(self, situation: Situation, goals: Cells, planner: PathPlanner) -> Cell | None:
         """Return this robot's goal in the assignment."""
         table = self.table(situation, goals, planner)
-        goal = int(self.assign(table, situation, planner)[table.robots.index(self.settings.robot)])
+        own = table.robots.index(self.settings.robot)
+        goal = int(self.assign(table, situation, planner)[own])
         if goal < 0:
             return None
         self._waited = 0
-        return int(goals[goal, 0]), int(goals[goal, 1])
+        chosen = int(goals[goal, 0]), int(goals[goal, 1])
+        planner.note_cost(situation.here, chosen, table.costs.item(own, goal))
+        return chosen
 
     def table(self, situation: Situation, goals: Cells, planner: PathPlanner) -> Table:
         """Return the table of members, goals and costs."""

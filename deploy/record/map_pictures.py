@@ -6,16 +6,18 @@ import math
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
+from PIL import Image
 
 from deploy.record import colors
 from deploy.record.colors import Color
@@ -55,7 +57,20 @@ def robot_color(robot: int) -> Rgb:
 
 def save(path: Path, figure: Figure, dpi: int) -> None:
     """Write a figure atomically, in the format of the file's suffix."""
-    write_whole(path, lambda file: figure.savefig(file, format=path.suffix[1:] or "png", dpi=dpi))
+    kind = path.suffix[1:] or "png"
+    if kind == "png":
+        write_whole(path, lambda file: _write_png(file, figure, dpi))
+    else:
+        write_whole(path, lambda file: figure.savefig(file, format=kind, dpi=dpi))
+
+
+def _write_png(file: IO[bytes], figure: Figure, dpi: int) -> None:
+    """Write a figure as a PNG without transparency; `Figure.savefig` writes larger files and takes longer."""
+    canvas = FigureCanvasAgg(figure)
+    figure.set_dpi(dpi)
+    canvas.draw()
+    picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+    picture.save(file, "PNG", dpi=(dpi, dpi), compress_level=4)
 
 
 def draw_map(path: Path, world_map: Map) -> None:
@@ -79,18 +94,20 @@ def maps_figure(plan: Plan, records: Records, summary: dict[str, Any]) -> Figure
     show_grid(world, plan.map, plan.map.cells)
     draw_paths(world, plan, records)
     what = "the world" if plan.has_truth else "the team's map"
-    world.set_title(f"{what} and the robots' paths", fontsize=11, pad=4)
+    _set_title(world, f"{what} and the robots' paths", fontsize=11)
     seen = records.team_map(summary["refuted_maps"])
     reachable = plan.reachable
     _show_errors(team, plan, compare(seen, plan.map.cells, reachable))
+    team.tick_params(labelsize=7)
     share = f": {_percent(summary['coverage'])}" if plan.has_truth else ""
-    team.set_title(f"seen by the team{share}", fontsize=11, pad=4)
+    _set_title(team, f"seen by the team{share}", fontsize=11)
     size = min(11.0, 3.2 + 3.0 * panels[0].get_position().width * PAGE_WIDTH) if panels else 0
     for panel, robot in zip(panels, robots, strict=True):
         is_first = robot == summary["first_robot"]
         errors = compare(records.planning[robot], plan.map.cells, reachable)
         _show_errors(panel, plan, errors)
-        panel.set(xticks=[], yticks=[])
+        for axis in (panel.xaxis, panel.yaxis):
+            axis.set_visible(False)
         panel.spines[:].set(linewidth=0.6, color="#9aa1a9")
         right = _percent(share_correct(errors, reachable))
         if size > 8:
@@ -98,7 +115,7 @@ def maps_figure(plan: Plan, records: Records, summary: dict[str, Any]) -> Figure
             title = f"robot {robot}: {right} {like}" + (", finished first" if is_first else "")
         else:
             title = f"{robot}: {right}" + (" \N{CHECK MARK}" if is_first else "")
-        panel.set_title(title, fontsize=size, color=robot_color(robot), pad=4)
+        _set_title(panel, title, fontsize=size, color=robot_color(robot))
     bandwidth = summary["bandwidth"]
     medium = bandwidth if isinstance(bandwidth, str) else f"{bandwidth} bytes per step"
     top = 1 - 0.26 / figure.get_figheight()
@@ -113,9 +130,14 @@ def maps_figure(plan: Plan, records: Records, summary: dict[str, Any]) -> Figure
 
 def show_grid(axes: Axes, world_map: Map, grid: Grid) -> None:
     """Show a grid of the world's cells, with meters on the axes."""
-    axes.imshow(grid, cmap=CELLS, vmin=0, vmax=2, extent=_extent(world_map), interpolation="nearest")
+    _show(axes, grid, CELLS, world_map)
     axes.tick_params(labelsize=7)
     axes.set_xlabel("m", fontsize=7, labelpad=1)
+
+
+def _set_title(axes: Axes, title: str, **style: Any) -> None:
+    """Set the title above a panel; its height is given, as matplotlib lays out all texts to find one."""
+    axes.set_title(title, y=1.0, pad=4, **style)
 
 
 def draw_paths(axes: Axes, plan: Plan, records: Records) -> None:
@@ -124,26 +146,34 @@ def draw_paths(axes: Axes, plan: Plan, records: Records) -> None:
     figure = axes.get_figure()
     assert isinstance(figure, Figure)
     size = min(1.5, axes.get_position().width * figure.get_figwidth() / 3.6)
-    for robot, steps, places in _paths(plan, records):
+    paths = list(_paths(plan, records))
+    lines: list[NDArray[np.float64]] = []
+    shades: list[NDArray[np.float64]] = []
+    for robot, steps, places in paths:
         color = np.array(robot_color(robot))
         bounds = np.linspace(0, len(places) - 1, min(SHADES, len(places)) + 1).round().astype(int)
         parts = [places[a : b + 1] for a, b in pairwise(bounds)]
-        shades = [1 - (1 - color) * strength for strength in np.linspace(0.45, 1.0, len(parts))]
-        axes.add_collection(LineCollection(parts, colors=shades, linewidths=size, capstyle="round", zorder=2))
+        lines += parts
+        shades.append(1 - np.outer(np.linspace(0.45, 1.0, len(parts)), 1 - color))
         marks = places[steps % every == 0]
         axes.plot(*marks.T, "o", color=color, markersize=2.4 * size, markeredgewidth=0, zorder=3)
-    for robot, _, places in _paths(plan, records):
-        axes.plot(
-            *places[0], "s", markersize=2.4 * size, markerfacecolor="white", markeredgecolor="black",
-            markeredgewidth=0.7, zorder=4,
-        )  # fmt: skip
+    if not paths:
+        return
+    axes.add_collection(
+        LineCollection(lines, colors=np.concatenate(shades), linewidths=size, capstyle="round", zorder=2)
+    )
+    axes.plot(
+        *np.array([places[0] for *_, places in paths]).T, "s", markersize=2.4 * size, markerfacecolor="white",
+        markeredgecolor="black", markeredgewidth=0.7, zorder=4,
+    )  # fmt: skip
+    for robot, _, places in paths:
         axes.plot(
             *places[-1], "o", markersize=8.5 * size, color=robot_color(robot), markeredgecolor="white",
             markeredgewidth=0.5, zorder=5 + robot / 1000,
         )  # fmt: skip
-        axes.annotate(
-            str(robot), places[-1], color="white", fontsize=(6.5, 5.5, 4.2)[len(str(robot)) - 1] * size,
-            fontweight="bold", ha="center", va="center_baseline", zorder=5.0005 + robot / 1000,
+        axes.text(
+            places[-1, 0], places[-1, 1], str(robot), color="white", fontweight="bold", ha="center",
+            fontsize=(6.5, 5.5, 4.2)[len(str(robot)) - 1] * size, va="center_baseline", zorder=5.0005 + robot / 1000,
         )  # fmt: skip
 
 
@@ -218,9 +248,15 @@ def _draw_legend(figure: Figure, records: Records, differences: dict[int, str]) 
 
 
 def _show_errors(axes: Axes, plan: Plan, errors: NDArray[np.uint8]) -> None:
-    most = len(colors.MAP_ERRORS) - 1
-    axes.imshow(errors, cmap=MAP_ERRORS, vmin=0, vmax=most, extent=_extent(plan.map), interpolation="nearest")
-    axes.tick_params(labelsize=7)
+    _show(axes, errors, MAP_ERRORS, plan.map)
+
+
+def _show(axes: Axes, cells: NDArray[np.uint8], palette: ListedColormap, world_map: Map) -> None:
+    """Show cells in the colors of a palette; they are colored before they are enlarged, which is faster."""
+    axes.imshow(
+        cells, cmap=palette, vmin=0, vmax=palette.N - 1, extent=_extent(world_map), interpolation="nearest",
+        interpolation_stage="rgba",
+    )  # fmt: skip
 
 
 def _extent(world_map: Map) -> tuple[float, float, float, float]:

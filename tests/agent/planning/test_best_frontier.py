@@ -68,13 +68,14 @@ def test_a_way_between_two_cells_is_that_of_the_whole_field(case: tuple[Grid, in
     rng = np.random.default_rng(seed)
     for _ in range(4):
         end_y, end_x = (int(rng.integers(side)) for side in grid.shape)
-        cells = way_between(Floor(grid), (x, y), (end_x, end_y))
-        if np.isfinite(field[end_y, end_x]):
-            assert cells is not None
-            assert cells.dtype == np.int32
-            assert cells.tolist() == way(grid, field, end_x, end_y).tolist()
-        else:
-            assert cells is None
+        for known in (np.inf, float(field[end_y, end_x])):
+            cells = way_between(Floor(grid), (x, y), (end_x, end_y), known)
+            if np.isfinite(field[end_y, end_x]):
+                assert cells is not None
+                assert cells.dtype == np.int32
+                assert cells.tolist() == way(grid, field, end_x, end_y).tolist()
+            else:
+                assert cells is None
 
 
 @given(floors())

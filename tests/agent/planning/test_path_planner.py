@@ -51,6 +51,22 @@ def test_planners_with_a_shared_cache_give_the_same_results(
         shared, alone = PathPlanner(grid, kind, cache=once), PathPlanner(grid, kind)
         np.testing.assert_equal(shared.costs_between(start, goals), alone.costs_between(start, goals))
         np.testing.assert_equal(shared.costs_among(start, goals), alone.costs_among(start, goals))
+        # Blocked cells join regions; other regions are known before the robot asks for them.
+        for at in range(0, grid.size, 3):
+            here = at % grid.shape[1], at // grid.shape[1]
+            np.testing.assert_equal(shared.frontier(*here), alone.frontier(*here))
+
+
+def test_a_wrong_noted_cost_does_not_change_the_way() -> None:
+    grid = np.full((9, 30), FREE, np.uint8)
+    grid[:8, 15] = OCCUPIED
+    start, end = (2, 2), (28, 3)
+    best = PathPlanner(grid).path(start, end)
+    assert best is not None
+    for cost in (1.0, 30.0, 1000.0, math.inf):
+        planner = PathPlanner(grid)
+        planner.note_cost(start, end, cost)
+        np.testing.assert_equal(planner.path(start, end), best)
 
 
 @given(grids_with_a_cell(), st.sampled_from(["shortest", "weighted"]))
