@@ -362,7 +362,8 @@ def test_the_thesis_plain_rules_are_a_set_of_options() -> None:
     assert asdict(THESIS_OPTIONS) == {
         "medium_use": 0.5, "bytes_per_split": 0.0, "lazy": False, "mixed_first": False,
         "free_inside_edges": True, "unknown_pairs": True, "wide_walls": False, "wide_seen_walls": True,
-        "close_slivers": False, "keep_walls": False, "scan_order": False, "splits_per_step": 0.0, "exact_error": False,
+        "close_slivers": False, "keep_walls": False, "scan_order": False, "moving_starts": False,
+        "splits_per_step": 0.0, "exact_error": False,
     }  # fmt: skip
     shape = (60, 80)
     one, other = (maker(shape, robot, options=THESIS_OPTIONS) for robot in (0, 1))
