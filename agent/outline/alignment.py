@@ -56,7 +56,9 @@ def match_objects(
 ) -> tuple[Int32s, Int32s, Int32Rows]:
     """Find the unchanged objects, and the pairs of changed objects that share vertices.
 
-    With `shifts`, an object is also unchanged if its cycle starts at another vertex. Returns, for each new object, the equal old one (-1: none) and the index in its cycle of the first vertex of the
+    With `shifts`, an object whose cycle starts at another vertex counts as unchanged, too.
+
+    Returns, for each new object, the equal old one (-1: none) and the index in its cycle of the first vertex of the
     old list; and the pairs (old, new) of other objects with a common vertex.
     """
     old_count, new_count = len(old_start) - 1, len(new_start) - 1

@@ -64,7 +64,15 @@ def edit_packets(
     """
     old, new = held.polygons, approximation
     script, ends = _script(
-        symbols(old), held.number, old.start, old.inside, symbols(new), new.start, new.inside, scan_order, shifts
+        symbols(old),
+        held.number,
+        old.start,
+        old.inside,
+        symbols(new),
+        new.start,
+        new.inside,
+        scan_order,
+        shifts,
     )
     data = script.tobytes()
     return [data[begin:end] for begin, end in pairwise(ends.tolist())]
