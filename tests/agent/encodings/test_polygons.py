@@ -376,7 +376,7 @@ def test_moving_starts_cost_deletions_and_lead_to_the_same_map() -> None:
     scripts, maps = {}, {}
     for moving in (False, True):
         options = replace(THESIS_OPTIONS, moving_starts=moving)
-        one, other = (maker((60, 80), robot, options=options) for robot in (0, 1))
+        one, other = (maker((60, 80), robot, options=options, bandwidth=UNLIMITED) for robot in (0, 1))
         scripts[moving] = b"".join(b"".join(record(one, grid, cell)) for grid, cell in walk())
         other.apply(0, scripts[moving], **LATE)
         assert canonical(other.polygons[0]) == canonical(one.polygons[0])
