@@ -50,6 +50,9 @@ class PolygonOptions:
     scan_order: bool = False
     """Send a `chg` packet also for each object whose place in scan order changes, as where objects are numbered anew in
     each step (Algorithm 3). Otherwise objects keep their numbers, and it costs nothing."""
+    moving_starts: bool = False
+    """Start the vertex list of each object where Algorithm 3 starts to extract the object. A start that moves costs
+    `del` and `ins` packets. Otherwise lists start where packets are fewest."""
     exact_error: bool = False
     """Measure in each step also the error of an exact approximation. Eq. 6.1 minus this value is the error due to
     coarseness. It changes no result, and takes a third of a robot's time."""

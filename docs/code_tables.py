@@ -38,6 +38,7 @@ OPTIONS = {
         "close_slivers": "treat unknown slivers between free cells of teammates as free; thesis: false",
         "keep_walls": "let walls of outside objects override free inside edges, not the reverse; Algorithm 9: false",
         "scan_order": "also send `chg` for objects whose place in scan order changes (Algorithm 3)",
+        "moving_starts": "start vertex lists of objects where Algorithm 3 starts them, which costs `del` and `ins`",
         "exact_error": "also measure the error of an exact approximation (`approximation_error_net`)",
     },
     "predictive": {

@@ -18,7 +18,8 @@ from agent.outline.approximation import Marks, approximation, repair
 from agent.outline.claims import Drawing
 from agent.outline.contour import Tracer
 from agent.outline.edit_reader import SavePoint
-from agent.outline.edits import edit_packets
+from agent.outline.edits import NumberedPolygons, edit_packets
+from agent.outline.extraction import extracted
 from agent.outline.merge import ErrorCount, TeamMap, exact_error
 from agent.outline.polygons import Polygons
 from agent.outline.receiver import Receiver
@@ -113,14 +114,15 @@ class PolygonEncoding(MapEncoding):
         if not self._outdated and not splits:
             return []
         exact = self._tracer.contours(own, (scan.x, scan.y), self._untraced.take(own))
+        if self._options.moving_starts:
+            exact = extracted(exact)
         held = self._held.held
         repaired = repair(held.polygons, exact)
         refined = refine(exact, repaired, splits, mixed_first=self._options.mixed_first)
-        scan_order = self._options.scan_order
-        packets = edit_packets(held, self._approximation(exact, refined), scan_order=scan_order)
+        packets = self._edits(held, exact, refined)
         script = b"".join(packets)
         if splits and len(refined) > len(repaired):
-            without = edit_packets(held, self._approximation(exact, repaired), scan_order=scan_order)
+            without = self._edits(held, exact, repaired)
             extra = len(script) - sum(map(len, without))
             self._allowance.spent(len(refined) - len(repaired), max(0, extra))
         self._outdated = False
@@ -128,13 +130,15 @@ class PolygonEncoding(MapEncoding):
             self._held.feed(script)
         return packets
 
-    def _approximation(self, exact: Polygons, marks: Marks) -> Polygons:
-        """Return the approximation to log.
+    def _edits(self, held: NumberedPolygons, exact: Polygons, marks: Marks) -> list[bytes]:
+        """Encode the packets that turn the held approximation into that of `marks`.
 
         An object that has shrunk to two unknown edges is removed without `unknown_pairs`; if it grows again, it emerges
         anew.
         """
-        return approximation(exact, marks, unknown_pairs=self._options.unknown_pairs)
+        options = self._options
+        wanted = approximation(exact, marks, unknown_pairs=options.unknown_pairs)
+        return edit_packets(held, wanted, scan_order=options.scan_order, shifts=not options.moving_starts)
 
     def apply(self, map_id: int, frame: bytes, *, step: int, sender: int) -> None:
         """Apply edits to a received approximation."""

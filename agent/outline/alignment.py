@@ -52,8 +52,11 @@ def match_objects(
     new_start: Int32s,
     new_inside: Bools,
     twins: Int32s,
+    shifts: bool,
 ) -> tuple[Int32s, Int32s, Int32Rows]:
     """Find the unchanged objects, and the pairs of changed objects that share vertices.
+
+    With `shifts`, an object whose cycle starts at another vertex counts as unchanged, too.
 
     Returns, for each new object, the equal old one (-1: none) and the index in its cycle of the first vertex of the
     old list; and the pairs (old, new) of other objects with a common vertex.
@@ -75,7 +78,7 @@ def match_objects(
         if old_start[other + 1] - other_first != length or old_inside[other] != new_inside[k]:
             continue
         turn = twin - other_first
-        same = True
+        same = shifts or turn == 0
         for i in range(length):
             if old[other_first + (i + turn if i + turn < length else i + turn - length)] != new[first + i]:
                 same = False
@@ -102,10 +105,11 @@ def match_objects(
 
 
 @kernel
-def align(old: Int32s, new: Int32s, twins: Int32s) -> tuple[int, int, Int32s]:
+def align(old: Int32s, new: Int32s, twins: Int32s, first_stays: bool) -> tuple[int, int, Int32s]:
     """Align a new cycle with an old list such that the vertex packets have the fewest bytes.
 
-    Only the symbol at index ``twins[i]`` of `old`, if that is a valid index, can equal ``new[i]``.
+    Only the symbol at index ``twins[i]`` of `old`, if that is a valid index, can equal ``new[i]``. With `first_stays`,
+    the first symbols are equal, and the new list starts with it.
 
     Returns the bytes; the index in `new` at which the new list starts; and for each vertex from there on the index of
     the old vertex that stays or is replaced (-1: it is inserted).
@@ -134,13 +138,13 @@ def align(old: Int32s, new: Int32s, twins: Int32s) -> tuple[int, int, Int32s]:
 
     # For each run, find the best chain of runs that stay and start with it. In a gap of a old and b new vertices
     # between runs that stay, min(a, b) are replaced; the gaps before the first and after the last run are one gap.
-    best = _REPLACED * min(m, n)
+    best = -1 if first_stays else _REPLACED * min(m, n)
     best_first = -1
     best_chain = np.empty(0, np.int64)
     gain = np.empty(runs, np.int64)
     before = np.empty(runs, np.int64)
     rest = matches
-    for first in range(runs):
+    for first in range(1 if first_stays else runs):
         if _KEPT * rest + _REPLACED * (min(m, n) - rest) <= best:
             break
         rest -= length[first]
@@ -192,3 +196,19 @@ def align(old: Int32s, new: Int32s, twins: Int32s) -> tuple[int, int, Int32s]:
                 source[run_to + k] = run_at + k
             i, j = run_at + length[run], run_to + length[run]
     return _DELETED * m + _INSERTED * n - best, begin, source
+
+
+@kernel
+def align_lists(old: Int32s, new: Int32s, twins: Int32s) -> tuple[int, int, Int32s]:
+    """Align two lists as `align` does, but let the new list start at index 0 of `new`.
+
+    For this, both lists get a common first symbol that must stay.
+    """
+    m, n = len(old), len(new)
+    marked_old, marked_new = np.full(m + 1, -1, np.int32), np.full(n + 1, -1, np.int32)
+    marked_twins = np.zeros(n + 1, np.int32)
+    marked_old[1:] = old
+    marked_new[1:] = new
+    marked_twins[1:] = twins + np.int32(1)
+    size, _, source = align(marked_old, marked_new, marked_twins, True)
+    return size, 0, np.maximum(source[1:] - np.int32(1), np.int32(-1))

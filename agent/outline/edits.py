@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.outline.alignment import align, match_objects, match_vertices
+from agent.outline.alignment import align, align_lists, match_objects, match_vertices
 from agent.outline.objects import Symbols, symbols
 from agent.outline.polygons import Polygons
 from protocol.arrays import Bools, Int32Rows, Int32s, Int64s, Uint8s
@@ -44,7 +44,9 @@ class NumberedPolygons:
         return NumberedPolygons(np.empty(0, np.int32), Polygons.empty(shape))
 
 
-def edit_packets(held: NumberedPolygons, approximation: Polygons, *, scan_order: bool = False) -> list[bytes]:
+def edit_packets(
+    held: NumberedPolygons, approximation: Polygons, *, scan_order: bool = False, shifts: bool = True
+) -> list[bytes]:
     """Encode the packets that turn the held approximation, A(t - 1), into A(t) (Algorithm 5); none if they are equal.
 
     A(t) has at most 4096 objects of at most 4096 vertices, no vertex twice. The packets are removed objects, then
@@ -55,10 +57,22 @@ def edit_packets(held: NumberedPolygons, approximation: Polygons, *, scan_order:
     Objects keep their numbers. With `scan_order`, a `Change` is also sent for each object whose place among the objects
     in scan order differs: the thesis numbers objects anew in each step (Algorithm 3), and sends the packet "if the
     index, the number of vertices, or the type of a contour changes" (section 6.4). It changes nothing for the receiver.
+
+    Without `shifts`, the list of a new object starts at the first vertex of the object, as the arrays of Algorithms 4
+    and 5 do. Where this vertex has moved, the vertices between are deleted at one end of the list and inserted at the
+    other.
     """
     old, new = held.polygons, approximation
     script, ends = _script(
-        symbols(old), held.number, old.start, old.inside, symbols(new), new.start, new.inside, scan_order
+        symbols(old),
+        held.number,
+        old.start,
+        old.inside,
+        symbols(new),
+        new.start,
+        new.inside,
+        scan_order,
+        shifts,
     )
     data = script.tobytes()
     return [data[begin:end] for begin, end in pairwise(ends.tolist())]
@@ -96,11 +110,13 @@ def _align_pair(
     twins: Int32s,
     old_object: int,
     new_object: int,
+    shifts: bool,
 ) -> tuple[int, int, Int32s]:
-    """Align one old and one new object (`align`)."""
+    """Align one old and one new object (`align`, or without `shifts` `align_lists`)."""
     first, begin, end = old_start[old_object], new_start[new_object], new_start[new_object + 1]
     own = twins[begin:end] - np.int32(first)
-    return align(old_symbols[first : old_start[old_object + 1]], new_symbols[begin:end], own)
+    old_list, new_list = old_symbols[first : old_start[old_object + 1]], new_symbols[begin:end]
+    return align(old_list, new_list, own, False) if shifts else align_lists(old_list, new_list, own)
 
 
 @kernel
@@ -111,6 +127,7 @@ def _pair(
     new_start: Int32s,
     twins: Int32s,
     related: Int32Rows,
+    shifts: bool,
 ) -> Int32s:
     """Pair the new objects with old ones whose number they take over, the largest saving first.
 
@@ -124,7 +141,7 @@ def _pair(
     for pair in range(len(related)):
         old_object, new_object = related[pair]
         cost, _, _ = _align_pair(
-            old_symbols, old_start, new_symbols, new_start, twins, old_object, new_object
+            old_symbols, old_start, new_symbols, new_start, twins, old_object, new_object, shifts
         )
         length = new_start[new_object + 1] - new_start[new_object]
         saving = _RECREATED + _INSERT * length - _CHANGE - cost
@@ -160,14 +177,15 @@ def _script(
     new_start: Int32s,
     new_inside: Bools,
     scan_order: bool,
+    shifts: bool,
 ) -> tuple[Uint8s, Int32s]:
     """Return the script, and the ends of its packets (from 0)."""
     old_objects, new_objects = len(old_start) - 1, len(new_start) - 1
     twins = match_vertices(old_symbols, new_symbols)
     equal, shift, related = match_objects(
-        old_symbols, old_start, old_inside, new_symbols, new_start, new_inside, twins
+        old_symbols, old_start, old_inside, new_symbols, new_start, new_inside, twins, shifts
     )
-    successor = _pair(old_symbols, old_start, new_symbols, new_start, twins, related)
+    successor = _pair(old_symbols, old_start, new_symbols, new_start, twins, related, shifts)
 
     # Objects without a predecessor get the lowest unused numbers, below.
     number = np.full(new_objects, -1, np.int32)
@@ -200,7 +218,9 @@ def _script(
         if not is_changed[k]:
             continue
         former = successor[k]
-        _, begin, source = _align_pair(old_symbols, old_start, new_symbols, new_start, twins, former, k)
+        _, begin, source = _align_pair(
+            old_symbols, old_start, new_symbols, new_start, twins, former, k, shifts
+        )
         shift[k] = begin
         before = old_symbols[old_start[former] : old_start[former + 1]]
         after = new_symbols[new_start[k] : new_start[k + 1]]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -28,7 +28,7 @@ from protocol.budget import UNLIMITED, Budget
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.packets import Change as Changed
-from protocol.packets import Delete, Fragment, Save, encode
+from protocol.packets import Delete, Fragment, Save, decode, encode
 from protocol.scans import Change, Scan
 from tests.agent.encodings.arrival import LATE
 from tests.agent.explorations import Cell, exploration, growing_maps
@@ -362,13 +362,30 @@ def test_the_thesis_plain_rules_are_a_set_of_options() -> None:
     assert asdict(THESIS_OPTIONS) == {
         "medium_use": 0.5, "bytes_per_split": 0.0, "lazy": False, "mixed_first": False,
         "free_inside_edges": True, "unknown_pairs": True, "wide_walls": False, "wide_seen_walls": True,
-        "close_slivers": False, "keep_walls": False, "scan_order": False, "splits_per_step": 0.0, "exact_error": False,
+        "close_slivers": False, "keep_walls": False, "scan_order": False, "moving_starts": False,
+        "splits_per_step": 0.0, "exact_error": False,
     }  # fmt: skip
     shape = (60, 80)
     one, other = (maker(shape, robot, options=THESIS_OPTIONS) for robot in (0, 1))
     for grid, cell in walk():
         other.apply(0, b"".join(record(one, grid, cell, delivered=False)), **LATE)
         assert canonical(other.polygons[0]) == canonical(one.polygons[0])
+
+
+def test_moving_starts_cost_deletions_and_lead_to_the_same_map() -> None:
+    scripts, maps = {}, {}
+    for moving in (False, True):
+        options = replace(THESIS_OPTIONS, moving_starts=moving)
+        one, other = (maker((60, 80), robot, options=options, bandwidth=UNLIMITED) for robot in (0, 1))
+        scripts[moving] = b"".join(b"".join(record(one, grid, cell)) for grid, cell in walk())
+        other.apply(0, scripts[moving], **LATE)
+        assert canonical(other.polygons[0]) == canonical(one.polygons[0])
+        maps[moving] = other.merge(np.full((60, 80), UNKNOWN, np.uint8))
+    assert (maps[True] == maps[False]).all()
+    moved, kept = (
+        sum(isinstance(packet, Delete) for packet in decode(scripts[moving])) for moving in (True, False)
+    )
+    assert moved > kept
 
 
 @pytest.mark.parametrize(

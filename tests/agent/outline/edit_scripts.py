@@ -18,10 +18,11 @@ Cycle = list[Symbol]
 
 
 def edit_script(
-    held: NumberedPolygons, approximation: Polygons, *, scan_order: bool = False
+    held: NumberedPolygons, approximation: Polygons, *, scan_order: bool = False, shifts: bool = True
 ) -> tuple[list[Edit], NumberedPolygons]:
     """The packets that turn what is held into an approximation, and what is held after them."""
-    packets = cast("list[Edit]", decode(b"".join(edit_packets(held, approximation, scan_order=scan_order))))
+    script = b"".join(edit_packets(held, approximation, scan_order=scan_order, shifts=shifts))
+    packets = cast("list[Edit]", decode(script))
     objects = applied(lists(held), packets)
     rows = [symbol for _, cycle in objects.values() for symbol in cycle]
     x, y, side, occupied = np.array(rows, np.int16).reshape(-1, 4).T.copy()

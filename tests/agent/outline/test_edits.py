@@ -46,10 +46,10 @@ def size(packets: list[Edit]) -> int:
     return sum(packet.size for packet in packets)
 
 
-def fewest_bytes(old: Cycle, new: Cycle) -> int:
+def fewest_bytes(old: Cycle, new: Cycle, *, shifts: bool = True) -> int:
     """Minimum edit distance in bytes, by the full table (Algorithm 4), over all turns of the new cycle."""
     best = Delete.size * len(old) + Insert.size * len(new)
-    for turn in range(len(new)):
+    for turn in range(len(new) if shifts else 1):
         turned = new[turn:] + new[:turn]
         row = [Insert.size * j for j in range(len(turned) + 1)]
         for i, symbol in enumerate(old, 1):
@@ -109,6 +109,27 @@ def test_no_shorter_script_leads_from_one_object_to_another(old: Cycle, new: Cyc
     else:
         anew = Remove.size + Emerge.size + Insert.size * len(new)
         assert size(packets) == min(Change.size + fewest_bytes(old, new), anew) + Save.size
+
+
+@quick
+@given(cycles(POOL), cycles(POOL))
+def test_no_shorter_script_leads_to_a_list_whose_start_is_given(old: Cycle, new: Cycle) -> None:
+    assume({symbol[:3] for symbol in old} & {symbol[:3] for symbol in new})
+    held = NumberedPolygons(np.zeros(1, np.int32), polygons([old]))
+    packets, after = edit_script(held, polygons([new]), shifts=False)
+    fewest = fewest_bytes(old, new, shifts=False)
+    anew = Remove.size + Emerge.size + Insert.size * len(new)
+    assert size(packets) == (min(Change.size + fewest, anew) + Save.size if fewest else 0)
+    assert [cycle for _, cycle in lists(after).values()] == [new]
+
+
+def test_a_start_that_moves_costs_deletions_and_insertions() -> None:
+    ring: Cycle = [(*vertex, 0) for vertex in POOL[:6]]
+    held = NumberedPolygons(np.zeros(1, np.int32), polygons([ring]))
+    turned = polygons([ring[2:] + ring[:2]])
+    assert edit_packets(held, turned) == []
+    packets, _ = edit_script(held, turned, shifts=False)
+    assert [type(packet) for packet in packets] == [Change, *[Delete] * 2, *[Insert] * 2, Save]
 
 
 @quick
@@ -188,6 +209,7 @@ def assert_scripts_lead_through(steps: list[tuple[Grid, Cell]], splits: int | No
         packets, after = edit_script(held, coarse)
         assert canonical(after.polygons) == canonical(coarse)
         assert canonical(edit_script(held, coarse, scan_order=True)[1].polygons) == canonical(coarse)
+        assert canonical(edit_script(held, coarse, shifts=False)[1].polygons) == canonical(coarse)
         assert edit_packets(held, coarse) == [encode([packet]) for packet in packets]
         held = after
 
