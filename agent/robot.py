@@ -264,7 +264,7 @@ class Robot:
             situation.step,
             cells_to_bytes(decision.path[:MAX_WAY_CELLS]),
             decision.heading,
-            decision.explored and self._idle_steps > self._waiting_steps(situation) + self._verifying_steps(),
+            decision.explored and self._idle_steps > self._waiting_steps(situation) + self._verifying_steps() + self._news_steps(),
             decision.look,
             decision.stalled,
             points_to_bytes(decision.points[:MAX_WAY_CELLS]),
@@ -321,6 +321,12 @@ class Robot:
         grid = self._noisy_grid.clean_optimistic(self.planning, doubtful)
         left = PathPlanner(grid, radius_cells=self.settings.body.radius_cells).frontier(*situation.here)
         return self._sure_after if len(left) else 0
+
+    def _news_steps(self) -> int:
+        import os
+        a = getattr(self._encoding, "_author", None)
+        if a is None or not hasattr(a, "has_news"): return 0
+        return int(os.environ.get("NEWS", "0")) if a.has_news(delivered=self.replication.delivered()) else 0
 
     def _verifying_steps(self) -> int:
         """Return for how many further steps it waits for digests, which may show that forwarded entries are forged."""

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from agent.mapping.bound import Bound
 from agent.mapping.estimator import Int8Grid
 from agent.predictive.history import DecodedUpdate
-from agent.predictive.tile_author import LONGEST_WAIT, TileAuthor
+from agent.predictive.tile_author import _NEVER, LONGEST_WAIT, TileAuthor
 from agent.predictive.tile_stream import TileStream
 from agent.predictive.tile_value import TileValues, tile_values
 from protocol.grid import Grid
@@ -40,11 +40,16 @@ class UrgentTileAuthor(TileAuthor):
         self._violate: NDArray[np.bool_] = np.zeros(self._changed.shape, np.bool_)
         """The ready tiles that violate the bound, as of the last call of `is_due`."""
         self._values: TileValues | None = None
+        self._useful: NDArray[np.bool_] = np.zeros(self._changed.shape, np.bool_)
+
+    def has_news(self, *, delivered: bool) -> bool:
+        return bool(self._useful.any() or (not delivered and (self.urgency or 0) >= 2))
 
     def is_due(self, own: Grid, log_odds: Int8Grid, received: Grid) -> bool:
         """Return whether a ready tile violates the bound; those that fulfill it stop waiting."""
         self._violate = self._drop_fulfilled(own, log_odds)
         if not self._violate.any():
+            self._useful = self._violate
             return False
         self._values = tile_values(self.stream.target, received, self._violate.view(np.uint8))
         return True
@@ -56,13 +61,23 @@ class UrgentTileAuthor(TileAuthor):
             self.urgency = float(self._values.cells[self._chosen].sum()) / len(encoded[0])
         return encoded
 
+    @property
+    def _stands_still(self) -> bool:
+        return self._arrived < self._step
+
+    def _ready(self) -> NDArray[np.bool_]:
+        if self._stands_still:
+            return self._waiting_since != _NEVER
+        return super()._ready()
+
     def _choose(self, most: float) -> NDArray[np.bool_]:
         """Return the tiles of this step's update; none if it has been encoded: a second one could not be retracted."""
         values, chosen = self._values, np.zeros_like(self._violate)
         if values is None or self._last_step == self._step:
             return chosen
         useful = self._violate & (values.cells >= LEAST_CELLS)
-        complete = useful & (values.is_complete | (self._waiting_since <= self._step - LONGEST_WAIT))
+        self._useful = useful
+        complete = useful & (values.is_complete | (self._waiting_since <= self._step - LONGEST_WAIT) | self._stands_still)
         if useful.any():
             places = np.flatnonzero(complete if complete.any() else useful)
             order = np.argsort(
@@ -74,4 +89,5 @@ class UrgentTileAuthor(TileAuthor):
         places = places[order]
         sizes = np.cumsum(values.size.reshape(-1)[places])
         chosen.reshape(-1)[places[: max(1, int(np.searchsorted(sizes, most, side="right")))]] = True
+        self._useful = useful & ~chosen
         return chosen
