@@ -64,6 +64,10 @@ SURE_AFTER_LOG = 20
 VERIFY_STEPS = 3
 """Steps in which the authors of forged entries, which receive them as well, send digests and true entries."""
 
+DELIVERY_STEPS = 5
+"""Most steps for which a robot that has nothing left waits until teammates in range hold the areas that it has found:
+its report may end the run, and they would lack them."""
+
 
 ABOUT_LOGS = LogDigest, Held, HeldEarly
 """Packets of a broadcast that concern logs; those before them concern the team."""
@@ -264,7 +268,7 @@ class Robot:
             situation.step,
             cells_to_bytes(decision.path[:MAX_WAY_CELLS]),
             decision.heading,
-            decision.explored and self._idle_steps > self._waiting_steps(situation) + self._verifying_steps(),
+            decision.explored and self._idle_steps > self._waiting_steps(situation),
             decision.look,
             decision.stalled,
             points_to_bytes(decision.points[:MAX_WAY_CELLS]),
@@ -314,7 +318,11 @@ class Robot:
         self.disbelieved |= new
 
     def _waiting_steps(self, situation: Situation) -> int:
-        """Return for how many steps nothing must have been left: none if no doubtful wall can hide a frontier."""
+        """Return for how many steps nothing must have been left when it reports so."""
+        return self._doubting_steps(situation) + self._verifying_steps() + self._delivering_steps()
+
+    def _doubting_steps(self, situation: Situation) -> int:
+        """Return for how many steps it doubts that nothing is left: none if no doubtful wall can hide a frontier."""
         if self._noisy_grid is None or self._sure_after > SURE_AFTER_NOISE:
             return self._sure_after
         doubtful = (self.own == OCCUPIED) & ~self.settled
@@ -326,6 +334,12 @@ class Robot:
         """Return for how many further steps it waits for digests, which may show that forwarded entries are forged."""
         verifies = self.settings.replication.digests and self.replication.replica.has_forwarded()
         return VERIFY_STEPS if verifies else 0
+
+    def _delivering_steps(self) -> int:
+        """Return for how many further steps it waits if teammates in range lack areas that it has found."""
+        in_range = bool(self._team.in_range)
+        has_news = in_range and self._encoding.has_news(delivered=self.replication.delivered())
+        return DELIVERY_STEPS if has_news else 0
 
     def _apply(self, decision: Decision) -> None:
         """Take over a decision, and prepare what teammates are sent of it."""

@@ -15,11 +15,19 @@ Cell = tuple[int, int]
 
 
 def start_cells(
-    truth: Grid, robots: int, seed: int, spacing: int, first: Cell | None = None, given: Sequence[Cell] = ()
+    truth: Grid,
+    robots: int,
+    seed: int,
+    spacing: int,
+    first: Cell | None = None,
+    given: Sequence[Cell] = (),
+    *,
+    wide: int = 1,
 ) -> list[Cell]:
     """Choose the start cells: the free cells nearest to one seeded cell, or to `first`, `spacing` cells apart.
 
-    `given` are the start cells of the first robots; the others keep their distance from them.
+    `given` are the start cells of the first robots; the others keep their distance from them. Robots explore no
+    openings narrower than `wide` cells, so the seeded cell is not in a part of the map that only such openings leave.
 
     Raises ValueError if no cell is free, `first` is not free, or too few free cells are that far apart.
     """
@@ -33,7 +41,7 @@ def start_cells(
         largest = 1 + int(np.argmax(np.bincount(labels.ravel(), minlength=parts + 1)[1:]))
         ys, xs = np.nonzero(labels == largest)
         pick = int(keyed_random(seed, "start").integers(len(xs)))
-        first = int(xs[pick]), int(ys[pick])
+        first = _wide_cell(labels == largest, (int(xs[pick]), int(ys[pick])), wide)
     check_free(truth, first)
     reached = np.zeros(truth.shape, np.bool_)
     reached[first[1], first[0]] = True
@@ -52,6 +60,27 @@ def start_cells(
             f"{robots} robots do not fit: {len(chosen)} free cells lie {spacing} cells apart around {first}"
         )
     return chosen
+
+
+def _wide_cell(cells: NDArray[np.bool_], cell: Cell, width: int) -> Cell:
+    """Return the cell nearest to `cell` in the largest part that a square of `width` cells covers if it moves.
+
+    That is `cell` itself if this part contains it, or if no such square fits.
+    """
+    from scipy import ndimage  # noqa: PLC0415  slow to import, and few commands need it
+
+    if width <= 1:
+        return cell
+    square = np.ones((width, width), np.bool_)
+    places, parts = ndimage.label(ndimage.binary_erosion(cells, square))
+    if not parts:
+        return cell
+    largest = places == 1 + int(np.argmax(np.bincount(places.ravel())[1:]))
+    if ndimage.binary_dilation(largest, square)[cell[1], cell[0]]:
+        return cell
+    rows, columns = np.nonzero(largest)
+    nearest = int(np.argmin((columns - cell[0]) ** 2 + (rows - cell[1]) ** 2))
+    return int(columns[nearest]), int(rows[nearest])
 
 
 def _parts(truth: Grid) -> tuple[NDArray[np.int32], int]:

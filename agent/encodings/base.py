@@ -104,6 +104,14 @@ class MapEncoding(ABC):
             Whether teammates are in range and all of them hold the whole log.
         """
 
+    def has_news(self, *, delivered: bool) -> bool:
+        """Return whether teammates lack parts of this robot's map that would change their plans.
+
+        `delivered` is that of `encode_changes`. Only encodings that rank their packets know this.
+        """
+        del delivered
+        return False
+
     def retract_last(self) -> None:
         """Remove the last `retractable` packets from the log; the caller vouches that no teammate received them."""
         self.retractable = 0

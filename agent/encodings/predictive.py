@@ -242,6 +242,10 @@ class PredictiveEncoding(GridEncoding):
         self.retractable = len(packets) if updates == 1 else 0
         return packets
 
+    def has_news(self, *, delivered: bool) -> bool:
+        """Return whether teammates lack tiles that would change their plans."""
+        return self._author.has_news(delivered=delivered)
+
     def retract_last(self) -> None:
         """Remove the last update from the log; its changes become pending again."""
         assert self._last is not None

@@ -29,6 +29,11 @@ class Author(ABC, Generic[AnyStream]):
     def has_changes(self) -> bool:
         """Whether changes may have to be encoded."""
 
+    def has_news(self, *, delivered: bool) -> bool:
+        """Return whether teammates lack changes that would change their plans; `delivered`: they hold the whole log."""
+        del delivered
+        return False
+
     @abstractmethod
     def add(self, scan: Scan | RangeScan, change: Change) -> None:
         """Add the changes of a step, which may be none; call it in each step."""

@@ -75,7 +75,7 @@ class TileAuthor(Author[TileStream]):
     @property
     def has_changes(self) -> bool:
         """Whether tiles are waiting."""
-        return bool((self._waiting_since != _NEVER).any())
+        return bool(self._waits().any())
 
     def add(self, scan: Scan | RangeScan, change: Change) -> None:
         """Let the tiles near changed cells wait."""
@@ -117,8 +117,12 @@ class TileAuthor(Author[TileStream]):
         """Return the tiles that may be encoded."""
         is_quiet = self._changed <= self._step - self._quiet_steps
         is_late = self._waiting_since <= self._step - self._longest_wait
-        ready: NDArray[np.bool_] = (self._waiting_since != _NEVER) & (is_quiet | is_late)
-        return ready
+        return self._waits() & (is_quiet | is_late)
+
+    def _waits(self) -> NDArray[np.bool_]:
+        """Return the tiles that wait."""
+        waits: NDArray[np.bool_] = self._waiting_since != _NEVER
+        return waits
 
     def encode(self, own: Grid, log_odds: Int8Grid, most: float) -> tuple[bytes, DecodedUpdate] | None:
         """Encode an update of tiles that are ready, of about `most` bytes."""

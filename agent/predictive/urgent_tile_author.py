@@ -10,6 +10,9 @@ frequent as the budget allows. An update takes one of three kinds of tiles, the 
 3. all others. They bring copies within the bound, but do not change plans.
 
 Of the first two, those with the most value per byte go first, of the last, those that have waited longest.
+
+While the robot stands still, all of its tiles are ready, and complete: it has seen what it can see from there. Robots
+that have finished stand still, so their last tiles arrive before the run ends.
 """
 
 from __future__ import annotations
@@ -40,11 +43,20 @@ class UrgentTileAuthor(TileAuthor):
         self._violate: NDArray[np.bool_] = np.zeros(self._changed.shape, np.bool_)
         """The ready tiles that violate the bound, as of the last call of `is_due`."""
         self._values: TileValues | None = None
+        self._is_worth_much = False
+        """Whether the last update has tiles of the first two kinds."""
+        self._has_more = False
+        """Whether there were more of them than it has."""
+
+    def has_news(self, *, delivered: bool) -> bool:
+        """Return whether teammates lack tiles of the first two kinds."""
+        return self._has_more or (self._is_worth_much and not delivered)
 
     def is_due(self, own: Grid, log_odds: Int8Grid, received: Grid) -> bool:
         """Return whether a ready tile violates the bound; those that fulfill it stop waiting."""
         self._violate = self._drop_fulfilled(own, log_odds)
         if not self._violate.any():
+            self._has_more = False
             return False
         self._values = tile_values(self.stream.target, received, self._violate.view(np.uint8))
         return True
@@ -56,13 +68,23 @@ class UrgentTileAuthor(TileAuthor):
             self.urgency = float(self._values.cells[self._chosen].sum()) / len(encoded[0])
         return encoded
 
+    @property
+    def _stands_still(self) -> bool:
+        """Whether the robot is where it was in the last step."""
+        return self._arrived < self._step
+
+    def _ready(self) -> NDArray[np.bool_]:
+        """Return the tiles that may be encoded."""
+        return self._waits() if self._stands_still else super()._ready()
+
     def _choose(self, most: float) -> NDArray[np.bool_]:
         """Return the tiles of this step's update; none if it has been encoded: a second one could not be retracted."""
         values, chosen = self._values, np.zeros_like(self._violate)
         if values is None or self._last_step == self._step:
             return chosen
         useful = self._violate & (values.cells >= LEAST_CELLS)
-        complete = useful & (values.is_complete | (self._waiting_since <= self._step - LONGEST_WAIT))
+        is_late = self._waiting_since <= self._step - LONGEST_WAIT
+        complete = useful & (values.is_complete | is_late | self._stands_still)
         if useful.any():
             places = np.flatnonzero(complete if complete.any() else useful)
             order = np.argsort(
@@ -74,4 +96,5 @@ class UrgentTileAuthor(TileAuthor):
         places = places[order]
         sizes = np.cumsum(values.size.reshape(-1)[places])
         chosen.reshape(-1)[places[: max(1, int(np.searchsorted(sizes, most, side="right")))]] = True
+        self._is_worth_much, self._has_more = bool(useful.any()), bool((useful & ~chosen).any())
         return chosen

@@ -11,7 +11,8 @@ from deploy.run.exploration import explore
 from deploy.run.result import Result
 from deploy.scenario.errors import ScenarioError
 from deploy.scenario.scenario import load
-from protocol.grid import UNKNOWN
+from protocol.grid import FREE, UNKNOWN
+from tests.system.team import Team, small_plan
 
 SMALL: dict[str, Any] = {
     "map": "office", "map_options": {"width_m": 12.0, "height_m": 10.0}, "robots": 3, "seed": 5, "steps": 600,
@@ -48,6 +49,22 @@ def test_every_encoding_shares_noisy_maps(map_encoding: str) -> None:
 @pytest.mark.parametrize("strategy", ["meier", "leaders", "burgard", "stop-scan-replan"])
 def test_strategies_finish_with_real_sensors(strategy: str) -> None:
     assert run(strategy=strategy, laser={"preset": "utm-30lx"}).summary["finished"]
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_a_robot_reports_the_end_once_its_teammate_holds_the_areas_that_it_has_found(seed: int) -> None:
+    noisy: dict[str, Any] = {"laser": {"preset": "utm-30lx"}, "pose": {"preset": "graph-slam"}}
+    team = Team(
+        small_plan(
+            map_seed=seed, seed=seed, robots=2, sensor_range=6.0, bandwidth=12, map_encoding="predictive",
+            dissemination="gossip", strategy="repairmen", **noisy,
+        )
+    )  # fmt: skip
+    team.explore(200)
+    first = next(robot for robot, move in team.moves.items() if move.explored)
+    robot, teammate = team.robots[first], team.robots[1 - first]
+    found = (robot.own == FREE) & robot.settled
+    assert 0.99 * found.sum() < (found & (teammate.planning != UNKNOWN)).sum()
 
 
 def test_the_summary_tells_how_well_walls_fit_the_true_ones_and_each_other() -> None:

@@ -376,6 +376,18 @@ def test_robots_start_in_the_largest_component_at_varying_cells() -> None:
     assert all(x >= 4 and y >= 4 for x, y in firsts)
 
 
+def test_robots_do_not_start_behind_openings_that_they_do_not_explore() -> None:
+    """A room of 2 by 8 cells, an opening of one cell, and a larger room."""
+    truth = np.full((8, 14), FREE, np.uint8)
+    truth[:, 2] = OCCUPIED
+    truth[4, 2] = FREE
+    assert any(start_cells(truth, 1, seed, 1)[0][0] < 3 for seed in range(40))
+    for seed in range(40):
+        drawn, chosen = start_cells(truth, 1, seed, 1), start_cells(truth, 1, seed, 1, wide=2)
+        assert chosen[0][0] >= 3
+        assert chosen == drawn or drawn[0][0] < 3
+
+
 def test_robots_start_around_the_requested_cell() -> None:
     truth = np.full((9, 9), FREE, np.uint8)
     cells = start_cells(truth, 5, 0, 1, (4, 4))

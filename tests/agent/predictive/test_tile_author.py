@@ -105,6 +105,30 @@ def test_with_a_limited_budget_no_ready_tile_waits_for_others() -> None:
         assert mapper.play(), "no interval between updates"
 
 
+def test_with_a_limited_budget_tiles_of_a_robot_that_stands_still_are_sent_at_once() -> None:
+    mapper = Mapper(author=UrgentTileAuthor)
+    assert not mapper.play(mapper.draw(SMALL, FREE))
+    mapper.stands = True
+    mapper.play()
+    assert mapper.play(), "before the tile has not changed for enough steps"
+    assert mapper.play(mapper.draw((0, 0, TILE, TILE), FREE)), "in the step of the change"
+
+
+def test_new_cells_are_news_until_teammates_hold_them_and_other_corrections_are_not() -> None:
+    mapper = Mapper(author=UrgentTileAuthor)
+    mapper.stands = True
+    assert not mapper.play() + mapper.play()
+    assert not mapper.author.has_news(delivered=True)
+    mapper.play(mapper.draw(LARGE, FREE), most=2.0)
+    assert mapper.author.has_news(delivered=True), "there are more tiles than the update has"
+    while mapper.author.has_news(delivered=True):
+        assert mapper.play()
+    assert mapper.author.has_news(delivered=False)
+    mapper.play()
+    assert mapper.play(mapper.draw((2, 2, 3, 3), OCCUPIED))
+    assert not mapper.author.has_news(delivered=False)
+
+
 def test_with_a_limited_budget_new_cells_are_sent_before_other_corrections() -> None:
     mapper = Mapper(author=UrgentTileAuthor)
     for _ in range(FEW_QUIET_STEPS + 1):

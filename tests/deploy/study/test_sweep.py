@@ -61,7 +61,7 @@ def test_noisy_maps_are_compared_by_their_walls_and_their_agreement() -> None:
         "map": "office",
         "map_options": {"width_m": 12.0, "height_m": 10.0},
         "robots": 2,
-        "bandwidth": 60,
+        "bandwidth": 12,
     }
     noisy = {laser: small | {"laser": {"preset": laser}} for laser in ("sick-lms", "rplidar-a1")}
     done = compare(noisy, seeds=2, metric="worst_walls_within_tolerance", **QUIET)
