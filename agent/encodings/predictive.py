@@ -44,7 +44,6 @@ from protocol.packets import (
     SHORT_HEAD,
     UPDATE_DATA,
     UPDATE_NUMBERS,
-    Target,
     Update,
     decode_kind,
     encode,
@@ -63,7 +62,7 @@ PATIENCE = 8
 
 PACKETS_A_STEP = 3
 """Packets are short enough that the budget of one step holds this many: a packet that does not fit into the rest of
-a budget leaves that rest unused. A budget that holds a target and only one packet is filled by both."""
+a budget leaves that rest unused."""
 
 LONG_FRAGMENT = 32
 """Bytes of content of a packet from which updates of tiles, most of which take several packets, are split into packets
@@ -107,23 +106,15 @@ class _Limits:
         size, step_bytes, wait_steps = LONG_UPDATE_DATA, math.inf, 1
         medium = settings.medium
         if (bandwidth := medium.bandwidth.limit) is not None:
-            size = max(bandwidth // PACKETS_A_STEP - SHORT_HEAD, _rest(bandwidth))
+            size = bandwidth // PACKETS_A_STEP - SHORT_HEAD
             step_bytes = max(bandwidth, 1)
             scarcity = FAIR_SHARE * settings.robots / max(bandwidth, 1)
             wait_steps = min(max(math.ceil(scarcity), 1), ENOUGH_STEPS)
         if medium.frame_bytes is not None:
             size = min(size, medium.frame_bytes - SHORT_HEAD)
         size = min(max(size, UPDATE_DATA), LONG_UPDATE_DATA)
-        splits_long = step_bytes < 2 * Update.size + Target.size or (
-            settings.shares_tiles and size >= LONG_FRAGMENT
-        )
+        splits_long = settings.shares_tiles and size >= LONG_FRAGMENT
         return cls(size, size if splits_long else UPDATE_DATA, step_bytes, wait_steps)
-
-
-def _rest(bandwidth: int) -> int:
-    """Return the content of a packet that fills a step's budget beside a target, if no second packet fits; else 0."""
-    rest = bandwidth - Target.size
-    return rest - SHORT_HEAD if rest < 2 * Update.size else 0
 
 
 class PredictiveEncoding(GridEncoding):

@@ -48,15 +48,6 @@ def test_with_unlimited_bandwidth_every_robot_knows_all_but_the_last_step_s_cell
         assert ((robot.planning != seen) & (seen != UNKNOWN)).mean() < 0.01
 
 
-def test_a_budget_of_one_packet_and_a_target_is_filled() -> None:
-    team = Team(small_plan("office", robots=8, map_encoding="predictive", bandwidth=15, strategy="meier"))
-    team.explore(60)
-    rows = team.ledger()
-    sent = np.bincount(rows["step"], rows["bytes"] * rows["carried"])
-    assert sent.max() == 15
-    assert (sent == 15).mean() > 0.3, "a target of 3 bytes and an update of 12"
-
-
 @pytest.mark.parametrize("map_encoding", ["predictive", "scans", "polygons", "cells", "zstd-maps"])
 @pytest.mark.parametrize("reach", ["25%", "100%"])
 def test_every_sent_byte_is_carried_or_cut_within_the_budget(map_encoding: str, reach: str) -> None:
