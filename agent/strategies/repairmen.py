@@ -191,7 +191,10 @@ class Repairmen(TeamStrategy):
         }
 
     def goals(self, situation: Situation, planner: PathPlanner) -> Cells:
-        """Return representatives of all reachable frontier segments, merged if they are close to each other."""
+        """Return representatives of all reachable frontier segments, merged if they are close to each other.
+
+        Callers must not modify the cells: robots of one process share them.
+        """
         frontier = self.frontier(situation, planner)
         if not len(frontier):
             return frontier
