@@ -11,7 +11,7 @@ frequent as the budget allows. An update takes one of three kinds of tiles, the 
 
 Of the first two, those with the most value per byte go first, of the last, those that have waited longest.
 
-While the robot stands still, all of its tiles are ready, and complete: it has seen what it can see from there. Robots
+While the robot stands still, its scans show hardly anything new. So none of its tiles waits for further changes. Robots
 that have finished stand still, so their last tiles arrive before the run ends.
 """
 

@@ -24,9 +24,9 @@ def find_map(name: str, seed: int, options: Mapping[str, float]) -> Map:
     Raises MapError if the map does not exist or cannot be read, or an option is unknown or missing.
     """
     if name.endswith(IMAGES):
-        return maps.load_picture(_located(name), **_image_options(name, options))
+        return maps.load_picture(located(name), **_image_options(name, options))
     if name.endswith(FILES) or Path(name).is_file():
-        found = maps.load(_located(name))
+        found = maps.load(located(name))
         if "resolution" in options:
             raise MapError(
                 f"resolution = {options['resolution']:g}: {name} itself gives the size of its cells, "
@@ -47,10 +47,10 @@ def find_map(name: str, seed: int, options: Mapping[str, float]) -> Map:
     return generators.make(name, seed=seed, **options)
 
 
-def _located(name: str) -> str:
-    """Return the path of a map file: `name`, unless only MURMUR_MAPS has such a file."""
-    elsewhere = Path(os.environ.get("MURMUR_MAPS", "")) / name
-    return str(elsewhere) if not Path(name).exists() and elsewhere.exists() else name
+def located(name: str, folder: Path = Path()) -> str:
+    """Return the path of a map file: in `folder`, unless only the directory of MURMUR_MAPS has such a file."""
+    here, elsewhere = folder / name, Path(os.environ.get("MURMUR_MAPS", "")) / name
+    return str(elsewhere if elsewhere.exists() and not here.exists() else here)
 
 
 def _image_options(name: str, options: Mapping[str, float]) -> Mapping[str, float]:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import tomllib
 from pathlib import Path
 from typing import Any
 
 from deploy.scenario.errors import ScenarioError
 from deploy.scenario.finding_maps import FILES as MAP_FILES
+from deploy.scenario.finding_maps import located
 from deploy.scenario.hardware import PRESETS
 from deploy.scenario.radio_presets import RADIO_KEYS
 from protocol.errors import there_are
@@ -86,6 +86,4 @@ def beside(path: Path, named: Any) -> Any:
     """
     if not isinstance(named, str) or not named.endswith(MAP_FILES):
         return named
-    elsewhere = Path(os.environ.get("MURMUR_MAPS", "")) / named
-    is_there = not (path.parent / named).exists() and elsewhere.exists()
-    return str(elsewhere if is_there else path.parent / named)
+    return located(named, path.parent)

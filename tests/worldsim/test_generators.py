@@ -597,7 +597,7 @@ sides = st.floats(0, 1)
 """A side, from the shortest valid one to 60 m more."""
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(st.sampled_from(sorted(LEAST_M)), st.integers(0, 2**40), sides, sides, st.floats(0, 20))
 def test_kinds_of_any_size_and_clutter_are_connected_reachable_and_deterministic(
     kind: str, seed: int, wide: float, high: float, clutter: float
