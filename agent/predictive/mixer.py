@@ -38,7 +38,8 @@ _ONE = 4096
 """Unit of a mixed probability; the coder gives at least 1 and at most `_ONE` - 1 of it to a bit of 1."""
 
 _LEAST_CHANCE = 16
-_LEARNING, _LEARNING_BITS = 6, 10
+_LEARNING_BITS = 10
+"""A weight moves by logit times error, divided by 2 to this power; faster learning costs more bytes in short logs."""
 _FIRST_WEIGHT = 19661
 _MOST_WEIGHT = 1 << 20
 
@@ -93,7 +94,7 @@ def code_mixed(coder: MixingCoder, weight_set: int, bit: int) -> int:
     error = (bit << 12) - chance
     target = 65535 if bit else 0
     for index in range(INPUTS):
-        weight = weights[weight_set, index] + (buffer[1, index] * error * _LEARNING >> _LEARNING_BITS)
+        weight = weights[weight_set, index] + (buffer[1, index] * error >> _LEARNING_BITS)
         weights[weight_set, index] = min(_MOST_WEIGHT, max(-_MOST_WEIGHT, weight))
         context = buffer[0, index]
         before, age = np.int64(chances[index, context]), np.int64(ages[index, context])

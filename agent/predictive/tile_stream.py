@@ -16,7 +16,7 @@ from agent.predictive import contexts
 from agent.predictive.coder import FAILED, Coder, code_bit, writer, written
 from agent.predictive.contexts import REST_MOST
 from agent.predictive.history import DecodedUpdate
-from agent.predictive.mixer import mixing_coder
+from agent.predictive.mixer import Model, mixing_coder
 from agent.predictive.scan_updates import REPORTED, code_pose
 from agent.predictive.stream import FIRST_BUFFER, Stream
 from agent.predictive.tiles import code_tiles, start_model
@@ -38,6 +38,15 @@ class TileStream(Stream):
         self._changed = np.zeros(tiles_of(*grid.shape), np.uint8)
         self.bases: list[Box] = []
         """Boxes of the other maps' updates on which the last encoded update was the first to depend."""
+
+    @property
+    def model(self) -> Model:
+        """The probabilities of the next update's tiles. They may be replaced before the first update only."""
+        return self._chances, self._ages, self._weights
+
+    @model.setter
+    def model(self, model: Model) -> None:
+        self._chances, self._ages, self._weights = model
 
     def violations(self, own: Grid, log_odds: Int8Grid, bound: Bound, tiles: Grid) -> NDArray[np.bool_]:
         """Return which of the marked tiles violate the bound; the parameters are those of `encode`."""
@@ -103,7 +112,7 @@ class TileStream(Stream):
         """Encode or decode the changed tiles, if there are any, into the grid."""
         changed = 0
         if has_tiles:
-            model = mixing_coder(coder[0], coder[1], (self._chances, self._ages, self._weights))
+            model = mixing_coder(coder[0], coder[1], self.model)
             changed = code_tiles(
                 model, self.grid, target, self._changed, self._last_box, REPORTED, self._scratch
             )

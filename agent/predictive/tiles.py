@@ -3,14 +3,20 @@
 Author and receiver hold the same grid. An update names the box of changed tiles, relative to that of the update before.
 One bit per tile of the box says whether the tile has changed. In a changed tile, one bit per cell says whether the
 cell has changed, and another which of the two other states it has now. Bits are predicted from the cells around, as
-corrected so far, by several contexts at once (`agent.predictive.mixer`).
+corrected so far, by several contexts at once (`agent.predictive.mixer`). Every log begins with the same trained model.
 
 A cell of the grid is a byte: its state in the low two bits, and flags of the caller, which the code does not read.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from agent.mapping.bound import TILE
 from agent.predictive.coder import DECODES, FAILED
@@ -34,16 +40,49 @@ _BOX_CONTEXTS = 64
 
 CONTEXTS = _BOX + 4 * _BOX_CONTEXTS
 
-_TILE_SET, _CELL_SET, _BOX_SET, _SETS = 0, 1, 7, 8
-"""Sets of weights: of tiles, of cells by the state before and the question, of the box."""
+_TILE_SET, _BOX_SET, _CELL_SET = range(3)
+"""Sets of weights: of tiles, of the box, and of cells by their known neighbors, the state before, and the question."""
+
+SETS = _CELL_SET + 5 * 6
 
 _OUTSIDE = 2
 """Context of a neighboring tile outside the box."""
 
+TABLE = Path(__file__).with_name("tile_start.npz")
+"""The shipped table: the initial model of every log, trained on generated maps (`deploy.study.tile_table`)."""
+
 
 def start_model() -> Model:
-    """Return the initial model of every log."""
-    return new_model(CONTEXTS, _SETS)
+    """Return a copy of the initial model of every log."""
+    chances, ages, weights = _table()
+    return chances.copy(), ages.copy(), weights.copy()
+
+
+@cache
+def _table() -> Model:
+    with np.load(TABLE) as file:
+        return unpacked(file)
+
+
+def packed(model: Model) -> dict[str, NDArray[Any]]:
+    """Return the arrays of a table with a model: `places` of contexts that have seen bits, in the flat arrays."""
+    chances, ages, weights = model
+    places = np.flatnonzero(ages).astype(np.int32)
+    return {
+        "places": places,
+        "chances": chances.reshape(-1)[places],
+        "ages": ages.reshape(-1)[places],
+        "weights": weights,
+    }
+
+
+def unpacked(table: Mapping[str, NDArray[Any]]) -> Model:
+    """Return the model of a table."""
+    chances, ages, weights = new_model(CONTEXTS, SETS)
+    chances.reshape(-1)[table["places"]] = table["chances"]
+    ages.reshape(-1)[table["places"]] = table["ages"]
+    weights[:] = table["weights"]
+    return chances, ages, weights
 
 
 @kernel
@@ -100,8 +139,11 @@ def _set_tile_contexts(buffer: Int64s, grid: Grid, changed: Grid, box: Int64s, x
 
 
 @kernel
-def _set_cell_contexts(buffer: Int64s, grid: Grid, x: int, y: int) -> None:
-    """Set the contexts of a cell, without their block: its neighbors, 49 cells around it, and its place in the tile."""
+def _set_cell_contexts(buffer: Int64s, grid: Grid, x: int, y: int) -> int:
+    """Set the contexts of a cell, without their block: its neighbors, 49 cells around it, and its place in the tile.
+
+    Returns how many of its four nearest neighbors are known.
+    """
     west, north = _state(grid, x - 1, y), _state(grid, x, y - 1)
     east, south = _state(grid, x + 1, y), _state(grid, x, y + 1)
     north_west, north_east = _state(grid, x - 1, y - 1), _state(grid, x + 1, y - 1)
@@ -124,21 +166,26 @@ def _set_cell_contexts(buffer: Int64s, grid: Grid, x: int, y: int) -> None:
     buffer[3] = aside * 27 + north_east * 9 + west_2 * 3 + north_2
     buffer[4] = (before * 9 + east * 3 + south) * 9 + east_2 * 3 + south_2
     buffer[5] = (y % TILE * TILE + x % TILE) * 9 + west * 3 + north
+    return int(west != UNKNOWN) + int(north != UNKNOWN) + int(east != UNKNOWN) + int(south != UNKNOWN)
 
 
 @kernel
-def _code_cell(coder: MixingCoder, state: int, truth: int) -> int:
-    """Encode or decode the state of a cell that is now `state`; the contexts are set without their block."""
+def _code_cell(coder: MixingCoder, known: int, state: int, truth: int) -> int:
+    """Encode or decode the state of a cell that is now `state`, with `known` known neighbors.
+
+    The contexts are set without their block.
+    """
     buffer = coder[5]
     block = 2 * state
+    weights = _CELL_SET + 6 * known + block
     for index in range(INPUTS):
         buffer[0, index] += block * _CELL_CONTEXTS
-    if not code_mixed(coder, _CELL_SET + block, 1 if truth != state else 0):
+    if not code_mixed(coder, weights, 1 if truth != state else 0):
         return state
     for index in range(INPUTS):
         buffer[0, index] += _CELL_CONTEXTS
     first, second = (FREE, OCCUPIED) if state == UNKNOWN else (3 - state, UNKNOWN)
-    return first if code_mixed(coder, _CELL_SET + block + 1, 1 if truth == first else 0) else second
+    return first if code_mixed(coder, weights + 1, 1 if truth == first else 0) else second
 
 
 @kernel
@@ -191,8 +238,8 @@ def code_tiles(
                 for x in range(tile_x * TILE, min(tile_x * TILE + TILE, width)):
                     before = _state(grid, x, y)
                     truth = before if state[DECODES] else _state(target, x, y)
-                    _set_cell_contexts(buffer[0], grid, x, y)
-                    now = _code_cell(coder, before, truth)
+                    known = _set_cell_contexts(buffer[0], grid, x, y)
+                    now = _code_cell(coder, known, before, truth)
                     if now != before:
                         changes[count, 0], changes[count, 1] = y * width + x, grid[y, x]
                         count += 1

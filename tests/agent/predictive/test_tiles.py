@@ -9,8 +9,18 @@ import pytest
 
 from agent.mapping.bound import TILE
 from agent.predictive.coder import check_end, reader, writer, written
-from agent.predictive.mixer import INPUTS, LOGISTIC, LOGIT, OLDEST, RATES, MixingCoder, mixing_coder
-from agent.predictive.tiles import BOX_BITS, code_tiles, start_model
+from agent.predictive.mixer import (
+    INPUTS,
+    LOGISTIC,
+    LOGIT,
+    OLDEST,
+    RATES,
+    MixingCoder,
+    Model,
+    mixing_coder,
+    new_model,
+)
+from agent.predictive.tiles import BOX_BITS, CONTEXTS, SETS, code_tiles, packed, start_model, unpacked
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, MAX_SIDE, OCCUPIED, UNKNOWN, Grid
 
@@ -44,7 +54,7 @@ class PlainMixer:
             self.low, self.width, self.shifts = self.low << 8, self.width << 8, self.shifts + 1
         error = 4096 * bit - chance
         for index, key in enumerate(keys):
-            weights[index] += math.floor(logits[index] * error * 6 / 1024)
+            weights[index] += math.floor(logits[index] * error / 1024)
             old, age = self.chances.get(key, (1 << 15, 0))
             new = old + math.floor(((65535 if bit else 0) - old) * (655360 // (10 * age + 16)) / 65536)
             oldest = 250 if index < INPUTS - 1 else 60
@@ -123,19 +133,24 @@ def plain_update(mixer: PlainMixer, grid: Grid, target: Grid, last: list[int]) -
                         (before, states(x, y, (1, 0), (0, 1), (2, 0), (0, 2))),
                         (y % TILE, x % TILE, states(x, y, (-1, 0), (0, -1))),
                     ]
-                    mixer.bit(("differs", now), [("differs", now, c) for c in contexts], int(now != truth))
+                    nearest = states(x, y, (-1, 0), (0, -1), (1, 0), (0, 1))
+                    known = sum(each != UNKNOWN for each in nearest)
+                    differs = [("differs", now, c) for c in contexts]
+                    mixer.bit(("differs", now, known), differs, int(now != truth))
                     if now != truth:
                         first = {UNKNOWN: FREE, FREE: OCCUPIED, OCCUPIED: FREE}[now]
-                        mixer.bit(("which", now), [("which", now, c) for c in contexts], int(truth == first))
+                        which = [("which", now, c) for c in contexts]
+                        mixer.bit(("which", now, known), which, int(truth == first))
                         grid[y, x] = truth
     return mixer.message()
 
 
 class Log:
-    """Encoder or decoder of a log."""
+    """Encoder or decoder of a log; without a model, it begins with one that has seen no bits."""
 
-    def __init__(self) -> None:
-        self.model, self.last = start_model(), np.array([3, 2, 0, 0])
+    def __init__(self, model: Model | None = None) -> None:
+        self.model = new_model(CONTEXTS, SETS) if model is None else model
+        self.last = np.array([3, 2, 0, 0])
         self.grid = np.zeros((HEIGHT, WIDTH), np.uint8)
         self.changes = np.empty((HEIGHT * WIDTH, 2), np.int32)
         self.tiles = np.zeros((HEIGHT // TILE, WIDTH // TILE), np.uint8)
@@ -199,6 +214,23 @@ def test_malformed_messages_are_refused_or_decoded_without_leaving_the_grid() ->
         except ProtocolError:
             refused += 1
     assert refused > 250
+
+
+def test_logs_begin_with_a_trained_model_that_saves_bytes() -> None:
+    room = np.full((HEIGHT, WIDTH), UNKNOWN, np.uint8)
+    room[4:37, 5:50] = FREE
+    room[4, 5:50] = room[36, 5:50] = room[4:37, 5] = room[4:37, 49] = OCCUPIED
+    untrained, trained = len(Log().encode(room)), len(Log(start_model()).encode(room))
+    assert trained < 0.8 * untrained
+
+
+def test_a_table_holds_all_of_a_model_that_has_been_trained() -> None:
+    log = Log()
+    for target in targets(5):
+        log.encode(target)
+    for before, after in zip(log.model, unpacked(packed(log.model)), strict=True):
+        assert np.array_equal(before, after)
+    assert not np.shares_memory(start_model()[0], start_model()[0])
 
 
 def test_the_tables_are_those_of_the_formulas() -> None:

@@ -1,0 +1,128 @@
+"""Train the initial model of the predictive encoding's tiles on generated maps.
+
+``python -m deploy.study.tile_table FILE.npz`` writes it to a file.
+
+The program runs explorations with noisy lasers, lets each robot map its scans again, and encodes these maps as the
+predictive encoding does. A model passes from update to update, of all robots and runs. At the end it forgets how often
+each context has occurred beyond `OLDEST_START`, so that a robot's own map soon outweighs the training. The result is
+shipped as `agent.predictive.tiles.TABLE`; encoder and decoder must have the same table.
+"""
+
+from __future__ import annotations
+
+import sys
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from agent.encodings.predictive import FAIR_SHARE
+from agent.mapping.bound import Bound
+from agent.mapping.estimator import SETTLED
+from agent.mapping.mapper import make_mapper
+from agent.predictive.history import History
+from agent.predictive.mixer import Model, new_model
+from agent.predictive.tile_author import TileAuthor
+from agent.predictive.tile_stream import TileStream
+from agent.predictive.tiles import CONTEXTS, SETS, packed
+from agent.predictive.urgent_tile_author import UrgentTileAuthor
+from deploy.run.recording_bus import record_run
+from deploy.scenario import plan as plans
+from deploy.scenario.plan import Plan
+from deploy.scenario.scenario import parse
+from protocol import keys as names
+from protocol.grid import UNKNOWN
+from protocol.messages import Sense
+from worldsim.generators.seeds import check_training_seeds
+
+MAPS = ("office", "mixed", "burgard-office", "autolab-like", "jh-like", "unstructured", "office-plain")
+TEAMS = (3, 8)
+SENSORS: tuple[dict[str, Any], ...] = (
+    {"laser": {"preset": "utm-30lx"}, "pose": {"preset": "graph-slam"}},
+    {"laser": {"preset": "rplidar-a1"}, "pose": {"preset": "particle-filter"}, "people": {"number": 3}},
+)
+AUTHORS = (TileAuthor, UrgentTileAuthor)
+"""With an unlimited, and with a limited budget."""
+
+TURNS = 3
+"""Steps from one update of a robot to the next with a limited budget: as in a team of eight with 60 bytes per step."""
+
+FIRST_SEED = 100
+"""Seed of the first run. Experiments use the seeds below."""
+
+STEPS = 300
+
+OLDEST_START = 16
+"""Bits that a context has seen at most, before the first one of a log."""
+
+LEAST_SEEN = 2
+"""Contexts that have seen fewer bits in training are left out."""
+
+
+def train_on(
+    plan: Plan, senses: list[list[Sense]], make_author: type[TileAuthor], model: Model
+) -> tuple[Model, int]:
+    """Encode an exploration with a model; return the model after the last update, and the bytes of all updates."""
+    robots, shape = len(senses), plan.map.cells.shape
+    histories, size = [History() for _ in senses], 0
+    scratch = np.empty((2 * shape[0] * shape[1], 2), np.int32)
+    mappers = [make_mapper(plan.robot_settings[robot]) for robot in range(robots)]
+    received = np.full(shape, UNKNOWN, np.uint8)
+    authors = [
+        make_author(
+            TileStream(robot, np.zeros(shape, np.uint8), histories, scratch, team=True),
+            Bound(plan.robot_settings[robot].encoding.tolerance, SETTLED),
+        )
+        for robot in range(robots)
+    ]
+    for step in range(max(map(len, senses))):
+        for robot, (mapper, author) in enumerate(zip(mappers, authors, strict=True)):
+            scan, change = mapper.add(senses[robot][step])
+            author.add(scan, change)
+            is_turn = make_author is TileAuthor or (step + robot) % TURNS == 0
+            if not (is_turn and author.is_due(mapper.states, mapper.log_odds, received)):
+                continue
+            author.stream.model = model
+            encoded = author.encode(mapper.states, mapper.log_odds, FAIR_SHARE)
+            model = author.stream.model
+            if encoded is not None:
+                author.stream.commit()
+                received.reshape(-1)[encoded[1].places] = encoded[1].states
+                size += len(encoded[0])
+    return model, size
+
+
+def train() -> Model:
+    """Train the model."""
+    model = new_model(CONTEXTS, SETS)
+    runs = list(product(MAPS, TEAMS, SENSORS))
+    check_training_seeds(range(FIRST_SEED, FIRST_SEED + len(runs)))
+    for number, (name, robots, sensors) in enumerate(runs):
+        seed = FIRST_SEED + number
+        settings = {
+            "map": name, "map_seed": seed, "seed": seed, "robots": robots, "steps": STEPS, "bandwidth": "unlimited",
+            "map_encoding": "scans", "bus": "memory", **sensors,
+        }  # fmt: skip
+        plan = plans.make(parse(settings))
+        senses = [bus.senses for bus in record_run(plan, list(map(names.robot, range(robots))))[0].values()]
+        sizes = []
+        for author in AUTHORS:
+            model, size = train_on(plan, senses, author, model)
+            sizes.append(size)
+        print(f"{number + 1:3} of {len(runs)} {name}, {robots} robots, bytes {sizes}", flush=True)
+    return model
+
+
+def shortened(model: Model) -> Model:
+    """Return the model with which logs start: contexts adapt to a new building."""
+    chances, ages, weights = model
+    rare = ages < LEAST_SEEN
+    return (
+        np.where(rare, 1 << 15, chances).astype(np.uint16),
+        np.where(rare, 0, np.minimum(ages, OLDEST_START)).astype(np.uint8),
+        weights,
+    )
+
+
+if __name__ == "__main__":
+    np.savez_compressed(sys.argv[1], **packed(shortened(train())))  # type: ignore[arg-type]
