@@ -7,7 +7,8 @@ frequent as the budget allows. An update takes one of three kinds of tiles, the 
 1. tiles that are worth at least `LEAST_CELLS` to teammates (`agent.predictive.tile_value`), and that are complete or
    have waited for `LONGEST_WAIT` steps,
 2. other tiles of this worth,
-3. all others. They bring copies within the bound, but do not change plans.
+3. all others. They bring copies within the bound, but hardly change plans. Those of no value are only ready once they
+   have not changed for `WORTHLESS_QUIET_STEPS` steps, or have waited for `WORTHLESS_LONGEST_WAIT`.
 
 Of the first two, those with the most value per byte go first, of the last, those that have waited longest.
 
@@ -30,6 +31,12 @@ from protocol.grid import Grid
 
 FEW_QUIET_STEPS = 2
 """Steps without a change after which a tile is encoded."""
+
+WORTHLESS_QUIET_STEPS = 10
+"""Steps without a change after which a tile is encoded that teammates do not need for their plans."""
+
+WORTHLESS_LONGEST_WAIT = 30
+"""Steps after which such a tile is encoded although it still changes."""
 
 LEAST_CELLS = 8
 """Value from which a tile is sent before those that do not change the plans of teammates."""
@@ -55,11 +62,19 @@ class UrgentTileAuthor(TileAuthor):
     def is_due(self, own: Grid, log_odds: Int8Grid, received: Grid) -> bool:
         """Return whether a ready tile violates the bound; those that fulfill it stop waiting."""
         self._violate = self._drop_fulfilled(own, log_odds)
+        if self._violate.any():
+            self._values = tile_values(self.stream.target, received, self._violate.view(np.uint8))
+            self._violate &= (self._values.cells > 0) | self._waits_long()
         if not self._violate.any():
             self._has_more = False
             return False
-        self._values = tile_values(self.stream.target, received, self._violate.view(np.uint8))
         return True
+
+    def _waits_long(self) -> NDArray[np.bool_]:
+        """Return the tiles that may be encoded even if they are worth nothing."""
+        is_quiet = self._changed <= self._step - WORTHLESS_QUIET_STEPS
+        is_late = self._waiting_since <= self._step - WORTHLESS_LONGEST_WAIT
+        return is_quiet | is_late | self._stands_still
 
     def encode(self, own: Grid, log_odds: Int8Grid, most: float) -> tuple[bytes, DecodedUpdate] | None:
         """Encode the update of this step, and set its `urgency`: the value of its tiles per byte."""

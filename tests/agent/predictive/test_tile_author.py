@@ -19,7 +19,13 @@ from agent.predictive.tile_author import (
     TileAuthor,
 )
 from agent.predictive.tile_stream import TileStream
-from agent.predictive.urgent_tile_author import FEW_QUIET_STEPS, LEAST_CELLS, UrgentTileAuthor
+from agent.predictive.urgent_tile_author import (
+    FEW_QUIET_STEPS,
+    LEAST_CELLS,
+    WORTHLESS_LONGEST_WAIT,
+    WORTHLESS_QUIET_STEPS,
+    UrgentTileAuthor,
+)
 from protocol.boxes import NO_BOX, Box
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.scans import Change, Scan
@@ -97,12 +103,24 @@ def test_many_tiles_are_sent_as_soon_as_they_have_stopped_changing() -> None:
 
 def test_with_a_limited_budget_no_ready_tile_waits_for_others() -> None:
     mapper = Mapper(author=UrgentTileAuthor)
-    for _ in range(2):
-        sent = [mapper.play(mapper.draw(SMALL, FREE))] + [mapper.play() for _ in range(FEW_QUIET_STEPS)]
-        assert [len(updates) for updates in sent] == [0] * FEW_QUIET_STEPS + [1]
-        mapper.play(mapper.draw(SMALL, OCCUPIED))
-        assert not mapper.play()
-        assert mapper.play(), "no interval between updates"
+    sent = [mapper.play(mapper.draw(SMALL, FREE))] + [mapper.play() for _ in range(FEW_QUIET_STEPS)]
+    assert [len(updates) for updates in sent] == [0] * FEW_QUIET_STEPS + [1]
+    mapper.play(mapper.draw((0, 0, TILE, TILE), FREE))
+    assert not mapper.play()
+    assert mapper.play(), "no interval between updates"
+
+
+def test_with_a_limited_budget_corrections_without_value_wait_until_they_have_not_changed_for_long() -> None:
+    mapper = Mapper(author=UrgentTileAuthor)
+    for _ in range(FEW_QUIET_STEPS + 1):
+        mapper.play(mapper.draw(LARGE, FREE) if mapper.step == 0 else None)
+    sent = [mapper.play(mapper.draw((2, 2, 3, 3), OCCUPIED))]
+    sent += [mapper.play() for _ in range(WORTHLESS_QUIET_STEPS)]
+    assert [len(updates) for updates in sent] == [0] * WORTHLESS_QUIET_STEPS + [1]
+    changes = [
+        bool(mapper.play(mapper.draw((40, 40, 41, 41), OCCUPIED))) for _ in range(WORTHLESS_LONGEST_WAIT + 1)
+    ]
+    assert changes.index(True) == WORTHLESS_LONGEST_WAIT
 
 
 def test_with_a_limited_budget_tiles_of_a_robot_that_stands_still_are_sent_at_once() -> None:
@@ -138,10 +156,9 @@ def test_with_a_limited_budget_new_cells_are_sent_before_other_corrections() -> 
     mapper.draw((2, 2, WIDTH, 3), OCCUPIED)
     mapper.draw(below, FREE)
     mapper.play(Change(1, (0, 0, WIDTH, 4 * TILE)))
-    sent = [mapper.play() for _ in range(FEW_QUIET_STEPS + 1)]
-    assert [len(updates) for updates in sent] == [0] * (FEW_QUIET_STEPS - 1) + [1, 1], "one update per step"
-    assert sent[-2][0].box == below
-    assert (sent[-1][0].box[1], sent[-1][0].box[3]) == (2, 3)
+    sent = [update for _ in range(WORTHLESS_QUIET_STEPS) for update in mapper.play()]
+    assert sent[0].box == below
+    assert [(each.box[1], each.box[3]) for each in sent[1:]] == [(2, 3)]
     assert mapper.author.urgency == 0
     assert mapper.violations() == []
 
@@ -155,7 +172,7 @@ def test_with_a_limited_budget_tiles_that_close_a_frontier_are_sent_before_other
     mapper.draw((0, HEIGHT - 3, 4 * TILE, HEIGHT - 2), OCCUPIED)
     mapper.draw((0, TILE, 4 * TILE, TILE + 1), OCCUPIED)
     mapper.play(Change(8 * TILE, room))
-    sent = [update for _ in range(2 * FEW_QUIET_STEPS) for update in mapper.play()]
+    sent = [update for _ in range(WORTHLESS_QUIET_STEPS) for update in mapper.play()]
     assert [(each.box[1], each.box[3]) for each in sent] == [(TILE, TILE + 1), (HEIGHT - 3, HEIGHT - 2)]
 
 
