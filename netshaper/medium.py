@@ -123,7 +123,8 @@ class Medium:
         self.airtime.book(frame.sender, size)
         self.carried += size
         self._log.add(self._round, frame, frame.content, _CARRIED, receivers=receivers)
-        self._deliver(frame, Reception(receivers, [frame.content.payload], RECEIVED))
+        if not frame.continues_handshake:
+            self._deliver(frame, Reception(receivers, [frame.content.payload], RECEIVED))
 
     def play(self, connection: Connection) -> ConnectionReport:
         """Put a connection on the air frame by frame, except for a lost one; return the carried bytes."""
@@ -170,17 +171,14 @@ class Medium:
             receptions = [self._accept(each, robot) for each in receptions for robot in each.receivers]
         for number, piece in enumerate(pieces):
             self._log_piece(frame, number, piece, receptions)
-        for reception in receptions:
+        for reception in receptions if not frame.continues_handshake else ():
             self._deliver(frame, reception)
 
     def _deliver(self, frame: Frame, reception: Reception) -> None:
-        """Let the received part of a frame arrive, except for offers and answers, which arrive in their phases."""
-        kind = frame.content.kind
-        if frame.connection >= 0 and kind != DATA:
-            return
+        """Let the received part of a frame arrive."""
         if payload := b"".join(reception.frames):
             delivery = Delivery(frame.sender, payload, frame.connection)
-            arrival = Arrival(self._step + reception.delay, reception.receivers, delivery, kind)
+            arrival = Arrival(self._step + reception.delay, reception.receivers, delivery, frame.content.kind)
             self._coming += reception.copies * [arrival]
 
     def _accept(self, reception: Reception, receiver: int) -> Reception:

@@ -264,7 +264,8 @@ class RelayNode:
             if self._submitted_bytes[sender] > MAX_STEP_BYTES:
                 self.give_up_on(names.number(sender), TOO_MANY_BYTES.format(MAX_STEP_BYTES))
                 return
-            self._check_lengths(message)
+            if len(payload) > self._max_frame_bytes:
+                self._check_lengths(message)
             self._radio.submit(names.number(sender), message)
             self._send_events()
         elif isinstance(message, Positions):
@@ -326,6 +327,8 @@ class RelayNode:
 
     def _send_events(self) -> None:
         """Send robots their events, in one message each, and report the step if it has ended."""
+        if not self._radio.events and not self._radio.accounts:
+            return
         events: defaultdict[int, list[MediumEvent]] = defaultdict(list)
         for robot, event in self._radio.events:
             events[robot].append(event)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 from netshaper.airtime import Saving
 from netshaper.radio_options import MIN_FRAME, RadioOptions
@@ -67,7 +68,7 @@ class RadioSettings:
         """Maximum number of maps."""
         return self.robots * self.incarnations
 
-    @property
+    @cached_property
     def saving(self) -> Saving:
         """The part of unused budgets that later steps can use: none with the barrier.
 
@@ -77,18 +78,18 @@ class RadioSettings:
             return Saving()
         return Saving(max(1, round(SECOND / self.step_ns)), self.options.frame_bytes or MIN_FRAME)
 
-    @property
+    @cached_property
     def most_at_once(self) -> int | None:
         """Bytes that the team can send in one step at most; None: no limit."""
         limit = self.budget.limit
         return self.saving.capacity(limit) if limit else limit
 
-    @property
+    @cached_property
     def perfect(self) -> bool:
         """Whether the channel is lossless and the shared budget is the only limit."""
         return self.options.perfect and not any(self.send) and not any(self.receive)
 
-    @property
+    @cached_property
     def handshakes(self) -> bool:
         """Whether a round has three phases: offers, answers and data. Else robots send once per round."""
         return self.perfect and not self.gossip
