@@ -156,8 +156,8 @@ class AgentNode:
 
     def _take_events(self, robot: Robot, events: list[MediumEvent]) -> None:
         """Take events of the medium in their order."""
+        began = time.perf_counter()
         for event in events:
-            began = time.perf_counter()
             if event.step > self._step:
                 self._early.append(event)
             elif isinstance(event, Close):
@@ -166,9 +166,9 @@ class AgentNode:
                 frames = respond(robot, event, self._report_error)
                 if frames is not None:
                     self._bus.put(self._to.relay, pack(frames))
-            self._work += time.perf_counter() - began
-            if self.situation is not None and not self._held:
-                self.decide()
+        self._work += time.perf_counter() - began
+        if self.situation is not None and not self._held:
+            self.decide()
 
     def decide(self) -> None:
         """End a step: move, and report errors and status.

@@ -9,7 +9,7 @@ from functools import lru_cache
 import msgspec
 import numpy as np
 
-from netshaper.ledger import CAUSES, DATA, EVERYONE, FIRST_ON_AIR, LINK, MALFORMED, ROW
+from netshaper.ledger import CAUSES, EVERYONE, FIRST_ON_AIR, LINK, MALFORMED, ROW
 from protocol.arrays import Int64Rows, ReadOnlyInt32s, ReadOnlyUint8s
 from protocol.kernels import kernel
 from protocol.packet_index import KINDS, PacketIndex
@@ -60,11 +60,6 @@ class Frame(msgspec.Struct, frozen=True, gc=False):
     connection: int = -1
     position: int = -1
     number: int = 0
-
-    @property
-    def continues_handshake(self) -> bool:
-        """Whether it is an offer or an answer of a connection, which its receiver gets in its phase."""
-        return self.connection >= 0 and self.content.kind != DATA
 
 
 class Connection(msgspec.Struct, eq=False, gc=False):

@@ -10,8 +10,15 @@ from netshaper.radio_options import MIN_FRAME, RadioOptions
 from protocol import packets
 from protocol.budget import UNLIMITED, Budget
 from protocol.grid import Grid
-from protocol.messages import Change, FaultEvent
+from protocol.messages import MAX_FRAME, Change, FaultEvent
+from protocol.packets import Held, Offer, Passed, Target
 from protocol.token_bucket import SECOND
+
+MIN_EXTRA = 64
+"""Minimum bytes that a frame may exceed the budget by."""
+
+EXTRA_PER_MAP = Held.size + Offer.size + Passed.size + Target.size
+"""Bytes of reports on a map, and of its robot's pose and target; a frame may exceed the budget by them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +90,12 @@ class RadioSettings:
         """Bytes that the team can send in one step at most; None: no limit."""
         limit = self.budget.limit
         return self.saving.capacity(limit) if limit else limit
+
+    @cached_property
+    def max_frame_bytes(self) -> int:
+        """Maximum bytes of a frame that a robot submits; the relay rejects longer ones."""
+        limit = self.most_at_once
+        return MAX_FRAME if limit is None else limit + max(MIN_EXTRA, self.maps * EXTRA_PER_MAP)
 
     @cached_property
     def perfect(self) -> bool:

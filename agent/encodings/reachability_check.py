@@ -27,7 +27,7 @@ class ReachabilityCheck:
 
     def __init__(self, settings: Settings) -> None:
         self._is_on = settings.replication.checks_reach
-        self._author_of = settings.author_of
+        self._authors = [settings.author_of(map_id) for map_id in range(settings.maps)]
         self._speed = max(body.speed for body in settings.bodies)
         self._ranges = [body.range_cells for body in settings.bodies]
         self._perfect = not settings.replication.requires_acks
@@ -56,7 +56,7 @@ class ReachabilityCheck:
         if not self._is_on or box[0] >= box[2] or box[1] >= box[3]:
             return
         count, before = self._entries.get(map_id, 0), self._reported.get(map_id)
-        author = self._author_of(map_id)
+        author = self._authors[map_id]
         sight = 2 * self._ranges[author] + SLACK
         limit = sight + self._speed * max(0, step - count)
         if before is None:
