@@ -41,7 +41,7 @@ from agent.planning.gain import expected_gain
 from agent.planning.path_planner import PathPlanner
 from agent.planning.single_robot_tour import single_robot_tour
 from agent.planning.team_tours import Task, team_tours
-from agent.planning.viewpoint import best_viewpoint, viewpoint_cells
+from agent.planning.viewpoint import best_viewpoint, tour_viewpoints
 from agent.planning.yielding import MEMORY
 from agent.settings import Settings
 from agent.strategies.base import Cell, Situation
@@ -237,10 +237,7 @@ class Repairmen(TeamStrategy):
             return target
         reach = min(self.options.viewpoint_range, 1.0) * self.settings.body.range_cells
         around = ray_table(self.settings.body.range_cells, self.settings.beams)
-        views = (
-            viewpoint_cells(situation.grid, (x, y), around, reach) if is_small else None
-            for (x, y), is_small in zip(goals.tolist(), are_small, strict=True)
-        )
+        views = tour_viewpoints(situation.grid, goals, are_small, around, reach)
         found = best_viewpoint(planner, situation.here, views, goals, self.settings.body.speed)
         if found is None:
             self._observed_in_vain.add(target)
