@@ -34,7 +34,9 @@ from agent.replication.neighbors import BroadcastCursors, Meetings, Neighbors
 from agent.replication.peers import Mask, Table
 from agent.replication.replica import Rejected, Replica
 from protocol import packets
+from protocol.arrays import Bools, Int64Rows
 from protocol.errors import ProtocolError
+from protocol.kernels import kernel
 from protocol.messages import EVERYONE, OutgoingFrame, RoundReport
 from protocol.packets import From, FromEarly, Gone, Held, HeldEarly, LogDigest, Near
 
@@ -312,10 +314,16 @@ class Gossip(Replication):
 
     def _expect(self, peers: Mask, number: int, first: int, end: int) -> None:
         """Peers received entries `first` to `end` - 1 of a map; they take them unless they lack earlier ones."""
-        expected = self.peers.expected[:, number]
-        np.maximum(expected, end, out=expected, where=peers & (expected >= first))
+        _raise_lengths(self.peers.expected, peers, number, first, end)
 
     def _inform(self, peers: Mask, number: int, length: int) -> None:
         """Peers know that this robot holds so many entries of a map."""
-        informed = self._informed[:, number]
-        np.maximum(informed, length, out=informed, where=peers)
+        _raise_lengths(self._informed, peers, number, 0, length)
+
+
+@kernel
+def _raise_lengths(table: Int64Rows, peers: Bools, number: int, first: int, end: int) -> None:
+    """Raise the lengths of a map to `end`, for those of `peers` where they are at least `first`."""
+    for peer in range(len(peers)):
+        if peers[peer] and table[peer, number] >= first:
+            table[peer, number] = max(table[peer, number], end)
