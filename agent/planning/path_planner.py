@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -182,8 +182,11 @@ class PathPlanner:
             )
         return self._others[radius_cells]
 
-    def without(self, x: int, y: int) -> PathPlanner:
-        """Return a planner with cell (x, y) as an additional obstacle."""
+    def without(self, cells: Sequence[Cell]) -> PathPlanner:
+        """Return a planner with these cells as additional obstacles; this planner if there are none."""
+        if not cells:
+            return self
         grid, floor = self.grid.copy(), self.floor.copy()
-        grid[y, x] = floor[y, x] = OCCUPIED
+        for x, y in cells:
+            grid[y, x] = floor[y, x] = OCCUPIED
         return PathPlanner(grid, self._kind, self._radius, floor, self._occ_max)

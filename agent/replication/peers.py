@@ -48,6 +48,8 @@ class PeerTable:
         self.current = list(range(self.robots))
         """The number of each robot's map in its current incarnation, as far as this robot has received it."""
         self.current[self.robot] = self.own
+        self.rows = np.arange(self.robots)
+        """The row of each robot in tables."""
         self.expected = self.new_table()
         """``expected[peer, map]``: entries that the peer should hold by now."""
         self.acked = self.expected
