@@ -15,7 +15,7 @@ certain. The check would reject what honest robots report.
 from __future__ import annotations
 
 from agent.settings import Settings
-from protocol.boxes import Box, bounding_box
+from protocol.boxes import Box
 from protocol.errors import ProtocolError
 
 SLACK = 8
@@ -63,7 +63,11 @@ class ReachabilityCheck:
             growth = max(box[2] - box[0], box[3] - box[1])
         else:
             growth = max(before[0] - box[0], before[1] - box[1], box[2] - before[2], box[3] - before[3])
-            box = bounding_box((before, box)) if growth > 0 else before
+            if growth > 0:
+                x0, y0, x1, y1 = before
+                box = min(x0, box[0]), min(y0, box[1]), max(x1, box[2]), max(y1, box[3])
+            else:
+                box = before
         if growth > limit:
             reason = f"map {map_id} grows by {growth} cells; its author can have observed {limit:.0f} at most"
             raise ProtocolError("map update", 0, reason)

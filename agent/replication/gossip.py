@@ -282,7 +282,7 @@ class Gossip(Replication):
         if number >= len(self.logs):
             return
         log, replica = self.logs[number], self.replica
-        first = self._cursors.of(peer) if head is None else offset(head, len(log))
+        first = self._cursors.of(peer) if head is None else offset(head, log.length)
         if first is None:
             self._gaps.add(number)
             return
@@ -291,24 +291,24 @@ class Gossip(Replication):
         end = max(first, self._possible(number, first + len(entries)))
         if end == first:
             return
-        self._acks.entries_received(peer, number, end, len(log))
+        self._acks.entries_received(peer, number, end, log.length)
         if number == self.peers.current[peer]:
             self._cursors.received(peer, end)
         self.peers.expect(peer, number, end)
-        if first > len(log):
+        if first > log.length:
             self._gaps.add(number)
             if not replica.refuses(peer, number):
                 self._acks.store(peer, number, first, entries)
         else:
             self._gaps.discard(number)
-        if first <= len(log) < end and not self.peers.is_own(number):
-            replica.accept(peer, number, b"".join(entries[len(log) - first :]))
+        if first <= log.length < end and not self.peers.is_own(number):
+            replica.accept(peer, number, b"".join(entries[log.length - first :]))
         receivers = self._neighbors.receivers(peer)
         self._expect(receivers, number, first, end)
-        if len(log) >= end:
+        if log.length >= end:
             receivers[peer] = receivers[self.peers.robot] = True
             self._inform(receivers, number, end)
-        while (stored := self._acks.stored(number, len(log))) is not None:
+        while (stored := self._acks.stored(number, log.length)) is not None:
             self._gaps.add(number)
             replica.accept(stored[0], number, stored[1])
 

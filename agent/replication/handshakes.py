@@ -99,7 +99,7 @@ class Handshakes(Replication):
             else:
                 connection.on("first offer")
                 taken.add(number)
-                reply = answer(len(self.logs[number]), offered.block)
+                reply = answer(self.logs[number].length, offered.block)
             frames.append(OutgoingFrame(sender, reply, delivery.connection))
         return frames
 
@@ -140,7 +140,7 @@ class Handshakes(Replication):
                 continue
             sender, number = delivery.sender, taken.number
             if self.replica.accept(sender, number, delivery.payload):
-                self.peers.expect(sender, number, len(self.logs[number]))
+                self.peers.expect(sender, number, self.logs[number].length)
         return self.replica.take_rejected()
 
     def delivered(self) -> bool:
@@ -153,7 +153,7 @@ class Handshakes(Replication):
 
     def _read_answer(self, connection: Connection, payload: bytes) -> Event:
         """Note the peer's log length, and compare it with this robot's."""
-        expected, length = connection.length, len(self.logs[connection.number])
+        expected, length = connection.length, self.logs[connection.number].length
         claimed = read_answer(payload, block_of(expected))
         if claimed is None:
             return "declined"

@@ -62,8 +62,9 @@ class Meetings:
     def begin_step(self, step: int, in_range: Sequence[int]) -> None:
         """Note which peers have left the range and which have come, and time out greetings."""
         before, self._in_range = self._in_range, set(in_range)
-        for peer in set(range(len(self._states))) - self._in_range:
-            self.on(peer, "left")
+        for peer, state in enumerate(self._states):
+            if state != "away" and peer not in self._in_range:
+                self.on(peer, "left")
         for peer in in_range:
             if peer not in before:
                 self.on(peer, "arrived")
