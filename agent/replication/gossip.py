@@ -301,7 +301,7 @@ class Gossip(Replication):
                 self._acks.store(peer, number, first, entries)
         else:
             self._gaps.discard(number)
-        if first <= log.length < end and not self.peers.is_own(number):
+        if first <= log.length < end and number not in self.peers.own_maps:
             replica.accept(peer, number, b"".join(entries[log.length - first :]))
         receivers = self._neighbors.receivers(peer)
         self._expect(receivers, number, first, end)

@@ -93,7 +93,7 @@ class Handshakes(Replication):
             if number >= len(self.logs):
                 raise ProtocolError(offered.name, 0, f"map {number} of {len(self.logs)} robots")
             connection = self._received[delivery.connection] = Connection(sender, number)
-            if number in taken or self.peers.is_own(number) or self.replica.refuses(sender, number):
+            if number in taken or number in self.peers.own_maps or self.replica.refuses(sender, number):
                 connection.on("unwanted offer")
                 reply = DECLINE
             else:
