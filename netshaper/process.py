@@ -54,6 +54,7 @@ ENDED = "its process ended"
 DISCONNECTED = "its process ended, or its connection was cut and not restored"
 """Cause of the loss of a robot that has left the bus, and whose process may be alive."""
 
+
 class RelayNode:
     """The relay of one run; `done` once all participants have received `Shutdown` and have left.
 

@@ -40,7 +40,9 @@ def viewpoint_cells(
     arrivals = _arrivals(around, min(reach, math.hypot(height, width)))
     candidates = np.empty((0, 2), np.int32) if among is None else among
     flat, steps, rows, start = arrivals.flat, arrivals.steps, arrivals.rows, arrivals.start
-    found: Cells = _trace_back(grid, *goal, arrivals.side, flat, steps, rows, start, among is None, candidates)
+    found: Cells = _trace_back(
+        grid, *goal, arrivals.side, flat, steps, rows, start, among is None, candidates
+    )
     return found
 
 
