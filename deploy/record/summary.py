@@ -284,7 +284,8 @@ def _sums(
     """Return the sums of values by step and group, shape (steps, groups), with one group at least."""
     groups = int(group.max(initial=0)) + 1
     flat = step.astype(np.int64) * groups + group
-    return np.bincount(flat, values, steps * groups).reshape(steps, groups)
+    sums: NDArray[Any] = np.bincount(flat, values, steps * groups)
+    return sums.reshape(steps, groups)
 
 
 def budgets(budget: Budget, changes: Iterable[Change], steps: int) -> NDArray[np.float64]:
