@@ -55,7 +55,7 @@ class GoalCosts:
     """Costs of ways to the goals of one floor, each searched on first use: teams share most of their robots."""
 
     def __init__(self, goals: Cells) -> None:
-        self._goals = goals
+        self.goals = goals
         self._ways: dict[tuple[int, ...], Floats] = {}
         """The costs of the ways from each start to all goals."""
         self._between: FloatRows | None = None
@@ -65,14 +65,14 @@ class GoalCosts:
         cells = list(map(tuple, starts.tolist()))
         new = [cell for cell in dict.fromkeys(cells) if cell not in self._ways]
         if new:
-            costs = costs_between(floor, np.array(new, np.int32), self._goals)
+            costs = costs_between(floor, np.array(new, np.int32), self.goals)
             self._ways |= zip(new, costs, strict=True)
-        return np.array([self._ways[cell] for cell in cells]).reshape(len(cells), len(self._goals))
+        return np.array([self._ways[cell] for cell in cells]).reshape(len(cells), len(self.goals))
 
     def among(self, floor: Floor, starts: Cells) -> tuple[FloatRows, FloatRows]:
         """Return `costs_among` of these starts and the goals; callers must not modify the costs between goals."""
         if self._between is None:
-            ways, self._between = costs_among(floor, starts, self._goals)
+            ways, self._between = costs_among(floor, starts, self.goals)
             self._ways |= zip(map(tuple, starts.tolist()), ways, strict=True)
         return self.ways(floor, starts), self._between
 
