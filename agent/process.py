@@ -110,7 +110,11 @@ class AgentNode:
 
     def _take(self, message: object) -> None:
         """Take a decoded message of relay or world."""
-        if isinstance(message, Configure):
+        if self.robot is not None and isinstance(message, RelayUpdate):
+            self._take_events(self.robot, message.events)
+        elif self.robot is not None and isinstance(message, Sense):
+            self._sense(self.robot, message)
+        elif isinstance(message, Configure):
             self._begin(Settings.decode(message.settings))
             waiting, self._unconfigured = self._unconfigured, []
             for earlier in waiting:
@@ -125,10 +129,6 @@ class AgentNode:
             self._viewer_feed = ViewerFeed() if message.here else None
         elif self.robot is None:
             self._unconfigured.append(message)
-        elif isinstance(message, RelayUpdate):
-            self._take_events(self.robot, message.events)
-        elif isinstance(message, Sense):
-            self._sense(self.robot, message)
         elif isinstance(message, RequestMaps):
             self._send_maps(self.robot, message)
 
@@ -156,8 +156,8 @@ class AgentNode:
 
     def _take_events(self, robot: Robot, events: list[MediumEvent]) -> None:
         """Take events of the medium in their order."""
+        began = time.perf_counter()
         for event in events:
-            began = time.perf_counter()
             if event.step > self._step:
                 self._early.append(event)
             elif isinstance(event, Close):
@@ -166,9 +166,9 @@ class AgentNode:
                 frames = respond(robot, event, self._report_error)
                 if frames is not None:
                     self._bus.put(self._to.relay, pack(frames))
-            self._work += time.perf_counter() - began
-            if self.situation is not None and not self._held:
-                self.decide()
+        self._work += time.perf_counter() - began
+        if self.situation is not None and not self._held:
+            self.decide()
 
     def decide(self) -> None:
         """End a step: move, and report errors and status.

@@ -311,6 +311,8 @@ class Robot:
     def _report_false_maps(self) -> None:
         """Report robots whose maps others contradict; with digests, only once their authors could disown entries."""
         doubted = self._encoding.doubted
+        if not doubted and not self._doubted_steps:
+            return
         self._doubted_steps = {peer: self._doubted_steps.get(peer, 0) + 1 for peer in doubted}
         wait = INTERVAL * self.settings.robots if self.settings.replication.digests else 0
         new = {peer for peer, steps in self._doubted_steps.items() if steps > wait} - self.disbelieved

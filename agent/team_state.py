@@ -190,4 +190,4 @@ class RelayedState:
 
 def _ascending(of_robots: dict[int, _Value]) -> dict[int, _Value]:
     """Return a copy of a dictionary by ascending robot number."""
-    return dict(sorted(of_robots.items()))
+    return {robot: of_robots[robot] for robot in sorted(of_robots)}

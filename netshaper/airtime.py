@@ -107,6 +107,8 @@ class Airtime:
         self._duty_cycles = [DutyCycle(duty_cycle, hour) for _ in range(robots)] if duty_cycle < 1 else []
         self.set_budget(budget)
         self._neighbors: Mapping[int, Sequence[int]] = {}
+        self._buckets: list[list[TokenBucket]] = [[] for _ in range(robots)]
+        """The buckets from which each robot's bytes are taken in this step."""
         self.left = budget
         """The remaining budget that the whole team shares."""
         self._received = [0] * robots
@@ -128,6 +130,10 @@ class Airtime:
         for bucket in (*self._around, *self._senders):
             if bucket is not None:
                 bucket.room(self._now)
+        for robot, own in enumerate(self._senders):
+            around = (robot, *neighbors.get(robot, ())) if self._reuse else (0,)
+            buckets = own, *map(self._around.__getitem__, around)
+            self._buckets[robot] = [bucket for bucket in buckets if bucket is not None]
         self.left = self._left_around(0)
         self._received = [0] * self._robots
         for duty_cycle in self._duty_cycles:
@@ -159,10 +165,8 @@ class Airtime:
     def book(self, robot: int, size: int) -> None:
         """Record that a robot has sent `size` bytes."""
         self.left = self.left.minus(size)
-        around = (robot, *self._neighbors.get(robot, ())) if self._reuse else (0,)
-        for bucket in [self._senders[robot], *map(self._around.__getitem__, around)]:
-            if bucket is not None:
-                bucket.take(size)
+        for bucket in self._buckets[robot]:
+            bucket.take(size)
         if self._duty_cycles and self._budget.limit:
             self._duty_cycles[robot].take(size, self._budget.limit)
 

@@ -72,6 +72,8 @@ class Medium:
         self._channel = Channel(options, settings.seed, settings.robots)
         self._perfect = settings.perfect
         self._frame_limit = settings.frame_limit
+        self._receives_whole = settings.perfect and settings.frame_limit.unlimited
+        """Whether all receivers receive a frame within the budget at once and uncut."""
         self._tail = settings.checksum_bytes
         self._step = 0
         self._round = 0
@@ -103,8 +105,12 @@ class Medium:
         Data and news are cut at a packet boundary; other frames are sent whole or not at all.
         """
         content, size = frame.content, len(frame.content.payload)
-        if self._perfect and self.airtime.left.fits(size) and self._frame_limit.fits(size):
-            self._carry_whole(frame, size, receivers)
+        if self._receives_whole and self.airtime.left.fits(size):
+            self.airtime.book(frame.sender, size)
+            self.carried += size
+            self._log.add(self._round, frame, content, _CARRIED, receivers=receivers)
+            if frame.connection < 0 or content.kind == DATA:
+                self._deliver(frame, Reception(receivers, [content.payload], RECEIVED))
             return size
         shared = self.airtime.shared(frame.sender)
         room = shared.least(self.airtime.own(frame.sender))
@@ -117,13 +123,6 @@ class Medium:
         if self._perfect and content.kind != NEWS:
             self.airtime.left = Budget(0)
         return size - len(rest.payload)
-
-    def _carry_whole(self, frame: Frame, size: int, receivers: Sequence[int]) -> None:
-        """Put a frame of `size` bytes on the air of a perfect radio, where all receivers receive it at once."""
-        self.airtime.book(frame.sender, size)
-        self.carried += size
-        self._log.add(self._round, frame, frame.content, _CARRIED, receivers=receivers)
-        self._deliver(frame, Reception(receivers, [frame.content.payload], RECEIVED))
 
     def play(self, connection: Connection) -> ConnectionReport:
         """Put a connection on the air frame by frame, except for a lost one; return the carried bytes."""
@@ -170,17 +169,15 @@ class Medium:
             receptions = [self._accept(each, robot) for each in receptions for robot in each.receivers]
         for number, piece in enumerate(pieces):
             self._log_piece(frame, number, piece, receptions)
-        for reception in receptions:
-            self._deliver(frame, reception)
+        if frame.connection < 0 or frame.content.kind == DATA:
+            for reception in receptions:
+                self._deliver(frame, reception)
 
     def _deliver(self, frame: Frame, reception: Reception) -> None:
-        """Let the received part of a frame arrive, except for offers and answers, which arrive in their phases."""
-        kind = frame.content.kind
-        if frame.connection >= 0 and kind != DATA:
-            return
+        """Let the received part of a frame arrive; offers and answers arrive in their phases instead."""
         if payload := b"".join(reception.frames):
             delivery = Delivery(frame.sender, payload, frame.connection)
-            arrival = Arrival(self._step + reception.delay, reception.receivers, delivery, kind)
+            arrival = Arrival(self._step + reception.delay, reception.receivers, delivery, frame.content.kind)
             self._coming += reception.copies * [arrival]
 
     def _accept(self, reception: Reception, receiver: int) -> Reception:

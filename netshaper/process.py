@@ -47,19 +47,12 @@ from protocol.messages import (
     clip,
     pack,
 )
-from protocol.packets import Held, Offer, Passed, Target
 from protocol.rights import MAX_PROTOCOL_ERRORS, MAX_STEP_BYTES, TOO_MANY_BYTES, TOO_MANY_ERRORS
 
 ENDED = "its process ended"
 """Cause of the loss of a robot that has left the bus."""
 DISCONNECTED = "its process ended, or its connection was cut and not restored"
 """Cause of the loss of a robot that has left the bus, and whose process may be alive."""
-
-MIN_FRAME, MAX_FRAME = 64, 1 << 24
-"""Minimum bytes that a frame may exceed the budget by, and maximum bytes of a frame without a budget."""
-
-EXTRA_PER_MAP = Held.size + Offer.size + Passed.size + Target.size
-"""Bytes of reports on a map, and of its robot's pose and target; a frame may exceed the budget by them."""
 
 
 class RelayNode:
@@ -120,13 +113,6 @@ class RelayNode:
         """Protocol errors of each participant in this step."""
         self._submitted_bytes: Counter[str] = Counter()
         """Bytes of each robot's messages in this step."""
-
-    @property
-    def _max_frame_bytes(self) -> int:
-        """Maximum bytes of a frame; the relay rejects longer ones."""
-        settings = self._radio.settings
-        limit = settings.most_at_once
-        return MAX_FRAME if limit is None else limit + max(MIN_FRAME, settings.maps * EXTRA_PER_MAP)
 
     def missing(self) -> list[str]:
         """Participants that have not joined yet; empty once the run has begun."""
@@ -264,7 +250,8 @@ class RelayNode:
             if self._submitted_bytes[sender] > MAX_STEP_BYTES:
                 self.give_up_on(names.number(sender), TOO_MANY_BYTES.format(MAX_STEP_BYTES))
                 return
-            self._check_lengths(message)
+            if len(payload) > self._radio.settings.max_frame_bytes:
+                self._check_lengths(message)
             self._radio.submit(names.number(sender), message)
             self._send_events()
         elif isinstance(message, Positions):
@@ -318,14 +305,15 @@ class RelayNode:
     def _check_lengths(self, submitted: RobotFrames) -> None:
         """Raise ProtocolError if a frame is longer than any frame that could be carried."""
         longest = max([len(submitted.broadcast), *[len(frame.payload) for frame in submitted.frames]])
-        if longest > self._max_frame_bytes:
-            reason = (
-                f"a frame of {longest} bytes, where {self._max_frame_bytes} are the most that can be carried"
-            )
+        most = self._radio.settings.max_frame_bytes
+        if longest > most:
+            reason = f"a frame of {longest} bytes, where {most} are the most that can be carried"
             raise ProtocolError("RobotFrames", 0, reason)
 
     def _send_events(self) -> None:
         """Send robots their events, in one message each, and report the step if it has ended."""
+        if not self._radio.events and not self._radio.accounts:
+            return
         events: defaultdict[int, list[MediumEvent]] = defaultdict(list)
         for robot, event in self._radio.events:
             events[robot].append(event)

@@ -60,6 +60,7 @@ Item = TypeVar("Item")
 
 _STEP = attrgetter("step")
 _FRAME = attrgetter("frame")
+_PAIR = attrgetter("sender", "receiver", "map_id")
 
 NOT_FOR_ALL = "sent to all, where maps are offered to one robot"
 NOT_FOR_ONE = "news are a broadcast: sent to one robot"
@@ -372,7 +373,7 @@ class Radio:
         broadcasts, offers = self._admit(OFFER)
         self._send_broadcasts(broadcasts)
         self._deliver_broadcasts()
-        offers.sort(key=lambda frame: (frame.sender, frame.receiver, frame.map_id))
+        offers.sort(key=_PAIR)
         for number, frame in enumerate(self._drawn("contention", offers), self._first):
             self._connections.append(Connection(number, [msgspec.structs.replace(frame, connection=number)]))
         self._deliver(OFFER)
@@ -415,11 +416,13 @@ class Radio:
         """Play the connections, and report to both ends of each."""
         self._collect(DATA)
         reports: defaultdict[int, list[ConnectionReport]] = defaultdict(list)
+        dead = self._topology.dead
         for connection in self._connections:
-            if len(connection.frames) > DATA and connection.offer.receiver in self._topology.dead:
+            offer = connection.offer
+            if offer.receiver in dead and len(connection.frames) > DATA:
                 connection.lost = True
             report = self._medium.play(connection)
-            reports[connection.offer.sender].append(report)
-            reports[connection.offer.receiver].append(report)
+            reports[offer.sender].append(report)
+            reports[offer.receiver].append(report)
         self._report(reports, {}, self._deliver_broadcasts())
         self._next_round(busy=True)

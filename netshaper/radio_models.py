@@ -94,7 +94,7 @@ def checked(links: Any, model: str, robots: int) -> Links:
             f"{links.dtype} of shape {links.shape}" if isinstance(links, np.ndarray) else type(links).__name__
         )
         raise ValueError(f"radio model {model!r}: links must be a bool array of shape {shape}, not {got}")
-    if not np.array_equal(links, links.T):
+    if (links != links.T).any():
         one, other = np.argwhere(links & ~links.T)[0]
         raise ValueError(
             f"radio model {model!r}: links must be symmetric; robot {other} receives robot {one}, but not the reverse"

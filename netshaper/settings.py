@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 from netshaper.airtime import Saving
 from netshaper.radio_options import MIN_FRAME, RadioOptions
 from protocol import packets
 from protocol.budget import UNLIMITED, Budget
 from protocol.grid import Grid
-from protocol.messages import Change, FaultEvent
+from protocol.messages import MAX_FRAME, Change, FaultEvent
+from protocol.packets import Held, Offer, Passed, Target
 from protocol.token_bucket import SECOND
+
+MIN_EXTRA = 64
+"""Minimum bytes that a frame may exceed the budget by."""
+
+EXTRA_PER_MAP = Held.size + Offer.size + Passed.size + Target.size
+"""Bytes of reports on a map, and of its robot's pose and target; a frame may exceed the budget by them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +75,7 @@ class RadioSettings:
         """Maximum number of maps."""
         return self.robots * self.incarnations
 
-    @property
+    @cached_property
     def saving(self) -> Saving:
         """The part of unused budgets that later steps can use: none with the barrier.
 
@@ -77,18 +85,24 @@ class RadioSettings:
             return Saving()
         return Saving(max(1, round(SECOND / self.step_ns)), self.options.frame_bytes or MIN_FRAME)
 
-    @property
+    @cached_property
     def most_at_once(self) -> int | None:
         """Bytes that the team can send in one step at most; None: no limit."""
         limit = self.budget.limit
         return self.saving.capacity(limit) if limit else limit
 
-    @property
+    @cached_property
+    def max_frame_bytes(self) -> int:
+        """Maximum bytes of a frame that a robot submits; the relay rejects longer ones."""
+        limit = self.most_at_once
+        return MAX_FRAME if limit is None else limit + max(MIN_EXTRA, self.maps * EXTRA_PER_MAP)
+
+    @cached_property
     def perfect(self) -> bool:
         """Whether the channel is lossless and the shared budget is the only limit."""
         return self.options.perfect and not any(self.send) and not any(self.receive)
 
-    @property
+    @cached_property
     def handshakes(self) -> bool:
         """Whether a round has three phases: offers, answers and data. Else robots send once per round."""
         return self.perfect and not self.gossip

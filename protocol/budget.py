@@ -41,7 +41,9 @@ class Budget(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields
 
     def minus(self, size: int) -> Budget:
         """Return the budget that is left once so many bytes are sent, at least 0."""
-        return self if self.limit is None else Budget(max(0, self.limit - size))
+        if self.limit is None:
+            return self
+        return Budget(self.limit - size if size < self.limit else 0)
 
     def least(self, other: Budget) -> Budget:
         """Return the smaller of two budgets."""

@@ -36,6 +36,7 @@ def is_robot(name: str) -> bool:
     return re.fullmatch("r(0|[1-9][0-9]{0,8})", name) is not None
 
 
+@lru_cache(maxsize=1024)
 def number(name: str) -> int:
     """Return the number of the robot called `name`; ValueError for any other name."""
     if not is_robot(name):

@@ -75,6 +75,7 @@ class MemoryBus:
     def __init__(self, hub: MemoryHub, name: str, flag: int) -> None:
         self.name = name
         self.messages: deque[Message] = deque()
+        """Messages that `receive` has not returned yet."""
         self.here = False
         """Whether it is open."""
         self.flag = flag
@@ -90,10 +91,12 @@ class MemoryBus:
     def receive(self, timeout_s: float | None = None) -> Message | None:  # noqa: ARG002
         """Return the next message, or None if there is none."""
         if self.messages:
-            return self.messages.popleft()
+            message = self.messages.popleft()
+            if not self.messages:
+                self._hub.mail &= ~self.flag
+            return message
         if not self.here:
             raise self._refusal()
-        self._hub.mail &= ~self.flag
         if not self._hub.end(names.RELAY).here:
             raise BusClosed(f"{self.name}: the relay has left")
         return None

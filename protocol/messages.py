@@ -503,12 +503,8 @@ _HEAD = {kind: 0x90 | len(kind.__struct_fields__) + 1 for kind in _TYPES}
 
 _NOT_DECODED = msgspec.DecodeError, RecursionError, UnicodeDecodeError
 
-_write = msgspec.msgpack.Encoder().encode
-
-
-def pack(message: Record) -> bytes:
-    """Write a message."""
-    return _write(message)
+pack: Callable[[Record], bytes] = msgspec.msgpack.Encoder().encode
+"""Write a message."""
 
 
 def unpacker(

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -112,8 +111,9 @@ class World(BaseWorld):
             return
         x, y = self.cells[robot] = self._last_cells[robot]
         floor = self.floors[self.settings.bodies[robot].radius_cells] == FREE
-        with self._cells_taken_by_others(robot, math.inf) as taken:
-            rows, columns = np.nonzero(floor & self.reachable & (taken == 0))
+        marked = self._mark_others(robot, math.inf)
+        rows, columns = np.nonzero(floor & self.reachable & (self._taken == 0))
+        _clear(marked)
         if len(rows):
             nearest = int(np.argmin((columns - x) ** 2 + (rows - y) ** 2))
             self.cells[robot] = int(columns[nearest]), int(rows[nearest])
@@ -165,12 +165,14 @@ class World(BaseWorld):
             return [], INTERFERENCE
         body, start, offset = self.settings.bodies[robot], self.cells[robot], self.offsets[robot]
         floor, way = self.floors[body.radius_cells], body.speed + self._carry[robot]
-        with self._cells_taken_by_others(robot, way) as taken:
-            if points:
-                point = start[0] * FINE + offset[0], start[1] * FINE + offset[1]
-                result = glide(floor, taken, point, points, way)
-            else:
-                result = drive(floor, taken, start, path, way, 1.0 if self.settings.cell_steps else DIAGONAL)
+        marked = self._mark_others(robot, way)
+        if points:
+            point = start[0] * FINE + offset[0], start[1] * FINE + offset[1]
+            result = glide(floor, self._taken, point, points, way)
+        else:
+            diagonal = 1.0 if self.settings.cell_steps else DIAGONAL
+            result = drive(floor, self._taken, start, path, way, diagonal)
+        _clear(marked)
         self._carry[robot] = result.carry
         self.driven[robot] += result.length
         if result.length:
@@ -183,9 +185,11 @@ class World(BaseWorld):
             self.headings[robot] = heading_of(*direction)
         return swept(start, result.cells), result.blocked
 
-    @contextmanager
-    def _cells_taken_by_others(self, robot: int, way: float) -> Iterator[NDArray[np.uint8]]:
-        """Mark the cells that a robot's center may not enter because of robots within `way` cells, or of people."""
+    def _mark_others(self, robot: int, way: float) -> list[NDArray[np.uint8]]:
+        """Mark the cells that a robot's center may not enter because of robots within `way` cells, or of people.
+
+        Returns the parts of `_taken` with marks, which the caller clears.
+        """
         own = self.settings.bodies[robot].radius_cells
         x, y = self.cells[robot]
         far = way + own + self._widest + 4
@@ -201,9 +205,7 @@ class World(BaseWorld):
             marked.append(mark_near(self._taken, cell, reach, TAKEN_BY_ROBOT))
         if self._people is not None:
             marked += self._people.mark(self._taken, own)
-        yield self._taken
-        for here in marked:
-            here[:] = 0
+        return marked
 
     def _place_people(self, settings: PeopleSettings) -> People:
         """Place people on cells that robots can reach; ValueError if there are too few."""
@@ -270,6 +272,12 @@ class World(BaseWorld):
             active &= (beams - angle) % FULL_TURN < body.scanner_turn
         discs = NO_DISCS if self._people is None else self._people.discs
         return self._sensors.sense(robot, exact, self.truth, occupied, active, discs)
+
+
+def _clear(marked: Iterable[NDArray[np.uint8]]) -> None:
+    """Remove the marks from parts of a grid."""
+    for part in marked:
+        part[:] = 0
 
 
 @kernel

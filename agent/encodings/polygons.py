@@ -61,6 +61,7 @@ class PolygonEncoding(MapEncoding):
         self._scan_cell = 0, 0
         self._tracer = Tracer(shape)
         self._untraced, self._unmerged, self._uncounted = ChangedCells(), ChangedCells(), ChangedCells()
+        self._authors = [settings.author_of(map_id) for map_id in range(settings.maps)]
         self._make_receivers(NO_CACHE)
 
     def _make_receivers(self, cache: MemoCache) -> None:
@@ -158,7 +159,7 @@ class PolygonEncoding(MapEncoding):
             self._team.update(map_id, receiver.objects, None if map_id in self._replaced else changed)
         self._updated.clear()
         self._replaced.clear()
-        near = [map_id for map_id in self._receivers if self.settings.author_of(map_id) in peers]
+        near = [map_id for map_id in self._receivers if self._authors[map_id] in peers]
         return self._team.merged(own, near, self._unmerged.take(own))
 
     def approximation_error(self, own: Grid) -> int:

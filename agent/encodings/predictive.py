@@ -211,9 +211,9 @@ class PredictiveEncoding(GridEncoding):
         """Encode updates up to the budget of a step; the rest stays pending."""
         map_id = self.settings.own_map
         author, log, limits = self._author, self._states[map_id], self._limits
-        author.stream.avoided = {
-            each for each in range(self.settings.maps) if self.settings.author_of(each) in self.doubted
-        }
+        doubted = self.doubted
+        maps = range(self.settings.maps) if doubted else ()
+        author.stream.avoided = {each for each in maps if self.settings.author_of(each) in doubted}
         packets: list[bytes] = []
         size = updates = 0
         while author.has_changes and size < limits.step_bytes:

@@ -15,7 +15,7 @@ certain. The check would reject what honest robots report.
 from __future__ import annotations
 
 from agent.settings import Settings
-from protocol.boxes import Box, bounding_box
+from protocol.boxes import Box
 from protocol.errors import ProtocolError
 
 SLACK = 8
@@ -27,7 +27,7 @@ class ReachabilityCheck:
 
     def __init__(self, settings: Settings) -> None:
         self._is_on = settings.replication.checks_reach
-        self._author_of = settings.author_of
+        self._authors = [settings.author_of(map_id) for map_id in range(settings.maps)]
         self._speed = max(body.speed for body in settings.bodies)
         self._ranges = [body.range_cells for body in settings.bodies]
         self._perfect = not settings.replication.requires_acks
@@ -56,14 +56,18 @@ class ReachabilityCheck:
         if not self._is_on or box[0] >= box[2] or box[1] >= box[3]:
             return
         count, before = self._entries.get(map_id, 0), self._reported.get(map_id)
-        author = self._author_of(map_id)
+        author = self._authors[map_id]
         sight = 2 * self._ranges[author] + SLACK
         limit = sight + self._speed * max(0, step - count)
         if before is None:
             growth = max(box[2] - box[0], box[3] - box[1])
         else:
             growth = max(before[0] - box[0], before[1] - box[1], box[2] - before[2], box[3] - before[3])
-            box = bounding_box((before, box)) if growth > 0 else before
+            if growth > 0:
+                x0, y0, x1, y1 = before
+                box = min(x0, box[0]), min(y0, box[1]), max(x1, box[2]), max(y1, box[3])
+            else:
+                box = before
         if growth > limit:
             reason = f"map {map_id} grows by {growth} cells; its author can have observed {limit:.0f} at most"
             raise ProtocolError("map update", 0, reason)

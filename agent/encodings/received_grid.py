@@ -24,7 +24,7 @@ class ChangedCells:
 
     def add(self, own: Grid, change: Change) -> None:
         """Note a change of the grid."""
-        if own is self._seen:
+        if own is self._seen and change.cells:
             self._boxes = union(self._boxes, change.boxes)
 
     def take(self, own: Grid) -> Boxes | None:

@@ -56,7 +56,7 @@ class ClaimCounts:
     def __init__(self, shape: tuple[int, ...]) -> None:
         self.claims: Layer = np.zeros(shape, np.uint8)
         self._cells = self.claims.reshape(-1)
-        self._counts = np.zeros((5, self.claims.size), np.uint8)
+        self._counts = np.zeros((self.claims.size, 5), np.uint8)
 
     def apply(self, difference: ClaimDifference, near: bool) -> None:
         """Apply the changes of a layer; `near`: whether its robot is near."""
@@ -141,7 +141,7 @@ class DrawnClaims:
         boxes = whole_grid(objects.shape) if changed is None or self._objects is None else changed
         change = self._objects, objects, drawing.free_inside_edges, drawing.unknown_pairs
         difference = self._cache.get(change, lambda: redraw(self.layer, objects, drawing, boxes))
-        self._cells[difference.cells] = difference.after
+        _write(self._cells, difference.cells, difference.after)
         self._objects = objects
         return difference
 
@@ -200,13 +200,20 @@ def _edges_near(vertices: Symbols, chunks: Boxes, box: Int32s, edges: Edges) -> 
 
 
 @kernel
+def _write(layer: Uint8s, cells: Int32s, claims: Uint8s) -> None:
+    """Write the claims of cells to a flattened layer."""
+    for each in range(len(cells)):
+        layer[cells[each]] = claims[each]
+
+
+@kernel
 def _change(counts: Layer, claims: Uint8s, cell: int, before: int, after: int) -> None:
     """Update the counts of a cell about which a layer makes other claims than before."""
     changed = before ^ after
     for k in range(5):
         if changed >> k & 1:
-            counts[k, cell] += 1 if after >> k & 1 else -1
-            claims[cell] = claims[cell] & ~(1 << k) | (counts[k, cell] > 0) << k
+            counts[cell, k] += 1 if after >> k & 1 else -1
+            claims[cell] = claims[cell] & ~(1 << k) | (counts[cell, k] > 0) << k
 
 
 @kernel

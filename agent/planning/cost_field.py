@@ -280,13 +280,15 @@ def _spread(free: Bools, start: int, work: Workspace, field: Field) -> None:
 
 @kernel
 def _spread_to(free: Bools, stride: int, start: int, cells: Cells, work: Workspace, found: Floats) -> None:
+    length, came, _ = work
     fill = np.empty(5, np.int64)
     buckets, level = begin(work, fill, start), 0
     offset = offsets(stride)
     for index in range(len(cells)):
         cell = (cells[index, 1] + 1) * stride + cells[index, 0] + 1
-        buckets, level = _settle_until(free, work, buckets, fill, offset, level, start, cell, NO_BOUND)
-        found[index] = work[0][cell] * UNIT if work[0][cell] != FAR else np.inf
+        if came[cell] != 8:  # else an earlier one was farther away; calls in vain would take half of the time
+            buckets, level = _settle_until(free, work, buckets, fill, offset, level, start, cell, NO_BOUND)
+        found[index] = length[cell] * UNIT if length[cell] != FAR else np.inf
     tidy(work, fill)
 
 

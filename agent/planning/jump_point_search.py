@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from agent.planning.cost_field import ONE, ROOT, SHIFT, UNIT, offsets
 from agent.planning.frontier import Floor
-from protocol.arrays import BoolRows, Bools, Cells, FloatRows, Int64Rows, Int64s, Uint8s
+from protocol.arrays import BoolRows, Bools, Cells, FloatRows, Floats, Int64Rows, Int64s, Uint8s
 from protocol.kernels import kernel
 
 _Jumps = Annotated[NDArray[np.int16], "int16[:,:,::1]"]
@@ -49,6 +49,32 @@ def costs_among(floor: Floor, starts: Cells, goals: Cells) -> tuple[FloatRows, F
     ways, between = costs[: len(starts), back], costs[len(starts) :]
     searched = np.minimum.outer(back, back), np.maximum.outer(back, back)
     return np.ascontiguousarray(ways), between[searched]
+
+
+class GoalCosts:
+    """Costs of ways to the goals of one floor, each searched on first use: teams share most of their robots."""
+
+    def __init__(self, goals: Cells) -> None:
+        self.goals = goals
+        self._ways: dict[tuple[int, ...], Floats] = {}
+        """The costs of the ways from each start to all goals."""
+        self._between: FloatRows | None = None
+
+    def ways(self, floor: Floor, starts: Cells) -> FloatRows:
+        """Return `costs_between` of these starts and the goals."""
+        cells = list(map(tuple, starts.tolist()))
+        new = [cell for cell in dict.fromkeys(cells) if cell not in self._ways]
+        if new:
+            costs = costs_between(floor, np.array(new, np.int32), self.goals)
+            self._ways |= zip(new, costs, strict=True)
+        return np.array([self._ways[cell] for cell in cells]).reshape(len(cells), len(self.goals))
+
+    def among(self, floor: Floor, starts: Cells) -> tuple[FloatRows, FloatRows]:
+        """Return `costs_among` of these starts and the goals; callers must not modify the costs between goals."""
+        if self._between is None:
+            ways, self._between = costs_among(floor, starts, self.goals)
+            self._ways |= zip(map(tuple, starts.tolist()), ways, strict=True)
+        return self.ways(floor, starts), self._between
 
 
 def _found(floor: Floor, starts: Cells, goals: Cells, first: Int64s) -> FloatRows:

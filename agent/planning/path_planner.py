@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -14,7 +14,7 @@ from agent.planning.best_frontier import TradeOff, best_frontier
 from agent.planning.breadth_first import first_by_hops
 from agent.planning.cost_field import Field, costs, costs_to, nearest_first, way, way_between
 from agent.planning.frontier import Floor, Regions
-from agent.planning.jump_point_search import costs_among, costs_between
+from agent.planning.jump_point_search import GoalCosts
 from agent.planning.occupancy import barred, entry_costs, weighted_costs
 from protocol.arrays import Cells, FloatRows, Floats
 from protocol.grid import OCCUPIED, Grid, enlarge
@@ -97,13 +97,13 @@ class PathPlanner:
     def costs_between(self, starts: Cells, goals: Cells) -> FloatRows:
         """Return the cost of the best way from each of `starts` to each of `goals`, shape (m, n)."""
         if self._weights is None:
-            return self._searched(costs_between, starts, goals)
+            return self._goal_costs(goals).ways(self._laid_out, starts)
         return np.array([self.costs(x, y)[goals[:, 1], goals[:, 0]] for x, y in starts.tolist()])
 
     def costs_among(self, starts: Cells, goals: Cells) -> tuple[FloatRows, FloatRows]:
-        """Return `costs_between` of starts and goals, and of all pairs of goals."""
+        """Return `costs_between` of starts and goals, and of all pairs of goals; callers must not modify the latter."""
         if self._weights is None:
-            return self._searched(costs_among, starts, goals)
+            return self._goal_costs(goals).among(self._laid_out, starts)
         return self.costs_between(starts, goals), self.costs_between(goals, goals)
 
     def shared(self, key: Hashable, work: Callable[[], Result]) -> Result:
@@ -115,12 +115,9 @@ class PathPlanner:
             return work()
         return self._cache.get((self._content, key), work)
 
-    def _searched(
-        self, search: Callable[[Floor, Cells, Cells], Result], starts: Cells, goals: Cells
-    ) -> Result:
-        """Return the result of a search on the floor; callers must not modify it, as robots share it."""
-        key = search, starts.tobytes(), goals.tobytes()
-        return self.shared(key, lambda: search(self._laid_out, starts, goals))
+    def _goal_costs(self, goals: Cells) -> GoalCosts:
+        """Return the costs of ways to these goals that have been searched on this floor."""
+        return self.shared((GoalCosts, goals.tobytes()), lambda: GoalCosts(goals))
 
     def path(self, start: Cell, end: Cell) -> Cells | None:
         """Return the cells of a best way, without the start; None if there is none."""
@@ -182,8 +179,11 @@ class PathPlanner:
             )
         return self._others[radius_cells]
 
-    def without(self, x: int, y: int) -> PathPlanner:
-        """Return a planner with cell (x, y) as an additional obstacle."""
+    def without(self, cells: Sequence[Cell]) -> PathPlanner:
+        """Return a planner with these cells as additional obstacles; this planner if there are none."""
+        if not cells:
+            return self
         grid, floor = self.grid.copy(), self.floor.copy()
-        grid[y, x] = floor[y, x] = OCCUPIED
+        for x, y in cells:
+            grid[y, x] = floor[y, x] = OCCUPIED
         return PathPlanner(grid, self._kind, self._radius, floor, self._occ_max)

@@ -7,14 +7,14 @@ reaches the nook over known free cells are known as well. One scan from any of t
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from agent.planning.path_planner import PathPlanner
-from protocol.arrays import BoolRows, Bools, Cells, Int32Rows, Int32s, Int64s
+from protocol.arrays import Bools, Cells, Int32Rows, Int32s, Int64s
 from protocol.grid import FREE, UNKNOWN, Grid, RayTable
 from protocol.kernels import kernel
 
@@ -28,25 +28,36 @@ _OUTSIDE = 255
 """State of cells outside the part of the grid that a beam may cross."""
 
 
-def viewpoint_cells(grid: Grid, goal: tuple[int, int], around: RayTable, reach: float) -> Cells:
+def viewpoint_cells(
+    grid: Grid, goal: tuple[int, int], around: RayTable, reach: float, among: Cells | None = None
+) -> Cells:
     """Find all cells from which a beam reaches an unknown 4-neighbor of a goal over free cells, row by row.
 
     `goal` is a frontier cell of the planning grid, itself among the result; `around` has the beams of the scanner,
-    which count up to a length of `reach` cells.
+    which count up to a length of `reach` cells. With `among`, find only those of these cells, int32 of shape (n, 2).
     """
     height, width = grid.shape
     arrivals = _arrivals(around, min(reach, math.hypot(height, width)))
-    middle = arrivals.side // 2
-    left, top = goal[0] - middle, goal[1] - middle
-    part = np.full((arrivals.side, arrivals.side), _OUTSIDE, np.uint8)
-    within = grid[max(0, top) : top + arrivals.side, max(0, left) : left + arrivals.side]
-    y0, x0 = max(0, -top), max(0, -left)
-    part[y0 : y0 + within.shape[0], x0 : x0 + within.shape[1]] = within
-    found = np.zeros(part.shape, np.bool_)
-    found[middle, middle] = True
-    _trace_back(part, arrivals.flat, arrivals.steps, arrivals.rows, arrivals.start, found)
-    y, x = np.nonzero(found)
-    return np.column_stack([x + left, y + top]).astype(np.int32)
+    candidates = np.empty((0, 2), np.int32) if among is None else among
+    flat, steps, rows, start = arrivals.flat, arrivals.steps, arrivals.rows, arrivals.start
+    found: Cells = _trace_back(
+        grid, *goal, arrivals.side, flat, steps, rows, start, among is None, candidates
+    )
+    return found
+
+
+def tour_viewpoints(
+    grid: Grid, goals: Cells, are_small: Bools, around: RayTable, reach: float
+) -> Iterator[Cells | None]:
+    """Yield the viewpoints of each goal of a tour for `best_viewpoint`; None for goals that are not small.
+
+    Of later goals, yield only the viewpoints that the first goal has as well. The first goal must be small.
+    """
+    first: Cells | None = None
+    for (x, y), is_small in zip(goals.tolist(), are_small.tolist(), strict=True):
+        cells = viewpoint_cells(grid, (x, y), around, reach, first) if is_small else None
+        first = cells if first is None else first
+        yield cells
 
 
 class _Arrivals(NamedTuple):
@@ -104,14 +115,16 @@ def best_viewpoint(
     places = cells.copy()
     for goal, seen_from in zip(goals[1:], more, strict=False):
         missed = np.ones(len(cost), np.bool_)
-        if seen_from is not None:
+        if seen_from is not None and len(seen_from):
             missed = ~_are_among(cells, seen_from, planner.grid.shape)
         if missed.any():
             cost[missed] += planner.costs_to(int(goal[0]), int(goal[1]), places[missed])
             places[missed] = goal
         if (places == goal).all():
             break
-    best = int(np.lexsort((ways, np.round(cost, _DIGITS)))[0])
+    rounded = np.round(cost, _DIGITS)
+    shortest = np.flatnonzero(rounded == rounded.min())
+    best = int(shortest[ways[shortest].argmin()])
     if not np.isfinite(cost[best]):
         return None
     found = int(cells[best, 0]), int(cells[best, 1])
@@ -129,20 +142,43 @@ def _are_among(cells: Cells, others: Cells, shape: tuple[int, ...]) -> Bools:
 
 @kernel
 def _trace_back(
-    part: Grid,
+    grid: Grid,
+    goal_x: int,
+    goal_y: int,
+    side: int,
     flat: Int32s,
     steps: tuple[int, int, int, int],
     rows: Int32Rows,
     start: Int64s,
-    found: BoolRows,
-) -> None:
-    """Mark the cells from which a beam reaches an unknown neighbor of the middle cell (`_Arrivals`).
+    tests_all: bool,
+    candidates: Cells,
+) -> Cells:
+    """Return the cells from which a beam reaches an unknown neighbor of a goal (`_Arrivals`), row by row.
 
-    Each beam is followed backwards, if its last step comes from a free cell.
+    Each beam is followed backwards, if its last step comes from a free cell. Unless `tests_all`, only the candidates
+    are tested.
     """
-    cells, marked = part.reshape(-1), found.reshape(-1)
-    for side in steps:
-        goal = len(cells) // 2 + side
+    height, width = grid.shape
+    left, top = goal_x - side // 2, goal_y - side // 2
+    cells = np.full(side * side, _OUTSIDE, np.uint8)
+    for y in range(max(0, top), min(height, top + side)):
+        first, end = max(0, left), min(width, left + side)
+        at = (y - top) * side - left
+        cells[at + first : at + end] = grid[y, first:end]
+    middle = len(cells) // 2
+    open_cells = np.zeros(len(cells), np.bool_)  # free cells that are to be tested, and not found yet
+    for at in range(len(cells) if tests_all else 0):
+        open_cells[at] = cells[at] == FREE
+    for each in range(len(candidates)):
+        x, y = candidates[each, 0] - left, candidates[each, 1] - top
+        if 0 <= x < side and 0 <= y < side:
+            open_cells[y * side + x] = cells[y * side + x] == FREE
+    if not open_cells.any():
+        return np.empty((0, 2), np.int32)
+    found = np.zeros(len(cells), np.bool_)
+    found[middle] = open_cells[middle]
+    for step in steps:
+        goal = middle + step
         if cells[goal] != UNKNOWN:
             continue
         for group in range(4):
@@ -150,11 +186,19 @@ def _trace_back(
                 continue
             for row in range(start[group], start[group + 1]):
                 here = goal - flat[rows[row, 0]]
-                if cells[here] != FREE or marked[here]:
+                if not open_cells[here]:
                     continue
                 clear = True
                 for before in range(rows[row, 0] - 2, rows[row, 1] - 1, -1):
                     if cells[here + flat[before]] != FREE:
                         clear = False
                         break
-                marked[here] = clear
+                if clear:
+                    open_cells[here], found[here] = False, True
+    out = np.empty((found.sum(), 2), np.int32)
+    count = 0
+    for at in range(len(cells)):
+        if found[at]:
+            out[count, 0], out[count, 1] = at % side + left, at // side + top
+            count += 1
+    return out

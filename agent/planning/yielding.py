@@ -76,16 +76,12 @@ class YieldBehavior:
         Returns a planner with these cells as obstacles.
         """
         self._held = {cell: since for cell, since in self._held.items() if step - since < MEMORY}
-        around = planner
-        for cell in self._held:
-            if cell != here:
-                around = around.without(*cell)
+        around = planner.without([cell for cell in self._held if cell != here])
         reach = self._near * 2**self._doublings
-        field = around.costs(*here)
-        if field[end[1], end[0]] < len(route.cells) + reach:
+        if around.costs_to(*here, np.array([end], np.int32))[0] < len(route.cells) + reach:
             route.lead(around, here, end)
             return around
-        ys, xs = np.nonzero(field <= reach)
+        ys, xs = np.nonzero(around.costs(*here) <= reach)
         pick = int(keyed_random(self._seed, "step aside", self._robot, step).integers(len(xs)))
         route.lead(around, here, (int(xs[pick]), int(ys[pick])))
         self._doublings = min(self._doublings + 1, FARTHEST)

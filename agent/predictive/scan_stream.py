@@ -38,6 +38,8 @@ class ScanStream(Stream):
     def __init__(self, map_id: int, grid: Grid, ray_table: RayTable, *args: Any, **options: Any) -> None:
         super().__init__(map_id, grid, *args, **options)
         self._ray_table = ray_table
+        self._reach = int(np.abs(ray_table.cells).max()) + 1
+        """Cells around a robot, in each direction, that a scan may change."""
         self._unreported = NO_BOX
         """Box in which the author's self-explored grid may differ from the reported one, after an incomplete update."""
 
@@ -136,7 +138,7 @@ class ScanStream(Stream):
 
     def _choose_bases(self, coder: Coder, own: Grid, poses: Sequence[tuple[int, int]], box: Box) -> list[Box]:
         """Encode the dependencies; return boxes in which they contradict the self-explored grid."""
-        reach = int(np.abs(self._ray_table.cells).max()) + 1
+        reach = self._reach
         near = bounding_box([box, *((x - reach, y - reach, x + reach + 1, y + reach + 1) for x, y in poses)])
         return [
             update.box

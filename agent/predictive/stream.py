@@ -230,10 +230,9 @@ class Stream(ABC):
         if 0 < by_scans < changed:
             first = np.sort(np.unique(places, return_index=True)[1])
             places, before = places[first], before[first]
-        y, x = np.divmod(places, self.grid.shape[1])
-        box = (int(x.min()), int(y.min()), int(x.max()) + 1, int(y.max()) + 1) if changed else NO_BOX
-        reported = np.where(before & REPORTED, before & STATE, UNKNOWN).astype(np.uint8)
-        return DecodedUpdate(places, self.grid.reshape(-1)[places] & np.uint8(STATE), reported, box)
+        states, reported, *box = _reports(self.grid, places, before)
+        x0, y0, x1, y1 = box if changed else NO_BOX
+        return DecodedUpdate(places, states, reported, (x0, y0, x1, y1))
 
 
 @kernel
@@ -244,6 +243,19 @@ def _code_bases(coder: Coder, maps: Int64s, more: Int64s, bases_grew: Bools, dep
         number = code_number(coder, row, more[other], REST_MOST)
         bases_grew[other] = number > 0
         depends_on[other] += number
+
+
+@kernel
+def _reports(grid: Grid, places: Int32s, before: Uint8s) -> tuple[Uint8s, Uint8s, int, int, int, int]:
+    """Return the states of reported cells, those that the author reported `before`, and the cells' bounding box."""
+    states, reported = np.empty(len(places), np.uint8), np.empty(len(places), np.uint8)
+    x0, y0, x1, y1 = grid.shape[1], grid.shape[0], 0, 0
+    for index in range(len(places)):
+        y, x = divmod(places[index], grid.shape[1])
+        states[index] = grid[y, x] & STATE
+        reported[index] = before[index] & STATE if before[index] & REPORTED else UNKNOWN
+        x0, y0, x1, y1 = min(x0, x), min(y0, y), max(x1, x + 1), max(y1, y + 1)
+    return states, reported, x0, y0, x1, y1
 
 
 @kernel

@@ -170,12 +170,12 @@ class AckedFrames(Replication):
                 self.replica.check_own(peer, first, entries)
             self._owe_report(peer, number)
             self.peers.expect(peer, number, self._possible(number, end))
-            if first <= length < end and not self.peers.is_own(number):
+            if first <= length < end and number not in self.peers.own_maps:
                 self.replica.accept(peer, number, b"".join(entries[length - first :]))
 
     def _owe_report(self, peer: int, number: int) -> None:
         """A peer must be sent a report, unless its entries of that map are not accepted."""
-        if not self.peers.is_own(number) and not self.replica.refuses(peer, number):
+        if number not in self.peers.own_maps and not self.replica.refuses(peer, number):
             self._reports_due.add((peer, number))
 
     def _peer_dropped(self, peer: int, number: int, length: int) -> None:

@@ -79,9 +79,10 @@ class Replication(ABC):
     def undelivered(self) -> int:
         """Count the entries of this robot's log that are not acknowledged, over all peers that have not ended."""
         acked: list[int] = self.peers.acked[:, self.peers.own].tolist()
-        ended = self.ended - {self.peers.robot}
-        receivers = self.peers.robots - 1 - len(ended)
-        return len(self.replica.own_log) * receivers - sum(acked) + sum([acked[peer] for peer in ended])
+        receivers = self.peers.robots - 1
+        for peer in self.ended - {self.peers.robot} if self.ended else ():
+            receivers, acked[peer] = receivers - 1, 0
+        return len(self.replica.own_log) * receivers - sum(acked)
 
     def undelivered_to(self, peer: int) -> int:
         """Count the entries of this robot's log that a peer has not acknowledged."""

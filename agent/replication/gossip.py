@@ -34,7 +34,9 @@ from agent.replication.neighbors import BroadcastCursors, Meetings, Neighbors
 from agent.replication.peers import Mask, Table
 from agent.replication.replica import Rejected, Replica
 from protocol import packets
+from protocol.arrays import Bools, Int64Rows
 from protocol.errors import ProtocolError
+from protocol.kernels import kernel
 from protocol.messages import EVERYONE, OutgoingFrame, RoundReport
 from protocol.packets import From, FromEarly, Gone, Held, HeldEarly, LogDigest, Near
 
@@ -280,7 +282,7 @@ class Gossip(Replication):
         if number >= len(self.logs):
             return
         log, replica = self.logs[number], self.replica
-        first = self._cursors.of(peer) if head is None else offset(head, len(log))
+        first = self._cursors.of(peer) if head is None else offset(head, log.length)
         if first is None:
             self._gaps.add(number)
             return
@@ -289,33 +291,39 @@ class Gossip(Replication):
         end = max(first, self._possible(number, first + len(entries)))
         if end == first:
             return
-        self._acks.entries_received(peer, number, end, len(log))
+        self._acks.entries_received(peer, number, end, log.length)
         if number == self.peers.current[peer]:
             self._cursors.received(peer, end)
         self.peers.expect(peer, number, end)
-        if first > len(log):
+        if first > log.length:
             self._gaps.add(number)
             if not replica.refuses(peer, number):
                 self._acks.store(peer, number, first, entries)
         else:
             self._gaps.discard(number)
-        if first <= len(log) < end and not self.peers.is_own(number):
-            replica.accept(peer, number, b"".join(entries[len(log) - first :]))
+        if first <= log.length < end and number not in self.peers.own_maps:
+            replica.accept(peer, number, b"".join(entries[log.length - first :]))
         receivers = self._neighbors.receivers(peer)
         self._expect(receivers, number, first, end)
-        if len(log) >= end:
+        if log.length >= end:
             receivers[peer] = receivers[self.peers.robot] = True
             self._inform(receivers, number, end)
-        while (stored := self._acks.stored(number, len(log))) is not None:
+        while (stored := self._acks.stored(number, log.length)) is not None:
             self._gaps.add(number)
             replica.accept(stored[0], number, stored[1])
 
     def _expect(self, peers: Mask, number: int, first: int, end: int) -> None:
         """Peers received entries `first` to `end` - 1 of a map; they take them unless they lack earlier ones."""
-        expected = self.peers.expected[:, number]
-        np.maximum(expected, end, out=expected, where=peers & (expected >= first))
+        _raise_lengths(self.peers.expected, peers, number, first, end)
 
     def _inform(self, peers: Mask, number: int, length: int) -> None:
         """Peers know that this robot holds so many entries of a map."""
-        informed = self._informed[:, number]
-        np.maximum(informed, length, out=informed, where=peers)
+        _raise_lengths(self._informed, peers, number, 0, length)
+
+
+@kernel
+def _raise_lengths(table: Int64Rows, peers: Bools, number: int, first: int, end: int) -> None:
+    """Raise the lengths of a map to `end`, for those of `peers` where they are at least `first`."""
+    for peer in range(len(peers)):
+        if peers[peer] and table[peer, number] >= first:
+            table[peer, number] = max(table[peer, number], end)

@@ -15,10 +15,14 @@ from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from operator import attrgetter
 
+import numpy as np
+
 from agent.encodings.base import Dependency
 from agent.replication.log import Log
 from agent.replication.neighbors import Neighbors
 from agent.replication.peers import PeerTable, Table
+from protocol.arrays import Int64Rows, Int64s
+from protocol.kernels import kernel
 
 Dependencies = Callable[[int], Sequence[Dependency]]
 """Returns, for a map number, its log ranges that depend on other logs, in order (`MapEncoding.dependencies`)."""
@@ -70,12 +74,11 @@ class GossipPolicy:
         """Compare log lengths with the version vectors of the peers in range whose report is not awaited."""
         self._step = step
         before, self._lacks = self._lacks, {}
-        missing = lengths - self._peers.expected[known]
-        rows, numbers = (missing > 0).nonzero()
-        for row, number in zip(rows.tolist(), numbers.tolist(), strict=True):
-            peer = known[row]
-            if number != self._peers.current[peer]:
-                self._lacks.setdefault(peer, {})[number] = missing.item(row, number)
+        current = self._peers.current
+        missing: Table = _missing(np.array(known, np.int64), self._peers.expected, lengths)
+        for peer, number, count in missing.tolist():
+            if number != current[peer]:
+                self._lacks.setdefault(peer, {})[number] = count
                 if number not in before.get(peer, ()):
                     self._since[peer, number] = step
 
@@ -175,3 +178,16 @@ class GossipPolicy:
             lacks = 0 if served is None else sum(self._lacks[served].values())
             priority = max(0, KEEPING_UP - lacks) + min(LONG, size)
         return min(MAX_PRIORITY - 1, priority + AGING * waited)
+
+
+@kernel
+def _missing(peers: Int64s, expected: Int64Rows, lengths: Int64s) -> Int64Rows:
+    """Return rows (peer, map number, count): how many entries of a map each of `peers` is expected to lack."""
+    rows = np.empty((len(peers) * len(lengths), 3), np.int64)
+    count = 0
+    for peer in peers:
+        for number in range(len(lengths)):
+            if expected[peer, number] < lengths[number]:
+                rows[count] = peer, number, lengths[number] - expected[peer, number]
+                count += 1
+    return rows[:count].copy()

@@ -9,8 +9,9 @@ sent does not want them: it counts as level. `TRANSITIONS` has the states of bot
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Literal
+
+import msgspec
 
 from agent.replication.base import Replication
 from agent.replication.control_packets import answer, block_of, offer, read_answer, read_offer
@@ -45,8 +46,7 @@ TRANSITIONS: dict[tuple[State, Event], State] = {
 """The states of a connection, which ends with its round. A missing transition is a protocol error."""
 
 
-@dataclass(slots=True)
-class Connection:
+class Connection(msgspec.Struct, eq=False, gc=False):
     """One end of a connection, with the peer at the other end and the map's number."""
 
     peer: int
@@ -93,13 +93,13 @@ class Handshakes(Replication):
             if number >= len(self.logs):
                 raise ProtocolError(offered.name, 0, f"map {number} of {len(self.logs)} robots")
             connection = self._received[delivery.connection] = Connection(sender, number)
-            if number in taken or self.peers.is_own(number) or self.replica.refuses(sender, number):
+            if number in taken or number in self.peers.own_maps or self.replica.refuses(sender, number):
                 connection.on("unwanted offer")
                 reply = DECLINE
             else:
                 connection.on("first offer")
                 taken.add(number)
-                reply = answer(len(self.logs[number]), offered.block)
+                reply = answer(self.logs[number].length, offered.block)
             frames.append(OutgoingFrame(sender, reply, delivery.connection))
         return frames
 
@@ -126,21 +126,21 @@ class Handshakes(Replication):
 
     def close_round(self, report: RoundReport) -> list[Rejected]:
         """Update the peer table by the bytes that were carried, and accept the data that arrived."""
+        received = []
         for carried in report.connections:
-            connection = self._answered.get(carried.connection)
-            if connection is not None and carried.answer:
-                self._settle(connection, carried.data)
-        for carried in report.connections:
-            connection = self._received.get(carried.connection)
-            if connection is not None and carried.offer:
-                self._note_restart(connection.peer, connection.number)
+            if carried.connection in self._received:
+                received += [self._received[carried.connection]] if carried.offer else []
+            elif carried.answer and carried.connection in self._answered:
+                self._settle(self._answered[carried.connection], carried.data)
+        for connection in received:
+            self._note_restart(connection.peer, connection.number)
         for delivery in report.deliveries:
-            connection = self._received.get(delivery.connection)
-            if connection is None or connection.state != "taking":
+            taken = self._received.get(delivery.connection)
+            if taken is None or taken.state != "taking":
                 continue
-            sender, number = delivery.sender, connection.number
+            sender, number = delivery.sender, taken.number
             if self.replica.accept(sender, number, delivery.payload):
-                self.peers.expect(sender, number, len(self.logs[number]))
+                self.peers.expect(sender, number, self.logs[number].length)
         return self.replica.take_rejected()
 
     def delivered(self) -> bool:
@@ -153,7 +153,7 @@ class Handshakes(Replication):
 
     def _read_answer(self, connection: Connection, payload: bytes) -> Event:
         """Note the peer's log length, and compare it with this robot's."""
-        expected, length = connection.length, len(self.logs[connection.number])
+        expected, length = connection.length, self.logs[connection.number].length
         claimed = read_answer(payload, block_of(expected))
         if claimed is None:
             return "declined"

@@ -62,8 +62,9 @@ class Meetings:
     def begin_step(self, step: int, in_range: Sequence[int]) -> None:
         """Note which peers have left the range and which have come, and time out greetings."""
         before, self._in_range = self._in_range, set(in_range)
-        for peer in set(range(len(self._states))) - self._in_range:
-            self.on(peer, "left")
+        for peer, state in enumerate(self._states):
+            if state != "away" and peer not in self._in_range:
+                self.on(peer, "left")
         for peer in in_range:
             if peer not in before:
                 self.on(peer, "arrived")
@@ -100,17 +101,23 @@ class Neighbors:
 
         True for the peer itself: only peers in range are informed.
         """
+        self._settled: list[int] | None = None
+        """The peers in range of which none had an outdated report at the last call of `news`; None if any had."""
 
     def news(self, in_range: list[int]) -> list[tuple[int, bool]]:
         """Return the robots of which a peer in range has an outdated report, and whether each is in range now."""
+        if in_range == self._settled:
+            return []
         here = np.zeros(len(self.near), np.bool_)
         here[in_range] = True
-        outdated = np.logical_or.reduce(self._informed[in_range] != here)
-        return [(other, bool(here[other])) for other in outdated.nonzero()[0].tolist()]
+        outdated = np.logical_or.reduce(self._informed[in_range] != here).nonzero()[0].tolist()
+        self._settled = None if outdated else in_range
+        return [(other, bool(here[other])) for other in outdated]
 
     def inform(self, peers: list[int], other: int, here: bool) -> None:
         """Note that peers received this robot's report about another robot."""
         self._informed[peers, other] = here
+        self._settled = None
 
     def receivers(self, peer: int) -> Mask:
         """Return the mask of all robots but this one that receive a peer's broadcasts."""
@@ -122,6 +129,7 @@ class Neighbors:
         """Note that a peer lost its state: it has received and sent no reports."""
         self.near[peer] = np.arange(len(self.near)) != peer
         self._informed[peer] = np.arange(len(self.near)) != self._robot
+        self._settled = None
 
 
 class BroadcastCursors:

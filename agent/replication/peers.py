@@ -45,9 +45,13 @@ class PeerTable:
         self.maps = maps
         """All maps that the team may write, by number."""
         self.robots = maps[-1].robot + 1
+        self.own_maps = {each.number for each in maps[self.own :] if each.robot == self.robot}
+        """Numbers of the maps that only this robot may write: its own, and those of its later incarnations."""
         self.current = list(range(self.robots))
         """The number of each robot's map in its current incarnation, as far as this robot has received it."""
         self.current[self.robot] = self.own
+        self.rows = np.arange(self.robots)
+        """The row of each robot in tables."""
         self.expected = self.new_table()
         """``expected[peer, map]``: entries that the peer should hold by now."""
         self.acked = self.expected
@@ -61,10 +65,6 @@ class PeerTable:
         """Note that a peer should hold at least so many entries of a map."""
         if length > self.expected.item(peer, number):
             self.expected[peer, number] = length
-
-    def is_own(self, number: int) -> bool:
-        """Return whether only this robot may write a map: its own one, or that of one of its later incarnations."""
-        return number >= self.own and self.maps[number].robot == self.robot
 
     def restarted(self, peer: int, number: int) -> bool:
         """Return whether a peer's use of a map number shows that it restarted; it lost all received entries then."""

@@ -95,12 +95,13 @@ def backoff(rounds: Rounds, lengths: Table) -> list[Offer]:
         if (first := expected.item(peer, own)) < length and now >= rounds.due.item(peer, own)
     }
     if rounds.number or (rounds.single and now % 2 == 0):
-        missing = np.where(now >= rounds.due[in_range], lengths - expected[in_range], 0)
+        missing = np.where(now >= rounds.due, lengths - expected, 0)
         missing[:, own] = 0
-        missing[np.arange(len(in_range)), [rounds.peers.current[peer] for peer in in_range]] = 0
-        for each, number in enumerate(missing.argmax(axis=1).tolist()):
-            peer = in_range[each]
-            if missing.item(each, number) > 0 and (rounds.single or peer not in offers):
+        missing[rounds.peers.rows, rounds.peers.current] = 0
+        most = missing.argmax(axis=1).tolist()
+        for peer in in_range:
+            number = most[peer]
+            if (rounds.single or peer not in offers) and missing.item(peer, number) > 0:
                 offers[peer] = Offer(peer, number, expected.item(peer, number))
     chosen = [offers[peer] for peer in in_range if peer in offers]
     crowd = len(in_range) + 1

@@ -127,7 +127,7 @@ class Replica:
 
     def lengths(self) -> Table:
         """Return the number of entries of each log."""
-        return np.array([len(log) for log in self.logs], np.int64)
+        return np.array([log.length for log in self.logs], np.int64)
 
     def refuses(self, peer: int, number: int) -> bool:
         """Return whether a peer's entries of a map are not accepted in this step."""

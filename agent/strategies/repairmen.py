@@ -41,7 +41,7 @@ from agent.planning.gain import expected_gain
 from agent.planning.path_planner import PathPlanner
 from agent.planning.single_robot_tour import single_robot_tour
 from agent.planning.team_tours import Task, team_tours
-from agent.planning.viewpoint import best_viewpoint, viewpoint_cells
+from agent.planning.viewpoint import best_viewpoint, tour_viewpoints
 from agent.planning.yielding import MEMORY
 from agent.settings import Settings
 from agent.strategies.base import Cell, Situation
@@ -90,6 +90,9 @@ SMALL_FRONTIER_CELLS = 2
 
 AHEAD = 5
 """Goals after the next one that influence the choice of its viewpoint."""
+
+NO_TARGET = -1, -1
+"""Stands for the target of a robot that has none."""
 
 STILL = 3
 """Steps in one cell after which a teammate counts as idle or stuck."""
@@ -237,10 +240,7 @@ class Repairmen(TeamStrategy):
             return target
         reach = min(self.options.viewpoint_range, 1.0) * self.settings.body.range_cells
         around = ray_table(self.settings.body.range_cells, self.settings.beams)
-        views = (
-            viewpoint_cells(situation.grid, (x, y), around, reach) if is_small else None
-            for (x, y), is_small in zip(goals.tolist(), are_small, strict=True)
-        )
+        views = tour_viewpoints(situation.grid, goals, are_small, around, reach)
         found = best_viewpoint(planner, situation.here, views, goals, self.settings.body.speed)
         if found is None:
             self._observed_in_vain.add(target)
@@ -296,16 +296,10 @@ class Repairmen(TeamStrategy):
         target_hysteresis = self.options.target_hysteresis * (
             SINGLE_ROBOT_HYSTERESIS if self.settings.robots == 1 else 1.0
         )
+        last = {**situation.targets, self.settings.robot: self.target}
+        targets = np.array([last.get(robot) or NO_TARGET for robot in table.robots], np.int32)
         ways = table.costs.copy()
-        last = [situation.targets.get(robot) for robot in table.robots]
-        own = table.robots.index(self.settings.robot)
-        last[own] = self.target
-        rows = np.array([row for row, target in enumerate(last) if target is not None], np.intp)
-        targets = np.array([target for target in last if target is not None], np.int32).reshape(-1, 1, 2)
-        gaps = np.abs(table.goals - targets).max(axis=2)
-        near = gaps.min(axis=1) <= SAME * range_cells
-        same = rows[near], gaps.argmin(axis=1)[near]
-        ways[same] = np.maximum(0.0, ways[same] - target_hysteresis * range_cells)
+        _prefer(ways, table.goals, targets, SAME * range_cells, target_hysteresis * range_cells)
         return ways
 
 
@@ -324,6 +318,23 @@ def _representatives(grid: Grid, frontier: Cells, range_cells: float) -> tuple[C
         gap *= 1.5
         stays = thin_out(grid, cells, lengths, gap)
     return cells[stays], lengths[stays]
+
+
+@kernel
+def _prefer(ways: FloatRows, goals: Cells, targets: Cells, same: float, less: float) -> None:
+    """Reduce the cost of the goal nearest to each robot's target, within `same` cells of it, by `less`, to 0 at least.
+
+    Distances are Chebyshev distances. `targets` has `NO_TARGET` for robots without a target.
+    """
+    for robot in range(len(targets)):
+        x, y = targets[robot]
+        nearest, gap = -1, np.inf
+        for goal in range(len(goals) if x >= 0 else 0):
+            distance = float(max(abs(goals[goal, 0] - x), abs(goals[goal, 1] - y)))
+            if distance < gap:
+                nearest, gap = goal, distance
+        if gap <= same:
+            ways[robot, nearest] = max(0.0, ways[robot, nearest] - less)
 
 
 @kernel

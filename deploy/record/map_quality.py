@@ -17,9 +17,6 @@ Mask = NDArray[np.bool_]
 Figures = dict[str, float | None]
 """Figures by name; None where there is nothing to compare."""
 
-AROUND = np.ones((3, 3), np.bool_)
-"""A cell and its eight neighbors: the cells within a distance of one cell (Chebyshev)."""
-
 NOISE_CELLS = 4
 """Distance within which noisy lasers and poses displace cells of an honest map."""
 
@@ -38,8 +35,8 @@ def share_false(own: Grid, truth: Grid, *, noisy: bool) -> float:
     """
     solid, known = truth != FREE, own != UNKNOWN
     if noisy:
-        near_solid = binary_dilation(solid, AROUND, NOISE_CELLS, border_value=1)
-        near_free = binary_dilation(~solid, AROUND, NOISE_CELLS)
+        near_solid = _within(solid, NOISE_CELLS, beyond=True)
+        near_free = _within(~solid, NOISE_CELLS)
     else:
         near_solid, near_free = solid, ~solid
     false = ((own == OCCUPIED) & ~near_solid) | ((own == FREE) & ~near_free)
@@ -73,7 +70,7 @@ class TrueWalls:
     """
 
     def __init__(self, solid: Mask, reachable: Mask) -> None:
-        self._near_surface = binary_dilation(solid & binary_dilation(~solid), AROUND, border_value=1)
+        self._near_surface = _within(solid & binary_dilation(~solid), 1, beyond=True)
         self._walls = solid & binary_dilation(reachable)
         """True walls that the team can see: those beside reachable cells."""
 
@@ -90,7 +87,7 @@ class TrueWalls:
         if not found.any():
             return WallScore(None, 0.0, 0.0)
         precision = float(self._near_surface[found].mean())
-        recall = float(binary_dilation(found, AROUND)[self._walls].mean())
+        recall = float(_within(found, 1)[self._walls].mean())
         both = precision + recall
         return WallScore(precision, recall, 2 * precision * recall / both if both else 0.0)
 
@@ -112,7 +109,7 @@ def walls_held(
     places = {author: np.flatnonzero(mask) for author, mask in walls.items() if mask.any()}
     held: dict[int, dict[int, float]] = {}
     for holder, grid in shared.items():
-        near = maximum_filter(grid == OCCUPIED, 2 * tolerance + 1, mode="constant").ravel()
+        near = _within(grid == OCCUPIED, tolerance).ravel()
         held[holder] = {
             author: float(near[cells].mean()) for author, cells in places.items() if author != holder
         }
@@ -167,6 +164,15 @@ def first_mean_worst(prefix: str, name: str, values: Mapping[int, float], first:
         f"{prefix}mean_{name}": _mean(shares),
         f"{prefix}worst_{name}": min(shares, default=None),
     }
+
+
+def _within(mask: Mask, cells: int, *, beyond: bool = False) -> Mask:
+    """Return the cells within a distance (Chebyshev) of a mask's cells; `beyond`: whether cells outside belong to it.
+
+    On large grids this filter is several times as fast as `binary_dilation`.
+    """
+    near: Mask = maximum_filter(mask, 2 * cells + 1, mode="constant", cval=beyond)
+    return near
 
 
 def _known(figures: Mapping[int, Figures], name: str) -> list[float]:

@@ -253,9 +253,7 @@ def _over_budget(
     """
     if not len(ledger):
         return 0
-    group = ledger["sender"] * each
-    sent = np.zeros((len(allowed), group.max() + 1), np.int64)
-    np.add.at(sent, (ledger["step"], group), ledger["bytes"] * ledger["carried"])
+    sent = _sums(ledger["step"], ledger["sender"] * each, ledger["bytes"] * ledger["carried"], len(allowed))
     over, left = 0, np.full(sent.shape[1], np.inf)
     for budget, of_step in zip(allowed.tolist(), sent, strict=True):
         capacity = max(saving.steps * budget, saving.least) if budget else 0.0
@@ -273,11 +271,21 @@ def duty_cycle(ledger: NDArray[np.void], allowed: NDArray[np.float64], hour: int
     rows = ledger[ledger["carried"] == 1]
     if not np.isfinite(allowed).all():
         return None
-    airtime = np.zeros((int(rows["sender"].max(initial=0)) + 1, len(allowed)))
-    np.add.at(airtime, (rows["sender"], rows["step"]), rows["bytes"] / allowed[rows["step"]])
-    used = airtime.cumsum(axis=1)
-    used[:, hour:] -= used[:, :-hour].copy()
+    used = _sums(rows["step"], rows["sender"], rows["bytes"] / allowed[rows["step"]], len(allowed)).cumsum(
+        axis=0
+    )
+    used[hour:] -= used[:-hour].copy()
     return float(used.max(initial=0.0) / hour)
+
+
+def _sums(
+    step: NDArray[np.integer], group: NDArray[np.integer], values: NDArray[Any], steps: int
+) -> NDArray[np.float64]:
+    """Return the sums of values by step and group, shape (steps, groups), with one group at least."""
+    groups = int(group.max(initial=0)) + 1
+    flat = step.astype(np.int64) * groups + group
+    sums: NDArray[Any] = np.bincount(flat, values, steps * groups)
+    return sums.reshape(steps, groups)
 
 
 def budgets(budget: Budget, changes: Iterable[Change], steps: int) -> NDArray[np.float64]:

@@ -19,7 +19,7 @@ from deploy.scenario.scenario import Scenario
 from netshaper.phase_clock import RecordedPhases
 from netshaper.process import RelayNode
 from protocol import keys as names
-from protocol.bus import Bus, BusClosed, Message
+from protocol.bus import Bus, Message
 from protocol.memory_bus import MemoryHub
 from protocol.messages import Change, FaultEvent, Missed
 from worldsim.clock import RecordedClock
@@ -202,10 +202,10 @@ class MemoryRun:
 
     def _process_messages(self, name: str) -> bool:
         """Let a participant process its messages; return whether there were any."""
-        node, bus = self._nodes[name], self._buses[name]
+        node, bus, messages = self._nodes[name], self._buses[name], self._hub.end(name).messages
         received = False
         try:
-            while (message := _next(bus)) is not None:
+            while messages and (message := bus.receive(0)) is not None:
                 received = True
                 node.handle(message)
         except Exception as error:
@@ -256,11 +256,3 @@ def check_clock(scenario: Scenario, missed: Sequence[Missed] | None) -> None:
 def _note_restarts(due: list[int]) -> Callable[[FaultEvent], object]:
     """Return a callback that notes restarts in `due`, without a reference to the run."""
     return lambda event: due.append(event.robot) if event.kind == "restart" else None
-
-
-def _next(bus: Bus) -> Message | None:
-    """Return the next waiting message, or None."""
-    try:
-        return bus.receive(0)
-    except BusClosed:
-        return None

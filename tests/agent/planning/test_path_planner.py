@@ -118,7 +118,7 @@ def test_a_disc_does_not_pass_where_a_point_does() -> None:
 def test_without_a_cell_a_disc_keeps_as_far_from_walls_as_before(kind: str) -> None:
     grid = drawn(*["." * 15] * 5, "." * 7 + "#" + "." * 7, *["." * 15] * 5)
     planner = PathPlanner(grid, kind, 2.0)
-    barred = planner.without(2, 8)
+    barred = planner.without([(2, 8)])
     floor = planner.floor.copy()
     floor[8, 2] = OCCUPIED
     assert (barred.floor == floor).all()

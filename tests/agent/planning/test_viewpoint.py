@@ -61,6 +61,19 @@ def test_viewpoints_are_the_cells_with_a_beam_to_an_unknown_neighbor(
     assert seen(viewpoint_cells(grid, (x, y), BEAMS, reach)) == expected
 
 
+@given(grids(), st.integers(0, 10**6), st.integers(0, 2**32 - 1))
+def test_among_some_cells_the_viewpoints_are_those_of_all_cells_among_them(
+    grid: Grid, pick: int, seed: int
+) -> None:
+    free = np.argwhere(grid == FREE)
+    if not len(free):
+        return
+    y, x = free[pick % len(free)].tolist()
+    some = free[np.random.default_rng(seed).random(len(free)) < 0.5, ::-1].astype(np.int32, order="C")
+    among = viewpoint_cells(grid, (x, y), BEAMS, 8.0, some)
+    assert seen(among) == seen(viewpoint_cells(grid, (x, y), BEAMS, 8.0)) & seen(some)
+
+
 def look(here: tuple[int, int], tour: list[tuple[int, int]], step: float = 1.0, small: int = 1) -> object:
     goals = np.array(tour, np.int32)
     views = [viewpoint_cells(NOOK, goal, BEAMS, 8.0) if at < small else None for at, goal in enumerate(tour)]
