@@ -20,10 +20,38 @@ RECENT = 8
 """Time constant, in steps, of the exponential average of bytes that a robot sent."""
 
 
-class Shares:
-    """Recent airtime of each robot."""
+class BroadcastShare:
+    """Bytes that all broadcasts of poses and targets may take together, where they share the medium with maps.
+
+    In the long run they take the share of one robot, as if maps were one more robot's. The first broadcast of a step
+    may exceed the share of this step, or none would fit into a narrow one; the shares of the next steps pay for it.
+    Unused shares lapse.
+    """
 
     def __init__(self) -> None:
+        self._left = 0
+        """The bytes left, times the number of shares; negative: bytes to be paid for."""
+        self._shares = 1
+
+    def next_step(self, limit: int, robots: int) -> None:
+        """Add the share of a step, given its budget in bytes and the number of robots on the medium."""
+        self._shares = robots + 1
+        self._left = min(self._left + limit, limit)
+
+    def admits(self, size: int, *, first: bool) -> bool:
+        """Return whether a broadcast of `size` bytes may be sent; `first`: it would be the first one of its step."""
+        return self._left > 0 if first else self._left >= size * self._shares
+
+    def book(self, size: int) -> None:
+        """Record that broadcasts took `size` bytes."""
+        self._left -= size * self._shares
+
+
+class Shares:
+    """Recent airtime of each robot, and of all broadcasts of poses and targets (`broadcasts`)."""
+
+    def __init__(self) -> None:
+        self.broadcasts = BroadcastShare()
         self._sent: Counter[int] = Counter()
 
     def rank(self, robot: int, priority: int, budget: Budget) -> tuple[bool, int]:

@@ -37,7 +37,6 @@ from netshaper.medium import Account, Medium
 from netshaper.phase_clock import PHASES
 from netshaper.settings import RadioSettings
 from netshaper.topology import Topology
-from protocol.budget import UNLIMITED, Budget
 from protocol.faults import RADIO_KINDS, FaultSchedule
 from protocol.keyed_random import keyed_random
 from protocol.messages import (
@@ -123,6 +122,7 @@ class Radio:
         self._connections, self._first = [], 0
         if self.settings.robots > 1:
             self._open()
+            self._shares.broadcasts.next_step(self.settings.budget.limit or 0, len(self._asked))
         else:
             self._close()
         self._advance()
@@ -292,22 +292,21 @@ class Radio:
     def _send_broadcasts(self, broadcasts: list[Frame]) -> None:
         """Put poses and targets on the air.
 
-        With gossip, all broadcasts together get the share of one robot: after the first one, their bytes may not
-        exceed this share.
+        With gossip and a limited budget, all broadcasts together get the share of one robot (`BroadcastShare`).
         """
-        share, medium = UNLIMITED, self._medium
-        if self.settings.gossip and self.settings.budget.limit is not None:
-            share = Budget(self.settings.budget.limit // (len(self._asked) + 1))
+        share, medium, limit = self._shares.broadcasts, self._medium, self.settings.budget.limit
+        is_limited = self.settings.gossip and limit is not None
         for frame in self._drawn("targets", broadcasts):
-            sender = frame.sender
+            sender, size = frame.sender, len(frame.content.payload)
             if sender in self._topology.mute:
                 self._refuse(frame, "mute")
-            elif medium.carried and not share.fits(medium.carried + len(frame.content.payload)):
+            elif is_limited and not share.admits(size, first=not medium.carried):
                 self._refuse(frame, "budget")
                 self._broadcast_sent[sender] = False
             else:
-                receivers = self._topology.receivers_of(sender)
-                self._broadcast_sent[sender] = medium.carry(frame, receivers) > 0
+                sent = medium.carry(frame, self._topology.receivers_of(sender))
+                share.book(sent if is_limited else 0)
+                self._broadcast_sent[sender] = sent > 0
 
     def _deliver_broadcasts(self) -> dict[int, list[Delivery]]:
         """Deliver the broadcasts that have arrived by now, and return for each robot the other arrivals."""
