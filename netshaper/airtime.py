@@ -14,37 +14,46 @@ from functools import reduce
 from netshaper.duty_cycle import DutyCycle
 from protocol.budget import UNLIMITED, Budget
 from protocol.packet_index import PacketIndex
+from protocol.packets import Pose, Target
 from protocol.token_bucket import SECOND, TokenBucket
 
 RECENT = 8
 """Time constant, in steps, of the exponential average of bytes that a robot sent."""
 
 
+BROADCAST_PART = 6
+"""Broadcasts of poses and targets take at most this part of the budget, but at least the share of one robot."""
+
+
 class BroadcastShare:
     """Bytes that all broadcasts of poses and targets may take together, where they share the medium with maps.
 
-    In the long run they take the share of one robot, as if maps were one more robot's. The first broadcast of a step
-    may exceed the share of this step, or none would fit into a narrow one; the shares of the next steps pay for it.
-    Unused shares lapse.
+    In a step they take the share of one robot, as if maps were one more robot's. The first broadcast of a step may
+    exceed this share, or none would fit into a narrow one. If it takes more than the part `BROADCAST_PART` of the
+    budget, the next steps pay for it, so that a narrow medium is left to maps for a while. They do not pay for relayed
+    states, which would be too old later.
     """
 
     def __init__(self) -> None:
+        self._share = 0
+        """Bytes that the broadcasts of this step may still take together with the first one."""
         self._left = 0
-        """The bytes left, times the number of shares; negative: bytes to be paid for."""
-        self._shares = 1
+        """Bytes until the next first broadcast; negative: bytes to be paid for."""
 
     def next_step(self, limit: int, robots: int) -> None:
         """Add the share of a step, given its budget in bytes and the number of robots on the medium."""
-        self._shares = robots + 1
-        self._left = min(self._left + limit, limit)
+        self._share = limit // (robots + 1)
+        part = max(limit // BROADCAST_PART, self._share, 1)
+        self._left = min(self._left + part, part)
 
     def admits(self, size: int, *, first: bool) -> bool:
         """Return whether a broadcast of `size` bytes may be sent; `first`: it would be the first one of its step."""
-        return self._left > 0 if first else self._left >= size * self._shares
+        return self._left > 0 if first else size <= self._share
 
     def book(self, size: int) -> None:
         """Record that broadcasts took `size` bytes."""
-        self._left -= size * self._shares
+        self._left -= min(size, Pose.size + Target.size)
+        self._share -= size
 
 
 class Shares:

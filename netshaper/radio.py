@@ -292,7 +292,7 @@ class Radio:
     def _send_broadcasts(self, broadcasts: list[Frame]) -> None:
         """Put poses and targets on the air.
 
-        With gossip and a limited budget, all broadcasts together get the share of one robot (`BroadcastShare`).
+        With gossip and a limited budget, all broadcasts together get a limited share (`BroadcastShare`).
         """
         share, medium, limit = self._shares.broadcasts, self._medium, self.settings.budget.limit
         is_limited = self.settings.gossip and limit is not None
@@ -305,8 +305,9 @@ class Radio:
                 self._broadcast_sent[sender] = False
             else:
                 sent = medium.carry(frame, self._topology.receivers_of(sender))
-                share.book(sent if is_limited else 0)
                 self._broadcast_sent[sender] = sent > 0
+                if is_limited:
+                    share.book(sent)
 
     def _deliver_broadcasts(self) -> dict[int, list[Delivery]]:
         """Deliver the broadcasts that have arrived by now, and return for each robot the other arrivals."""

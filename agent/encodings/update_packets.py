@@ -1,9 +1,9 @@
 """How updates of the predictive encoding are cut into packets, and how many bytes a step encodes.
 
 Both depend on the budget of a step. A packet that does not fit into the rest of a budget leaves that rest unused, so
-packets are short: the budget holds `PACKETS_A_STEP` of them. If it is too small for as many, one packet fills it,
-except for the header that names the packet's offset in its log (`FromEarly`, or `From` behind offset `EARLY`). Most
-packets need no header; a target fits there instead.
+packets are short: the budget holds `PACKETS_A_STEP` of them. If it is too small for a target and two of them, one
+packet fills it, except for the header that names the packet's offset in its log (`FromEarly`, or `From` behind offset
+`EARLY`). Most packets need no header, so a target fits there instead.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from protocol.packets import (
     UPDATE_NUMBERS,
     From,
     FromEarly,
+    Target,
     Update,
     encode,
 )
@@ -31,7 +32,7 @@ FAIR_SHARE = 28
 """Bytes per robot and step for which they wait one step; with half of it they wait two steps, and so on."""
 
 PACKETS_A_STEP = 3
-"""Packets that the budget of a step holds, unless it is too small for as many short fragments."""
+"""Packets that the budget of a step holds, unless it is very small."""
 
 LONG_FRAGMENT = 32
 """Bytes of content of a packet from which updates of tiles, most of which take several packets, are split into packets
@@ -63,7 +64,7 @@ class UpdateLimits:
             step_bytes = max(bandwidth, 1)
             scarcity = FAIR_SHARE * settings.robots / max(bandwidth, 1)
             wait_steps = min(max(math.ceil(scarcity), 1), ENOUGH_STEPS)
-            is_narrow = bandwidth < PACKETS_A_STEP * Update.size
+            is_narrow = bandwidth < Target.size + 2 * Update.size
             fills = bandwidth if is_narrow and not settings.replication.requires_acks else 0
         if medium.frame_bytes is not None:
             size = min(size, medium.frame_bytes - SHORT_HEAD)
