@@ -113,7 +113,7 @@ def test_targets_leave_most_of_a_narrow_medium_to_news() -> None:
 
 def broadcast_bytes(robots: int, budget: int, broadcast: bytes, steps: int) -> list[int]:
     """Return the bytes of broadcasts that were carried in each step, if robots always have one, and news."""
-    sending = {n: Sends(n, broadcast, update(budget - 5)) for n in range(robots)}
+    sending = {n: Sends(n, broadcast, update(min(budget - 5, 63))) for n in range(robots)}
     network = Network(RadioSettings(robots, 0, math.inf, Budget(budget), 1, gossip=True), sending)
     cells = {number: (number, 0) for number in range(robots)}
     every = [network.step(step, cells).rows for step in range(1, steps + 1)]
