@@ -30,13 +30,13 @@ class BroadcastShare:
 
     In a step they take the share of one robot, as if maps were one more robot's. The first broadcast of a step may
     exceed this share, or none would fit into a narrow one. If it takes more than the part `BROADCAST_PART` of the
-    budget, the next steps pay for it, so that a narrow medium is left to maps for a while. They do not pay for relayed
-    states, which would be too old later.
+    budget, the next steps pay for it: maps go first until then. They do not pay for relayed states, which would be too
+    old later.
     """
 
     def __init__(self) -> None:
         self._share = 0
-        """Bytes that the broadcasts of this step may still take together with the first one."""
+        """Bytes that further broadcasts of this step may take."""
         self._left = 0
         """Bytes until the next first broadcast; negative: bytes to be paid for."""
 
@@ -46,9 +46,14 @@ class BroadcastShare:
         part = max(limit // BROADCAST_PART, self._share, 1)
         self._left = min(self._left + part, part)
 
-    def admits(self, size: int, *, first: bool) -> bool:
-        """Return whether a broadcast of `size` bytes may be sent; `first`: it would be the first one of its step."""
-        return self._left > 0 if first else size <= self._share
+    @property
+    def owes(self) -> bool:
+        """Whether earlier broadcasts are still to be paid for."""
+        return self._left <= 0
+
+    def fits(self, size: int) -> bool:
+        """Return whether a further broadcast of `size` bytes is within the share of this step."""
+        return size <= self._share
 
     def book(self, size: int) -> None:
         """Record that broadcasts took `size` bytes."""

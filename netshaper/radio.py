@@ -289,25 +289,44 @@ class Radio:
 
     # --- broadcasts of poses and targets
 
-    def _send_broadcasts(self, broadcasts: list[Frame]) -> None:
-        """Put poses and targets on the air.
+    def _send_broadcasts(self, broadcasts: list[Frame]) -> list[Frame]:
+        """Put poses and targets on the air; return those that wait until maps have been sent.
 
         With gossip and a limited budget, all broadcasts together get a limited share (`BroadcastShare`).
         """
+        waiting: list[Frame] = []
         share, medium, limit = self._shares.broadcasts, self._medium, self.settings.budget.limit
         is_limited = self.settings.gossip and limit is not None
         for frame in self._drawn("targets", broadcasts):
             sender, size = frame.sender, len(frame.content.payload)
             if sender in self._topology.mute:
                 self._refuse(frame, "mute")
-            elif is_limited and not share.admits(size, first=not medium.carried):
-                self._refuse(frame, "budget")
-                self._broadcast_sent[sender] = False
+            elif is_limited and not medium.carried and share.owes:
+                waiting.append(frame)
+            elif is_limited and medium.carried and not share.fits(size):
+                self._refuse_broadcast(frame)
             else:
                 sent = medium.carry(frame, self._topology.receivers_of(sender))
                 self._broadcast_sent[sender] = sent > 0
                 if is_limited:
                     share.book(sent)
+        return waiting
+
+    def _send_waiting(self, waiting: Sequence[Frame]) -> None:
+        """Put the first broadcast on the air that fits into what maps have left of the budget; refuse the others."""
+        sent = 0
+        for frame in waiting:
+            room = self._medium.airtime.room(frame.sender)
+            if not sent and room.fits(len(frame.content.payload)):
+                sent = self._medium.carry(frame, self._topology.receivers_of(frame.sender))
+                self._broadcast_sent[frame.sender] = sent > 0
+            else:
+                self._refuse_broadcast(frame)
+
+    def _refuse_broadcast(self, frame: Frame) -> None:
+        """Refuse a broadcast for which there is no budget."""
+        self._refuse(frame, "budget")
+        self._broadcast_sent[frame.sender] = False
 
     def _deliver_broadcasts(self) -> dict[int, list[Delivery]]:
         """Deliver the broadcasts that have arrived by now, and return for each robot the other arrivals."""
@@ -327,7 +346,7 @@ class Radio:
     def _end_only_phase(self) -> None:
         """Put all frames on the air, deliver those that have arrived by now, and report to their senders."""
         broadcasts, frames = self._admit(NEWS)
-        self._send_broadcasts(broadcasts)
+        waiting = self._send_broadcasts(broadcasts)
         reports: defaultdict[int, list[SendReport]] = defaultdict(list)
         for frame in self._by_priority(frames):
             sender, receiver = frame.sender, frame.receiver
@@ -335,6 +354,7 @@ class Radio:
             sent = self._medium.carry(frame, receivers)
             self._shares.book(sender, sent)
             reports[sender].append(SendReport(frame.position, sent))
+        self._send_waiting(waiting)
         arrived = self._deliver_broadcasts()
         self._report({}, reports, arrived)
         self._next_round(

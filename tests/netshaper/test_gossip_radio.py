@@ -111,9 +111,9 @@ def test_targets_leave_most_of_a_narrow_medium_to_news() -> None:
     assert carried["bytes"][carried["frame"] == NEWS].sum() == 40
 
 
-def broadcast_bytes(robots: int, budget: int, broadcast: bytes, steps: int) -> list[int]:
-    """Return the bytes of broadcasts that were carried in each step, if robots always have one, and news."""
-    sending = {n: Sends(n, broadcast, update(min(budget - 5, 63))) for n in range(robots)}
+def broadcast_bytes(robots: int, budget: int, broadcast: bytes, steps: int, *, left: int = 2) -> list[int]:
+    """Return the bytes of broadcasts carried in each step, if robots always have one, and news that leave `left`."""
+    sending = {n: Sends(n, broadcast, update(min(budget - 2 - left, 63))) for n in range(robots)}
     network = Network(RadioSettings(robots, 0, math.inf, Budget(budget), 1, gossip=True), sending)
     cells = {number: (number, 0) for number in range(robots)}
     every = [network.step(step, cells).rows for step in range(1, steps + 1)]
@@ -132,6 +132,11 @@ def test_poses_and_targets_take_a_sixth_of_a_narrow_budget_or_the_share_of_one_r
     assert max(carried) > 0
     assert sum(carried) <= 24 * share + len(broadcast)
     assert sum(carried) >= 24 * min(share, len(broadcast)) - share - len(broadcast)
+
+
+@given(st.integers(2, 12), st.integers(10, 17))
+def test_a_target_that_waits_uses_what_news_leave(robots: int, budget: int) -> None:
+    assert broadcast_bytes(robots, budget, encode([Target(3, 4)]), 24, left=3) == 24 * [3]
 
 
 @given(st.integers(2, 12), st.integers(42, 200))
