@@ -19,9 +19,6 @@ from protocol.scans import Change, Scan
 ENOUGH_CELLS = 14
 """New cells that are sent at once; fewer may wait."""
 
-USUAL_CELLS = 4
-"""Cells per byte of an update whose urgency is 1. Most updates have more."""
-
 
 @dataclass
 class _Pending:
@@ -33,15 +30,11 @@ class _Pending:
 
 
 class ScanAuthor(Author[ScanStream]):
-    """Encodes scans; fewer than `ENOUGH_CELLS` new cells wait for `wait_steps` steps.
+    """Encodes scans; fewer than `ENOUGH_CELLS` new cells wait for `wait_steps` steps."""
 
-    If updates have `ranks`, the more cells an update reports per byte, the more urgent it is.
-    """
-
-    def __init__(self, stream: ScanStream, wait_steps: int, *, ranks: bool = False) -> None:
+    def __init__(self, stream: ScanStream, wait_steps: int) -> None:
         super().__init__(stream)
         self._wait_steps = wait_steps
-        self._ranks = ranks
         self._pending = _Pending()
         self._encoded = _Pending()
         """Input of the last update, to restore `_pending` if the update is retracted."""
@@ -80,8 +73,6 @@ class ScanAuthor(Author[ScanStream]):
         if encoded is None:
             return None
         message, update, scans = encoded
-        if self._ranks:
-            self.urgency = len(update.places) / max(len(message), 1) / USUAL_CELLS
         self._encoded = _Pending(pending.poses[:scans], [box], pending.steps)
         if scans < len(pending.poses):
             self._pending = _Pending(pending.poses[scans:], [box], pending.steps)
