@@ -1,9 +1,10 @@
 """How updates of the predictive encoding are cut into packets, and how many bytes a step encodes.
 
 Both depend on the budget of a step. A packet that does not fit into the rest of a budget leaves that rest unused, so
-packets are short: the budget holds `PACKETS_A_STEP` of them. If it is too small for a target and two of them, one
-packet fills it, except for the header that names the packet's offset in its log (`FromEarly`, or `From` behind offset
-`EARLY`). Most packets need no header, so a target fits there instead.
+packets are short: the budget holds `PACKETS_A_STEP` of them. If it is too small for a target and two of them, and all
+robots are always in range of each other, one packet fills it, except for the header that names the packet's offset in
+its log (`FromEarly`, or `From` behind offset `EARLY`). Such packets need no header but after a restart, so a target
+fits there instead.
 """
 
 from __future__ import annotations
@@ -65,7 +66,8 @@ class UpdateLimits:
             scarcity = FAIR_SHARE * settings.robots / max(bandwidth, 1)
             wait_steps = min(max(math.ceil(scarcity), 1), ENOUGH_STEPS)
             is_narrow = bandwidth < Target.size + 2 * Update.size
-            fills = bandwidth if is_narrow and not settings.replication.requires_acks else 0
+            hear_all = medium.reach_cells > math.hypot(settings.width, settings.height) - 1
+            fills = bandwidth if is_narrow and hear_all and not settings.replication.requires_acks else 0
         if medium.frame_bytes is not None:
             size = min(size, medium.frame_bytes - SHORT_HEAD)
             fills = min(fills, medium.frame_bytes)

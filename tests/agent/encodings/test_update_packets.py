@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -19,13 +21,15 @@ messages = st.binary(min_size=1, max_size=400)
 offsets = st.integers(0, 2 * EARLY)
 
 
-def limits(budget: int, *, requires_acks: bool = False, frame_bytes: int | None = None) -> UpdateLimits:
+def limits(
+    budget: int, *, requires_acks: bool = False, frame_bytes: int | None = None, reach: float = math.inf
+) -> UpdateLimits:
     return UpdateLimits.of(
         Settings(
             robot=0, bodies=8 * (Body(50.0, 360.0, 1.0),), width=20, height=20, beams=36, seed=0,
             strategy="meier", encoding=EncodingSettings("predictive", predictive=PredictiveOptions("team")),
             replication=ReplicationSettings("gossip", requires_acks=requires_acks),
-            medium=MediumSettings(Budget(budget), frame_bytes=frame_bytes),
+            medium=MediumSettings(Budget(budget), reach, frame_bytes),
         )
     )  # fmt: skip
 
