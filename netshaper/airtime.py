@@ -14,16 +14,58 @@ from functools import reduce
 from netshaper.duty_cycle import DutyCycle
 from protocol.budget import UNLIMITED, Budget
 from protocol.packet_index import PacketIndex
+from protocol.packets import Pose, Target
 from protocol.token_bucket import SECOND, TokenBucket
 
 RECENT = 8
 """Time constant, in steps, of the exponential average of bytes that a robot sent."""
 
 
-class Shares:
-    """Recent airtime of each robot."""
+BROADCAST_PART = 6
+"""Broadcasts of poses and targets take at most this part of the budget, but at least the share of one robot."""
+
+
+class BroadcastShare:
+    """Bytes that all broadcasts of poses and targets may take together, where they share the medium with maps.
+
+    In a step they take the share of one robot, as if maps were one more robot's. The first broadcast of a step may
+    exceed this share, or none would fit into a narrow one. If it takes more than the part `BROADCAST_PART` of the
+    budget, the next steps pay for it: maps go first until then. They do not pay for relayed states, which would be too
+    old later.
+    """
 
     def __init__(self) -> None:
+        self._share = 0
+        """Bytes that further broadcasts of this step may take."""
+        self._left = 0
+        """Bytes until the next first broadcast; negative: bytes to be paid for."""
+
+    def next_step(self, limit: int, robots: int) -> None:
+        """Add the share of a step, given its budget in bytes and the number of robots on the medium."""
+        self._share = limit // (robots + 1)
+        part = max(limit // BROADCAST_PART, self._share, 1)
+        self._left = min(self._left + part, part)
+
+    @property
+    def owes(self) -> bool:
+        """Whether earlier broadcasts are still to be paid for."""
+        return self._left <= 0
+
+    def fits(self, size: int) -> bool:
+        """Return whether a further broadcast of `size` bytes is within the share of this step."""
+        return size <= self._share
+
+    def book(self, size: int) -> None:
+        """Record that broadcasts took `size` bytes."""
+        self._left -= min(size, Pose.size + Target.size)
+        self._share -= size
+
+
+class Shares:
+    """Recent airtime of each robot, and of all broadcasts of poses and targets (`broadcasts`)."""
+
+    def __init__(self) -> None:
+        self.broadcasts = BroadcastShare()
         self._sent: Counter[int] = Counter()
 
     def rank(self, robot: int, priority: int, budget: Budget) -> tuple[bool, int]:

@@ -37,7 +37,6 @@ from netshaper.medium import Account, Medium
 from netshaper.phase_clock import PHASES
 from netshaper.settings import RadioSettings
 from netshaper.topology import Topology
-from protocol.budget import UNLIMITED, Budget
 from protocol.faults import RADIO_KINDS, FaultSchedule
 from protocol.keyed_random import keyed_random
 from protocol.messages import (
@@ -124,6 +123,7 @@ class Radio:
         self._connections, self._first = [], 0
         if self.settings.robots > 1:
             self._open()
+            self._shares.broadcasts.next_step(self.settings.budget.limit or 0, len(self._asked))
         else:
             self._close()
         self._advance()
@@ -290,25 +290,44 @@ class Radio:
 
     # --- broadcasts of poses and targets
 
-    def _send_broadcasts(self, broadcasts: list[Frame]) -> None:
-        """Put poses and targets on the air.
+    def _send_broadcasts(self, broadcasts: list[Frame]) -> list[Frame]:
+        """Put poses and targets on the air; return those that wait until maps have been sent.
 
-        With gossip, all broadcasts together get the share of one robot: after the first one, their bytes may not
-        exceed this share.
+        With gossip and a limited budget, all broadcasts together get a limited share (`BroadcastShare`).
         """
-        share, medium = UNLIMITED, self._medium
-        if self.settings.gossip and self.settings.budget.limit is not None:
-            share = Budget(self.settings.budget.limit // (len(self._asked) + 1))
+        waiting: list[Frame] = []
+        share, medium, limit = self._shares.broadcasts, self._medium, self.settings.budget.limit
+        is_limited = self.settings.gossip and limit is not None
         for frame in self._drawn("targets", broadcasts):
-            sender = frame.sender
+            sender, size = frame.sender, len(frame.content.payload)
             if sender in self._topology.mute:
                 self._refuse(frame, "mute")
-            elif medium.carried and not share.fits(medium.carried + len(frame.content.payload)):
-                self._refuse(frame, "budget")
-                self._broadcast_sent[sender] = False
+            elif is_limited and not medium.carried and share.owes:
+                waiting.append(frame)
+            elif is_limited and medium.carried and not share.fits(size):
+                self._refuse_broadcast(frame)
             else:
-                receivers = self._topology.receivers_of(sender)
-                self._broadcast_sent[sender] = medium.carry(frame, receivers) > 0
+                sent = medium.carry(frame, self._topology.receivers_of(sender))
+                self._broadcast_sent[sender] = sent > 0
+                if is_limited:
+                    share.book(sent)
+        return waiting
+
+    def _send_waiting(self, waiting: Sequence[Frame]) -> None:
+        """Put the first broadcast on the air that fits into what maps have left of the budget; refuse the others."""
+        sent = 0
+        for frame in waiting:
+            room = self._medium.airtime.room(frame.sender)
+            if not sent and room.fits(len(frame.content.payload)):
+                sent = self._medium.carry(frame, self._topology.receivers_of(frame.sender))
+                self._broadcast_sent[frame.sender] = sent > 0
+            else:
+                self._refuse_broadcast(frame)
+
+    def _refuse_broadcast(self, frame: Frame) -> None:
+        """Refuse a broadcast for which there is no budget."""
+        self._refuse(frame, "budget")
+        self._broadcast_sent[frame.sender] = False
 
     def _deliver_broadcasts(self) -> dict[int, list[Delivery]]:
         """Deliver the broadcasts that have arrived by now, and return for each robot the other arrivals."""
@@ -328,7 +347,7 @@ class Radio:
     def _end_only_phase(self) -> None:
         """Put all frames on the air, deliver those that have arrived by now, and report to their senders."""
         broadcasts, frames = self._admit(NEWS)
-        self._send_broadcasts(broadcasts)
+        waiting = self._send_broadcasts(broadcasts)
         reports: defaultdict[int, list[SendReport]] = defaultdict(list)
         for frame in self._by_priority(frames):
             sender, receiver = frame.sender, frame.receiver
@@ -336,6 +355,7 @@ class Radio:
             sent = self._medium.carry(frame, receivers)
             self._shares.book(sender, sent)
             reports[sender].append(SendReport(frame.position, sent))
+        self._send_waiting(waiting)
         arrived = self._deliver_broadcasts()
         self._report({}, reports, arrived)
         self._next_round(

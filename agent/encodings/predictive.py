@@ -15,7 +15,6 @@ one that has not been withdrawn. Teammates decode the remaining updates again.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -24,6 +23,7 @@ import numpy as np
 
 from agent.encodings.base import NO_SENDER, Dependency
 from agent.encodings.received_grid import GridEncoding
+from agent.encodings.update_packets import UpdateLimits
 from agent.mapping.bound import Bound
 from agent.mapping.estimator import SETTLED
 from agent.predictive.author import Author
@@ -39,34 +39,12 @@ from agent.settings import Settings
 from protocol.errors import ProtocolError
 from protocol.grid import Grid, ray_table
 from protocol.packet_index import cache_short
-from protocol.packets import (
-    LONG_UPDATE_DATA,
-    SHORT_HEAD,
-    UPDATE_DATA,
-    UPDATE_NUMBERS,
-    Update,
-    decode_kind,
-    encode,
-)
+from protocol.packets import UPDATE_NUMBERS, Update, decode_kind, encode
 from protocol.range_scans import RangeScan
 from protocol.scans import Change, Scan
 
-ENOUGH_STEPS = 4
-"""Steps for which fewer new cells wait at most, if bandwidth is scarce."""
-
-FAIR_SHARE = 28
-"""Bytes per robot and step for which they wait one step; with half of it they wait two steps, and so on."""
-
 PATIENCE = 8
 """Steps for which a robot waits until updates on which its own ones depend have arrived again."""
-
-PACKETS_A_STEP = 3
-"""Packets are short enough that the budget of one step holds this many: a packet that does not fit into the rest of
-a budget leaves that rest unused."""
-
-LONG_FRAGMENT = 32
-"""Bytes of content of a packet from which updates of tiles, most of which take several packets, are split into packets
-of equal size. Below, short fragments fill the budget of a step better."""
 
 
 @dataclass
@@ -87,36 +65,6 @@ class _LogState:
     """The last update that was refused because it could not be decoded."""
 
 
-@dataclass(frozen=True)
-class _Limits:
-    """Sizes and waiting times that depend on the bandwidth."""
-
-    packet_bytes: int
-    """The most bytes of content of a packet."""
-    fragment_bytes: int
-    """Bytes of content of a packet that another one of the same update follows."""
-    step_bytes: float
-    """Bytes after which a step encodes no more: changes that wait can still be merged with later ones."""
-    wait_steps: int
-    """Steps for which few new cells wait (`ENOUGH_STEPS`)."""
-
-    @classmethod
-    def of(cls, settings: Settings) -> _Limits:
-        """Derive the limits from the team's budget and the frame size."""
-        size, step_bytes, wait_steps = LONG_UPDATE_DATA, math.inf, 1
-        medium = settings.medium
-        if (bandwidth := medium.bandwidth.limit) is not None:
-            size = bandwidth // PACKETS_A_STEP - SHORT_HEAD
-            step_bytes = max(bandwidth, 1)
-            scarcity = FAIR_SHARE * settings.robots / max(bandwidth, 1)
-            wait_steps = min(max(math.ceil(scarcity), 1), ENOUGH_STEPS)
-        if medium.frame_bytes is not None:
-            size = min(size, medium.frame_bytes - SHORT_HEAD)
-        size = min(max(size, UPDATE_DATA), LONG_UPDATE_DATA)
-        splits_long = settings.shares_tiles and size >= LONG_FRAGMENT
-        return cls(size, size if splits_long else UPDATE_DATA, step_bytes, wait_steps)
-
-
 class PredictiveEncoding(GridEncoding):
     """Encodes this robot's updates, and decodes those of all other logs."""
 
@@ -126,7 +74,7 @@ class PredictiveEncoding(GridEncoding):
         super().__init__(settings)
         self._options = settings.encoding.predictive
         self._own_map = settings.own_map
-        self._limits = _Limits.of(settings)
+        self._limits = UpdateLimits.of(settings)
         self._histories = [History() for _ in range(settings.maps)]
         self._scratch = np.empty((2 * settings.height * settings.width, 2), np.int32)
         self._author = self._make_author()
@@ -223,7 +171,7 @@ class PredictiveEncoding(GridEncoding):
             message, self._last = encoded
             self.urgency = author.urgency
             self._count_votes(self._last)
-            packets += fragments(message, log.updates, limits.packet_bytes, limits.fragment_bytes)
+            packets += limits.packets(message, log.updates, log.packets + len(packets))
             log.ends.append(log.packets + len(packets))
             log.updates += 1
             self._note_dependency(map_id, self._last)
@@ -450,13 +398,3 @@ class PredictiveEncoding(GridEncoding):
 def _updates(frame: bytes) -> tuple[Update, ...]:
     """Read a frame of a log, which several robots of a process may receive."""
     return tuple(decode_kind(frame, Update))
-
-
-def fragments(message: bytes, number: int, most: int, size: int = UPDATE_DATA) -> list[bytes]:
-    """Split an update into packets of `size` bytes of content, and a last one of at most `most` bytes."""
-    number %= UPDATE_NUMBERS
-    packets = []
-    while len(message) > most:
-        part, message = message[:size], message[size:]
-        packets.append(Update(None, part) if size == UPDATE_DATA else Update(number, part, more=1))
-    return [encode([packet]) for packet in (*packets, Update(number, message))]

@@ -86,7 +86,7 @@ class ScanStream(Stream):
         """Encode an update and apply it to the grid; return it, None if empty, and the number of covered poses."""
         motion, grid, scratch = self._motion, self.grid, self._scratch
         cells, start = self._ray_table.cells, self._ray_table.start
-        contradicted = self._choose_bases(coder, own, poses, box)
+        contradicted = self._choose_bases(coder, own, poses, bounding_box([box, self._unreported]))
         unreported = bounding_box(
             [self._unreported, *contradicted, *((x, y, x + 1, y + 1) for x, y in poses)]
         )

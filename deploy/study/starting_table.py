@@ -16,7 +16,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.encodings.predictive import ENOUGH_STEPS
+from agent.encodings.update_packets import ENOUGH_STEPS
 from agent.predictive import contexts
 from agent.predictive.history import History
 from agent.predictive.scan_stream import ScanStream

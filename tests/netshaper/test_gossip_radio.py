@@ -8,7 +8,9 @@ from typing import Any
 
 import pytest
 from hypothesis import given
+from hypothesis import strategies as st
 
+from netshaper.airtime import BROADCAST_PART
 from netshaper.ledger import BROADCAST, EVERYONE, NEWS
 from netshaper.settings import RadioSettings
 from protocol import packet_index, packets
@@ -107,3 +109,39 @@ def test_targets_leave_most_of_a_narrow_medium_to_news() -> None:
     carried = rows[rows["carried"] == 1]
     assert carried["bytes"][carried["frame"] == BROADCAST].sum() == 3
     assert carried["bytes"][carried["frame"] == NEWS].sum() == 40
+
+
+def broadcast_bytes(robots: int, budget: int, broadcast: bytes, steps: int, *, left: int = 2) -> list[int]:
+    """Return the bytes of broadcasts carried in each step, if robots always have one, and news that leave `left`."""
+    sending = {n: Sends(n, broadcast, update(min(budget - 2 - left, 63))) for n in range(robots)}
+    network = Network(RadioSettings(robots, 0, math.inf, Budget(budget), 1, gossip=True), sending)
+    cells = {number: (number, 0) for number in range(robots)}
+    every = [network.step(step, cells).rows for step in range(1, steps + 1)]
+    return [int(rows["bytes"][(rows["carried"] == 1) & (rows["frame"] == BROADCAST)].sum()) for rows in every]
+
+
+POSE_AND_TARGET = encode([packets.Pose(1, 2, 0), Target(3, 4)])
+
+
+@given(st.integers(2, 12), st.integers(10, 41), st.sampled_from([POSE_AND_TARGET, encode([Target(3, 4)])]))
+def test_poses_and_targets_take_a_sixth_of_a_narrow_budget_or_the_share_of_one_robot(
+    robots: int, budget: int, broadcast: bytes
+) -> None:
+    carried = broadcast_bytes(robots, budget, broadcast, 24)
+    share = max(budget // BROADCAST_PART, budget // (robots + 1), 1)
+    assert max(carried) > 0
+    assert sum(carried) <= 24 * share + len(broadcast)
+    assert sum(carried) >= 24 * min(share, len(broadcast)) - share - len(broadcast)
+
+
+@given(st.integers(2, 12), st.integers(10, 17))
+def test_a_target_that_waits_uses_what_news_leave(robots: int, budget: int) -> None:
+    assert broadcast_bytes(robots, budget, encode([Target(3, 4)]), 24, left=3) == 24 * [3]
+
+
+@given(st.integers(2, 12), st.integers(42, 200))
+def test_a_wide_medium_carries_a_pose_and_a_target_in_each_step(robots: int, budget: int) -> None:
+    carried = broadcast_bytes(robots, budget, POSE_AND_TARGET, 8)
+    size = len(POSE_AND_TARGET)
+    frames = min(robots, max(1, budget // (robots + 1) // size))
+    assert carried == 8 * [frames * size]

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from agent.encodings.predictive import PredictiveEncoding, fragments
+from agent.encodings.predictive import PredictiveEncoding
+from agent.encodings.update_packets import fragments
 from agent.predictive.history import History
 from agent.replication.control_packets import header
 from agent.robot import Robot

@@ -11,7 +11,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from agent.encoding_options import PredictiveOptions
-from agent.encodings.predictive import ENOUGH_STEPS, PredictiveEncoding, fragments
+from agent.encodings.predictive import PredictiveEncoding
+from agent.encodings.update_packets import ENOUGH_STEPS, fragments
 from agent.settings import EncodingSettings, MediumSettings, ReplicationSettings, Settings
 from protocol.body import Body
 from protocol.budget import UNLIMITED, Budget

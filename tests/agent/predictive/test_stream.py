@@ -296,6 +296,24 @@ def test_an_update_has_at_most_max_scans_and_the_next_one_has_the_rest() -> None
     assert (receiver.grids[0] & STATE).tolist() == own.tolist()
 
 
+def test_cells_that_an_incomplete_update_left_to_a_teammate_are_not_repeated() -> None:
+    group = Group((3, 400), ranges=(1.0, 1.0))
+    own = np.zeros((3, 400), np.uint8)
+    own[1, :150] = FREE
+    poses, box = [(x, 1) for x in range(1, 150, 3)], (0, 0, 150, 3)
+    incomplete = group.streams[0].encode(own, poses, box, most=1)
+    assert incomplete is not None
+    assert incomplete[2] == 1
+    complete = group.streams[1].encode(own, poses, box)
+    assert complete is not None
+    assert complete[2] == len(poses)
+    own[1, 300:303] = FREE
+    last = group.streams[0].encode(own, [(301, 1)], (300, 1, 303, 2))
+    assert last is not None
+    assert sorted(last[1].places.tolist()) == [700, 701, 702]
+    assert group.follows(0, own)
+
+
 def test_an_empty_update_leaves_the_one_before_it_retractable() -> None:
     own = np.full((1, 500), FREE, np.uint8)
     stream = Group((1, 500), team=False, ranges=(3.0,)).streams[0]

@@ -1,0 +1,95 @@
+"""How updates of the predictive encoding are cut into packets, and how many bytes a step encodes.
+
+Both depend on the budget of a step. A packet that does not fit into the rest of a budget leaves that rest unused, so
+packets are short: the budget holds `PACKETS_A_STEP` of them. If it is too small for a target and two of them, and all
+robots are always in range of each other, one packet fills it, except for the header that names the packet's offset in
+its log (`FromEarly`, or `From` behind offset `EARLY`). Such packets need no header but after a restart, so a target
+fits there instead.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from agent.settings import Settings
+from protocol.packets import (
+    EARLY,
+    LONG_UPDATE_DATA,
+    SHORT_HEAD,
+    UPDATE_DATA,
+    UPDATE_NUMBERS,
+    From,
+    FromEarly,
+    Target,
+    Update,
+    encode,
+)
+
+ENOUGH_STEPS = 4
+"""Steps for which fewer new cells wait at most, if bandwidth is scarce."""
+
+FAIR_SHARE = 28
+"""Bytes per robot and step for which they wait one step; with half of it they wait two steps, and so on."""
+
+PACKETS_A_STEP = 3
+"""Packets that the budget of a step holds, unless it is very small."""
+
+LONG_FRAGMENT = 32
+"""Bytes of content of a packet from which updates of tiles, most of which take several packets, are split into packets
+of equal size. Below, short fragments fill the budget of a step better."""
+
+
+@dataclass(frozen=True)
+class UpdateLimits:
+    """Sizes and waiting times that depend on the bandwidth."""
+
+    packet_bytes: int
+    """The most bytes of content of a packet."""
+    fragment_bytes: int
+    """Bytes of content of a packet that another one of the same update follows."""
+    step_bytes: float
+    """Bytes after which a step encodes no more: changes that wait can still be merged with later ones."""
+    wait_steps: int
+    """Steps for which few new cells wait (`ENOUGH_STEPS`)."""
+    fills: int = 0
+    """The budget of a step that one packet fills; 0: packets are shorter."""
+
+    @classmethod
+    def of(cls, settings: Settings) -> UpdateLimits:
+        """Derive the limits from the team's budget and the frame size."""
+        size, step_bytes, wait_steps, fills = LONG_UPDATE_DATA, math.inf, 1, 0
+        medium = settings.medium
+        if (bandwidth := medium.bandwidth.limit) is not None:
+            size = bandwidth // PACKETS_A_STEP - SHORT_HEAD
+            step_bytes = max(bandwidth, 1)
+            scarcity = FAIR_SHARE * settings.robots / max(bandwidth, 1)
+            wait_steps = min(max(math.ceil(scarcity), 1), ENOUGH_STEPS)
+            is_narrow = bandwidth < Target.size + 2 * Update.size
+            hear_all = medium.reach_cells > math.hypot(settings.width, settings.height) - 1
+            fills = bandwidth if is_narrow and hear_all and not settings.replication.requires_acks else 0
+        if medium.frame_bytes is not None:
+            size = min(size, medium.frame_bytes - SHORT_HEAD)
+            fills = min(fills, medium.frame_bytes)
+        size = min(max(size, UPDATE_DATA), LONG_UPDATE_DATA)
+        splits_long = settings.shares_tiles and size >= LONG_FRAGMENT
+        return cls(size, size if splits_long else UPDATE_DATA, step_bytes, wait_steps, fills)
+
+    def packets(self, message: bytes, number: int, offset: int) -> list[bytes]:
+        """Split update `number` of a log into packets, the first of which has this offset in the log."""
+        last = offset + len(message) // UPDATE_DATA
+        header = FromEarly if last < EARLY else From
+        filling = self.fills - header.size - SHORT_HEAD
+        if filling > self.packet_bytes:
+            return fragments(message, number, filling, filling)
+        return fragments(message, number, self.packet_bytes, self.fragment_bytes)
+
+
+def fragments(message: bytes, number: int, most: int, size: int = UPDATE_DATA) -> list[bytes]:
+    """Split an update into packets of `size` bytes of content, and a last one of at most `most` bytes."""
+    number %= UPDATE_NUMBERS
+    packets = []
+    while len(message) > most:
+        part, message = message[:size], message[size:]
+        packets.append(Update(None, part) if size == UPDATE_DATA else Update(number, part, more=1))
+    return [encode([packet]) for packet in (*packets, Update(number, message))]

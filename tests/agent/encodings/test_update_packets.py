@@ -1,0 +1,64 @@
+"""Packets of updates: narrow budgets are filled, and no packet is too long for a step."""
+
+from __future__ import annotations
+
+import math
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from agent.encoding_options import PredictiveOptions
+from agent.encodings.update_packets import UpdateLimits
+from agent.settings import EncodingSettings, MediumSettings, ReplicationSettings, Settings
+from protocol.body import Body
+from protocol.budget import Budget
+from protocol.packets import EARLY, SHORT_HEAD, UPDATE_DATA, From, FromEarly, Target, Update, decode_kind
+
+LEAST = From.size + SHORT_HEAD + UPDATE_DATA
+"""The smallest budget of a step that holds any packet behind a header."""
+
+messages = st.binary(min_size=1, max_size=400)
+offsets = st.integers(0, 2 * EARLY)
+
+
+def limits(
+    budget: int, *, requires_acks: bool = False, frame_bytes: int | None = None, reach: float = math.inf
+) -> UpdateLimits:
+    return UpdateLimits.of(
+        Settings(
+            robot=0, bodies=8 * (Body(50.0, 360.0, 1.0),), width=20, height=20, beams=36, seed=0,
+            strategy="meier", encoding=EncodingSettings("predictive", predictive=PredictiveOptions("team")),
+            replication=ReplicationSettings("gossip", requires_acks=requires_acks),
+            medium=MediumSettings(Budget(budget), reach, frame_bytes),
+        )
+    )  # fmt: skip
+
+
+@given(st.integers(LEAST, 200), messages, st.integers(0, 9), offsets, st.booleans())
+def test_a_step_holds_any_packet_behind_the_header_that_names_its_offset(
+    budget: int, message: bytes, number: int, offset: int, requires_acks: bool
+) -> None:
+    packets = limits(budget, requires_acks=requires_acks).packets(message, number, offset)
+    assert b"".join(packet.data for packet in decode_kind(b"".join(packets), Update)) == message
+    for at, packet in enumerate(packets, offset):
+        header = FromEarly if at < EARLY else From
+        assert header.size + len(packet) <= budget
+
+
+@given(st.integers(14, 20), messages, st.integers(0, EARLY // 2))
+def test_a_packet_and_a_target_fill_a_budget_that_is_too_small_for_more(
+    budget: int, message: bytes, offset: int
+) -> None:
+    *full, last = limits(budget).packets(message, 0, offset)
+    assert all(len(packet) + Target.size == budget for packet in full)
+    assert len(last) + Target.size <= budget
+
+
+@given(messages, offsets)
+def test_packets_on_a_lossy_or_a_wide_medium_are_short(message: bytes, offset: int) -> None:
+    for some in (
+        limits(20, requires_acks=True),
+        limits(21),
+        limits(20, frame_bytes=SHORT_HEAD + UPDATE_DATA),
+    ):
+        assert all(len(packet) <= SHORT_HEAD + UPDATE_DATA for packet in some.packets(message, 0, offset))
