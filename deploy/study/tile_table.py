@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.encodings.predictive import FAIR_SHARE
+from agent.encodings.update_packets import FAIR_SHARE
 from agent.mapping.bound import Bound
 from agent.mapping.estimator import SETTLED
 from agent.mapping.mapper import make_mapper
