@@ -41,7 +41,7 @@ class TileStream(Stream):
 
     @property
     def model(self) -> Model:
-        """The probabilities of the next update's tiles. They may be replaced before the first update only."""
+        """The model that codes the next update. Author and receivers must hold the same one, so only training replaces it."""
         return self._chances, self._ages, self._weights
 
     @model.setter
