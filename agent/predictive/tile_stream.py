@@ -41,7 +41,10 @@ class TileStream(Stream):
 
     @property
     def model(self) -> Model:
-        """The model that codes the next update. Author and receivers must hold the same one, so only training replaces it."""
+        """The model that codes the next update.
+
+        Author and receivers must hold the same one, so only training replaces it.
+        """
         return self._chances, self._ages, self._weights
 
     @model.setter
