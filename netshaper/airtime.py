@@ -20,7 +20,6 @@ from protocol.token_bucket import SECOND, TokenBucket
 RECENT = 8
 """Time constant, in steps, of the exponential average of bytes that a robot sent."""
 
-
 BROADCAST_PART = 6
 """Broadcasts of poses and targets take at most this part of the budget, but at least the share of one robot."""
 
@@ -28,17 +27,17 @@ BROADCAST_PART = 6
 class BroadcastShare:
     """Bytes that all broadcasts of poses and targets may take together, where they share the medium with maps.
 
-    In a step they take the share of one robot, as if maps were one more robot's. The first broadcast of a step may
-    exceed this share, or none would fit into a narrow one. If it takes more than the part `BROADCAST_PART` of the
-    budget, the next steps pay for it: maps go first until then. They do not pay for relayed states, which would be too
-    old later.
+    The budget of a step is divided equally among the maps of all robots and the broadcasts. The first broadcast of a
+    step may exceed this share, or none would fit into a narrow one. If it takes more than the part `BROADCAST_PART` of
+    the budget, the next steps pay for it: maps go first until then. States of teammates that a robot relays in its
+    broadcast are not paid for, since they would be too old later.
     """
 
     def __init__(self) -> None:
         self._share = 0
         """Bytes that further broadcasts of this step may take."""
         self._left = 0
-        """Bytes until the next first broadcast; negative: bytes to be paid for."""
+        """Bytes that first broadcasts may take; 0 or less: earlier ones are still to be paid for."""
 
     def next_step(self, limit: int, robots: int) -> None:
         """Add the share of a step, given its budget in bytes and the number of robots on the medium."""
