@@ -65,7 +65,11 @@ def _table() -> Model:
 
 
 def packed(model: Model) -> dict[str, NDArray[Any]]:
-    """Return the arrays of a table with a model: `places` of contexts that have seen bits, in the flat arrays."""
+    """Return the arrays of a table, by name, that holds a model.
+
+    `places`, int32 of shape (n,), are the flat indices of the contexts that have seen bits. `chances` and `ages` have
+    the values at these places, `weights` all weights (`agent.predictive.mixer.Model`).
+    """
     chances, ages, weights = model
     places = np.flatnonzero(ages).astype(np.int32)
     return {
@@ -77,7 +81,7 @@ def packed(model: Model) -> dict[str, NDArray[Any]]:
 
 
 def unpacked(table: Mapping[str, NDArray[Any]]) -> Model:
-    """Return the model of a table."""
+    """Return the model of a table that `packed` made."""
     chances, ages, weights = new_model(CONTEXTS, SETS)
     chances.reshape(-1)[table["places"]] = table["chances"]
     ages.reshape(-1)[table["places"]] = table["ages"]

@@ -62,7 +62,10 @@ LEAST_SEEN = 2
 def train_on(
     plan: Plan, senses: list[list[Sense]], make_author: type[TileAuthor], model: Model
 ) -> tuple[Model, int]:
-    """Encode an exploration with a model; return the model after the last update, and the bytes of all updates."""
+    """Encode an exploration with a model; return the model after the last update, and the bytes of all updates.
+
+    `senses` are the sensor messages of each robot, one per step. `make_author` decides when tiles are encoded.
+    """
     robots, shape = len(senses), plan.map.cells.shape
     histories, size = [History() for _ in senses], 0
     scratch = np.empty((2 * shape[0] * shape[1], 2), np.int32)
