@@ -286,7 +286,7 @@ def _spread_to(free: Bools, stride: int, start: int, cells: Cells, work: Workspa
     offset = offsets(stride)
     for index in range(len(cells)):
         cell = (cells[index, 1] + 1) * stride + cells[index, 0] + 1
-        if came[cell] != 8:  # else an earlier one was farther away; calls in vain would take half of the time
+        if came[cell] != 8:  # 8 marks settled cells: the search for an earlier cell has passed this one
             buckets, level = _settle_until(free, work, buckets, fill, offset, level, start, cell, NO_BOUND)
         found[index] = length[cell] * UNIT if length[cell] != FAR else np.inf
     tidy(work, fill)

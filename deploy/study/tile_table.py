@@ -30,12 +30,12 @@ from deploy.run.recording_bus import record_run
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import parse
+from deploy.study.starting_table import MAPS
 from protocol import keys as names
 from protocol.grid import UNKNOWN
 from protocol.messages import Sense
 from worldsim.generators.seeds import check_training_seeds
 
-MAPS = ("office", "mixed", "burgard-office", "autolab-like", "jh-like", "unstructured", "office-plain")
 TEAMS = (3, 8)
 SENSORS: tuple[dict[str, Any], ...] = (
     {"laser": {"preset": "utm-30lx"}, "pose": {"preset": "graph-slam"}},
