@@ -71,13 +71,19 @@ class GridEncoding(MapEncoding):
         self.received_changed((0, 0, self.received.shape[1], self.received.shape[0]))
 
     def merge(self, own: Grid, peers: Collection[int] = ()) -> Grid:
-        """Return the planning grid: the self-explored grid where it is known, else the received one."""
+        """Return the planning grid: the self-explored grid where it is known, else the received one.
+
+        With noisy lasers, it is what all robots report, this one among them (`agent.encodings.votes`).
+        """
         del peers
         changed = self.own_changes.take(own)
         if self._planning is None or changed is None:
             self._planning, changed = np.empty_like(own), whole_grid(own.shape)
         boxes = np.array([*changed.tolist(), *self._boxes], np.int32).reshape(-1, 4)
         self._boxes.clear()
+        if self.settings.laser is not None:
+            self.votes.unite(own, boxes, self._planning)
+            return self._planning
         contradicted = overlay(self.received, own, boxes, self._planning)
         if (contradicted or self.votes.contested) and self.votes.judge(own):
             overlay(self.received, own, whole_grid(own.shape), self._planning)

@@ -8,6 +8,7 @@ reports do not count any more, if
 - at least two others report `MANY` of its cells otherwise, each of which fewer robots contradict.
 
 Maps of noisy lasers, and copies within a tolerance, differ although all robots are honest: then no robot is doubted.
+With noisy lasers, this robot's own grid is one report among equals (`Votes.unite`): its own pose may be the wrong one.
 
 All maps of a robot, one per incarnation, count as one voter. A doubt ends only with the votes: if entries turn out not
 to be their author's, all logs are decoded and counted again.
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 
 from agent.settings import Settings
 from protocol.arrays import Int32s, Int64Rows, Int64s, Uint8, Uint8s
+from protocol.boxes import Boxes
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.kernels import kernel
 
@@ -84,6 +86,13 @@ class Votes:
         if len(self.doubted) > before:
             _resolve_all(self._voters, self._believed, self.received.reshape(-1))
         return len(self.doubted) > before
+
+    def unite(self, own: Grid, boxes: Boxes, united: Grid) -> None:
+        """Write to `united`, inside the boxes, the states by all reports, this robot's being those of its own grid.
+
+        All grids have shape (h, w). Where the own grid is unknown, the robot's log counts.
+        """
+        _unite_with(own, self._robot % VOTERS, self._voters, self._believed, boxes, united)
 
     def reported(self) -> Grid:
         """Return the map of all reports that count, shape (h, w): a cell is a wall if any robot reports one."""
@@ -154,6 +163,21 @@ def _unite(voters: Int64Rows, believed: int, reported: Uint8s) -> None:
     for place in range(len(reported)):
         free, walls = voters[place, 0] & believed, voters[place, 1] & believed
         reported[place] = OCCUPIED if walls else FREE if free else UNKNOWN
+
+
+@kernel
+def _unite_with(own: Grid, robot: int, voters: Int64Rows, believed: int, boxes: Boxes, united: Grid) -> None:
+    """Write the state of each cell in the boxes, the robot's vote being that of `own` where it is known."""
+    width = own.shape[1]
+    for box in boxes:
+        for y in range(box[1], box[3]):
+            for x in range(box[0], box[2]):
+                votes, state = voters[y * width + x], own[y, x]
+                free, walls = votes[0] & believed, votes[1] & believed
+                if state != UNKNOWN:
+                    free = free & ~(1 << robot) | (state == FREE) << robot
+                    walls = walls & ~(1 << robot) | (state == OCCUPIED) << robot
+                united[y, x] = _resolve(free, walls)
 
 
 @kernel

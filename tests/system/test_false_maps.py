@@ -6,7 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from agent.encodings.predictive import PredictiveEncoding
 from agent.encodings.votes import MANY, Votes
 from agent.process import AgentNode
 from deploy.chaos.false_maps import LIES, with_false_map
@@ -16,6 +19,7 @@ from deploy.run.in_memory import MemoryRun
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import parse
+from protocol.boxes import whole_grid
 from protocol.grid import FREE, OCCUPIED, UNKNOWN
 from tests.system.team import small_plan
 
@@ -137,6 +141,44 @@ def test_this_robots_own_sight_is_enough_to_doubt_two_robots_that_agree() -> Non
     assert counted.judge(own)
     assert set(counted.doubted) == {1, 2}
     assert counted.received[0, 0] == OCCUPIED
+
+
+def most_likely(states: list[int]) -> int:
+    """The state of a cell by one state per robot, in plain words: the slow reference of `Votes.unite`."""
+    walls, free = states.count(OCCUPIED), states.count(FREE)
+    if walls and not (walls == 1 and free >= 2):
+        return OCCUPIED
+    return FREE if free else UNKNOWN
+
+
+@given(st.lists(st.lists(st.sampled_from([UNKNOWN, FREE, OCCUPIED]), min_size=5, max_size=5), min_size=1))
+def test_with_noisy_lasers_a_robots_own_grid_is_one_vote(cells: list[list[int]]) -> None:
+    """Per cell: what each of four robots has reported, then what robot 0 sees itself."""
+    counted = votes(4)
+    states = np.array(cells, np.uint8)
+    for robot in range(4):
+        counted.count(robot, np.arange(len(cells), dtype=np.int32), states[:, robot].copy())
+    own, united = np.zeros_like(counted.received), np.full_like(counted.received, 9)
+    own.flat[: len(cells)] = states[:, 4]
+    counted.unite(own, whole_grid(own.shape), united)
+    expected = [most_likely([seen or reported, *others]) for reported, *others, seen in cells]
+    assert united.flat[: len(cells)].tolist() == expected
+    assert (united.flat[len(cells) :] == UNKNOWN).all()
+
+
+@pytest.mark.parametrize("laser", ["ideal", "utm-30lx"])
+def test_two_other_robots_overrule_a_wall_that_this_robot_sees_if_its_laser_is_noisy(laser: str) -> None:
+    settings = small_plan(robots=4, map_encoding="predictive", laser={"preset": laser}).robot_settings[0]
+    encoding = PredictiveEncoding(settings)
+    own = np.zeros_like(encoding.received)
+    own[0, :MANY] = OCCUPIED
+    assert (encoding.merge(own)[0, :MANY] == OCCUPIED).all()
+    for robot in (1, 2):
+        encoding.votes.count(robot, *reports(FREE, MANY // 2))
+    encoding.received_changed((0, 0, MANY, 1))
+    merged = encoding.merge(own)[0]
+    assert (merged[: MANY // 2] == (OCCUPIED if laser == "ideal" else FREE)).all()
+    assert (merged[MANY // 2 : MANY] == OCCUPIED).all()
 
 
 @pytest.mark.long
