@@ -73,10 +73,6 @@ class ExperimentFile(Keys):
     quick: Quick = Field(default_factory=Quick)
 
 
-RADIO_AXES = ("radio", "radio.preset")
-"""Settings whose values are names of radio presets; a list of them is always an axis."""
-
-
 @dataclass(frozen=True)
 class Experiment:
     """The content of an experiment's file.
@@ -222,7 +218,7 @@ def override(experiment: Experiment, settings: dict[str, Any]) -> Experiment:
     """The experiment with other values of some keys.
 
     The values replace lists of the grid by the same name, or else keys of the base. A single value is a list of one.
-    A list of radio presets becomes a key of the grid, and a row of the table.
+    A list for a key that is not in the grid adds the key to it, and to the rows of the table.
 
     Raises
     ------
@@ -233,22 +229,27 @@ def override(experiment: Experiment, settings: dict[str, Any]) -> Experiment:
     for key, value in settings.items():
         if key == VARIANT:
             raise ScenarioError("--set variant: is not a setting; --variant NAME chooses variants")
-        if key in RADIO_AXES and key not in grid and isinstance(value, list):
-            grid[key] = []
-            table = replace(table, rows=[*(table.rows or []), key])
-        if key in grid:
-            grid[key] = value if isinstance(value, list) else [value]
-            try:
-                _check_values(f"--set {key}", grid[key])
-            except ValueError as error:
-                raise ScenarioError(str(error)) from None
-        elif all(key in keys for keys in experiment.variants.values()):
+        if all(key in keys for keys in experiment.variants.values()):
             raise ScenarioError(
                 f"--set {key}: has no effect, because each variant of {experiment.where} sets {key}"
             )
-        else:
+        if key not in grid and not _is_axis(key, value):
             base[key] = value
+            continue
+        if key not in grid and key != "seed":
+            table = replace(table, rows=[*(table.rows or []), key])
+        grid[key] = value if isinstance(value, list) else [value]
+        try:
+            _check_values(f"--set {key}", grid[key])
+        except ValueError as error:
+            raise ScenarioError(str(error)) from None
     return replace(experiment, base=base, grid=grid, table=table)
+
+
+def _is_axis(key: str, value: Any) -> bool:
+    """Whether a value is a list of settings, not a setting that is a list: of tables, or of coordinates."""
+    is_list = isinstance(value, list) and not any(isinstance(each, dict) for each in value)
+    return is_list and key not in ("start", "starts")
 
 
 def listed(key: str, values: Sequence[Any]) -> list[Any]:

@@ -174,6 +174,14 @@ def test_a_setting_that_every_variant_overrides_is_rejected(tmp_path: Path) -> N
         experiments.override(experiments.choose(experiment, ["scans"]), {"map_encoding": "polygons"})
 
 
+@pytest.mark.parametrize("key", ["laser.preset", "speed"])
+def test_a_list_for_a_key_outside_the_grid_adds_it_to_the_grid_and_to_the_rows(tmp_path: Path, key: str) -> None:
+    values = {"laser.preset": ["utm-30lx", "rplidar-a1"], "speed": [0.25, 0.5]}[key]
+    experiment = experiments.override(experiments.read(write(tmp_path, "grid.map = ['em']\n")), {key: values})
+    assert experiment.table.rows == ["map", key]
+    assert [case.place[key] for case in runs.cases(experiment)] == values
+
+
 def test_a_table_in_the_grid_sets_all_its_keys_and_goes_by_its_own(tmp_path: Path) -> None:
     text = "grid.map = ['em', { map = 'jh-like', map_options = { resolution = 0.2 }, speed = 0.4 }]\n"
     plain, coarse = runs.cases(experiments.read(write(tmp_path, text)))
