@@ -37,6 +37,7 @@ from agent.replication.policies import GOSSIP
 from agent.robot import Robot
 from agent.settings import Settings
 from agent.strategies.base import Cell
+from protocol.grid import FINE
 from protocol.messages import Move, Sense
 from protocol.token_bucket import SECOND
 
@@ -236,7 +237,7 @@ class FieldRobot:
 
 def position(sense: Sense) -> tuple[float, float]:
     """Return the position of a body, in cells; whole numbers are centers of cells."""
-    return sense.x + sense.offset_x / 1000, sense.y + sense.offset_y / 1000
+    return sense.x + sense.offset_x / FINE, sense.y + sense.offset_y / FINE
 
 
 def drive(

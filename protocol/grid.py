@@ -25,6 +25,9 @@ UNKNOWN = 0
 FREE = 1
 OCCUPIED = 2
 
+FINE = 1000
+"""Units per cell of positions finer than cells: way points, and offsets from the center of a cell."""
+
 MAX_SIDE = 2048
 """The longest side of a grid, in cells; packets cannot represent a longer one."""
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from protocol.budget import Budget
 from protocol.errors import ProtocolError
-from protocol.grid import MAX_ROBOTS, MAX_SIDE, Grid
+from protocol.grid import FINE, MAX_ROBOTS, MAX_SIDE, Grid
 
 MAX_STEPS = 2**31 - 1
 MAX_CELLS = MAX_SIDE * MAX_SIDE
@@ -54,7 +54,7 @@ Coordinate = Annotated[int, Meta(ge=0, lt=MAX_SIDE)]
 CoordinateOrNone = Annotated[int, Meta(ge=-1, lt=MAX_SIDE)]
 SideLength = Annotated[int, Meta(ge=1, le=MAX_SIDE)]
 Eighths = Annotated[int, Meta(ge=0, lt=8)]
-Thousandths = Annotated[int, Meta(ge=-1000, le=1000)]
+Thousandths = Annotated[int, Meta(ge=-FINE, le=FINE)]
 CellCount = Annotated[int, Meta(ge=0, le=MAX_CELLS)]
 CellCountOrNone = Annotated[int, Meta(ge=-1, le=MAX_CELLS)]
 Count = Annotated[int, Meta(ge=0, lt=2**53)]

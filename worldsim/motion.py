@@ -15,16 +15,13 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.grid import FREE, Grid
+from protocol.grid import FINE, FREE, Grid
 
 Point = tuple[int, int]
 """A position (x, y) in thousandths of a cell."""
 
 Taken = NDArray[np.uint8] | NDArray[np.bool_]
 """Cells that a center may not enter: bits that say why, or a mask of cells near robots."""
-
-FINE = 1000
-"""Resolution of positions: steps per cell."""
 
 _STRIDE = 100
 """`glide` checks at least every tenth of a cell, and every tenth of its distance if that is less than a cell."""

@@ -15,6 +15,7 @@ from protocol import messages, rights
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
 from protocol.faults import KINDS
+from protocol.grid import FINE
 from protocol.keys import Keys
 from protocol.messages import (
     MAX_NAME,
@@ -40,7 +41,6 @@ from worldsim.barrier import Barrier
 from worldsim.base import BaseWorld
 from worldsim.clock import MOVE, STEP, StepClock
 from worldsim.ending import Ending
-from worldsim.motion import FINE
 from worldsim.restarts import Restarts
 
 

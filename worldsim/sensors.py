@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.arrays import FloatRows
-from protocol.grid import Grid
+from protocol.grid import FINE, Grid
 from protocol.keyed_random import keyed_random
 from protocol.messages import Sense
 from protocol.range_scans import NO_MEASUREMENT, TURN, UNIT, Laser, RangeScan, encode_range_scan
 from worldsim.laser import HEADINGS
-from worldsim.motion import FINE, Point
+from worldsim.motion import Point
 from worldsim.pose_error import PoseError
 from worldsim.range_laser import NO_DISCS, RangeLaser
 from worldsim.sensor_options import LaserOptions, PoseOptions

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from protocol.arrays import BoolRows
 from protocol.body import Body, narrowest_opening
-from protocol.grid import FREE, Grid, RayTable, disc, enlarge, ray_table
+from protocol.grid import FINE, FREE, Grid, RayTable, disc, enlarge, ray_table
 from protocol.kernels import kernel
 from protocol.keyed_random import keyed_random
 from protocol.messages import FaultEvent, Move, Sense, cells_from_bytes, cells_to_bytes, points_from_bytes
@@ -21,7 +21,6 @@ from worldsim.base import BaseWorld
 from worldsim.laser import FULL_TURN, HEADINGS, cast
 from worldsim.motion import (
     DIAGONAL,
-    FINE,
     INTERFERENCE,
     NOT_BLOCKED,
     TAKEN_BY_ROBOT,

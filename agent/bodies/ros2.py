@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.bodies.own_map import OwnMap
+from protocol.grid import FINE
 from protocol.map_frame import MapFrame
 from protocol.messages import Move, Sense, cells_from_bytes, points_from_bytes
 from protocol.range_scans import TURN, UNIT, Laser
@@ -23,8 +24,6 @@ from protocol.ros2.messages import nanoseconds
 from protocol.transforms import Pose, TransformBuffer, pose_of
 
 HEADINGS = 8
-FINE = 1000
-"""Units of `Sense.offset_x` and of way points, in a cell."""
 REMEMBERED_NS = 10 * 10**9
 """Age up to which transforms are kept, relative to the last known pose."""
 UNUSED_NS = 60 * 10**9

@@ -43,9 +43,12 @@ FAR = 1 << 62
 _STEPS = np.array([(1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1), (-1, -1), (1, -1)], np.int64)
 """Neighbors (dx, dy). Step 4 + i is the diagonal between steps i and i + 1."""
 
+_SETTLED = 8
+"""In place of the number of a step: the search has passed the cell."""
+
 Workspace = tuple[Int64s, Uint8s, Int32s]
-"""Working memory of a search: the length of the way to each cell, the last step of this way (8 after the cell is
-settled), and a list of the reached cells."""
+"""Working memory of a search: the length of the way to each cell, the last step of this way (`_SETTLED` after the
+search has passed the cell), and a list of the reached cells."""
 
 Bound = tuple[int, int]
 """A cell and a length: cells that cannot be on a way of this length to the cell need no successors."""
@@ -178,12 +181,12 @@ def settle(
     for at in range(fill[ring]):
         cell = buckets[ring, at]
         base = length[cell]
-        if came[cell] == 8 or base >> SHIFT != level:
+        if came[cell] == _SETTLED or base >> SHIFT != level:
             continue  # a duplicate, or reached on a shorter way since
         if bound[1] < FAR and base + _least(cell, bound[0], offset[1]) > bound[1]:
             continue
         direction = came[cell]
-        came[cell] = 8
+        came[cell] = _SETTLED
         if cell == start:
             for number in range(8):
                 wanted[number] = number
@@ -286,7 +289,7 @@ def _spread_to(free: Bools, stride: int, start: int, cells: Cells, work: Workspa
     offset = offsets(stride)
     for index in range(len(cells)):
         cell = (cells[index, 1] + 1) * stride + cells[index, 0] + 1
-        if came[cell] != 8:  # 8 marks settled cells: the search for an earlier cell has passed this one
+        if came[cell] != _SETTLED:  # else the search for an earlier cell has passed this one
             buckets, level = _settle_until(free, work, buckets, fill, offset, level, start, cell, NO_BOUND)
         found[index] = length[cell] * UNIT if length[cell] != FAR else np.inf
     tidy(work, fill)

@@ -6,11 +6,8 @@ import numpy as np
 
 from agent.planning.path_planner import PathPlanner
 from protocol.arrays import Cells
-from protocol.grid import FREE, Grid
+from protocol.grid import FINE, FREE, Grid
 from protocol.kernels import kernel
-
-_FINE = 1000
-"""Waypoints are in thousandths of a cell."""
 
 _NOWHERE = np.empty((0, 2), np.int32)
 
@@ -107,11 +104,11 @@ def corners(floor: Grid, start: tuple[int, int], cells: Cells) -> Cells:
     `start` and the result, shape (m, 2), are in thousandths of a cell. The first of `cells` is a neighbor of the
     robot's cell. If no straight line leads to it, the center of the robot's own cell comes first.
     """
-    points = cells * _FINE
+    points = cells * FINE
     found: list[Cells] = []
     at = np.array(start, np.int32)
     if len(points) and not _is_line_clear(floor, *map(int, at), *map(int, points[0])):
-        at = (at + _FINE // 2) // _FINE * _FINE
+        at = (at + FINE // 2) // FINE * FINE
         found.append(at)
     next_one = 0
     while next_one < len(points):
@@ -133,12 +130,12 @@ def crossed(start: tuple[int, int], points: Cells, most: float) -> Cells:
     """
     found: list[tuple[int, int]] = []
     at = start
-    last = (at[0] + _FINE // 2) // _FINE, (at[1] + _FINE // 2) // _FINE
+    last = (at[0] + FINE // 2) // FINE, (at[1] + FINE // 2) // FINE
     for x, y in points.tolist():
-        pieces = max(1, max(abs(x - at[0]), abs(y - at[1])) // (_FINE // 10))
+        pieces = max(1, max(abs(x - at[0]), abs(y - at[1])) // (FINE // 10))
         for piece in range(1, pieces + 1):
             ahead = at[0] + (x - at[0]) * piece // pieces, at[1] + (y - at[1]) * piece // pieces
-            cell = (ahead[0] + _FINE // 2) // _FINE, (ahead[1] + _FINE // 2) // _FINE
+            cell = (ahead[0] + FINE // 2) // FINE, (ahead[1] + FINE // 2) // FINE
             if cell != last:
                 found.append(cell)
                 last = cell
@@ -151,12 +148,12 @@ def crossed(start: tuple[int, int], points: Cells, most: float) -> Cells:
 @kernel
 def _is_line_clear(floor: Grid, x: int, y: int, to_x: int, to_y: int) -> bool:
     """Return whether a line, in thousandths of a cell, touches free cells alone; checked every tenth of a cell."""
-    half = _FINE // 2
-    pieces = max(1, max(abs(to_x - x), abs(to_y - y)) // (_FINE // 10))
-    cell_x, cell_y = (x + half) // _FINE, (y + half) // _FINE
+    half = FINE // 2
+    pieces = max(1, max(abs(to_x - x), abs(to_y - y)) // (FINE // 10))
+    cell_x, cell_y = (x + half) // FINE, (y + half) // FINE
     for piece in range(1, pieces + 1):
-        next_x = (x + (to_x - x) * piece // pieces + half) // _FINE
-        next_y = (y + (to_y - y) * piece // pieces + half) // _FINE
+        next_x = (x + (to_x - x) * piece // pieces + half) // FINE
+        next_y = (y + (to_y - y) * piece // pieces + half) // FINE
         if next_x != cell_x or next_y != cell_y:
             if (
                 floor[next_y, next_x] != FREE

@@ -12,11 +12,8 @@ from __future__ import annotations
 import numpy as np
 
 from protocol.arrays import Cells, Int64Rows, Int64s
-from protocol.grid import FREE, Grid
+from protocol.grid import FINE, FREE, Grid
 from protocol.kernels import kernel
-
-FINE = 1000
-"""Coordinates are in thousandths of a cell."""
 
 MARGIN = 100
 """Distance of a way from obstacles, in thousandths of a cell."""

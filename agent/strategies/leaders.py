@@ -29,9 +29,7 @@ from agent.settings import Settings
 from agent.strategies.base import Cell, Decision, Situation, Strategy
 from agent.strategies.options import option
 from protocol.arrays import Cells
-
-FINE = 1000
-"""Waypoints are in thousandths of a cell."""
+from protocol.grid import FINE
 
 STALL_STEPS = 60
 """A robot is stalled after this many steps without a change of its map or its place."""

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.serve.giving_way import Others, pocket
-from protocol.grid import FREE, Grid
+from protocol.grid import FINE, FREE, Grid
 from protocol.map_frame import MapFrame
 from protocol.range_scans import UNIT
 from protocol.transforms import Pose
-from worldsim.motion import FINE, NOT_BLOCKED, WALL, glide
+from worldsim.motion import NOT_BLOCKED, WALL, glide
 from worldsim.people import shortest_way
 from worldsim.velocity_world import STOP, Velocity
 

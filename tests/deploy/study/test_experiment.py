@@ -175,7 +175,9 @@ def test_a_setting_that_every_variant_overrides_is_rejected(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("key", ["laser.preset", "speed"])
-def test_a_list_for_a_key_outside_the_grid_adds_it_to_the_grid_and_to_the_rows(tmp_path: Path, key: str) -> None:
+def test_a_list_for_a_key_outside_the_grid_adds_it_to_the_grid_and_to_the_rows(
+    tmp_path: Path, key: str
+) -> None:
     values = {"laser.preset": ["utm-30lx", "rplidar-a1"], "speed": [0.25, 0.5]}[key]
     experiment = experiments.override(experiments.read(write(tmp_path, "grid.map = ['em']\n")), {key: values})
     assert experiment.table.rows == ["map", key]
