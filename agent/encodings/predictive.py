@@ -102,7 +102,8 @@ class PredictiveEncoding(GridEncoding):
         settings = self.settings
         stream = self._stream(settings.own_map, self._histories)
         if isinstance(stream, ScanStream):
-            return ScanAuthor(stream, self._limits.wait_steps)
+            limits = self._limits
+            return ScanAuthor(stream, limits.wait_steps, limits.filled_bytes, ranks=limits.is_narrow)
         assert isinstance(stream, TileStream)
         settled = 1 if settings.laser is None else SETTLED
         patience = self._options.patience
@@ -127,7 +128,7 @@ class PredictiveEncoding(GridEncoding):
             self._scratch,
             team=team,
             base_maps=maps,
-            mixes=self._limits.mixes,
+            narrow=self._limits.is_narrow,
         )
 
     def _decoder(self, map_id: int) -> Stream | CachedReader:
@@ -186,6 +187,8 @@ class PredictiveEncoding(GridEncoding):
             self._note_dependency(map_id, self._last)
             updates += 1
             size += len(message)
+            if limits.fills:
+                break
         log.packets += len(packets)
         self.retractable = len(packets) if updates == 1 else 0
         return packets

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -19,6 +20,10 @@ from protocol.scans import Change, Scan
 ENOUGH_CELLS = 14
 """New cells that are sent at once; fewer may wait."""
 
+import os
+CELLS_PER_RANK = float(os.environ.get("CPR", "200"))
+"""New cells for which the urgency of an update increases by 1."""
+
 
 @dataclass
 class _Pending:
@@ -30,10 +35,17 @@ class _Pending:
 
 
 class ScanAuthor(Author[ScanStream]):
-    """Encodes scans; fewer than `ENOUGH_CELLS` new cells wait for `wait_steps` steps."""
+    """Encodes scans; fewer than `ENOUGH_CELLS` new cells wait for `wait_steps` steps.
 
-    def __init__(self, stream: ScanStream, wait_steps: int) -> None:
+    With `packet_bytes`, the content of a packet, an update has as many scans as show the most cells per packet.
+    """
+
+    def __init__(
+        self, stream: ScanStream, wait_steps: int, packet_bytes: int = 0, *, ranks: bool = False
+    ) -> None:
         super().__init__(stream)
+        self._ranks = ranks
+        self._packet_bytes = packet_bytes
         self._wait_steps = wait_steps
         self._pending = _Pending()
         self._encoded = _Pending()
@@ -57,6 +69,8 @@ class ScanAuthor(Author[ScanStream]):
         del log_odds
         pending = self._pending
         new_cells = int(_unreported(received, self.stream.grid, own, *bounding_box(pending.boxes)))
+        if self._ranks:
+            self.urgency = new_cells / CELLS_PER_RANK
         if not new_cells:
             self._pending = _Pending()
         return new_cells >= ENOUGH_CELLS or (new_cells > 0 and pending.steps >= self._wait_steps)
@@ -69,7 +83,7 @@ class ScanAuthor(Author[ScanStream]):
             self._pending = pending
             return None
         box = bounding_box(pending.boxes)
-        encoded = self.stream.encode(own, pending.poses, box, most=most)
+        encoded = self._encode(own, pending.poses, box, most)
         if encoded is None:
             return None
         message, update, scans = encoded
@@ -77,6 +91,25 @@ class ScanAuthor(Author[ScanStream]):
         if scans < len(pending.poses):
             self._pending = _Pending(pending.poses[scans:], [box], pending.steps)
         return message, update
+
+    def _encode(
+        self, own: Grid, poses: Sequence[tuple[int, int]], box: Box, most: float
+    ) -> tuple[bytes, DecodedUpdate, int] | None:
+        """Encode scans, as `ScanStream.encode` does; with `packet_bytes`, as many as show most cells per packet."""
+        stream, packet = self.stream, self._packet_bytes
+        if not packet:
+            return stream.encode(own, poses, box, most=most)
+        encoded = stream.encode(own, poses, box, most=max(most, packet))
+        sizes = stream.sizes
+        if encoded is None or len(sizes) < 2:
+            return encoded
+        sizes[-1] = len(encoded[0]), sizes[-1][1]
+        rates = [cells / math.ceil(size / packet) for size, cells in sizes]
+        scans = len(rates) - rates[::-1].index(max(rates))
+        if scans < len(rates):
+            stream.undo()
+            encoded = stream.encode(own, poses, box, most_scans=scans)
+        return encoded
 
     def retract(self) -> None:
         """Take back the last update; its scans wait again, before those that have come since."""

@@ -59,7 +59,7 @@ def train_on(plan: Plan, senses: list[list[Sense]], model: Model) -> tuple[Model
     histories, size = [History() for _ in senses], 0
     scratch = np.empty((2 * shape[0] * shape[1], 2), np.int32)
     streams = [
-        ScanStream(n, np.zeros(shape, np.uint8), ray_tables[n], histories, scratch, team=True, mixes=True)
+        ScanStream(n, np.zeros(shape, np.uint8), ray_tables[n], histories, scratch, team=True, narrow=True)
         for n in range(robots)
     ]
     own = np.full((robots, *shape), UNKNOWN, np.uint8)
