@@ -102,8 +102,7 @@ class PredictiveEncoding(GridEncoding):
         settings = self.settings
         stream = self._stream(settings.own_map, self._histories)
         if isinstance(stream, ScanStream):
-            limits = self._limits
-            return ScanAuthor(stream, limits.wait_steps, limits.filled_bytes, ranks=limits.is_narrow)
+            return ScanAuthor(stream, self._limits.wait_steps, ranks=self._limits.is_narrow)
         assert isinstance(stream, TileStream)
         settled = 1 if settings.laser is None else SETTLED
         patience = self._options.patience
@@ -128,7 +127,7 @@ class PredictiveEncoding(GridEncoding):
             self._scratch,
             team=team,
             base_maps=maps,
-            narrow=self._limits.is_narrow,
+            mixes=self._limits.is_narrow,
         )
 
     def _decoder(self, map_id: int) -> Stream | CachedReader:
@@ -187,8 +186,6 @@ class PredictiveEncoding(GridEncoding):
             self._note_dependency(map_id, self._last)
             updates += 1
             size += len(message)
-            if limits.fills:
-                break
         log.packets += len(packets)
         self.retractable = len(packets) if updates == 1 else 0
         return packets

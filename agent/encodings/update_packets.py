@@ -36,7 +36,8 @@ PACKETS_A_STEP = 3
 """Packets that the budget of a step holds, unless it is very small."""
 
 NARROW = 42
-"""Bytes per step below which scans are coded by mixed predictions (`agent.predictive.wall_model`)."""
+"""Bytes per step below which scans are coded by mixed predictions (`agent.predictive.wall_model`), and robots with many
+new cells send first."""
 
 LONG_FRAGMENT = 32
 """Bytes of content of a packet from which updates of tiles, most of which take several packets, are split into packets
@@ -58,7 +59,7 @@ class UpdateLimits:
     fills: int = 0
     """The budget of a step that one packet fills; 0: packets are shorter."""
     is_narrow: bool = False
-    """Whether fewer bytes are worth more computation (`NARROW`)."""
+    """Whether scans are coded by mixed predictions, and robots are ranked by their new cells (`NARROW`)."""
 
     @classmethod
     def of(cls, settings: Settings) -> UpdateLimits:
@@ -79,11 +80,6 @@ class UpdateLimits:
         size = min(max(size, UPDATE_DATA), LONG_UPDATE_DATA)
         splits_long = settings.shares_tiles and size >= LONG_FRAGMENT
         return cls(size, size if splits_long else UPDATE_DATA, step_bytes, wait_steps, fills, is_narrow)
-
-    @property
-    def filled_bytes(self) -> int:
-        """Bytes of content of a packet that fills the budget of a step; 0: packets are shorter."""
-        return max(self.fills - FromEarly.size - SHORT_HEAD, 0)
 
     def packets(self, message: bytes, number: int, offset: int) -> list[bytes]:
         """Split update `number` of a log into packets, the first of which has this offset in the log."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -20,9 +19,8 @@ from protocol.scans import Change, Scan
 ENOUGH_CELLS = 14
 """New cells that are sent at once; fewer may wait."""
 
-import os
-CELLS_PER_RANK = float(os.environ.get("CPR", "200"))
-"""New cells for which the urgency of an update increases by 1."""
+CELLS_PER_RANK = 200
+"""New cells per unit of urgency on a narrow medium."""
 
 
 @dataclass
@@ -37,15 +35,12 @@ class _Pending:
 class ScanAuthor(Author[ScanStream]):
     """Encodes scans; fewer than `ENOUGH_CELLS` new cells wait for `wait_steps` steps.
 
-    With `packet_bytes`, the content of a packet, an update has as many scans as show the most cells per packet.
+    `ranks`: whether updates of robots with more new cells are more urgent.
     """
 
-    def __init__(
-        self, stream: ScanStream, wait_steps: int, packet_bytes: int = 0, *, ranks: bool = False
-    ) -> None:
+    def __init__(self, stream: ScanStream, wait_steps: int, *, ranks: bool = False) -> None:
         super().__init__(stream)
         self._ranks = ranks
-        self._packet_bytes = packet_bytes
         self._wait_steps = wait_steps
         self._pending = _Pending()
         self._encoded = _Pending()
@@ -83,7 +78,7 @@ class ScanAuthor(Author[ScanStream]):
             self._pending = pending
             return None
         box = bounding_box(pending.boxes)
-        encoded = self._encode(own, pending.poses, box, most)
+        encoded = self.stream.encode(own, pending.poses, box, most=most)
         if encoded is None:
             return None
         message, update, scans = encoded
@@ -91,25 +86,6 @@ class ScanAuthor(Author[ScanStream]):
         if scans < len(pending.poses):
             self._pending = _Pending(pending.poses[scans:], [box], pending.steps)
         return message, update
-
-    def _encode(
-        self, own: Grid, poses: Sequence[tuple[int, int]], box: Box, most: float
-    ) -> tuple[bytes, DecodedUpdate, int] | None:
-        """Encode scans, as `ScanStream.encode` does; with `packet_bytes`, as many as show most cells per packet."""
-        stream, packet = self.stream, self._packet_bytes
-        if not packet:
-            return stream.encode(own, poses, box, most=most)
-        encoded = stream.encode(own, poses, box, most=max(most, packet))
-        sizes = stream.sizes
-        if encoded is None or len(sizes) < 2:
-            return encoded
-        sizes[-1] = len(encoded[0]), sizes[-1][1]
-        rates = [cells / math.ceil(size / packet) for size, cells in sizes]
-        scans = len(rates) - rates[::-1].index(max(rates))
-        if scans < len(rates):
-            stream.undo()
-            encoded = stream.encode(own, poses, box, most_scans=scans)
-        return encoded
 
     def retract(self) -> None:
         """Take back the last update; its scans wait again, before those that have come since."""

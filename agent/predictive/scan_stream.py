@@ -21,7 +21,6 @@ from agent.predictive.scan_updates import (
     code_scan,
     count_new_cells,
     find_differences,
-    needed_scans,
 )
 from agent.predictive.stream import FIRST_BUFFER, Stream
 from agent.predictive.wall_model import no_model, start_model
@@ -39,13 +38,10 @@ class ScanStream(Stream):
     state: ClassVar[tuple[str, ...]] = (*Stream.state, "_unreported", "_chances", "_ages", "_weights")
 
     def __init__(
-        self, map_id: int, grid: Grid, ray_table: RayTable, *args: Any, narrow: bool = False, **options: Any
+        self, map_id: int, grid: Grid, ray_table: RayTable, *args: Any, mixes: bool = False, **options: Any
     ) -> None:
         super().__init__(map_id, grid, *args, **options)
-        self._chances, self._ages, self._weights = start_model() if narrow else no_model()
-        self._is_narrow = narrow
-        self.sizes: list[tuple[int, int]] = []
-        """After each scan of the last encoded update: its bytes so far, roughly, and its cells so far."""
+        self._chances, self._ages, self._weights = start_model() if mixes else no_model()
         self._ray_table = ray_table
         self._reach = int(np.abs(ray_table.cells).max()) + 1
         """Cells around a robot, in each direction, that a scan may change."""
@@ -65,13 +61,7 @@ class ScanStream(Stream):
         self._chances, self._ages, self._weights = model
 
     def encode(
-        self,
-        own: Grid,
-        poses: Sequence[tuple[int, int]],
-        box: Box,
-        *,
-        most: float = math.inf,
-        most_scans: int = MAX_SCANS,
+        self, own: Grid, poses: Sequence[tuple[int, int]], box: Box, *, most: float = math.inf
     ) -> tuple[bytes, DecodedUpdate, int] | None:
         """Encode an update of what has changed in a self-explored grid, up to a limit.
 
@@ -82,9 +72,7 @@ class ScanStream(Stream):
         box : Box
             Where the grid has changed since the last update.
         most : float, optional
-            Bytes after which no further scan is encoded. An update has one scan at least.
-        most_scans : int, optional
-            Most scans of an update, 1 to `MAX_SCANS`.
+            Bytes after which no further scan is encoded. An update has one scan at least, and at most `MAX_SCANS`.
 
         Returns
         -------
@@ -97,7 +85,7 @@ class ScanStream(Stream):
         while True:
             self._begin()
             state, data = writer(size)
-            update, scans = self._write((state, data, self._counts), own, poses, box, (most, most_scans))
+            update, scans = self._write((state, data, self._counts), own, poses, box, most)
             if state[FAILED]:
                 self.rollback()
                 size *= 2
@@ -110,12 +98,7 @@ class ScanStream(Stream):
             return message, self._add(update, message), scans
 
     def _write(
-        self,
-        coder: Coder,
-        own: Grid,
-        poses: Sequence[tuple[int, int]],
-        box: Box,
-        limits: tuple[float, int],
+        self, coder: Coder, own: Grid, poses: Sequence[tuple[int, int]], box: Box, most: float
     ) -> tuple[DecodedUpdate | None, int]:
         """Encode an update and apply it to the grid; return it, None if empty, and the number of covered poses."""
         motion, grid, scratch = self._motion, self.grid, self._scratch
@@ -127,10 +110,10 @@ class ScanStream(Stream):
         box = bounding_box([box, unreported])
         mixing = mixing_coder(coder[0], coder[1], self.model)
         changed = scans = done = 0
-        most, most_scans = limits
-        self.sizes = []
-        for (x, y), shows_more in zip(poses, self._show_more(own, poses), strict=True):
-            if shows_more and (scans == most_scans or (scans and coder[0][PLACE] >= most)):
+        counted = np.zeros(grid.shape, np.bool_)
+        new_cells = [count_new_cells(grid, own, counted, cells, start, x, y) for x, y in reversed(poses)]
+        for (x, y), shows_more in zip(poses, reversed(new_cells), strict=True):
+            if shows_more and (scans == MAX_SCANS or (scans and coder[0][PLACE] >= most)):
                 break
             done += 1
             if shows_more:
@@ -138,7 +121,6 @@ class ScanStream(Stream):
                 code_pose(coder, motion, x, y)
                 changed = code_scan(coder, mixing, grid, own, cells, start, x, y, scratch, changed)
                 scans += 1
-                self.sizes.append((int(coder[0][PLACE]) + 1, changed))
         if scans < MAX_SCANS:
             code_bit(coder, contexts.MORE_SCANS + min(scans, 3), 0, REST_MOST)
         self._unreported = NO_BOX if done == len(poses) else unreported
@@ -146,21 +128,6 @@ class ScanStream(Stream):
         by_scans = changed
         changed = code_corrections(coder, grid, own, places, len(places), motion, scratch, changed)
         return self._decoded(changed if changed >= 0 else -1 - changed, by_scans) if changed else None, done
-
-    def undo(self) -> None:
-        """Take back the last update: restore the state before it, and remove it from the history."""
-        self.histories[self.map_id].pop()
-        self.rollback()
-
-    def _show_more(self, own: Grid, poses: Sequence[tuple[int, int]]) -> Sequence[int]:
-        """Return for each scan whether it is needed to show what all of them show; 0: other scans show it."""
-        grid, beams = self.grid, (self._ray_table.cells, self._ray_table.start)
-        if self._is_narrow:
-            needed = needed_scans(grid, own, *beams, np.array(poses, np.int32).reshape(-1, 2))
-            return [int(each) for each in needed]
-        counted = np.zeros(grid.shape, np.bool_)
-        counts = [count_new_cells(grid, own, counted, *beams, x, y) for x, y in reversed(poses)]
-        return counts[::-1]
 
     def _read_content(self, coder: Coder) -> DecodedUpdate:
         """Decode scans and corrections."""

@@ -33,7 +33,7 @@ from agent.predictive.contexts import (
 )
 from agent.predictive.mixer import MixingCoder
 from agent.predictive.wall_model import code_wall
-from protocol.arrays import BoolRows, Bools, Cells, Int32Rows, Int32s, Int64s
+from protocol.arrays import BoolRows, Cells, Int32s, Int64s
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.kernels import kernel
 
@@ -207,75 +207,6 @@ def count_new_cells(
             if known != FREE:
                 break
     return count
-
-
-@kernel
-def _cover(
-    grid: Grid,
-    own: Grid,
-    covered: Int32Rows,
-    marks: Int32Rows,
-    mark: int,
-    cells: Cells,
-    start: Int32s,
-    x: int,
-    y: int,
-    change: int,
-) -> tuple[int, int]:
-    """Add `change` to the count of each cell that a scan from (x, y) would reveal (`count_new_cells`).
-
-    Cells with this `mark` are left out. Returns how many cells there are, and in how many the count was 1.
-    """
-    height, width = np.uint64(grid.shape[0]), np.uint64(grid.shape[1])
-    count = single = 0
-    for beam in range(-1, len(start) - 1):
-        first, last = (
-            (np.int64(start[beam]), np.int64(start[beam + 1])) if beam >= 0 else (np.int64(0), np.int64(1))
-        )
-        for at in range(first, last):
-            column, row = np.uint64(x), np.uint64(y)
-            if beam >= 0:
-                column, row = np.uint64(x + cells[at, 0]), np.uint64(y + cells[at, 1])
-            if column >= width or row >= height:
-                break
-            known = grid[row, column] & STATE
-            if known == UNKNOWN:
-                known = own[row, column]
-                if known != UNKNOWN and marks[row, column] != mark:
-                    marks[row, column] = mark
-                    count += 1
-                    single += covered[row, column] == 1
-                    covered[row, column] += change
-            if known != FREE:
-                break
-    return count, single
-
-
-@kernel
-def needed_scans(grid: Grid, own: Grid, cells: Cells, start: Int32s, poses: Cells) -> Bools:
-    """Return a mask of scans that together reveal what all scans would reveal, none of which the others replace.
-
-    `poses` are the cells (x, y) of the scans, shape (n, 2); the other parameters are those of `count_new_cells`. Scans
-    that reveal few cells are dropped first.
-    """
-    covered = np.zeros(grid.shape, np.int32)
-    marks = np.zeros(grid.shape, np.int32)
-    counts = np.zeros(len(poses), np.int64)
-    mark = 0
-    for index in range(len(poses)):
-        mark += 1
-        counts[index] = _cover(
-            grid, own, covered, marks, mark, cells, start, poses[index, 0], poses[index, 1], 1
-        )[0]
-    needed = counts > 0
-    for index in np.argsort(counts * len(poses) + np.arange(len(poses))):
-        if needed[index]:
-            x, y = poses[index, 0], poses[index, 1]
-            mark += 2
-            if not _cover(grid, own, covered, marks, mark - 1, cells, start, x, y, 0)[1]:
-                needed[index] = False
-                _cover(grid, own, covered, marks, mark, cells, start, x, y, -1)
-    return needed
 
 
 @kernel

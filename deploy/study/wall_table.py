@@ -59,7 +59,7 @@ def train_on(plan: Plan, senses: list[list[Sense]], model: Model) -> tuple[Model
     histories, size = [History() for _ in senses], 0
     scratch = np.empty((2 * shape[0] * shape[1], 2), np.int32)
     streams = [
-        ScanStream(n, np.zeros(shape, np.uint8), ray_tables[n], histories, scratch, team=True, narrow=True)
+        ScanStream(n, np.zeros(shape, np.uint8), ray_tables[n], histories, scratch, team=True, mixes=True)
         for n in range(robots)
     ]
     own = np.full((robots, *shape), UNKNOWN, np.uint8)
@@ -98,8 +98,7 @@ def train() -> Model:
         seed = FIRST_SEED + number
         settings = {
             "map": name, "map_seed": seed, "seed": seed, "robots": TURNS, "speed": 0.5, "steps": STEPS,
-            "strategy": "meier", "map_encoding": "predictive", "dissemination": "gossip", "bandwidth": 25,
-            "bus": "memory",
+            "strategy": "meier", "map_encoding": "scans", "bandwidth": "unlimited", "bus": "memory",
         }  # fmt: skip
         plan = plans.make(parse(settings))
         senses = [bus.senses for bus in record_run(plan, list(map(names.robot, range(TURNS))))[0].values()]
