@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from agent.predictive.mixer import INPUTS, MixingCoder, Model, code_mixed, new_model
+from agent.predictive.mixer import MixingCoder, Model, code_mixed, new_model
 from protocol.grid import FREE, OCCUPIED, Grid
 from protocol.kernels import kernel
 
