@@ -102,7 +102,7 @@ class PredictiveEncoding(GridEncoding):
         settings = self.settings
         stream = self._stream(settings.own_map, self._histories)
         if isinstance(stream, ScanStream):
-            return ScanAuthor(stream, self._limits.wait_steps, ranks=self._limits.is_narrow)
+            return ScanAuthor(stream, self._limits.wait_steps)
         assert isinstance(stream, TileStream)
         settled = 1 if settings.laser is None else SETTLED
         patience = self._options.patience
@@ -119,16 +119,8 @@ class PredictiveEncoding(GridEncoding):
         if settings.shares_tiles:
             return TileStream(map_id, grid, histories, self._scratch, team=team, base_maps=maps)
         beams = ray_table(settings.bodies[settings.author_of(map_id)].range_cells, settings.beams)
-        return ScanStream(
-            map_id,
-            grid,
-            beams,
-            histories,
-            self._scratch,
-            team=team,
-            base_maps=maps,
-            mixes=self._limits.is_narrow,
-        )
+        options = {"team": team, "base_maps": maps, "mixes": self._limits.is_narrow}
+        return ScanStream(map_id, grid, beams, histories, self._scratch, **options)
 
     def _decoder(self, map_id: int) -> Stream | CachedReader:
         """Return the decoder of a log; make it for the first update."""

@@ -36,8 +36,7 @@ PACKETS_A_STEP = 3
 """Packets that the budget of a step holds, unless it is very small."""
 
 NARROW = 42
-"""Bytes per step below which scans are coded by mixed predictions (`agent.predictive.wall_model`), and robots with many
-new cells send first."""
+"""Bytes per step below which walls in scans are coded by mixed predictions (`agent.predictive.wall_model`)."""
 
 LONG_FRAGMENT = 32
 """Bytes of content of a packet from which updates of tiles, most of which take several packets, are split into packets
@@ -59,7 +58,7 @@ class UpdateLimits:
     fills: int = 0
     """The budget of a step that one packet fills; 0: packets are shorter."""
     is_narrow: bool = False
-    """Whether scans are coded by mixed predictions, and robots are ranked by their new cells (`NARROW`)."""
+    """Whether the budget of a step is below `NARROW`."""
 
     @classmethod
     def of(cls, settings: Settings) -> UpdateLimits:

@@ -19,9 +19,6 @@ from protocol.scans import Change, Scan
 ENOUGH_CELLS = 14
 """New cells that are sent at once; fewer may wait."""
 
-CELLS_PER_RANK = 200
-"""New cells per unit of urgency on a narrow medium."""
-
 
 @dataclass
 class _Pending:
@@ -33,14 +30,10 @@ class _Pending:
 
 
 class ScanAuthor(Author[ScanStream]):
-    """Encodes scans; fewer than `ENOUGH_CELLS` new cells wait for `wait_steps` steps.
+    """Encodes scans; fewer than `ENOUGH_CELLS` new cells wait for `wait_steps` steps."""
 
-    `ranks`: whether updates of robots with more new cells are more urgent.
-    """
-
-    def __init__(self, stream: ScanStream, wait_steps: int, *, ranks: bool = False) -> None:
+    def __init__(self, stream: ScanStream, wait_steps: int) -> None:
         super().__init__(stream)
-        self._ranks = ranks
         self._wait_steps = wait_steps
         self._pending = _Pending()
         self._encoded = _Pending()
@@ -64,8 +57,6 @@ class ScanAuthor(Author[ScanStream]):
         del log_odds
         pending = self._pending
         new_cells = int(_unreported(received, self.stream.grid, own, *bounding_box(pending.boxes)))
-        if self._ranks:
-            self.urgency = new_cells / CELLS_PER_RANK
         if not new_cells:
             self._pending = _Pending()
         return new_cells >= ENOUGH_CELLS or (new_cells > 0 and pending.steps >= self._wait_steps)
