@@ -119,7 +119,10 @@ class PredictiveEncoding(GridEncoding):
         if settings.shares_tiles:
             return TileStream(map_id, grid, histories, self._scratch, team=team, base_maps=maps)
         beams = ray_table(settings.bodies[settings.author_of(map_id)].range_cells, settings.beams)
-        return ScanStream(map_id, grid, beams, histories, self._scratch, team=team, base_maps=maps)
+        mixes = self._limits.is_narrow
+        return ScanStream(
+            map_id, grid, beams, histories, self._scratch, team=team, base_maps=maps, mixes=mixes
+        )
 
     def _decoder(self, map_id: int) -> Stream | CachedReader:
         """Return the decoder of a log; make it for the first update."""

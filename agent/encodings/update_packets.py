@@ -35,6 +35,9 @@ FAIR_SHARE = 28
 PACKETS_A_STEP = 3
 """Packets that the budget of a step holds, unless it is very small."""
 
+NARROW = 42
+"""Bytes per step below which walls in scans are coded by mixed predictions (`agent.predictive.wall_model`)."""
+
 LONG_FRAGMENT = 32
 """Bytes of content of a packet from which updates of tiles, most of which take several packets, are split into packets
 of equal size. Below, short fragments fill the budget of a step better."""
@@ -54,26 +57,28 @@ class UpdateLimits:
     """Steps for which few new cells wait (`ENOUGH_STEPS`)."""
     fills: int = 0
     """The budget of a step that one packet fills; 0: packets are shorter."""
+    is_narrow: bool = False
+    """Whether the budget of a step is below `NARROW`."""
 
     @classmethod
     def of(cls, settings: Settings) -> UpdateLimits:
         """Derive the limits from the team's budget and the frame size."""
-        size, step_bytes, wait_steps, fills = LONG_UPDATE_DATA, math.inf, 1, 0
+        size, step_bytes, wait_steps, fills, is_narrow = LONG_UPDATE_DATA, math.inf, 1, 0, False
         medium = settings.medium
         if (bandwidth := medium.bandwidth.limit) is not None:
             size = bandwidth // PACKETS_A_STEP - SHORT_HEAD
-            step_bytes = max(bandwidth, 1)
+            step_bytes, is_narrow = max(bandwidth, 1), bandwidth < NARROW
             scarcity = FAIR_SHARE * settings.robots / max(bandwidth, 1)
             wait_steps = min(max(math.ceil(scarcity), 1), ENOUGH_STEPS)
-            is_narrow = bandwidth < Target.size + 2 * Update.size
+            is_filled = bandwidth < Target.size + 2 * Update.size
             hear_all = medium.reach_cells > math.hypot(settings.width, settings.height) - 1
-            fills = bandwidth if is_narrow and hear_all and not settings.replication.requires_acks else 0
+            fills = bandwidth if is_filled and hear_all and not settings.replication.requires_acks else 0
         if medium.frame_bytes is not None:
             size = min(size, medium.frame_bytes - SHORT_HEAD)
             fills = min(fills, medium.frame_bytes)
         size = min(max(size, UPDATE_DATA), LONG_UPDATE_DATA)
         splits_long = settings.shares_tiles and size >= LONG_FRAGMENT
-        return cls(size, size if splits_long else UPDATE_DATA, step_bytes, wait_steps, fills)
+        return cls(size, size if splits_long else UPDATE_DATA, step_bytes, wait_steps, fills, is_narrow)
 
     def packets(self, message: bytes, number: int, offset: int) -> list[bytes]:
         """Split update `number` of a log into packets, the first of which has this offset in the log."""

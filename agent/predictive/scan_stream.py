@@ -13,6 +13,7 @@ from agent.predictive import contexts
 from agent.predictive.coder import FAILED, PLACE, Coder, code_bit, writer, written
 from agent.predictive.contexts import REST_MOST
 from agent.predictive.history import DecodedUpdate
+from agent.predictive.mixer import Model, mixing_coder
 from agent.predictive.scan_updates import (
     MAX_SCANS,
     code_corrections,
@@ -22,6 +23,7 @@ from agent.predictive.scan_updates import (
     find_differences,
 )
 from agent.predictive.stream import FIRST_BUFFER, Stream
+from agent.predictive.wall_model import no_model, start_model
 from protocol.arrays import Int32s, Uint8s
 from protocol.boxes import NO_BOX, Box, bounding_box
 from protocol.errors import ProtocolError
@@ -33,15 +35,30 @@ from protocol.packets import Update
 class ScanStream(Stream):
     """Encoder and decoder of scans from whole cells, with the beams of the map's author (`ray_table`)."""
 
-    state: ClassVar[tuple[str, ...]] = (*Stream.state, "_unreported")
+    state: ClassVar[tuple[str, ...]] = (*Stream.state, "_unreported", "_chances", "_ages", "_weights")
 
-    def __init__(self, map_id: int, grid: Grid, ray_table: RayTable, *args: Any, **options: Any) -> None:
+    def __init__(
+        self, map_id: int, grid: Grid, ray_table: RayTable, *args: Any, mixes: bool = False, **options: Any
+    ) -> None:
         super().__init__(map_id, grid, *args, **options)
+        self._chances, self._ages, self._weights = start_model() if mixes else no_model()
         self._ray_table = ray_table
         self._reach = int(np.abs(ray_table.cells).max()) + 1
         """Cells around a robot, in each direction, that a scan may change."""
         self._unreported = NO_BOX
         """Box in which the author's self-explored grid may differ from the reported one, after an incomplete update."""
+
+    @property
+    def model(self) -> Model:
+        """The model of walls that codes the next update; empty if the stream does not mix predictions.
+
+        Author and receivers must hold the same one, so only training replaces it.
+        """
+        return self._chances, self._ages, self._weights
+
+    @model.setter
+    def model(self, model: Model) -> None:
+        self._chances, self._ages, self._weights = model
 
     def encode(
         self, own: Grid, poses: Sequence[tuple[int, int]], box: Box, *, most: float = math.inf
@@ -91,6 +108,7 @@ class ScanStream(Stream):
             [self._unreported, *contradicted, *((x, y, x + 1, y + 1) for x, y in poses)]
         )
         box = bounding_box([box, unreported])
+        mixing = mixing_coder(coder[0], coder[1], self.model)
         changed = scans = done = 0
         counted = np.zeros(grid.shape, np.bool_)
         new_cells = [count_new_cells(grid, own, counted, cells, start, x, y) for x, y in reversed(poses)]
@@ -101,7 +119,7 @@ class ScanStream(Stream):
             if shows_more:
                 code_bit(coder, contexts.MORE_SCANS + min(scans, 3), 1, REST_MOST)
                 code_pose(coder, motion, x, y)
-                changed = code_scan(coder, grid, own, cells, start, x, y, scratch, changed)
+                changed = code_scan(coder, mixing, grid, own, cells, start, x, y, scratch, changed)
                 scans += 1
         if scans < MAX_SCANS:
             code_bit(coder, contexts.MORE_SCANS + min(scans, 3), 0, REST_MOST)
@@ -115,6 +133,7 @@ class ScanStream(Stream):
         """Decode scans and corrections."""
         grid, scratch = self.grid, self._scratch
         cells, start = self._ray_table.cells, self._ray_table.start
+        mixing = mixing_coder(coder[0], coder[1], self.model)
         changed = scans = 0
         while scans < MAX_SCANS and not coder[0][FAILED]:
             if not code_bit(coder, contexts.MORE_SCANS + min(scans, 3), 0, REST_MOST):
@@ -124,7 +143,7 @@ class ScanStream(Stream):
             except ProtocolError:
                 self._decoded(changed, changed)
                 raise
-            changed = code_scan(coder, grid, grid, cells, start, x, y, scratch, changed)
+            changed = code_scan(coder, mixing, grid, grid, cells, start, x, y, scratch, changed)
             scans += 1
         by_scans = changed
         changed = code_corrections(

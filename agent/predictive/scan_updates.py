@@ -31,6 +31,8 @@ from agent.predictive.contexts import (
     SAME_ROW,
     neighbors,
 )
+from agent.predictive.mixer import MixingCoder
+from agent.predictive.wall_model import code_wall
 from protocol.arrays import BoolRows, Cells, Int32s, Int64s
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.kernels import kernel
@@ -99,6 +101,7 @@ def code_pose(coder: Coder, motion: Motion, x: int, y: int) -> None:
 @kernel
 def code_scan(
     coder: Coder,
+    mixing: MixingCoder,
     grid: Grid,
     own: Grid,
     cells: Cells,
@@ -112,6 +115,9 @@ def code_scan(
 
     Parameters
     ----------
+    mixing : MixingCoder
+        The same coder with a model of walls (`agent.predictive.wall_model`). If the model is empty, walls are coded by
+        their neighbors alone.
     grid : uint8 array, shape (h, w)
         The grid from which the scan is predicted; coded cells are written to it.
     own : uint8 array, shape (h, w)
@@ -129,6 +135,7 @@ def code_scan(
     height, width = np.uint64(grid.shape[0]), np.uint64(grid.shape[1])
     state = coder[0]
     reads = state[DECODES]
+    mixes = len(mixing[4]) > 0
     if grid[y, x] & STATE == UNKNOWN:
         changes[changed, 0], changes[changed, 1] = y * grid.shape[1] + x, grid[y, x]
         changed += 1
@@ -156,10 +163,11 @@ def code_scan(
             if not seen:
                 unseen = 1
                 break
-            wall = code_bit(
-                coder, CELLS + neighbors(grid, int(column), int(row)),
-                1 if truth == OCCUPIED else 0, CELLS_MOST,
-            )  # fmt: skip
+            wall = 1 if truth == OCCUPIED else 0
+            if mixes:
+                wall = code_wall(mixing, grid, int(column), int(row), wall)
+            else:
+                wall = code_bit(coder, CELLS + neighbors(grid, int(column), int(row)), wall, CELLS_MOST)
             changes[changed, 0] = np.int64(row) * grid.shape[1] + np.int64(column)
             changes[changed, 1] = grid[row, column]
             changed += 1

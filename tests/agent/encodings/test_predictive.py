@@ -163,7 +163,10 @@ def test_changes_that_wait_are_sent_in_one_update_later(seed: int) -> None:
 @given(seeds)
 def test_a_small_budget_splits_changes_into_one_update_per_step(seed: int) -> None:
     truth = world(seed)
-    author, receiver = Explorer(0, seed, bandwidth=Budget(6)), PredictiveEncoding(settings_of(1))
+    author, receiver = (
+        Explorer(0, seed, bandwidth=Budget(6)),
+        PredictiveEncoding(settings_of(1, bandwidth=Budget(6))),
+    )
     for _ in range(5):
         assert author.scan(truth, delivered=False) == []
     packets = 0

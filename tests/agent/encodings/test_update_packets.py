@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.encoding_options import PredictiveOptions
-from agent.encodings.update_packets import UpdateLimits
+from agent.encodings.update_packets import NARROW, UpdateLimits
 from agent.settings import EncodingSettings, MediumSettings, ReplicationSettings, Settings
 from protocol.body import Body
 from protocol.budget import Budget
@@ -62,3 +62,8 @@ def test_packets_on_a_lossy_or_a_wide_medium_are_short(message: bytes, offset: i
         limits(20, frame_bytes=SHORT_HEAD + UPDATE_DATA),
     ):
         assert all(len(packet) <= SHORT_HEAD + UPDATE_DATA for packet in some.packets(message, 0, offset))
+
+
+@given(st.integers(1, 200))
+def test_a_medium_is_narrow_below_its_limit(budget: int) -> None:
+    assert limits(budget).is_narrow == (budget < NARROW)

@@ -32,13 +32,26 @@ class Group:
     """All streams, as one robot holds them."""
 
     def __init__(
-        self, shape: tuple[int, int], *, team: bool = True, ranges: tuple[float, ...] = RANGES
+        self,
+        shape: tuple[int, int],
+        *,
+        team: bool = True,
+        mixes: bool = False,
+        ranges: tuple[float, ...] = RANGES,
     ) -> None:
         self.grids = np.zeros((len(ranges), *shape), np.uint8)
         self.histories = [History() for _ in ranges]
         scratch = np.empty((2 * shape[0] * shape[1], 2), np.int32)
         self.streams = [
-            ScanStream(robot, self.grids[robot], ray_table(reach, BEAMS), self.histories, scratch, team=team)
+            ScanStream(
+                robot,
+                self.grids[robot],
+                ray_table(reach, BEAMS),
+                self.histories,
+                scratch,
+                team=team,
+                mixes=mixes,
+            )
             for robot, reach in enumerate(ranges)
         ]
 
@@ -88,10 +101,10 @@ class Scene:
         return None if update is None else update[:2]
 
 
-@given(seeds, st.booleans())
-def test_any_change_of_a_grid_is_coded_without_loss(seed: int, team: bool) -> None:
+@given(seeds, st.booleans(), st.booleans())
+def test_any_change_of_a_grid_is_coded_without_loss(seed: int, team: bool, mixes: bool) -> None:
     scene = Scene.drawn(seed)
-    author, receiver = Group(scene.shape, team=team), Group(scene.shape, team=team)
+    author, receiver = (Group(scene.shape, team=team, mixes=mixes) for _ in range(2))
     for _ in range(12):
         robot = int(scene.rng.integers(len(RANGES)))
         update = scene.encode(author, robot)
@@ -139,10 +152,10 @@ def test_an_update_waits_for_its_dependencies_and_changes_nothing_until_then(see
     assert (receiver.grids == author.grids).all()
 
 
-@given(seeds)
-def test_a_rolled_back_update_leaves_no_trace(seed: int) -> None:
+@given(seeds, st.booleans())
+def test_a_rolled_back_update_leaves_no_trace(seed: int, mixes: bool) -> None:
     scene = Scene.drawn(seed)
-    author, other = Group(scene.shape), Group(scene.shape)
+    author, other = Group(scene.shape, mixes=mixes), Group(scene.shape, mixes=mixes)
     for _ in range(8):
         robot = int(scene.rng.integers(len(RANGES)))
         height, width = scene.shape
@@ -261,13 +274,14 @@ def test_noise_and_damaged_updates_change_nothing_or_decode_fully(
         assert (receiver.grids == author.grids).all()
 
 
+@pytest.mark.parametrize("mixes", [False, True])
 @pytest.mark.parametrize("size", [0, 1, 4, 16, 64, 1000])
-def test_hostile_bytes_cost_bounded_time(size: int) -> None:
+def test_hostile_bytes_cost_bounded_time(size: int, mixes: bool) -> None:
     grid = np.zeros((400, 400), np.uint8)
     scratch = np.empty((2 * grid.size, 2), np.int32)
     worst = 0.0
     for seed in range(6):
-        stream = ScanStream(0, grid, ray_table(50.0, 360), [History()], scratch, team=False)
+        stream = ScanStream(0, grid, ray_table(50.0, 360), [History()], scratch, team=False, mixes=mixes)
         message = bytes(size) if seed == 0 else np.random.default_rng(seed).bytes(size)
         began = time.process_time()
         try:

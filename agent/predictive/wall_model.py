@@ -1,0 +1,127 @@
+"""Predict whether a cell that a beam enters is free or a wall, from several contexts at once, for narrow media.
+
+The plain code of scans has one context for this, the eight neighbors (`agent.predictive.contexts`). Buildings have
+long straight walls, so walls in the same row or column help, too. The predictions are mixed (`agent.predictive.mixer`).
+Every log begins with the same trained model.
+
+A cell of the grid is a byte: its state in the low two bits, and flags of the caller, which the code does not read.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from agent.predictive.mixer import MixingCoder, Model, code_mixed, new_model
+from protocol.grid import FREE, OCCUPIED, Grid
+from protocol.kernels import kernel
+
+CONTEXTS = 1 << 14
+"""Contexts of each input."""
+
+FAR = 24
+"""Cells up to which walls in the same row and column count."""
+
+NEAR = 3
+"""Cells up to which free cells and walls around a cell count, in rows and columns."""
+
+_HASH = 40503
+"""Odd multiplier that spreads the twelve cells around a cell over `CONTEXTS` contexts."""
+
+TABLE = Path(__file__).with_name("wall_start.npz")
+"""The shipped table: the initial model of every log, trained on generated maps (`deploy.study.wall_table`)."""
+
+
+def no_model() -> Model:
+    """Return an empty model, of streams that do not mix predictions."""
+    return new_model(0, 0)
+
+
+def start_model() -> Model:
+    """Return a copy of the initial model of every log."""
+    chances, ages, weights = _table()
+    return chances.copy(), ages.copy(), weights.copy()
+
+
+@cache
+def _table() -> Model:
+    with np.load(TABLE) as file:
+        chances, ages, weights = new_model(CONTEXTS, 1)
+        chances.reshape(-1)[file["places"]] = file["chances"]
+        ages.reshape(-1)[file["places"]] = file["ages"]
+        weights[:] = file["weights"]
+    return chances, ages, weights
+
+
+@kernel
+def _state(grid: Grid, x: int, y: int) -> int:
+    """Return the state of a cell, unknown outside the grid."""
+    if 0 <= y < grid.shape[0] and 0 <= x < grid.shape[1]:
+        return int(np.int64(grid[y, x]) & 3)
+    return 0
+
+
+@kernel
+def _nearest_wall(grid: Grid, x: int, y: int, dx: int, dy: int) -> tuple[int, int]:
+    """Return the distance of the nearest wall in a direction, 0 if none is within `FAR`, and the walls within it."""
+    nearest = walls = 0
+    for distance in range(1, FAR + 1):
+        if _state(grid, x + dx * distance, y + dy * distance) == OCCUPIED:
+            walls += 1
+            if nearest == 0:
+                nearest = distance
+    return nearest, walls
+
+
+@kernel
+def _magnitude(number: int) -> int:
+    """Return the number of bits of a number, at most 4: 0, 1, 2 to 3, 4 to 7, 8 and above."""
+    return int(number > 0) + int(number > 1) + int(number > 3) + int(number > 7)
+
+
+@kernel
+def _rank(number: int) -> int:
+    """Return a number of walls on a scale from 0 to 6, which is finer at its beginning."""
+    return (
+        int(number > 0)
+        + int(number > 1)
+        + int(number > 2)
+        + int(number > 4)
+        + int(number > 8)
+        + int(number > 13)
+    )
+
+
+@kernel
+def code_wall(coder: MixingCoder, grid: Grid, x: int, y: int, wall: int) -> int:
+    """Encode or decode whether cell (x, y) is a wall; return it."""
+    west, north = _state(grid, x - 1, y), _state(grid, x, y - 1)
+    east, south = _state(grid, x + 1, y), _state(grid, x, y + 1)
+    north_west, north_east = _state(grid, x - 1, y - 1), _state(grid, x + 1, y - 1)
+    south_west, south_east = _state(grid, x - 1, y + 1), _state(grid, x + 1, y + 1)
+    behind = ((_state(grid, x + 2, y) * 3 + _state(grid, x, y + 2)) * 3 + _state(grid, x, y - 2)) * 3
+    behind += _state(grid, x - 2, y)
+    around = (((north_west * 3 + north) * 3 + north_east) * 3 + west) * 3 + east
+    around = ((around * 3 + south_west) * 3 + south) * 3 + south_east
+    cross = ((south * 3 + north) * 3 + east) * 3 + west
+    to_east, in_east = _nearest_wall(grid, x, y, 1, 0)
+    to_west, in_west = _nearest_wall(grid, x, y, -1, 0)
+    to_south, in_south = _nearest_wall(grid, x, y, 0, 1)
+    to_north, in_north = _nearest_wall(grid, x, y, 0, -1)
+    distances = (_magnitude(to_east) * 5 + _magnitude(to_west)) * 5 + _magnitude(to_south)
+    free = walls = 0
+    for row in range(y - NEAR, y + NEAR + 1):
+        for column in range(x - NEAR, x + NEAR + 1):
+            state = _state(grid, column, row)
+            free += state == FREE
+            walls += state == OCCUPIED
+    contexts = coder[5]
+    contexts[0, 0] = around
+    contexts[0, 1] = (_rank(in_east + in_west) * 7 + _rank(in_south + in_north)) * 81 + cross
+    contexts[0, 2] = (distances * 5 + _magnitude(to_north)) * 9 + east * 3 + west
+    contexts[0, 3] = free // 3 * 18 + min(walls, 17)
+    contexts[0, 4] = (around * 81 + behind) * _HASH >> 3 & CONTEXTS - 1
+    contexts[0, 5] = behind * 81 + cross
+    return int(code_mixed(coder, 0, wall))

@@ -1,0 +1,19 @@
+"""The initial model of walls is trained on the scans of an exploration."""
+
+from __future__ import annotations
+
+from agent.predictive.mixer import new_model
+from agent.predictive.wall_model import CONTEXTS
+from deploy.run.recording_bus import record_run
+from deploy.study.tile_table import shortened
+from deploy.study.wall_table import train_on
+from tests.system.team import small_plan
+
+
+def test_a_model_learns_from_an_exploration() -> None:
+    plan = small_plan("office", robots=2, map_encoding="scans", bandwidth="unlimited", steps=40)
+    senses = [bus.senses for bus in record_run(plan, ["r0", "r1"])[0].values()]
+    model, first = train_on(plan, senses, new_model(CONTEXTS, 1))
+    assert first > 50
+    _, again = train_on(plan, senses, shortened(model))
+    assert again < first
