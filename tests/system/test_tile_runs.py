@@ -29,13 +29,17 @@ def tile_team(**settings: Any) -> Team:
     return Team(small_plan("office", **(common | NOISY | settings)))
 
 
-def decoded(robot: Robot, step: int) -> Grid:
-    """Decode all logs that a robot holds, its own included, as a robot does that joins the team now."""
+def decoded(robot: Robot, step: int) -> tuple[Grid, Grid]:
+    """Decode all logs that a robot holds, its own included, as a robot does that joins the team now.
+
+    Return that robot's planning grid, and its shared map if it had the same own grid.
+    """
     listener = make_encoding(replace(robot.settings, incarnations=2, incarnation=1))
     for map_id, log in enumerate(robot.replication.replica.logs):
         if len(log):
             listener.apply(map_id, log.read(0), step=step, sender=NO_SENDER)
-    return listener.merge(np.zeros_like(robot.own))
+    planning = listener.merge(np.zeros_like(robot.own))
+    return planning, listener.shared_map(robot.own, planning)
 
 
 @pytest.mark.parametrize(
@@ -62,9 +66,11 @@ def test_whoever_holds_the_logs_of_a_robot_decodes_its_map(settings: dict[str, A
     for _ in range(3):
         team.explore(team.step + 20)
         for robot in team.robots:
-            grid = decoded(robot, team.step)
-            received += int(((robot.own == UNKNOWN) & (grid != UNKNOWN)).sum())
-            assert np.array_equal(robot.planning, np.where(robot.own == UNKNOWN, grid, robot.own))
+            planning, shared = decoded(robot, team.step)
+            unseen = robot.own == UNKNOWN
+            received += int((planning[unseen] != UNKNOWN).sum())
+            assert np.array_equal(robot.planning[unseen], planning[unseen])
+            assert np.array_equal(robot.shared, shared)
     assert not [fault for robot in team.robots for fault in robot.faults]
     assert received or settings["bandwidth"] == 5
 
