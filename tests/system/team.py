@@ -11,8 +11,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
+from agent.encodings.base import NO_SENDER
+from agent.encodings.catalog import make_encoding
 from agent.radio_events import respond
 from agent.robot import Robot
 from agent.settings import Settings
@@ -50,6 +53,19 @@ def corridor(length: int, height: int = 5) -> Map:
     cells[1, 3:-1:4] = FREE
     cells[-2, 5:-1:6] = FREE
     return Map("corridor", cells, 0.1)
+
+
+def decoded(robot: Robot, step: int) -> tuple[Grid, Grid]:
+    """Decode all logs that a robot holds, its own included, as a robot does that joins the team now.
+
+    Return that robot's planning grid, and its shared map if it has the same own grid.
+    """
+    listener = make_encoding(replace(robot.settings, incarnations=2, incarnation=1))
+    for map_id, log in enumerate(robot.replication.replica.logs):
+        if len(log):
+            listener.apply(map_id, log.read(0), step=step, sender=NO_SENDER)
+    planning = listener.merge(np.zeros_like(robot.own))
+    return planning, listener.shared_map(robot.own, planning)
 
 
 class Member:

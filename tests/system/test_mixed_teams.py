@@ -6,15 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from msgspec.structs import replace
 
-from agent.encodings.base import NO_SENDER
-from agent.encodings.catalog import make_encoding
-from agent.robot import Robot
 from deploy.run.exploration import explore
 from deploy.run.result import Result
-from protocol.grid import UNKNOWN, Grid
-from tests.system.team import Team, small_plan
+from protocol.grid import UNKNOWN
+from tests.system.team import Team, decoded, small_plan
 
 SMALL: dict[str, Any] = {
     "map": "office", "map_options": {"width_m": 12.0, "height_m": 10.0}, "robots": 3, "seed": 5, "steps": 600,
@@ -81,20 +77,12 @@ def test_whoever_holds_the_logs_decodes_the_maps_of_all_sensors(kind: str, map_e
     for _ in range(2):
         team.explore(team.step + 20)
         for robot in team.robots:
-            grid = decoded(robot, team.step)
-            received += int(((robot.own == UNKNOWN) & (grid != UNKNOWN)).sum())
-            assert np.array_equal(robot.planning, np.where(robot.own == UNKNOWN, grid, robot.own))
+            planning, _ = decoded(robot, team.step)
+            unseen = robot.own == UNKNOWN
+            received += int((planning[unseen] != UNKNOWN).sum())
+            assert np.array_equal(robot.planning[unseen], planning[unseen])
     assert not [fault for robot in team.robots for fault in robot.faults]
     assert received
-
-
-def decoded(robot: Robot, step: int) -> Grid:
-    """Decode all logs that a robot holds, its own included, as a robot does that joins the team now."""
-    listener = make_encoding(replace(robot.settings, incarnations=2, incarnation=1))
-    for map_id, log in enumerate(robot.replication.replica.logs):
-        if len(log):
-            listener.apply(map_id, log.read(0), step=step, sender=NO_SENDER)
-    return listener.merge(np.zeros_like(robot.own))
 
 
 def test_each_robot_maps_and_scans_as_its_own_laser_can() -> None:

@@ -6,14 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from msgspec.structs import replace
 
-from agent.encodings.base import NO_SENDER
-from agent.encodings.catalog import make_encoding
-from agent.robot import Robot
 from deploy.run.exploration import explore
-from protocol.grid import UNKNOWN, Grid
-from tests.system.team import Team, small_plan
+from protocol.grid import UNKNOWN
+from tests.system.team import Team, decoded, small_plan
 
 NOISY: dict[str, Any] = {"laser": {"preset": "rplidar-a1"}, "pose": {"preset": "graph-slam"}}
 
@@ -27,19 +23,6 @@ def tile_team(**settings: Any) -> Team:
         "seed": 3,
     }
     return Team(small_plan("office", **(common | NOISY | settings)))
-
-
-def decoded(robot: Robot, step: int) -> tuple[Grid, Grid]:
-    """Decode all logs that a robot holds, its own included, as a robot does that joins the team now.
-
-    Return that robot's planning grid, and its shared map if it had the same own grid.
-    """
-    listener = make_encoding(replace(robot.settings, incarnations=2, incarnation=1))
-    for map_id, log in enumerate(robot.replication.replica.logs):
-        if len(log):
-            listener.apply(map_id, log.read(0), step=step, sender=NO_SENDER)
-    planning = listener.merge(np.zeros_like(robot.own))
-    return planning, listener.shared_map(robot.own, planning)
 
 
 @pytest.mark.parametrize(
