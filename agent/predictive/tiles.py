@@ -10,17 +10,15 @@ A cell of the grid is a byte: its state in the low two bits, and flags of the ca
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.mapping.bound import TILE
 from agent.predictive.coder import DECODES, FAILED
-from agent.predictive.mixer import INPUTS, MixingCoder, Model, code_mixed, new_model
+from agent.predictive.mixer import INPUTS, MixingCoder, Model, code_mixed
+from agent.predictive.model_table import unpacked
 from agent.predictive.scan_updates import STATE
 from protocol.arrays import Cells, Int64s
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
@@ -61,32 +59,7 @@ def start_model() -> Model:
 @cache
 def _table() -> Model:
     with np.load(TABLE) as file:
-        return unpacked(file)
-
-
-def packed(model: Model) -> dict[str, NDArray[Any]]:
-    """Return the arrays of a table, by name, that holds a model.
-
-    `places`, int32 of shape (n,), are the flat indices of the contexts that have seen bits. `chances` and `ages` have
-    the values at these places, `weights` all weights (`agent.predictive.mixer.Model`).
-    """
-    chances, ages, weights = model
-    places = np.flatnonzero(ages).astype(np.int32)
-    return {
-        "places": places,
-        "chances": chances.reshape(-1)[places],
-        "ages": ages.reshape(-1)[places],
-        "weights": weights,
-    }
-
-
-def unpacked(table: Mapping[str, NDArray[Any]]) -> Model:
-    """Return the model of a table that `packed` made."""
-    chances, ages, weights = new_model(CONTEXTS, SETS)
-    chances.reshape(-1)[table["places"]] = table["chances"]
-    ages.reshape(-1)[table["places"]] = table["ages"]
-    weights[:] = table["weights"]
-    return chances, ages, weights
+        return unpacked(file, CONTEXTS, SETS)
 
 
 @kernel

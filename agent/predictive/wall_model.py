@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from agent.predictive.mixer import MixingCoder, Model, code_mixed, new_model
+from agent.predictive.model_table import unpacked
 from protocol.grid import FREE, OCCUPIED, Grid
 from protocol.kernels import kernel
 
@@ -48,11 +49,7 @@ def start_model() -> Model:
 @cache
 def _table() -> Model:
     with np.load(TABLE) as file:
-        chances, ages, weights = new_model(CONTEXTS, 1)
-        chances.reshape(-1)[file["places"]] = file["chances"]
-        ages.reshape(-1)[file["places"]] = file["ages"]
-        weights[:] = file["weights"]
-    return chances, ages, weights
+        return unpacked(file, CONTEXTS, 1)
 
 
 @kernel

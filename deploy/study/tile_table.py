@@ -22,9 +22,10 @@ from agent.mapping.estimator import SETTLED
 from agent.mapping.mapper import make_mapper
 from agent.predictive.history import History
 from agent.predictive.mixer import Model, new_model
+from agent.predictive.model_table import packed
 from agent.predictive.tile_author import TileAuthor
 from agent.predictive.tile_stream import TileStream
-from agent.predictive.tiles import CONTEXTS, SETS, packed
+from agent.predictive.tiles import CONTEXTS, SETS
 from agent.predictive.urgent_tile_author import UrgentTileAuthor
 from deploy.run.recording_bus import record_run
 from deploy.scenario import plan as plans

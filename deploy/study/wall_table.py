@@ -17,8 +17,8 @@ import numpy as np
 
 from agent.predictive.history import History
 from agent.predictive.mixer import Model, new_model
+from agent.predictive.model_table import packed
 from agent.predictive.scan_stream import ScanStream
-from agent.predictive.tiles import packed
 from agent.predictive.wall_model import CONTEXTS
 from deploy.run.recording_bus import record_run
 from deploy.scenario import plan as plans

@@ -20,7 +20,8 @@ from agent.predictive.mixer import (
     mixing_coder,
     new_model,
 )
-from agent.predictive.tiles import BOX_BITS, CONTEXTS, SETS, code_tiles, packed, start_model, unpacked
+from agent.predictive.model_table import packed, unpacked
+from agent.predictive.tiles import BOX_BITS, CONTEXTS, SETS, code_tiles, start_model
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, MAX_SIDE, OCCUPIED, UNKNOWN, Grid
 
@@ -228,7 +229,7 @@ def test_a_table_holds_all_of_a_model_that_has_been_trained() -> None:
     log = Log()
     for target in targets(5):
         log.encode(target)
-    for before, after in zip(log.model, unpacked(packed(log.model)), strict=True):
+    for before, after in zip(log.model, unpacked(packed(log.model), CONTEXTS, SETS), strict=True):
         assert np.array_equal(before, after)
     assert not np.shares_memory(start_model()[0], start_model()[0])
 
