@@ -7,6 +7,7 @@ import inspect
 import json
 import re
 import sys
+import tomllib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -222,7 +223,10 @@ def duration_s(text: str) -> float:
 
 
 def named_values(texts: list[str], flag: str, example: str) -> dict[str, Any]:
-    """Parse NAME=VALUE texts of a flag, values as JSON where possible; ValueError if a text is malformed."""
+    """Parse NAME=VALUE texts of a flag; ValueError if a text is malformed.
+
+    Values are read as JSON, lists and tables also as TOML, and all others as text.
+    """
     values: dict[str, Any] = {}
     for text in texts:
         name, sign, value = text.partition("=")
@@ -235,5 +239,18 @@ def named_values(texts: list[str], flag: str, example: str) -> dict[str, Any]:
         except RecursionError:
             raise ValueError(f"{flag} = '{name}=...': nested too deeply") from None
         except ValueError:
-            values[name] = value
+            values[name] = _toml_value(value, f"{flag} = '{name}=...'") if value[:1] in {"[", "{"} else value
     return values
+
+
+def _toml_value(text: str, where: str) -> Any:
+    """Read a list or table in TOML; ValueError if it is malformed, with `where` it stands."""
+    try:
+        read = tomllib.loads(f"value = {text}")
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise ValueError(
+            f"{where}: {text!r} is no list or table, neither in TOML nor in JSON: {error}"
+        ) from None
+    if len(read) > 1:
+        raise ValueError(f"{where}: {text!r} has more than one value")
+    return read["value"]

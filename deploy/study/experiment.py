@@ -247,9 +247,10 @@ def override(experiment: Experiment, settings: dict[str, Any]) -> Experiment:
 
 
 def _is_axis(key: str, value: Any) -> bool:
-    """Whether a value is a list of settings, not a setting that is a list: of tables, or of coordinates."""
-    is_list = isinstance(value, list) and not any(isinstance(each, dict) for each in value)
-    return is_list and key not in ("start", "starts")
+    """Whether a value is a list of values of the grid, not a setting that is a list itself."""
+    if key in ("start", "starts", "robot") or not isinstance(value, list):
+        return False
+    return all(key in each for each in value if isinstance(each, dict))
 
 
 def listed(key: str, values: Sequence[Any]) -> list[Any]:

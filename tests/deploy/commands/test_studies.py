@@ -80,6 +80,11 @@ def test_the_command_prints_the_table_and_writes_runs_means_and_pictures(tmp_pat
             "set = 'seed=1': seed is given twice",
         ),
         (["--set", "seed"], "set = 'seed': must be NAME=VALUE, as seed=[0,1]"),
+        (
+            ["--set", "map=[{ map = 'office' ]"],
+            "set = 'map=...': \"[{ map = 'office' ]\" is no list or table",
+        ),
+        (["--set", "robots=[2]\nspeed=3"], "has more than one value"),
         (["--formats", "pdf"], "formats: needs --plot FILE or --table FILE"),
         (["--formats", "jpg"], "formats = 'jpg': must be some of pdf, svg, csv, tex"),
         (["--font", "Nope"], "font = 'Nope': is not installed; use serif, sans-serif, monospace"),
@@ -101,6 +106,16 @@ def test_test_seeds_replace_the_seeds_of_a_sweep(tmp_path: Path) -> None:
     path = write(tmp_path, EXPERIMENT)
     assert command(path, "--jobs", 1, "--set", "robots=1", "--test-seeds", 2, "--out", out)[0] == 0
     assert sorted(pl.read_parquet(out)["seed"]) == [1000, 1000, 1001, 1001]
+
+
+def test_values_of_settings_may_be_tables_in_toml(tmp_path: Path) -> None:
+    out, path = tmp_path / "all.parquet", write(tmp_path, EXPERIMENT)
+    maps = "map=[{ map = 'em', map_options = { resolution = 0.4 } }]"
+    code, _, errors = command(
+        path, "--jobs", 1, "--set", "robots=1", "--set", "seed=0", "--set", maps, "--out", out
+    )
+    assert code == 0, errors
+    assert set(pl.read_parquet(out)["map"]) == {"em"}
 
 
 def test_the_command_tune_writes_trials_and_weights_and_continues(tmp_path: Path) -> None:
