@@ -223,8 +223,9 @@ class Robot:
             self.faults.append(Fault(peer, str(error)))
             return
         about_logs = [each for each in received if isinstance(each, ABOUT_LOGS)]
-        about_team = received[: len(received) - len(about_logs)]
-        self.faults += [Fault(peer, reason) for reason in team.receive_broadcast(peer, about_team)]
+        errors = team.receive_broadcast(peer, received[: len(received) - len(about_logs)])
+        if errors:
+            self.faults += [Fault(peer, reason) for reason in errors]
         for each in about_logs:
             self._report(self.replication.receive_announcement(peer, each))
         pose = team.broadcast_pose(peer)

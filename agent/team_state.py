@@ -22,6 +22,9 @@ from protocol.messages import Sense
 
 _Value = TypeVar("_Value")
 
+PLACED = packets.Pose, packets.Target, packets.Passed
+"""Packets that name a cell."""
+
 
 class TeamState:
     """What one robot believes of itself and its teammates, by robot number."""
@@ -64,22 +67,22 @@ class TeamState:
         subject: int | None = peer
         """The robot that the next target belongs to; None: it is not needed."""
         for packet in received:
-            if isinstance(packet, packets.Target) and self._on_grid(packet):
+            if not isinstance(packet, PLACED) or packet.x >= self._width or packet.y >= self._height:
+                errors.append(f"{packet} is no target or pose on a {self._width} x {self._height} grid")
+            elif isinstance(packet, packets.Pose):
+                self._pose_steps[peer] = self.step
+                self._note_pose(peer, Pose(packet.x, packet.y, bool(packet.leads)))
+            elif isinstance(packet, packets.Target):
                 target = packet.x, packet.y
                 if subject == peer or (subject is not None and target != self.targets.get(subject)):
                     self._new_targets[subject] = target
-            elif isinstance(packet, packets.Passed) and self._on_grid(packet):
+            else:
                 subject = None
                 if packet.robot >= self._robots:
                     errors.append(f"{packet} is no robot of {self._robots}")
                 elif packet.robot not in self.in_range and self.relayed.take(packet, self.step):
                     subject = packet.robot
                     self._note_pose(subject, Pose(packet.x, packet.y, leads=False))
-            elif isinstance(packet, packets.Pose) and self._on_grid(packet):
-                self._pose_steps[peer] = self.step
-                self._note_pose(peer, Pose(packet.x, packet.y, bool(packet.leads)))
-            else:
-                errors.append(f"{packet} is no target or pose on a {self._width} x {self._height} grid")
         return errors
 
     def broadcast_pose(self, peer: int) -> Pose | None:
@@ -121,21 +124,20 @@ class TeamState:
             backlog=backlog,
         )
 
-    def _on_grid(self, packet: packets.Target | packets.Passed | packets.Pose) -> bool:
-        return packet.x < self._width and packet.y < self._height
-
     def _note_pose(self, peer: int, pose: Pose) -> None:
-        self._homes.setdefault(peer, pose[:2])
         before = self.poses.get(peer)
-        if before is not None:
-            self._travel(peer, before[:2], pose[:2])
-        if before is None or before[:2] != pose[:2]:
-            self._moved[peer] = self.step
         self.poses[peer] = pose
+        if before is None:
+            self._homes.setdefault(peer, pose[:2])
+            self._moved[peer] = self.step
+        elif self._travel(peer, before[:2], pose[:2]):
+            self._moved[peer] = self.step
 
-    def _travel(self, robot: int, start: Cell, end: Cell) -> None:
+    def _travel(self, robot: int, start: Cell, end: Cell) -> float:
+        """Add the way between two cells to the distance that a robot has traveled; return its length."""
         length = math.hypot(end[0] - start[0], end[1] - start[1])
         self._traveled[robot] = self._traveled.get(robot, 0.0) + length
+        return length
 
 
 class RelayedState:
