@@ -10,6 +10,12 @@ MAX_USE = 100
 """Largest `medium_use`."""
 MAX_PATIENCE = 100
 """Largest `patience`."""
+ValueFunction = Literal["segment-distance", "height", "width", "area"]
+"""Value of an edge that stands for some contour points (`agent.outline.edge_value`).
+
+``segment-distance``: the largest distance of a point to the edge (Algorithm 6). ``height``: that to the line through
+the edge. ``width``: the width of the narrowest strip around these points and both vertices. ``area``: the square root
+of the area between the edge and the contour, where parts on its two sides cancel out."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +37,9 @@ class PolygonOptions:
     range, the logged approximation, and with it Eq. 6.1, does not change."""
     mixed_first: bool = True
     """Refine edges of mixed occupancy before all others: such edges draw teammates to walls that are known."""
+    value_function: ValueFunction = "segment-distance"
+    """Value of the edge that is refined first. The thesis names ``height`` and ``width`` besides the segment distance
+    (4.3.1). ``area`` approximates what its Eq. 6.1 counts."""
     free_inside_edges: bool = False
     """Draw inside edges that are labeled free. They mark cells free that no robot has seen."""
     unknown_pairs: bool = False

@@ -30,6 +30,8 @@ OPTIONS = {
         "splits_per_step": "splits per step, s, also for one robot and without a budget; 0: by Eq. 5.5",
         "lazy": "log an edit script only once teammates in range hold the previous one; thesis: false",
         "mixed_first": "refine edges of mixed occupancy first; thesis: false",
+        "value_function": "value of the edge refined first: `segment-distance` (Algorithm 6), `height`, `width`, "
+        "or `area`",
         "free_inside_edges": "draw inside edges labeled free; thesis: true",
         "unknown_pairs": "send outside objects of two vertices without a wall; thesis: true",
         "wide_walls": "treat unknown cells beside the wall of a teammate in range as wall; thesis: false",

@@ -119,7 +119,13 @@ class PolygonEncoding(MapEncoding):
             exact = extracted(exact)
         held = self._held.held
         repaired = repair(held.polygons, exact)
-        refined = refine(exact, repaired, splits, mixed_first=self._options.mixed_first)
+        refined = refine(
+            exact,
+            repaired,
+            splits,
+            mixed_first=self._options.mixed_first,
+            value_function=self._options.value_function,
+        )
         packets = self._edits(held, exact, refined)
         script = b"".join(packets)
         if splits and len(refined) > len(repaired):

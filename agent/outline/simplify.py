@@ -1,9 +1,9 @@
 """Refinement of an approximation by line simplification (thesis, section 4.3, Algorithm 6).
 
 This is the Douglas-Peucker algorithm over all polygons at once. A priority queue holds all edges: the most valuable
-edge is split at the contour point farthest from it, and its two halves are queued. An object has at least two vertices,
-which divide it into two open lines to start with. Distances are to the segment, in exact integers: coordinates count
-quarters of a cell.
+edge (`agent.outline.edge_value`) is split at the contour point farthest from it, and its two halves are queued. An
+object has at least two vertices, which divide it into two open lines to start with. Distances are to the segment, in
+exact integers: coordinates count quarters of a cell.
 """
 
 from __future__ import annotations
@@ -12,7 +12,9 @@ from heapq import heappop, heappush
 
 import numpy as np
 
+from agent.encoding_options import ValueFunction
 from agent.outline.approximation import Marks
+from agent.outline.edge_value import VALUE_FUNCTIONS, edge_value
 from agent.outline.polygons import SIDE_X, SIDE_Y, Polygons
 from protocol.arrays import Int16s, Int32s, Uint8s
 from protocol.kernels import kernel
@@ -23,7 +25,12 @@ _WORTH_OF_MIXED = 1e6
 
 
 def refine(
-    contours: Polygons, marks: Marks, splits: int | None = None, *, mixed_first: bool = False
+    contours: Polygons,
+    marks: Marks,
+    splits: int | None = None,
+    *,
+    mixed_first: bool = False,
+    value_function: ValueFunction = "segment-distance",
 ) -> Marks:
     """Split the most valuable edges of an approximation, whose `marks` are vertices, at least two per object.
 
@@ -40,7 +47,8 @@ def refine(
         return marks
     columns = contours.x, contours.y, contours.side, contours.occupied, contours.start
     worth_of_mixed = _WORTH_OF_MIXED if mixed_first else 0.0
-    refined: Marks = _refine(*columns, marks, -1 if splits is None else splits, worth_of_mixed)
+    function = VALUE_FUNCTIONS.index(value_function)
+    refined: Marks = _refine(*columns, marks, -1 if splits is None else splits, worth_of_mixed, function)
     return refined
 
 
@@ -94,8 +102,12 @@ def _refine(
     marks: Int32s,
     splits: int,
     worth_of_mixed: float,
+    function: int,
 ) -> Int32s:
-    """Split `splits` edges; if it is negative, split until the approximation is exact."""
+    """Split `splits` edges; if it is negative, split until the approximation is exact.
+
+    `function` is the index of the value function.
+    """
     x, y = np.empty(len(cell_x), np.int32), np.empty(len(cell_x), np.int32)
     for i in range(len(cell_x)):
         x[i] = 4 * cell_x[i] + SIDE_X[side[i]]
@@ -118,9 +130,11 @@ def _refine(
             continue
         for e in range(begin, m):
             a, b = marks[e], marks[e + 1 if e + 1 < m else begin]
-            distance, split, mixed = _split_of(x, y, occupied, start[k], start[k + 1], a, b)
+            value, split, mixed = _split_of(x, y, occupied, start[k], start[k + 1], a, b)
             if split >= 0:
-                worth[count] = distance + worth_of_mixed if mixed else distance
+                if function > 0:
+                    value = edge_value(function, x, y, start[k], start[k + 1], a, b)
+                worth[count] = value + worth_of_mixed if mixed else value
                 edges[count, 0], edges[count, 1], edges[count, 2], edges[count, 3] = a, b, split, k
                 count += 1
 
@@ -143,8 +157,10 @@ def _refine(
         vertices[k] += 1
         splits -= 1
         for one, other in ((a, split), (split, b)):
-            distance, next_split, mixed = _split_of(x, y, occupied, start[k], start[k + 1], one, other)
+            value, next_split, mixed = _split_of(x, y, occupied, start[k], start[k + 1], one, other)
             if next_split >= 0:
-                value = distance + worth_of_mixed if mixed else distance
+                if function > 0:
+                    value = edge_value(function, x, y, start[k], start[k + 1], one, other)
+                value = value + worth_of_mixed if mixed else value
                 heappush(queue, (-value, one, other, next_split, k))
     return np.flatnonzero(marked).astype(np.int32)

@@ -23,7 +23,7 @@ from agent.planning.utility import utilities
 from agent.settings import Settings
 from agent.strategies.base import Cell, Situation
 from agent.strategies.options import option
-from agent.strategies.targets import Parts, TargetStrategy
+from agent.strategies.targets import BarringParts, TargetStrategy
 from agent.strategies.team import Table, TeamStrategy
 from protocol.arrays import Cells, Floats
 
@@ -33,7 +33,7 @@ robots connected through others, which forward their states; each hop delays a s
 
 
 @dataclass(frozen=True)
-class Coordinated(Parts):
+class Coordinated(BarringParts):
     """Options of the coordinated strategies."""
 
     beta: float = option(1.0, "weight of cost against utility", least=0)
@@ -43,9 +43,6 @@ class Coordinated(Parts):
         0.0, "replan when a member has driven this far since the last assignment; 0: never", least=0
     )
     sub_team: str = option("in-range", "the robots that decide together", SUB_TEAMS)
-    occ_max: float = option(
-        1.0, "cells with more occupancy on the smoothed map are obstacles; no cell from 0.9 on", least=0
-    )
 
 
 class Nearest(TargetStrategy):
@@ -84,16 +81,6 @@ class Burgard(TeamStrategy):
             or bool(every and situation.step % every == 0)
             or bool(after and situation.step - self._assigned >= after)
             or self._has_driven(situation)
-        )
-
-    def planner(self, situation: Situation) -> PathPlanner:
-        """Return a planner that also treats cells of high occupancy as obstacles."""
-        return PathPlanner(
-            situation.grid,
-            self.options.costs,
-            self.settings.body.radius_cells,
-            occ_max=self.options.occ_max,
-            cache=self._cache,
         )
 
     def select(self, situation: Situation, planner: PathPlanner) -> tuple[Cell | None, bool]:

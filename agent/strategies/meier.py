@@ -1,7 +1,8 @@
 """Decentralized coordination of the thesis (sections 4.4 and 4.5): the best trade-off of utility and cost.
 
 Every robot chooses for itself the frontier cell t with the largest U(t) - beta V(t), where utilities are
-lowered around the received targets of teammates, and V is the length of the way in sensor ranges.
+lowered around the received targets of teammates, and V is the length of the way in sensor ranges. With ``costs =
+"weighted"`` and `occ_max`, V follows Eq. 4.3: the way avoids cells of high occupancy on a smoothed map.
 """
 
 from __future__ import annotations
@@ -15,12 +16,12 @@ from agent.planning.path_planner import PathPlanner
 from agent.planning.utility import utilities
 from agent.strategies.base import Cell, Situation
 from agent.strategies.options import option
-from agent.strategies.targets import SINGLE_CANDIDATE, Parts, TargetStrategy
+from agent.strategies.targets import SINGLE_CANDIDATE, BarringParts, TargetStrategy
 from protocol.arrays import Cells
 
 
 @dataclass(frozen=True)
-class Options(Parts):
+class Options(BarringParts):
     """Options of the strategy."""
 
     beta: float = option(1.0, "weight of cost against utility", least=0)

@@ -87,6 +87,15 @@ class Parts:
     share: str = option("always", "when map changes are sent to teammates", SHARING)
 
 
+@dataclass(frozen=True)
+class BarringParts(Parts):
+    """The parts of a strategy that may bar cells of high occupancy (Burgard et al. 2005, II-A; Meier 2005, Eq. 4.3)."""
+
+    occ_max: float = option(
+        1.0, "cells with more occupancy on the smoothed map are obstacles; no cell from 0.9 on", least=0
+    )
+
+
 class TargetStrategy(Strategy):
     """A strategy made of parts; a subclass chooses a goal in `choose`."""
 
@@ -220,9 +229,14 @@ class TargetStrategy(Strategy):
         )
 
     def planner(self, situation: Situation) -> PathPlanner:
-        """Return a path planner on the planning grid."""
-        radius = self.settings.body.radius_cells
-        return PathPlanner(situation.grid, self.options.costs, radius, cache=self._cache)
+        """Return a path planner on the planning grid; with the option `occ_max`, cells above it are obstacles."""
+        return PathPlanner(
+            situation.grid,
+            self.options.costs,
+            self.settings.body.radius_cells,
+            occ_max=getattr(self.options, "occ_max", 1.0),
+            cache=self._cache,
+        )
 
     def goals(self, situation: Situation, planner: PathPlanner) -> Cells:
         """Return the goals."""

@@ -361,8 +361,9 @@ def test_slivers_are_closed_if_wished() -> None:
 def test_the_thesis_plain_rules_are_a_set_of_options() -> None:
     assert asdict(THESIS_OPTIONS) == {
         "medium_use": 0.5, "bytes_per_split": 0.0, "lazy": False, "mixed_first": False,
-        "free_inside_edges": True, "unknown_pairs": True, "wide_walls": False, "wide_seen_walls": True,
-        "close_slivers": False, "keep_walls": False, "scan_order": False, "moving_starts": False,
+        "value_function": "segment-distance", "free_inside_edges": True, "unknown_pairs": True,
+        "wide_walls": False, "wide_seen_walls": True, "close_slivers": False,
+        "keep_walls": False, "scan_order": False, "moving_starts": False,
         "splits_per_step": 0.0, "exact_error": False,
     }  # fmt: skip
     shape = (60, 80)

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from fractions import Fraction
-from itertools import pairwise
+from itertools import combinations, pairwise
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from agent.encoding_options import ValueFunction
 from agent.outline.approximation import Marks, approximation, repair
 from agent.outline.contour import contours
+from agent.outline.edge_value import VALUE_FUNCTIONS
 from agent.outline.polygons import SIDE_X, SIDE_Y, Polygons
 from agent.outline.simplify import refine
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
@@ -34,8 +36,46 @@ def squared_distance(exact: Polygons, p: int, a: int, b: int) -> Fraction:
     return Fraction(off_x**2 + off_y**2)
 
 
-def plain_next_split(exact: Polygons, marks: list[int], mixed_edges_first: bool) -> int | None:
+def squared_height(points: list[tuple[int, int]], one: tuple[int, int], other: tuple[int, int]) -> Fraction:
+    """The largest squared distance of the points from the line through two others."""
+    along_x, along_y = other[0] - one[0], other[1] - one[1]
+    return max(
+        Fraction((along_x * (y - one[1]) - along_y * (x - one[0])) ** 2, along_x**2 + along_y**2)
+        for x, y in points
+    )
+
+
+def squared_width(points: list[tuple[int, int]]) -> Fraction:
+    """The width of the narrowest strip: one of its rims passes through two points, and all lie on one side of it."""
+    widths = [
+        squared_height(points, one, other)
+        for one, other in combinations(points, 2)
+        for crosses in [
+            [(other[0] - one[0]) * (y - one[1]) - (other[1] - one[1]) * (x - one[0]) for x, y in points]
+        ]
+        if one != other and (min(crosses) >= 0 or max(crosses) <= 0)
+    ]
+    return min(widths)
+
+
+def plain_value(value_function: ValueFunction, points: list[tuple[int, int]], longest: Fraction) -> Fraction:
+    """Return a number that orders edges as the value function does; `points` run from one vertex to the other."""
+    match value_function:
+        case "height":
+            return squared_height(points, points[0], points[-1])
+        case "width":
+            return squared_width(points)
+        case "area":
+            ring = zip(points, points[1:] + points[:1], strict=True)
+            return Fraction(abs(sum(x * next_y - next_x * y for (x, y), (next_x, next_y) in ring)))
+    return longest
+
+
+def plain_next_split(
+    exact: Polygons, marks: list[int], mixed_edges_first: bool, value_function: ValueFunction
+) -> int | None:
     """Look at all points of all edges (Algorithm 6, lines 3 to 12)."""
+    x, y = ((4 * cell + aside[exact.side]).tolist() for cell, aside in ((exact.x, SIDE_X), (exact.y, SIDE_Y)))
     best = None
     for first, end in pairwise(exact.start.tolist()):
         own = [mark for mark in marks if first <= mark < end]
@@ -48,24 +88,26 @@ def plain_next_split(exact: Polygons, marks: list[int], mixed_edges_first: bool)
             if longest == 0 and not changes:
                 continue
             split = between[distances.index(longest)] if longest > 0 else changes[0]
-            value = (bool(changes) and mixed_edges_first, longest)
+            points = [(x[p], y[p]) for p in (a, *between, b)]
+            value = (bool(changes) and mixed_edges_first, plain_value(value_function, points, longest))
             if best is None or value > best[0]:
                 best = value, split
     return None if best is None else best[1]
 
 
 @quick
-@given(grids(max_side=8), st.booleans())
+@given(grids(max_side=8), st.booleans(), st.sampled_from(VALUE_FUNCTIONS))
 def test_each_split_is_the_one_that_a_plain_search_over_all_points_finds(
-    case: tuple[Grid, Cell], mixed_edges_first: bool
+    case: tuple[Grid, Cell], mixed_edges_first: bool, value_function: ValueFunction
 ) -> None:
     exact = contours(*case)
     marks = born(exact)
     plain = marks.tolist()
     for splits in range(1, 12):
-        split = plain_next_split(exact, plain, mixed_edges_first)
+        split = plain_next_split(exact, plain, mixed_edges_first, value_function)
         plain = sorted([*plain, split]) if split is not None else plain
-        assert refine(exact, marks, splits, mixed_first=mixed_edges_first).tolist() == plain
+        refined = refine(exact, marks, splits, mixed_first=mixed_edges_first, value_function=value_function)
+        assert refined.tolist() == plain
 
 
 @quick
@@ -92,10 +134,12 @@ def assert_exact(exact: Polygons, marks: Marks) -> None:
 
 
 @quick
-@given(grids(), st.booleans())
-def test_refinement_without_a_limit_is_exact(case: tuple[Grid, Cell], mixed_first: bool) -> None:
+@given(grids(), st.booleans(), st.sampled_from(VALUE_FUNCTIONS))
+def test_refinement_without_a_limit_is_exact(
+    case: tuple[Grid, Cell], mixed_first: bool, value_function: ValueFunction
+) -> None:
     exact = contours(*case)
-    marks = refine(exact, born(exact), mixed_first=mixed_first)
+    marks = refine(exact, born(exact), mixed_first=mixed_first, value_function=value_function)
     assert_exact(exact, marks)
     assert refine(exact, marks, 5, mixed_first=mixed_first).tolist() == marks.tolist(), (
         "nothing is left to split"

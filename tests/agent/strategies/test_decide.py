@@ -147,11 +147,15 @@ def test_burgard_replans_after_a_time_and_after_a_distance() -> None:
         assert team.decide(replace(soon, step=8, traveled={0: 7.0})).target == (14, 1)
 
 
-def test_burgard_avoids_cells_of_high_occupancy() -> None:
+@pytest.mark.parametrize("costs", ["shortest", "weighted"])
+@pytest.mark.parametrize("name", ["meier", "burgard", "burgard-optimal"])
+def test_cells_of_high_occupancy_are_obstacles_with_occ_max(name: str, costs: str) -> None:
     # A corridor of one cell leads to the left, one of five to the right.
     grid = drawn(*2 * ["######........."], "?.............?", *2 * ["######........."])
-    for occ_max, column in ((1.0, 1), (0.5, 13)):
-        target = decide("burgard", robot_at(6, 2, grid=grid), SHORTEST | {"occ_max": occ_max}).target
+    options = {"costs": costs}
+    left = 1 if costs == "shortest" else 13
+    for occ_max, column in ((1.0, left), (0.5, 13)):
+        target = decide(name, robot_at(6, 2, grid=grid), options | {"occ_max": occ_max}).target
         assert target is not None
         assert abs(target[0] - column) <= 1
 

@@ -15,7 +15,7 @@ from tests.agent.explorations import real_map
 
 TABLE_3_1 = {
     "killian": (0.749, 0.637), "intel": (1.317, 1.014), "aces": (0.768, 0.672), "edmonton": (1.562, 1.488),
-    "fr079": (1.652, 1.404), "fr101": (1.519, 1.254), "acapulco": (3.022, 1.723),
+    "fr079": (1.652, 1.404), "fr101": (1.519, 1.254), "acapulco": (3.022, 1.723), "seattle": (1.220, 0.790),
 }  # fmt: skip
 """The available maps of ten, with their ratios as they are and smoothed."""
 
