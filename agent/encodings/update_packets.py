@@ -36,7 +36,8 @@ PACKETS_A_STEP = 3
 """Packets that the budget of a step holds, unless it is very small."""
 
 NARROW = 42
-"""Bytes per step below which walls in scans are coded by mixed predictions (`agent.predictive.wall_model`)."""
+"""Bytes per step below which walls in scans are coded by mixed predictions (`agent.predictive.wall_model`), and updates
+rank by their new cells per byte."""
 
 LONG_FRAGMENT = 32
 """Bytes of content of a packet from which updates of tiles, most of which take several packets, are split into packets

@@ -19,9 +19,9 @@ from protocol.kernels import kernel
 def utilities(
     grid: Grid,
     cells: Cells,
-    targets: Sequence[tuple[int, int]],
+    targets: Sequence[tuple[int, int]] | Cells,
     range_cells: ArrayLike,
-    weights: Sequence[float] | None = None,
+    weights: Sequence[float] | Floats | None = None,
 ) -> Floats:
     """Return the utility of each of `cells` on a planning grid, shape (n,); occupied cells block the line of sight.
 

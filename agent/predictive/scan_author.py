@@ -19,6 +19,9 @@ from protocol.scans import Change, Scan
 ENOUGH_CELLS = 14
 """New cells that are sent at once; fewer may wait."""
 
+CELLS_PER_BYTE = 3
+"""New cells per byte of an update with an urgency of 1. Updates with fewer rank by their waiting time alone."""
+
 
 @dataclass
 class _Pending:
@@ -30,11 +33,15 @@ class _Pending:
 
 
 class ScanAuthor(Author[ScanStream]):
-    """Encodes scans; fewer than `ENOUGH_CELLS` new cells wait for `wait_steps` steps."""
+    """Encodes scans; fewer than `ENOUGH_CELLS` new cells wait for `wait_steps` steps.
 
-    def __init__(self, stream: ScanStream, wait_steps: int) -> None:
+    With `ranks`, an update is the more urgent, the more new cells it reports per byte.
+    """
+
+    def __init__(self, stream: ScanStream, wait_steps: int, *, ranks: bool = False) -> None:
         super().__init__(stream)
         self._wait_steps = wait_steps
+        self._ranks = ranks
         self._pending = _Pending()
         self._encoded = _Pending()
         """Input of the last update, to restore `_pending` if the update is retracted."""
@@ -73,6 +80,8 @@ class ScanAuthor(Author[ScanStream]):
         if encoded is None:
             return None
         message, update, scans = encoded
+        if self._ranks:
+            self.urgency = len(update.places) / len(message) / CELLS_PER_BYTE
         self._encoded = _Pending(pending.poses[:scans], [box], pending.steps)
         if scans < len(pending.poses):
             self._pending = _Pending(pending.poses[scans:], [box], pending.steps)

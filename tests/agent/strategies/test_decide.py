@@ -65,6 +65,30 @@ def test_an_old_target_counts_less_if_targets_age() -> None:
     assert decide("meier", old, {"beta": 0.5, "forget": 1000}).target == (14, 1)
 
 
+@pytest.mark.parametrize("candidates", ["cells", "rfe"])
+def test_a_past_target_counts_until_the_map_shows_it(candidates: str) -> None:
+    first = CORRIDOR.copy()
+    first[0, 7] = UNKNOWN  # a third frontier cell, on which the robot stands
+    hidden = CORRIDOR.copy()
+    hidden[0, 2] = UNKNOWN
+    shown = hidden.copy()
+    shown[0, 0] = FREE
+
+    def next_target(grid: Grid, past_targets: int) -> Cell | None:
+        options = {"candidates": candidates, "beta": 0.1, "past_targets": past_targets}
+        robot = make_strategy("meier", options)
+        for target, x, now in (((0, 1), 7, first), ((7, 1), 4, grid)):
+            new = {1: target}
+            seen = robot_at(x, grid=now, targets=new, target_steps={1: 1}, new_targets=new)
+            decision = robot.decide(seen)
+        return decision.target
+
+    # U of (2, 1) is 1, or 0.4 beside the past target (0, 1); U of (14, 1) is 1; V: 2 / 5 and 10 / 5 sensor ranges.
+    assert next_target(hidden, 0) == (2, 1)
+    assert next_target(hidden, 1) == (14, 1)
+    assert next_target(shown, 1) == (2, 1)
+
+
 @pytest.mark.parametrize(
     ("name", "options"),
     [("meier", {"beta": 0.1}), ("scan-replan", {"herding": True}), ("continuous-replan", {"herding": True})],
