@@ -102,7 +102,7 @@ class PredictiveEncoding(GridEncoding):
         settings = self.settings
         stream = self._stream(settings.own_map, self._histories)
         if isinstance(stream, ScanStream):
-            return ScanAuthor(stream, self._limits.wait_steps, ranks=self._limits.is_narrow)
+            return ScanAuthor(stream, self._limits.wait_steps, ranks=self._limits.fills > 0)
         assert isinstance(stream, TileStream)
         settled = 1 if settings.laser is None else SETTLED
         patience = self._options.patience

@@ -36,8 +36,7 @@ PACKETS_A_STEP = 3
 """Packets that the budget of a step holds, unless it is very small."""
 
 NARROW = 42
-"""Bytes per step below which walls in scans are coded by mixed predictions (`agent.predictive.wall_model`), and updates
-rank by their new cells per byte."""
+"""Bytes per step below which walls in scans are coded by mixed predictions (`agent.predictive.wall_model`)."""
 
 LONG_FRAGMENT = 32
 """Bytes of content of a packet from which updates of tiles, most of which take several packets, are split into packets
@@ -57,7 +56,8 @@ class UpdateLimits:
     wait_steps: int
     """Steps for which few new cells wait (`ENOUGH_STEPS`)."""
     fills: int = 0
-    """The budget of a step that one packet fills; 0: packets are shorter."""
+    """The budget of a step that one packet fills; 0: packets are shorter. If it is filled, only one robot sends updates in
+    a step, and updates rank by their new cells per byte."""
     is_narrow: bool = False
     """Whether the budget of a step is below `NARROW`."""
 

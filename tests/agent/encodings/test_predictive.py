@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from agent.encoding_options import PredictiveOptions
 from agent.encodings.predictive import PredictiveEncoding
-from agent.encodings.update_packets import ENOUGH_STEPS, NARROW, fragments
+from agent.encodings.update_packets import ENOUGH_STEPS, fragments
 from agent.predictive.scan_author import CELLS_PER_BYTE
 from agent.settings import EncodingSettings, MediumSettings, ReplicationSettings, Settings
 from protocol.body import Body
@@ -99,13 +99,13 @@ def unknown() -> Grid:
     return np.zeros((HEIGHT, WIDTH), np.uint8)
 
 
-def test_with_a_narrow_budget_updates_rank_by_their_new_cells_per_byte() -> None:
+def test_if_one_packet_fills_the_budget_updates_rank_by_their_new_cells_per_byte() -> None:
     for truth in (np.full((HEIGHT, WIDTH), FREE, np.uint8), world(3)):
-        explorer = Explorer(0, 1, bandwidth=Budget(NARROW - 1))
+        explorer = Explorer(0, 1, bandwidth=Budget(20))
         message = b"".join(update.data for update in decode_kind(b"".join(explorer.scan(truth)), Update))
         per_byte = np.count_nonzero(explorer.own != UNKNOWN) / len(message)
         assert explorer.map_encoding.urgency == pytest.approx(per_byte / CELLS_PER_BYTE)
-    explorer = Explorer(0, 1, bandwidth=Budget(NARROW))
+    explorer = Explorer(0, 1, bandwidth=Budget(21))
     assert explorer.scan(world(3)) and explorer.map_encoding.urgency is None
 
 
