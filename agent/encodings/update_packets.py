@@ -56,8 +56,10 @@ class UpdateLimits:
     wait_steps: int
     """Steps for which few new cells wait (`ENOUGH_STEPS`)."""
     fills: int = 0
-    """The budget of a step that one packet fills; 0: packets are shorter. If it is filled, only one robot sends updates in
-    a step, and updates rank by their new cells per byte."""
+    """The budget of a step that one packet fills; 0: packets are shorter.
+
+    With such a budget, only one robot sends updates in a step, and updates rank by their new cells per byte.
+    """
     is_narrow: bool = False
     """Whether the budget of a step is below `NARROW`."""
 
