@@ -22,7 +22,7 @@ ALIKE_FOR_ALL_SEEDS = {
     "leader-trap",
     "leader-rooms",
     "two-circles",
-    "burgard-laboratory",
+    "burgard-five-rooms",
     "burgard-two-rooms",
     *(name for name in names() if name.startswith("hilbert")),
 }
@@ -512,9 +512,9 @@ def test_burgards_environments_have_cells_of_15_centimeters(kind: str) -> None:
 
 @pytest.mark.parametrize(
     ("kind", "width_m", "height_m", "rooms", "doors"),
-    [("laboratory", 18.0, 14.0, 6, 5), ("two-rooms", 14.0, 8.0, 3, 3)],
+    [("five-rooms", 18.0, 14.0, 6, 5), ("two-rooms", 14.0, 8.0, 3, 3)],
 )
-def test_burgards_laboratories_have_rooms_along_a_corridor(
+def test_burgards_small_buildings_have_rooms_along_a_corridor(
     kind: str, width_m: float, height_m: float, rooms: int, doors: int
 ) -> None:
     world = make(f"burgard-{kind}")

@@ -2,7 +2,7 @@
 
 The papers show most of them only as pictures. The environments drawn here have the size and the features that
 the texts describe; a seed determines rooms, doors and objects. Environments without random parts (`em`, `two-circles`,
-`hilbert-*`, `leader-*`, `burgard-laboratory`, `burgard-two-rooms`) are the same for all seeds.
+`hilbert-*`, `leader-*`, `burgard-five-rooms`, `burgard-two-rooms`) are the same for all seeds.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _ENVIRONMENTS: dict[str, Environment] = {
     "burgard-office": burgard.office,
     "burgard-corridor": burgard.corridor,
     "burgard-unstructured": burgard.unstructured,
-    "burgard-laboratory": burgard.laboratory,
+    "burgard-five-rooms": burgard.five_rooms,
     "burgard-two-rooms": burgard.two_rooms,
     "warehouse": warehouse,
     "caves": caves,

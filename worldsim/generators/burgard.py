@@ -52,7 +52,7 @@ def corridor(cells: Grid, random: np.random.Generator, resolution: float) -> Non
 _Walls = tuple[tuple[float, float, float, float], ...]
 """Center lines of walls, in meters from the upper left corner: from (x, y) to (x, y)."""
 
-_LABORATORY: _Walls = (
+_FIVE_ROOMS: _Walls = (
     (0.0, 5.6, 2.0, 5.6),  # above the corridor; doorways of 0.9 m
     (2.9, 5.6, 9.0, 5.6),
     (9.9, 5.6, 15.1, 5.6),
@@ -74,9 +74,9 @@ _TWO_ROOMS: _Walls = (
 )
 
 
-def laboratory(_random: np.random.Generator, *, resolution: float = 0.15) -> Grid:
-    """18 x 14 m: a laboratory of five rooms along a corridor, empty (Burgard et al., Figs. 3, 11)."""
-    return _draw(18.0, 14.0, _LABORATORY, resolution)
+def five_rooms(_random: np.random.Generator, *, resolution: float = 0.15) -> Grid:
+    """18 x 14 m: five empty rooms along a corridor (Burgard et al., Figs. 3, 11)."""
+    return _draw(18.0, 14.0, _FIVE_ROOMS, resolution)
 
 
 def two_rooms(_random: np.random.Generator, *, resolution: float = 0.15) -> Grid:

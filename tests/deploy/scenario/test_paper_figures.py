@@ -25,7 +25,7 @@ class Shown(NamedTuple):
 
     steps: int
     places: NDArray[np.float64]
-    """Position of each robot in each step, in meters from the upper left corner of the map, shape (steps, robots, 2)."""
+    """Position of each robot in each step, meters from the upper left corner, shape (steps, robots, 2)."""
     known: NDArray[np.bool_]
     """Free cells of the map that each robot has observed itself, shape (robots, cells)."""
 
@@ -48,11 +48,13 @@ def shown(name: str, **settings: Any) -> Shown:
 def apart(run: Shown) -> NDArray[np.float64]:
     """Return the distance of each pair of robots in each step, in meters, shape (steps, pairs)."""
     pairs = combinations(range(run.places.shape[1]), 2)
-    return np.stack([np.hypot(*(run.places[:, one] - run.places[:, other]).T) for one, other in pairs], axis=1)
+    return np.stack(
+        [np.hypot(*(run.places[:, one] - run.places[:, other]).T) for one, other in pairs], axis=1
+    )
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_burgards_coordinated_robots_spread_out_over_the_laboratory(seed: int) -> None:
+def test_burgards_coordinated_robots_spread_out_over_the_building(seed: int) -> None:
     # Fig. 3: "the robots were effectively distributed over the environment".
     run = shown("burgard-fig-3.toml", seed=seed)
     assert apart(run).mean() > 1.2 * apart(shown("burgard-fig-3.toml", seed=seed, strategy="nearest")).mean()
