@@ -19,6 +19,7 @@ from worldsim.maps import Map
 
 ALIKE_FOR_ALL_SEEDS = {
     "em",
+    "leader-obstacles",
     "leader-trap",
     "leader-rooms",
     "two-circles",
@@ -490,7 +491,7 @@ def test_trap_stops_robots_that_drive_straight_and_rooms_let_them_pass() -> None
 
 
 def test_the_leader_environments_are_ten_meters_square_with_a_convex_border() -> None:
-    for name in ("leader-trap", "leader-rooms"):
+    for name in ("leader-obstacles", "leader-trap", "leader-rooms"):
         world = make(name)
         assert has_size(world, 10.0, 10.0)
         assert (world.cells != UNKNOWN).all()
@@ -499,6 +500,7 @@ def test_the_leader_environments_are_ten_meters_square_with_a_convex_border() ->
 def test_the_walls_of_the_trap_join_the_border_and_the_screens_stand_free() -> None:
     trap, rooms = make("leader-trap"), make("leader-rooms")
     assert len(objects(trap.cells)) == 0
+    assert len(objects(make("leader-obstacles").cells)) == 4
     assert len(objects(rooms.cells)) == 4
 
 

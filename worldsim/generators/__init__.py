@@ -38,6 +38,7 @@ _ENVIRONMENTS: dict[str, Environment] = {
     "campus-roads": alkhawaldah.campus_roads,
     **{f"hilbert-{order}": partial(alkhawaldah.hilbert, order) for order in (1, 2, 3, 4)},
     **{f"hilbert-walls-{order}": partial(alkhawaldah.hilbert_walls, order) for order in (1, 2, 3, 4)},
+    "leader-obstacles": leader.obstacles,
     "leader-trap": leader.trap,
     "leader-rooms": leader.rooms,
     "burgard-office": burgard.office,

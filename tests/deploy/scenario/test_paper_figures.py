@@ -31,7 +31,9 @@ class Shown(NamedTuple):
 
 
 @cache
-def shown(name: str, **settings: Any) -> Shown:
+def shown(name: str, gain_robots: float | None = None, **settings: Any) -> Shown:
+    if gain_robots is not None:
+        settings["options"] = {"way": "visibility", "gain_robots": gain_robots}
     plan = make(load(Path(name), settings))
     run = MemoryRun(plan)
     records = run.complete()
@@ -88,3 +90,12 @@ def test_burgards_robots_lose_contact_and_pairs_meet_again() -> None:
     assert sum(first) == 1
     later = [each for each in contacts[alone:] if sum(each) == 1 and each != first]
     assert later
+
+
+def test_the_leader_papers_robots_spread_out_because_they_repel_each_other() -> None:
+    # Fig. 2: "the cooperative behavior which brings to spread out the teammates".
+    run = shown("leader-fig-2.toml")
+    together = shown("leader-fig-2.toml", gain_robots=0)
+    assert run.known.any(axis=0).all()
+    assert apart(run).mean() > 1.2 * apart(together).mean()
+    assert run.steps < together.steps
