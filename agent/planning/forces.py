@@ -62,9 +62,9 @@ def glide(
     """Integrate a robot's motion over one step of the world.
 
     A robot that would leave the free cells of its map slides along their border. The closest of the `frontier` cells
-    attracts it (Eq. 6); the `robots`, positions of shape (m, 2), within range repel it (Eq. 3). During the step they move
-    by `drifts`, shape (m, 2); by default, they stay. Positions and drifts are in cells, `resolution` is in meters per
-    cell, velocities are in meters per second.
+    attracts it (Eq. 6); the `robots`, positions of shape (m, 2), within range repel it (Eq. 3). During the step they
+    move by `drifts`, shape (m, 2); by default, they stay. Positions and drifts are in cells, `resolution` is in meters
+    per cell, velocities are in meters per second.
 
     Returns the position after each Euler step, shape (SUBSTEPS, 2), and the velocity at the end, shape (2,).
     """

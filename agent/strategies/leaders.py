@@ -42,8 +42,8 @@ ESCAPES = ("real-sensors", "always", "never")
 errors."""
 
 TEAMMATES = ("still", "moving")
-"""Where teammates are during a step. ``still``: in the cells of their last poses. ``moving``: they continue the way from
-the poses before these."""
+"""Where teammates are during a step. ``still``: in the cells of their last poses. ``moving``: they repeat the motion
+between their last two poses."""
 
 NOT_HERE = "forces move the robots, so there are no targets to choose from"
 
