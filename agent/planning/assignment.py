@@ -6,10 +6,12 @@ with the first robot, then the first goal counts.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from agent.planning.utility import proximity, sees
-from protocol.arrays import Cells, FloatRows, Floats, Int64s
+from protocol.arrays import Cells, FloatRows, Floats, Int32s, Int64s
 from protocol.grid import Grid
 from protocol.kernels import kernel
 
@@ -62,7 +64,18 @@ def hungarian(costs: Costs) -> Assignment:
     return given
 
 
-def in_turn(grid: Grid, goals: Cells, utility: Floats, costs: Costs, ranges: Floats) -> Assignment:
+Visibility = Callable[[Grid, Cells, Int32s, float], Floats]
+"""Returns P(d) of cells for a target: `agent.planning.utility.proximity`, or a function with its parameters."""
+
+
+def in_turn(
+    grid: Grid,
+    goals: Cells,
+    utility: Floats,
+    costs: Costs,
+    ranges: Floats,
+    visibility: Visibility = proximity,
+) -> Assignment:
     """Assign goals as Algorithm 1 of Burgard et al. (section II-C) does.
 
     Assign the pair of best utility minus cost, lower the utilities around its goal, and repeat until every robot has a
@@ -78,6 +91,8 @@ def in_turn(grid: Grid, goals: Cells, utility: Floats, costs: Costs, ranges: Flo
         Costs times beta, comparable to utilities.
     ranges : float64 array, shape (m,)
         Sensor range of each robot in cells; utilities around its goal are lowered within it.
+    visibility : callable
+        Returns the amounts by which a goal lowers utilities, P(d).
     """
     worth = utility.copy()
     given = np.full(len(costs), -1)
@@ -88,7 +103,7 @@ def in_turn(grid: Grid, goals: Cells, utility: Floats, costs: Costs, ranges: Flo
         if not np.isfinite(value[robot, goal]):
             break
         given[robot] = goal
-        worth -= proximity(grid, goals, goals[goal], ranges[robot])
+        worth -= visibility(grid, goals, goals[goal], ranges[robot])
     return given
 
 
@@ -98,7 +113,7 @@ def best_of_all(
     """Search for the assignment with the largest `total_value` (Burgard et al. 2005, Algorithm 2).
 
     Hill climbing from the assignment of `in_turn` and from `STARTS` random ones: a robot takes another goal, or two
-    robots swap goals. Parameters are those of `in_turn`, with costs squared before they are weighted.
+    robots swap goals. Parameters are those of `in_turn`, with costs squared before they are weighted; P(d) is Eq. 2.
     """
     cost = np.where(np.isfinite(costs), costs, 1e9)
     best, best_value = in_turn(grid, goals, utility, cost, ranges), -np.inf

@@ -57,19 +57,22 @@ def glide(
     robots: FloatRows,
     field: Field,
     top_speed: float,
+    drifts: FloatRows | None = None,
 ) -> tuple[FloatRows, Floats]:
     """Integrate a robot's motion over one step of the world.
 
     A robot that would leave the free cells of its map slides along their border. The closest of the `frontier` cells
-    attracts it (Eq. 6); the `robots`, positions of shape (m, 2), within range repel it (Eq. 3). Positions are in cells,
-    `resolution` is in meters per cell, velocities are in meters per second.
+    attracts it (Eq. 6); the `robots`, positions of shape (m, 2), within range repel it (Eq. 3). During the step they
+    move by `drifts`, shape (m, 2); by default, they stay. Positions and drifts are in cells, `resolution` is in meters
+    per cell, velocities are in meters per second.
 
     Returns the position after each Euler step, shape (SUBSTEPS, 2), and the velocity at the end, shape (2,).
     """
     path = np.empty((SUBSTEPS, 2))
     moving = velocity.copy()
     numbers = np.array([*field, top_speed, resolution])
-    _integrate(floor, frontier, np.ascontiguousarray(robots), np.array(at, np.float64), moving, numbers, path)
+    others = np.hstack([robots, np.zeros_like(robots) if drifts is None else drifts])
+    _integrate(floor, frontier, others, np.array(at, np.float64), moving, numbers, path)
     return path, moving
 
 
@@ -101,8 +104,10 @@ def _integrate(
     numbers: Floats,
     path: FloatRows,
 ) -> None:
+    # Rows of `robots` have a position (x, y) and the way that the robot drives during the step.
     rho_robots, rho_obstacles, gain_robots, gain_obstacles, gain_frontier, damping, top, size = numbers
     obstacle = np.empty(2)
+    other = np.empty(2)
     force = np.empty(2)
     for step in range(len(path)):
         force[:] = -damping * velocity
@@ -119,11 +124,13 @@ def _integrate(
             for axis in range(2):
                 force[axis] += pull * (frontier[goal, axis] - at[axis]) / distance
         for robot in range(len(robots)):
-            distance = np.hypot(at[0] - robots[robot, 0], at[1] - robots[robot, 1])
+            for axis in range(2):
+                other[axis] = robots[robot, axis] + robots[robot, 2 + axis] * step / len(path)
+            distance = np.hypot(at[0] - other[0], at[1] - other[1])
             push = repulsion(distance * size, rho_robots, gain_robots)
             if distance > 0.0:
                 for axis in range(2):
-                    force[axis] += push * (at[axis] - robots[robot, axis]) / distance
+                    force[axis] += push * (at[axis] - other[axis]) / distance
         closest_obstacle(floor, at[0], at[1], rho_obstacles / size, obstacle)
         distance = np.hypot(at[0] - obstacle[0], at[1] - obstacle[1])
         if distance > 0.0:

@@ -18,10 +18,11 @@ from typing import Any
 import numpy as np
 
 from agent.planning.assignment import Assignment, best_of_all, in_turn
+from agent.planning.measured_distances import MeasuredDistances
 from agent.planning.path_planner import PathPlanner
-from agent.planning.utility import utilities
+from agent.planning.utility import proximity, utilities
 from agent.settings import Settings
-from agent.strategies.base import Cell, Situation
+from agent.strategies.base import Cell, Decision, Situation
 from agent.strategies.options import option
 from agent.strategies.targets import BarringParts, TargetStrategy
 from agent.strategies.team import Table, TeamStrategy
@@ -30,6 +31,11 @@ from protocol.arrays import Cells, Floats
 SUB_TEAMS = ("in-range", "connected")
 """The robots that decide together. ``in-range``: robots in range of each other. ``connected``, as in the paper: also
 robots connected through others, which forward their states; each hop delays a state by a step."""
+
+
+VISIBILITIES = ("linear", "learned")
+"""P(d), the probability that a robot at its target covers a cell at distance d. ``linear``: 1 - d / range (Eq. 2).
+``learned``: from the distances that the team has measured so far (`agent.planning.measured_distances`)."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +49,15 @@ class Coordinated(BarringParts):
         0.0, "replan when a member has driven this far since the last assignment; 0: never", least=0
     )
     sub_team: str = option("in-range", "the robots that decide together", SUB_TEAMS)
+
+
+@dataclass(frozen=True)
+class InTurn(Coordinated):
+    """Options of `burgard`."""
+
+    visibility: str = option(
+        "linear", "P(d), how likely a robot at its target covers a cell at distance d", VISIBILITIES
+    )
 
 
 class Nearest(TargetStrategy):
@@ -59,13 +74,8 @@ class Nearest(TargetStrategy):
         return int(best[0]), int(best[1])
 
 
-class Burgard(TeamStrategy):
-    """Algorithm 1: repeated choice of the best pair."""
-
-    name = "burgard"
-    summary = "sub-teams assign frontier cells one by one, the best pair of robot and cell first"
-    source = "Burgard et al. 2005, Algorithm 1 (section II-C), sub-teams (II-D)"
-    options_type = Coordinated
+class CoordinatedStrategy(TeamStrategy):
+    """The common part of both algorithms: when to replan, and which targets are taken."""
 
     def __init__(self, options: Mapping[str, Any], settings: Settings) -> None:
         super().__init__(options, settings)
@@ -96,32 +106,68 @@ class Burgard(TeamStrategy):
             for robot in self.team(situation)
         )
 
-    def assign(self, table: Table, situation: Situation, planner: PathPlanner) -> Assignment:
-        """Assign goals; the last targets of teammates out of range lower utilities."""
-        del planner
-        costs = self.options.beta * table.costs / self.settings.scale_cells
-        utility = self._utility(table, situation)
-        ranges = self.settings.ranges_of(table.robots)
-        return in_turn(situation.grid, table.goals, utility, costs, ranges)
-
-    def _utility(self, table: Table, situation: Situation) -> Floats:
+    def utility(self, table: Table, situation: Situation) -> Floats:
+        """Return the utility of each goal, lowered by the last targets of teammates out of range, shape (n,)."""
         remembered = self.remembered(situation)
         ranges = self.settings.ranges_of(remembered)
         return utilities(situation.grid, table.goals, list(remembered.values()), ranges)
 
 
-class BurgardOptimal(Burgard):
+class Burgard(CoordinatedStrategy):
+    """Algorithm 1: repeated choice of the best pair."""
+
+    name = "burgard"
+    summary = "sub-teams assign frontier cells one by one, the best pair of robot and cell first"
+    source = "Burgard et al. 2005, Algorithm 1 (section II-C), sub-teams (II-D)"
+    options_type = InTurn
+
+    def __init__(self, options: Mapping[str, Any], settings: Settings) -> None:
+        super().__init__(options, settings)
+        self._measured: MeasuredDistances | None = None
+        if self.options.visibility == "learned":
+            self._measured = MeasuredDistances(settings.scale_cells, settings.beams)
+
+    def decide(self, situation: Situation) -> Decision:
+        """Decide as all strategies with targets; first update what the sub-team's lasers have measured."""
+        if self._measured is not None:
+            for robot, cell in self.team(situation).items():
+                self._measured.add(situation.grid, cell, self.settings.bodies[robot].range_cells)
+        return super().decide(situation)
+
+    def assign(self, table: Table, situation: Situation, planner: PathPlanner) -> Assignment:
+        """Assign goals."""
+        del planner
+        costs = self.options.beta * table.costs / self.settings.scale_cells
+        ranges = self.settings.ranges_of(table.robots)
+        visibility = proximity if self._measured is None else self._measured.proximity
+        return in_turn(situation.grid, table.goals, self.utility(table, situation), costs, ranges, visibility)
+
+    def utility(self, table: Table, situation: Situation) -> Floats:
+        """Return the utility of each goal, by the learned P(d) if that is chosen."""
+        if self._measured is None:
+            return super().utility(table, situation)
+        worth = np.ones(len(table.goals))
+        for robot, target in self.remembered(situation).items():
+            range_cells = self.settings.bodies[robot].range_cells
+            worth -= self._measured.proximity(
+                situation.grid, table.goals, np.array(target, np.int32), range_cells
+            )
+        return worth
+
+
+class BurgardOptimal(CoordinatedStrategy):
     """Algorithm 2: randomized search of the best assignment."""
 
     name = "burgard-optimal"
     summary = "sub-teams search the assignment with the largest sum of utility minus squared cost"
     source = "Burgard et al. 2005, Algorithm 2 (section IV-C)"
+    options_type = Coordinated
 
     def assign(self, table: Table, situation: Situation, planner: PathPlanner) -> Assignment:
         """Assign goals; all members search from the same random starts."""
         del planner
         costs = self.options.beta * (table.costs / self.settings.scale_cells) ** 2
         return best_of_all(
-            situation.grid, table.goals, self._utility(table, situation), costs,
+            situation.grid, table.goals, self.utility(table, situation), costs,
             self.settings.ranges_of(table.robots), self.draw("assignment", situation),
         )  # fmt: skip

@@ -28,7 +28,7 @@ from agent.planning.yielding import MOBILE, YieldBehavior
 from agent.settings import Settings
 from agent.strategies.base import Cell, Decision, Situation, Strategy
 from agent.strategies.options import option
-from protocol.arrays import Cells
+from protocol.arrays import Cells, FloatRows
 from protocol.grid import FINE
 
 STALL_STEPS = 60
@@ -40,6 +40,10 @@ STALL_METRES = 1.0
 ESCAPES = ("real-sensors", "always", "never")
 """When robots leave local minima by path planning (`agent.planning.escape`). ``real-sensors``: if lasers or poses have
 errors."""
+
+TEAMMATES = ("still", "moving")
+"""Where teammates are during a step. ``still``: in the cells of their last poses. ``moving``: they repeat the motion
+between their last two poses."""
 
 NOT_HERE = "forces move the robots, so there are no targets to choose from"
 
@@ -54,6 +58,7 @@ class FieldOptions:
     gain_obstacles: float = option(0.01, "k of the repulsion of obstacles (Eq. 2)", least=0)
     gain_frontier: float = option(1.0, "k of the attraction of the closest frontier point (Eq. 6)", least=0)
     damping: float = option(1.5, "viscous damping, newtons for each metre a second", least=0)
+    teammates: str = option("still", "where teammates that repel a robot are during a step", TEAMMATES)
 
 
 WAYS = ("cells", "visibility")
@@ -96,6 +101,8 @@ class FieldStrategy(Strategy):
         self._anchor: tuple[float, float] = (0.0, 0.0)
         self._anchor_step = 0
         self._known = -1
+        self._poses: dict[int, Cell] = {}
+        """The poses of teammates at the last decision."""
         self._escape: Escape | None = None
 
     @classmethod
@@ -131,6 +138,7 @@ class FieldStrategy(Strategy):
         at = situation.x + situation.offset[0] / FINE, situation.y + situation.offset[1] / FINE
         planner = PathPlanner(situation.grid, radius_cells=self.settings.body.radius_cells)
         frontier = planner.frontier(*situation.here)
+        robots, drifts = self._teammates(situation)
         if situation.blocked:
             self._velocity = np.zeros(2)
         if not len(frontier):
@@ -146,10 +154,9 @@ class FieldStrategy(Strategy):
             self._velocity = np.zeros(2)
             target, points = self._lead(situation, planner, frontier)
         else:
-            robots = [situation.poses[peer][:2] for peer in situation.peers if peer in situation.poses]
             path, self._velocity = forces.glide(
                 planner.floor, size, at, self._velocity, frontier,
-                np.array(robots, np.float64).reshape(-1, 2), self._field, self.settings.body.speed * size,
+                robots, self._field, self.settings.body.speed * size, drifts,
             )  # fmt: skip
             gap = (frontier[:, 0] - at[0]) ** 2 + (frontier[:, 1] - at[1]) ** 2
             target = frontier[np.argmin(gap)]
@@ -161,6 +168,15 @@ class FieldStrategy(Strategy):
             stalled=stalled,
             status=self._status(stalled=stalled, escapes=escapes),
         )
+
+    def _teammates(self, situation: Situation) -> tuple[FloatRows, FloatRows]:
+        """Return the cells of teammates in range, and the ways that they drive during the step, each shape (m, 2)."""
+        before, self._poses = self._poses, {peer: pose[:2] for peer, pose in situation.poses.items()}
+        cells = [self._poses[peer] for peer in situation.peers if peer in self._poses]
+        last = [before.get(peer, self._poses[peer]) for peer in situation.peers if peer in self._poses]
+        robots = np.array(cells, np.float64).reshape(-1, 2)
+        drifts = robots - np.array(last, np.float64).reshape(-1, 2)
+        return robots, drifts if self.options.teammates == "moving" else np.zeros_like(robots)
 
     def _status(self, *, stalled: bool, escapes: bool) -> str:
         if escapes:

@@ -111,10 +111,11 @@ def _metrics(plan: Plan, records: Records, began: float) -> Metrics:
 
 
 def assignment(plan: Plan) -> Metrics:
-    """Processor time and value of one assignment by Algorithms 1 and 2 of Burgard et al.
+    """Processor time and value of one assignment by Algorithms 1 and 2 of Burgard et al., and without coordination.
 
     Robots stand in random cells of a map on which discs of the sensor range around random cells are known. All
-    frontier cells are goals. The time is the minimum of three repetitions.
+    frontier cells are goals. The time is the minimum of three repetitions. It does not include the costs of ways.
+    ``assignment.ms`` is the time of the rule of the scenario's strategy: `nearest`, `burgard`, or `burgard-optimal`.
     """
     scenario, truth = plan.scenario, plan.map.cells
     reachable = np.argwhere(plan.reachable)
@@ -130,9 +131,12 @@ def assignment(plan: Plan) -> Metrics:
     costs = np.hypot(*(places[:, None, :] - goals[None, :, :]).transpose(2, 0, 1)) / ranges[0]
     utility = np.ones(len(goals))
     search = partial(best_of_all, grid, goals, utility, costs**2, ranges)
+    _, nearest_ms = _timed(lambda: costs.argmin(axis=1))
     greedy, greedy_ms = _timed(lambda: in_turn(grid, goals, utility, costs, ranges))
     optimal, optimal_ms = _timed(lambda: search(keyed_random(scenario.seed, "search")))
+    times = {"nearest": nearest_ms, "burgard": greedy_ms, "burgard-optimal": optimal_ms}
     return {
+        "assignment.ms": times.get(scenario.strategy),
         "assignment.greedy_ms": greedy_ms,
         "assignment.optimal_ms": optimal_ms,
         "assignment.greedy_value": total_value(grid, goals, utility, costs**2, ranges, greedy),
@@ -180,7 +184,8 @@ METRICS: dict[str, tuple[str, ...]] = {
         *EXPLORED, "agreement.planning", "agreement.least", "agreement.last", "agreement.own",
     ),
     "assignment": (
-        "assignment.greedy_ms", "assignment.optimal_ms", "assignment.greedy_value", "assignment.optimal_value",
+        "assignment.ms", "assignment.greedy_ms", "assignment.optimal_ms",
+        "assignment.greedy_value", "assignment.optimal_value",
     ),
     "voronoi": ("voronoi.ratio", "voronoi.ratio_smoothed", "voronoi.pixels", "voronoi.contour"),
     "offline": (*EXPLORED, "offline.steps"),

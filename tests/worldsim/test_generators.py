@@ -19,9 +19,12 @@ from worldsim.maps import Map
 
 ALIKE_FOR_ALL_SEEDS = {
     "em",
+    "leader-obstacles",
     "leader-trap",
     "leader-rooms",
     "two-circles",
+    "burgard-five-rooms",
+    "burgard-two-rooms",
     *(name for name in names() if name.startswith("hilbert")),
 }
 WITH_SOLID_OBJECTS = {
@@ -385,6 +388,18 @@ def test_campus_is_large_with_buildings_and_trees() -> None:
         assert areas.max() > 250
 
 
+def test_campus_roads_surround_closed_blocks_of_which_some_have_a_yard() -> None:
+    yards = []
+    for seed in SEEDS:
+        world = make("campus-roads", seed)
+        assert has_size(world, 120.0, 90.0)
+        assert 0.35 < (world.cells == FREE).mean() < 0.7
+        side = round(4.5 / world.resolution)
+        wide = ndimage.binary_opening(world.cells == FREE, np.ones((side, side), bool))
+        yards.append(ndimage.label(wide)[1] - 1)
+    assert np.mean(yards) > 1
+
+
 @pytest.mark.parametrize("order", [1, 2, 3, 4])
 def test_the_hilbert_curve_visits_every_square_once_from_neighbor_to_neighbor(order: int) -> None:
     curve = hilbert_curve(order)
@@ -476,7 +491,7 @@ def test_trap_stops_robots_that_drive_straight_and_rooms_let_them_pass() -> None
 
 
 def test_the_leader_environments_are_ten_meters_square_with_a_convex_border() -> None:
-    for name in ("leader-trap", "leader-rooms"):
+    for name in ("leader-obstacles", "leader-trap", "leader-rooms"):
         world = make(name)
         assert has_size(world, 10.0, 10.0)
         assert (world.cells != UNKNOWN).all()
@@ -485,6 +500,7 @@ def test_the_leader_environments_are_ten_meters_square_with_a_convex_border() ->
 def test_the_walls_of_the_trap_join_the_border_and_the_screens_stand_free() -> None:
     trap, rooms = make("leader-trap"), make("leader-rooms")
     assert len(objects(trap.cells)) == 0
+    assert len(objects(make("leader-obstacles").cells)) == 4
     assert len(objects(rooms.cells)) == 4
 
 
@@ -494,6 +510,20 @@ def test_the_walls_of_the_trap_join_the_border_and_the_screens_stand_free() -> N
 @pytest.mark.parametrize("kind", ["office", "corridor", "unstructured"])
 def test_burgards_environments_have_cells_of_15_centimeters(kind: str) -> None:
     assert make(f"burgard-{kind}").resolution == 0.15
+
+
+@pytest.mark.parametrize(
+    ("kind", "width_m", "height_m", "rooms", "doors"),
+    [("five-rooms", 18.0, 14.0, 6, 5), ("two-rooms", 14.0, 8.0, 3, 3)],
+)
+def test_burgards_small_buildings_have_rooms_along_a_corridor(
+    kind: str, width_m: float, height_m: float, rooms: int, doors: int
+) -> None:
+    world = make(f"burgard-{kind}")
+    assert has_size(world, width_m, height_m)
+    found = rooms_and_doors(world)
+    assert (len(found[0]), len(found[1])) == (rooms, doors)
+    assert all(is_empty_rectangle(room) for room in found[0])
 
 
 def test_many_rooms_of_burgards_office_have_a_second_doorway() -> None:

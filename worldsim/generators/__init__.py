@@ -2,7 +2,7 @@
 
 The papers show most of them only as pictures. The environments drawn here have the size and the features that
 the texts describe; a seed determines rooms, doors and objects. Environments without random parts (`em`, `two-circles`,
-`hilbert-*`, `leader-*`) are the same for all seeds.
+`hilbert-*`, `leader-*`, `burgard-five-rooms`, `burgard-two-rooms`) are the same for all seeds.
 """
 
 from __future__ import annotations
@@ -35,13 +35,17 @@ _ENVIRONMENTS: dict[str, Environment] = {
     "office-plain": alkhawaldah.office_plain,
     "office-obstacles": alkhawaldah.office_obstacles,
     "campus": alkhawaldah.campus,
+    "campus-roads": alkhawaldah.campus_roads,
     **{f"hilbert-{order}": partial(alkhawaldah.hilbert, order) for order in (1, 2, 3, 4)},
     **{f"hilbert-walls-{order}": partial(alkhawaldah.hilbert_walls, order) for order in (1, 2, 3, 4)},
+    "leader-obstacles": leader.obstacles,
     "leader-trap": leader.trap,
     "leader-rooms": leader.rooms,
     "burgard-office": burgard.office,
     "burgard-corridor": burgard.corridor,
     "burgard-unstructured": burgard.unstructured,
+    "burgard-five-rooms": burgard.five_rooms,
+    "burgard-two-rooms": burgard.two_rooms,
     "warehouse": warehouse,
     "caves": caves,
     "maze": maze,

@@ -58,6 +58,23 @@ def campus(cells: Grid, random: np.random.Generator, resolution: float) -> None:
     scatter(cells, random, cells == FREE, count=count, radii=radii, gap=2.0 / resolution, shapes=(disc,))
 
 
+@environment(120.0, 90.0, 0.25, least_m=40.0)
+def campus_roads(cells: Grid, random: np.random.Generator, resolution: float) -> None:
+    """Outdoors, 120 x 90 m: roads around closed blocks, some with a yard (Al-khawaldah and Nüchter, section 4.2)."""
+    wall = wall_thickness(resolution)
+    field(cells, wall)
+    road, deep, gate = (round(side_m / resolution) for side_m in (7.0, 8.0, 4.0))
+    most = round(40.0 / resolution)
+    for block in blocks(random, inside(cells, wall + road), most, road):
+        ground = cells[block.top : block.bottom, block.left : block.right]
+        ground[:] = UNKNOWN
+        if random.random() < 0.4 and min(ground.shape) > 2 * deep:
+            ground = ground[:: 1 - 2 * int(random.integers(2))]
+            ground[deep:-deep, deep:-deep] = FREE
+            left = (ground.shape[1] - gate) // 2
+            ground[:deep, left : left + gate] = FREE
+
+
 def blocks(random: np.random.Generator, area: Box, most: int, road: int) -> list[Box]:
     """Divide an area by roads until no side of a block is longer than `most`."""
     if max(area.width, area.height) <= most:

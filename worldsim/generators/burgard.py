@@ -1,14 +1,24 @@
-"""The three kinds of environment of the coordinated exploration experiments (Burgard et al., Fig. 8).
+"""The environments of the coordinated exploration experiments (Burgard et al., Figs. 3 to 5, 8, and 11).
 
-Their simulator has cells of 0.15 m (section IV-C).
+Their simulator has cells of 0.15 m (section IV-C). The paper gives the sizes of the environments of Figs. 3 to 5. Of
+their walls the text says only where there are rooms, doorways, and a corridor.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from protocol.grid import FREE, Grid
-from worldsim.generators.drawing import blob, environment, fill, scatter, wall_thickness
+from protocol.grid import FREE, OCCUPIED, Grid
+from worldsim.generators.drawing import (
+    blob,
+    canvas,
+    enclose,
+    environment,
+    field,
+    fill,
+    scatter,
+    wall_thickness,
+)
 from worldsim.generators.floorplan import Builder, Style, inside
 
 
@@ -37,3 +47,49 @@ def corridor(cells: Grid, random: np.random.Generator, resolution: float) -> Non
     """48 x 15 m: a long corridor with rooms on both sides (Burgard et al., section IV-C)."""
     style = Style(corridor_m=2.7, joined=0.2)
     Builder(cells, random, resolution, style).offices(inside(cells, wall_thickness(resolution)), corridors=1)
+
+
+_Walls = tuple[tuple[float, float, float, float], ...]
+"""Center lines of walls, in meters from the upper left corner: from (x, y) to (x, y)."""
+
+_FIVE_ROOMS: _Walls = (
+    (0.0, 5.6, 2.0, 5.6),  # above the corridor; doorways of 0.9 m
+    (2.9, 5.6, 9.0, 5.6),
+    (9.9, 5.6, 15.1, 5.6),
+    (16.0, 5.6, 18.0, 5.6),
+    (0.0, 7.9, 3.6, 7.9),  # below it
+    (4.5, 7.9, 13.0, 7.9),
+    (13.9, 7.9, 18.0, 7.9),
+    (5.8, 0.0, 5.8, 5.6),  # between the rooms
+    (12.2, 0.0, 12.2, 5.6),
+    (9.0, 7.9, 9.0, 14.0),
+)
+
+_TWO_ROOMS: _Walls = (
+    (0.0, 5.6, 1.6, 5.6),  # above the corridor
+    (2.5, 5.6, 11.5, 5.6),
+    (12.4, 5.6, 14.0, 5.6),
+    (7.0, 0.0, 7.0, 2.4),  # between the rooms
+    (7.0, 3.3, 7.0, 5.6),
+)
+
+
+def five_rooms(_random: np.random.Generator, *, resolution: float = 0.15) -> Grid:
+    """18 x 14 m: five empty rooms along a corridor (Burgard et al., Figs. 3, 11)."""
+    return _draw(18.0, 14.0, _FIVE_ROOMS, resolution)
+
+
+def two_rooms(_random: np.random.Generator, *, resolution: float = 0.15) -> Grid:
+    """14 x 8 m: two rooms with a doorway between them, each with one to a corridor (Burgard et al., Figs. 4, 5)."""
+    return _draw(14.0, 8.0, _TWO_ROOMS, resolution)
+
+
+def _draw(width_m: float, height_m: float, walls: _Walls, resolution: float) -> Grid:
+    cells = canvas(width_m, height_m, resolution, least_m=0.0)
+    thickness = wall_thickness(resolution)
+    field(cells, thickness)
+    for wall in walls:
+        left, top, right, bottom = (round(end / resolution) for end in wall)
+        cells[top : bottom + thickness, left : right + thickness] = OCCUPIED
+    enclose(cells, thickness)
+    return cells

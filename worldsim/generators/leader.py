@@ -1,4 +1,4 @@
-"""The environments of the exploration by potential fields with leaders (its Figs. 3 to 5): 10 x 10 m.
+"""The environments of the exploration by potential fields with leaders (its Figs. 2 to 5): 10 x 10 m.
 
 A trooper is attracted straight to its closest frontier. It stalls if a wall crosses that line, and a whole team
 stalls in rooms whose doors do not face the unexplored space. Troopers slide along a short screen and past it.
@@ -28,6 +28,23 @@ _TRAP: _Walls = (
 )
 
 _ROOMS: _Walls = ((5.0, 1.6, 5.0, 3.6), (5.0, 6.4, 5.0, 8.4), (1.6, 5.0, 3.6, 5.0), (6.4, 5.0, 8.4, 5.0))
+
+_OBSTACLES: _Walls = (
+    (1.8, 2.0, 3.8, 2.0),  # a cup that opens downwards
+    (1.8, 2.0, 1.8, 4.0),
+    (3.8, 2.0, 3.8, 4.0),
+    (6.2, 1.8, 6.2, 4.0),  # two angles
+    (6.2, 4.0, 8.2, 4.0),
+    (2.0, 6.0, 4.0, 6.0),
+    (2.0, 6.0, 2.0, 8.2),
+    (6.0, 6.4, 8.2, 6.4),  # a T
+    (7.1, 6.4, 7.1, 8.4),
+)
+
+
+def obstacles(_random: np.random.Generator, *, resolution: float = 0.1) -> Grid:
+    """10 x 10 m: a hall with nonconvex obstacles (leader paper, Fig. 2)."""
+    return _draw(_OBSTACLES, resolution)
 
 
 def trap(_random: np.random.Generator, *, resolution: float = 0.1) -> Grid:

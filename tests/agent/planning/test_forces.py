@@ -81,3 +81,15 @@ def test_the_closest_obstacle_is_the_closest_point_of_a_cell() -> None:
     np.testing.assert_allclose(found, (10.2, 11.5))
     closest_obstacle(floor, 10.2, 10.0, 1.0, found)
     assert np.isnan(found).all()
+
+
+def test_a_moving_teammate_repels_from_where_it_is_at_each_moment() -> None:
+    floor = np.full((100, 100), FREE, np.uint8)
+    at, robots = (50.0, 50.0), np.array([(50.0, 35.0)])
+    drifts = np.array([(0.0, 10.0)])
+    moving, _ = glide(floor, 0.1, at, np.zeros(2), NOWHERE, robots, FIELD, 100.0, drifts)
+    still, _ = glide(floor, 0.1, at, np.zeros(2), NOWHERE, robots, FIELD, 100.0)
+    np.testing.assert_array_equal(moving[0], still[0])
+    assert (moving[2:, 1] > still[2:, 1]).all()
+    away, _ = glide(floor, 0.1, at, np.zeros(2), NOWHERE, robots, FIELD, 100.0, -drifts)
+    assert (away[2:, 1] < still[2:, 1]).all()

@@ -478,6 +478,20 @@ def test_teammates_in_radio_range_repel_a_trooper() -> None:
     assert ends[1][0] > 20500
 
 
+def test_a_teammate_that_comes_closer_repels_more_if_it_is_assumed_to_move_on() -> None:
+    grid = np.full((41, 41), FREE, np.uint8)
+    grid[0, 20] = UNKNOWN
+    ends = []
+    for teammates in ("still", "moving"):
+        options = {"teammates": teammates}
+        trooper = make_strategy("potential-field", options, grid, robot=1, resolution=0.1, speed_cells=10.0)
+        for column in (8, 12):
+            view = robot_at(20, 20, grid=grid, peers=(0,), poses={0: Pose(column, 20, leads=False)})
+            points = trooper.decide(view).points
+        ends.append(int(points[-1, 0]))
+    assert ends[1] > ends[0] + 20
+
+
 def test_a_leader_takes_the_shortest_way_and_a_trooper_stops_before_the_wall() -> None:
     grid = drawn(
         "..........",

@@ -119,3 +119,47 @@ def test_a_target_lowers_utilities_within_the_range_of_its_robot() -> None:
         target = planning_robot.decide(view).target
         assert target is not None
         assert abs(target[0] - column) <= 1
+
+
+def targets_in_a_corridor(**options: Any) -> list[Any]:
+    """Targets of two robots in a corridor with gaps in its wall at 14, 40, and 45; they stand at 35 and 36."""
+    grid = np.full((5, 60), FREE, np.uint8)
+    grid[[0, 4]] = OCCUPIED
+    grid[:, [0, 59]] = OCCUPIED
+    grid[0, [14, 40, 45]] = UNKNOWN
+    found = []
+    for robot in (0, 1):
+        cells = [(35, 2), (36, 2)]
+        (x, y), other = cells[robot], cells[1 - robot]
+        view = Situation(
+            step=1, grid=grid, x=x, y=y, home=(x, y), peers=(1 - robot,), poses={1 - robot: Pose(*other, leads=False)}
+        )  # fmt: skip
+        found.append(
+            strategy("burgard")(options, settings_for(grid, robot, ranges_cells=[20.0] * 2))
+            .decide(view)
+            .target
+        )
+    return found
+
+
+def test_where_lasers_see_short_distances_a_target_lowers_utilities_around_it_less() -> None:
+    # By Eq. 2, a robot at gap 40 covers gap 45 with probability 0.75. Few beams in the corridor get that far.
+    assert targets_in_a_corridor() == [(14, 1), (40, 1)]
+    assert targets_in_a_corridor(visibility="learned") == [(45, 1), (40, 1)]
+
+
+def test_last_targets_out_of_range_count_by_the_learned_probability() -> None:
+    # Beside gaps 40 and 45, which the last target of a robot out of range lowers by P(5).
+    grid = np.full((5, 60), FREE, np.uint8)
+    grid[[0, 4]] = OCCUPIED
+    grid[:, [0, 59]] = OCCUPIED
+    grid[0, [14, 45]] = UNKNOWN
+    view = Situation(step=1, grid=grid, x=35, y=2, home=(35, 2), targets={1: (40, 1)}, target_steps={1: 1})
+    for visibility, target in (("linear", (14, 1)), ("learned", (45, 1))):
+        robot = strategy("burgard")({"visibility": visibility}, settings_for(grid, ranges_cells=[20.0] * 2))
+        assert robot.decide(view).target == target
+
+
+def test_algorithm_2_has_no_learned_probability() -> None:
+    with pytest.raises(ValueError, match="burgard-optimal has no option 'visibility'"):
+        strategy("burgard-optimal")({"visibility": "learned"}, settings_for(np.full((5, 5), FREE, np.uint8)))
