@@ -132,7 +132,7 @@ def segment_clusters(cells: Cells, range_cells: float, at_least: int = 0) -> Clu
 
 
 def mean_goals(grid: Grid, clusters: Clusters, is_reached: Bools, robots: Cells, range_cells: float) -> Cells:
-    """Return the goal of each cluster: its mean, rounded to a cell, or its medoid if a robot would see nothing new there.
+    """Return the goal of each cluster: its mean, rounded to a cell, or its medoid if the mean would show nothing new.
 
     The mean is the goal if a robot reaches it, and if its medoid is in sight within the sensor range. It is not if a
     robot is there already, as its scanner has left the frontier. No two goals are equal.

@@ -119,7 +119,7 @@ class _Allocating(TeamStrategy):
         range_cells = self.settings.scale_cells
         clusters = segment_clusters(frontier, range_cells, at_least)
         costs = self.costs_of(team, np.rint(clusters.means).astype(np.int32), planner)
-        reached: Bools = np.isfinite(costs).any(axis=0)
+        reached: Bools = np.isfinite(costs.min(axis=0))
         robots = np.array(list(team.values()), np.int32)
         return mean_goals(situation.grid, clusters, reached, robots, range_cells)
 
