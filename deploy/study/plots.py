@@ -82,7 +82,9 @@ def check_plot(plot: Plot, grid: Iterable[str], metrics: Iterable[str]) -> None:
             raise ValueError(f"plot.{name} = {key!r}: is not in the grid; there are: {', '.join(keys)}")
     for key in plot.where:
         if key not in keys:
-            raise ValueError(f"plot.where names {key!r}, which is not in the grid; there are: {', '.join(keys)}")
+            raise ValueError(
+                f"plot.where names {key!r}, which is not in the grid; there are: {', '.join(keys)}"
+            )
     if plot.kind == CURVES and plot.y not in SERIES:
         raise ValueError(f"plot.y = {plot.y!r}: is not a series; there are: {', '.join(SERIES)}")
     if plot.kind != CURVES:

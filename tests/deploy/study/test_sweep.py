@@ -46,7 +46,9 @@ def test_a_plot_has_the_runs_that_where_selects(tmp_path: Path) -> None:
     assert [axes.get_title() for axes in done.plot().axes] == ["robots 2"]
     none = write(tmp_path, EXPERIMENT + plot.format("robots = [5]"))
     assert len(sweep(none, seed=0, robots=[1], **QUIET).plot().axes) == 1
-    with pytest.raises(ScenarioError, match=r"plot.where names 'speed', which is not in the grid; there are: .*robots"):
+    with pytest.raises(
+        ScenarioError, match=r"plot.where names 'speed', which is not in the grid; there are: .*robots"
+    ):
         sweep(write(tmp_path, EXPERIMENT + plot.format("speed = [1.0]")), **QUIET)
 
 
