@@ -15,10 +15,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from agent.planning.clusters import medoids
+from agent.planning.clusters import Clusters, cluster_groups
 from agent.planning.path_planner import PathPlanner
 from agent.planning.utility import sees
-from protocol.arrays import Cells, Int64s
+from protocol.arrays import Bools, Cells, Int64s
 from protocol.grid import Grid
 from protocol.kernels import kernel
 
@@ -103,6 +103,14 @@ def count_representatives(cells: ArrayLike, range_cells: float) -> Int64s:
 def representatives(cells: Cells, range_cells: float, at_least: int = 0) -> Cells:
     """Represent each frontier segment by the medoids of its clusters, which are cells of the frontier.
 
+    Parameters are those of `segment_clusters`.
+    """
+    return segment_clusters(cells, range_cells, at_least).medoids
+
+
+def segment_clusters(cells: Cells, range_cells: float, at_least: int = 0) -> Clusters:
+    """Divide each frontier segment into clusters; its number of cells and the sensor range give their number.
+
     Parameters
     ----------
     cells : int32 array, shape (n, 2)
@@ -110,8 +118,8 @@ def representatives(cells: Cells, range_cells: float, at_least: int = 0) -> Cell
     range_cells : float
         Sensor range rho in cells.
     at_least : int
-        Least number of goals (ANR): the segment with the most cells per representative gets another one, until there
-        are enough or every cell is a representative.
+        Least number of clusters (ANR): the segment with the most cells per cluster gets another one, until there are
+        enough or every cell is a cluster.
     """
     edges, sizes = frontier_segments(cells)
     counts = np.minimum(sizes, count_representatives(sizes, range_cells))
@@ -120,7 +128,32 @@ def representatives(cells: Cells, range_cells: float, at_least: int = 0) -> Cell
         if not shares.any():
             break
         counts[np.argmax(shares)] += 1
-    return medoids(edges, sizes, counts)[0]
+    return cluster_groups(edges, sizes, counts)
+
+
+def mean_goals(grid: Grid, clusters: Clusters, is_reached: Bools, robots: Cells, range_cells: float) -> Cells:
+    """Return the goal of each cluster: its mean, rounded to a cell, or its medoid if the mean would show nothing new.
+
+    The mean is the goal if a robot reaches it, and if its medoid is in sight within the sensor range. It is not if a
+    robot is there already, as its scanner has left the frontier. No two goals are equal.
+
+    Parameters
+    ----------
+    grid : uint8 array, shape (h, w)
+        The planning grid; occupied cells block the line of sight.
+    is_reached : bool array, shape (n,)
+        Whether a robot reaches the mean of each cluster.
+    robots : int32 array, shape (m, 2)
+        The cells of the robots.
+    """
+    goals = clusters.medoids.copy()
+    taken = {(x, y) for x, y in [*goals.tolist(), *robots.tolist()]}
+    for number in np.flatnonzero(is_reached):
+        mean = np.rint(clusters.means[number]).astype(np.int32)
+        if (int(mean[0]), int(mean[1])) not in taken and sees(grid, mean, goals[number], range_cells) > 0.0:
+            goals[number] = mean
+            taken.add((int(mean[0]), int(mean[1])))
+    return goals
 
 
 def thin_out(grid: Grid, cells: Cells, lengths: Int64s, gap: float) -> Int64s:

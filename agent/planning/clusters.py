@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from protocol.arrays import Cells, FloatRows, Int64s
@@ -25,8 +27,19 @@ def k_means(points: Points, seeds: Points) -> tuple[Points, Int64s]:
     return means, owner
 
 
-def medoids(points: Cells, sizes: Int64s, counts: Int64s) -> tuple[Cells, Int64s]:
-    """Cluster the points of each group, and return the point of each cluster that is nearest to its mean.
+class Clusters(NamedTuple):
+    """Clusters of the points of several groups."""
+
+    medoids: Cells
+    """The point of each cluster that is nearest to its mean, shape (n, 2)."""
+    groups: Int64s
+    """The group of each cluster, shape (n,)."""
+    means: Points
+    """The mean of each cluster, shape (n, 2)."""
+
+
+def cluster_groups(points: Cells, sizes: Int64s, counts: Int64s) -> Clusters:
+    """Cluster the points of each group around means.
 
     The initial means are far apart: the first point, then always the point farthest from all means so far.
 
@@ -37,12 +50,13 @@ def medoids(points: Cells, sizes: Int64s, counts: Int64s) -> tuple[Cells, Int64s
     sizes, counts : int64 arrays, shape (k,)
         Number of points of each group, at least one; number of its clusters, at most as many.
 
-    Returns the medoids, for `counts` without empty clusters, and the group of each.
+    Empty clusters are left out.
     """
     found = np.empty((counts.sum(), 2), np.int32)
     groups = np.empty(len(found), np.int64)
-    total = _medoids_of_each(points, sizes, counts, found, groups)
-    return found[:total], groups[:total]
+    means = np.empty((len(found), 2))
+    total = _cluster_each(points, sizes, counts, found, groups, means)
+    return Clusters(found[:total], groups[:total], means[:total])
 
 
 @kernel
@@ -77,9 +91,10 @@ def _lloyd(points: Points, means: Points, owner: Int64s) -> None:
 
 
 @kernel
-def _medoids(points: Points, count: int, out: Cells) -> int:
+def _cluster(points: Points, count: int, out: Cells, means: Points) -> int:
+    """Write medoids and means to the first rows of `out` and `means`; return the number of clusters."""
     gap = np.full(len(points), np.inf)
-    means = np.empty((count, 2))
+    means = means[:count]
     chosen = 0
     for number in range(count):
         means[number] = points[chosen]
@@ -107,21 +122,25 @@ def _medoids(points: Points, count: int, out: Cells) -> int:
         if nearest[number] >= 0:
             out[found, 0] = int(points[nearest[number], 0])
             out[found, 1] = int(points[nearest[number], 1])
+            means[found] = means[number]
             found += 1
     return found
 
 
 @kernel
-def _medoids_of_each(points: Cells, sizes: Int64s, counts: Int64s, found: Cells, groups: Int64s) -> int:
+def _cluster_each(
+    points: Cells, sizes: Int64s, counts: Int64s, found: Cells, groups: Int64s, means: Points
+) -> int:
     first, total = 0, 0
     for group in range(len(sizes)):
         size = sizes[group]
         if size == 1:
             found[total] = points[first]
+            means[total] = points[first]
             more = 1
         else:
             part = points[first : first + size].astype(np.float64)
-            more = _medoids(part, counts[group], found[total:])
+            more = _cluster(part, counts[group], found[total:], means[total:])
         groups[total : total + more] = group
         first += size
         total += more

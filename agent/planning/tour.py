@@ -1,7 +1,6 @@
 """Exact tours through a few goals: the traveling salesman's open path.
 
-Faigl and Vanek 2014 use the Chained Lin-Kernighan heuristic (section 3.1). The tours of one robot are short enough for
-an exact solution (Held and Karp 1962, in fast-tsp), so they are the same on every machine.
+The solution is that of Held and Karp (1962), in fast-tsp. `agent.planning.lin_kernighan` has tours through more goals.
 """
 
 from __future__ import annotations

@@ -10,6 +10,10 @@
 Goals (rfe or anr), replanning (at-goal is the paper's GR, at-once its IR) and mission (open is OP, return RD)
 are options. So is the treatment of frontier segments of at most two cells (n_f = 2): the paper does not consider them,
 so an exploration ends when no others are left; by default, robots visit them last.
+
+Three more deviations from the paper have options, too (`GOALS`, `TOURS`, `EMPTY_CLUSTERS`): a goal is a cell of the
+frontier, not the mean of a cluster; a tour leads through the nearest goals of a cluster; a robot whose cluster is empty
+takes a goal of another robot.
 """
 
 from __future__ import annotations
@@ -20,8 +24,9 @@ from typing import ClassVar
 import numpy as np
 
 from agent.planning.assignment import Assignment, Costs, greedy, hungarian, iterative
-from agent.planning.candidates import large_segments
+from agent.planning.candidates import large_segments, mean_goals, segment_clusters
 from agent.planning.clusters import k_means
+from agent.planning.lin_kernighan import chained_tour
 from agent.planning.path_planner import PathPlanner
 from agent.planning.route import straighten
 from agent.planning.tour import LONGEST, open_tour
@@ -29,10 +34,16 @@ from agent.strategies.base import Cell, Situation
 from agent.strategies.options import option, with_defaults
 from agent.strategies.targets import Clash, Parts
 from agent.strategies.team import Table, TeamStrategy, unclaimed
-from protocol.arrays import Cells, Floats, Int64s
+from protocol.arrays import Bools, Cells, Floats, Int64s
 
 SMALL_SEGMENTS = ("last", "dropped")
 """When to visit frontier segments of at most two cells: after all others, or never."""
+
+GOALS = ("cell", "mean")
+"""The goal of a cluster of frontier cells. ``cell``: the cell nearest to the mean. ``mean``: the mean, as in the paper.
+The paper does not say what the goal is if the mean is not free; here it is the cell then, and where a mean serves no
+purpose (`agent.planning.candidates.mean_goals`). With immediate replanning, a robot whose goal is no frontier cell
+replans at each step."""
 
 
 @dataclass(frozen=True)
@@ -42,10 +53,30 @@ class Allocating(Parts):
     small_segments: str = option(
         "last", "when to visit frontier segments of at most two cells", SMALL_SEGMENTS
     )
+    goals: str = option("cell", "the goal of a cluster of frontier cells", GOALS)
+
+
+TOURS = ("nearest-12", "whole")
+"""Goals of a tour. ``nearest-12``: the 12 goals of the cluster nearest to the robot; the tour is the shortest.
+``whole``: all goals of the cluster; the tour is that of the Chained Lin-Kernighan heuristic, as in the paper."""
+
+EMPTY_CLUSTERS = ("filled", "idle")
+"""What a robot with an empty cluster does. ``filled``: it takes the nearest goal of a robot that has several; with
+fewer goals than robots, goals are assigned as in IA. ``idle``: it has no goal, as in the paper."""
+
+
+@dataclass(frozen=True)
+class Touring(Allocating):
+    """Options of the strategies with tours."""
+
+    tours: str = option("nearest-12", "which goals of its cluster a robot's tour leads through", TOURS)
+    empty_clusters: str = option("filled", "what a robot with an empty cluster does", EMPTY_CLUSTERS)
 
 
 _OPTIONS = with_defaults(Allocating, candidates="anr")
 _DEPOT_OPTIONS = with_defaults(Allocating, candidates="anr", mission="return")
+_TOURING_OPTIONS = with_defaults(Touring, candidates="anr")
+_TOURING_DEPOT_OPTIONS = with_defaults(Touring, candidates="anr", mission="return")
 
 _OPEN = Clash(
     ("mission",),
@@ -58,6 +89,14 @@ class _Allocating(TeamStrategy):
     """Common part of the six: goals of teammates out of range are left to them, and routes are straightened."""
 
     options_type: ClassVar[type] = _OPTIONS
+    clashes = (
+        *TeamStrategy.clashes,
+        Clash(
+            ("goals", "candidates"),
+            lambda parts: parts.goals == "mean" and parts.candidates == "cells",
+            "each frontier cell is a goal, so there are no clusters",
+        ),
+    )
 
     def frontier(self, situation: Situation, planner: PathPlanner) -> Cells:
         """Return the reachable frontier cells, row by row; without small segments if these are dropped."""
@@ -66,8 +105,23 @@ class _Allocating(TeamStrategy):
 
     def goals(self, situation: Situation, planner: PathPlanner) -> Cells:
         """Return the candidates that are not near the last target of a teammate out of range."""
-        found = super().goals(situation, planner)
+        means = self.options.goals == "mean"
+        found = self._means(situation, planner) if means else super().goals(situation, planner)
         return unclaimed(situation, found, self.remembered(situation), self.settings)
+
+    def _means(self, situation: Situation, planner: PathPlanner) -> Cells:
+        """Return the means of the clusters of the frontier (`GOALS`)."""
+        frontier = self.frontier(situation, planner)
+        if not len(frontier):
+            return frontier
+        team = self.team(situation)
+        at_least = len(team) if self.options.candidates == "anr" else 0
+        range_cells = self.settings.scale_cells
+        clusters = segment_clusters(frontier, range_cells, at_least)
+        costs = self.costs_of(team, np.rint(clusters.means).astype(np.int32), planner)
+        reached: Bools = np.isfinite(costs.min(axis=0))
+        robots = np.array(list(team.values()), np.int32)
+        return mean_goals(situation.grid, clusters, reached, robots, range_cells)
 
     def _drive(self, situation: Situation, planner: PathPlanner, goal: Cell | None) -> bool:
         found = super()._drive(situation, planner, goal)
@@ -139,6 +193,7 @@ class Mtsp(_Allocating):
     name = "mtsp"
     summary = "goals clustered around the robots; each follows its cluster's shortest tour"
     source = "Faigl and Vanek 2014, MA (section 3.1)"
+    options_type: ClassVar[type] = _TOURING_OPTIONS
     clashes = (
         *_Allocating.clashes,
         Clash(
@@ -150,23 +205,27 @@ class Mtsp(_Allocating):
 
     def assign(self, table: Table, situation: Situation, planner: PathPlanner) -> Assignment:
         """Assign a goal to this robot alone; the tours of the others are not needed."""
-        if len(table.goals) < len(table.robots):
+        fills = self.options.empty_clusters == "filled"
+        if fills and len(table.goals) < len(table.robots):
             return iterative(table.costs)
         given = np.full(len(table.robots), -1)
         me = table.robots.index(self.settings.robot)
-        mine = np.flatnonzero(cluster_goals(table) == me)
+        mine = np.flatnonzero(cluster_goals(table, fills=fills) == me)
         mine = mine[np.isfinite(table.costs[me, mine])]
         if len(mine):
             given[me] = self._first_stop(table, mine, situation, planner)
         return given
 
     def _first_stop(self, table: Table, mine: Int64s, situation: Situation, planner: PathPlanner) -> int:
-        """Return the first goal of the shortest tour through the nearest `LONGEST` goals of a cluster."""
+        """Return the first goal of a short tour through the goals of a cluster (`TOURS`)."""
         costs = table.costs[table.robots.index(self.settings.robot)]
-        mine = mine[np.argsort(costs[mine], kind="stable")][:LONGEST]
+        mine = mine[np.argsort(costs[mine], kind="stable")]
+        shortest = chained_tour
+        if self.options.tours == "nearest-12":
+            mine, shortest = mine[:LONGEST], open_tour
         cells = table.goals[mine]
         between = planner.costs_between(cells, cells)
-        tour = open_tour(costs[mine], (between + between.T) / 2, self._to_end(cells, situation, planner))
+        tour = shortest(costs[mine], (between + between.T) / 2, self._to_end(cells, situation, planner))
         return int(mine[tour[0]])
 
     def _to_end(self, cells: Cells, situation: Situation, planner: PathPlanner) -> Floats:
@@ -181,7 +240,7 @@ class MtspDepot(Mtsp):
     name = "mtsp-depot"
     summary = "as mtsp, with tours that end at the depot"
     source = "Faigl and Vanek 2014, MAd (section 4.1.1)"
-    options_type = _DEPOT_OPTIONS
+    options_type = _TOURING_DEPOT_OPTIONS
     clashes = (*Mtsp.clashes, _OPEN)
 
     def _to_end(self, cells: Cells, situation: Situation, planner: PathPlanner) -> Floats:
@@ -199,13 +258,13 @@ def _way_back(planner: PathPlanner, goals: Cells, homes: Cells) -> Costs:
     return np.where(np.isfinite(back), back, straight)
 
 
-def cluster_goals(table: Table) -> Int64s:
+def cluster_goals(table: Table, *, fills: bool = True) -> Int64s:
     """Cluster the goals around the robots by k-means; return for each goal the index of its robot.
 
-    A robot with an empty cluster gets the nearest goal of a robot that has several.
+    If `fills`, a robot with an empty cluster gets the nearest goal of a robot that has several.
     """
     _, owner = k_means(table.goals.astype(np.float64), table.cells.astype(np.float64))
-    for robot in range(len(table.robots)):
+    for robot in range(len(table.robots) if fills else 0):
         if (owner == robot).any():
             continue
         counts = np.bincount(owner, minlength=len(table.robots))

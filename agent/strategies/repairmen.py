@@ -35,7 +35,7 @@ import numpy as np
 
 from agent.planning.assignment import Assignment
 from agent.planning.candidates import components, count_representatives, thin_out
-from agent.planning.clusters import medoids
+from agent.planning.clusters import cluster_groups
 from agent.planning.frontier import is_frontier
 from agent.planning.gain import expected_gain
 from agent.planning.path_planner import PathPlanner
@@ -310,7 +310,7 @@ def _representatives(grid: Grid, frontier: Cells, range_cells: float) -> tuple[C
     """
     edges, sizes = components(frontier)
     counts = np.minimum(sizes, count_representatives(sizes, range_cells))
-    cells, edge = medoids(edges, sizes, counts)
+    cells, edge, _ = cluster_groups(edges, sizes, counts)
     lengths = sizes[edge]
     gap = GAP * range_cells
     stays = thin_out(grid, cells, lengths, gap)

@@ -9,6 +9,7 @@ An experiment's file describes a plot::
     y = "steps"
     lines = "variant"       # one line, box or curve per value
     panels = "map"          # one panel per value
+    where = { robots = [3, 5] }  # only these runs; all by default
     xlabel = "robots"       # by default the name of the key with its unit
     ylabel = "exploration time (steps)"
 
@@ -22,7 +23,7 @@ import base64
 import io
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal
 
@@ -66,6 +67,7 @@ class Plot:
     kind: Literal["lines", "boxes", "curves"] = LINES
     lines: str = VARIANT
     panels: str = ""
+    where: dict[str, list[Any]] = field(default_factory=dict)
     xlabel: str = ""
     ylabel: str = ""
     log: bool = False
@@ -78,6 +80,11 @@ def check_plot(plot: Plot, grid: Iterable[str], metrics: Iterable[str]) -> None:
     for name, key in (("x", plot.x), ("lines", plot.lines), ("panels", plot.panels)):
         if key and key not in keys:
             raise ValueError(f"plot.{name} = {key!r}: is not in the grid; there are: {', '.join(keys)}")
+    for key in plot.where:
+        if key not in keys:
+            raise ValueError(
+                f"plot.where names {key!r}, which is not in the grid; there are: {', '.join(keys)}"
+            )
     if plot.kind == CURVES and plot.y not in SERIES:
         raise ValueError(f"plot.y = {plot.y!r}: is not a series; there are: {', '.join(SERIES)}")
     if plot.kind != CURVES:
@@ -90,7 +97,8 @@ def draw(plot: Plot, rows: Sequence[Row], results: Results, style: FigureStyle =
     """Draw the runs of an experiment; `results` holds their series."""
     from matplotlib.figure import Figure  # noqa: PLC0415  half a second to import
 
-    panels = _values(rows, plot.panels) if plot.panels else [None]
+    rows = [row for row in rows if all(row["place"][key] in plot.where[key] for key in plot.where)]
+    panels = (_values(rows, plot.panels) if plot.panels else []) or [None]
     lines = _values(rows, plot.lines) if plot.lines else [None]
     columns, (width, height) = style.layout(len(panels))
     across = math.ceil(len(panels) / columns)
@@ -100,7 +108,10 @@ def draw(plot: Plot, rows: Sequence[Row], results: Results, style: FigureStyle =
         axes, unused = list(grid[: len(panels)]), grid[len(panels) :]
         for panel, shown in zip(axes, panels, strict=True):
             painter = {LINES: _lines, BOXES: _boxes, CURVES: _curves}[plot.kind]
-            painter(panel, plot, _of(rows, plot.panels, shown), lines, results)
+            if rows:
+                painter(panel, plot, _of(rows, plot.panels, shown), lines, results)
+            else:
+                panel.set_title("no runs")
             if shown is not None:
                 panel.set_title(labels.level(plot.panels, shown, short(shown)))
             panel.set_xlabel(_x_label(plot, rows))

@@ -15,11 +15,12 @@ from agent.planning.candidates import (
     frontier_segments,
     goal_candidates,
     large_segments,
+    mean_goals,
     representatives,
     searched_candidate,
     thin_out,
 )
-from agent.planning.clusters import k_means, medoids
+from agent.planning.clusters import cluster_groups, k_means
 from agent.planning.frontier import is_frontier
 from agent.planning.gain import information_gain
 from agent.planning.path_planner import PathPlanner
@@ -98,6 +99,21 @@ def test_representatives_are_frontier_cells_that_can_be_reached() -> None:
     assert all(is_frontier(grid, x, y) for x, y in goals.tolist())
 
 
+def test_the_mean_of_a_cluster_is_a_goal_where_it_serves() -> None:
+    # Two segments of three cells; their means lie between them, at (1, 4/3) and (5, 4/3).
+    def goals(*rows: str, reached: tuple[bool, bool] = (True, True), robot: int = 3) -> list[list[int]]:
+        cells = np.array([(1, 0), (5, 0), (0, 2), (2, 2), (4, 2), (6, 2)], np.int32)
+        clusters = cluster_groups(cells[[0, 2, 3, 1, 4, 5]], np.array([3, 3]), np.array([1, 1]))
+        robots = np.array([(robot, 1)], np.int32)
+        return mean_goals(drawn(*rows), clusters, np.array(reached), robots, 3.0).tolist()
+
+    medoids = [[0, 2], [4, 2]]
+    assert goals(".......", ".......", ".......") == [[1, 1], [5, 1]]
+    assert goals(".......", ".......", ".......", reached=(True, False)) == [[1, 1], medoids[1]]
+    assert goals(".......", ".......", ".......", robot=5) == [[1, 1], medoids[1]]
+    assert goals(".......", ".#.....", ".......") == [medoids[0], [5, 1]]
+
+
 def test_breadth_first_passes_over_cells_near_a_teammates_target() -> None:
     grid = drawn("?.......??")
     assert searched_candidate("breadth-first", PathPlanner(grid), (2, 0), [], 3.0).tolist() == [[1, 0]]
@@ -111,7 +127,9 @@ def test_k_means_of_two_heaps_are_their_means() -> None:
     means, owner = k_means(points, points[[0, 4]])
     assert owner.tolist() == [0, 0, 1, 1, 1]
     np.testing.assert_allclose(means, [(0, 1), (32 / 3, 1)])
-    assert medoids(points.astype(np.int32), np.array([5]), np.array([2]))[0].tolist() == [[0, 0], [10, 0]]
+    found = cluster_groups(points.astype(np.int32), np.array([5]), np.array([2]))
+    assert found.medoids.tolist() == [[0, 0], [10, 0]]
+    np.testing.assert_allclose(found.means, means)
 
 
 def test_information_gain_counts_unknown_cells_out_of_range_of_teammates() -> None:

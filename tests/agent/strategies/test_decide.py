@@ -217,6 +217,44 @@ def test_mtsp_with_fewer_goals_than_robots_takes_the_cheapest_pair_first() -> No
         assert decide("mtsp", situation, {"candidates": "rfe"}, robot=robot).target == expected
 
 
+@pytest.mark.parametrize("robots", [2, 3])
+def test_mtsp_leaves_robots_with_empty_clusters_idle_if_told_to(robots: int) -> None:
+    # Both goals are nearest to robot 0: fewer goals than robots, or as many.
+    grid = drawn("?####", ".####", *3 * ["....."], ".####", "?####")
+    cells = dict(enumerate([(2, 3), (3, 3), (4, 3)][:robots]))
+    for empty_clusters, with_goal in (("filled", {0, 1}), ("idle", {0})):
+        targets = {}
+        for robot, cell in cells.items():
+            poses = {peer: Pose(*at, leads=False) for peer, at in cells.items() if peer != robot}
+            situation = robot_at(*cell, grid=grid, peers=tuple(poses), poses=poses)
+            options = {"empty_clusters": empty_clusters}
+            targets[robot] = decide("mtsp", situation, options, robot=robot, robots=robots).target
+        assert {robot for robot, target in targets.items() if target} == with_goal
+
+
+@pytest.mark.parametrize("name", ["greedy", "iterative", "hungarian", "mtsp"])
+def test_goals_are_means_of_clusters_if_told_to_unless_these_are_occupied(name: str) -> None:
+    # A frontier like an L: the mean of its cells lies inside.
+    options = {"candidates": "rfe", "replan": "at-goal"}
+    for sign, on_frontier, mean in ((".", (3, 1), (3, 2)), ("#", (3, 1), (3, 1))):
+        grid = drawn("??????", ".....?", f"...{sign}.?", *3 * [".....?"])
+        for goals, target in (("cell", on_frontier), ("mean", mean)):
+            chosen = decide(
+                name, robot_at(0, 5, grid=grid), options | {"goals": goals}, ranges_cells=[50.0] * 2
+            )
+            assert chosen.target == target
+
+
+def test_mtsp_tours_all_goals_of_its_cluster_if_told_to() -> None:
+    # Goals up to 24 cells and at 28 cells to the right, and at 26 to the left: the shorter side is the first of a tour,
+    # but it is not among the 12 nearest goals.
+    grid = drawn("#" * 60, "." * 60, "#" * 60)
+    grid[0, [4, *range(32, 55, 2), 58]] = UNKNOWN
+    for tours, first in (("nearest-12", (32, 1)), ("whole", (4, 1))):
+        options = {"candidates": "rfe", "tours": tours}
+        assert decide("mtsp", robot_at(30, grid=grid), options).target == first
+
+
 def test_hungarian_depot_assigns_near_goals_to_robots_that_traveled_far() -> None:
     one_frontier = CORRIDOR.copy()
     one_frontier[0, 14] = 2

@@ -71,6 +71,13 @@ def test_an_unknown_strategy_is_rejected_with_a_list_of_names() -> None:
         ("repairmen", {"candidates": "cells"}, r"candidates of repairmen is one of edges; not 'cells'"),
         ("repairmen", {"latency_weight": -1.0}, r"option latency_weight of repairmen must be 0 or more"),
         ("hungarian-depot", {"mission": "open"}, r"include the way to the depot"),
+        (
+            "greedy",
+            {"goals": "mean", "candidates": "cells"},
+            r"each frontier cell is a goal, so there are no",
+        ),
+        ("mtsp", {"tours": "exact"}, r"option tours of mtsp is one of nearest-12, whole; not 'exact'"),
+        ("hungarian", {"tours": "whole"}, r"hungarian has no option 'tours'"),
         ("mtsp-depot", {"mission": "open"}, r"include the way to the depot"),
         (
             "leaders",

@@ -29,7 +29,8 @@ PLOTS = [
 
 def made_up(read: Experiment, plot: Plot) -> list[dict[str, Any]]:
     """Three runs per setting, whose scales differ by up to 2000 between panels, in either order."""
-    keys = [key for key in dict.fromkeys((plot.panels, plot.lines, plot.x)) if key and key != "variant"]
+    used = dict.fromkeys((plot.panels, plot.lines, plot.x, *plot.where))
+    keys = [key for key in used if key and key != "variant"]
     values = [[value[key] if isinstance(value, dict) else value for value in read.grid[key]] for key in keys]
     rows: list[dict[str, Any]] = []
     for *place, variant in product(*values, read.variants):

@@ -39,6 +39,19 @@ def test_an_experiment_is_swept_with_other_settings(tmp_path: Path) -> None:
         sweep("lossy.toml", base={"robots": 3})
 
 
+def test_a_plot_has_the_runs_that_where_selects(tmp_path: Path) -> None:
+    plot = '[[plot]]\nx = "robots"\ny = "steps"\nfinished_only = false\npanels = "robots"\nwhere = {{ {} }}\n'
+    one = write(tmp_path, EXPERIMENT + plot.format("robots = [2]"))
+    done = sweep(one, seed=0, robots=[1, 2, 3], **QUIET)
+    assert [axes.get_title() for axes in done.plot().axes] == ["robots 2"]
+    none = write(tmp_path, EXPERIMENT + plot.format("robots = [5]"))
+    assert len(sweep(none, seed=0, robots=[1], **QUIET).plot().axes) == 1
+    with pytest.raises(
+        ScenarioError, match=r"plot.where names 'speed', which is not in the grid; there are: .*robots"
+    ):
+        sweep(write(tmp_path, EXPERIMENT + plot.format("speed = [1.0]")), **QUIET)
+
+
 def test_variants_are_run_on_the_same_grid() -> None:
     variants = {"near": {"sensor_range": 2.0}, "far": {"sensor_range": 5.0}}
     done = sweep(base={"map": "em", "steps": 2}, variants=variants, robots=[1], **QUIET)
