@@ -239,7 +239,8 @@ def named_values(texts: list[str], flag: str, example: str) -> dict[str, Any]:
         except RecursionError:
             raise ValueError(f"{flag} = '{name}=...': nested too deeply") from None
         except ValueError:
-            values[name] = _toml_value(value, f"{flag} = '{name}=...'") if value[:1] in {"[", "{"} else value
+            is_nested = value.lstrip()[:1] in {"[", "{"}
+            values[name] = _toml_value(value, f"{flag} = '{name}=...'") if is_nested else value
     return values
 
 
