@@ -230,7 +230,9 @@ def override(experiment: Experiment, settings: dict[str, Any]) -> Experiment:
         if key == VARIANT:
             raise ScenarioError("--set variant: is not a setting; --variant NAME chooses variants")
         names = key, key.partition(".")[0]
-        set_by = [next((name for name in names if name in keys), None) for keys in experiment.variants.values()]
+        set_by = [
+            next((name for name in names if name in keys), None) for keys in experiment.variants.values()
+        ]
         if all(set_by):
             raise ScenarioError(
                 f"--set {key}: has no effect, because each variant of {experiment.where} sets {set_by[0]}"

@@ -178,7 +178,9 @@ def test_a_key_of_a_table_that_every_variant_overrides_is_rejected(tmp_path: Pat
     text = "base.strategy = 'meier'\n" + "".join(
         f"[[variant]]\nname = '{name}'\noptions = {{ beta = 1.0 }}\n" for name in "ab"
     )
-    with pytest.raises(ScenarioError, match=r"--set options\.forget: has no effect, because .* sets options$"):
+    with pytest.raises(
+        ScenarioError, match=r"--set options\.forget: has no effect, because .* sets options$"
+    ):
         experiments.override(experiments.read(write(tmp_path, text)), {"options.forget": 3})
 
 
