@@ -217,7 +217,11 @@ class Mtsp(_Allocating):
         return given
 
     def _first_stop(self, table: Table, mine: Int64s, situation: Situation, planner: PathPlanner) -> int:
-        """Return the first goal of a short tour through the goals of a cluster (`TOURS`)."""
+        """Return the first goal of a short tour through the goals of a cluster (`TOURS`).
+
+        Goals that the robot reaches only through its own cell, and not from the nearest goal, are left out. A robot may
+        stand in a cell that its map bars, between two parts of the floor.
+        """
         costs = table.costs[table.robots.index(self.settings.robot)]
         mine = mine[np.argsort(costs[mine], kind="stable")]
         shortest = chained_tour
@@ -225,6 +229,8 @@ class Mtsp(_Allocating):
             mine, shortest = mine[:LONGEST], open_tour
         cells = table.goals[mine]
         between = planner.costs_between(cells, cells)
+        joined = np.isfinite(between[0])
+        mine, cells, between = mine[joined], cells[joined], between[np.ix_(joined, joined)]
         tour = shortest(costs[mine], (between + between.T) / 2, self._to_end(cells, situation, planner))
         return int(mine[tour[0]])
 

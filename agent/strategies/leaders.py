@@ -43,7 +43,7 @@ errors."""
 
 TEAMMATES = ("still", "moving")
 """Where teammates are during a step. ``still``: in the cells of their last poses. ``moving``: they repeat the motion
-between their last two poses."""
+since the step before; a teammate that was out of range then stays in its cell."""
 
 NOT_HERE = "forces move the robots, so there are no targets to choose from"
 
@@ -102,7 +102,7 @@ class FieldStrategy(Strategy):
         self._anchor_step = 0
         self._known = -1
         self._poses: dict[int, Cell] = {}
-        """The poses of teammates at the last decision."""
+        """The cells of the teammates that were in range at the last decision."""
         self._escape: Escape | None = None
 
     @classmethod
@@ -171,10 +171,10 @@ class FieldStrategy(Strategy):
 
     def _teammates(self, situation: Situation) -> tuple[FloatRows, FloatRows]:
         """Return the cells of teammates in range, and the ways that they drive during the step, each shape (m, 2)."""
-        before, self._poses = self._poses, {peer: pose[:2] for peer, pose in situation.poses.items()}
-        cells = [self._poses[peer] for peer in situation.peers if peer in self._poses]
-        last = [before.get(peer, self._poses[peer]) for peer in situation.peers if peer in self._poses]
-        robots = np.array(cells, np.float64).reshape(-1, 2)
+        poses = {peer: situation.poses[peer][:2] for peer in situation.peers if peer in situation.poses}
+        before, self._poses = self._poses, poses
+        robots = np.array(list(poses.values()), np.float64).reshape(-1, 2)
+        last = [before.get(peer, cell) for peer, cell in poses.items()]
         drifts = robots - np.array(last, np.float64).reshape(-1, 2)
         return robots, drifts if self.options.teammates == "moving" else np.zeros_like(robots)
 

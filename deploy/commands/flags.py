@@ -18,6 +18,7 @@ from typer.core import TyperCommand, TyperGroup
 from deploy.commands.console import fail
 from deploy.commands.viewing import Viewing
 from deploy.run.exit_codes import BAD_INPUT
+from protocol.errors import shown
 
 Command = Callable[..., None]
 Flag = tuple[str, Any, Any]
@@ -239,7 +240,8 @@ def named_values(texts: list[str], flag: str, example: str) -> dict[str, Any]:
         except RecursionError:
             raise ValueError(f"{flag} = '{name}=...': nested too deeply") from None
         except ValueError:
-            values[name] = _toml_value(value, f"{flag} = '{name}=...'") if value[:1] in {"[", "{"} else value
+            is_nested = value.lstrip()[:1] in {"[", "{"}
+            values[name] = _toml_value(value, f"{flag} = '{name}=...'") if is_nested else value
     return values
 
 
@@ -247,10 +249,12 @@ def _toml_value(text: str, where: str) -> Any:
     """Read a list or table in TOML; ValueError if it is malformed, with `where` it stands."""
     try:
         read = tomllib.loads(f"value = {text}")
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+    except RecursionError:
+        raise ValueError(f"{where}: nested too deeply") from None
+    except tomllib.TOMLDecodeError as error:
         raise ValueError(
-            f"{where}: {text!r} is no list or table, neither in TOML nor in JSON: {error}"
+            f"{where}: {shown(text)} is no list or table, neither in TOML nor in JSON: {error}"
         ) from None
     if len(read) > 1:
-        raise ValueError(f"{where}: {text!r} has more than one value")
+        raise ValueError(f"{where}: {shown(text)} has more than one value")
     return read["value"]

@@ -229,9 +229,13 @@ def override(experiment: Experiment, settings: dict[str, Any]) -> Experiment:
     for key, value in settings.items():
         if key == VARIANT:
             raise ScenarioError("--set variant: is not a setting; --variant NAME chooses variants")
-        if all(key in keys for keys in experiment.variants.values()):
+        names = key, key.partition(".")[0]
+        set_by = [
+            next((name for name in names if name in keys), None) for keys in experiment.variants.values()
+        ]
+        if all(set_by):
             raise ScenarioError(
-                f"--set {key}: has no effect, because each variant of {experiment.where} sets {key}"
+                f"--set {key}: has no effect, because each variant of {experiment.where} sets {set_by[0]}"
             )
         if key not in grid and not _is_axis(key, value):
             base[key] = value

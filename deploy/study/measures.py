@@ -116,6 +116,7 @@ def assignment(plan: Plan) -> Metrics:
     Robots stand in random cells of a map on which discs of the sensor range around random cells are known. All
     frontier cells are goals. The time is the minimum of three repetitions. It does not include the costs of ways.
     ``assignment.ms`` is the time of the rule of the scenario's strategy: `nearest`, `burgard`, or `burgard-optimal`.
+    Other strategies have none.
     """
     scenario, truth = plan.scenario, plan.map.cells
     reachable = np.argwhere(plan.reachable)

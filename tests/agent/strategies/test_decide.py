@@ -255,6 +255,16 @@ def test_mtsp_tours_all_goals_of_its_cluster_if_told_to() -> None:
         assert decide("mtsp", robot_at(30, grid=grid), options).target == first
 
 
+@pytest.mark.parametrize("tours", ["nearest-12", "whole"])
+@pytest.mark.parametrize("costs", ["shortest", "weighted"])
+def test_mtsp_plans_where_only_its_own_cell_joins_two_parts_of_the_floor(tours: str, costs: str) -> None:
+    # The map bars the robot's cell, as a wrong reading may do: there is no way between the goals on its two sides.
+    grid = drawn("#" * 41, "." * 20 + "#" + "." * 20, "#" * 41)
+    grid[0, [2, 6, 35, 38]] = UNKNOWN
+    options = {"candidates": "rfe", "tours": tours, "costs": costs}
+    assert decide("mtsp", robot_at(20, grid=grid), options).target == (6, 1)
+
+
 def test_hungarian_depot_assigns_near_goals_to_robots_that_traveled_far() -> None:
     one_frontier = CORRIDOR.copy()
     one_frontier[0, 14] = 2
@@ -528,6 +538,20 @@ def test_a_teammate_that_comes_closer_repels_more_if_it_is_assumed_to_move_on() 
             points = trooper.decide(view).points
         ends.append(int(points[-1, 0]))
     assert ends[1] > ends[0] + 20
+
+
+def test_a_teammate_that_comes_into_range_is_not_assumed_to_repeat_its_way_since_the_last_contact() -> None:
+    grid = np.full((41, 41), FREE, np.uint8)
+    grid[0, 20] = UNKNOWN
+    ends = []
+    for teammates in ("still", "moving"):
+        options = {"teammates": teammates}
+        trooper = make_strategy("potential-field", options, grid, robot=1, resolution=0.1, speed_cells=10.0)
+        for column, peers in ((2, (0,)), (2, ()), (14, (0,))):
+            poses = {0: Pose(column, 20, leads=False)}
+            points = trooper.decide(robot_at(20, 20, grid=grid, peers=peers, poses=poses)).points
+        ends.append(points[-1].tolist())
+    assert ends[0] == ends[1]
 
 
 def test_a_leader_takes_the_shortest_way_and_a_trooper_stops_before_the_wall() -> None:

@@ -85,6 +85,8 @@ def test_the_command_prints_the_table_and_writes_runs_means_and_pictures(tmp_pat
             "set = 'map=...': \"[{ map = 'office' ]\" is no list or table",
         ),
         (["--set", "robots=[2]\nspeed=3"], "has more than one value"),
+        (["--set", "map=" + "{a=" * 5000], "set = 'map=...': nested too deeply"),
+        (["--set", "robots= [2, 3"], "set = 'robots=...': ' [2, 3' is no list or table"),
         (["--formats", "pdf"], "formats: needs --plot FILE or --table FILE"),
         (["--formats", "jpg"], "formats = 'jpg': must be some of pdf, svg, csv, tex"),
         (["--font", "Nope"], "font = 'Nope': is not installed; use serif, sans-serif, monospace"),

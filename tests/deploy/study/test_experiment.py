@@ -174,6 +174,16 @@ def test_a_setting_that_every_variant_overrides_is_rejected(tmp_path: Path) -> N
         experiments.override(experiments.choose(experiment, ["scans"]), {"map_encoding": "polygons"})
 
 
+def test_a_key_of_a_table_that_every_variant_overrides_is_rejected(tmp_path: Path) -> None:
+    text = "base.strategy = 'meier'\n" + "".join(
+        f"[[variant]]\nname = '{name}'\noptions = {{ beta = 1.0 }}\n" for name in "ab"
+    )
+    with pytest.raises(
+        ScenarioError, match=r"--set options\.forget: has no effect, because .* sets options$"
+    ):
+        experiments.override(experiments.read(write(tmp_path, text)), {"options.forget": 3})
+
+
 @pytest.mark.parametrize("key", ["laser.preset", "speed"])
 def test_a_list_for_a_key_outside_the_grid_adds_it_to_the_grid_and_to_the_rows(
     tmp_path: Path, key: str
