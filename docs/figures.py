@@ -521,7 +521,6 @@ NOT_CHECKED = {
     "results/predictive.md | map | 50 B |": "the two commands above the table: 360 runs",
     "results/strategies.md | strategy | steps |": "murmur bench strategies: times depend on the machine",
     "results/strategies.md | experiment |": "the commands in the table: 1200 runs",
-    "results/paper-figures.md | robots | bandwidth |": "murmur sweep figure-meier-6-*.toml --seeds 2: 448 runs",
     "results/full-size.md": "murmur reproduce writes the page, in days",
     "results/reproduction.md": "murmur reproduce --quick writes the page",
 }
