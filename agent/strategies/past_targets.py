@@ -1,4 +1,4 @@
-"""Targets that teammates have left, as long as this robot's map does not show what they saw there.
+"""Past targets of teammates whose surroundings are not yet on this robot's map.
 
 On a narrow radio, maps arrive many steps after the targets. A teammate that announces another target has probably seen
 the surroundings of the last one. So frontiers around it are worth less to others, although it is still unknown there on

@@ -526,32 +526,30 @@ def test_teammates_in_radio_range_repel_a_trooper() -> None:
     assert ends[1][0] > 20500
 
 
-def test_a_teammate_that_comes_closer_repels_more_if_it_is_assumed_to_move_on() -> None:
+def end_of_trooper(teammates: str, seen: list[tuple[int, tuple[int, ...]]]) -> list[int]:
+    """Where a trooper in cell (20, 20) ends, in thousandths of a cell, after it has seen robot 0 at some columns.
+
+    `seen` has the column and the robots in range, for each step.
+    """
     grid = np.full((41, 41), FREE, np.uint8)
     grid[0, 20] = UNKNOWN
-    ends = []
-    for teammates in ("still", "moving"):
-        options = {"teammates": teammates}
-        trooper = make_strategy("potential-field", options, grid, robot=1, resolution=0.1, speed_cells=10.0)
-        for column in (8, 12):
-            view = robot_at(20, 20, grid=grid, peers=(0,), poses={0: Pose(column, 20, leads=False)})
-            points = trooper.decide(view).points
-        ends.append(int(points[-1, 0]))
-    assert ends[1] > ends[0] + 20
+    options = {"teammates": teammates}
+    trooper = make_strategy("potential-field", options, grid, robot=1, resolution=0.1, speed_cells=10.0)
+    for column, peers in seen:
+        poses = {0: Pose(column, 20, leads=False)}
+        points = trooper.decide(robot_at(20, 20, grid=grid, peers=peers, poses=poses)).points
+    end: list[int] = points[-1].tolist()
+    return end
+
+
+def test_a_teammate_that_comes_closer_repels_more_if_it_is_assumed_to_move_on() -> None:
+    seen = [(8, (0,)), (12, (0,))]
+    assert end_of_trooper("moving", seen)[0] > end_of_trooper("still", seen)[0] + 20
 
 
 def test_a_teammate_that_comes_into_range_is_not_assumed_to_repeat_its_way_since_the_last_contact() -> None:
-    grid = np.full((41, 41), FREE, np.uint8)
-    grid[0, 20] = UNKNOWN
-    ends = []
-    for teammates in ("still", "moving"):
-        options = {"teammates": teammates}
-        trooper = make_strategy("potential-field", options, grid, robot=1, resolution=0.1, speed_cells=10.0)
-        for column, peers in ((2, (0,)), (2, ()), (14, (0,))):
-            poses = {0: Pose(column, 20, leads=False)}
-            points = trooper.decide(robot_at(20, 20, grid=grid, peers=peers, poses=poses)).points
-        ends.append(points[-1].tolist())
-    assert ends[0] == ends[1]
+    seen: list[tuple[int, tuple[int, ...]]] = [(2, (0,)), (2, ()), (14, (0,))]
+    assert end_of_trooper("moving", seen) == end_of_trooper("still", seen)
 
 
 def test_a_leader_takes_the_shortest_way_and_a_trooper_stops_before_the_wall() -> None:
