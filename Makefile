@@ -32,10 +32,12 @@ $(VENV)/dev.stamp: $(VENV)/main.stamp
 demo: setup
 	$(BIN)/murmur explore --map office --robots 5 --bandwidth 50
 
-# Kernels may have changed since the last set-up. Four workers occupy two cores: many tests wait for processes.
+# Kernels may have changed since the last set-up. Four workers occupy two cores: many tests wait for processes. A test that waits in vain
+# prints the stacks of all threads after nine minutes and fails after ten.
 test: $(VENV)/dev.stamp check
 	$(BIN)/murmur setup
-	$(BIN)/python -m pytest -n 4 --dist loadfile --no-loadscope-reorder
+	$(BIN)/python -m pytest -n 4 --dist loadfile --no-loadscope-reorder \
+	-o faulthandler_timeout=540 --timeout 600 --timeout-method thread --max-worker-restart 2
 
 # All but the tests of commands, reports, studies, captures and swarms of processes.
 quick: $(VENV)/dev.stamp
