@@ -118,10 +118,18 @@ class PredictiveEncoding(GridEncoding):
         maps, team = settings.robots, self._options.base == "team"
         if settings.shares_tiles:
             return TileStream(map_id, grid, histories, self._scratch, team=team, base_maps=maps)
-        beams = ray_table(settings.bodies[settings.author_of(map_id)].range_cells, settings.beams)
-        mixes = self._limits.is_narrow
+        body = settings.bodies[settings.author_of(map_id)]
+        beams, mixes = ray_table(body.range_cells, settings.beams), self._limits.is_narrow
         return ScanStream(
-            map_id, grid, beams, histories, self._scratch, team=team, base_maps=maps, mixes=mixes
+            map_id,
+            grid,
+            beams,
+            histories,
+            self._scratch,
+            team=team,
+            base_maps=maps,
+            mixes=mixes,
+            speed=body.speed,
         )
 
     def _decoder(self, map_id: int) -> Stream | CachedReader:

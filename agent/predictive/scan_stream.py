@@ -14,10 +14,10 @@ from agent.predictive.coder import FAILED, PLACE, Coder, code_bit, writer, writt
 from agent.predictive.contexts import REST_MOST
 from agent.predictive.history import DecodedUpdate
 from agent.predictive.mixer import Model, mixing_coder
+from agent.predictive.pose_model import code_predicted_pose, table
 from agent.predictive.scan_updates import (
     MAX_SCANS,
     code_corrections,
-    code_pose,
     code_scan,
     count_new_cells,
     find_differences,
@@ -38,10 +38,12 @@ class ScanStream(Stream):
     state: ClassVar[tuple[str, ...]] = (*Stream.state, "_unreported", "_chances", "_ages", "_weights")
 
     def __init__(
-        self, map_id: int, grid: Grid, ray_table: RayTable, *args: Any, mixes: bool = False, **options: Any
+        self, map_id: int, grid: Grid, ray_table: RayTable, *args: Any, mixes: bool = False, speed: float = 5.0, **options: Any
     ) -> None:
         super().__init__(map_id, grid, *args, **options)
         self._chances, self._ages, self._weights = start_model() if mixes else no_model()
+        self._mixes = mixes
+        self._speed = max(round(1000 * speed), 1)
         self._ray_table = ray_table
         self._reach = int(np.abs(ray_table.cells).max()) + 1
         """Cells around a robot, in each direction, that a scan may change."""
@@ -118,7 +120,7 @@ class ScanStream(Stream):
             done += 1
             if shows_more:
                 code_bit(coder, contexts.MORE_SCANS + min(scans, 3), 1, REST_MOST)
-                code_pose(coder, motion, x, y)
+                self._code_pose(coder, x, y)
                 changed = code_scan(coder, mixing, grid, own, cells, start, x, y, scratch, changed)
                 scans += 1
         if scans < MAX_SCANS:
@@ -154,6 +156,12 @@ class ScanStream(Stream):
             height, width = grid.shape
             raise ProtocolError(Update.name, 0, f"a corrected cell is outside the {width} x {height} grid")
         return update
+
+    def _code_pose(self, coder: Coder, x: int, y: int) -> None:
+        if self._mixes:
+            code_predicted_pose(coder, self._motion, self.grid, table(), self._speed, x, y)
+        else:
+            super()._code_pose(coder, x, y)
 
     def _choose_bases(self, coder: Coder, own: Grid, poses: Sequence[tuple[int, int]], box: Box) -> list[Box]:
         """Encode the dependencies; return boxes in which they contradict the self-explored grid."""
