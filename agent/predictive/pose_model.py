@@ -19,9 +19,9 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.predictive.coder import WIDTH, Coder, Data, State, divide
+from agent.predictive.coder import WIDTH, Coder, Counts, Data, State, divide
 from agent.predictive.scan_updates import DX, DY, SCANS, Motion, X, Y, code_pose
-from protocol.arrays import Int16Rows, Int32Rows, Int64Rows, Int64s
+from protocol.arrays import Int16Rows, Int16s, Int64s
 from protocol.grid import OCCUPIED, UNKNOWN, Grid
 from protocol.kernels import kernel
 
@@ -37,7 +37,7 @@ MARGIN = 8
 STRAIGHT, DIAGONAL = 5, 7
 """Length of a way to a neighbor in the same row or column, or to a diagonal one."""
 
-FAR = 1 << 20
+FAR = 30000
 """Length of a way that does not exist."""
 
 ROUNDS = 2
@@ -46,7 +46,7 @@ ROUNDS = 2
 FEATURES = 4
 """Features of a cell."""
 
-WAYS, DIRECTIONS, LEADS, NEARNESSES = 64, 18, 21, 8
+WAYS, DIRECTIONS, LEADS, NEARNESSES = 64, 18, 25, 8
 """Values of the features: length of the way; direction relative to the last motion; how much nearer unknown cells are
 than from the last pose; and how near they are."""
 
@@ -73,35 +73,54 @@ POWERS: Int64s = np.array(
 )
 """Weight by the difference from the logarithm of the largest one."""
 
-TABLE = Path(__file__).with_name("pose_start.npy")
-"""The shipped table, trained on generated maps (`deploy.study.pose_table`)."""
+TABLE = Path(__file__).with_name("pose_start.npz")
+"""The shipped table, trained on generated maps (`deploy.study.pose_table`). Its arrays are the logarithms of the
+`factors`, int8 of shape (`RINGS`, `VALUES`), and the initial `counts` of contexts from `MORE_SCANS_NARROW` on."""
 
-Table = Annotated[NDArray[np.int8], "int8[:,::1]"]
+Factors = Annotated[NDArray[np.int8], "int8[:,::1]"]
+
+
+def no_factors() -> Factors:
+    """Return an empty table, for streams that do not predict poses."""
+    return np.zeros((0, VALUES), np.int8)
+
+
+def start_factors() -> Factors:
+    """Return the shipped factors."""
+    return _table()[0]
+
+
+def start_counts() -> Counts:
+    """Return the shipped counts."""
+    return _table()[1]
 
 
 @cache
-def table() -> Table:
-    """Return the shipped table, shape (`RINGS`, `VALUES`)."""
-    loaded: Table = np.load(TABLE)
-    return loaded
+def _table() -> tuple[Factors, Counts]:
+    with np.load(TABLE) as file:
+        return file["factors"], file["counts"]
 
 
 @kernel
-def _sweep(ways: Int32Rows, walls: Grid) -> None:
-    """Shorten ways to the cells of a box by ways to their neighbors; `walls` and the rim of the box have none."""
-    height, width = ways.shape
-    for y in range(1, height - 1):
-        for x in range(1, width - 1):
-            if not walls[y, x]:
-                straight = min(ways[y, x - 1], ways[y - 1, x]) + STRAIGHT
-                diagonal = min(ways[y - 1, x - 1], ways[y - 1, x + 1]) + DIAGONAL
-                ways[y, x] = min(ways[y, x], straight, diagonal)
-    for y in range(height - 2, 0, -1):
-        for x in range(width - 2, 0, -1):
-            if not walls[y, x]:
-                straight = min(ways[y, x + 1], ways[y + 1, x]) + STRAIGHT
-                diagonal = min(ways[y + 1, x + 1], ways[y + 1, x - 1]) + DIAGONAL
-                ways[y, x] = min(ways[y, x], straight, diagonal)
+def _sweep(ways: Int16Rows, least: Int16Rows, first: int, end: int) -> None:
+    """Shorten ways to the cells of a square by ways to their neighbors, but not below `least`.
+
+    The square has rows and columns `first` to `end` - 1. Its sides must not lie on the rim of the arrays.
+    """
+    one = np.uint64(1)
+    for y in range(np.uint64(first), np.uint64(end)):
+        for x in range(np.uint64(first), np.uint64(end)):
+            straight = min(ways[y - one, x], ways[y, x - one]) + STRAIGHT
+            diagonal = min(ways[y - one, x - one], ways[y - one, x + one]) + DIAGONAL
+            ways[y, x] = max(np.int64(least[y, x]), min(np.int64(ways[y, x]), min(straight, diagonal)))
+    last = np.uint64(first + end - 1)
+    for row in range(np.uint64(first), np.uint64(end)):
+        y = last - row
+        for column in range(np.uint64(first), np.uint64(end)):
+            x = last - column
+            straight = min(ways[y + one, x], ways[y, x + one]) + STRAIGHT
+            diagonal = min(ways[y + one, x + one], ways[y + one, x - one]) + DIAGONAL
+            ways[y, x] = max(np.int64(least[y, x]), min(np.int64(ways[y, x]), min(straight, diagonal)))
 
 
 @kernel
@@ -111,17 +130,10 @@ def _direction(x: int, y: int, last_x: int, last_y: int) -> int:
     size = abs(along) + across
     if size == 0:
         return 17
-    angle = (8 * across + size // 2) // size
+    angle = 0
+    for limit in range(1, 16, 2):
+        angle += int(16 * across >= limit * size)
     return angle if along >= 0 else 16 - angle
-
-
-@kernel
-def _bits(number: int) -> int:
-    """Return the number of bits of a number."""
-    bits = 0
-    while number >> bits:
-        bits += 1
-    return bits
 
 
 @kernel
@@ -147,20 +159,22 @@ def describe(grid: Grid, motion: Motion, speed: int, ring: int, features: Int16R
     half = outer + MARGIN + 1
     side, size = 2 * outer + 1, 2 * half + 1
     left, top = motion[X] - half, motion[Y] - half
-    walls = np.ones((size, size), np.uint8)
-    ways = np.full((size, size), FAR, np.int32)
-    to_unknown = np.full((size, size), FAR, np.int32)
+    least = np.full((size, size), FAR, np.int16)
+    ways = np.full((size, size), FAR, np.int16)
+    to_unknown = np.full((size, size), FAR, np.int16)
     for row in range(max(1, -top), min(size - 1, grid.shape[0] - top)):
         for column in range(max(1, -left), min(size - 1, grid.shape[1] - left)):
             state = grid[top + row, left + column] & 3
-            walls[row, column] = state == OCCUPIED
+            if state != OCCUPIED:
+                least[row, column] = 0
             if state == UNKNOWN:
                 to_unknown[row, column] = 0
     ways[half, half] = 0
     for _ in range(ROUNDS):
-        _sweep(ways, walls)
-        _sweep(to_unknown, walls)
-    here = to_unknown[half, half]
+        _sweep(ways, least, MARGIN, size - MARGIN)
+    _sweep(to_unknown, least, 1, size - 1)
+    here = np.int64(to_unknown[half, half])
+    scale = (1000 * STRAIGHT << 16) // speed
     for y in range(-outer, outer + 1):
         for x in range(-outer, outer + 1):
             index = (y + outer) * side + x + outer
@@ -169,13 +183,16 @@ def describe(grid: Grid, motion: Motion, speed: int, ring: int, features: Int16R
                 features[index, 0] = -1
                 continue
             way, unknown = np.int64(ways[half + y, half + x]), np.int64(to_unknown[half + y, half + x])
-            features[index, 0] = min(way * 1000 * STRAIGHT // speed >> ring, WAYS - 1)
+            features[index, 0] = min(way * scale >> 16 + ring, WAYS - 1)
             features[index, 1] = DIRECTION + _direction(x, y, motion[DX], motion[DY])
             features[index, 2] = REPEATS + int(x == motion[DX] and y == motion[DY])
-            lead = 20
+            lead = LEADS - 1
             if unknown < FAR:
-                lead = max(-9, min(9, (unknown - here) // (STRAIGHT << ring))) + 9 if here < FAR else 19
-            features[index, 3] = UNKNOWN_NEAR + lead * NEARNESSES + min(_bits(unknown // STRAIGHT), NEARNESSES - 1)
+                lead = max(0, min(LEADS - 3, (unknown - here >> 2 + ring) + LEADS // 2 - 1)) if here < FAR else LEADS - 2
+            near = 0
+            for place in range(2, 2 + NEARNESSES - 1):
+                near += int(unknown >> place > 0)
+            features[index, 3] = UNKNOWN_NEAR + lead * NEARNESSES + near
     return side
 
 
@@ -187,11 +204,11 @@ def leaving(motion: Motion) -> int:
 
 
 @kernel
-def _weigh(features: Int16Rows, factors: Table, ring: int, leaves: int, weights: Int64s) -> int:
+def _weigh(features: Int16Rows, factors: Factors, ring: int, leaves: int, weights: Int64s) -> int:
     """Compute the weights of candidates, 0 for other cells; return that of leaving the ring."""
     most = np.int64(factors[ring, leaves])
     for index in range(len(weights)):
-        weights[index] = -FAR
+        weights[index] = -(1 << 20)
         if features[index, 0] >= 0:
             log = np.int64(0)
             for feature in range(FEATURES):
@@ -200,7 +217,7 @@ def _weigh(features: Int16Rows, factors: Table, ring: int, leaves: int, weights:
             most = max(most, log)
     for index in range(len(weights)):
         log = most - weights[index]
-        weights[index] = POWERS[min(log, len(POWERS) - 1)] if log < FAR // 2 else 0
+        weights[index] = POWERS[min(log, len(POWERS) - 1)] if log < 1 << 19 else 0
     return int(POWERS[min(most - factors[ring, leaves], len(POWERS) - 1)])
 
 
@@ -227,7 +244,7 @@ def _choose(state: State, data: Data, weights: Int64s, stride: int, count: int, 
 
 @kernel
 def code_predicted_pose(
-    coder: Coder, motion: Motion, grid: Grid, factors: Table, speed: int, x: int, y: int
+    coder: Coder, motion: Motion, grid: Grid, factors: Factors, speed: int, x: int, y: int
 ) -> None:
     """Encode or decode the next pose into `motion`; `speed` is that of the robot, in 1/1000 cell per step."""
     if motion[SCANS] == 0:

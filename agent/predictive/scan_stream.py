@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from agent.predictive import contexts
-from agent.predictive.coder import FAILED, PLACE, Coder, code_bit, writer, written
+from agent.predictive.coder import AHEAD, DECODES, FAILED, PLACE, Coder, code_bit, writer, written
 from agent.predictive.contexts import REST_MOST
 from agent.predictive.history import DecodedUpdate
 from agent.predictive.mixer import Model, mixing_coder
-from agent.predictive.pose_model import code_predicted_pose, table
+from agent.predictive.pose_model import code_predicted_pose, no_factors, start_counts, start_factors
 from agent.predictive.scan_updates import (
     MAX_SCANS,
     code_corrections,
@@ -32,19 +33,46 @@ from protocol.kernels import kernel
 from protocol.packets import Update
 
 
-class ScanStream(Stream):
-    """Encoder and decoder of scans from whole cells, with the beams of the map's author (`ray_table`)."""
+@dataclass(frozen=True)
+class NarrowBand:
+    """What predicts an update on a narrow medium better; author and receivers must have the same."""
 
-    state: ClassVar[tuple[str, ...]] = (*Stream.state, "_unreported", "_chances", "_ages", "_weights")
+    speed: float
+    """Cells that the author drives in a step."""
+    update_bytes: float
+    """The usual limit of an update."""
+
+
+class ScanStream(Stream):
+    """Encoder and decoder of scans from whole cells, with the beams of the map's author (`ray_table`).
+
+    With `narrow`, walls and poses are coded by better predictions, which cost time.
+    """
+
+    state: ClassVar[tuple[str, ...]] = (
+        *Stream.state, "_unreported", "_chances", "_ages", "_weights", "_was_full",
+    )  # fmt: skip
 
     def __init__(
-        self, map_id: int, grid: Grid, ray_table: RayTable, *args: Any, mixes: bool = False, speed: float = 5.0, **options: Any
+        self,
+        map_id: int,
+        grid: Grid,
+        ray_table: RayTable,
+        *args: Any,
+        narrow: NarrowBand | None = None,
+        **options: Any,
     ) -> None:
         super().__init__(map_id, grid, *args, **options)
-        self._chances, self._ages, self._weights = start_model() if mixes else no_model()
-        self._mixes = mixes
-        self._speed = max(round(1000 * speed), 1)
-        self._ray_table = ray_table
+        self._chances, self._ages, self._weights = start_model() if narrow else no_model()
+        self._narrow = narrow
+        self._factors = no_factors()
+        self._speed = 1
+        if narrow is not None:
+            self._factors, self._counts[contexts.MORE_SCANS_NARROW :] = start_factors(), start_counts()
+            self._speed = max(round(1000 * narrow.speed), 1)
+        self._was_full = False
+        """Whether the last update was at its limit, so that more scans wait."""
+        self.ray_table = ray_table
         self._reach = int(np.abs(ray_table.cells).max()) + 1
         """Cells around a robot, in each direction, that a scan may change."""
         self._unreported = NO_BOX
@@ -104,7 +132,7 @@ class ScanStream(Stream):
     ) -> tuple[DecodedUpdate | None, int]:
         """Encode an update and apply it to the grid; return it, None if empty, and the number of covered poses."""
         motion, grid, scratch = self._motion, self.grid, self._scratch
-        cells, start = self._ray_table.cells, self._ray_table.start
+        cells, start = self.ray_table.cells, self.ray_table.start
         contradicted = self._choose_bases(coder, own, poses, bounding_box([box, self._unreported]))
         unreported = bounding_box(
             [self._unreported, *contradicted, *((x, y, x + 1, y + 1) for x, y in poses)]
@@ -119,12 +147,12 @@ class ScanStream(Stream):
                 break
             done += 1
             if shows_more:
-                code_bit(coder, contexts.MORE_SCANS + min(scans, 3), 1, REST_MOST)
+                self._code_more(coder, scans, 1)
                 self._code_pose(coder, x, y)
                 changed = code_scan(coder, mixing, grid, own, cells, start, x, y, scratch, changed)
                 scans += 1
         if scans < MAX_SCANS:
-            code_bit(coder, contexts.MORE_SCANS + min(scans, 3), 0, REST_MOST)
+            self._code_more(coder, scans, 0)
         self._unreported = NO_BOX if done == len(poses) else unreported
         places = _places(grid, own, box) if done == len(poses) else np.empty(0, np.int32)
         by_scans = changed
@@ -134,11 +162,11 @@ class ScanStream(Stream):
     def _read_content(self, coder: Coder) -> DecodedUpdate:
         """Decode scans and corrections."""
         grid, scratch = self.grid, self._scratch
-        cells, start = self._ray_table.cells, self._ray_table.start
+        cells, start = self.ray_table.cells, self.ray_table.start
         mixing = mixing_coder(coder[0], coder[1], self.model)
         changed = scans = 0
         while scans < MAX_SCANS and not coder[0][FAILED]:
-            if not code_bit(coder, contexts.MORE_SCANS + min(scans, 3), 0, REST_MOST):
+            if not self._code_more(coder, scans, 0):
                 break
             try:
                 x, y = self._read_pose(coder)
@@ -158,10 +186,22 @@ class ScanStream(Stream):
         return update
 
     def _code_pose(self, coder: Coder, x: int, y: int) -> None:
-        if self._mixes:
-            code_predicted_pose(coder, self._motion, self.grid, table(), self._speed, x, y)
-        else:
+        if self._narrow is None:
             super()._code_pose(coder, x, y)
+        else:
+            code_predicted_pose(coder, self._motion, self.grid, self._factors, self._speed, x, y)
+
+    def _code_more(self, coder: Coder, scans: int, more: int) -> int:
+        """Encode or decode whether another scan follows the first `scans` ones; return it."""
+        if self._narrow is None:
+            return int(code_bit(coder, contexts.MORE_SCANS + min(scans, 3), more, REST_MOST))
+        state = coder[0]
+        is_full = state[PLACE] - AHEAD * state[DECODES] >= self._narrow.update_bytes
+        context = contexts.MORE_SCANS_NARROW + 8 * self._was_full + 4 * is_full + min(scans, 3)
+        more = int(code_bit(coder, context, more, REST_MOST))
+        if not more:
+            self._was_full = bool(is_full)
+        return more
 
     def _choose_bases(self, coder: Coder, own: Grid, poses: Sequence[tuple[int, int]], box: Box) -> list[Box]:
         """Encode the dependencies; return boxes in which they contradict the self-explored grid."""

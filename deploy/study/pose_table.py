@@ -1,6 +1,6 @@
 """Train the table of features by which the predictive encoding codes poses on narrow media.
 
-``python -m deploy.study.pose_table FILE.npy`` writes it to a file.
+``python -m deploy.study.pose_table FILE.npz`` writes it to a file.
 
 The program runs explorations of generated maps, encodes them as `deploy.study.wall_table` does, and notes the features
 of all candidate cells of each pose (`agent.predictive.pose_model`). The table has the factors with which the
@@ -19,14 +19,14 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from agent.predictive.coder import Coder
-from agent.predictive.history import History
+from agent.predictive.contexts import CONTEXTS, MORE_SCANS_NARROW
 from agent.predictive.pose_model import (
     FEATURES,
     FIRST_RING,
     LOG_UNIT,
     RINGS,
     VALUES,
-    Table,
+    Factors,
     describe,
     leaving,
 )
@@ -34,10 +34,13 @@ from agent.predictive.scan_stream import ScanStream
 from agent.predictive.scan_updates import DX, DY, SCANS
 from agent.predictive.wall_model import start_model
 from deploy.scenario.plan import Plan
-from deploy.study.wall_table import encode_exploration, explorations  # noqa
+from deploy.study.wall_table import explorations, make_streams, train_on
 
 PENALTY = 2e-3
 """Weight of the mean square of the logarithms of the factors, against the mean code length in nats."""
+
+MOST_COUNTED = 48
+"""Maximum sum of the initial counts of a context."""
 
 Example = tuple[NDArray[np.int16], int]
 """A choice: the columns of the table of each candidate's features, shape (n, `FEATURES`), and the index of the chosen
@@ -47,7 +50,7 @@ candidate. The last candidate, with the same column in all places, is leaving th
 class _Receiver(ScanStream):
     """A decoder that notes the candidates of each pose that it decodes."""
 
-    def __init__(self, examples: Sequence[list[Example]], *args: Any, **options: Any) -> None:
+    def __init__(self, *args: Any, examples: Sequence[list[Example]], **options: Any) -> None:
         super().__init__(*args, **options)
         self._examples = examples
         """By ring."""
@@ -73,14 +76,17 @@ class _Receiver(ScanStream):
         return pose
 
 
-def decoded_examples(plan: Plan, messages: Iterable[tuple[int, bytes]]) -> list[list[Example]]:
-    """Decode the updates of an exploration, pairs of robot and message in the order of writing; return examples by
-    ring."""
+def decoded(plan: Plan, updates: Iterable[tuple[int, bytes]]) -> tuple[list[list[Example]], NDArray[np.int64]]:
+    """Decode the updates of `train_on`; return examples by ring, and the counts of contexts of more scans."""
     examples: list[list[Example]] = [[] for _ in range(RINGS)]
-    shape, bodies = plan.map.cells.shape, plan.world.bodies
-    histories = [History() for _ in bodies]
-    scratch = np.empty((2 * shape[0] * shape[1], 2), np.int32)
-    return examples
+    receivers, model = make_streams(plan, _Receiver, examples=examples), start_model()
+    first = receivers[0].counts[MORE_SCANS_NARROW:].astype(np.int64)
+    for robot, message in updates:
+        receivers[robot].model = model
+        assert receivers[robot].decode(message) is not None
+        receivers[robot].commit()
+        model = receivers[robot].model
+    return examples, sum((each.counts[MORE_SCANS_NARROW:] - first for each in receivers), start=0 * first)
 
 
 def fitted(examples: Sequence[Example]) -> NDArray[np.float64]:
@@ -105,11 +111,30 @@ def fitted(examples: Sequence[Example]) -> NDArray[np.float64]:
         penalty = PENALTY * (logs**2).mean()
         return nats + penalty, (expected - observed) / len(examples) + 2 * PENALTY * logs / VALUES
 
-    result = minimize(loss, np.zeros(VALUES), jac=True, method="L-BFGS-B", options={"maxiter": 200})
+    result = minimize(loss, np.zeros(VALUES), jac=True, method="L-BFGS-B", options={"maxiter": 80})
     logs: NDArray[np.float64] = result.x
     return logs
 
 
-def rounded(logs: NDArray[np.float64]) -> Table:
-    """Round logarithms, shape (`RINGS`, `VALUES`), to the units of the table."""
+def rounded(logs: NDArray[np.float64]) -> Factors:
+    """Round natural logarithms, shape (`RINGS`, `VALUES`), to the units of the table."""
     return np.clip(np.rint(logs / np.log(2) * LOG_UNIT), -127, 127).astype(np.int8)
+
+
+def train() -> tuple[Factors, NDArray[np.uint16]]:
+    """Train the factors and the counts."""
+    examples: list[list[Example]] = [[] for _ in range(RINGS)]
+    counts = np.zeros((CONTEXTS - MORE_SCANS_NARROW, 2), np.int64)
+    for title, plan, senses in explorations():
+        found, more = decoded(plan, train_on(plan, senses, start_model())[1])
+        for ring, new in zip(examples, found, strict=True):
+            ring += new
+        counts += more
+        print(f"{title}, {len(found[0])} poses", flush=True)
+    weight = np.minimum(1, MOST_COUNTED / np.maximum(counts.sum(axis=1), 1))
+    return rounded(np.stack([fitted(ring) for ring in examples])), np.rint(counts * weight[:, None]).astype(np.uint16)
+
+
+if __name__ == "__main__":
+    factors, counts = train()
+    np.savez_compressed(sys.argv[1], factors=factors, counts=counts)
