@@ -1,27 +1,32 @@
 """Predict the cell of the next scan from the map, for narrow media.
 
-The plain code of poses (`agent.predictive.scan_updates.code_pose`) knows only the last motion. Here each cell around
-the last pose has a weight, and the pose is coded as a choice among them. The weight is a product: of a factor for each
-of four features of the cell, from a table that was trained on generated maps (a multinomial logit model, McFadden
-1974). The features are the length of the way from the last pose, its direction relative to the last motion, whether
-it repeats this motion, and how far unknown cells are from there: robots drive toward them.
+The plain code of poses (`agent.predictive.scan_updates.code_pose`) knows only the last motion. Here, the pose is coded
+as a choice among the cells around the last pose. The probability of a cell is in proportion to a product of factors,
+one for each of its four features (a multinomial logit model, McFadden 1974):
 
-Cells are tried in rings around the last pose, up to a distance of 8, 16, and 32 cells. Behind the last ring, the plain
-code follows. The arithmetic is on integers, so all machines compute equal bits.
+1. the length of the way from the last pose, through cells that are not walls;
+2. the direction from the last pose, relative to the last motion;
+3. whether this motion would repeat the last one;
+4. the distance to the nearest unknown cell, and how much shorter it is than from the last pose. Robots drive toward
+   unknown cells, and an update contains only scans that reveal some.
+
+The factors were trained on generated maps. The cells form rings around the last pose, which end at a distance of 8, 16,
+and 32 cells. One decision per ring codes whether the pose lies farther away. Poses beyond the last ring follow in the
+plain code. The arithmetic is on integers, so all machines compute equal bits.
 """
 
 from __future__ import annotations
 
 from functools import cache
-from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.predictive.coder import WIDTH, Coder, Counts, Data, State, divide
+from agent.predictive.coder import WIDTH, Coder, Data, State, divide
+from agent.predictive.contexts import NARROW_TABLE
 from agent.predictive.scan_updates import DX, DY, SCANS, Motion, X, Y, code_pose
-from protocol.arrays import Int16Rows, Int16s, Int64s
+from protocol.arrays import Int8s, Int16Rows, Int64s
 from protocol.grid import OCCUPIED, UNKNOWN, Grid
 from protocol.kernels import kernel
 
@@ -32,38 +37,34 @@ FIRST_RING = 8
 """Chebyshev distance of the outermost cells of the first ring; that of each further ring is twice as large."""
 
 MARGIN = 8
-"""Cells around a ring in which ways and unknown cells count."""
+"""Cells around a ring up to which unknown cells count."""
 
 STRAIGHT, DIAGONAL = 5, 7
 """Length of a way to a neighbor in the same row or column, or to a diagonal one."""
 
 FAR = 30000
-"""Length of a way that does not exist."""
-
-ROUNDS = 2
-"""Sweeps in both directions by which ways are found; those around more corners are longer than need be."""
+"""Length of a way that does not exist, or that no sweep has found."""
 
 FEATURES = 4
 """Features of a cell."""
 
-WAYS, DIRECTIONS, LEADS, NEARNESSES = 64, 18, 25, 8
-"""Values of the features: length of the way; direction relative to the last motion; how much nearer unknown cells are
-than from the last pose; and how near they are."""
+WAYS, DIRECTIONS, LEADS, DISTANCES = 64, 18, 25, 8
+"""Number of values of features 1 and 2, and of the two parts of feature 4."""
 
 DIRECTION = WAYS
 REPEATS = DIRECTION + DIRECTIONS
-UNKNOWN_NEAR = REPEATS + 2
-LEAVES = UNKNOWN_NEAR + LEADS * NEARNESSES
-"""First value of each feature in the table; the first feature begins at 0. `LEAVES`: that of leaving the ring."""
+TO_UNKNOWN = REPEATS + 2
+BEYOND = TO_UNKNOWN + LEADS * DISTANCES
+"""First column of features 2, 3, and 4 in the table of factors, and of poses beyond the ring; feature 1 begins at 0."""
 
-VALUES = LEAVES + 3
-"""Columns of the table."""
+VALUES = BEYOND + 3
+"""Columns of the table of factors."""
 
 LOG_UNIT = 16
-"""Table entries are logarithms of factors to the base 2, in 1/16."""
+"""The table holds logarithms to the base 2, in units of 1/16."""
 
 WEIGHT_BITS = 18
-"""The largest weight is 2 to this power, the smallest is 1."""
+"""The largest weight of a ring is 2 to this power; the smallest is 1."""
 
 _FRACTIONS = (262144, 251029, 240387, 230195, 220436, 211090, 202140, 193570)
 _FRACTIONS += (185364, 177505, 169979, 162773, 155872, 149263, 142935, 136875)
@@ -71,41 +72,26 @@ _FRACTIONS += (185364, 177505, 169979, 162773, 155872, 149263, 142935, 136875)
 POWERS: Int64s = np.array(
     [max(_FRACTIONS[log % LOG_UNIT] >> log // LOG_UNIT, 1) for log in range(WEIGHT_BITS * LOG_UNIT + 1)], np.int64
 )
-"""Weight by the difference from the logarithm of the largest one."""
-
-TABLE = Path(__file__).with_name("pose_start.npz")
-"""The shipped table, trained on generated maps (`deploy.study.pose_table`). Its arrays are the logarithms of the
-`factors`, int8 of shape (`RINGS`, `VALUES`), and the initial `counts` of contexts from `MORE_SCANS_NARROW` on."""
+"""Weight by the difference of its logarithm from that of the largest weight."""
 
 Factors = Annotated[NDArray[np.int8], "int8[:,::1]"]
-
-
-def no_factors() -> Factors:
-    """Return an empty table, for streams that do not predict poses."""
-    return np.zeros((0, VALUES), np.int8)
-
-
-def start_factors() -> Factors:
-    """Return the shipped factors."""
-    return _table()[0]
-
-
-def start_counts() -> Counts:
-    """Return the shipped counts."""
-    return _table()[1]
+"""Logarithms of the factors, shape (`RINGS`, `VALUES`)."""
 
 
 @cache
-def _table() -> tuple[Factors, Counts]:
-    with np.load(TABLE) as file:
-        return file["factors"], file["counts"]
+def start_factors() -> Factors:
+    """Return the shipped factors, trained on generated maps."""
+    with np.load(NARROW_TABLE) as file:
+        factors: Factors = file["factors"]
+    return factors
 
 
 @kernel
 def _sweep(ways: Int16Rows, least: Int16Rows, first: int, end: int) -> None:
-    """Shorten ways to the cells of a square by ways to their neighbors, but not below `least`.
+    """Shorten ways to the cells of a square by ways to their neighbors, first down and right, then up and left.
 
-    The square has rows and columns `first` to `end` - 1. Its sides must not lie on the rim of the arrays.
+    No way gets shorter than `least`: `FAR` at walls, else 0. The square has rows and columns `first` to `end` - 1; it
+    must not touch the rim of the arrays.
     """
     one = np.uint64(1)
     for y in range(np.uint64(first), np.uint64(end)):
@@ -124,8 +110,8 @@ def _sweep(ways: Int16Rows, least: Int16Rows, first: int, end: int) -> None:
 
 
 @kernel
-def _direction(x: int, y: int, last_x: int, last_y: int) -> int:
-    """Return the angle between two motions: 0 if they are equal, 16 if they are opposite; 17 if one is none."""
+def _turn(x: int, y: int, last_x: int, last_y: int) -> int:
+    """Return the angle between two motions, from 0 (same direction) to 16 (opposite); 17 if one of them is 0."""
     along, across = x * last_x + y * last_y, abs(x * last_y - y * last_x)
     size = abs(along) + across
     if size == 0:
@@ -137,27 +123,45 @@ def _direction(x: int, y: int, last_x: int, last_y: int) -> int:
 
 
 @kernel
-def describe(grid: Grid, motion: Motion, speed: int, ring: int, features: Int16Rows) -> int:
-    """Find the features of the candidate cells of a ring around the last pose.
+def _rank(distance: int, here: int, ring: int) -> int:
+    """Return the value of feature 4: by the distance to unknown cells, there and from the last pose."""
+    lead = LEADS - 1
+    if distance < FAR and here < FAR:
+        lead = max(0, min(LEADS - 3, (distance - here >> 2 + ring) + LEADS // 2 - 1))
+    elif distance < FAR:
+        lead = LEADS - 2
+    bits = 0
+    for place in range(2, 2 + DISTANCES - 1):
+        bits += int(distance >> place > 0)
+    return lead * DISTANCES + bits
+
+
+@kernel
+def describe(grid: Grid, motion: Motion, speed: int, ring: int, features: Int16Rows) -> None:
+    """Find the features of the cells of a ring around the last pose.
+
+    Ways and distances count 5 to a neighbor in the same row or column, and 7 to a diagonal one. Ways around many
+    corners may be missing or too long.
 
     Parameters
     ----------
     grid : uint8 array, shape (h, w)
         The grid from which the scan is predicted.
     motion : Motion
-        The last pose and motion.
+        The last pose, in the grid, and the last motion.
     speed : int
         The robot's speed, in 1/1000 cell per step.
-    features : int16 array, shape (n n, FEATURES)
-        Output: for each cell of the square around the last pose, row by row, the columns of the table of its features.
-        -1: the cell is no candidate, as it lies in an inner ring or outside of the grid.
-
-    Returns n, the side of the square.
+    ring : int
+        Number of the ring, below `RINGS`.
+    features : int16 array, shape (n * n, `FEATURES`)
+        Output, where n = 2 * (`FIRST_RING` << ring) + 1: of each cell of the square around the last pose, row by row,
+        the columns of its features in the table of factors. The first is -1 if the cell is no candidate: if it lies in
+        an inner ring or outside the grid.
     """
     outer = FIRST_RING << ring
     inner = outer >> 1 if ring else -1
     half = outer + MARGIN + 1
-    side, size = 2 * outer + 1, 2 * half + 1
+    size = 2 * half + 1
     left, top = motion[X] - half, motion[Y] - half
     least = np.full((size, size), FAR, np.int16)
     ways = np.full((size, size), FAR, np.int16)
@@ -170,75 +174,73 @@ def describe(grid: Grid, motion: Motion, speed: int, ring: int, features: Int16R
             if state == UNKNOWN:
                 to_unknown[row, column] = 0
     ways[half, half] = 0
-    for _ in range(ROUNDS):
-        _sweep(ways, least, MARGIN, size - MARGIN)
+    _sweep(ways, least, MARGIN, size - MARGIN)
+    _sweep(ways, least, MARGIN, size - MARGIN)
     _sweep(to_unknown, least, 1, size - 1)
     here = np.int64(to_unknown[half, half])
-    scale = (1000 * STRAIGHT << 16) // speed
+    steps = (1000 * STRAIGHT << 16) // speed
     for y in range(-outer, outer + 1):
         for x in range(-outer, outer + 1):
-            index = (y + outer) * side + x + outer
+            index = (y + outer) * (2 * outer + 1) + x + outer
             inside = 0 <= motion[X] + x < grid.shape[1] and 0 <= motion[Y] + y < grid.shape[0]
             if not inside or max(abs(x), abs(y)) <= inner:
                 features[index, 0] = -1
                 continue
-            way, unknown = np.int64(ways[half + y, half + x]), np.int64(to_unknown[half + y, half + x])
-            features[index, 0] = min(way * scale >> 16 + ring, WAYS - 1)
-            features[index, 1] = DIRECTION + _direction(x, y, motion[DX], motion[DY])
+            way, distance = np.int64(ways[half + y, half + x]), np.int64(to_unknown[half + y, half + x])
+            features[index, 0] = min(way * steps >> 16 + ring, WAYS - 1)
+            features[index, 1] = DIRECTION + _turn(x, y, motion[DX], motion[DY])
             features[index, 2] = REPEATS + int(x == motion[DX] and y == motion[DY])
-            lead = LEADS - 1
-            if unknown < FAR:
-                lead = max(0, min(LEADS - 3, (unknown - here >> 2 + ring) + LEADS // 2 - 1)) if here < FAR else LEADS - 2
-            near = 0
-            for place in range(2, 2 + NEARNESSES - 1):
-                near += int(unknown >> place > 0)
-            features[index, 3] = UNKNOWN_NEAR + lead * NEARNESSES + near
-    return side
+            features[index, 3] = TO_UNKNOWN + _rank(distance, here, ring)
 
 
 @kernel
-def leaving(motion: Motion) -> int:
-    """Return the column of the table of leaving a ring: by the length of the last motion."""
+def beyond(motion: Motion) -> int:
+    """Return the column of the factor of poses beyond a ring: by the length of the last motion."""
     last = max(abs(motion[DX]), abs(motion[DY]))
-    return LEAVES + int(last > FIRST_RING) + int(last > 2 * FIRST_RING)
+    return BEYOND + int(last > FIRST_RING) + int(last > 2 * FIRST_RING)
 
 
 @kernel
-def _weigh(features: Int16Rows, factors: Factors, ring: int, leaves: int, weights: Int64s) -> int:
-    """Compute the weights of candidates, 0 for other cells; return that of leaving the ring."""
-    most = np.int64(factors[ring, leaves])
+def _weigh(features: Int16Rows, factors: Int8s, other: int, weights: Int64s) -> int:
+    """Compute the weights of a ring's cells, 0 for those that are no candidates; return that of poses beyond it.
+
+    `factors` is a row of the table, `other` the column of poses beyond the ring.
+    """
+    most = np.int64(factors[other])
     for index in range(len(weights)):
-        weights[index] = -(1 << 20)
         if features[index, 0] >= 0:
             log = np.int64(0)
             for feature in range(FEATURES):
-                log += factors[ring, features[index, feature]]
+                log += factors[features[index, feature]]
             weights[index] = log
             most = max(most, log)
     for index in range(len(weights)):
-        log = most - weights[index]
-        weights[index] = POWERS[min(log, len(POWERS) - 1)] if log < 1 << 19 else 0
-    return int(POWERS[min(most - factors[ring, leaves], len(POWERS) - 1)])
+        if features[index, 0] >= 0:
+            weights[index] = POWERS[min(most - weights[index], len(POWERS) - 1)]
+        else:
+            weights[index] = 0
+    return int(POWERS[min(most - factors[other], len(POWERS) - 1)])
 
 
 @kernel
-def _choose(state: State, data: Data, weights: Int64s, stride: int, count: int, chosen: int) -> int:
-    """Encode or decode a choice, with a probability in proportion to its weight, by halving the choices; return it.
+def _choose(state: State, data: Data, weights: Int64s, stride: int, chosen: int) -> int:
+    """Encode or decode a choice, with probabilities in proportion to weights, by halving the choices; return it.
 
-    Choice i has the weight of rows i `stride` to (i + 1) `stride` - 1.
+    The weight of choice i is the sum of `weights` from i * `stride` to (i + 1) * `stride` - 1. Not all may be 0.
     """
-    first, end = 0, count
-    total = weights[: count * stride].sum()
+    first, end = 0, len(weights) // stride
+    total = weights.sum()
     while end - first > 1:
         middle = (first + end) // 2
         before = weights[first * stride : middle * stride].sum()
-        bit = 1 if chosen >= middle else 0
-        if before == 0 or before == total:
-            bit = 0 if before else 1
+        bit = 1 if before == 0 else 0
+        if 0 < before < total:
+            part = max(1, state[WIDTH] * before // total)
+            bit = divide(state, data, part, 1 if chosen >= middle else 0)
+        if bit:
+            first, total = middle, total - before
         else:
-            bit = divide(state, data, max(1, state[WIDTH] * before // total), bit)
-        first, end = (middle, end) if bit else (first, middle)
-        total = total - before if bit else before
+            end, total = middle, before
     return first
 
 
@@ -246,7 +248,19 @@ def _choose(state: State, data: Data, weights: Int64s, stride: int, count: int, 
 def code_predicted_pose(
     coder: Coder, motion: Motion, grid: Grid, factors: Factors, speed: int, x: int, y: int
 ) -> None:
-    """Encode or decode the next pose into `motion`; `speed` is that of the robot, in 1/1000 cell per step."""
+    """Encode or decode the next pose into `motion`; the first pose of a log in the plain code.
+
+    Parameters
+    ----------
+    grid : uint8 array, shape (h, w)
+        The grid from which the scan is predicted.
+    factors : Factors
+        As `start_factors` returns them.
+    speed : int
+        The robot's speed, in 1/1000 cell per step.
+    x, y : int
+        The cell of the scan; it must lie in the grid. A decoder passes any.
+    """
     if motion[SCANS] == 0:
         code_pose(coder, motion, x, y)
         return
@@ -258,15 +272,15 @@ def code_predicted_pose(
         features = np.empty((side * side, FEATURES), np.int16)
         weights = np.empty(side * side, np.int64)
         describe(grid, motion, speed, ring, features)
-        leaves = _weigh(features, factors, ring, leaving(motion), weights)
+        other = _weigh(features, factors[ring], beyond(motion), weights)
         total = weights.sum()
         if total == 0:
             continue
-        away = 1 if max(abs(went_x), abs(went_y)) > outer else 0
-        if divide(state, data, max(1, state[WIDTH] * total // (total + leaves)), away):
+        is_beyond = 1 if max(abs(went_x), abs(went_y)) > outer else 0
+        if divide(state, data, max(1, state[WIDTH] * total // (total + other)), is_beyond):
             continue
-        row = _choose(state, data, weights, side, side, went_y + outer)
-        column = _choose(state, data, weights[row * side : (row + 1) * side], 1, side, went_x + outer)
+        row = _choose(state, data, weights, side, went_y + outer)
+        column = _choose(state, data, weights[row * side : (row + 1) * side], 1, went_x + outer)
         motion[DX], motion[DY] = column - outer, row - outer
         motion[X] += motion[DX]
         motion[Y] += motion[DY]

@@ -15,7 +15,7 @@ from agent.predictive.coder import AHEAD, DECODES, FAILED, PLACE, Coder, code_bi
 from agent.predictive.contexts import REST_MOST
 from agent.predictive.history import DecodedUpdate
 from agent.predictive.mixer import Model, mixing_coder
-from agent.predictive.pose_model import code_predicted_pose, no_factors, start_counts, start_factors
+from agent.predictive.pose_model import code_predicted_pose, start_factors
 from agent.predictive.scan_updates import (
     MAX_SCANS,
     code_corrections,
@@ -42,6 +42,11 @@ class NarrowBand:
     update_bytes: float
     """The usual limit of an update."""
 
+    @property
+    def milli_speed(self) -> int:
+        """The speed in 1/1000 cell per step, at least 1."""
+        return max(round(1000 * self.speed), 1)
+
 
 class ScanStream(Stream):
     """Encoder and decoder of scans from whole cells, with the beams of the map's author (`ray_table`).
@@ -62,14 +67,10 @@ class ScanStream(Stream):
         narrow: NarrowBand | None = None,
         **options: Any,
     ) -> None:
+        options.setdefault("counts", contexts.start(narrow=narrow is not None))
         super().__init__(map_id, grid, *args, **options)
         self._chances, self._ages, self._weights = start_model() if narrow else no_model()
         self._narrow = narrow
-        self._factors = no_factors()
-        self._speed = 1
-        if narrow is not None:
-            self._factors, self._counts[contexts.MORE_SCANS_NARROW :] = start_factors(), start_counts()
-            self._speed = max(round(1000 * narrow.speed), 1)
         self._was_full = False
         """Whether the last update was at its limit, so that more scans wait."""
         self.ray_table = ray_table
@@ -189,7 +190,7 @@ class ScanStream(Stream):
         if self._narrow is None:
             super()._code_pose(coder, x, y)
         else:
-            code_predicted_pose(coder, self._motion, self.grid, self._factors, self._speed, x, y)
+            code_predicted_pose(coder, self._motion, self.grid, start_factors(), self._narrow.milli_speed, x, y)
 
     def _code_more(self, coder: Coder, scans: int, more: int) -> int:
         """Encode or decode whether another scan follows the first `scans` ones; return it."""

@@ -12,7 +12,7 @@ same table.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -66,13 +66,15 @@ def make_streams(plan: Plan, kind: type[AnyStream] = ScanStream, **options: Any)
     ]
 
 
-def train_on(plan: Plan, senses: list[list[Sense]], model: Model) -> tuple[Model, list[tuple[int, bytes]]]:
+def train_on(
+    streams: Sequence[ScanStream], senses: list[list[Sense]], model: Model
+) -> tuple[Model, list[tuple[int, bytes]]]:
     """Encode an exploration with a model; return the model after the last update, and all updates with their robots.
 
-    `senses` are the sensor messages of each robot, one per step.
+    `streams` and `senses` are the empty stream and the sensor messages of each robot, one message per step.
     """
-    robots, shape = len(senses), plan.map.cells.shape
-    streams, updates = make_streams(plan), []
+    robots, shape = len(senses), streams[0].grid.shape
+    updates = []
     own = np.full((robots, *shape), UNKNOWN, np.uint8)
     poses: list[list[tuple[int, int]]] = [[] for _ in senses]
     boxes: list[list[Box]] = [[] for _ in senses]
@@ -119,7 +121,7 @@ def train() -> Model:
     """Train the model."""
     model = new_model(CONTEXTS, 1)
     for title, plan, senses in explorations():
-        model, updates = train_on(plan, senses, model)
+        model, updates = train_on(make_streams(plan), senses, model)
         print(f"{title}, {sum(len(message) for _, message in updates)} bytes", flush=True)
     return model
 

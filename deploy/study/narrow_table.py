@@ -1,25 +1,25 @@
-"""Train the table of features by which the predictive encoding codes poses on narrow media.
+"""Train the factors and counts with which the predictive encoding codes poses, and other parts, on narrow media.
 
-``python -m deploy.study.pose_table FILE.npz`` writes it to a file.
+``python -m deploy.study.narrow_table FILE.npz`` writes them to a file.
 
-The program runs explorations of generated maps, encodes them as `deploy.study.wall_table` does, and notes the features
-of all candidate cells of each pose (`agent.predictive.pose_model`). The table has the factors with which the
-chosen cells are most likely; large factors are penalized. The result is shipped as
-`agent.predictive.pose_model.TABLE`; encoder and decoder must have the same table.
+The program runs explorations of generated maps, encodes them as `deploy.study.wall_table` does, and decodes them again.
+It notes the features of all candidate cells of each pose (`agent.predictive.pose_model`). With the fitted factors, the
+poses are most likely; large logarithms of factors are penalized. The counts are those of all decoded decisions. The
+result is shipped as `agent.predictive.contexts.NARROW_TABLE`; encoder and decoder must have the same table.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from agent.predictive.coder import Coder
-from agent.predictive.contexts import CONTEXTS, MORE_SCANS_NARROW
+from agent.predictive.coder import NUMBER, Coder
+from agent.predictive.contexts import BASES, MORE_SCANS_NARROW, SAME_MOTION
 from agent.predictive.pose_model import (
     FEATURES,
     FIRST_RING,
@@ -27,24 +27,30 @@ from agent.predictive.pose_model import (
     RINGS,
     VALUES,
     Factors,
+    beyond,
     describe,
-    leaving,
 )
 from agent.predictive.scan_stream import ScanStream
 from agent.predictive.scan_updates import DX, DY, SCANS
 from agent.predictive.wall_model import start_model
 from deploy.scenario.plan import Plan
 from deploy.study.wall_table import explorations, make_streams, train_on
+from protocol.messages import Sense
 
-PENALTY = 2e-3
-"""Weight of the mean square of the logarithms of the factors, against the mean code length in nats."""
+PENALTY = 3e-4
+"""Weight of half the sum of the squared logarithms of the factors, against the mean code length in nats."""
 
-MOST_COUNTED = 48
+COUNTED = np.array(
+    [*range(SAME_MOTION, BASES + 2 * NUMBER), *range(MORE_SCANS_NARROW, MORE_SCANS_NARROW + 16)], np.int32
+)
+"""Contexts that begin with other counts than on wide media: those of far poses, of dependencies, and of more scans."""
+
+MOST_COUNTED = 12
 """Maximum sum of the initial counts of a context."""
 
 Example = tuple[NDArray[np.int16], int]
 """A choice: the columns of the table of each candidate's features, shape (n, `FEATURES`), and the index of the chosen
-candidate. The last candidate, with the same column in all places, is leaving the ring."""
+candidate. The last candidate, with the same column in all places, is a pose beyond the ring."""
 
 
 class _Receiver(ScanStream):
@@ -56,6 +62,7 @@ class _Receiver(ScanStream):
         """By ring."""
 
     def _read_pose(self, coder: Coder) -> tuple[int, int]:
+        assert self._narrow is not None
         before, grid = self._motion.copy(), self.grid.copy()
         pose = super()._read_pose(coder)
         if before[SCANS]:
@@ -64,29 +71,32 @@ class _Receiver(ScanStream):
                 outer = FIRST_RING << ring
                 side = 2 * outer + 1
                 features = np.empty((side * side, FEATURES), np.int16)
-                describe(grid, before, self._speed, ring, features)
+                describe(grid, before, self._narrow.milli_speed, ring, features)
                 chosen = (went[1] + outer) * side + went[0] + outer
                 leaves = max(map(abs, went)) > outer
                 places = np.flatnonzero(features[:, 0] >= 0)
                 index = len(places) if leaves else int(np.searchsorted(places, chosen))
-                leaving_row = np.full((1, FEATURES), leaving(before), np.int16)
-                self._examples[ring].append((np.concatenate([features[places], leaving_row]), index))
+                others = np.full((1, FEATURES), beyond(before), np.int16)
+                self._examples[ring].append((np.concatenate([features[places], others]), index))
                 if not leaves:
                     break
         return pose
 
 
-def decoded(plan: Plan, updates: Iterable[tuple[int, bytes]]) -> tuple[list[list[Example]], NDArray[np.int64]]:
-    """Decode the updates of `train_on`; return examples by ring, and the counts of contexts of more scans."""
+def examine(plan: Plan, senses: list[list[Sense]]) -> tuple[list[list[Example]], NDArray[np.int64]]:
+    """Encode an exploration and decode it again; return examples by ring, and the counts of `COUNTED`."""
     examples: list[list[Example]] = [[] for _ in range(RINGS)]
-    receivers, model = make_streams(plan, _Receiver, examples=examples), start_model()
-    first = receivers[0].counts[MORE_SCANS_NARROW:].astype(np.int64)
-    for robot, message in updates:
-        receivers[robot].model = model
-        assert receivers[robot].decode(message) is not None
-        receivers[robot].commit()
-        model = receivers[robot].model
-    return examples, sum((each.counts[MORE_SCANS_NARROW:] - first for each in receivers), start=0 * first)
+    authors, receivers = make_streams(plan), make_streams(plan, _Receiver, examples=examples)
+    for stream in (*authors, *receivers):
+        stream.counts[COUNTED] = 0
+    model = start_model()
+    for robot, message in train_on(authors, senses, model)[1]:
+        receiver = receivers[robot]
+        receiver.model = model
+        assert receiver.decode(message) is not None
+        receiver.commit()
+        model = receiver.model
+    return examples, np.sum([each.counts[COUNTED] for each in receivers], axis=0, dtype=np.int64)
 
 
 def fitted(examples: Sequence[Example]) -> NDArray[np.float64]:
@@ -95,9 +105,9 @@ def fitted(examples: Sequence[Example]) -> NDArray[np.float64]:
     sizes = np.array([len(features) for features, _ in examples])
     first = np.cumsum(sizes) - sizes
     chosen = first + np.array([index for _, index in examples])
-    is_leaving = np.zeros(len(columns), np.bool_)
-    is_leaving[first + sizes - 1] = True
-    once = np.where(is_leaving[:, None], [1.0] + [0.0] * (FEATURES - 1), 1.0)
+    is_beyond = np.zeros(len(columns), np.bool_)
+    is_beyond[first + sizes - 1] = True
+    once = np.where(is_beyond[:, None], [1.0] + [0.0] * (FEATURES - 1), 1.0)
     observed = np.bincount(columns[chosen].ravel(), once[chosen].ravel(), VALUES)
 
     def loss(logs: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
@@ -108,8 +118,8 @@ def fitted(examples: Sequence[Example]) -> NDArray[np.float64]:
         chances = weights / np.repeat(sums, sizes)
         expected = np.bincount(columns.ravel(), (chances[:, None] * once).ravel(), VALUES)
         nats = (np.log(sums) - scores[chosen]).mean()
-        penalty = PENALTY * (logs**2).mean()
-        return nats + penalty, (expected - observed) / len(examples) + 2 * PENALTY * logs / VALUES
+        penalty = PENALTY / 2 * (logs**2).sum()
+        return nats + penalty, (expected - observed) / len(examples) + PENALTY * logs
 
     result = minimize(loss, np.zeros(VALUES), jac=True, method="L-BFGS-B", options={"maxiter": 80})
     logs: NDArray[np.float64] = result.x
@@ -121,20 +131,22 @@ def rounded(logs: NDArray[np.float64]) -> Factors:
     return np.clip(np.rint(logs / np.log(2) * LOG_UNIT), -127, 127).astype(np.int8)
 
 
-def train() -> tuple[Factors, NDArray[np.uint16]]:
-    """Train the factors and the counts."""
+def train() -> dict[str, NDArray[Any]]:
+    """Train the arrays of the table."""
     examples: list[list[Example]] = [[] for _ in range(RINGS)]
-    counts = np.zeros((CONTEXTS - MORE_SCANS_NARROW, 2), np.int64)
+    total = np.zeros((len(COUNTED), 2), np.int64)
     for title, plan, senses in explorations():
-        found, more = decoded(plan, train_on(plan, senses, start_model())[1])
+        found, counts = examine(plan, senses)
         for ring, new in zip(examples, found, strict=True):
             ring += new
-        counts += more
+        total += counts
         print(f"{title}, {len(found[0])} poses", flush=True)
-    weight = np.minimum(1, MOST_COUNTED / np.maximum(counts.sum(axis=1), 1))
-    return rounded(np.stack([fitted(ring) for ring in examples])), np.rint(counts * weight[:, None]).astype(np.uint16)
+    weight = np.minimum(1, MOST_COUNTED / np.maximum(total.sum(axis=1), 1))
+    trained = np.rint(total * weight[:, None]).astype(np.uint16)
+    used = total.any(axis=1)
+    factors = rounded(np.stack([fitted(ring) for ring in examples]))
+    return {"factors": factors, "contexts": COUNTED[used], "counts": trained[used]}
 
 
 if __name__ == "__main__":
-    factors, counts = train()
-    np.savez_compressed(sys.argv[1], factors=factors, counts=counts)
+    np.savez_compressed(sys.argv[1], **train())  # type: ignore[arg-type]
