@@ -75,8 +75,8 @@ TABLE = Path(__file__).with_name("start.npz")
 """The shipped table: counts trained on generated maps."""
 
 NARROW_TABLE = Path(__file__).with_name("narrow_start.npz")
-"""The shipped table for narrow media (`deploy.study.narrow_table`): other `counts` of some `contexts`, and the `factors`
-of `agent.predictive.pose_model`."""
+"""The shipped table for narrow media, trained on generated maps (`deploy.study.narrow_table`): other `counts` of some
+`contexts`, and the `factors` of `agent.predictive.pose_model`."""
 
 
 @cache

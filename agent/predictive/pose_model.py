@@ -66,11 +66,12 @@ LOG_UNIT = 16
 WEIGHT_BITS = 18
 """The largest weight of a ring is 2 to this power; the smallest is 1."""
 
-_FRACTIONS = (262144, 251029, 240387, 230195, 220436, 211090, 202140, 193570)
+_FRACTIONS: tuple[int, ...] = (262144, 251029, 240387, 230195, 220436, 211090, 202140, 193570)
 _FRACTIONS += (185364, 177505, 169979, 162773, 155872, 149263, 142935, 136875)
 
 POWERS: Int64s = np.array(
-    [max(_FRACTIONS[log % LOG_UNIT] >> log // LOG_UNIT, 1) for log in range(WEIGHT_BITS * LOG_UNIT + 1)], np.int64
+    [max(_FRACTIONS[log % LOG_UNIT] >> log // LOG_UNIT, 1) for log in range(WEIGHT_BITS * LOG_UNIT + 1)],
+    np.int64,
 )
 """Weight by the difference of its logarithm from that of the largest weight."""
 
@@ -96,17 +97,18 @@ def _sweep(ways: Int16Rows, least: Int16Rows, first: int, end: int) -> None:
     one = np.uint64(1)
     for y in range(np.uint64(first), np.uint64(end)):
         for x in range(np.uint64(first), np.uint64(end)):
-            straight = min(ways[y - one, x], ways[y, x - one]) + STRAIGHT
-            diagonal = min(ways[y - one, x - one], ways[y - one, x + one]) + DIAGONAL
-            ways[y, x] = max(np.int64(least[y, x]), min(np.int64(ways[y, x]), min(straight, diagonal)))
+            straight = min(ways[y - one, x], ways[y, x - one])
+            diagonal = min(ways[y - one, x - one], ways[y - one, x + one])
+            shorter = min(ways[y, x], straight + STRAIGHT, diagonal + DIAGONAL)
+            ways[y, x] = max(least[y, x], shorter)
     last = np.uint64(first + end - 1)
     for row in range(np.uint64(first), np.uint64(end)):
-        y = last - row
         for column in range(np.uint64(first), np.uint64(end)):
-            x = last - column
-            straight = min(ways[y + one, x], ways[y, x + one]) + STRAIGHT
-            diagonal = min(ways[y + one, x + one], ways[y + one, x - one]) + DIAGONAL
-            ways[y, x] = max(np.int64(least[y, x]), min(np.int64(ways[y, x]), min(straight, diagonal)))
+            up, left = last - np.uint64(row), last - np.uint64(column)
+            straight = min(ways[up + one, left], ways[up, left + one])
+            diagonal = min(ways[up + one, left + one], ways[up + one, left - one])
+            shorter = min(ways[up, left], straight + STRAIGHT, diagonal + DIAGONAL)
+            ways[up, left] = max(least[up, left], shorter)
 
 
 @kernel
@@ -187,10 +189,10 @@ def describe(grid: Grid, motion: Motion, speed: int, ring: int, features: Int16R
                 features[index, 0] = -1
                 continue
             way, distance = np.int64(ways[half + y, half + x]), np.int64(to_unknown[half + y, half + x])
-            features[index, 0] = min(way * steps >> 16 + ring, WAYS - 1)
+            features[index, 0] = min(int(way * steps >> 16 + ring), WAYS - 1)
             features[index, 1] = DIRECTION + _turn(x, y, motion[DX], motion[DY])
             features[index, 2] = REPEATS + int(x == motion[DX] and y == motion[DY])
-            features[index, 3] = TO_UNKNOWN + _rank(distance, here, ring)
+            features[index, 3] = TO_UNKNOWN + _rank(int(distance), int(here), ring)
 
 
 @kernel

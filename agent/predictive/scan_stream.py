@@ -190,7 +190,9 @@ class ScanStream(Stream):
         if self._narrow is None:
             super()._code_pose(coder, x, y)
         else:
-            code_predicted_pose(coder, self._motion, self.grid, start_factors(), self._narrow.milli_speed, x, y)
+            code_predicted_pose(
+                coder, self._motion, self.grid, start_factors(), self._narrow.milli_speed, x, y
+            )
 
     def _code_more(self, coder: Coder, scans: int, more: int) -> int:
         """Encode or decode whether another scan follows the first `scans` ones; return it."""

@@ -12,8 +12,8 @@ same table.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Sequence
-from typing import Any, TypeVar
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -50,18 +50,20 @@ BYTES = 15
 
 STEPS = 400
 
-AnyStream = TypeVar("AnyStream", bound=ScanStream)
 
-
-def make_streams(plan: Plan, kind: type[AnyStream] = ScanStream, **options: Any) -> list[AnyStream]:
-    """Make the stream of each robot, with the budget of training."""
+def make_streams(
+    plan: Plan, kind: Callable[..., ScanStream] = ScanStream, **options: Any
+) -> list[ScanStream]:
+    """Make the empty stream of each robot, with the limit `BYTES` of an update."""
     shape, bodies = plan.map.cells.shape, plan.world.bodies
     histories = [History() for _ in bodies]
     scratch = np.empty((2 * shape[0] * shape[1], 2), np.int32)
     beams = [ray_table(body.range_cells, plan.world.beams) for body in bodies]
     narrow = [NarrowBand(body.speed, BYTES) for body in bodies]
     return [
-        kind(n, np.zeros(shape, np.uint8), beams[n], histories, scratch, team=True, narrow=narrow[n], **options)
+        kind(
+            n, np.zeros(shape, np.uint8), beams[n], histories, scratch, team=True, narrow=narrow[n], **options
+        )
         for n in range(len(bodies))
     ]
 
@@ -74,7 +76,7 @@ def train_on(
     `streams` and `senses` are the empty stream and the sensor messages of each robot, one message per step.
     """
     robots, shape = len(senses), streams[0].grid.shape
-    updates = []
+    updates: list[tuple[int, bytes]] = []
     own = np.full((robots, *shape), UNKNOWN, np.uint8)
     poses: list[list[tuple[int, int]]] = [[] for _ in senses]
     boxes: list[list[Box]] = [[] for _ in senses]
