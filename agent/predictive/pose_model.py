@@ -88,6 +88,12 @@ def start_factors() -> Factors:
 
 
 @kernel
+def _shortest(least: int, way: int, straight: int, diagonal: int) -> int:
+    """Return the shortest of three ways to a cell, two of them by neighbors, but at least `least`."""
+    return max(least, min(way, min(straight + STRAIGHT, diagonal + DIAGONAL)))  # noqa: PLW3301
+
+
+@kernel
 def _sweep(ways: Int16Rows, least: Int16Rows, first: int, end: int) -> None:
     """Shorten ways to the cells of a square by ways to their neighbors, first down and right, then up and left.
 
@@ -99,16 +105,14 @@ def _sweep(ways: Int16Rows, least: Int16Rows, first: int, end: int) -> None:
         for x in range(np.uint64(first), np.uint64(end)):
             straight = min(ways[y - one, x], ways[y, x - one])
             diagonal = min(ways[y - one, x - one], ways[y - one, x + one])
-            shorter = min(ways[y, x], straight + STRAIGHT, diagonal + DIAGONAL)
-            ways[y, x] = max(least[y, x], shorter)
+            ways[y, x] = _shortest(least[y, x], ways[y, x], straight, diagonal)
     last = np.uint64(first + end - 1)
     for row in range(np.uint64(first), np.uint64(end)):
         for column in range(np.uint64(first), np.uint64(end)):
             up, left = last - np.uint64(row), last - np.uint64(column)
             straight = min(ways[up + one, left], ways[up, left + one])
             diagonal = min(ways[up + one, left + one], ways[up + one, left - one])
-            shorter = min(ways[up, left], straight + STRAIGHT, diagonal + DIAGONAL)
-            ways[up, left] = max(least[up, left], shorter)
+            ways[up, left] = _shortest(least[up, left], ways[up, left], straight, diagonal)
 
 
 @kernel
