@@ -20,8 +20,9 @@ from agent.predictive.scan_updates import (
     MAX_SCANS,
     code_corrections,
     code_scan,
-    count_new_cells,
     find_differences,
+    find_new_cells,
+    shows_unknown,
 )
 from agent.predictive.stream import FIRST_BUFFER, Stream
 from agent.predictive.wall_model import no_model, start_model
@@ -141,9 +142,9 @@ class ScanStream(Stream):
         box = bounding_box([box, unreported])
         mixing = mixing_coder(coder[0], coder[1], self.model)
         changed = scans = done = 0
-        counted = np.zeros(grid.shape, np.bool_)
-        new_cells = [count_new_cells(grid, own, counted, cells, start, x, y) for x, y in reversed(poses)]
-        for (x, y), shows_more in zip(poses, reversed(new_cells), strict=True):
+        for (x, y), new_cells in zip(poses, self._find_new_cells(own, poses), strict=True):
+            # On narrow media, cells that an earlier scan has revealed since do not count.
+            shows_more = len(new_cells) > 0 and (self._narrow is None or shows_unknown(grid, new_cells))
             if shows_more and (scans == MAX_SCANS or (scans and coder[0][PLACE] >= most)):
                 break
             done += 1
@@ -185,6 +186,16 @@ class ScanStream(Stream):
             height, width = grid.shape
             raise ProtocolError(Update.name, 0, f"a corrected cell is outside the {width} x {height} grid")
         return update
+
+    def _find_new_cells(self, own: Grid, poses: Sequence[tuple[int, int]]) -> list[NDArray[np.int32]]:
+        """Return the cells that each scan reveals and no later one, as indices of the flat grid."""
+        grid, cells, start = self.grid, self.ray_table.cells, self.ray_table.start
+        counted, found, end = np.zeros(grid.shape, np.bool_), np.empty(grid.size, np.int32), 0
+        new_cells = []
+        for x, y in reversed(poses):
+            first, end = end, find_new_cells(grid, own, counted, cells, start, x, y, found, end)
+            new_cells.append(found[first:end])
+        return new_cells[::-1]
 
     def _code_pose(self, coder: Coder, x: int, y: int) -> None:
         if self._narrow is None:
