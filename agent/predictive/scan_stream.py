@@ -18,11 +18,11 @@ from agent.predictive.mixer import Model, mixing_coder
 from agent.predictive.pose_model import code_predicted_pose, start_factors
 from agent.predictive.scan_updates import (
     MAX_SCANS,
+    STATE,
     code_corrections,
     code_scan,
     find_differences,
     find_new_cells,
-    shows_unknown,
 )
 from agent.predictive.stream import FIRST_BUFFER, Stream
 from agent.predictive.wall_model import no_model, start_model
@@ -143,8 +143,9 @@ class ScanStream(Stream):
         mixing = mixing_coder(coder[0], coder[1], self.model)
         changed = scans = done = 0
         for (x, y), new_cells in zip(poses, self._find_new_cells(own, poses), strict=True):
-            # On narrow media, cells that an earlier scan has revealed since do not count.
-            shows_more = len(new_cells) > 0 and (self._narrow is None or shows_unknown(grid, new_cells))
+            # An earlier scan of this update may have revealed them; only on narrow media, this is worth the time.
+            is_new = grid.reshape(-1)[new_cells] & STATE == UNKNOWN if self._narrow else new_cells >= 0
+            shows_more = is_new.any()
             if shows_more and (scans == MAX_SCANS or (scans and coder[0][PLACE] >= most)):
                 break
             done += 1

@@ -220,16 +220,6 @@ def find_new_cells(
 
 
 @kernel
-def shows_unknown(grid: Grid, places: Int32s) -> bool:
-    """Whether any of the cells, indices of the flat grid, is unknown."""
-    flat = grid.reshape(-1)
-    for place in places:
-        if flat[place] & STATE == UNKNOWN:
-            return True
-    return False
-
-
-@kernel
 def find_differences(grid: Grid, own: Grid, x0: int, y0: int, x1: int, y1: int, found: Int32s) -> int:
     """Find the cells of the box (x0, y0, x1, y1) that need a correction.
 
