@@ -36,7 +36,7 @@ from protocol.packets import Update
 
 @dataclass(frozen=True)
 class NarrowBand:
-    """What predicts an update on a narrow medium better; author and receivers must have the same."""
+    """What predictions of updates on a narrow medium depend on; author and receivers must have the same values."""
 
     speed: float
     """Cells that the author drives in a step."""
@@ -52,7 +52,7 @@ class NarrowBand:
 class ScanStream(Stream):
     """Encoder and decoder of scans from whole cells, with the beams of the map's author (`ray_table`).
 
-    With `narrow`, walls and poses are coded by better predictions, which cost time.
+    With `narrow`, walls, poses, and ends of updates are coded by better predictions, which take more time.
     """
 
     state: ClassVar[tuple[str, ...]] = (
@@ -143,7 +143,7 @@ class ScanStream(Stream):
         mixing = mixing_coder(coder[0], coder[1], self.model)
         changed = scans = done = 0
         for (x, y), new_cells in zip(poses, self._find_new_cells(own, poses), strict=True):
-            # An earlier scan of this update may have revealed them; only on narrow media, this is worth the time.
+            # On narrow media, cells that an earlier scan of this update has revealed do not count.
             is_new = grid.reshape(-1)[new_cells] & STATE == UNKNOWN if self._narrow else new_cells >= 0
             shows_more = is_new.any()
             if shows_more and (scans == MAX_SCANS or (scans and coder[0][PLACE] >= most)):

@@ -330,6 +330,38 @@ def test_cells_that_an_incomplete_update_left_to_a_teammate_are_not_repeated() -
     assert group.follows(0, own)
 
 
+def test_on_narrow_media_a_scan_is_left_out_if_earlier_ones_reveal_its_cells() -> None:
+    own = np.full((1, 40), FREE, np.uint8)
+    messages = []
+    for poses in ([(3, 0), (5, 0), (7, 0)], [(3, 0), (7, 0)]):
+        stream = Group((1, 40), team=False, narrow=NARROW, ranges=(3.0,)).streams[0]
+        update = stream.encode(own, poses, (0, 0, 11, 1))
+        assert update is not None
+        assert update[2] == len(poses)
+        messages.append(update[0])
+    assert messages[0] == messages[1]
+
+
+def test_updates_of_a_walk_are_shorter_on_narrow_media() -> None:
+    truth, walk = exploration(120)
+    sizes = []
+    for band in (None, NARROW):
+        author = Group((truth.shape[0], truth.shape[1]), team=False, narrow=band, ranges=(30.0,)).streams[0]
+        receiver = Group((truth.shape[0], truth.shape[1]), team=False, narrow=band, ranges=(30.0,)).streams[0]
+        own, size = walk[-1][0], 0
+        poses = [pose for _, pose in walk]
+        while poses:
+            update = author.encode(own, poses, (0, 0, truth.shape[1], truth.shape[0]), most=15)
+            if update is None:
+                break
+            assert receiver.decode(update[0]) is not None
+            size += len(update[0])
+            poses = poses[update[2] :]
+        assert ((receiver.grid & STATE) == own).all()
+        sizes.append(size)
+    assert sizes[1] < 0.8 * sizes[0]
+
+
 def test_an_empty_update_leaves_the_one_before_it_retractable() -> None:
     own = np.full((1, 500), FREE, np.uint8)
     stream = Group((1, 500), team=False, ranges=(3.0,)).streams[0]
