@@ -29,7 +29,7 @@ from agent.mapping.estimator import SETTLED
 from agent.predictive.author import Author
 from agent.predictive.history import DecodedUpdate, History
 from agent.predictive.scan_author import ScanAuthor
-from agent.predictive.scan_stream import ScanStream
+from agent.predictive.scan_stream import NarrowBand, ScanStream
 from agent.predictive.shared_decoder import CachedReader, SharedDecoderCache
 from agent.predictive.stream import Stream
 from agent.predictive.tile_author import TileAuthor
@@ -118,10 +118,11 @@ class PredictiveEncoding(GridEncoding):
         maps, team = settings.robots, self._options.base == "team"
         if settings.shares_tiles:
             return TileStream(map_id, grid, histories, self._scratch, team=team, base_maps=maps)
-        beams = ray_table(settings.bodies[settings.author_of(map_id)].range_cells, settings.beams)
-        mixes = self._limits.is_narrow
+        body = settings.bodies[settings.author_of(map_id)]
+        beams, limits = ray_table(body.range_cells, settings.beams), self._limits
+        narrow = NarrowBand(body.speed, limits.step_bytes) if limits.is_narrow else None
         return ScanStream(
-            map_id, grid, beams, histories, self._scratch, team=team, base_maps=maps, mixes=mixes
+            map_id, grid, beams, histories, self._scratch, team=team, base_maps=maps, narrow=narrow
         )
 
     def _decoder(self, map_id: int) -> Stream | CachedReader:

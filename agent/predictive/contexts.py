@@ -65,10 +65,18 @@ CHANGED = OTHER_ROW + NUMBER
 HAS_TILES = CHANGED + 3
 """Whether an update of tiles has any."""
 
-CONTEXTS = HAS_TILES + 1
+MORE_SCANS_NARROW = HAS_TILES + 1
+"""On narrow media, whether another scan follows: by whether the last update was at its limit of bytes, whether this one
+is, and by the number of scans so far, at most 3."""
+
+CONTEXTS = MORE_SCANS_NARROW + 16
 
 TABLE = Path(__file__).with_name("start.npz")
 """The shipped table: counts trained on generated maps."""
+
+NARROW_TABLE = Path(__file__).with_name("narrow_start.npz")
+"""The shipped table for narrow media, trained on generated maps (`deploy.study.narrow_table`): other `counts` of some
+`contexts`, and the `factors` of `agent.predictive.pose_model`."""
 
 
 @cache
@@ -80,9 +88,18 @@ def _table() -> Counts:
     return counts
 
 
-def start() -> Counts:
-    """Return a copy of the initial counts of every log: uint16 array, shape (CONTEXTS, 2)."""
-    return _table().copy()
+@cache
+def _narrow_table() -> Counts:
+    counts = _table().copy()
+    with np.load(NARROW_TABLE) as file:
+        counts[file["contexts"]] = file["counts"]
+    counts.flags.writeable = False
+    return counts
+
+
+def start(*, narrow: bool = False) -> Counts:
+    """Return a copy of the initial counts of every log, of a narrow medium or not: uint16, shape (CONTEXTS, 2)."""
+    return (_narrow_table() if narrow else _table()).copy()
 
 
 @kernel

@@ -180,19 +180,28 @@ def code_scan(
 
 
 @kernel
-def count_new_cells(
-    grid: Grid, own: Grid, counted: BoolRows, cells: Cells, start: Int32s, x: int, y: int
+def find_new_cells(
+    grid: Grid,
+    own: Grid,
+    counted: BoolRows,
+    cells: Cells,
+    start: Int32s,
+    x: int,
+    y: int,
+    found: Int32s,
+    count: int,
 ) -> int:
-    """Count the cells that a scan from (x, y) would reveal and no scan counted before reveals; mark them in `counted`.
+    """Find the cells that a scan from (x, y) would reveal and that are not yet `counted`; mark them there.
 
     A scan reveals the cells on its beams that are unknown in `grid` and known in `own`; a beam ends at a wall, or at a
-    cell that is unknown in both.
+    cell that is unknown in both. Writes their indices in the flat grid to `found`, from place `count` on; returns the
+    place behind the last one.
     """
     height, width = np.uint64(grid.shape[0]), np.uint64(grid.shape[1])
-    count = 0
     if grid[y, x] & STATE == UNKNOWN and own[y, x] == FREE and not counted[y, x]:
         counted[y, x] = True
-        count = 1
+        found[count] = y * grid.shape[1] + x
+        count += 1
     for beam in range(len(start) - 1):
         for at in range(np.uint64(start[beam]), np.uint64(start[beam + 1])):
             column, row = np.uint64(x + cells[at, 0]), np.uint64(y + cells[at, 1])
@@ -203,6 +212,7 @@ def count_new_cells(
                 known = own[row, column]
                 if known != UNKNOWN and not counted[row, column]:
                     counted[row, column] = True
+                    found[count] = row * width + column
                     count += 1
             if known != FREE:
                 break

@@ -207,11 +207,15 @@ class Stream(ABC):
     def _read_pose(self, coder: Coder) -> tuple[int, int]:
         """Decode the cell of a scan; ProtocolError if it lies outside the grid."""
         height, width = self.grid.shape
-        code_pose(coder, self._motion, 0, 0)
+        self._code_pose(coder, 0, 0)
         x, y = int(self._motion[X]), int(self._motion[Y])
         if not (0 <= x < width and 0 <= y < height):
             raise ProtocolError(Update.name, 0, f"cell ({x}, {y}) is outside the {width} x {height} grid")
         return x, y
+
+    def _code_pose(self, coder: Coder, x: int, y: int) -> None:
+        """Encode or decode the cell of a scan, into the motion."""
+        code_pose(coder, self._motion, x, y)
 
     def _overlay(self, update: DecodedUpdate) -> None:
         """Apply an update of another map to all cells that the author itself has not reported."""

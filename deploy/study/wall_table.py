@@ -12,13 +12,15 @@ same table.
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
 from agent.predictive.history import History
 from agent.predictive.mixer import Model, new_model
 from agent.predictive.model_table import packed
-from agent.predictive.scan_stream import ScanStream
+from agent.predictive.scan_stream import NarrowBand, ScanStream
 from agent.predictive.wall_model import CONTEXTS
 from deploy.run.recording_bus import record_run
 from deploy.scenario import plan as plans
@@ -49,19 +51,32 @@ BYTES = 15
 STEPS = 400
 
 
-def train_on(plan: Plan, senses: list[list[Sense]], model: Model) -> tuple[Model, int]:
-    """Encode an exploration with a model; return the model after the last update, and the bytes of all updates.
-
-    `senses` are the sensor messages of each robot, one per step.
-    """
-    robots, shape = len(senses), plan.map.cells.shape
-    ray_tables = [ray_table(body.range_cells, plan.world.beams) for body in plan.world.bodies]
-    histories, size = [History() for _ in senses], 0
+def make_streams(
+    plan: Plan, kind: Callable[..., ScanStream] = ScanStream, **options: Any
+) -> list[ScanStream]:
+    """Make the empty stream of each robot, with the limit `BYTES` of an update."""
+    shape, bodies = plan.map.cells.shape, plan.world.bodies
+    histories = [History() for _ in bodies]
     scratch = np.empty((2 * shape[0] * shape[1], 2), np.int32)
-    streams = [
-        ScanStream(n, np.zeros(shape, np.uint8), ray_tables[n], histories, scratch, team=True, mixes=True)
-        for n in range(robots)
+    beams = [ray_table(body.range_cells, plan.world.beams) for body in bodies]
+    narrow = [NarrowBand(body.speed, BYTES) for body in bodies]
+    return [
+        kind(
+            n, np.zeros(shape, np.uint8), beams[n], histories, scratch, team=True, narrow=narrow[n], **options
+        )
+        for n in range(len(bodies))
     ]
+
+
+def train_on(
+    streams: Sequence[ScanStream], senses: list[list[Sense]], model: Model
+) -> tuple[Model, list[tuple[int, bytes]]]:
+    """Encode an exploration with a model; return the model after the last update, and all updates with their robots.
+
+    `streams` and `senses` are the empty stream and the sensor messages of each robot, one message per step.
+    """
+    robots, shape = len(senses), streams[0].grid.shape
+    updates: list[tuple[int, bytes]] = []
     own = np.full((robots, *shape), UNKNOWN, np.uint8)
     poses: list[list[tuple[int, int]]] = [[] for _ in senses]
     boxes: list[list[Box]] = [[] for _ in senses]
@@ -69,9 +84,8 @@ def train_on(plan: Plan, senses: list[list[Sense]], model: Model) -> tuple[Model
         for robot in range(robots):
             sense = senses[robot][step]
             readings = np.frombuffer(sense.readings, np.uint16).copy()
-            change = draw(
-                own[robot], ray_tables[robot], sense.x, sense.y, readings, cells_from_bytes(sense.driven)
-            )
+            beams = streams[robot].ray_table
+            change = draw(own[robot], beams, sense.x, sense.y, readings, cells_from_bytes(sense.driven))
             if change.cells:
                 poses[robot].append((sense.x, sense.y))
                 boxes[robot].append(change.box)
@@ -84,15 +98,15 @@ def train_on(plan: Plan, senses: list[list[Sense]], model: Model) -> tuple[Model
             sent = len(poses[robot])
             if encoded is not None:
                 stream.commit()
-                size, sent = size + len(encoded[0]), encoded[2]
+                updates.append((robot, encoded[0]))
+                sent = encoded[2]
             del poses[robot][:sent]
             boxes[robot] = [box] if poses[robot] else []
-    return model, size
+    return model, updates
 
 
-def train() -> Model:
-    """Train the model."""
-    model = new_model(CONTEXTS, 1)
+def explorations() -> Iterator[tuple[str, Plan, list[list[Sense]]]]:
+    """Run the explorations of the training maps; yield a title, the plan, and the sensor messages of each robot."""
     check_training_seeds(range(FIRST_SEED, FIRST_SEED + len(MAPS)))
     for number, name in enumerate(MAPS):
         seed = FIRST_SEED + number
@@ -102,8 +116,15 @@ def train() -> Model:
         }  # fmt: skip
         plan = plans.make(parse(settings))
         senses = [bus.senses for bus in record_run(plan, list(map(names.robot, range(TURNS))))[0].values()]
-        model, size = train_on(plan, senses, model)
-        print(f"{number + 1:2} of {len(MAPS)} {name}, {size} bytes", flush=True)
+        yield f"{number + 1:2} of {len(MAPS)} {name}", plan, senses
+
+
+def train() -> Model:
+    """Train the model."""
+    model = new_model(CONTEXTS, 1)
+    for title, plan, senses in explorations():
+        model, updates = train_on(make_streams(plan), senses, model)
+        print(f"{title}, {sum(len(message) for _, message in updates)} bytes", flush=True)
     return model
 
 

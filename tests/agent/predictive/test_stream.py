@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from agent.predictive import contexts
 from agent.predictive.history import DecodedUpdate, History
-from agent.predictive.scan_stream import ScanStream
+from agent.predictive.scan_stream import NarrowBand, ScanStream
 from agent.predictive.scan_updates import MAX_SCANS, REPORTED, STATE
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, ray_table
@@ -23,7 +23,9 @@ from worldsim.laser import cast
 
 BEAMS = 36
 RANGES = (5.0, 3.0, 7.0)
+NARROW = NarrowBand(5.0, 15)
 seeds = st.integers(0, 2**32 - 1)
+bands = st.sampled_from([None, NARROW, NarrowBand(0.0001, 1), NarrowBand(300.0, 40)])
 
 Cell = tuple[int, int]
 
@@ -36,7 +38,7 @@ class Group:
         shape: tuple[int, int],
         *,
         team: bool = True,
-        mixes: bool = False,
+        narrow: NarrowBand | None = None,
         ranges: tuple[float, ...] = RANGES,
     ) -> None:
         self.grids = np.zeros((len(ranges), *shape), np.uint8)
@@ -50,7 +52,7 @@ class Group:
                 self.histories,
                 scratch,
                 team=team,
-                mixes=mixes,
+                narrow=narrow,
             )
             for robot, reach in enumerate(ranges)
         ]
@@ -101,10 +103,10 @@ class Scene:
         return None if update is None else update[:2]
 
 
-@given(seeds, st.booleans(), st.booleans())
-def test_any_change_of_a_grid_is_coded_without_loss(seed: int, team: bool, mixes: bool) -> None:
+@given(seeds, st.booleans(), bands)
+def test_any_change_of_a_grid_is_coded_without_loss(seed: int, team: bool, narrow: NarrowBand | None) -> None:
     scene = Scene.drawn(seed)
-    author, receiver = (Group(scene.shape, team=team, mixes=mixes) for _ in range(2))
+    author, receiver = (Group(scene.shape, team=team, narrow=narrow) for _ in range(2))
     for _ in range(12):
         robot = int(scene.rng.integers(len(RANGES)))
         update = scene.encode(author, robot)
@@ -152,10 +154,10 @@ def test_an_update_waits_for_its_dependencies_and_changes_nothing_until_then(see
     assert (receiver.grids == author.grids).all()
 
 
-@given(seeds, st.booleans())
-def test_a_rolled_back_update_leaves_no_trace(seed: int, mixes: bool) -> None:
+@given(seeds, bands)
+def test_a_rolled_back_update_leaves_no_trace(seed: int, narrow: NarrowBand | None) -> None:
     scene = Scene.drawn(seed)
-    author, other = Group(scene.shape, mixes=mixes), Group(scene.shape, mixes=mixes)
+    author, other = Group(scene.shape, narrow=narrow), Group(scene.shape, narrow=narrow)
     for _ in range(8):
         robot = int(scene.rng.integers(len(RANGES)))
         height, width = scene.shape
@@ -242,12 +244,12 @@ def test_a_scan_of_an_office_takes_a_hundredth_of_its_readings() -> None:
 messages = st.binary(max_size=64)
 
 
-@given(seeds, messages, st.lists(st.tuples(st.integers(0, 63), st.integers(0, 255)), max_size=3))
+@given(seeds, messages, st.lists(st.tuples(st.integers(0, 63), st.integers(0, 255)), max_size=3), bands)
 def test_noise_and_damaged_updates_change_nothing_or_decode_fully(
-    seed: int, noise: bytes, flips: list[tuple[int, int]]
+    seed: int, noise: bytes, flips: list[tuple[int, int]], narrow: NarrowBand | None
 ) -> None:
     scene = Scene.drawn(seed)
-    author, receiver = Group(scene.shape), Group(scene.shape)
+    author, receiver = (Group(scene.shape, narrow=narrow) for _ in range(2))
     for _ in range(4):
         robot = int(scene.rng.integers(len(RANGES)))
         update = scene.encode(author, robot)
@@ -274,14 +276,14 @@ def test_noise_and_damaged_updates_change_nothing_or_decode_fully(
         assert (receiver.grids == author.grids).all()
 
 
-@pytest.mark.parametrize("mixes", [False, True])
+@pytest.mark.parametrize("narrow", [None, NARROW])
 @pytest.mark.parametrize("size", [0, 1, 4, 16, 64, 1000])
-def test_hostile_bytes_cost_bounded_time(size: int, mixes: bool) -> None:
+def test_hostile_bytes_cost_bounded_time(size: int, narrow: NarrowBand | None) -> None:
     grid = np.zeros((400, 400), np.uint8)
     scratch = np.empty((2 * grid.size, 2), np.int32)
     worst = 0.0
     for seed in range(6):
-        stream = ScanStream(0, grid, ray_table(50.0, 360), [History()], scratch, team=False, mixes=mixes)
+        stream = ScanStream(0, grid, ray_table(50.0, 360), [History()], scratch, team=False, narrow=narrow)
         message = bytes(size) if seed == 0 else np.random.default_rng(seed).bytes(size)
         began = time.process_time()
         try:
@@ -328,6 +330,38 @@ def test_cells_that_an_incomplete_update_left_to_a_teammate_are_not_repeated() -
     assert group.follows(0, own)
 
 
+def test_on_narrow_media_a_scan_is_left_out_if_earlier_ones_reveal_its_cells() -> None:
+    own = np.full((1, 40), FREE, np.uint8)
+    messages = []
+    for poses in ([(3, 0), (5, 0), (7, 0)], [(3, 0), (7, 0)]):
+        stream = Group((1, 40), team=False, narrow=NARROW, ranges=(3.0,)).streams[0]
+        update = stream.encode(own, poses, (0, 0, 11, 1))
+        assert update is not None
+        assert update[2] == len(poses)
+        messages.append(update[0])
+    assert messages[0] == messages[1]
+
+
+def test_updates_of_a_walk_are_shorter_on_narrow_media() -> None:
+    truth, walk = exploration(120)
+    sizes = []
+    for band in (None, NARROW):
+        author = Group((truth.shape[0], truth.shape[1]), team=False, narrow=band, ranges=(30.0,)).streams[0]
+        receiver = Group((truth.shape[0], truth.shape[1]), team=False, narrow=band, ranges=(30.0,)).streams[0]
+        own, size = walk[-1][0], 0
+        poses = [pose for _, pose in walk]
+        while poses:
+            update = author.encode(own, poses, (0, 0, truth.shape[1], truth.shape[0]), most=15)
+            if update is None:
+                break
+            assert receiver.decode(update[0]) is not None
+            size += len(update[0])
+            poses = poses[update[2] :]
+        assert ((receiver.grid & STATE) == own).all()
+        sizes.append(size)
+    assert sizes[1] < 0.8 * sizes[0]
+
+
 def test_an_empty_update_leaves_the_one_before_it_retractable() -> None:
     own = np.full((1, 500), FREE, np.uint8)
     stream = Group((1, 500), team=False, ranges=(3.0,)).streams[0]
@@ -346,10 +380,12 @@ def test_an_empty_update_leaves_the_one_before_it_retractable() -> None:
     assert again[0] == update[0]
 
 
-@given(seeds, st.integers(1, 40))
-def test_a_size_limit_defers_scans_to_the_next_updates(seed: int, most: int) -> None:
+@given(seeds, st.integers(1, 40), bands)
+def test_a_size_limit_defers_scans_to_the_next_updates(
+    seed: int, most: int, narrow: NarrowBand | None
+) -> None:
     scene = Scene.drawn(seed)
-    author, receiver = Group(scene.shape), Group(scene.shape)
+    author, receiver = (Group(scene.shape, narrow=narrow) for _ in range(2))
     height, width = scene.shape
     for _ in range(4):
         robot = int(scene.rng.integers(len(RANGES)))
@@ -367,13 +403,14 @@ def test_a_size_limit_defers_scans_to_the_next_updates(seed: int, most: int) -> 
         assert (receiver.grids == author.grids).all()
 
 
-def test_the_shipped_table_fits_the_contexts() -> None:
-    counts = contexts.start()
+@pytest.mark.parametrize("narrow", [False, True])
+def test_the_shipped_table_fits_the_contexts(narrow: bool) -> None:
+    counts = contexts.start(narrow=narrow)
     assert counts.shape == (contexts.CONTEXTS, 2)
     assert counts[: contexts.OBSERVED].sum(axis=1).max() < contexts.CELLS_MOST
     assert counts.sum(axis=1).max() < contexts.REST_MOST
     counts[:] = 0
-    assert contexts.start().any(), "each stream has counts of its own"
+    assert contexts.start(narrow=narrow).any(), "each stream has counts of its own"
 
 
 @pytest.mark.parametrize(("cells", "at_most"), [(1, 6.0), (10, 3.0), (100, 2.0)])

@@ -8,7 +8,7 @@ import pytest
 from agent.predictive.coder import reader, writer, written
 from agent.predictive.history import History
 from agent.predictive.mixer import INPUTS, Model, mixing_coder, new_model
-from agent.predictive.scan_stream import ScanStream
+from agent.predictive.scan_stream import NarrowBand, ScanStream
 from agent.predictive.wall_model import CONTEXTS, FAR, NEAR, code_wall, start_model
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, ray_table
 
@@ -83,15 +83,15 @@ def test_a_receiver_decodes_the_walls_that_an_author_encoded() -> None:
         assert np.array_equal(one, other)
 
 
-def scan_of_a_room(*, mixes: bool, model: Model | None = None) -> bytes:
+def scan_of_a_room(*, narrow: bool, model: Model | None = None) -> bytes:
     """Encode the scans of a robot that crosses a room with two closets."""
     own = np.full((80, 120), UNKNOWN, np.uint8)
     own[10:70, 10:110] = FREE
     own[10, 10:110] = own[69, 10:110] = own[10:70, 10] = own[10:70, 109] = OCCUPIED
     own[30, 10:40] = own[30:50, 60] = OCCUPIED
-    scratch = np.empty((2 * own.size, 2), np.int32)
+    scratch, band = np.empty((2 * own.size, 2), np.int32), NarrowBand(5.0, 15) if narrow else None
     beams = ray_table(50.0, 360)
-    stream = ScanStream(0, np.zeros_like(own), beams, [History()], scratch, team=False, mixes=mixes)
+    stream = ScanStream(0, np.zeros_like(own), beams, [History()], scratch, team=False, narrow=band)
     if model is not None:
         stream.model = model
     update = stream.encode(own, [(20, 45), (80, 20), (80, 60), (30, 20)], (0, 0, 120, 80))
@@ -100,8 +100,8 @@ def scan_of_a_room(*, mixes: bool, model: Model | None = None) -> bytes:
 
 
 def test_logs_begin_with_a_trained_model_that_saves_bytes() -> None:
-    plain, mixed = scan_of_a_room(mixes=False), scan_of_a_room(mixes=True)
-    untrained = scan_of_a_room(mixes=True, model=new_model(CONTEXTS, 1))
+    plain, mixed = scan_of_a_room(narrow=False), scan_of_a_room(narrow=True)
+    untrained = scan_of_a_room(narrow=True, model=new_model(CONTEXTS, 1))
     assert len(mixed) < 0.8 * len(plain)
     assert len(mixed) < len(untrained)
     assert not np.shares_memory(start_model()[0], start_model()[0])
