@@ -39,6 +39,7 @@ from agent.planning.clusters import cluster_groups
 from agent.planning.frontier import is_frontier
 from agent.planning.gain import expected_gain
 from agent.planning.path_planner import PathPlanner
+from agent.planning.route import straighten
 from agent.planning.single_robot_tour import single_robot_tour
 from agent.planning.team_tours import Task, team_tours
 from agent.planning.viewpoint import best_viewpoint, tour_viewpoints
@@ -166,6 +167,12 @@ class Repairmen(TeamStrategy):
         if self.options.replan == EACH_STEP:
             return not is_frontier(situation.grid, *target)
         return super().is_spent(situation, target, at)
+
+    def _drive(self, situation: Situation, planner: PathPlanner, goal: Cell | None) -> bool:
+        """Plan a route to a cell, straightened: a robot whose targets recede keeps its direction."""
+        leads = super()._drive(situation, planner, goal)
+        self._route.cells = straighten(planner.floor, situation.here, self._route.cells)
+        return leads
 
     def _pass_by(self, situation: Situation, planner: PathPlanner) -> bool:
         self._detour_until = situation.step + MEMORY
