@@ -78,7 +78,8 @@ def straighten(floor: Grid, start: tuple[int, int], cells: Cells) -> Cells:
 
 
 @kernel
-def _is_clear(floor: Grid, x: int, y: int, to_x: int, to_y: int) -> bool:
+def is_line_free(floor: Grid, x: int, y: int, to_x: int, to_y: int) -> bool:
+    """Return whether a straight, 8-connected line of free cells joins two cells, as in `straighten`."""
     dx, dy = abs(to_x - x), abs(to_y - y)
     step_x = 1 if to_x > x else -1
     step_y = 1 if to_y > y else -1
@@ -171,7 +172,7 @@ def _shoot(floor: Grid, points: Cells, out: Cells) -> int:
     corner = 0
     while corner < len(points) - 1:
         seen = corner + 1
-        while seen + 1 < len(points) and _is_clear(
+        while seen + 1 < len(points) and is_line_free(
             floor, points[corner, 0], points[corner, 1], points[seen + 1, 0], points[seen + 1, 1]
         ):
             seen += 1

@@ -39,6 +39,7 @@ from agent.planning.clusters import cluster_groups
 from agent.planning.frontier import is_frontier
 from agent.planning.gain import expected_gain
 from agent.planning.path_planner import PathPlanner
+from agent.planning.route import is_line_free, straighten
 from agent.planning.single_robot_tour import single_robot_tour
 from agent.planning.team_tours import Task, team_tours
 from agent.planning.viewpoint import best_viewpoint, tour_viewpoints
@@ -69,6 +70,9 @@ SAME = 1 / 4
 GAP = 1 / 10
 """Goals in sight of each other and nearer than this many sensor ranges are merged; the distance grows while there are
 more than `MAX_GOALS`."""
+
+SPREAD = 3 / 4
+"""If robots outnumber goals, segments are divided into goals of at most this many sensor ranges of cells."""
 
 NEAR = 3 / 10
 """Radius of a goal's neighborhood in sensor ranges: from there a robot observes the goal."""
@@ -167,6 +171,19 @@ class Repairmen(TeamStrategy):
             return not is_frontier(situation.grid, *target)
         return super().is_spent(situation, target, at)
 
+    def _drive(self, situation: Situation, planner: PathPlanner, goal: Cell | None) -> bool:
+        """Plan a route to a cell; a target in a straight line of free cells is approached on that line.
+
+        While the frontier recedes, the robot then keeps its direction. Of equally short ways on the grid, the planner
+        returns one with a long part along an axis, which a robot that replans in each step would never leave.
+        """
+        found = super()._drive(situation, planner, goal)
+        if goal is None or goal != self.target or self.options.costs != "shortest":
+            return found
+        if is_line_free(planner.floor, *situation.here, *goal):
+            self._route.cells = straighten(planner.floor, situation.here, self._route.cells)
+        return found
+
     def _pass_by(self, situation: Situation, planner: PathPlanner) -> bool:
         self._detour_until = situation.step + MEMORY
         return super()._pass_by(situation, planner)
@@ -201,9 +218,9 @@ class Repairmen(TeamStrategy):
         frontier = self.frontier(situation, planner)
         if not len(frontier):
             return frontier
-        range_cells = self.settings.scale_cells
-        find = partial(_representatives, situation.grid, frontier, range_cells)
-        cells, self._lengths = planner.shared((_representatives, frontier.tobytes(), range_cells), find)
+        shape = self.settings.scale_cells, self.team_size(situation)
+        find = partial(_representatives, situation.grid, frontier, *shape)
+        cells, self._lengths = planner.shared((_representatives, frontier.tobytes(), *shape), find)
         return cells
 
     def table(self, situation: Situation, goals: Cells, planner: PathPlanner) -> Table:
@@ -303,13 +320,16 @@ class Repairmen(TeamStrategy):
         return ways
 
 
-def _representatives(grid: Grid, frontier: Cells, range_cells: float) -> tuple[Cells, Int64s]:
+def _representatives(grid: Grid, frontier: Cells, range_cells: float, robots: int) -> tuple[Cells, Int64s]:
     """Return representatives of the segments of a frontier, merged if they are close to each other.
 
-    With each, return the number of cells of its segment, shape (n,). `range_cells` is the sensor range.
+    If there are fewer than `robots`, long segments get more of them. With each, return the number of cells of its
+    segment, shape (n,). `range_cells` is the sensor range.
     """
     edges, sizes = components(frontier)
     counts = np.minimum(sizes, count_representatives(sizes, range_cells))
+    while counts.sum() < robots and (sizes / counts).max() > max(1.0, SPREAD * range_cells):
+        counts[np.argmax(sizes / counts)] += 1
     cells, edge, _ = cluster_groups(edges, sizes, counts)
     lengths = sizes[edge]
     gap = GAP * range_cells

@@ -175,6 +175,36 @@ def test_close_small_frontiers_are_one_goal_unless_a_wall_is_between() -> None:
         assert len(robot.goals(situation, PathPlanner(grid))) == goals
 
 
+@pytest.mark.parametrize(("team", "goals"), [(1, 5), (5, 5), (8, 8), (12, 11)])
+def test_an_open_field_has_as_many_goals_as_robots_unless_they_would_be_too_close(
+    team: int, goals: int
+) -> None:
+    # 80 frontier cells around a square are goals of at most 7.5 cells if there are 11 of them.
+    grid = np.full((41, 41), UNKNOWN, np.uint8)
+    grid[10:31, 10:31] = FREE
+    poses = {robot: Pose(20, 20, leads=False) for robot in range(1, team)}
+    robot = Repairmen({}, settings_for(grid, 0, team, ranges_cells=[10.0] * team))
+    situation = robot_at(20, 20, grid, peers=tuple(poses), poses=poses)
+    assert len(robot.goals(situation, PathPlanner(grid))) == goals
+
+
+@pytest.mark.parametrize("gap", [[], [(24, 5), (24, 6), (24, 7)]])
+def test_a_robot_drives_straight_to_a_target_that_it_reaches_on_a_free_line(
+    gap: list[tuple[int, int]],
+) -> None:
+    # The way goes 45 cells to the right and 25 down, to the middle of a frontier segment.
+    grid = np.full((60, 60), OCCUPIED, np.uint8)
+    grid[1:-1, 1:51] = FREE
+    grid[27:34, 51] = UNKNOWN
+    grid[1:-1, 24] = OCCUPIED if gap else FREE
+    for x, y in gap:
+        grid[y, x] = FREE
+    decision = make_strategy(grid=grid).decide(robot_at(5, 5, grid))
+    assert decision.target == (50, 30)
+    off = [abs(25 * (x - 5) - 45 * (y - 5)) / 45 for x, y in decision.path.tolist()]
+    assert (max(off) <= 0.5) == (not gap)
+
+
 @pytest.mark.parametrize("obstacle", ["robot", "person"])
 def test_a_robot_that_drives_around_a_teammate_or_a_person_does_not_turn_back(obstacle: str) -> None:
     robot = make_strategy()
