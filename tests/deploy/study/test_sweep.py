@@ -156,7 +156,10 @@ def test_the_smallest_sufficient_team_is_named(tmp_path: Path) -> None:
 
 
 def test_all_robots_must_finish_with_an_accurate_map_unless_the_first_is_enough(tmp_path: Path) -> None:
-    alone = {"map_encoding": "none", "map_options": {"width_m": 10.0, "height_m": 10.0}, "sensor_range": 3.0}
+    alone = {
+        "strategy": "meier", "map_encoding": "none", "sensor_range": 3.0,
+        "map_options": {"width_m": 10.0, "height_m": 10.0},
+    }  # fmt: skip
     tried = {"robots": [2], "bandwidth": [100], "range": ["100%"], "seeds": 1, "out": tmp_path / "r.parquet"}
     first, each = (size("office", finish=finish, **tried, **alone, **QUIET) for finish in ("first", "all"))
     assert first.options[0].steps.mean < each.options[0].steps.mean
