@@ -57,7 +57,8 @@ class Judged:
     @property
     def explanation(self) -> str:
         """The explanations of its experiments."""
-        return " ".join(part.experiment.claim.explanation for part in self.parts if part.experiment.claim)
+        claims = (part.experiment.claim for part in self.parts)
+        return " ".join(claim.explanation for claim in claims if claim is not None and claim.explanation)
 
 
 @dataclass(frozen=True, eq=False)
