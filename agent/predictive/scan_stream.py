@@ -142,10 +142,10 @@ class ScanStream(Stream):
         box = bounding_box([box, unreported])
         mixing = mixing_coder(coder[0], coder[1], self.model)
         changed = scans = done = 0
-        for (x, y), new_cells in zip(poses, self._find_new_cells(own, poses), strict=True):
+        for (x, y), found in zip(poses, self._find_new_cells(own, poses), strict=True):
             # On narrow media, cells that an earlier scan of this update has revealed do not count.
-            is_new = grid.reshape(-1)[new_cells] & STATE == UNKNOWN if self._narrow else new_cells >= 0
-            shows_more = is_new.any()
+            unknown = grid.reshape(-1)[found] & STATE == UNKNOWN
+            shows_more = unknown.any() if self._narrow else len(found) > 0
             if shows_more and (scans == MAX_SCANS or (scans and coder[0][PLACE] >= most)):
                 break
             done += 1
