@@ -3,13 +3,14 @@
 A search for the costs of goals alone can skip most cells. Of the equally long ways to a cell the one with its diagonal
 steps first suffices (`agent.planning.cost_field`). So a straight run can turn only at a *jump point*, where an obstacle
 beside it has just ended. The distance to the next jump point or goal is computed in advance for all cells and the four
-straight directions, once for all searches on a floor. A search then walks along diagonals and jumps along rows and
-columns, in the order of Dijkstra's algorithm. Lengths are the integers of `agent.planning.cost_field`, so the costs
-are the same bits.
+straight directions, once for all searches on a floor with the same goals. A search then walks along diagonals and jumps
+along rows and columns, in the order of Dijkstra's algorithm. Lengths are the integers of `agent.planning.cost_field`, so
+the costs are the same bits.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Annotated
 
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 
 from agent.planning.cost_field import ONE, ROOT, SHIFT, UNIT, offsets
 from agent.planning.frontier import Floor
-from protocol.arrays import BoolRows, Bools, Cells, FloatRows, Floats, Int64Rows, Int64s, Uint8s
+from protocol.arrays import BoolRows, Bools, Cells, FloatRows, Int64Rows, Int64s, Uint8s
 from protocol.kernels import kernel
 
 _Jumps = Annotated[NDArray[np.int16], "int16[:,:,::1]"]
@@ -29,26 +30,12 @@ _BEGIN = 8
 
 def costs_between(floor: Floor, starts: Cells, goals: Cells) -> FloatRows:
     """Return the length of the shortest way from each start to each goal, shape (m, n), infinite without one."""
-    return _found(floor, starts, goals, np.zeros(len(starts), np.int64))
+    return GoalCosts(goals).search(floor, starts, goals, np.zeros(len(starts), np.int64))
 
 
 def costs_among(floor: Floor, starts: Cells, goals: Cells) -> tuple[FloatRows, FloatRows]:
-    """Return `costs_between` starts and goals, and between all pairs of goals, which are free cells.
-
-    Lengths are symmetric, so each pair of goals is searched once. The outermost goals are searched first, as the
-    remaining goals are then close together.
-    """
-    if not len(goals):
-        return np.empty((len(starts), 0)), np.empty((0, 0))
-    off = ((goals - goals.sum(axis=0) / len(goals)) ** 2).sum(axis=1)
-    order = np.argsort(-off, kind="stable")
-    ordered = goals[order]
-    row = np.arange(len(starts) + len(goals))
-    costs = _found(floor, np.concatenate([starts, ordered]), ordered, np.maximum(row - len(starts), 0))
-    back = np.argsort(order)
-    ways, between = costs[: len(starts), back], costs[len(starts) :]
-    searched = np.minimum.outer(back, back), np.maximum.outer(back, back)
-    return np.ascontiguousarray(ways), between[searched]
+    """Return `costs_between` starts and goals, and between all pairs of goals, which are free cells."""
+    return GoalCosts(goals).among(floor, starts)
 
 
 class GoalCosts:
@@ -56,64 +43,132 @@ class GoalCosts:
 
     def __init__(self, goals: Cells) -> None:
         self.goals = goals
-        self._ways: dict[tuple[int, ...], Floats] = {}
+        self._rows: dict[tuple[int, ...], int] = {}
+        """The row of each start in `_ways`."""
+        self._ways: FloatRows = np.empty((0, len(goals)))
         """The costs of the ways from each start to all goals."""
         self._between: FloatRows | None = None
 
     def ways(self, floor: Floor, starts: Cells) -> FloatRows:
         """Return `costs_between` of these starts and the goals."""
         cells = list(map(tuple, starts.tolist()))
-        new = [cell for cell in dict.fromkeys(cells) if cell not in self._ways]
+        new = [cell for cell in dict.fromkeys(cells) if cell not in self._rows]
         if new:
-            costs = costs_between(floor, np.array(new, np.int32), self.goals)
-            self._ways |= zip(new, costs, strict=True)
-        return np.array([self._ways[cell] for cell in cells]).reshape(len(cells), len(self.goals))
+            self._add(
+                new, self.search(floor, np.array(new, np.int32), self.goals, np.zeros(len(new), np.int64))
+            )
+        return self._ways[[self._rows[cell] for cell in cells]].reshape(len(cells), len(self.goals))
 
     def among(self, floor: Floor, starts: Cells) -> tuple[FloatRows, FloatRows]:
         """Return `costs_among` of these starts and the goals; callers must not modify the costs between goals."""
         if self._between is None:
-            ways, self._between = costs_among(floor, starts, self.goals)
-            self._ways |= zip(map(tuple, starts.tolist()), ways, strict=True)
+            cells = list(dict.fromkeys(map(tuple, starts.tolist())))
+            ways, self._between = self._search_among(floor, np.array(cells, np.int32).reshape(-1, 2))
+            self._rows, self._ways = {}, self._ways[:0]
+            self._add(cells, ways)
         return self.ways(floor, starts), self._between
 
+    def _add(self, cells: Sequence[tuple[int, ...]], ways: FloatRows) -> None:
+        """Add the costs of the ways from new starts to all goals."""
+        self._rows |= zip(cells, range(len(self._rows), len(self._rows) + len(cells)), strict=True)
+        self._ways = np.concatenate([self._ways, ways])
 
-def _found(floor: Floor, starts: Cells, goals: Cells, first: Int64s) -> FloatRows:
-    """Return the length of the shortest way from each start to each goal with an index of at least its `first`."""
-    free, left, top = _cropped(floor, np.concatenate([starts, goals]))
-    height, stride = free.shape
-    start, goal = (
-        (cells[:, 1].astype(np.int64) + (1 - top)) * stride + cells[:, 0] + (1 - left)
-        for cells in (starts, goals)
-    )
-    is_goal = np.zeros(free.size, np.bool_)
-    is_goal[goal] = True
-    costs = np.empty((len(starts), len(goals)))
-    jumps, length, came = _workspace(len(floor.free))
-    runs = jumps[: 4 * free.size].reshape(4, height, stride)
-    _search(
-        free.reshape(-1), is_goal, runs, start, goal, first, length[: free.size], came[: free.size], costs
-    )
-    return costs
+    def _search_among(self, floor: Floor, starts: Cells) -> tuple[FloatRows, FloatRows]:
+        """Search `costs_among` of these starts and the goals.
+
+        Lengths are symmetric, so each pair of goals is searched once. The outermost goals are searched first, as the
+        remaining goals are then close together.
+        """
+        goals = self.goals
+        if not len(goals):
+            return np.empty((len(starts), 0)), np.empty((0, 0))
+        off = ((goals - goals.sum(axis=0) / len(goals)) ** 2).sum(axis=1)
+        order = np.argsort(-off, kind="stable")
+        ordered = goals[order]
+        row = np.arange(len(starts) + len(goals))
+        costs = self.search(
+            floor, np.concatenate([starts, ordered]), ordered, np.maximum(row - len(starts), 0)
+        )
+        back = np.argsort(order)
+        ways, between = costs[: len(starts), back], costs[len(starts) :]
+        searched = np.minimum.outer(back, back), np.maximum.outer(back, back)
+        return np.ascontiguousarray(ways), between[searched]
+
+    def search(self, floor: Floor, starts: Cells, goals: Cells, first: Int64s) -> FloatRows:
+        """Search the length of the shortest way from each start to each goal with an index of at least its `first`.
+
+        `goals` are the goals of this object in any order. Returns an array of shape (m, n).
+        """
+        if not len(starts) or not len(goals):
+            return np.empty((len(starts), len(goals)))
+        return _workspace(len(floor.free)).jump_points(floor, self).search(starts, goals, first)
 
 
-def _cropped(floor: Floor, cells: Cells) -> tuple[BoolRows, int, int]:
-    """Return the part of a floor, rim included, that contains all free cells and `cells`; and its left and top."""
-    free = floor.free.reshape(floor.height + 2, floor.stride)
-    rows, columns = (np.flatnonzero(free.any(axis=axis)) - 1 for axis in (1, 0))
-    x = np.concatenate([cells[:, 0], columns[:1], columns[-1:]])
-    y = np.concatenate([cells[:, 1], rows[:1], rows[-1:]])
-    left, top = int(x.min()), int(y.min())
-    part = free[top : int(y.max()) + 3, left : int(x.max()) + 3]
-    return np.ascontiguousarray(part), left, top
+class _JumpPoints:
+    """The jump points of a floor with some goals, inside the box of all goals, and of all free cells with a rim.
+
+    A start outside has no way to any goal. Of the working memory, `jumps` belongs to this object, until that makes the
+    next one.
+    """
+
+    def __init__(self, floor: Floor, goals: Cells, work: _Workspace) -> None:
+        free = floor.free.reshape(floor.height + 2, floor.stride)
+        rows, columns = (np.flatnonzero(free.any(axis=axis)) for axis in (1, 0))
+        x = np.concatenate([goals[:, 0] + 1, columns[:1] - 1, columns[-1:] + 1])
+        y = np.concatenate([goals[:, 1] + 1, rows[:1] - 1, rows[-1:] + 1])
+        self._left, right = max(int(x.min()), 1) - 1, min(int(x.max()), floor.width) + 1
+        self._top, bottom = max(int(y.min()), 1) - 1, min(int(y.max()), floor.height) + 1
+        self._free = np.ascontiguousarray(free[self._top : bottom + 1, self._left : right + 1])
+        is_goal = np.zeros(self._free.shape, np.bool_)
+        is_goal.reshape(-1)[self._at(goals)] = True
+        self._jumps = work.jumps[: 4 * self._free.size].reshape(4, *self._free.shape)
+        self._work = work
+        _lay_out(self._free, is_goal, self._jumps)
+
+    def search(self, starts: Cells, goals: Cells, first: Int64s) -> FloatRows:
+        """Do the work of `GoalCosts.search`."""
+        size = self._free.size
+        memory = self._work.length[:size], self._work.came[:size]
+        height, width = self._free.shape
+        x, y = starts[:, 0] + (1 - self._left), starts[:, 1] + (1 - self._top)
+        inside = (x > 0) & (x < width - 1) & (y > 0) & (y < height - 1)
+        costs = np.full((len(starts), len(goals)), np.inf)
+        start = np.where(inside, self._at(starts), -1)
+        _search(self._free.reshape(-1), self._jumps, start, self._at(goals), first, *memory, costs)
+        return costs
+
+    def _at(self, cells: Cells) -> Int64s:
+        """Return the index of each cell in the box."""
+        stride = self._free.shape[1]
+        at: Int64s = (
+            (cells[:, 1].astype(np.int64) + (1 - self._top)) * stride + cells[:, 0] + (1 - self._left)
+        )
+        return at
+
+
+class _Workspace:
+    """Working memory for floors of `cells` cells: jumps, lengths, and arrival steps; each search initializes its part.
+
+    Robots of a process often search ways to the same goals in turn, so the jump points of the last goals are kept.
+    """
+
+    def __init__(self, cells: int) -> None:
+        self.jumps = np.empty(4 * cells, np.int16)
+        self.length = np.empty(cells, np.int64)
+        self.came = np.empty(cells, np.uint8)
+        self._last: tuple[GoalCosts, _JumpPoints] | None = None
+
+    def jump_points(self, floor: Floor, costs: GoalCosts) -> _JumpPoints:
+        """Return the jump points of the floor and the goals of `costs`."""
+        if self._last is None or self._last[0] is not costs:
+            self._last = costs, _JumpPoints(floor, costs.goals, self)
+        return self._last[1]
 
 
 @lru_cache(maxsize=1)
-def _workspace(cells: int) -> tuple[NDArray[np.int16], Int64s, Uint8s]:
-    """Return the working memory that all searches on floors of one size share: jumps, lengths, arrival steps.
-
-    Each search initializes the part that it uses.
-    """
-    return np.empty(4 * cells, np.int16), np.empty(cells, np.int64), np.empty(cells, np.uint8)
+def _workspace(cells: int) -> _Workspace:
+    """Return the working memory that all searches on floors of one size share."""
+    return _Workspace(cells)
 
 
 @kernel
@@ -195,7 +250,6 @@ def _queue_up(
 @kernel
 def _search(
     free: Bools,
-    is_goal: Bools,
     laid_out: _Jumps,
     starts: Int64s,
     goals: Int64s,
@@ -206,10 +260,10 @@ def _search(
 ) -> None:
     """Settle jump points in buckets of width 1, until all goals of a start from its `first` on are settled.
 
-    The queue has rows (cell, arrival step, next entry of the same bucket).
+    The costs of negative starts stay as they are. The queue has rows (cell, arrival step, next entry of the same
+    bucket).
     """
     _, height, stride = laid_out.shape
-    _lay_out(free.reshape(height, stride), is_goal.reshape(height, stride), laid_out)
     jumps = laid_out.reshape(4, height * stride)
     offset = offsets(stride)
     # A power of two, with more levels than the longest diagonal with a straight run at its end.
@@ -219,6 +273,8 @@ def _search(
     buckets = np.empty(levels, np.int64)
     queue = np.empty((1024, 3), np.int64)
     for row in range(len(starts)):
+        if starts[row] < 0:
+            continue
         came[:] = 0
         buckets[:] = -1
         length[starts[row]], came[starts[row]] = 0, 255
