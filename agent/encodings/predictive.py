@@ -81,7 +81,7 @@ class PredictiveEncoding(GridEncoding):
         self._streams: dict[int, Stream | CachedReader] = {settings.own_map: self._author.stream}
         """Encoder or decoder of each log of which an update exists."""
         self._caches: dict[int, SharedDecoderCache] | None = None
-        """Decoders by map ID, if the robots of this process share them."""
+        """Decoded updates by map ID, if the robots of this process share them."""
         self._last: DecodedUpdate | None = None
         self._states = [_LogState() for _ in range(settings.maps)]
         """By map ID."""
@@ -94,7 +94,7 @@ class PredictiveEncoding(GridEncoding):
         """Maps with complete updates that await decoding."""
 
     def use_shared_cache(self, cache: dict[str, Any]) -> None:
-        """Decode each log once for all robots of this process."""
+        """Share decoded updates with the robots of this process."""
         self._caches = cache.setdefault(self.name, {})
 
     def _make_author(self) -> Author[Any]:
@@ -131,9 +131,16 @@ class PredictiveEncoding(GridEncoding):
             if self._caches is None:
                 self._streams[map_id] = self._stream(map_id, self._histories)
             else:
-                cache = self._caches.setdefault(map_id, SharedDecoderCache(map_id, self._stream))
-                self._streams[map_id] = CachedReader(cache, map_id, self._histories)
+                self._streams[map_id] = CachedReader(
+                    self._cache(self._caches, map_id), map_id, self._histories
+                )
         return self._streams[map_id]
+
+    def _cache(self, caches: dict[int, SharedDecoderCache], map_id: int) -> SharedDecoderCache:
+        """Return the cache of a log; make it for the first robot."""
+        if map_id not in caches:
+            caches[map_id] = SharedDecoderCache(map_id, self._stream)
+        return caches[map_id]
 
     def encode_changes(
         self, own: Grid, scan: Scan | RangeScan, change: Change, *, delivered: bool
@@ -169,10 +176,13 @@ class PredictiveEncoding(GridEncoding):
         packets: list[bytes] = []
         size = updates = 0
         while author.has_changes and size < limits.step_bytes:
+            key = self._histories[map_id].last_key
             encoded = author.encode(own, self.log_odds, limits.step_bytes - size)
             if encoded is None:
                 break
             message, self._last = encoded
+            if self._caches is not None:
+                self._cache(self._caches, map_id).add(key, self._last)
             self.urgency = author.urgency
             self._count_votes(self._last)
             packets += limits.packets(message, log.updates, log.packets + len(packets))

@@ -4,8 +4,8 @@ A search for the costs of goals alone can skip most cells. Of the equally long w
 steps first suffices (`agent.planning.cost_field`). So a straight run can turn only at a *jump point*, where an obstacle
 beside it has just ended. The distance to the next jump point or goal is computed in advance for all cells and the four
 straight directions, once for all searches on a floor with the same goals. A search then walks along diagonals and jumps
-along rows and columns, in the order of Dijkstra's algorithm. Lengths are the integers of `agent.planning.cost_field`, so
-the costs are the same bits.
+along rows and columns, in the order of Dijkstra's algorithm. Lengths are the integers of `agent.planning.cost_field`,
+so the costs are the same bits.
 """
 
 from __future__ import annotations

@@ -70,6 +70,11 @@ class History:
         """The last update; None if there is none."""
         return self._updates[-1] if self._updates else None
 
+    @property
+    def last_key(self) -> bytes:
+        """The key of the last update; empty if there is none."""
+        return self._updates[-1].key if self._updates else b""
+
     def append(self, update: DecodedUpdate) -> None:
         """Append an update."""
         if len(self._updates) == len(self._boxes):

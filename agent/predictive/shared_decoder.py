@@ -1,11 +1,11 @@
-"""Decode each log once for all robots of a process.
+"""Share decoded updates among the robots of a process.
 
 The decoder of a log holds a grid of the whole map. With a process per robot that is one grid per teammate; with
-hundreds of robots in one process it would be one per pair of robots. Robots differ only in how far they have decoded,
-as the content of an update follows from the updates before it (`agent.predictive.stream`). So the first robot that
-reaches an update decodes it. The others reuse the result if they hold the same updates before it and the same
-dependencies, which their keys show. If a byzantine robot sends different updates to different robots, each variant of
-the log is decoded from its beginning.
+hundreds of robots in one process it would be one per pair of robots. The content of an update follows from the updates
+before it (`agent.predictive.stream`), and its author knows it. So the author adds each update to the cache. Other
+robots reuse it if they hold the same updates before it and the same dependencies, which their keys show. An update that
+its author did not write is decoded: the first robot that reaches it continues a decoder of the same log, or begins one
+at the beginning of the log.
 """
 
 from __future__ import annotations
@@ -33,11 +33,14 @@ class SharedDecoderCache:
         self._decoded: dict[tuple[bytes, bytes], list[DecodedUpdate]] = {}
         """Updates by the key of the update before and by message, one for each set of dependencies."""
 
+    def add(self, key: bytes, update: DecodedUpdate) -> None:
+        """Add an update that its author has encoded, given the key of the update before; empty for the first."""
+        self._decoded.setdefault((key, update.message), []).append(update)
+
     def decode(self, message: bytes, histories: Sequence[History]) -> DecodedUpdate | None:
         """Decode a message as `Stream.decode` does, for a robot with these histories."""
-        key = _key(histories[self._map_id])
-        known = self._decoded.setdefault((key, message), [])
-        for update in known:
+        key = histories[self._map_id].last_key
+        for update in self._decoded.get((key, message), ()):
             keys = [histories[base.map_id].key_before(base.end) for base in update.bases]
             if None in keys:
                 return None
@@ -49,18 +52,22 @@ class SharedDecoderCache:
         new = decoder.decode(message)
         if new is not None:
             decoder.commit()
-            known.append(new)
+            self.add(key, new)
         return new
 
     def _decoder(self, key: bytes, histories: Sequence[History]) -> Stream:
         """Return a decoder that has decoded exactly the updates of the map's history."""
-        for place, decoder in enumerate(self._decoders):
-            if decoder.key == key:
-                self._decoders.append(self._decoders.pop(place))
-                return decoder
         others = [*histories[: self._map_id], History(), *histories[self._map_id + 1 :]]
-        decoder = self._make_stream(self._map_id, others)
-        for update in histories[self._map_id].between(0, len(histories[self._map_id])):
+        updates = histories[self._map_id].between(0, len(histories[self._map_id]))
+        decoded = {b"": 0} | {update.key: number for number, update in enumerate(updates, 1)}
+        known = [decoder for decoder in self._decoders if decoder.key in decoded]
+        decoder = max(known, key=lambda each: decoded[each.key], default=None)
+        if decoder is None:
+            decoder = self._make_stream(self._map_id, others)
+        else:
+            self._decoders.remove(decoder)
+        decoder.histories = others
+        for update in updates[decoded[decoder.key] :]:
             decoder.decode(update.message)
             decoder.commit()
         self._decoders = [*self._decoders[1 - MAX_DECODERS :], decoder]
@@ -90,8 +97,3 @@ class CachedReader:
 
     def commit(self) -> None:
         """Do nothing: the shared decoder has made the update final."""
-
-
-def _key(history: History) -> bytes:
-    last = history.last
-    return last.key if last is not None else b""

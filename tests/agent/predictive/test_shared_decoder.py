@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from agent.predictive.history import History
+from agent.predictive.history import DecodedUpdate, History
 from agent.predictive.scan_stream import ScanStream
 from agent.predictive.shared_decoder import MAX_DECODERS, CachedReader, SharedDecoderCache
 from protocol.grid import FREE, ray_table
@@ -27,6 +27,9 @@ class Caches:
         scratch = np.empty((2 * SIDE * SIDE, 2), np.int32)
         return ScanStream(map_id, np.zeros((SIDE, SIDE), np.uint8), BEAMS, histories, scratch, team=True)
 
+    def add(self, map_id: int, key: bytes, update: DecodedUpdate) -> None:
+        self._caches[map_id].add(key, update)
+
     def robot(self) -> tuple[list[CachedReader], list[History]]:
         histories = [History() for _ in self._caches]
         return [
@@ -35,20 +38,25 @@ class Caches:
 
 
 def updates(seed: int, count: int) -> list[bytes]:
-    """Updates of a robot in an empty hall that observes random cells."""
+    """Messages of a robot in an empty hall that observes random cells."""
+    return [update.message for update in encoded(seed, count)]
+
+
+def encoded(seed: int, count: int) -> list[DecodedUpdate]:
+    """Updates of this robot, as it knows them."""
     rng = np.random.default_rng(seed)
     scratch = np.empty((2 * SIDE * SIDE, 2), np.int32)
     author = ScanStream(
         0, np.zeros((SIDE, SIDE), np.uint8), BEAMS, [History(), History()], scratch, team=True
     )
     own = np.zeros((SIDE, SIDE), np.uint8)
-    sent: list[bytes] = []
+    sent: list[DecodedUpdate] = []
     while len(sent) < count:
         own[rng.random(own.shape) < 0.1] = FREE
         pose = int(rng.integers(SIDE)), int(rng.integers(SIDE))
         update = author.encode(own, [pose], (0, 0, SIDE, SIDE))
         if update is not None:
-            sent.append(update[0])
+            sent.append(update[1])
     return sent
 
 
@@ -64,6 +72,25 @@ def test_a_log_is_decoded_once_for_all_robots_each_at_its_own_pace() -> None:
         assert len(histories[0]) == len(sent)
         assert all(histories[0].between(n, n + 1)[0] is first.between(n, n + 1)[0] for n in range(len(sent)))
         assert readers[0].pose == robots[0][0][0].pose is not None
+
+
+def test_updates_that_their_author_adds_are_those_of_a_decoder_and_need_none() -> None:
+    caches, sent = Caches(2), encoded(3, 6)
+    alone = caches.stream(0, [History(), History()])
+    caches.made = 0
+    readers, _ = caches.robot()
+    key = b""
+    for update in sent[:4]:
+        caches.add(0, key, update)
+        key = update.key
+    for update in sent:
+        received, plain = readers[0].decode(update.message), alone.decode(update.message)
+        assert received is not None
+        assert plain is not None
+        for name in ("places", "states", "before"):
+            assert getattr(received, name).tobytes() == getattr(plain, name).tobytes()
+        assert (received.box, received.pose, received.key) == (plain.box, plain.pose, plain.key)
+    assert caches.made == 1, "the decoder of the last two has decoded the others as well"
 
 
 def test_other_updates_of_a_byzantine_robot_are_decoded_apart() -> None:
