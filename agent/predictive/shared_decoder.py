@@ -47,7 +47,7 @@ class SharedDecoderCache:
             if keys == [base.key for base in update.bases]:
                 histories[self._map_id].append(update)
                 return update
-        decoder = self._decoder(key, histories)
+        decoder = self._decoder(histories)
         decoder.histories = histories
         new = decoder.decode(message)
         if new is not None:
@@ -55,7 +55,7 @@ class SharedDecoderCache:
             self.add(key, new)
         return new
 
-    def _decoder(self, key: bytes, histories: Sequence[History]) -> Stream:
+    def _decoder(self, histories: Sequence[History]) -> Stream:
         """Return a decoder that has decoded exactly the updates of the map's history."""
         others = [*histories[: self._map_id], History(), *histories[self._map_id + 1 :]]
         updates = histories[self._map_id].between(0, len(histories[self._map_id]))
