@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from functools import cached_property
 from typing import Any
 
 import msgspec
@@ -56,7 +57,7 @@ class MediumSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Largest size of a packet in bytes; None: that of the longest packet."""
 
 
-class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=True):
     """The task of one robot."""
 
     robot: int
@@ -132,7 +133,7 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         """Return the robot whose map has this ID, in any of its incarnations."""
         return map_id % self.robots
 
-    @property
+    @cached_property
     def scale_cells(self) -> float:
         """The longest sensor range of the team in cells: the common unit of distances in strategies."""
         return max(body.range_cells for body in self.bodies)

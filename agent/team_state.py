@@ -191,5 +191,10 @@ class RelayedState:
 
 
 def _ascending(of_robots: dict[int, _Value]) -> dict[int, _Value]:
-    """Return a copy of a dictionary by ascending robot number."""
-    return {robot: of_robots[robot] for robot in sorted(of_robots)}
+    """Put a dictionary into ascending order of robot numbers, and return a copy."""
+    ascending = sorted(of_robots)
+    if list(of_robots) != ascending:
+        values = [of_robots[robot] for robot in ascending]
+        of_robots.clear()
+        of_robots |= zip(ascending, values, strict=True)
+    return of_robots.copy()

@@ -221,6 +221,8 @@ class World(BaseWorld):
 
     def _hindered(self, robot: int, before: Mapping[int, tuple[int, int]]) -> bool:
         limit = self.settings.interference_cells
+        if not limit:
+            return False
         x, y = before[robot]
         near = any(
             other != robot and (x - ox) ** 2 + (y - oy) ** 2 < limit * limit

@@ -383,12 +383,13 @@ class PredictiveEncoding(GridEncoding):
         An update of this robot is final as soon as a received update claims to depend on it, be the claim true or
         forged: retracting it would remove a state on which the decoder of that log relies.
         """
+        if not update.bases:
+            return
         states = self._states
         ends, number = states[map_id].ends, len(self._histories[map_id]) - 1
         requires = tuple([(base.map_id, states[base.map_id].ends[base.end - 1]) for base in update.bases])
-        if requires:
-            first = ends[number - 1] if number else 0
-            self._dependencies[map_id].append(Dependency(first, ends[number], requires))
+        first = ends[number - 1] if number else 0
+        self._dependencies[map_id].append(Dependency(first, ends[number], requires))
         if (self._own_map, states[self._own_map].packets) in requires:
             self.retractable = 0
 

@@ -62,12 +62,11 @@ class ReachabilityCheck:
         if before is None:
             growth = max(box[2] - box[0], box[3] - box[1])
         else:
-            growth = max(before[0] - box[0], before[1] - box[1], box[2] - before[2], box[3] - before[3])
-            if growth > 0:
-                x0, y0, x1, y1 = before
-                box = min(x0, box[0]), min(y0, box[1]), max(x1, box[2]), max(y1, box[3])
-            else:
-                box = before
+            (x0, y0, x1, y1), (left, top, right, bottom) = before, box
+            growth, box = 0, before
+            if left < x0 or top < y0 or right > x1 or bottom > y1:
+                growth = max(x0 - left, y0 - top, right - x1, bottom - y1)
+                box = min(x0, left), min(y0, top), max(x1, right), max(y1, bottom)
         if growth > limit:
             reason = f"map {map_id} grows by {growth} cells; its author can have observed {limit:.0f} at most"
             raise ProtocolError("map update", 0, reason)

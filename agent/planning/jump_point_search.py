@@ -51,13 +51,14 @@ class GoalCosts:
 
     def ways(self, floor: Floor, starts: Cells) -> FloatRows:
         """Return `costs_between` of these starts and the goals."""
-        cells = list(map(tuple, starts.tolist()))
-        new = [cell for cell in dict.fromkeys(cells) if cell not in self._rows]
+        cells, rows = list(map(tuple, starts.tolist())), self._rows
+        new = [cell for cell in cells if cell not in rows]
         if new:
+            new = list(dict.fromkeys(new))
             self._add(
                 new, self.search(floor, np.array(new, np.int32), self.goals, np.zeros(len(new), np.int64))
             )
-        return self._ways[[self._rows[cell] for cell in cells]].reshape(len(cells), len(self.goals))
+        return self._ways[[rows[cell] for cell in cells]].reshape(len(cells), len(self.goals))
 
     def among(self, floor: Floor, starts: Cells) -> tuple[FloatRows, FloatRows]:
         """Return `costs_among` of these starts and the goals; callers must not modify the costs between goals."""

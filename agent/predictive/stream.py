@@ -13,7 +13,6 @@ The content follows: scans of exact lasers (`agent.predictive.scan_stream`), or 
 
 from __future__ import annotations
 
-import copy
 from abc import ABC, abstractmethod
 from collections.abc import Sequence, Set
 from dataclasses import replace
@@ -151,8 +150,9 @@ class Stream(ABC):
 
     def _begin(self) -> None:
         """Begin an update: save the state, and continue with copies."""
-        self._before = {name: getattr(self, name) for name in self.state}
-        vars(self).update({name: copy.copy(value) for name, value in self._before.items()})
+        now = vars(self)
+        self._before = {name: now[name] for name in self.state}
+        now |= {name: each.copy() for name, each in self._before.items() if isinstance(each, np.ndarray)}
         self._overwritten = []
 
     def _add(self, update: DecodedUpdate, message: bytes) -> DecodedUpdate:

@@ -211,7 +211,7 @@ class Gossip(Replication):
         """Entries `first` to `end` - 1 of a map were on the air."""
         listeners = self._listeners()
         self._inform(listeners, number, end)
-        self._expect(listeners, number, first, end)
+        _raise_lengths(self.peers.expected, listeners, number, first, end)
         if number == self.peers.own:
             self._cursors.sent(end, self._in_range)
             self.shared = max(self.shared, end)
@@ -303,22 +303,47 @@ class Gossip(Replication):
             self._gaps.discard(number)
         if first <= log.length < end and number not in self.peers.own_maps:
             replica.accept(peer, number, b"".join(entries[log.length - first :]))
-        receivers = self._neighbors.receivers(peer)
-        self._expect(receivers, number, first, end)
-        if log.length >= end:
-            receivers[peer] = receivers[self.peers.robot] = True
-            self._inform(receivers, number, end)
+        _note_receivers(
+            self._neighbors.near[peer],
+            self.peers.expected,
+            self._informed,
+            peer,
+            self.peers.robot,
+            number,
+            first,
+            end,
+            log.length >= end,
+        )
         while (stored := self._acks.stored(number, log.length)) is not None:
             self._gaps.add(number)
             replica.accept(stored[0], number, stored[1])
 
-    def _expect(self, peers: Mask, number: int, first: int, end: int) -> None:
-        """Peers received entries `first` to `end` - 1 of a map; they take them unless they lack earlier ones."""
-        _raise_lengths(self.peers.expected, peers, number, first, end)
-
     def _inform(self, peers: Mask, number: int, length: int) -> None:
         """Peers know that this robot holds so many entries of a map."""
         _raise_lengths(self._informed, peers, number, 0, length)
+
+
+@kernel
+def _note_receivers(
+    near: Bools,
+    expected: Int64Rows,
+    informed: Int64Rows,
+    peer: int,
+    robot: int,
+    number: int,
+    first: int,
+    end: int,
+    holds: bool,
+) -> None:
+    """Note that a peer sent entries `first` to `end` - 1 of a map, which the robots `near` it received.
+
+    They take them unless they lack earlier ones. If this robot `holds` them now, the peer and its receivers know it.
+    """
+    for other in range(len(near)):
+        if near[other] and other != robot and expected[other, number] >= first:
+            expected[other, number] = max(expected[other, number], end)
+        if holds and (near[other] or other in (peer, robot)):
+            informed[other, number] = max(informed[other, number], end)
 
 
 @kernel

@@ -119,12 +119,6 @@ class Neighbors:
         self._informed[peers, other] = here
         self._settled = None
 
-    def receivers(self, peer: int) -> Mask:
-        """Return the mask of all robots but this one that receive a peer's broadcasts."""
-        receivers: Mask = self.near[peer].copy()
-        receivers[self._robot] = False
-        return receivers
-
     def restarted(self, peer: int) -> None:
         """Note that a peer lost its state: it has received and sent no reports."""
         self.near[peer] = np.arange(len(self.near)) != peer
@@ -153,7 +147,8 @@ class BroadcastCursors:
     def begin_step(self, in_range: list[int]) -> None:
         """Forget the cursors of robots out of range, which may have missed broadcasts."""
         self._aware.intersection_update(in_range)
-        self._others = {peer: self._others[peer] for peer in in_range if peer in self._others}
+        for peer in self._others.keys() - in_range:
+            del self._others[peer]
 
     def known(self, first: int, peers: list[int]) -> bool:
         """Return whether all of `peers` know that this robot's next broadcast begins at offset `first`."""

@@ -195,18 +195,23 @@ class Repairmen(TeamStrategy):
         relies on no teammate until that teammate sends a new target.
         """
         members = super().team(situation)
-        for peer, target in situation.targets.items():
-            if peer not in members and situation.step - situation.target_steps.get(peer, 0) <= RECALL:
-                members[peer] = target
+        left = {
+            peer: situation.targets[peer]
+            for peer in situation.targets.keys() - members.keys()
+            if situation.step - situation.target_steps.get(peer, 0) <= RECALL
+        }
+        if left:
+            members = dict(sorted((members | left).items()))
         for peer in members if self._waited else ():
             stands = situation.step - situation.last_moved.get(peer, situation.step) >= STILL
             if self._waited >= PLAN_ALONE_AFTER or (stands and peer in situation.peers):
                 self._given_up[peer] = situation.target_steps.get(peer, 0)
+        if not self._given_up:
+            return members
         return {
-            peer: members[peer]
-            for peer in sorted(members)
+            peer: cell
+            for peer, cell in members.items()
             if peer == self.settings.robot
-            or not self._given_up
             or situation.target_steps.get(peer, 0) > self._given_up.get(peer, -1)
         }
 
@@ -226,7 +231,7 @@ class Repairmen(TeamStrategy):
     def table(self, situation: Situation, goals: Cells, planner: PathPlanner) -> Table:
         """Return the costs of all robots and goals; ways between goals come from the same search."""
         team = self.team(situation)
-        radii = {self.settings.bodies[robot].radius_cells for robot in team}
+        radii = () if self._alike else {self.settings.bodies[robot].radius_cells for robot in team}
         if len(radii) > 1:
             _, self._between = planner.of_radius(min(radii)).costs_among(goals[:0], goals)
             return super().table(situation, goals, planner)

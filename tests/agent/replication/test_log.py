@@ -120,9 +120,9 @@ def test_a_frame_is_split_into_control_packets_and_entries_behind_their_headers(
 def test_all_robots_are_neighbors_until_they_report_otherwise() -> None:
     neighbors = Neighbors(0, 4)
     assert neighbors.news([1, 2, 3]) == []
-    assert np.flatnonzero(neighbors.receivers(2)).tolist() == [1, 3]
+    assert np.flatnonzero(neighbors.near[2]).tolist() == [0, 1, 3]
     neighbors.near[2, 3] = False
-    assert np.flatnonzero(neighbors.receivers(2)).tolist() == [1]
+    assert np.flatnonzero(neighbors.near[2]).tolist() == [0, 1]
     assert neighbors.near[3, 2]
     assert not neighbors.near[2, 3]
 
