@@ -149,8 +149,9 @@ def tidy(work: Workspace, fill: Int64s) -> None:
     """Reset the reached cells of the workspace."""
     length, came, touched = work
     for at in range(fill[4]):
-        length[touched[at]] = FAR
-        came[touched[at]] = 0
+        cell = np.uint64(touched[np.uint64(at)])
+        length[cell] = FAR
+        came[cell] = 0
 
 
 @kernel
@@ -168,6 +169,7 @@ def settle(
 
     Returns the buckets, enlarged if necessary.
     """
+    # Unsigned indices cannot count from the end of an array, which saves a comparison each.
     length, came, touched = work
     ring = level & 3
     for ahead in range(1, 3):
@@ -179,14 +181,15 @@ def settle(
             buckets = larger
     wanted = np.empty(8, np.int64)
     for at in range(fill[ring]):
-        cell = buckets[ring, at]
-        base = length[cell]
-        if came[cell] == _SETTLED or base >> SHIFT != level:
+        cell = np.int64(buckets[np.uint64(ring), np.uint64(at)])
+        here = np.uint64(cell)
+        base = length[here]
+        direction = np.int64(came[here])
+        if direction == _SETTLED or base >> SHIFT != level:
             continue  # a duplicate, or reached on a shorter way since
-        if bound[1] < FAR and base + _least(cell, bound[0], offset[1]) > bound[1]:
+        if bound[1] < FAR and base + _least(int(cell), bound[0], offset[1]) > bound[1]:
             continue
-        direction = came[cell]
-        came[cell] = _SETTLED
+        came[here] = _SETTLED
         if cell == start:
             for number in range(8):
                 wanted[number] = number
@@ -194,12 +197,13 @@ def settle(
         elif direction < 4:
             wanted[0] = direction
             count = 1
-            behind = cell - offset[direction]
+            behind = cell - offset[np.uint64(direction)]
             for turn in (1, 3):
                 side = (direction + turn) & 3
-                if not free[behind + offset[side]] and free[cell + offset[side]]:
-                    wanted[count] = side
-                    wanted[count + 1] = 4 + direction if turn == 1 else 4 + side
+                aside = offset[np.uint64(side)]
+                if not free[np.uint64(behind + aside)] and free[np.uint64(cell + aside)]:
+                    wanted[np.uint64(count)] = side
+                    wanted[np.uint64(count + 1)] = 4 + direction if turn == 1 else 4 + side
                     count += 2
         else:
             wanted[0] = direction
@@ -207,23 +211,24 @@ def settle(
             wanted[2] = (direction - 3) & 3
             count = 3
         for index in range(count):
-            number = wanted[index]
-            to_cell = cell + offset[number]
+            number = wanted[np.uint64(index)]
+            to_cell = np.uint64(cell + offset[np.uint64(number)])
             if not free[to_cell]:
                 continue
             new = base + ONE
             if number >= 4:
-                if not free[cell + offset[number - 4]] or not free[cell + offset[(number - 3) & 3]]:
+                one, other = offset[np.uint64(number - 4)], offset[np.uint64((number - 3) & 3)]
+                if not free[np.uint64(cell + one)] or not free[np.uint64(cell + other)]:
                     continue
                 new = base + ROOT
             if new < length[to_cell]:
                 if length[to_cell] == FAR:
-                    touched[fill[4]] = to_cell
+                    touched[np.uint64(fill[4])] = to_cell
                     fill[4] += 1
                 length[to_cell] = new
                 came[to_cell] = number
                 to = (new >> SHIFT) & 3
-                buckets[to, fill[to]] = to_cell
+                buckets[np.uint64(to), np.uint64(fill[to])] = to_cell
                 fill[to] += 1
     return buckets
 

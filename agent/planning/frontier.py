@@ -86,7 +86,10 @@ def is_frontier(grid: Grid, x: int, y: int) -> bool:
 @kernel
 def is_enclosed(free: Bools, cell: int, stride: int) -> bool:
     """Return whether all 4-neighbors of a cell are free on a flat floor, so that it is no frontier cell."""
-    return bool(free[cell - 1] and free[cell + 1] and free[cell - stride] and free[cell + stride])
+    left, right, above, below = cell - 1, cell + 1, cell - stride, cell + stride
+    return bool(
+        free[np.uint64(left)] and free[np.uint64(right)] and free[np.uint64(above)] and free[np.uint64(below)]
+    )
 
 
 @kernel

@@ -10,7 +10,6 @@ so the costs are the same bits.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import lru_cache
 from typing import Annotated
 
@@ -43,35 +42,35 @@ class GoalCosts:
 
     def __init__(self, goals: Cells) -> None:
         self.goals = goals
-        self._rows: dict[tuple[int, ...], int] = {}
-        """The row of each start in `_ways`."""
+        self._rows: dict[int, int] = {}
+        """The row of each start in `_ways`, by `_keys`."""
         self._ways: FloatRows = np.empty((0, len(goals)))
         """The costs of the ways from each start to all goals."""
         self._between: FloatRows | None = None
 
     def ways(self, floor: Floor, starts: Cells) -> FloatRows:
         """Return `costs_between` of these starts and the goals."""
-        cells, rows = list(map(tuple, starts.tolist())), self._rows
-        new = [cell for cell in cells if cell not in rows]
+        keys, rows = _keys(starts), self._rows
+        new = {key: at for at, key in enumerate(keys) if key not in rows}
         if new:
-            new = list(dict.fromkeys(new))
-            self._add(
-                new, self.search(floor, np.array(new, np.int32), self.goals, np.zeros(len(new), np.int64))
-            )
-        return self._ways[[rows[cell] for cell in cells]].reshape(len(cells), len(self.goals))
+            cells = starts[list(new.values())]
+            self._add(cells, self.search(floor, cells, self.goals, np.zeros(len(cells), np.int64)))
+        return self._ways[[rows[key] for key in keys]].reshape(len(keys), len(self.goals))
 
     def among(self, floor: Floor, starts: Cells) -> tuple[FloatRows, FloatRows]:
         """Return `costs_among` of these starts and the goals; callers must not modify the costs between goals."""
         if self._between is None:
-            cells = list(dict.fromkeys(map(tuple, starts.tolist())))
-            ways, self._between = self._search_among(floor, np.array(cells, np.int32).reshape(-1, 2))
+            cells = starts[list({key: at for at, key in enumerate(_keys(starts))}.values())]
+            ways, self._between = self._search_among(floor, cells)
             self._rows, self._ways = {}, self._ways[:0]
             self._add(cells, ways)
         return self.ways(floor, starts), self._between
 
-    def _add(self, cells: Sequence[tuple[int, ...]], ways: FloatRows) -> None:
+    def _add(self, cells: Cells, ways: FloatRows) -> None:
         """Add the costs of the ways from new starts to all goals."""
-        self._rows |= zip(cells, range(len(self._rows), len(self._rows) + len(cells)), strict=True)
+        self._rows.update(
+            zip(_keys(cells), range(len(self._rows), len(self._rows) + len(cells)), strict=True)
+        )
         self._ways = np.concatenate([self._ways, ways])
 
     def _search_among(self, floor: Floor, starts: Cells) -> tuple[FloatRows, FloatRows]:
@@ -105,6 +104,12 @@ class GoalCosts:
         return _workspace(len(floor.free)).jump_points(floor, self).search(starts, goals, first)
 
 
+def _keys(cells: Cells) -> list[int]:
+    """Return a number for each cell, equal for equal cells."""
+    keys: list[int] = (cells[:, 1].astype(np.int64) << 32 | cells[:, 0]).tolist()
+    return keys
+
+
 class _JumpPoints:
     """The jump points of a floor with some goals, inside the box of all goals, and of all free cells with a rim.
 
@@ -133,7 +138,7 @@ class _JumpPoints:
         height, width = self._free.shape
         x, y = starts[:, 0] + (1 - self._left), starts[:, 1] + (1 - self._top)
         inside = (x > 0) & (x < width - 1) & (y > 0) & (y < height - 1)
-        costs = np.full((len(starts), len(goals)), np.inf)
+        costs = np.empty((len(starts), len(goals)))
         start = np.where(inside, self._at(starts), -1)
         _search(self._free.reshape(-1), self._jumps, start, self._at(goals), first, *memory, costs)
         return costs
@@ -261,8 +266,7 @@ def _search(
 ) -> None:
     """Settle jump points in buckets of width 1, until all goals of a start from its `first` on are settled.
 
-    The costs of negative starts stay as they are. The queue has rows (cell, arrival step, next entry of the same
-    bucket).
+    Negative starts have no way. The queue has rows (cell, arrival step, next entry of the same bucket).
     """
     _, height, stride = laid_out.shape
     jumps = laid_out.reshape(4, height * stride)
@@ -275,6 +279,7 @@ def _search(
     queue = np.empty((1024, 3), np.int64)
     for row in range(len(starts)):
         if starts[row] < 0:
+            costs[row] = np.inf
             continue
         came[:] = 0
         buckets[:] = -1

@@ -184,17 +184,18 @@ def _trace_back(
         for group in range(4):
             if cells[goal - steps[group]] != FREE:
                 continue
-            for row in range(start[group], start[group + 1]):
-                here = goal - flat[rows[row, 0]]
-                if not open_cells[here]:
+            # Unsigned indices cannot count from the end of an array, which saves a comparison each.
+            for row in range(np.uint64(start[group]), np.uint64(start[group + 1])):
+                here = goal - np.int64(flat[np.uint64(rows[row, 0])])
+                if not open_cells[np.uint64(here)]:
                     continue
                 clear = True
                 for before in range(rows[row, 0] - 2, rows[row, 1] - 1, -1):
-                    if cells[here + flat[before]] != FREE:
+                    if cells[np.uint64(here + flat[np.uint64(before)])] != FREE:
                         clear = False
                         break
                 if clear:
-                    open_cells[here], found[here] = False, True
+                    open_cells[np.uint64(here)], found[np.uint64(here)] = False, True
     out = np.empty((found.sum(), 2), np.int32)
     count = 0
     for at in range(len(cells)):

@@ -78,7 +78,9 @@ class YieldBehavior:
         self._held = {cell: since for cell, since in self._held.items() if step - since < MEMORY}
         around = planner.without([cell for cell in self._held if cell != here])
         reach = self._near * 2**self._doublings
-        if around.costs_to(*here, np.array([end], np.int32))[0] < len(route.cells) + reach:
+        cost = around.costs_to(*here, np.array([end], np.int32)).item()
+        if cost < len(route.cells) + reach:
+            around.note_cost(here, end, cost)
             route.lead(around, here, end)
             return around
         ys, xs = np.nonzero(around.costs(*here) <= reach)

@@ -143,9 +143,9 @@ class ScanStream(Stream):
         mixing = mixing_coder(coder[0], coder[1], self.model)
         changed = scans = done = 0
         for (x, y), found in zip(poses, self._find_new_cells(own, poses), strict=True):
-            # On narrow media, cells that an earlier scan of this update has revealed do not count.
-            unknown = grid.reshape(-1)[found] & STATE == UNKNOWN
-            shows_more = unknown.any() if self._narrow else len(found) > 0
+            shows_more = len(found) > 0
+            if self._narrow:  # cells that an earlier scan of this update has revealed do not count
+                shows_more = (grid.reshape(-1)[found] & STATE == UNKNOWN).any()
             if shows_more and (scans == MAX_SCANS or (scans and coder[0][PLACE] >= most)):
                 break
             done += 1
