@@ -34,7 +34,7 @@ from agent.replication.neighbors import BroadcastCursors, Meetings, Neighbors
 from agent.replication.peers import Mask, Table
 from agent.replication.replica import Rejected, Replica
 from protocol import packets
-from protocol.arrays import Bools, Int64Rows
+from protocol.arrays import Bools, Int64s
 from protocol.errors import ProtocolError
 from protocol.kernels import kernel
 from protocol.messages import EVERYONE, OutgoingFrame, RoundReport
@@ -211,7 +211,7 @@ class Gossip(Replication):
         """Entries `first` to `end` - 1 of a map were on the air."""
         listeners = self._listeners()
         self._inform(listeners, number, end)
-        _raise_lengths(self.peers.expected, listeners, number, first, end)
+        _raise_lengths(self.peers.expected.T[number], listeners, first, end)
         if number == self.peers.own:
             self._cursors.sent(end, self._in_range)
             self.shared = max(self.shared, end)
@@ -305,11 +305,10 @@ class Gossip(Replication):
             replica.accept(peer, number, b"".join(entries[log.length - first :]))
         _note_receivers(
             self._neighbors.near[peer],
-            self.peers.expected,
-            self._informed,
+            self.peers.expected.T[number],
+            self._informed.T[number],
             peer,
             self.peers.robot,
-            number,
             first,
             end,
             log.length >= end,
@@ -320,35 +319,35 @@ class Gossip(Replication):
 
     def _inform(self, peers: Mask, number: int, length: int) -> None:
         """Peers know that this robot holds so many entries of a map."""
-        _raise_lengths(self._informed, peers, number, 0, length)
+        _raise_lengths(self._informed.T[number], peers, 0, length)
 
 
 @kernel
 def _note_receivers(
     near: Bools,
-    expected: Int64Rows,
-    informed: Int64Rows,
+    expected: Int64s,
+    informed: Int64s,
     peer: int,
     robot: int,
-    number: int,
     first: int,
     end: int,
     holds: bool,
 ) -> None:
     """Note that a peer sent entries `first` to `end` - 1 of a map, which the robots `near` it received.
 
+    `expected` and `informed` are the columns of this map in the tables of the same names.
     They take them unless they lack earlier ones. If this robot `holds` them now, the peer and its receivers know it.
     """
     for other in range(len(near)):
-        if near[other] and other != robot and expected[other, number] >= first:
-            expected[other, number] = max(expected[other, number], end)
+        if near[other] and other != robot and expected[other] >= first:
+            expected[other] = max(expected[other], end)
         if holds and (near[other] or other in (peer, robot)):
-            informed[other, number] = max(informed[other, number], end)
+            informed[other] = max(informed[other], end)
 
 
 @kernel
-def _raise_lengths(table: Int64Rows, peers: Bools, number: int, first: int, end: int) -> None:
+def _raise_lengths(lengths: Int64s, peers: Bools, first: int, end: int) -> None:
     """Raise the lengths of a map to `end`, for those of `peers` where they are at least `first`."""
     for peer in range(len(peers)):
-        if peers[peer] and table[peer, number] >= first:
-            table[peer, number] = max(table[peer, number], end)
+        if peers[peer] and lengths[peer] >= first:
+            lengths[peer] = max(lengths[peer], end)

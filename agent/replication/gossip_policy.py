@@ -75,7 +75,7 @@ class GossipPolicy:
         self._step = step
         before, self._lacks = self._lacks, {}
         current = self._peers.current
-        missing: Table = _missing(np.array(known, np.int64), self._peers.expected, lengths)
+        missing: Table = _missing(np.array(known, np.int64), self._peers.expected.T, lengths)
         for peer, number, count in missing.tolist():
             if number != current[peer]:
                 self._lacks.setdefault(peer, {})[number] = count
@@ -182,12 +182,15 @@ class GossipPolicy:
 
 @kernel
 def _missing(peers: Int64s, expected: Int64Rows, lengths: Int64s) -> Int64Rows:
-    """Return rows (peer, map number, count): how many entries of a map each of `peers` is expected to lack."""
+    """Return rows (peer, map number, count): how many entries of a map each of `peers` is expected to lack.
+
+    `expected` has a row for each map.
+    """
     rows = np.empty((len(peers) * len(lengths), 3), np.int64)
     count = 0
     for peer in peers:
         for number in range(len(lengths)):
-            if expected[peer, number] < lengths[number]:
-                rows[count] = peer, number, lengths[number] - expected[peer, number]
+            if expected[number, peer] < lengths[number]:
+                rows[count] = peer, number, lengths[number] - expected[number, peer]
                 count += 1
     return rows[:count].copy()

@@ -58,8 +58,11 @@ class PeerTable:
         """``acked[peer, map]``: entries that the peer certainly holds; the same table where nothing is lost."""
 
     def new_table(self) -> Table:
-        """Return a table of zeros; it takes no memory before it is used."""
-        return np.zeros((self.robots, len(self.maps)), np.int64)
+        """Return a table of zeros; it takes no memory before it is used.
+
+        Its columns are contiguous: an entry that arrives concerns all peers, but one map.
+        """
+        return np.zeros((len(self.maps), self.robots), np.int64).T
 
     def expect(self, peer: int, number: int, length: int) -> None:
         """Note that a peer should hold at least so many entries of a map."""
