@@ -120,7 +120,7 @@ def best_viewpoint(
         if missed.any():
             cost[missed] += planner.costs_to(int(goal[0]), int(goal[1]), places[missed])
             places[missed] = goal
-        if (places == goal).all():
+        if missed.all() or (places == goal).all():
             break
     rounded = np.round(cost, _DIGITS)
     shortest = np.flatnonzero(rounded == rounded.min())

@@ -70,6 +70,17 @@ def test_shared_costs_equal_those_of_a_search_of_their_own(
             assert found.tobytes() == each.tobytes()
 
 
+def test_a_start_far_from_all_free_cells_has_no_way_and_one_beside_them_has() -> None:
+    grid = np.full((40, 30), OCCUPIED, np.uint8)
+    grid[20:24, 10:15] = FREE
+    starts = np.array([(0, 0), (29, 39), (9, 21), (8, 21), (12, 22)], np.int32)
+    goals = np.array([(10, 20), (14, 23)], np.int32)
+    found = costs_between(Floor(grid), starts, goals)
+    for cell, row in zip(starts.tolist(), found, strict=True):
+        assert row.tobytes() == whole_lengths(grid, *cell)[goals[:, 1], goals[:, 0]].tobytes()
+    assert np.isfinite(found).all(axis=1).tolist() == [False, False, True, False, True]
+
+
 @given(floors())
 def test_with_every_cell_a_goal_the_whole_field_is_found(case: tuple[Grid, int, int]) -> None:
     grid, x, y = case
