@@ -38,8 +38,9 @@ from agent.predictive.urgent_tile_author import UrgentTileAuthor
 from agent.settings import Settings
 from protocol.errors import ProtocolError
 from protocol.grid import Grid, ray_table
+from protocol.packet_codec import decode_kind, encode
 from protocol.packet_index import cache_short
-from protocol.packets import UPDATE_NUMBERS, Update, decode_kind, encode
+from protocol.packets import UPDATE_NUMBERS, Update
 from protocol.range_scans import RangeScan
 from protocol.scans import Change, Scan
 

@@ -13,6 +13,7 @@ import math
 from dataclasses import dataclass
 
 from agent.settings import Settings
+from protocol.packet_codec import encode
 from protocol.packets import (
     EARLY,
     LONG_UPDATE_DATA,
@@ -23,7 +24,6 @@ from protocol.packets import (
     FromEarly,
     Target,
     Update,
-    encode,
 )
 
 ENOUGH_STEPS = 4

@@ -13,8 +13,9 @@ from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import Scenario
 from protocol import keys as names
+from protocol.cell_bytes import cells_from_bytes
 from protocol.grid import FREE, UNKNOWN, Grid, RayTable, ray_table
-from protocol.messages import Sense, cells_from_bytes
+from protocol.messages import Sense
 from protocol.scans import Change, Scan, draw
 from worldsim import generators
 from worldsim.maps import Map

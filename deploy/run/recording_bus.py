@@ -10,7 +10,8 @@ from deploy.run.in_memory import MemoryRun
 from deploy.scenario.plan import Plan
 from protocol import keys as names
 from protocol.bus import Bus, Message
-from protocol.messages import Sense, unpack
+from protocol.message_codec import unpack
+from protocol.messages import Sense
 
 
 @dataclass

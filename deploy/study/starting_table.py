@@ -26,8 +26,9 @@ from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import parse
 from protocol import keys as names
 from protocol.boxes import Box, bounding_box
+from protocol.cell_bytes import cells_from_bytes
 from protocol.grid import UNKNOWN, ray_table
-from protocol.messages import Sense, cells_from_bytes
+from protocol.messages import Sense
 from protocol.scans import draw
 from worldsim.generators.seeds import check_training_seeds
 

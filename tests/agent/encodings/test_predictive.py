@@ -19,16 +19,8 @@ from protocol.body import Body
 from protocol.budget import UNLIMITED, Budget
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, ray_table
-from protocol.packets import (
-    LONG_UPDATE_DATA,
-    UPDATE_DATA,
-    UPDATE_NUMBERS,
-    Delete,
-    Fragment,
-    Update,
-    decode_kind,
-    encode,
-)
+from protocol.packet_codec import decode_kind, encode
+from protocol.packets import LONG_UPDATE_DATA, UPDATE_DATA, UPDATE_NUMBERS, Delete, Fragment, Update
 from protocol.scans import Change, Scan, draw
 from tests.agent.encodings.arrival import LATE
 from worldsim.laser import cast

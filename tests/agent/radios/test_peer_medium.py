@@ -23,7 +23,8 @@ from protocol.messages import (
     RoundReport,
     SendReport,
 )
-from protocol.packets import HeldEarly, Pose, encode
+from protocol.packet_codec import encode
+from protocol.packets import HeldEarly, Pose
 from protocol.token_bucket import SECOND
 
 KEY = bytes(range(KEY_BYTES))

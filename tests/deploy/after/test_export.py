@@ -17,7 +17,8 @@ from deploy.after.recast_scans import Lasers
 from deploy.record.colors import GROUPS
 from deploy.run.in_memory import MemoryRun
 from protocol.grid import ray_table
-from protocol.messages import Sense, unpack
+from protocol.message_codec import unpack
+from protocol.messages import Sense
 from protocol.scans import HIT, NONE
 from protocol.transforms import Pose
 from tests.deploy.small_run import small_directory, small_plan
