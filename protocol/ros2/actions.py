@@ -97,7 +97,7 @@ class ActionServer:
         )
         self.endpoints: list[Endpoint] = [self._feedback, self._status]
         for each, of_type, on_request in services:
-            self.endpoints.append(ServiceServer(link, f"{below}/{each}", of_type, DEFAULT, on_request))
+            self.endpoints.append(ServiceServer(link, f"{below}/{each}", of_type, on_request))
 
     def change(self, goal: ServerGoal, status: Status, now_ns: int) -> None:
         """Set the state of a goal, and publish the states of all."""
@@ -144,12 +144,8 @@ class ActionServer:
         if goal is not None and goal.response is None:
             goal.waiting.append(request)
             return
-        response = goal.response if goal is not None else None
-        request.reply(response or self._unknown(), now_ns)
-
-    def _unknown(self) -> Any:
-        """Return the response for a goal that is not known, with an empty result."""
-        return self._messages.new(f"{self._type}_GetResult_Response")
+        unknown = f"{self._type}_GetResult_Response"
+        request.reply(goal.response if goal is not None else self._messages.new(unknown), now_ns)
 
     def _cancel(self, request: Request, now_ns: int) -> None:
         """Cancel one goal, or with the id zero all goals; those accepted until a time if there is one."""
@@ -206,11 +202,9 @@ class ActionClient:
         self._sent = 0
         self._goals: dict[bytes, tuple[ClientGoal, OnEnd]] = {}
         below = f"{name}/_action"
-        self._send = ServiceClient(link, f"{below}/send_goal", f"{type_name}_SendGoal", DEFAULT)
-        self._cancel = ServiceClient(link, f"{below}/cancel_goal", CANCEL_GOAL, DEFAULT)
-        self._get_result = ServiceClient(
-            link, f"{below}/get_result", f"{type_name}_GetResult", DEFAULT, UNLIMITED_S
-        )
+        self._send = ServiceClient(link, f"{below}/send_goal", f"{type_name}_SendGoal")
+        self._cancel = ServiceClient(link, f"{below}/cancel_goal", CANCEL_GOAL)
+        self._get_result = ServiceClient(link, f"{below}/get_result", f"{type_name}_GetResult", UNLIMITED_S)
         feedback = Subscription(
             link, f"{below}/feedback", f"{type_name}_FeedbackMessage", DEFAULT, self._take_feedback
         )
