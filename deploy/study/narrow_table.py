@@ -126,16 +126,6 @@ def fitted(examples: Sequence[Example]) -> NDArray[np.float64]:
     return logs
 
 
-def code_length(factors: NDArray[np.int8], examples: Sequence[Example]) -> float:
-    """Return the mean bits of choices by a row of the table of factors."""
-    bits = 0.0
-    for columns, chosen in examples:
-        logs = factors[columns].sum(axis=1, dtype=float) / LOG_UNIT
-        logs[-1] = factors[columns[-1, 0]] / LOG_UNIT
-        bits += np.logaddexp2.reduce(logs) - logs[chosen]
-    return bits / len(examples)
-
-
 def rounded(logs: NDArray[np.float64]) -> Factors:
     """Round natural logarithms, shape (`RINGS`, `VALUES`), to the units of the table."""
     factors: Factors = np.clip(np.rint(logs / np.log(2) * LOG_UNIT), -127, 127).astype(np.int8)
