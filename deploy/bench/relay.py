@@ -38,7 +38,7 @@ def relay() -> Iterator[Measurement]:
     """Measure the relay's processor time per frame in microseconds."""
     for case in CASES:
         plan = office_plan(steps=STEPS, bus="memory", **case)
-        received = record_run(plan, [names.RELAY])[0][names.RELAY].received
+        received = record_run(plan, [names.RELAY])[names.RELAY]
         radio = [rights.read(*message) for message in received if names.parts(message.key)[0] == "radio"]
         frames = [frame.payload for message in radio for frame in message.frames]
         frames += [message.broadcast for message in radio if message.broadcast]

@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.predictive.pose_model import LOG_UNIT, RINGS, start_factors
-from deploy.run.recording_bus import record_run
+from deploy.run.recording_bus import record_senses
 from deploy.study.narrow_table import COUNTED, Example, examine, fitted, rounded
 from tests.system.team import small_plan
 
 
 def test_factors_learn_from_an_exploration() -> None:
     plan = small_plan("office", robots=2, map_encoding="scans", bandwidth="unlimited", steps=40)
-    senses = [bus.senses for bus in record_run(plan, ["r0", "r1"])[0].values()]
+    senses = record_senses(plan)
     examples, counts = examine(plan, senses)
     assert len(examples) == RINGS
     assert counts.shape == (len(COUNTED), 2)
