@@ -12,7 +12,6 @@ from enum import IntEnum
 from typing import Any
 
 import numpy as np
-import xxhash
 
 from protocol.ros2.attachments import Attachment
 from protocol.ros2.endpoints import Endpoint, Link
@@ -20,6 +19,7 @@ from protocol.ros2.interfaces import CANCEL_GOAL
 from protocol.ros2.messages import Messages, nanoseconds
 from protocol.ros2.qos import DEFAULT, LATCHED
 from protocol.ros2.services import UNLIMITED_S, Request, ServiceClient, ServiceServer
+from protocol.ros2.tokens import digest
 from protocol.ros2.topics import Publisher, Subscription
 
 KEPT_GOALS = 32
@@ -219,7 +219,7 @@ class ActionClient:
     def send(self, goal: Any, now_ns: int, on_end: OnEnd) -> ClientGoal:
         """Send a goal; `Ros2Node.spin` calls `on_end` once, when the goal has ended in any way."""
         self._sent += 1
-        sent = ClientGoal(xxhash.xxh3_128(self._send.gid + self._sent.to_bytes(8, "little")).digest())
+        sent = ClientGoal(digest(self._send.gid + self._sent.to_bytes(8, "little")))
         self._goals[sent.id] = sent, on_end
         request = self._messages[f"{self._type}_SendGoal_Request"](
             goal_id=_uuid(self._messages, sent.id), goal=goal

@@ -89,7 +89,7 @@ def sdk_session(router: str) -> Iterator[Any]:
     """Open the one session of zenoh-ros2-sdk with the types of rosbags: it would load them from the internet."""
     host, _, port = router.removeprefix("tcp/").rpartition(":")
     session = ZenohSession(host, int(port))
-    session.store = Messages("jazzy")._store
+    session.store = Messages("jazzy").types
     session._registered_types = {name: name for name in session.store.types}
     ZenohSession._instance = session
     yield session
