@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import select
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -15,7 +14,7 @@ from agent.field import FieldFiles, FieldRobot, drive
 from agent.journal import JournalError
 from agent.radios.peer_medium import FrameRecord
 from agent.radios.team_key import read_key
-from agent.radios.transport import Transport
+from agent.radios.transport import Transport, wait
 from agent.replication.control_packets import parse
 from deploy.field.dropped_frames import DropAdvice
 from deploy.field.robot_file import RobotFile
@@ -183,12 +182,7 @@ class Mission:
 
     def _wait(self, duration: int) -> None:
         """Wait for a slice of a step at most, or until a frame arrives, and take the messages of the robot."""
-        seconds = max(0, min(duration, SLICE_NS)) / SECOND
-        descriptor = self._transport.fileno()
-        if descriptor < 0:
-            time.sleep(seconds)
-        else:
-            select.select([descriptor], [], [], seconds)
+        wait(self._transport, min(duration, SLICE_NS))
         self._ros.spin()
         if not self._reason and self._is_stopped():
             raise StoppedError
