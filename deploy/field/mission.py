@@ -23,6 +23,7 @@ from deploy.field.ros2_robot import Ros2Robot
 from deploy.field.running import running
 from deploy.record.field_records import FieldRecorder
 from protocol.errors import ProtocolError
+from protocol.signals import ending_signals, handled
 from protocol.token_bucket import SECOND
 
 SLICE_NS = SECOND // 10
@@ -36,7 +37,6 @@ FREEZE = 0.5
 NEWS_CELLS = 100
 """Cells from which a teammate that has not been in range since lacks something: noise changes a few cells."""
 EXPLORED = "nothing is left to explore, and teammates hold this robot's map"
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 Say = Callable[[str], None]
 """Shows a line to the user."""
@@ -71,15 +71,8 @@ class StopRequest:
     @contextlib.contextmanager
     def signals(self) -> Iterator[None]:
         """Take the signals that end a process as requests (main thread only)."""
-        before = {number: signal.getsignal(number) for number in SIGNALS}
-        for number, handler in before.items():
-            if number != signal.SIGHUP or handler != signal.SIG_IGN:
-                signal.signal(number, self._come)
-        try:
+        with handled(ending_signals(), self._come):
             yield
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
 
     def _come(self, number: int, _: object) -> None:
         self._signal = signal.Signals(number).name
