@@ -10,10 +10,9 @@ import time
 from collections.abc import Callable, Iterator
 from functools import partial
 
-from agent.bodies.map_body import MapBody
-from agent.bodies.ros2 import BodySettings, Ros2Body, frame_name
-from agent.bodies.scan_body import ScanBody
+from agent.bodies.ros2 import frame_name
 from agent.radios.team_key import KeyFileError, read_key
+from deploy.field.connection import make_body, map_pose
 from deploy.field.listener import ENOUGH_MESSAGES, LISTEN_S, Heard, Listener
 from deploy.field.robot_file import RobotFile
 from deploy.field.robot_plan import map_frame
@@ -22,7 +21,6 @@ from protocol.ros2.interfaces import NAVIGATE_TO_POSE
 from protocol.ros2.messages import DISTROS, POSE_STAMPED, Messages
 from protocol.ros2.node import Ros2Node
 from protocol.ros2.tokens import EndpointToken, Kind
-from protocol.transforms import Pose
 
 LEAST_HZ = 1.0
 """Rate of scans and transforms below which a robot stands still again and again (`dead_man_s`)."""
@@ -77,16 +75,8 @@ class RobotDoctor:
     def __init__(self, file: RobotFile) -> None:
         settings = file.settings
         self._file, self._settings, self._names = file, settings, settings.ros2
-        x, y, degrees = self._names.map_pose
-        self._map_pose = Pose(x, y, math.radians(degrees))
-        options = BodySettings(
-            self._map_pose,
-            settings.sensor_range,
-            settings.speed,
-            self._names.map_frame,
-            self._names.base_frame,
-        )
-        self._body: Ros2Body = (ScanBody if self._names.scan else MapBody)(map_frame(settings), options)
+        self._map_pose = map_pose(self._names)
+        self._body = make_body(settings)
         self._listener: Listener | None = None
         self._graph = Graph()
 
