@@ -26,10 +26,10 @@ from protocol.ros2.messages import (
     Messages,
 )
 from protocol.scans import HIT, NONE, Readings
+from protocol.token_bucket import SECOND
 from protocol.transforms import Pose
 from worldsim.maps import Map
 
-SECOND = 10**9
 EDGE_WIDTH_M = 0.05
 MAP_FRAME = "map"
 """The frame of the map file: meters, y up."""

@@ -21,6 +21,7 @@ from protocol.ros2.interfaces import NAVIGATE_TO_POSE
 from protocol.ros2.messages import DISTROS, POSE_STAMPED, Messages
 from protocol.ros2.node import Ros2Node
 from protocol.ros2.tokens import EndpointToken, Kind
+from protocol.token_bucket import SECOND
 
 LEAST_HZ = 1.0
 """Rate of scans and transforms below which a robot stands still again and again (`dead_man_s`)."""
@@ -29,7 +30,6 @@ APART_S = 1.0
 SIMULATED_S = 10 * 365 * 86400
 """Stamps before 1980 are simulated time."""
 SHOWN_NODES = 6
-SECOND = 10**9
 
 DISTRO = "set ros2.distro to that of the robot's nodes"
 GRID = "set ros2.map_pose to where SLAM starts in the common frame, or enlarge [grid]"

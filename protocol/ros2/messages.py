@@ -13,6 +13,7 @@ from rosbags.typesys import Stores, get_typestore
 from protocol.errors import ProtocolError, there_are
 from protocol.ros2.interfaces import EVENT_INFO, Definitions, definitions
 from protocol.ros2.names import NO_HASH
+from protocol.token_bucket import SECOND
 from protocol.transforms import Pose
 
 DISTROS = ("humble", "jazzy", "kilted", "lyrical", "rolling")
@@ -23,7 +24,6 @@ _STORES = {
     "kilted": Stores.ROS2_KILTED,
     "lyrical": Stores.ROS2_LYRICAL,
 }
-_SECOND = 10**9
 _ZEROS = {"string": "", "bool": False, "float32": 0.0, "float64": 0.0}
 """Zero of types that are not integers."""
 
@@ -103,7 +103,7 @@ class Messages:
 
     def time(self, now_ns: int) -> Any:
         """Return a time message of nanoseconds since 1970."""
-        seconds, nanoseconds = divmod(now_ns, _SECOND)
+        seconds, nanoseconds = divmod(now_ns, SECOND)
         return self[TIME](sec=seconds, nanosec=nanoseconds)
 
     def header(self, frame: str, now_ns: int) -> Any:
@@ -152,4 +152,4 @@ class Messages:
 
 def nanoseconds(stamp: Any) -> int:
     """Return the nanoseconds since 1970 of a time message."""
-    return int(stamp.sec) * _SECOND + int(stamp.nanosec)
+    return int(stamp.sec) * SECOND + int(stamp.nanosec)
