@@ -121,11 +121,8 @@ class Pacer:
             return 0
         room = min(self._bucket.room(now), self._frame_bytes)
         left = self._duty_cycle.room(now)
-        if self._airtime(room) <= left:
-            return room
-        return max(
-            0, bisect_right(range(room), left, key=self._airtime) - 1
-        )  # the airtime grows with the size
+        fitting = bisect_right(range(room + 1), left, key=self._airtime)  # the airtime grows with the size
+        return max(0, fitting - 1)
 
     def schedule(self, size: int, now: int) -> int:
         """Note a frame of `size` bytes, for which there is room now; return when to send it."""
