@@ -120,7 +120,7 @@ class PredictiveEncoding(GridEncoding):
             return TileStream(map_id, grid, histories, self._scratch, team=team, base_maps=maps)
         body = settings.bodies[settings.author_of(map_id)]
         beams, limits = ray_table(body.range_cells, settings.beams), self._limits
-        narrow = NarrowBand(body.speed, limits.step_bytes) if limits.is_narrow else None
+        narrow = NarrowBand(body.speed, int(limits.step_bytes)) if limits.is_narrow else None
         return ScanStream(
             map_id, grid, beams, histories, self._scratch, team=team, base_maps=maps, narrow=narrow
         )
@@ -181,6 +181,8 @@ class PredictiveEncoding(GridEncoding):
             self._note_dependency(map_id, self._last)
             updates += 1
             size += len(message)
+            if limits.is_narrow:  # a single update can be retracted
+                break
         log.packets += len(packets)
         self.retractable = len(packets) if updates == 1 else 0
         return packets

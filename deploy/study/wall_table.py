@@ -45,8 +45,8 @@ FIRST_SEED = 100
 TURNS = 8
 """Robots, and steps from one update of a robot to the next."""
 
-BYTES = 15
-"""Bytes after which an update has no further scan."""
+BYTES = 20
+"""The limit of an update."""
 
 STEPS = 400
 
@@ -93,7 +93,7 @@ def train_on(
                 continue
             stream, box = streams[robot], bounding_box(boxes[robot])
             stream.model = model
-            encoded = stream.encode(own[robot], poses[robot], box, most=BYTES)
+            encoded = stream.encode(own[robot], poses[robot], box)
             model = stream.model
             sent = len(poses[robot])
             if encoded is not None:
