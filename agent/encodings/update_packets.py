@@ -39,7 +39,7 @@ NARROW = 42
 """Bytes per step below which scans are coded by better predictions (`agent.predictive.scan_stream.NarrowBand`)."""
 
 FILLED_PACKETS = 2
-"""Packets of a full update that fill the budget of a step each. With more packets, robots wait longer for their turn."""
+"""Packets of a full update that fill the budget of a step each. With more, robots wait longer for their turn."""
 
 LONG_FRAGMENT = 32
 """Bytes of content of a packet from which updates of tiles, most of which take several packets, are split into packets

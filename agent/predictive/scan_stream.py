@@ -35,7 +35,6 @@ from protocol.grid import UNKNOWN, Grid, RayTable
 from protocol.kernels import kernel
 from protocol.packets import Update
 
-
 NO_LIMIT = 1 << 40
 """Bytes that no update reaches."""
 
@@ -81,7 +80,7 @@ class ScanStream(Stream):
         super().__init__(map_id, grid, *args, **options)
         self._chances, self._ages, self._weights = start_model() if narrow else no_model()
         self._narrow = narrow
-        self.is_transitive = narrow is not None
+        self.is_narrow = narrow is not None
         self.is_cut = False
         """Whether the last update ended in the middle of a scan, with whose rest the next one begins."""
         self._last_byte = narrow.update_bytes - 1 if narrow else NO_LIMIT
@@ -253,7 +252,10 @@ class ScanStream(Stream):
     def _choose_bases(self, coder: Coder, own: Grid, poses: Sequence[tuple[int, int]], box: Box) -> list[Box]:
         """Encode the dependencies; return boxes in which they contradict the self-explored grid."""
         reach = self._reach
-        near = bounding_box([box, *((x - reach, y - reach, x + reach + 1, y + reach + 1) for x, y in poses)])
+        centers = [*poses, self.pose] if self.is_cut and self.pose else poses
+        near = bounding_box(
+            [box, *((x - reach, y - reach, x + reach + 1, y + reach + 1) for x, y in centers)]
+        )
         return [
             update.box
             for update in self._write_bases(coder, own, near)

@@ -12,7 +12,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from agent.predictive.coder import AHEAD, DECODES, FAILED, NUMBER, PLACE, Coder, code_bit, code_number, code_signed
+from agent.predictive.coder import (
+    AHEAD,
+    DECODES,
+    FAILED,
+    NUMBER,
+    PLACE,
+    Coder,
+    code_bit,
+    code_number,
+    code_signed,
+)
 from agent.predictive.contexts import (
     ACROSS,
     ALONG,

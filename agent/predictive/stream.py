@@ -70,8 +70,8 @@ class Stream(ABC):
     state: ClassVar[tuple[str, ...]] = ("_counts", "_motion", "depends_on", "_bases_grew", "key")
     """Attributes that an update changes, and that `rollback` restores; the grid is restored from `_overwritten`."""
 
-    is_transitive = False
-    """Whether an update depends on all that its bases depend on, too."""
+    is_narrow = False
+    """Whether the medium is narrow. Then an update also depends on all that its bases depend on."""
 
     def __init__(
         self,
@@ -204,7 +204,7 @@ class Stream(ABC):
         while (number := history.last_near(first, end, near)) >= 0:
             update = history.between(number, number + 1)[0]
             is_avoided = other in self.avoided or (
-                self.is_transitive and any(update.ends[each] > self.depends_on[each] for each in self.avoided)
+                self.is_narrow and any(update.ends[each] > self.depends_on[each] for each in self.avoided)
             )
             if not is_avoided and _saves_cells(self.grid, own, update.places, *near):
                 return number + 1
@@ -214,13 +214,13 @@ class Stream(ABC):
     def _depend_on(self, other: int, end: int) -> list[DecodedUpdate]:
         """Depend on the updates of a map before number `end`, and apply them to the grid; return them.
 
-        If dependencies are transitive, also on all updates on which the last of them depends.
+        On a narrow medium, also on all updates on which the last of them depends.
         """
         last = self.histories[other].between(end - 1, end)[0]
         self._bases.append(Base(other, end, last.key))
         before = self.depends_on.copy()
         self.depends_on[other] = end
-        if self.is_transitive:
+        if self.is_narrow:
             self.depends_on = np.maximum(self.depends_on, last.ends)
             self.depends_on[self.map_id] = 0
         updates = [

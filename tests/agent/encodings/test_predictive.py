@@ -211,6 +211,20 @@ def test_author_and_receivers_know_the_same_dependencies(seed: int, taken_back: 
         assert receiver.dependencies(1)[-1].end == end
 
 
+@pytest.mark.parametrize(("budget", "is_settled"), [(6, True), (50, False)])
+def test_a_full_update_is_encoded_again_only_after_news_of_teammates(budget: int, is_settled: bool) -> None:
+    truth = world(0)
+    author, other = (Explorer(robot, 0, bandwidth=Budget(budget)) for robot in range(2))
+    for _ in range(8):
+        assert author.scan(truth, delivered=False) == []
+    sent = author.scan(truth)
+    assert author.map_encoding.is_settled == is_settled
+    assert author.scan(truth, delivered=False) == []
+    assert author.map_encoding.retractable == (len(sent) if is_settled else 0)
+    author.map_encoding.apply(1, b"".join(other.scan(truth)), **LATE)
+    assert not author.map_encoding.is_settled
+
+
 @given(seeds)
 def test_a_retracted_update_is_contained_in_the_next_one(seed: int) -> None:
     truth = world(seed)

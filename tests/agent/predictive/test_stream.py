@@ -246,7 +246,12 @@ def test_a_scan_of_an_office_takes_a_hundredth_of_its_readings() -> None:
 messages = st.binary(max_size=64)
 
 
-@given(seeds, messages, st.lists(st.tuples(st.integers(0, 63), st.integers(0, 255)), max_size=3), bands | short_bands)
+@given(
+    seeds,
+    messages,
+    st.lists(st.tuples(st.integers(0, 63), st.integers(0, 255)), max_size=3),
+    bands | short_bands,
+)
 def test_noise_and_damaged_updates_change_nothing_or_decode_fully(
     seed: int, noise: bytes, flips: list[tuple[int, int]], narrow: NarrowBand | None
 ) -> None:
@@ -368,9 +373,7 @@ def test_updates_of_a_walk_are_shorter_on_narrow_media() -> None:
 def test_on_narrow_media_an_update_ends_at_its_limit_and_the_next_one_has_the_rest(limit: int) -> None:
     truth, walk = exploration(60)
     shape, band = (truth.shape[0], truth.shape[1]), NarrowBand(5.0, limit)
-    author, receiver = (
-        Group(shape, team=False, narrow=band, ranges=(30.0,)).streams[0] for _ in range(2)
-    )
+    author, receiver = (Group(shape, team=False, narrow=band, ranges=(30.0,)).streams[0] for _ in range(2))
     own, poses, sizes = walk[-1][0], [pose for _, pose in walk], []
     while poses:
         update = author.encode(own, poses, (0, 0, shape[1], shape[0]))
