@@ -39,7 +39,7 @@ NO_LIMIT = 1 << 40
 """Bytes that no update reaches."""
 
 LEAST_SCAN = 1
-"""Bytes of a further scan that is worth to begin, before the last byte of an update."""
+"""Bytes before the last one of an update that must be left when a further scan begins."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class NarrowBand:
     speed: float
     """Cells that the author drives in a step."""
     update_bytes: int
-    """The limit of an update, which ends in the middle of a scan there."""
+    """The limit of an update. A scan that does not fit is cut off, and the next update begins with its rest."""
 
     @property
     def milli_speed(self) -> int:
@@ -244,10 +244,8 @@ class ScanStream(Stream):
 
     def _code_more(self, coder: Coder, scans: int, more: int) -> int:
         """Encode or decode whether another scan follows the first `scans` ones; return it."""
-        if self._narrow is None:
-            return int(code_bit(coder, contexts.MORE_SCANS + min(scans, 3), more, REST_MOST))
-        context = contexts.MORE_SCANS_NARROW + min(scans, 3)
-        return int(code_bit(coder, context, more, REST_MOST))
+        first = contexts.MORE_SCANS_NARROW if self.is_narrow else contexts.MORE_SCANS
+        return int(code_bit(coder, first + min(scans, 3), more, REST_MOST))
 
     def _choose_bases(self, coder: Coder, own: Grid, poses: Sequence[tuple[int, int]], box: Box) -> list[Box]:
         """Encode the dependencies; return boxes in which they contradict the self-explored grid."""
