@@ -182,7 +182,8 @@ class Robot:
         if self.settings.replication.digests:
             self.replication.salt = zlib.crc32(sense.readings + sense.range_scan, sense.step) % SALTS
         encoding, replication = self._encoding, self.replication
-        if encoding.retractable and not self._withheld and replication.retract(encoding.retractable):
+        may_retract = encoding.retractable and not encoding.is_settled and not self._withheld
+        if may_retract and replication.retract(encoding.retractable):
             encoding.retract_last()
         delivered = replication.delivered() and not self._withheld
         if delivered:

@@ -41,7 +41,7 @@ PENALTY = 3e-4
 """Weight of half the sum of the squared logarithms of the factors, against the mean code length in nats."""
 
 COUNTED = np.array(
-    [*range(SAME_MOTION, BASES + 2 * NUMBER), *range(MORE_SCANS_NARROW, MORE_SCANS_NARROW + 16)], np.int32
+    [*range(SAME_MOTION, BASES + 2 * NUMBER), *range(MORE_SCANS_NARROW, MORE_SCANS_NARROW + 4)], np.int32
 )
 """Contexts that begin with other counts than on wide media: those of far poses, of dependencies, and of more scans."""
 

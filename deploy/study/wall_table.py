@@ -41,8 +41,8 @@ FIRST_SEED = 100
 TURNS = 8
 """Robots, and steps from one update of a robot to the next."""
 
-BYTES = 15
-"""Bytes after which an update has no further scan."""
+BYTES = 20
+"""The limit of an update."""
 
 STEPS = 400
 
@@ -80,7 +80,7 @@ def train_on(
                 continue
             box = bounding_box(own.boxes)
             stream.model = model
-            encoded = stream.encode(own.grid, own.poses, box, most=BYTES)
+            encoded = stream.encode(own.grid, own.poses, box)
             model = stream.model
             sent = len(own.poses)
             if encoded is not None:
