@@ -21,6 +21,7 @@ from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
 from protocol.keys import Keys
 from protocol.map_parts import FinalMaps
+from protocol.message_codec import pack
 from protocol.messages import (
     Close,
     Configure,
@@ -37,7 +38,6 @@ from protocol.messages import (
     Shutdown,
     Watched,
     clip,
-    pack,
 )
 
 

@@ -33,18 +33,12 @@ from agent.settings import Settings
 from agent.strategies.base import Cell, Decision, Pose, Situation
 from agent.strategies.registry import strategy
 from agent.team_state import TeamState
-from protocol import packet_index, packets
+from protocol import packet_codec, packet_index
 from protocol.body import narrowest_opening
+from protocol.cell_bytes import cells_to_bytes, points_to_bytes
 from protocol.errors import ProtocolError
 from protocol.grid import OCCUPIED, Grid
-from protocol.messages import (
-    MAX_WAY_CELLS,
-    Move,
-    RoundReport,
-    Sense,
-    cells_to_bytes,
-    points_to_bytes,
-)
+from protocol.messages import MAX_WAY_CELLS, Move, RoundReport, Sense
 from protocol.packets import SALTS, Held, HeldEarly, LogDigest
 
 SURE_AFTER = 10
@@ -188,7 +182,8 @@ class Robot:
         if self.settings.replication.digests:
             self.replication.salt = zlib.crc32(sense.readings + sense.range_scan, sense.step) % SALTS
         encoding, replication = self._encoding, self.replication
-        if encoding.retractable and not self._withheld and replication.retract(encoding.retractable):
+        may_retract = encoding.retractable and not encoding.is_settled and not self._withheld
+        if may_retract and replication.retract(encoding.retractable):
             encoding.retract_last()
         delivered = replication.delivered() and not self._withheld
         if delivered:
@@ -212,13 +207,13 @@ class Robot:
         announced = self._announcements.next_packets(team.step, in_range, relays=relays)
         if relays:
             announced += team.relayed.forward(team.step, before, in_range, team.poses, team.targets)
-        return packets.encode(announced) + self.replication.announcements() or None
+        return packet_codec.encode(announced) + self.replication.announcements() or None
 
     def receive_broadcast(self, peer: int, payload: bytes) -> None:
         """Process a teammate's broadcast of poses, targets and digests."""
         team = self._team
         try:
-            received = packets.broadcast(payload)
+            received = packet_codec.broadcast(payload)
         except ProtocolError as error:
             self.faults.append(Fault(peer, str(error)))
             return

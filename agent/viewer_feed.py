@@ -9,8 +9,9 @@ import numpy as np
 from agent.outline.polygons import SIDE_X, SIDE_Y, Polygons
 from agent.robot import Robot
 from agent.settings import Settings
+from protocol.cell_bytes import grid_to_bytes
 from protocol.grid import Grid
-from protocol.messages import MapChanges, Outlines, Snapshot, grid_to_bytes
+from protocol.messages import MapChanges, Outlines, Snapshot
 
 SHOWN_EVERY = 5
 """Steps from one feed to the next."""

@@ -64,7 +64,7 @@ def messages_page() -> str:
         "| no. | message | fields | meaning |",
         "|---|---|---|---|",
     ]
-    for number, kind in enumerate(messages._TYPES):
+    for number, kind in enumerate(messages.TYPES):
         meaning = " ".join((inspect.getdoc(kind) or "").split()).replace("|", r"\|")
         lines.append(f"| {number} | `{kind.__name__}` | {', '.join(kind.__struct_fields__)} | {meaning} |")
     lines += ["", "## Rights", "", "| sender | receiver | messages |", "|---|---|---|"]

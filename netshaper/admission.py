@@ -23,7 +23,7 @@ from msgspec.structs import replace
 from netshaper.frame_log import Content
 from netshaper.ledger import ANSWER, BROADCAST, DATA, KIND_NUMBER, NEWS, OFFER
 from netshaper.settings import RadioSettings
-from protocol import packets
+from protocol import packet_codec, packets
 from protocol.errors import ProtocolError
 from protocol.packet_index import NO_PACKETS, PacketIndex, cache_short, index_of
 from protocol.packets import Check, From, FromEarly, Held, HeldEarly, LogDigest, Offer
@@ -83,7 +83,7 @@ _BROADCAST = re.compile(r"(?=.)p?t?(Pt?)*d?h*")
 def is_broadcast(payload: bytes) -> bool:
     """Return whether a frame is a broadcast: all packets are optional, but robots come once and ascending."""
     try:
-        content = packets.broadcast(payload)
+        content = packet_codec.broadcast(payload)
     except ProtocolError:
         return False
     kinds = "".join(_LETTERS.get(type(packet), "?") for packet in content)
@@ -111,7 +111,7 @@ def content_of(kind: int, payload: bytes, problem: str = "") -> Content:
 def read_offer(maps: int, payload: bytes) -> Content:
     """Read the frame of an offer."""
     try:
-        content = packets.handshake(payload)
+        content = packet_codec.handshake(payload)
     except ProtocolError as error:
         return content_of(OFFER, payload, str(error))
     offer = content[0] if len(content) == 1 else None
@@ -124,12 +124,12 @@ def read_offer(maps: int, payload: bytes) -> Content:
 def read_answer(payload: bytes) -> Content:
     """Read the frame of an answer."""
     try:
-        kinds = [type(packet) for packet in packets.handshake(payload)]
+        kinds = [type(packet) for packet in packet_codec.handshake(payload)]
     except ProtocolError as error:
         return content_of(ANSWER, payload, str(error))
     is_answer = kinds[-1:] == [packets.Answer] and kinds[:-1] in ([], [packets.Block], 2 * [packets.Block])
     problem = "an answer frame is an answer behind at most two blocks, or a decline"
-    return content_of(ANSWER, payload, "" if is_answer or payload == packets.DECLINE else problem)
+    return content_of(ANSWER, payload, "" if is_answer or payload == packet_codec.DECLINE else problem)
 
 
 @cache_short(64)
@@ -192,7 +192,7 @@ def _conn_packets(payload: bytes, index: PacketIndex) -> list[packets.AnyPacket]
     if index.kinds.count(_CONN) > MAX_REPORTS:
         raise ProtocolError(Offer.name, 0, f"{index.kinds.count(_CONN)} reports; at most {MAX_REPORTS}")
     return [
-        packets.decode(payload[end - size : end])[0]
+        packet_codec.decode(payload[end - size : end])[0]
         for kind, size, end in zip(index.kinds, index.sizes, index.ends, strict=True)
         if kind == _CONN
     ]

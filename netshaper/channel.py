@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from netshaper.channel_options import ChannelOptions
 from netshaper.ledger import CAUSES
-from protocol import packets
+from protocol import packet_codec
 from protocol.keyed_random import keyed_random
 from protocol.packets import Check
 
@@ -118,7 +118,7 @@ def flip(frame: bytes, bit_errors: float, random: np.random.Generator) -> bytes:
 
 def with_checksum(frame: bytes) -> bytes:
     """Append the checksum to a frame: CRC-16 with x^16 + x^12 + x^5 + 1, as in IEEE 802.15.4 and LoRa."""
-    return frame + packets.encode([Check(binascii.crc_hqx(frame, 0))])
+    return frame + packet_codec.encode([Check(binascii.crc_hqx(frame, 0))])
 
 
 def without_checksum(frame: bytes) -> bytes | None:

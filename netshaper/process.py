@@ -21,6 +21,7 @@ from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
 from protocol.faults import RADIO_KINDS
 from protocol.keys import Keys
+from protocol.message_codec import pack
 from protocol.messages import (
     MAX_NAME,
     Back,
@@ -45,7 +46,6 @@ from protocol.messages import (
     Stop,
     Watched,
     clip,
-    pack,
 )
 from protocol.rights import MAX_PROTOCOL_ERRORS, MAX_STEP_BYTES, TOO_MANY_BYTES, TOO_MANY_ERRORS
 

@@ -52,6 +52,14 @@ def bounding_box(boxes: Iterable[Sequence[int]]) -> Box:
     return min(x0), min(y0), max(x1), max(y1)
 
 
+def box_of(cells: NDArray[np.bool_]) -> Box:
+    """Return the smallest box that contains all true cells of an array of shape (h, w); `NO_BOX` if there are none."""
+    rows, columns = np.flatnonzero(cells.any(axis=1)), np.flatnonzero(cells.any(axis=0))
+    if not len(rows):
+        return NO_BOX
+    return int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1
+
+
 @kernel
 def clip(box: Int32s, margin: int, shape: tuple[int, int], out: Int32s) -> None:
     """Write to `out` the part of a box, enlarged by `margin` cells on each side, that lies on the grid."""

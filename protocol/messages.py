@@ -3,25 +3,19 @@
 A message is a msgpack list: its number, then its fields in order. The type of each field limits its range and length
 (`Step` and so on), so a receiver rejects all other bytes. `protocol.rights` has the senders and receivers of each.
 
-Cells are little-endian int16 pairs (`cells_to_bytes`), readings little-endian uint16 (`protocol.scans`), grids two bits
-per cell.
+Cells and grids are bytes (`protocol.cell_bytes`), and so are readings (`protocol.scans`). `protocol.message_codec`
+writes and reads messages.
 """
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable
-from functools import partial
-from typing import Annotated, Any, Union
+from typing import Annotated
 
 import msgspec
-import numpy as np
-from msgspec import Meta, inspect
-from numpy.typing import NDArray
+from msgspec import Meta
 
 from protocol.budget import Budget
-from protocol.errors import ProtocolError
-from protocol.grid import FINE, MAX_ROBOTS, MAX_SIDE, Grid
+from protocol.grid import FINE, MAX_ROBOTS, MAX_SIDE
 
 MAX_STEPS = 2**31 - 1
 MAX_CELLS = MAX_SIDE * MAX_SIDE
@@ -135,7 +129,7 @@ class Move(Record, tag=3, frozen=True):
 
     `explored`: its planning grid has no reachable frontier, and the robot is at the end of its mission. `stalled`: it
     cannot make progress. `look`: whether it scans on the way. `points`: if not empty, way points to drive along
-    instead of cells (`points_to_bytes`).
+    instead of cells (`protocol.cell_bytes.points_to_bytes`).
     """
 
     step: Step
@@ -437,7 +431,7 @@ class MapPart(Record, tag=17, frozen=True):
 
 
 class Snapshot(Record, tag=20, frozen=True):
-    """Robot to viewer, at intervals: its planning grid (`grid_to_bytes`)."""
+    """Robot to viewer, at intervals: its planning grid (`protocol.cell_bytes.grid_to_bytes`)."""
 
     step: Step
     width: SideLength
@@ -496,147 +490,12 @@ class ErrorReport(Record, tag=18, frozen=True):
     reason: Text
 
 
-_TYPES = tuple(sorted(Record.__subclasses__(), key=lambda kind: int(kind.__struct_config__.tag or 0)))
+TYPES: tuple[type[Record], ...] = tuple(
+    sorted(Record.__subclasses__(), key=lambda kind: int(kind.__struct_config__.tag or 0))
+)
 """All messages, by their number."""
-_HEAD = {kind: 0x90 | len(kind.__struct_fields__) + 1 for kind in _TYPES}
-"""First byte of each message: the msgpack head of a list with this number of items."""
-
-_NOT_DECODED = msgspec.DecodeError, RecursionError, UnicodeDecodeError
-
-pack: Callable[[Record], bytes] = msgspec.msgpack.Encoder().encode
-"""Write a message."""
-
-
-def unpacker(
-    kinds: tuple[type[Record], ...], sender: str, limit: int = MAX_PAYLOAD
-) -> Callable[[bytes], Any]:
-    """Return a decoder of the messages that `sender` may send; it rejects all others with ProtocolError.
-
-    It rejects a payload that is longer than `limit`, or than the longest of these messages, before it decodes it.
-    """
-    if not kinds:
-        return partial(_refuse_all, sender)
-    read: Callable[[bytes], Any] = msgspec.msgpack.Decoder(Union[kinds]).decode  # noqa: UP007  a union of a tuple
-    most = min(limit, max(max_bytes(inspect.type_info(kind)) for kind in kinds))
-
-    def unpack_one(payload: bytes) -> Any:
-        if len(payload) > most:
-            raise ProtocolError("message", 0, f"{len(payload)} bytes; {sender} may send at most {most}")
-        try:
-            message = read(payload)
-        except _NOT_DECODED as error:
-            raise _malformed(payload, kinds, sender, str(error)) from None
-        # Fields with a default must be present as well.
-        if payload[0] != _HEAD[type(message)]:
-            raise _malformed(payload, kinds, sender, "its list has not the shortest form of msgpack")
-        return message
-
-    return unpack_one
-
-
-MAX_EXPLAINED = 1 << 16
-"""Maximum bytes of a malformed message that is decoded again, to name the field that is wrong."""
-HEAD_BYTES = 9
-"""Maximum size of a number, or of a length field, in msgpack."""
-
-
-def max_bytes(kind: inspect.Type) -> int:
-    """Bytes of the longest message of a kind: its fields at their maximum, each with the longest head of msgpack."""
-    match kind:
-        case inspect.BytesType(max_length=int(most)):
-            return HEAD_BYTES + most
-        case inspect.StrType(max_length=int(most)):
-            return HEAD_BYTES + 4 * most
-        case inspect.ListType(item_type=item, max_length=int(most)):
-            frames = _frames_in(item)
-            item_bytes = max_bytes(item) - frames * MAX_FRAME
-            return HEAD_BYTES + most * item_bytes + (MAX_FRAMES if frames else 0)
-        case inspect.UnionType(types=kinds):
-            return max(map(max_bytes, kinds))
-        case inspect.StructType(fields=parts):
-            return HEAD_BYTES + sum(max_bytes(part.type) for part in parts)
-        case inspect.IntType() | inspect.BoolType() | inspect.NoneType():
-            return HEAD_BYTES
-    raise TypeError(f"{kind} has no maximum size")
-
-
-def _frames_in(kind: inspect.Type) -> int:
-    """Count the frames in an item of a list; all frames of a list have at most `MAX_FRAMES` bytes."""
-    match kind:
-        case inspect.BytesType(max_length=most):
-            return int(most == MAX_FRAME)
-        case inspect.StructType(fields=parts):
-            return sum(_frames_in(part.type) for part in parts)
-    return 0
-
-
-unpack = unpacker(_TYPES, "a participant")
-"""Decode a message of any kind, from any sender; ProtocolError if it is malformed."""
-
-
-def _refuse_all(sender: str, _: bytes) -> Any:
-    raise ProtocolError("message", 0, f"{sender} may send no message here")
-
-
-def _malformed(payload: bytes, kinds: tuple[type[Record], ...], sender: str, reason: str) -> ProtocolError:
-    """Return the error of a malformed message; it names the field to which the path in msgspec's `reason` leads."""
-    if len(payload) > MAX_EXPLAINED:
-        return ProtocolError("message", 0, f"{len(payload)} malformed bytes: {reason}")
-    try:
-        items = msgspec.msgpack.decode(payload)
-    except _NOT_DECODED as error:
-        return ProtocolError("message", 0, f"not msgpack ({error})")
-    number = items[0] if isinstance(items, list) and items else None
-    if type(number) is not int or not 0 <= number < len(_TYPES):
-        return ProtocolError("message", 0, "not a list that begins with the number of a message")
-    kind = _TYPES[number]
-    if kind not in kinds:
-        return ProtocolError(kind.__name__, 0, f"{sender} may not send it here")
-    fields = kind.__struct_fields__
-    if len(items) != len(fields) + 1:
-        return ProtocolError(kind.__name__, 0, f"{len(items) - 1} fields instead of {len(fields)}")
-    if path := re.search(r" - at `\$\[(\d+)\](.*)`$", reason):
-        reason = f"{fields[int(path[1]) - 1]}{path[2]}: {reason[: path.start()]}"
-    return ProtocolError(kind.__name__, 0, reason)
 
 
 def clip(text: str) -> str:
     """Cut a text to the maximum length of a field."""
     return text if len(text) <= MAX_TEXT else text[: MAX_TEXT - 1] + "…"
-
-
-def cells_to_bytes(cells: NDArray[np.int32]) -> bytes:
-    """Write cells, shape (n, 2), as little-endian int16 pairs x, y."""
-    return cells.astype("<i2").tobytes()
-
-
-def cells_from_bytes(data: bytes) -> NDArray[np.int32]:
-    """Read the output of `cells_to_bytes`."""
-    return np.frombuffer(data, "<i2").astype(np.int32).reshape(-1, 2)
-
-
-def grid_to_bytes(grid: Grid) -> bytes:
-    """Write a grid, two bits per cell, the first cell in the highest bits; each row is padded to a whole byte."""
-    padded = np.zeros((grid.shape[0], -(-grid.shape[1] // 4) * 4), np.uint8)
-    padded[:, : grid.shape[1]] = grid
-    return (padded[:, ::4] << 6 | padded[:, 1::4] << 4 | padded[:, 2::4] << 2 | padded[:, 3::4]).tobytes()
-
-
-def grid_from_bytes(data: bytes, width: int, height: int) -> Grid:
-    """Read the output of `grid_to_bytes`; ProtocolError if the length does not fit that size."""
-    row = -(-width // 4)
-    if width < 1 or height < 1 or len(data) != row * height:
-        raise ProtocolError("grid", 0, f"{len(data)} bytes are not {width} x {height} cells")
-    packed = np.frombuffer(data, np.uint8).reshape(height, row)
-    grid = np.stack([packed >> 6, packed >> 4 & 3, packed >> 2 & 3, packed & 3], axis=2)
-    return np.ascontiguousarray(grid.reshape(height, -1)[:, :width])
-
-
-def points_to_bytes(points: NDArray[np.int32]) -> bytes:
-    """Write way points, shape (n, 2), in thousandths of a cell, as little-endian int32 pairs x, y."""
-    return points.astype("<i4").tobytes()
-
-
-def points_from_bytes(data: bytes) -> NDArray[np.int32]:
-    """Read the output of `points_to_bytes`."""
-    return np.frombuffer(data, "<i4").astype(np.int32).reshape(-1, 2)

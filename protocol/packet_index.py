@@ -1,6 +1,6 @@
 """Packet boundaries and kinds of a frame, found in one pass over its bytes without an object per packet.
 
-These kernels accept exactly what `protocol.packets.decode` reads. Where they fail, `decode` gives the error.
+These kernels accept exactly what `protocol.packet_codec.decode` reads. Where they fail, `decode` gives the error.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ import numpy as np
 
 from protocol.arrays import Int32Rows, Int64Rows, ReadOnlyUint8s, Uint8s
 from protocol.kernels import kernel
-from protocol.packets import ALL_KINDS, LAYOUT_BY_BYTE, SHORT_HEAD, decode
+from protocol.packet_codec import LAYOUT_BY_BYTE, decode
+from protocol.packets import ALL_KINDS, SHORT_HEAD
 
 TABLE: Int64Rows = np.array(LAYOUT_BY_BYTE, np.int64)
 """Layout of the packets that start with each byte, shape (256, 7); columns as in `LAYOUT_BY_BYTE`."""
@@ -81,7 +82,7 @@ def cache_short(
 def index_of(frame: bytes) -> PacketIndex:
     """Find the packets of a frame; several callers that hold the same frame get the same index.
 
-    Raises ProtocolError as `protocol.packets.decode`.
+    Raises ProtocolError as `protocol.packet_codec.decode`.
     """
     kinds = np.empty(len(frame), np.uint8)
     places = np.empty((2, len(frame)), np.int32)

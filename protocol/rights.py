@@ -12,6 +12,7 @@ from typing import Any
 
 from protocol import keys as names
 from protocol.keys import RECORDER, RELAY, VIEW, WORLD, Keys
+from protocol.message_codec import unpacker
 from protocol.messages import (
     MAX_PAYLOAD,
     MAX_ROBOT_PAYLOAD,
@@ -43,7 +44,6 @@ from protocol.messages import (
     Stop,
     Watched,
     WorldReport,
-    unpacker,
 )
 
 ROBOT = "robot"

@@ -24,7 +24,8 @@ from protocol.boxes import NO_BOXES, Box, Boxes, bounding_box
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, MAX_SIDE, OCCUPIED, UNKNOWN, Grid, RayTable
 from protocol.kernels import kernel
-from protocol.packets import FRAGMENT_DATA, SHORT_HEAD, Fragment, decode_kind, encode
+from protocol.packet_codec import decode_kind, encode
+from protocol.packets import FRAGMENT_DATA, SHORT_HEAD, Fragment
 
 HIT = 0x8000
 NONE = 0x7FFF

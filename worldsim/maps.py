@@ -30,9 +30,6 @@ _FREE_THRESH = 0.196
 _SHADES = np.array([205, 254, 0], np.uint8)
 """Gray values of unknown, free and occupied cells in written pictures."""
 
-_FORMATS = {".png": "PNG", ".pgm": "PPM"}
-"""Pillow's name of each picture format, by file suffix."""
-
 MOST_RESOLUTION = 1000.0
 """Maximum of meters per cell: messages contain positions in millimeters, as 32-bit integers."""
 MOST_ORIGIN = 1e8
@@ -174,21 +171,18 @@ def _from_picture(
         raise MapError(f"{path}: {error}") from None
 
 
-def save(map_: Map, yaml_path: str | os.PathLike[str], image: str | None = None) -> None:
-    """Write a map as map_server's YAML file and a picture beside it, by default a PNG of the same name.
+def save(map_: Map, yaml_path: str | os.PathLike[str]) -> None:
+    """Write a map as map_server's YAML file and a PNG picture of the same name beside it.
 
     Each file is written atomically, the YAML file last, so that every YAML file has its picture. The map's name is not
     stored: a map has the name of its file.
 
-    Raises MapError if the picture's name has another suffix; OSError if a file cannot be written; the error names it.
+    Raises OSError if a file cannot be written; the error names it.
     """
     yaml_path = Path(yaml_path)
-    image = yaml_path.with_suffix(".png").name if image is None else image
-    image_format = _FORMATS.get(Path(image).suffix.lower())
-    if image_format is None:
-        raise MapError(f"{image}: a map's picture must be .png or .pgm")
+    image = yaml_path.with_suffix(".png")
     entries = {
-        "image": image,
+        "image": image.name,
         "resolution": float(map_.resolution),
         "origin": [float(value) for value in map_.origin],
         "negate": 0,
@@ -197,7 +191,7 @@ def save(map_: Map, yaml_path: str | os.PathLike[str], image: str | None = None)
     }
     text = yaml.safe_dump(entries, sort_keys=False, default_flow_style=None)
     picture = Image.fromarray(_SHADES[map_.cells])
-    write_whole(yaml_path.parent / image, lambda file: picture.save(file, image_format))
+    write_whole(image, lambda file: picture.save(file, "PNG"))
     write_whole(yaml_path, lambda file: file.write(text.encode()))
 
 

@@ -16,6 +16,7 @@ from protocol.arrays import BoolRows, Cells, FloatRows
 from protocol.grid import FREE, Grid, enlarge
 from protocol.kernels import kernel
 from protocol.keyed_random import keyed_random
+from worldsim.largest_part import largest_part
 from worldsim.motion import TAKEN_BY_PERSON, drive, mark_near
 
 WAIT = 2
@@ -81,12 +82,9 @@ class People:
         settings: PeopleSettings,
         seed: int,
     ) -> None:
-        from scipy import ndimage  # noqa: PLC0415  slow to import, and few commands need it
-
         self.radius_cells, self._speed, self._seed = settings.radius_cells, settings.speed, seed
-        labels, parts = ndimage.label((enlarge(truth, settings.radius_cells) == FREE) & reachable)
-        largest = 1 + int(np.argmax(np.bincount(labels.ravel(), minlength=parts + 2)[1:]))
-        self._floor: Grid = np.where(labels == largest, np.uint8(FREE), np.uint8(0))
+        floor = largest_part((enlarge(truth, settings.radius_cells) == FREE) & reachable)
+        self._floor: Grid = np.where(floor, np.uint8(FREE), np.uint8(0))
         rows, columns = np.nonzero(self._floor == FREE)
         self._goals = np.stack([columns, rows], axis=1)
         """Cells that people walk to: those of the largest connected part of the floor."""

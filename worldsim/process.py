@@ -17,6 +17,7 @@ from protocol.errors import ProtocolError
 from protocol.faults import KINDS
 from protocol.grid import FINE
 from protocol.keys import Keys
+from protocol.message_codec import pack
 from protocol.messages import (
     MAX_NAME,
     Back,
@@ -34,7 +35,6 @@ from protocol.messages import (
     Watched,
     WorldReport,
     clip,
-    pack,
 )
 from protocol.rights import MAX_PROTOCOL_ERRORS, TOO_MANY_ERRORS
 from worldsim.barrier import Barrier

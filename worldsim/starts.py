@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from protocol.grid import FREE, Grid
 from protocol.keyed_random import keyed_random
+from worldsim.largest_part import largest_part
 
 Cell = tuple[int, int]
 
@@ -34,14 +35,13 @@ def start_cells(
     chosen = list(given[:robots])
     if len(chosen) == robots:
         return chosen
-    labels, parts = _parts(truth)
-    if not parts:
+    if not (truth == FREE).any():
         raise ValueError("no cell is free for robots of that radius")
     if first is None:
-        largest = 1 + int(np.argmax(np.bincount(labels.ravel(), minlength=parts + 1)[1:]))
-        ys, xs = np.nonzero(labels == largest)
+        largest = largest_part(truth == FREE)
+        ys, xs = np.nonzero(largest)
         pick = int(keyed_random(seed, "start").integers(len(xs)))
-        first = _wide_cell(labels == largest, (int(xs[pick]), int(ys[pick])), wide)
+        first = _wide_cell(largest, (int(xs[pick]), int(ys[pick])), wide)
     check_free(truth, first)
     reached = np.zeros(truth.shape, np.bool_)
     reached[first[1], first[0]] = True
@@ -72,23 +72,14 @@ def _wide_cell(cells: NDArray[np.bool_], cell: Cell, width: int) -> Cell:
     if width <= 1:
         return cell
     square = np.ones((width, width), np.bool_)
-    places, parts = ndimage.label(ndimage.binary_erosion(cells, square))
-    if not parts:
+    largest = largest_part(ndimage.binary_erosion(cells, square))
+    if not largest.any():
         return cell
-    largest = places == 1 + int(np.argmax(np.bincount(places.ravel())[1:]))
     if ndimage.binary_dilation(largest, square)[cell[1], cell[0]]:
         return cell
     rows, columns = np.nonzero(largest)
     nearest = int(np.argmin((columns - cell[0]) ** 2 + (rows - cell[1]) ** 2))
     return int(columns[nearest]), int(rows[nearest])
-
-
-def _parts(truth: Grid) -> tuple[NDArray[np.int32], int]:
-    """Label the 4-connected components of the free cells from 1 on; return the labels and their number."""
-    from scipy import ndimage  # noqa: PLC0415  slow to import, and few commands need it
-
-    labels, parts = ndimage.label(truth == FREE)
-    return labels, int(parts)
 
 
 def jittered(
@@ -98,8 +89,10 @@ def jittered(
 
     Raises ValueError if `cell` is not free, or no cell near it is far enough from the others.
     """
+    from scipy import ndimage  # noqa: PLC0415  slow to import, and few commands need it
+
     check_free(truth, cell)
-    labels, _ = _parts(truth)
+    labels, _ = ndimage.label(truth == FREE)
     ys, xs = np.nonzero(labels == labels[cell[1], cell[0]])
     near = (xs - cell[0]) ** 2 + (ys - cell[1]) ** 2 <= most * most
     for x, y in others:

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from protocol.arrays import BoolRows
 from protocol.body import Body, narrowest_opening
+from protocol.cell_bytes import cells_from_bytes, cells_to_bytes, points_from_bytes
 from protocol.grid import FINE, FREE, Grid, RayTable, disc, enlarge, ray_table
 from protocol.kernels import kernel
 from protocol.keyed_random import keyed_random
-from protocol.messages import FaultEvent, Move, Sense, cells_from_bytes, cells_to_bytes, points_from_bytes
+from protocol.messages import FaultEvent, Move, Sense
 from protocol.scans import NONE, draw
 from worldsim.base import BaseWorld
 from worldsim.laser import FULL_TURN, HEADINGS, cast

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from agent.bodies.ros2 import BodySettings, Ros2Body
+from protocol.boxes import NO_BOX, box_of
 from protocol.grid import UNKNOWN, Grid, disc
 from protocol.map_frame import MapFrame
 from protocol.map_part import MapPart, encode_map_part
@@ -86,9 +87,8 @@ class MapBody(Ros2Body):
         if self._states is None:
             self._states = self._map.states(self._grid, self._settings.map_pose)
         states = np.where(self._near != 0, self._states, np.uint8(UNKNOWN))
-        known = states != UNKNOWN
-        rows, columns = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
-        if not len(rows):
+        box = box_of(states != UNKNOWN)
+        if box == NO_BOX:
             return b""
-        x0, y0, x1, y1 = int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1
-        return encode_map_part(MapPart((x0, y0, x1, y1), states[y0:y1, x0:x1]))
+        x0, y0, x1, y1 = box
+        return encode_map_part(MapPart(box, states[y0:y1, x0:x1]))

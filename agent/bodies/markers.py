@@ -7,8 +7,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from agent.planning.frontier import frontier_cells
 from protocol.arrays import Cells
-from protocol.grid import FREE, UNKNOWN, Grid
+from protocol.grid import FREE, Grid
 from protocol.map_frame import MapFrame
 from protocol.ros2.messages import MARKERS, POINT, Messages
 from protocol.transforms import Pose
@@ -34,25 +35,13 @@ class Layer(NamedTuple):
     color: tuple[float, float, float]
 
 
-def frontier_cells(grid: Grid) -> Cells:
-    """Return the free cells of a grid beside unknown ones, as (x, y), shape (n, 2), and only some if there are many."""
-    free, unknown = grid == FREE, grid == UNKNOWN
-    beside = np.zeros_like(free)
-    beside[1:] |= unknown[:-1]
-    beside[:-1] |= unknown[1:]
-    beside[:, 1:] |= unknown[:, :-1]
-    beside[:, :-1] |= unknown[:, 1:]
-    rows, columns = np.nonzero(free & beside)
-    cells = np.stack([columns, rows], axis=1).astype(np.int32)
-    return cells[:: len(cells) // MOST_POINTS + 1]
-
-
 def layers(grid: Grid, target: tuple[int, int] | None, teammates: Sequence[tuple[int, int]]) -> list[Layer]:
     """Return the markers of a robot: a grid's frontiers, its target, and the cells of its teammates."""
+    frontier = frontier_cells(grid, grid == FREE)
     own = np.array([target] if target else [], np.int32).reshape(-1, 2)
     others = np.array(teammates, np.int32).reshape(-1, 2)
     return [
-        Layer("frontiers", POINTS, frontier_cells(grid), 0.05, (0.1, 0.6, 1.0)),
+        Layer("frontiers", POINTS, frontier[:: len(frontier) // MOST_POINTS + 1], 0.05, (0.1, 0.6, 1.0)),
         Layer("target", SPHERE_LIST, own, 0.3, (1.0, 0.3, 0.1)),
         Layer("teammates", SPHERE_LIST, others, 0.4, (0.2, 0.8, 0.2)),
     ]

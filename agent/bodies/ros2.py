@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.bodies.own_map import OwnMap
+from protocol.cell_bytes import cells_from_bytes, points_from_bytes
 from protocol.grid import FINE
 from protocol.map_frame import MapFrame
-from protocol.messages import Move, Sense, cells_from_bytes, points_from_bytes
+from protocol.messages import Move, Sense
 from protocol.range_scans import TURN, UNIT, Laser
 from protocol.ros2.messages import nanoseconds
 from protocol.transforms import Pose, TransformBuffer, pose_of

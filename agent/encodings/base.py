@@ -48,6 +48,8 @@ class MapEncoding(ABC):
     """Whether robots must have lasers or poses with errors: it encodes ranges in meters."""
     retractable: int = 0
     """Packets at the end of this robot's log that `retract_last` may still remove; 0: the log is final."""
+    is_settled: bool = False
+    """Whether packets that are encoded again instead of these would hardly differ."""
     urgency: float | None = None
     """How much the packets added last change the plans of teammates, per byte; None: packets have no ranks."""
 

@@ -11,7 +11,7 @@ from agent.encodings.scans import ScanEncoding
 from agent.encodings.slam_toolbox import SlamToolboxEncoding
 from agent.encodings.zstd_maps import ZstdMapEncoding
 from agent.settings import Settings
-from protocol import packets
+from protocol import packet_codec, packets
 from protocol.errors import ProtocolError, shown
 from protocol.plugins import Plugins
 
@@ -56,7 +56,7 @@ def check_entries(encoding: MapEncoding, entries: object) -> None:
         raise ValueError(f"{where}, list[bytes]; it returned {shown(entries)}; {hint}")
     for entry in entries:
         try:
-            kinds = [packet.name for packet in packets.decode(entry)]
+            kinds = [packet.name for packet in packet_codec.decode(entry)]
         except ProtocolError as error:
             raise ValueError(f"{where}; {shown(entry)} is none: {error}; {hint}") from None
         if len(kinds) != 1 or kinds[0] not in packets.MAP_KINDS:

@@ -38,8 +38,9 @@ from agent.predictive.urgent_tile_author import UrgentTileAuthor
 from agent.settings import Settings
 from protocol.errors import ProtocolError
 from protocol.grid import Grid, ray_table
+from protocol.packet_codec import decode_kind, encode
 from protocol.packet_index import cache_short
-from protocol.packets import UPDATE_NUMBERS, Update, decode_kind, encode
+from protocol.packets import UPDATE_NUMBERS, Update
 from protocol.range_scans import RangeScan
 from protocol.scans import Change, Scan
 
@@ -120,7 +121,7 @@ class PredictiveEncoding(GridEncoding):
             return TileStream(map_id, grid, histories, self._scratch, team=team, base_maps=maps)
         body = settings.bodies[settings.author_of(map_id)]
         beams, limits = ray_table(body.range_cells, settings.beams), self._limits
-        narrow = NarrowBand(body.speed, limits.step_bytes) if limits.is_narrow else None
+        narrow = NarrowBand(body.speed, int(limits.step_bytes)) if limits.is_narrow else None
         return ScanStream(
             map_id, grid, beams, histories, self._scratch, team=team, base_maps=maps, narrow=narrow
         )
@@ -161,7 +162,8 @@ class PredictiveEncoding(GridEncoding):
         author.add(scan, change)
         if not author.has_changes:
             return []
-        self.retractable = 0
+        if delivered or not self.is_settled:
+            self.retractable = 0
         if not delivered or self._bases_changed or not author.is_due(own, self.log_odds, self.received):
             return []
         return self._encode_pending(own)
@@ -191,8 +193,11 @@ class PredictiveEncoding(GridEncoding):
             self._note_dependency(map_id, self._last)
             updates += 1
             size += len(message)
+            if limits.is_narrow:  # a single update can be retracted
+                break
         log.packets += len(packets)
         self.retractable = len(packets) if updates == 1 else 0
+        self.is_settled = author.is_full
         return packets
 
     def has_news(self, *, delivered: bool) -> bool:
@@ -336,7 +341,7 @@ class PredictiveEncoding(GridEncoding):
                     self._undecoded.add(map_id)
         for update in self._histories[own].between(0, len(self._histories[own])):
             self._count_votes(update)
-        self._bases_changed = 1
+        self._bases_changed, self.is_settled = 1, False
 
     def _decode_waiting(self, step: int, sender: int) -> None:
         """Decode all updates whose dependencies are there; a malformed update ends its log."""
@@ -359,6 +364,7 @@ class PredictiveEncoding(GridEncoding):
         update = self._decode(map_id, messages[number], step, sender) if number < len(messages) else None
         if update is not None:
             self._count_votes(update, map_id)
+            self.is_settled = False
         return update is not None
 
     def _decode(self, map_id: int, message: bytes, step: int, sender: int) -> DecodedUpdate | None:

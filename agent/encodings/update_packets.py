@@ -13,6 +13,7 @@ import math
 from dataclasses import dataclass
 
 from agent.settings import Settings
+from protocol.packet_codec import encode
 from protocol.packets import (
     EARLY,
     LONG_UPDATE_DATA,
@@ -23,7 +24,6 @@ from protocol.packets import (
     FromEarly,
     Target,
     Update,
-    encode,
 )
 
 ENOUGH_STEPS = 4
@@ -36,7 +36,10 @@ PACKETS_A_STEP = 3
 """Packets that the budget of a step holds, unless it is very small."""
 
 NARROW = 42
-"""Bytes per step below which walls in scans are coded by mixed predictions (`agent.predictive.wall_model`)."""
+"""Bytes per step below which scans are coded by better predictions (`agent.predictive.scan_stream.NarrowBand`)."""
+
+FILLED_PACKETS = 2
+"""Packets of a full update that fill the budget of a step each. With more, robots wait longer for their turn."""
 
 LONG_FRAGMENT = 32
 """Bytes of content of a packet from which updates of tiles, most of which take several packets, are split into packets
@@ -52,7 +55,10 @@ class UpdateLimits:
     fragment_bytes: int
     """Bytes of content of a packet that another one of the same update follows."""
     step_bytes: float
-    """Bytes after which a step encodes no more: changes that wait can still be merged with later ones."""
+    """Bytes after which a step encodes no more: changes that wait can still be merged with later ones.
+
+    If `is_narrow`, the limit of an update. With `fills`, it takes `FILLED_PACKETS` packets, which fill as many steps.
+    """
     wait_steps: int
     """Steps for which few new cells wait (`ENOUGH_STEPS`)."""
     fills: int = 0
@@ -61,7 +67,7 @@ class UpdateLimits:
     With such a budget, only one robot sends updates in a step, and updates rank by their new cells per byte.
     """
     is_narrow: bool = False
-    """Whether the budget of a step is below `NARROW`."""
+    """Whether the budget of a step is below `NARROW`, and updates contain scans."""
 
     @classmethod
     def of(cls, settings: Settings) -> UpdateLimits:
@@ -70,7 +76,7 @@ class UpdateLimits:
         medium = settings.medium
         if (bandwidth := medium.bandwidth.limit) is not None:
             size = bandwidth // PACKETS_A_STEP - SHORT_HEAD
-            step_bytes, is_narrow = max(bandwidth, 1), bandwidth < NARROW
+            step_bytes, is_narrow = max(bandwidth, 1), bandwidth < NARROW and not settings.shares_tiles
             scarcity = FAIR_SHARE * settings.robots / max(bandwidth, 1)
             wait_steps = min(max(math.ceil(scarcity), 1), ENOUGH_STEPS)
             is_filled = bandwidth < Target.size + 2 * Update.size
@@ -80,6 +86,8 @@ class UpdateLimits:
             size = min(size, medium.frame_bytes - SHORT_HEAD)
             fills = min(fills, medium.frame_bytes)
         size = min(max(size, UPDATE_DATA), LONG_UPDATE_DATA)
+        if is_narrow and fills:
+            step_bytes = FILLED_PACKETS * max(size, fills - FromEarly.size - SHORT_HEAD)
         splits_long = settings.shares_tiles and size >= LONG_FRAGMENT
         return cls(size, size if splits_long else UPDATE_DATA, step_bytes, wait_steps, fills, is_narrow)
 

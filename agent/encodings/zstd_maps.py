@@ -13,6 +13,7 @@ from agent.encodings.compression import compress, decompress
 from agent.encodings.received_grid import GridEncoding
 from agent.settings import Settings
 from protocol import packets
+from protocol.boxes import NO_BOX, box_of
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.range_scans import RangeScan
@@ -96,10 +97,9 @@ class ZstdMapEncoding(GridEncoding):
 
     def _take_over(self, map_id: int, states: Grid, entries: int, *, step: int, sender: int) -> None:
         """Count the last of `entries` complete maps instead of the one before."""
-        rows, columns = np.nonzero(states)
-        if len(rows):
-            x, y = (int(columns.min()), int(columns.max()) + 1), (int(rows.min()), int(rows.max()) + 1)
-            self._reachability.check(map_id, (x[0], y[0], x[1], y[1]), entries, step=step, sender=sender)
+        box = box_of(states != UNKNOWN)
+        if box != NO_BOX:
+            self._reachability.check(map_id, box, entries, step=step, sender=sender)
         before = self._maps.get(map_id)
         changed = np.flatnonzero(states if before is None else states != before).astype(np.int32)
         self._maps[map_id] = states

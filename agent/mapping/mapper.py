@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 from agent.mapping.estimator import LEAST, MOST, SETTLED, Estimator, Int8Grid
 from agent.settings import Settings
 from protocol.boxes import NO_BOX, Box
+from protocol.cell_bytes import cells_from_bytes
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, ray_table
 from protocol.map_part import MapPart, decode_map_part
-from protocol.messages import Sense, cells_from_bytes
+from protocol.messages import Sense
 from protocol.range_scans import (
     NO_MEASUREMENT,
     TURN,

@@ -27,7 +27,8 @@ from protocol.arrays import Int32s, Int64s, ReadOnlyUint8s, Uint8s
 from protocol.boxes import MAX_BOXES, NO_BOXES, Boxes, add_box, bounding_box
 from protocol.errors import ProtocolError
 from protocol.kernels import kernel
-from protocol.packets import ALL_KINDS, LAYOUT_BY_BYTE, MAX_VERTICES, Edit, packet_at
+from protocol.packet_codec import LAYOUT_BY_BYTE, packet_at
+from protocol.packets import ALL_KINDS, MAX_VERTICES, Edit
 
 _EDITS = [ALL_KINDS.index(kind.name) for kind in get_args(Edit)]
 _SIZE = np.array([size if kind in _EDITS else 0 for kind, size, *_ in LAYOUT_BY_BYTE], np.int64)

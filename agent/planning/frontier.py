@@ -50,7 +50,11 @@ class Regions:
         """The runs of rows of each region, and its frontier."""
 
     def frontier(self, floor: Floor, grid: Grid, x: int, y: int) -> Cells:
-        """Return the same as `reachable_frontier`; callers must not modify it."""
+        """Return all frontier cells of `grid` that are reachable from cell (x, y), row by row; not to be modified.
+
+        A diagonal step needs both cells beside it free, so the 4-connected cells of the floor are reachable. A flood
+        fill takes a fraction of the time of a cost field.
+        """
         at = floor.at(x, y)
         for runs, cells in self._known:
             if ((runs[:, 0] <= at) & (at <= runs[:, 1])).any():
@@ -60,15 +64,6 @@ class Regions:
         if floor.free[at]:  # else the runs may join regions
             self._known.append((runs, cells))
         return cells
-
-
-def reachable_frontier(floor: Floor, grid: Grid, x: int, y: int) -> Cells:
-    """Return all frontier cells of `grid` that are reachable from cell (x, y), row by row.
-
-    A diagonal step needs both cells beside it free, so the 4-connected cells of the floor are reachable. A flood fill
-    takes a fraction of the time of a cost field.
-    """
-    return Regions().frontier(floor, grid, x, y)
 
 
 @kernel

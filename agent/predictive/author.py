@@ -25,6 +25,11 @@ class Author(ABC, Generic[AnyStream]):
         """How much the last update changes the plans of teammates, per byte; None: updates have no ranks."""
 
     @property
+    def is_full(self) -> bool:
+        """Whether the last update ended at its limit, so that later changes do not belong to it."""
+        return False
+
+    @property
     @abstractmethod
     def has_changes(self) -> bool:
         """Whether changes may have to be encoded."""

@@ -66,10 +66,9 @@ HAS_TILES = CHANGED + 3
 """Whether an update of tiles has any."""
 
 MORE_SCANS_NARROW = HAS_TILES + 1
-"""On narrow media, whether another scan follows: by whether the last update was at its limit of bytes, whether this one
-is, and by the number of scans so far, at most 3."""
+"""`MORE_SCANS` on narrow media."""
 
-CONTEXTS = MORE_SCANS_NARROW + 16
+CONTEXTS = MORE_SCANS_NARROW + 4
 
 TABLE = Path(__file__).with_name("start.npz")
 """The shipped table: counts trained on generated maps."""

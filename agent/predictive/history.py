@@ -42,7 +42,9 @@ class DecodedUpdate:
     message: bytes = b""
     """The encoded update."""
     bases: tuple[Base, ...] = ()
-    """Dependencies beyond those of the update before, by ascending map ID."""
+    """Dependencies that the update names, by ascending map ID."""
+    ends: tuple[int, ...] = ()
+    """Number of updates of each map on which the update depends, named or not; 0 of its own map."""
     pose: tuple[int, int] | None = None
     """Cell of the author's last scan; None before the first."""
     key: bytes = b""

@@ -51,6 +51,11 @@ class ScanAuthor(Author[ScanStream]):
         """Whether the grid has changed since the last update."""
         return bool(self._pending.boxes)
 
+    @property
+    def is_full(self) -> bool:
+        """Whether the last update ended at its limit, so that later changes do not belong to it."""
+        return self.stream.is_narrow and self.has_changes
+
     def add(self, scan: Scan | RangeScan, change: Change) -> None:
         """Add a scan if it has changed the grid."""
         if change.cells:

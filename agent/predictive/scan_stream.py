@@ -14,11 +14,13 @@ from agent.predictive import contexts
 from agent.predictive.coder import AHEAD, DECODES, FAILED, PLACE, Coder, code_bit, writer, written
 from agent.predictive.contexts import REST_MOST
 from agent.predictive.history import DecodedUpdate
-from agent.predictive.mixer import Model, mixing_coder
+from agent.predictive.mixer import MixingCoder, Model, mixing_coder
 from agent.predictive.pose_model import code_predicted_pose, start_factors
 from agent.predictive.scan_updates import (
     MAX_SCANS,
     STATE,
+    X,
+    Y,
     code_corrections,
     code_scan,
     find_differences,
@@ -33,6 +35,12 @@ from protocol.grid import UNKNOWN, Grid, RayTable
 from protocol.kernels import kernel
 from protocol.packets import Update
 
+NO_LIMIT = 1 << 40
+"""Bytes that no update reaches."""
+
+LEAST_SCAN = 1
+"""Bytes before the last one of an update that must be left when a further scan begins."""
+
 
 @dataclass(frozen=True)
 class NarrowBand:
@@ -40,8 +48,8 @@ class NarrowBand:
 
     speed: float
     """Cells that the author drives in a step."""
-    update_bytes: float
-    """The usual limit of an update."""
+    update_bytes: int
+    """The limit of an update. A scan that does not fit is cut off, and the next update begins with its rest."""
 
     @property
     def milli_speed(self) -> int:
@@ -56,7 +64,7 @@ class ScanStream(Stream):
     """
 
     state: ClassVar[tuple[str, ...]] = (
-        *Stream.state, "_unreported", "_chances", "_ages", "_weights", "_was_full",
+        *Stream.state, "_unreported", "_chances", "_ages", "_weights", "is_cut",
     )  # fmt: skip
 
     def __init__(
@@ -72,8 +80,11 @@ class ScanStream(Stream):
         super().__init__(map_id, grid, *args, **options)
         self._chances, self._ages, self._weights = start_model() if narrow else no_model()
         self._narrow = narrow
-        self._was_full = False
-        """Whether the last update was at its limit, so that more scans wait."""
+        self.is_narrow = narrow is not None
+        self.is_cut = False
+        """Whether the last update ended in the middle of a scan, with whose rest the next one begins."""
+        self._last_byte = narrow.update_bytes - 1 if narrow else NO_LIMIT
+        """Bytes of an update behind which its scan is cut off."""
         self.ray_table = ray_table
         self._reach = int(np.abs(ray_table.cells).max()) + 1
         """Cells around a robot, in each direction, that a scan may change."""
@@ -105,13 +116,14 @@ class ScanStream(Stream):
             Where the grid has changed since the last update.
         most : float, optional
             Bytes after which no further scan is encoded. An update has one scan at least, and at most `MAX_SCANS`.
+            Streams of narrow media have a limit of their own.
 
         Returns
         -------
         (message, update, scans)
-            `scans` is the number of `poses` that the update covers. If it covers all of them, the decoded grid
-            equals `own`; else it holds what these scans show. None if nothing is left to report; the stream is
-            unchanged then.
+            `scans` is the number of `poses` that the update covers. If it covers all of them, and is not cut, the
+            decoded grid equals `own`; else it holds what these scans show. The next update needs the other poses.
+            None if nothing is left to report; the stream is unchanged then.
         """
         size, last = FIRST_BUFFER, (self._before, self._overwritten)
         while True:
@@ -134,7 +146,6 @@ class ScanStream(Stream):
     ) -> tuple[DecodedUpdate | None, int]:
         """Encode an update and apply it to the grid; return it, None if empty, and the number of covered poses."""
         motion, grid, scratch = self._motion, self.grid, self._scratch
-        cells, start = self.ray_table.cells, self.ray_table.start
         contradicted = self._choose_bases(coder, own, poses, bounding_box([box, self._unreported]))
         unreported = bounding_box(
             [self._unreported, *contradicted, *((x, y, x + 1, y + 1) for x, y in poses)]
@@ -142,51 +153,76 @@ class ScanStream(Stream):
         box = bounding_box([box, unreported])
         mixing = mixing_coder(coder[0], coder[1], self.model)
         changed = scans = done = 0
+        if self.is_cut:
+            changed, scans = self._code_scan(coder, mixing, own, changed), 1
         for (x, y), found in zip(poses, self._find_new_cells(own, poses), strict=True):
+            if self.is_cut:
+                break
             shows_more = len(found) > 0
             if self._narrow:  # cells that an earlier scan of this update has revealed do not count
                 shows_more = (grid.reshape(-1)[found] & STATE == UNKNOWN).any()
-            if shows_more and (scans == MAX_SCANS or (scans and coder[0][PLACE] >= most)):
-                break
-            done += 1
             if shows_more:
+                if self._ends(coder, scans, changed) or (changed and coder[0][PLACE] >= most):
+                    break
                 self._code_more(coder, scans, 1)
                 self._code_pose(coder, x, y)
-                changed = code_scan(coder, mixing, grid, own, cells, start, x, y, scratch, changed)
+                changed = self._code_scan(coder, mixing, own, changed)
                 scans += 1
-        if scans < MAX_SCANS:
-            self._code_more(coder, scans, 0)
-        self._unreported = NO_BOX if done == len(poses) else unreported
-        places = _places(grid, own, box) if done == len(poses) else np.empty(0, np.int32)
+            done += not self.is_cut
+        is_complete = done == len(poses) and not self.is_cut
+        self._unreported = NO_BOX if is_complete else unreported
         by_scans = changed
-        changed = code_corrections(coder, grid, own, places, len(places), motion, scratch, changed)
+        if not self.is_cut:
+            if not self._ends(coder, scans, changed):
+                self._code_more(coder, scans, 0)
+            places = _places(grid, own, box) if is_complete else np.empty(0, np.int32)
+            changed = code_corrections(coder, grid, own, places, len(places), motion, scratch, changed)
         return self._decoded(changed if changed >= 0 else -1 - changed, by_scans) if changed else None, done
 
     def _read_content(self, coder: Coder) -> DecodedUpdate:
         """Decode scans and corrections."""
         grid, scratch = self.grid, self._scratch
-        cells, start = self.ray_table.cells, self.ray_table.start
         mixing = mixing_coder(coder[0], coder[1], self.model)
         changed = scans = 0
-        while scans < MAX_SCANS and not coder[0][FAILED]:
+        if self.is_cut:
+            changed, scans = self._code_scan(coder, mixing, grid, changed), 1
+        while not (self._ends(coder, scans, changed) or coder[0][FAILED]):
             if not self._code_more(coder, scans, 0):
                 break
             try:
-                x, y = self._read_pose(coder)
+                self._read_pose(coder)
             except ProtocolError:
                 self._decoded(changed, changed)
                 raise
-            changed = code_scan(coder, mixing, grid, grid, cells, start, x, y, scratch, changed)
+            changed = self._code_scan(coder, mixing, grid, changed)
             scans += 1
         by_scans = changed
-        changed = code_corrections(
-            coder, grid, grid, np.empty(0, np.int32), 0, self._motion, scratch, changed
-        )
+        if not self.is_cut:
+            no_places = np.empty(0, np.int32)
+            changed = code_corrections(coder, grid, grid, no_places, 0, self._motion, scratch, changed)
         update = self._decoded(changed if changed >= 0 else -1 - changed, by_scans)
         if changed < 0:
             height, width = grid.shape
             raise ProtocolError(Update.name, 0, f"a corrected cell is outside the {width} x {height} grid")
         return update
+
+    def _code_scan(self, coder: Coder, mixing: MixingCoder, own: Grid, changed: int) -> int:
+        """Encode or decode a scan from the current pose, and note whether it is cut off.
+
+        Returns the number of cells that the update has changed, of which there were `changed` before.
+        """
+        x, y = int(self._motion[X]), int(self._motion[Y])
+        cells, start, last = self.ray_table.cells, self.ray_table.start, self._last_byte
+        changed = int(
+            code_scan(coder, mixing, self.grid, own, cells, start, x, y, self._scratch, changed, last)
+        )
+        self.is_cut = changed > 0 and _place(coder) >= last
+        return changed
+
+    def _ends(self, coder: Coder, scans: int, changed: int) -> bool:
+        """Whether no scan can follow in this update, so that no bit tells whether one does."""
+        is_full = changed > 0 and _place(coder) >= self._last_byte - LEAST_SCAN
+        return self.is_cut or is_full or scans == MAX_SCANS
 
     def _find_new_cells(self, own: Grid, poses: Sequence[tuple[int, int]]) -> list[NDArray[np.int32]]:
         """Return the cells that each scan reveals and no later one, as indices of the flat grid."""
@@ -208,25 +244,26 @@ class ScanStream(Stream):
 
     def _code_more(self, coder: Coder, scans: int, more: int) -> int:
         """Encode or decode whether another scan follows the first `scans` ones; return it."""
-        if self._narrow is None:
-            return int(code_bit(coder, contexts.MORE_SCANS + min(scans, 3), more, REST_MOST))
-        state = coder[0]
-        is_full = state[PLACE] - AHEAD * state[DECODES] >= self._narrow.update_bytes
-        context = contexts.MORE_SCANS_NARROW + 8 * self._was_full + 4 * is_full + min(scans, 3)
-        more = int(code_bit(coder, context, more, REST_MOST))
-        if not more:
-            self._was_full = bool(is_full)
-        return more
+        first = contexts.MORE_SCANS_NARROW if self.is_narrow else contexts.MORE_SCANS
+        return int(code_bit(coder, first + min(scans, 3), more, REST_MOST))
 
     def _choose_bases(self, coder: Coder, own: Grid, poses: Sequence[tuple[int, int]], box: Box) -> list[Box]:
         """Encode the dependencies; return boxes in which they contradict the self-explored grid."""
         reach = self._reach
-        near = bounding_box([box, *((x - reach, y - reach, x + reach + 1, y + reach + 1) for x, y in poses)])
+        centers = [*poses, self.pose] if self.is_cut and self.pose else poses
+        near = bounding_box(
+            [box, *((x - reach, y - reach, x + reach + 1, y + reach + 1) for x, y in centers)]
+        )
         return [
             update.box
             for update in self._write_bases(coder, own, near)
             if _contradicts(own.reshape(-1), update.places, update.states)
         ]
+
+
+def _place(coder: Coder) -> int:
+    """Return the bytes that an encoder has written, or those that it had written where the decoder is."""
+    return int(coder[0][PLACE] - AHEAD * coder[0][DECODES])
 
 
 def _places(grid: Grid, own: Grid, box: Box) -> NDArray[np.int32]:

@@ -12,7 +12,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from agent.predictive.coder import DECODES, FAILED, NUMBER, Coder, code_bit, code_number, code_signed
+from agent.predictive.coder import (
+    AHEAD,
+    DECODES,
+    FAILED,
+    NUMBER,
+    PLACE,
+    Coder,
+    code_bit,
+    code_number,
+    code_signed,
+)
 from agent.predictive.contexts import (
     ACROSS,
     ALONG,
@@ -110,8 +120,11 @@ def code_scan(
     y: int,
     changes: Cells,
     changed: int,
+    limit: int,
 ) -> int:
     """Cast one scan, beam by beam, and encode or decode the unknown cells along the beams.
+
+    The scan is cut off at the first unknown cell behind `limit` bytes of the update, if the update has any cell.
 
     Parameters
     ----------
@@ -152,6 +165,8 @@ def code_scan(
                 continue
             if known == OCCUPIED:
                 break
+            if changed and state[PLACE] - AHEAD * reads >= limit:
+                return changed
             truth = UNKNOWN if reads else int(own[row, column])
             asked_before = asked
             asked = 1

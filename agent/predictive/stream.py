@@ -69,6 +69,9 @@ class Stream(ABC):
     state: ClassVar[tuple[str, ...]] = ("_counts", "_motion", "depends_on", "_bases_grew", "key")
     """Attributes that an update changes, and that `rollback` restores; the grid is restored from `_overwritten`."""
 
+    is_narrow = False
+    """Whether the medium is narrow. Then an update also depends on all that its bases depend on."""
+
     def __init__(
         self,
         map_id: int,
@@ -89,6 +92,8 @@ class Stream(ABC):
         """Key of the last update (`agent.predictive.history.key_of`)."""
         self.avoided: Set[int] = frozenset()
         """Maps on which no further updates shall depend."""
+        self._bases: list[Base] = []
+        """Dependencies of the last update beyond those of the update before, by ascending map ID."""
         self._scratch = scratch
         bases = range(len(histories) if base_maps is None else base_maps) if team else ()
         self._others = np.array([other for other in bases if other != map_id], np.int64)
@@ -153,31 +158,27 @@ class Stream(ABC):
         now = vars(self)
         self._before = {name: now[name] for name in self.state}
         now |= {name: each.copy() for name, each in self._before.items() if isinstance(each, np.ndarray)}
-        self._overwritten = []
+        self._overwritten, self._bases = [], []
 
     def _add(self, update: DecodedUpdate, message: bytes) -> DecodedUpdate:
         """Append an update to the history, with its message, dependencies, scan cell and key."""
-        assert self._before is not None
-        bases = []
-        for other in np.flatnonzero(self.depends_on > self._before["depends_on"]).tolist():
-            end = int(self.depends_on[other])
-            bases.append(Base(other, end, self.histories[other].between(end - 1, end)[0].key))
-        self.key = key_of(self.key, message, bases)
-        update = replace(update, message=message, bases=tuple(bases), pose=self.pose, key=self.key)
+        self.key = key_of(self.key, message, self._bases)
+        ends = tuple(self.depends_on.tolist())
+        update = replace(
+            update, message=message, bases=tuple(self._bases), ends=ends, pose=self.pose, key=self.key
+        )
         self.histories[self.map_id].append(update)
         return update
 
     def _read_bases(self, coder: Coder) -> bool:
         """Decode the dependencies and apply them to the grid; return whether all of them are there."""
-        first = self.depends_on.copy()
-        none = np.zeros(len(self.depends_on), np.int64)
-        _code_bases(coder, self._others, none, self._bases_grew, self.depends_on)
-        more = np.flatnonzero(self.depends_on > first).tolist()
-        if any(len(self.histories[other]) < self.depends_on[other] for other in more):
-            return False
-        for other in more:
-            for update in self.histories[other].between(int(first[other]), int(self.depends_on[other])):
-                self._overlay(update)
+        more = np.zeros(len(self.depends_on), np.int64)
+        _code_bases(coder, self._others, more, self._bases_grew)
+        for other in np.flatnonzero(more).tolist():
+            end = int(self.depends_on[other] + more[other])
+            if len(self.histories[other]) < end:
+                return False
+            self._depend_on(other, end)
         return True
 
     def _write_bases(self, coder: Coder, own: Grid, near: Box) -> list[DecodedUpdate]:
@@ -189,20 +190,47 @@ class Stream(ABC):
         more = np.zeros(len(self.depends_on), np.int64)
         applied: list[DecodedUpdate] = []
         for other in self._others.tolist():
-            if other in self.avoided:
-                continue
-            history, first = self.histories[other], int(self.depends_on[other])
-            end = len(history)
-            while (number := history.last_near(first, end, near)) >= 0:
-                if _saves_cells(self.grid, own, history.between(number, number + 1)[0].places, *near):
-                    more[other] = number + 1 - first
-                    break
-                end = number
-            for update in history.between(first, first + int(more[other])):
-                self._overlay(update)
-                applied.append(update)
-        _code_bases(coder, self._others, more, self._bases_grew, self.depends_on)
+            first = int(self.depends_on[other])
+            if end := self._find_base(other, own, near):
+                more[other] = end - first
+                applied += self._depend_on(other, end)
+        _code_bases(coder, self._others, more, self._bases_grew)
         return applied
+
+    def _find_base(self, other: int, own: Grid, near: Box) -> int:
+        """Return the number of updates of a map up to the last one that saves cells; 0 if no further one does."""
+        history, first = self.histories[other], int(self.depends_on[other])
+        end = len(history)
+        while (number := history.last_near(first, end, near)) >= 0:
+            update = history.between(number, number + 1)[0]
+            is_avoided = other in self.avoided or (
+                self.is_narrow and any(update.ends[each] > self.depends_on[each] for each in self.avoided)
+            )
+            if not is_avoided and _saves_cells(self.grid, own, update.places, *near):
+                return number + 1
+            end = number
+        return 0
+
+    def _depend_on(self, other: int, end: int) -> list[DecodedUpdate]:
+        """Depend on the updates of a map before number `end`, and apply them to the grid; return them.
+
+        On a narrow medium, also on all updates on which the last of them depends.
+        """
+        last = self.histories[other].between(end - 1, end)[0]
+        self._bases.append(Base(other, end, last.key))
+        before = self.depends_on.copy()
+        self.depends_on[other] = end
+        if self.is_narrow:
+            self.depends_on = np.maximum(self.depends_on, last.ends)
+            self.depends_on[self.map_id] = 0
+        updates = [
+            update
+            for each in np.flatnonzero(self.depends_on > before).tolist()
+            for update in self.histories[each].between(int(before[each]), int(self.depends_on[each]))
+        ]
+        for update in updates:
+            self._overlay(update)
+        return updates
 
     def _read_pose(self, coder: Coder) -> tuple[int, int]:
         """Decode the cell of a scan; ProtocolError if it lies outside the grid."""
@@ -240,13 +268,12 @@ class Stream(ABC):
 
 
 @kernel
-def _code_bases(coder: Coder, maps: Int64s, more: Int64s, bases_grew: Bools, depends_on: Int64s) -> None:
-    """Code the number of further updates of each map, `more`, and add it to `depends_on`."""
+def _code_bases(coder: Coder, maps: Int64s, more: Int64s, bases_grew: Bools) -> None:
+    """Encode or decode the number of further updates of each map, `more`."""
     for other in maps:
         row = BASES + NUMBER * int(bases_grew[other])
-        number = code_number(coder, row, more[other], REST_MOST)
-        bases_grew[other] = number > 0
-        depends_on[other] += number
+        more[other] = code_number(coder, row, more[other], REST_MOST)
+        bases_grew[other] = more[other] > 0
 
 
 @kernel

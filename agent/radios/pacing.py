@@ -10,6 +10,7 @@ Four rules hold at the same time, each a small class or function of its own:
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Callable
 
 from protocol.keyed_random import keyed_random
@@ -120,13 +121,8 @@ class Pacer:
             return 0
         room = min(self._bucket.room(now), self._frame_bytes)
         left = self._duty_cycle.room(now)
-        if self._airtime(room) <= left:
-            return room
-        low, high = 0, room  # the airtime grows with the size
-        while low < high:
-            middle = (low + high + 1) // 2
-            low, high = (middle, high) if self._airtime(middle) <= left else (low, middle - 1)
-        return low
+        fitting = bisect_right(range(room + 1), left, key=self._airtime)  # the airtime grows with the size
+        return max(0, fitting - 1)
 
     def schedule(self, size: int, now: int) -> int:
         """Note a frame of `size` bytes, for which there is room now; return when to send it."""

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import select
 import time
-from collections.abc import Callable
 from typing import Protocol
 
 
@@ -38,14 +37,10 @@ MAX_PER_CALL = 256
 """Frames that one call of `Transport.receive` returns at most, so that a flood does not hold up the robot."""
 
 
-def waiting(transport: Transport) -> Callable[[int], None]:
-    """Return a function that waits for so many nanoseconds, or until frames have arrived."""
-
-    def wait(duration: int) -> None:
-        seconds = max(0, duration) / 1e9
-        if transport.fileno() < 0:
-            time.sleep(seconds)
-        else:
-            select.select([transport], [], [], seconds)
-
-    return wait
+def wait(transport: Transport, duration: int) -> None:
+    """Wait for so many nanoseconds, or until frames have arrived."""
+    seconds = max(0, duration) / 1e9
+    if transport.fileno() < 0:
+        time.sleep(seconds)
+    else:
+        select.select([transport], [], [], seconds)

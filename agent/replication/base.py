@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from agent.replication.control_packets import offset, report
 from agent.replication.digests import INTERVAL
 from agent.replication.replica import LONGEST, Rejected, Replica
-from protocol import packets
+from protocol import packet_codec
 from protocol.errors import ProtocolError
 from protocol.messages import Delivery, OutgoingFrame, RoundReport
 from protocol.packets import Held, HeldEarly, LogDigest
@@ -120,7 +120,7 @@ class Replication(ABC):
         if self.salt is None or not length:
             return b""
         verifier = replica.verifiers[self.peers.own]
-        return packets.encode([verifier.digest(length, self.salt, complete=length == self.shared)])
+        return packet_codec.encode([verifier.digest(length, self.salt, complete=length == self.shared)])
 
     def _digest_sent(self) -> None:
         """Note that the digest of this robot's log was on the air."""

@@ -13,7 +13,7 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import NamedTuple
 
-from protocol import packet_index, packets
+from protocol import packet_codec, packet_index, packets
 from protocol.errors import ProtocolError
 from protocol.packets import BLOCKS, EARLY, GOSSIP_WINDOW, INDEX_WINDOW, From, FromEarly, Held, HeldEarly
 
@@ -37,13 +37,13 @@ def block_of(length: int) -> int:
 @lru_cache(maxsize=1024)
 def offer(number: int, expected: int) -> bytes:
     """Encode an offer of map `number` to a peer that is expected to hold so many entries."""
-    return packets.encode([packets.Offer(number, block_of(expected))])
+    return packet_codec.encode([packets.Offer(number, block_of(expected))])
 
 
 @lru_cache(maxsize=1 << 12)
 def read_offer(payload: bytes) -> packets.Offer:
     """Decode a frame that must be one offer; ProtocolError otherwise."""
-    read = packets.handshake(payload)
+    read = packet_codec.handshake(payload)
     if len(read) != 1 or not isinstance(read[0], packets.Offer):
         raise ProtocolError("conn", 0, "expected one offer")
     return read[0]
@@ -55,14 +55,14 @@ def answer(length: int, offered_block: int) -> bytes:
     block = packets.Block(block_of(length))
     index = packets.Answer(length % INDEX_WINDOW)
     if length >= ROUND:
-        return packets.encode([packets.Block(length // ROUND % BLOCKS), block, index])
-    return packets.encode([index] if block.block == offered_block else [block, index])
+        return packet_codec.encode([packets.Block(length // ROUND % BLOCKS), block, index])
+    return packet_codec.encode([index] if block.block == offered_block else [block, index])
 
 
 @lru_cache(maxsize=1 << 14)
 def read_answer(payload: bytes, offered_block: int) -> int | None:
     """Decode the peer's log length; None if it declines; ProtocolError if the frame is no answer."""
-    match packets.handshake(payload):
+    match packet_codec.handshake(payload):
         case (packets.Block(packets.DECLINED),):
             return None
         case (packets.Answer(index),):
@@ -82,14 +82,14 @@ def read_answer(payload: bytes, offered_block: int) -> int | None:
 
 def header(number: int, first: int) -> bytes:
     """Encode the shortest packet in front of entries of map `number`, from offset `first` on."""
-    return packets.encode(
+    return packet_codec.encode(
         [FromEarly(number, first) if first < EARLY else From(number, first % GOSSIP_WINDOW)]
     )
 
 
 def report(number: int, length: int) -> bytes:
     """Encode the shortest report that this robot holds `length` entries of map `number`."""
-    return packets.encode(
+    return packet_codec.encode(
         [HeldEarly(number, length) if length < EARLY else Held(number, length % GOSSIP_WINDOW)]
     )
 
@@ -128,10 +128,10 @@ def parse(frame: bytes) -> ParsedFrame:
     entries: list[bytes] = []
     sections: list[tuple[Header | None, list[bytes]]] = [(None, entries)]
     for packet in packet_index.split(frame):
-        if packets.name(packet) != From.name:
+        if packet_codec.name(packet) != From.name:
             entries.append(packet)
             continue
-        controls += packets.decode(packet)
+        controls += packet_codec.decode(packet)
         if isinstance(controls[-1], Header):
             entries = []
             sections.append((controls[-1], entries))

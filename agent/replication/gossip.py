@@ -33,7 +33,7 @@ from agent.replication.gossip_policy import Dependencies, GossipPolicy
 from agent.replication.neighbors import BroadcastCursors, Meetings, Neighbors
 from agent.replication.peers import Mask, Table
 from agent.replication.replica import Rejected, Replica
-from protocol import packets
+from protocol import packet_codec
 from protocol.arrays import Bools, Int64s
 from protocol.errors import ProtocolError
 from protocol.kernels import kernel
@@ -152,7 +152,7 @@ class Gossip(Replication):
         """Add reports of this robot's range and of its log lengths to the frame."""
         builder, owed = self._builder, self._meetings.owed()
         for robot, here in self._neighbors.news(self._in_range):
-            near = packets.encode([Near(robot) if here else Gone(robot)])
+            near = packet_codec.encode([Near(robot) if here else Gone(robot)])
             if builder.fits(near):
                 builder.add(near, partial(self._neighbors.inform, self._in_range, robot, here))
         digest = self._next_digest()

@@ -20,7 +20,7 @@ from agent.replication.policies import Policy, Rounds
 from agent.replication.replica import Rejected, Replica
 from protocol.errors import ProtocolError
 from protocol.messages import Delivery, OutgoingFrame, RoundReport
-from protocol.packets import DECLINE
+from protocol.packet_codec import DECLINE
 
 MAX_WAIT = 64
 """Rounds that an offer is postponed at most."""

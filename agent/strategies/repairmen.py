@@ -15,6 +15,10 @@ in every step.
 Long tours cost time only if robots are scarce. So the weight of the lengths of all tours decreases when the team has
 more robots than goals of large gain: at the start, in narrow corridors, and toward the end. Then more robots get tours.
 
+Robots know poses and maps of their teammates several steps late, so their plans differ: of the last goals, two robots
+may each compute that the other one visits them. Therefore no robot waits. A robot without a tour drives to a goal of
+a teammate, also toward the end, when no goal needs a second robot. In an `open` mission, its way costs no steps.
+
 A robot does not drive up to a small frontier. It observes it from a viewpoint that lies on or near its tour
 (`agent.planning.viewpoint`).
 
@@ -61,7 +65,8 @@ WORTHWHILE = 1 / 2
 corridors, all gains are small."""
 
 LEAST_WORTH = 1 / 20
-"""Weight by expected gain below which a goal does not need a second robot."""
+"""Weight by expected gain below which a goal does not need a second robot; robots without a tour drive to such goals if
+there are no others and they need not return."""
 
 SAME = 1 / 4
 """A goal within this many sensor ranges of a robot's last target counts as the same target."""
@@ -309,8 +314,14 @@ class Repairmen(TeamStrategy):
         tours = self._cache.get(task.key(), partial(team_tours, task))
         self._tour = tours[table.robots.index(self.settings.robot)]
         firsts = np.array([tour[0] if tour else -1 for tour in tours])
-        _follow(firsts, table.costs, worth, max(LEAST_WORTH, WORTHWHILE * worth.max(initial=0.0)))
+        _follow(firsts, table.costs, worth, self._least_worth(worth.max(initial=0.0)))
         return firsts
+
+    def _least_worth(self, most: float) -> float:
+        """Return the least worth of goals to which robots without a tour drive, given the worth of the best goal."""
+        if most < LEAST_WORTH and self.options.mission == "open":
+            return 0.0
+        return max(LEAST_WORTH, WORTHWHILE * most)
 
     def _with_hysteresis(self, table: Table, situation: Situation) -> FloatRows:
         """Return the costs of all goals, reduced for the goal nearest to each robot's last target."""

@@ -17,7 +17,7 @@ from netshaper import capture
 from netshaper.capture import VERDICTS, Captured
 from netshaper.ledger import EVERYONE, FRAMES, on_air
 from netshaper.pcapng import CaptureError, Reader
-from protocol import packets
+from protocol import packet_codec
 from protocol.errors import ProtocolError
 from protocol.files import open_file
 from protocol.packets import ALL_KINDS, AnyPacket, Fragment, Update
@@ -112,7 +112,7 @@ def count(payload: bytes) -> dict[str, tuple[int, int]]:
     """Count (packets, bytes) by kind, up to the first incomplete or malformed packet."""
     counts: dict[str, tuple[int, int]] = {}
     for piece in _pieces(payload):
-        kind = packets.name(piece)
+        kind = packet_codec.name(piece)
         number, size = counts.get(kind, (0, 0))
         counts[kind] = (number + 1, size + len(piece))
     return counts
@@ -245,7 +245,7 @@ def _pieces(payload: bytes) -> Iterator[bytes]:
     offset = 0
     with suppress(ProtocolError):
         while offset < len(payload):
-            end = offset + packets.length(payload, offset)
+            end = offset + packet_codec.length(payload, offset)
             if end > len(payload):
                 return
             yield payload[offset:end]
@@ -256,7 +256,7 @@ def _decoded(payload: bytes) -> Iterator[tuple[bytes, AnyPacket]]:
     """Decode the packets of a frame, each with its bytes, up to the first malformed packet."""
     with suppress(ProtocolError):
         for piece in _pieces(payload):
-            for packet in packets.decode(piece):
+            for packet in packet_codec.decode(piece):
                 yield piece, packet
 
 

@@ -26,6 +26,7 @@ from protocol.errors import ProtocolError
 from protocol.grid import FREE, UNKNOWN, Grid
 from protocol.messages import MapChanges, Missed, Outlines, RobotStatus, WorldReport
 from protocol.plugins import without_import
+from protocol.token_bucket import SECOND
 from worldsim.clock import MOVE
 from worldsim.map_error import MapError
 from worldsim.maps import Map
@@ -34,7 +35,6 @@ NAME = "the field"
 """The name of the map in results."""
 MAX_RUN_STEPS = 10_000_000
 """Steps of a run that can be joined: a hundred days of a step per second."""
-SECOND = 1_000_000_000
 
 TEAM = ("bodies", "width", "height", "resolution", "encoding", "incarnations")
 """Settings that must be equal on all robots; of `bodies`, the number."""

@@ -78,8 +78,8 @@ def maps_over_time(archive: Archive) -> Figure:
     return figure
 
 
-def approximation(archive: Archive, robot: int = 0) -> Figure:
-    """Draw a robot's own map over time, and its approximation of it.
+def approximation(archive: Archive) -> Figure:
+    """Draw the own map of robot 0 over time, and its approximation of it.
 
     White outside the red line, and grey inside it, are the errors of the approximation at that step.
     """
@@ -87,15 +87,15 @@ def approximation(archive: Archive, robot: int = 0) -> Figure:
     shape = archive.plan.map.height / archive.plan.map.width
     figure = Figure(figsize=(11, 2 * (11 / 3 * shape + 0.3) + 0.6), layout="constrained")
     for panel, step in zip(figure.subplots(2, 3).ravel(), moments, strict=False):
-        own = archive.maps.own(robot, step)
+        own = archive.maps.own(0, step)
         if own is None:
             panel.set_axis_off()
             continue
-        outlines = archive.maps.outlines(robot, robot, step)
+        outlines = archive.maps.outlines(0, 0, step)
         _draw(panel, archive, own, outlines, width=1.2)
         corners = len(outlines) // 8
         panel.set_title(f"step {step}: {corners} corners", fontsize=9)
-    figure.suptitle(f"Robot {robot}'s own map, and (red) its approximation of it")
+    figure.suptitle("Robot 0's own map, and (red) its approximation of it")
     return figure
 
 

@@ -28,8 +28,8 @@ from protocol.grid import FREE, UNKNOWN, Grid
 WIDTH = 1280
 MARGIN, LABEL, HEAD = 14, 20, 40
 """Points around and between panels, above a panel, and above all panels."""
-AXIS, TICK = 30, 4
-"""Points for the figures of the axis beside the true map, and length of a tick."""
+AXIS = 30
+"""Points for the figures of the axis beside the true map."""
 WORLD_SHARE, CHARTS_SHAPE = 0.44, 0.21
 """Width of the true map / width of the frame; height / width of the curves."""
 FINE = 2

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
-from deploy.after.field_run import SECOND, FieldStart, Timeline, assemble
+from deploy.after.field_run import FieldStart, Timeline, assemble
 from deploy.after.field_summary import summarize_field
 from deploy.after.recorded_view import record_view
 from deploy.dashboard.process import RECORDING
@@ -31,6 +31,7 @@ from netshaper.frame_log import Frame, FrameLog
 from netshaper.ledger import BROADCAST, CAUSES, EVERYONE
 from netshaper.pcapng import CaptureError
 from protocol.files import open_file
+from protocol.token_bucket import SECOND
 
 UNKNOWN = 1 << 62
 """The bound of an error about which nothing is known."""

@@ -12,7 +12,8 @@ from deploy.record.records import Records
 from deploy.scenario.plan import Plan
 from netshaper.ledger import ROW
 from protocol import keys as names
-from protocol.messages import Missed, Outlines, RadioReport, Snapshot, grid_to_bytes
+from protocol.cell_bytes import grid_to_bytes
+from protocol.messages import Missed, Outlines, RadioReport, Snapshot
 
 
 def record_view(plan: Plan, records: Records, path: Path, links: Mapping[int, bytes]) -> None:

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from deploy.run.recording_bus import record_run
+from deploy.run.recording_bus import record_senses
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import Scenario
-from protocol import keys as names
+from protocol.cell_bytes import cells_from_bytes
 from protocol.grid import FREE, UNKNOWN, Grid, RayTable, ray_table
-from protocol.messages import Sense, cells_from_bytes
+from protocol.messages import Sense
 from protocol.scans import Change, Scan, draw
 from worldsim import generators
 from worldsim.maps import Map
@@ -55,9 +55,7 @@ def office_plan(**settings: Any) -> Plan:
 
 def explore(plan: Plan) -> list[list[Moment]]:
     """Run the plan in memory; return the moments of each robot."""
-    robots = list(map(names.robot, range(plan.scenario.robots)))
-    buses, _ = record_run(plan, robots)
-    return [list(_moments(plan, buses[name].senses)) for name in robots]
+    return [list(_moments(plan, senses)) for senses in record_senses(plan)]
 
 
 def _moments(plan: Plan, senses: Sequence[Sense]) -> Iterator[Moment]:

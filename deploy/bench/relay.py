@@ -1,7 +1,7 @@
 """Benchmark of the relay: processing time per frame, from the received message to ledger and capture, without a bus.
 
 The benchmark records the messages that the relay receives during a run in memory, and replays them to a new relay. The
-baseline only parses the packets of the same frames (`protocol.packets.decode`).
+baseline only parses the packets of the same frames (`protocol.packet_codec.decode`).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from deploy.run.recording_bus import RecordingBus, record_run
 from deploy.scenario.plan import Plan
 from netshaper.process import RelayNode
 from protocol import keys as names
-from protocol import packets, rights
+from protocol import packet_codec, rights
 from protocol.bus import Message
 from protocol.errors import ProtocolError
 from protocol.keys import Keys
@@ -38,7 +38,7 @@ def relay() -> Iterator[Measurement]:
     """Measure the relay's processor time per frame in microseconds."""
     for case in CASES:
         plan = office_plan(steps=STEPS, bus="memory", **case)
-        received = record_run(plan, [names.RELAY])[0][names.RELAY].received
+        received = record_run(plan, [names.RELAY])[names.RELAY]
         radio = [rights.read(*message) for message in received if names.parts(message.key)[0] == "radio"]
         frames = [frame.payload for message in radio for frame in message.frames]
         frames += [message.broadcast for message in radio if message.broadcast]
@@ -59,4 +59,4 @@ def _relay(plan: Plan, received: list[Message]) -> None:
 def _decode(frames: list[bytes]) -> None:
     for frame in frames:
         with contextlib.suppress(ProtocolError):
-            packets.decode(frame)
+            packet_codec.decode(frame)

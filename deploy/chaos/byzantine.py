@@ -16,11 +16,12 @@ import numpy as np
 from msgspec.structs import replace
 
 from protocol import keys as names
-from protocol import packets, rights
+from protocol import packet_codec, packets, rights
 from protocol.bus import Bus, Message
 from protocol.keyed_random import keyed_random
 from protocol.keys import Keys
-from protocol.messages import RelayUpdate, RoundReport, pack, unpack
+from protocol.message_codec import pack, unpack
+from protocol.messages import RelayUpdate, RoundReport
 from protocol.packets import (
     DECLINED,
     EARLY,
@@ -174,10 +175,12 @@ class ByzantineBus:
         if kind == 2:
             return frame[: int(draw.integers(len(frame) + 1))]
         if kind == 5:
-            return packets.encode([_packet(draw) for _ in range(int(draw.integers(1, 4)))])
+            return packet_codec.encode([_packet(draw) for _ in range(int(draw.integers(1, 4)))])
         if kind == 6:
-            begin = packets.encode([FromEarly(int(draw.integers(6)), int(draw.integers(EARLY)))])
-            return begin + packets.encode([Update(int(draw.integers(UPDATE_NUMBERS)), bytes(draw.bytes(20)))])
+            begin = packet_codec.encode([FromEarly(int(draw.integers(6)), int(draw.integers(EARLY)))])
+            return begin + packet_codec.encode(
+                [Update(int(draw.integers(UPDATE_NUMBERS)), bytes(draw.bytes(20)))]
+            )
         return 2 * frame[:30] if kind == 3 else self._last
 
 

@@ -16,7 +16,7 @@ from msgspec.structs import replace
 from agent.encodings.base import MapEncoding
 from agent.encodings.catalog import ENCODINGS
 from deploy.scenario.plan import Plan
-from protocol.boxes import NO_BOX
+from protocol.boxes import box_of
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, ray_table
 from protocol.scans import Change, Scan
 from worldsim.laser import cast
@@ -64,16 +64,16 @@ def _encoding_of(lie: str, encoding: Any) -> type[MapEncoding]:
                 reach = int(self.settings.body.range_cells)
                 false[max(y - reach, 0) : y + reach, max(x - reach, 0) : x + reach] = FREE
                 false[self._false == FREE] = FREE
-            rows, columns = np.nonzero(false != self._false)
-            box = NO_BOX
-            if len(rows):
-                box = int(columns.min()), int(rows.min()), int(columns.max()) + 1, int(rows.max()) + 1
+            changed = false != self._false
             self._false[:] = false
             solid, no_robots = np.maximum(false, FREE), np.zeros(false.shape, np.bool_)
             beams = ray_table(self.settings.body.range_cells, self.settings.beams)
             seen = Scan(x, y, cast(solid, no_robots, beams, x, y))
             entries: list[bytes] = super().encode_changes(
-                self._false, seen, Change(len(rows), box), delivered=delivered
+                self._false,
+                seen,
+                Change(int(np.count_nonzero(changed)), box_of(changed)),
+                delivered=delivered,
             )
             return entries
 

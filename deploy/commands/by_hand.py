@@ -9,18 +9,11 @@ from typing import Annotated
 import typer
 
 from deploy.commands.console import errors, progress, report_result, screen
-from deploy.commands.flags import JsonFlag, OutOption, Subcommands, ViewAs, command_family, named_values
+from deploy.commands.flags import JsonFlag, OutOption, ViewAs, command_family, named_values, subcommands
 from deploy.scenario.scenario import load
 
 app = command_family()
-run_app = typer.Typer(
-    cls=Subcommands,
-    no_args_is_help=True,
-    rich_markup_mode=None,
-    help="Start one process of a run by hand (see docs/several-terminals.md).",
-)
-
-app.add_typer(run_app, name="run")
+run_app = subcommands(app, "run", "Start one process of a run by hand (see docs/several-terminals.md).")
 
 ScenarioOfRun = Annotated[
     Path | None,

@@ -44,8 +44,7 @@ def figure_flags(command: Command) -> Command:
     def style(formats: str, figure_width: float | None, font: str | None, font_size: float) -> Any:
         from deploy.study.figure_style import FigureStyle  # noqa: PLC0415  slow to import
 
-        names = tuple(name.strip() for name in formats.split(",") if name.strip())
-        return FigureStyle(names, figure_width, font, font_size)
+        return FigureStyle(tuple(items(formats)), figure_width, font, font_size)
 
     return with_flags(command, FIGURE_FLAGS, "style", style)
 
@@ -87,6 +86,13 @@ def with_flags(command: Command, flags: Sequence[Flag], name: str, make: Callabl
 def command_family() -> typer.Typer:
     """The commands of one module, for `deploy.commands.app` to find by name."""
     return typer.Typer(rich_markup_mode=None)
+
+
+def subcommands(family: typer.Typer, name: str, help: str) -> typer.Typer:
+    """Add a command with subcommands to the commands of a module; return it."""
+    parent = typer.Typer(cls=Subcommands, no_args_is_help=True, rich_markup_mode=None, help=help)
+    family.add_typer(parent, name=name)
+    return parent
 
 
 def preformatted(text: str) -> str:
@@ -204,6 +210,11 @@ class GroupedCommand(TyperCommand):
         for group, records in groups.items():
             with formatter.section(group):
                 formatter.write_dl(records)
+
+
+def items(text: str) -> list[str]:
+    """The items of a comma-separated list."""
+    return [item.strip() for item in text.split(",") if item.strip()]
 
 
 def position(text: str, flag: str = "start") -> tuple[float, float]:

@@ -9,7 +9,7 @@ import typer
 from rich.text import Text
 
 from deploy.commands.console import screen
-from deploy.commands.flags import Subcommands, command_family, file_option, named_values
+from deploy.commands.flags import command_family, file_option, named_values, subcommands
 
 app = command_family()
 
@@ -17,10 +17,7 @@ OptionFlag = Annotated[
     list[str] | None,
     typer.Option(metavar="NAME=VALUE", help="as width_m=60, height_m=40 or clutter=5; repeatable"),
 ]
-maps_app = typer.Typer(
-    cls=Subcommands, no_args_is_help=True, rich_markup_mode=None, help="List, make and show maps."
-)
-app.add_typer(maps_app, name="map")
+maps_app = subcommands(app, "map", "List, make and show maps.")
 
 
 @maps_app.command("list")

@@ -13,17 +13,11 @@ from typing import Annotated
 import typer
 
 from deploy.commands.console import screen
-from deploy.commands.flags import Subcommands, command_family
+from deploy.commands.flags import command_family, subcommands
 from deploy.scenario.plugins import kinds
 
 app = command_family()
-new_app = typer.Typer(
-    cls=Subcommands,
-    no_args_is_help=True,
-    rich_markup_mode=None,
-    help="Write a template of new code, with its test.",
-)
-app.add_typer(new_app, name="new")
+new_app = subcommands(app, "new", "Write a template of new code, with its test.")
 
 NameArgument = Annotated[str, typer.Argument(metavar="NAME", help="its name, as farthest or my-way")]
 

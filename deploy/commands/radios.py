@@ -9,17 +9,11 @@ import typer
 from rich.text import Text
 
 from deploy.commands.console import screen
-from deploy.commands.flags import Subcommands, command_family, file_option, position
+from deploy.commands.flags import command_family, file_option, position, subcommands
 from protocol.presets import PRESETS
 
 app = command_family()
-radio_app = typer.Typer(
-    cls=Subcommands,
-    no_args_is_help=True,
-    rich_markup_mode=None,
-    help="List radio presets, and show their coverage.",
-)
-app.add_typer(radio_app, name="radio")
+radio_app = subcommands(app, "radio", "List radio presets, and show their coverage.")
 
 
 @radio_app.command("list")

@@ -13,6 +13,7 @@ from deploy.commands.flags import (
     command_family,
     figure_flags,
     file_option,
+    items,
     named_values,
 )
 from deploy.commands.scenario_flags import setting_flags
@@ -22,7 +23,6 @@ from deploy.commands.study_flags import (
     SchedulerOption,
     SeedsOption,
     SetOption,
-    items,
     other_settings,
     whole_numbers,
 )

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from deploy.commands.flags import named_values
+from deploy.commands.flags import items, named_values
 from deploy.scenario.tables import MAX_RUNS
 
 JobsOption = Annotated[int | None, typer.Option(min=1, metavar="N", help="processes (default: one per core)")]
@@ -37,11 +37,6 @@ def other_settings(
         if name in (*inspect.signature(study).parameters, *flags, "seed"):
             raise ValueError(f"set = '{name}=...': use the flag of this command (--help)")
     return settings
-
-
-def items(text: str) -> list[str]:
-    """The items of a comma-separated list."""
-    return [item.strip() for item in text.split(",") if item.strip()]
 
 
 def whole_numbers(text: str, flag: str, most: int) -> list[int]:

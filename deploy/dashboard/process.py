@@ -19,6 +19,7 @@ from protocol import rights
 from protocol.bus import BusClosed, Message
 from protocol.errors import ProtocolError
 from protocol.messages import ErrorReport, Shutdown, clip
+from protocol.signals import ending_signals, handled
 from protocol.zenoh_bus import Credential, join
 
 RECORDING = "run.rrd"
@@ -76,7 +77,10 @@ def serve(credential: Credential, task: ViewTask, ready: Callable[[], object] = 
 
     Return whether the run ended by itself.
     """
-    with _requests() as asked, watching(task) as node:
+    asked: list[int] = []
+    # A child of the launcher keeps ignoring Ctrl-C and SIGHUP.
+    obeyed = [number for number in ending_signals() if signal.getsignal(number) != signal.SIG_IGN]
+    with handled(obeyed, lambda number, _: asked.append(number)), watching(task) as node:
         bus = join(credential)
         try:
             ready()
@@ -92,22 +96,6 @@ def serve(credential: Credential, task: ViewTask, ready: Callable[[], object] = 
         finally:
             bus.close()
     return not asked
-
-
-@contextlib.contextmanager
-def _requests() -> Iterator[list[int]]:
-    """Collect ending signals instead of terminating; a child of the launcher keeps ignoring Ctrl-C and SIGHUP."""
-    asked: list[int] = []
-    before = {
-        number: signal.signal(number, lambda signum, _: asked.append(signum))
-        for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGINT)
-        if signal.getsignal(number) != signal.SIG_IGN
-    }
-    try:
-        yield asked
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def free_name(path: Path) -> Path:

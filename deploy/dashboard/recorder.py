@@ -29,16 +29,10 @@ from deploy.record.map_history import PER_STEP
 from deploy.record.map_quality import WallScore, true_walls_of
 from deploy.scenario.plan import Plan
 from protocol import keys as names
+from protocol.cell_bytes import grid_from_bytes, grid_to_bytes
 from protocol.errors import ProtocolError
 from protocol.grid import FREE
-from protocol.messages import (
-    End,
-    Outlines,
-    Snapshot,
-    WorldReport,
-    grid_from_bytes,
-    grid_to_bytes,
-)
+from protocol.messages import End, Outlines, Snapshot, WorldReport
 
 TIMELINE = "step"
 NAN = float("nan")

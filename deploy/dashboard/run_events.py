@@ -43,8 +43,6 @@ class StepTraffic:
 
     groups: dict[str, int]
     """Bytes carried, by group of packet kinds (`deploy.record.colors.GROUPS`)."""
-    cut: int
-    """Bytes that were sent but did not fit."""
     links: dict[tuple[int, int], int]
     """Bytes that one robot (second) received from another (first); a broadcast counts for each of its receivers."""
 
@@ -157,7 +155,7 @@ class RunEvents:
             for name, group in GROUPS.items()
         }
         cut = int(rows["bytes"][rows["cause"] == BUDGET].sum())
-        self.traffic = StepTraffic(groups, cut, _link_bytes(report.links))
+        self.traffic = StepTraffic(groups, _link_bytes(report.links))
         events = _emergences(report.step, carried)
         full = cut > 0
         if full != self._full and not self.budget.unlimited:

@@ -38,7 +38,7 @@ _STROKES: tuple[tuple[Strip, ...], ...] = (
 
 
 def map_picture(width: int, height: int, cells: bytes) -> bytes:
-    """Return a PNG picture of a grid as `protocol.messages.grid_to_bytes` packs it, two bits per cell."""
+    """Return a PNG picture of a grid as `protocol.cell_bytes.grid_to_bytes` packs it, two bits per cell."""
     picture = Image.frombytes("P", (width, height), cells, "raw", "P;2")
     picture.putpalette([value for color in (*CELLS, ALARM) for value in color])
     file = io.BytesIO()

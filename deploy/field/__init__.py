@@ -4,7 +4,8 @@ robot_file    the settings of one robot, from TOML
 robot_plan    the settings of its control logic, derived from them
 running       the lock and the request to stop of a robot that runs on this host
 goals         goals over `goal_pose` or `navigate_to_pose`
-ros2_robot    node and body
+connection    the robot's body and node, and what the body receives
+ros2_robot    the robot: node and body together
 mission       the loop from the first readings to the end
 listener      receives what the robot's nodes send, and sends nothing
 doctor        checks of what the listener has received

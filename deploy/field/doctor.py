@@ -10,10 +10,9 @@ import time
 from collections.abc import Callable, Iterator
 from functools import partial
 
-from agent.bodies.map_body import MapBody
-from agent.bodies.ros2 import BodySettings, Ros2Body, frame_name
-from agent.bodies.scan_body import ScanBody
+from agent.bodies.ros2 import frame_name
 from agent.radios.team_key import KeyFileError, read_key
+from deploy.field.connection import make_body, map_pose
 from deploy.field.listener import ENOUGH_MESSAGES, LISTEN_S, Heard, Listener
 from deploy.field.robot_file import RobotFile
 from deploy.field.robot_plan import map_frame
@@ -22,7 +21,7 @@ from protocol.ros2.interfaces import NAVIGATE_TO_POSE
 from protocol.ros2.messages import DISTROS, POSE_STAMPED, Messages
 from protocol.ros2.node import Ros2Node
 from protocol.ros2.tokens import EndpointToken, Kind
-from protocol.transforms import Pose
+from protocol.token_bucket import SECOND
 
 LEAST_HZ = 1.0
 """Rate of scans and transforms below which a robot stands still again and again (`dead_man_s`)."""
@@ -31,7 +30,6 @@ APART_S = 1.0
 SIMULATED_S = 10 * 365 * 86400
 """Stamps before 1980 are simulated time."""
 SHOWN_NODES = 6
-SECOND = 10**9
 
 DISTRO = "set ros2.distro to that of the robot's nodes"
 GRID = "set ros2.map_pose to where SLAM starts in the common frame, or enlarge [grid]"
@@ -77,16 +75,8 @@ class RobotDoctor:
     def __init__(self, file: RobotFile) -> None:
         settings = file.settings
         self._file, self._settings, self._names = file, settings, settings.ros2
-        x, y, degrees = self._names.map_pose
-        self._map_pose = Pose(x, y, math.radians(degrees))
-        options = BodySettings(
-            self._map_pose,
-            settings.sensor_range,
-            settings.speed,
-            self._names.map_frame,
-            self._names.base_frame,
-        )
-        self._body: Ros2Body = (ScanBody if self._names.scan else MapBody)(map_frame(settings), options)
+        self._map_pose = map_pose(self._names)
+        self._body = make_body(settings)
         self._listener: Listener | None = None
         self._graph = Graph()
 

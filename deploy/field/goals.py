@@ -43,7 +43,7 @@ class GoalSender:
         """
         self.aborted = False
         if self._action is not None and self._action.is_available:
-            pose = self._pose(goal, stamp_ns)
+            pose = self._messages.stamped(self._frame, goal, stamp_ns)
             self._goal = self._action.send(
                 self._messages.new(GOAL, pose=pose, behavior_tree=""), now_ns, self._end
             )
@@ -51,7 +51,7 @@ class GoalSender:
             return True
         if self._topic is None:
             return False
-        self._topic.publish(self._pose(goal, stamp_ns), now_ns)
+        self._topic.publish(self._messages.stamped(self._frame, goal, stamp_ns), now_ns)
         self._drives_by_topic = True
         return True
 
@@ -60,7 +60,7 @@ class GoalSender:
         if self._goal is not None and self._action is not None:
             self._action.cancel(self._goal, now_ns)
         if self._drives_by_topic and here is not None and self._topic is not None:
-            self._topic.publish(self._pose(here, stamp_ns), now_ns)
+            self._topic.publish(self._messages.stamped(self._frame, here, stamp_ns), now_ns)
         self._drives_by_topic = False
 
     def _end(self, goal: ClientGoal) -> None:
@@ -68,10 +68,3 @@ class GoalSender:
         if self._goal is None or goal.id == self._goal.id:
             self._goal = None
             self.aborted = goal.status is Status.ABORTED and goal.result is not None
-
-    def _pose(self, pose: Pose, stamp_ns: int) -> object:
-        return self._messages.new(
-            POSE_STAMPED,
-            header=self._messages.header(self._frame, stamp_ns),
-            pose=self._messages.pose(*pose),
-        )

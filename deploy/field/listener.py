@@ -8,12 +8,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from agent.bodies.ros2 import Ros2Body
-from agent.bodies.scan_body import ScanBody
+from deploy.field.connection import open_node, sources
 from deploy.field.robot_file import Ros2Table
-from protocol.ros2.messages import LASER_SCAN, OCCUPANCY_GRID, TRANSFORMS, nanoseconds
+from protocol.ros2.messages import TRANSFORMS, nanoseconds
 from protocol.ros2.names import qualified
-from protocol.ros2.node import Ros2Node
-from protocol.ros2.qos import LATCHED, SENSOR, TF, TF_STATIC, Qos
+from protocol.ros2.qos import Qos
 
 LISTEN_S, ENOUGH_S = 6.0, 2.0
 """Seconds for which it listens at most, and at least, if everything arrives."""
@@ -49,23 +48,12 @@ class Listener:
     """
 
     def __init__(self, names: Ros2Table, body: Ros2Body) -> None:
-        self.node = Ros2Node(
-            f"{names.node}_doctor",
-            names.namespace or "/",
-            names.domain,
-            distro=names.distro,
-            router=names.router,
-        )
+        self.node = open_node(names, "_doctor")
         self.heard: dict[str, Heard] = {}
         """By name in the settings: tf_static, tf, map, scan."""
         self._names, self._body = names, body
-        # transforms come before scans and maps, which need them
-        self._hear("tf_static", TRANSFORMS, TF_STATIC, lambda tf: body.add_transforms(tf, is_static=True))
-        self._hear("tf", TRANSFORMS, TF, lambda tf: body.add_transforms(tf, is_static=False))
-        if names.map:
-            self._hear("map", OCCUPANCY_GRID, LATCHED, body.add_map)
-        if isinstance(body, ScanBody):
-            self._hear("scan", LASER_SCAN, SENSOR, body.add_scan)
+        for source in sources(names, body):
+            self._hear(*source)
 
     def qualified(self, name: str) -> str:
         """Return the full name of a topic or service."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import select
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -15,7 +14,7 @@ from agent.field import FieldFiles, FieldRobot, drive
 from agent.journal import JournalError
 from agent.radios.peer_medium import FrameRecord
 from agent.radios.team_key import read_key
-from agent.radios.transport import Transport
+from agent.radios.transport import Transport, wait
 from agent.replication.control_packets import parse
 from deploy.field.dropped_frames import DropAdvice
 from deploy.field.robot_file import RobotFile
@@ -24,6 +23,7 @@ from deploy.field.ros2_robot import Ros2Robot
 from deploy.field.running import running
 from deploy.record.field_records import FieldRecorder
 from protocol.errors import ProtocolError
+from protocol.signals import ending_signals, handled
 from protocol.token_bucket import SECOND
 
 SLICE_NS = SECOND // 10
@@ -37,7 +37,6 @@ FREEZE = 0.5
 NEWS_CELLS = 100
 """Cells from which a teammate that has not been in range since lacks something: noise changes a few cells."""
 EXPLORED = "nothing is left to explore, and teammates hold this robot's map"
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 Say = Callable[[str], None]
 """Shows a line to the user."""
@@ -72,15 +71,8 @@ class StopRequest:
     @contextlib.contextmanager
     def signals(self) -> Iterator[None]:
         """Take the signals that end a process as requests (main thread only)."""
-        before = {number: signal.getsignal(number) for number in SIGNALS}
-        for number, handler in before.items():
-            if number != signal.SIGHUP or handler != signal.SIG_IGN:
-                signal.signal(number, self._come)
-        try:
+        with handled(ending_signals(), self._come):
             yield
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
 
     def _come(self, number: int, _: object) -> None:
         self._signal = signal.Signals(number).name
@@ -183,12 +175,7 @@ class Mission:
 
     def _wait(self, duration: int) -> None:
         """Wait for a slice of a step at most, or until a frame arrives, and take the messages of the robot."""
-        seconds = max(0, min(duration, SLICE_NS)) / SECOND
-        descriptor = self._transport.fileno()
-        if descriptor < 0:
-            time.sleep(seconds)
-        else:
-            select.select([descriptor], [], [], seconds)
+        wait(self._transport, min(duration, SLICE_NS))
         self._ros.spin()
         if not self._reason and self._is_stopped():
             raise StoppedError

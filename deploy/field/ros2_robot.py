@@ -10,23 +10,19 @@ from typing import Any
 import numpy as np
 
 from agent.bodies.goals import GoalTracker
-from agent.bodies.map_body import MapBody
 from agent.bodies.markers import layers, marker_array
-from agent.bodies.ros2 import BodySettings
-from agent.bodies.scan_body import ScanBody
 from agent.bodies.team_map import occupancy_grid
 from agent.robot import Robot
+from deploy.field.connection import make_body, map_pose, open_node, sources
 from deploy.field.goals import GoalSender
 from deploy.field.robot_file import RobotSettings
 from deploy.field.robot_plan import map_frame
 from protocol.grid import Grid
 from protocol.messages import Move, Sense
 from protocol.range_scans import Laser
-from protocol.ros2.messages import LASER_SCAN, MARKERS, OCCUPANCY_GRID, STRING, TRANSFORMS
-from protocol.ros2.node import Ros2Node
-from protocol.ros2.qos import LATCHED, SENSOR, TF, TF_STATIC
+from protocol.ros2.messages import MARKERS, OCCUPANCY_GRID, STRING
+from protocol.ros2.qos import LATCHED
 from protocol.token_bucket import SECOND
-from protocol.transforms import Pose
 
 REPEAT_S = 10.0
 """Seconds after which a goal is sent again if the robot, which may have missed it, has not moved."""
@@ -52,15 +48,11 @@ class Ros2Robot:
         wall_clock: Callable[[], int] = time.time_ns,
     ) -> None:
         names = settings.ros2
-        x, y, degrees = names.map_pose
         self._settings, self._names = settings, names
         self._clock, self._wall_clock = clock, wall_clock
         self._grid = map_frame(settings)
-        self._map_pose = Pose(x, y, float(np.radians(degrees)))
-        body_settings = BodySettings(
-            self._map_pose, settings.sensor_range, settings.speed, names.map_frame, names.base_frame
-        )
-        self._body = (ScanBody if names.scan else MapBody)(self._grid, body_settings)
+        self._map_pose = map_pose(names)
+        self._body = make_body(settings)
         self._tracker = GoalTracker(round(settings.patience_s * SECOND))
         self._scanned: tuple[int | None, int] = (None, clock())
         """Time stamp of the last known pose, and when it arrived."""
@@ -71,9 +63,7 @@ class Ros2Robot:
         self._shown: Grid | None = None
         """The team's map that was published last."""
         try:
-            self._node = Ros2Node(
-                names.node, names.namespace or "/", names.domain, distro=names.distro, router=names.router
-            )
+            self._node = open_node(names)
         except ConnectionError as error:
             raise ValueError(f"ros2.router = {names.router!r}: {error}") from None
         try:
@@ -83,16 +73,14 @@ class Ros2Robot:
             raise
 
     def _connect(self) -> None:
-        """Declare the endpoints: transforms before scans and maps, which need them."""
-        node, names, body = self._node, self._names, self._body
-        node.subscription(
-            names.tf_static, TRANSFORMS, TF_STATIC, lambda tf, _: body.add_transforms(tf, is_static=True)
-        )
-        node.subscription(names.tf, TRANSFORMS, TF, lambda tf, _: body.add_transforms(tf, is_static=False))
-        if names.map:
-            node.subscription(names.map, OCCUPANCY_GRID, LATCHED, lambda found, _: body.add_map(found))
-        if isinstance(body, ScanBody):
-            node.subscription(names.scan, LASER_SCAN, SENSOR, lambda scan, _: body.add_scan(scan))
+        """Declare the endpoints."""
+        node, names = self._node, self._names
+        for name, type_name, qos, take in sources(names, self._body):
+
+            def on_message(message: Any, _: object, take: Callable[[Any], None] = take) -> None:
+                take(message)
+
+            node.subscription(getattr(names, name), type_name, qos, on_message)
         self._goals = GoalSender(node, names)
         self._team_map = node.publisher(names.team_map, OCCUPANCY_GRID, LATCHED)
         self._status = node.publisher(names.status, STRING)

@@ -36,7 +36,8 @@ from protocol.errors import ProtocolError
 from protocol.files import open_file, read_file
 from protocol.grid import OCCUPIED
 from protocol.map_parts import FinalMaps
-from protocol.messages import MAX_PAYLOAD, MAX_TEXT, MapChanges, Outlines, pack, unpacker
+from protocol.message_codec import pack, unpacker
+from protocol.messages import MAX_PAYLOAD, MAX_TEXT, MapChanges, Outlines
 from protocol.range_scans import TURN, decode_range_scan
 from worldsim.atomic_files import write_whole
 

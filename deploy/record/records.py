@@ -22,6 +22,7 @@ from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
 from protocol.grid import Grid
 from protocol.keys import Keys
+from protocol.message_codec import pack
 from protocol.messages import (
     Back,
     Change,
@@ -42,7 +43,6 @@ from protocol.messages import (
     Shutdown,
     Stop,
     WorldReport,
-    pack,
 )
 from protocol.rights import MAX_PROTOCOL_ERRORS, TOO_MANY_BYTES, TOO_MANY_ERRORS
 

@@ -9,14 +9,9 @@ import stat
 from collections.abc import Callable, Iterator
 
 from deploy.record.records import RecorderNode
+from protocol.signals import ending_signals, handled
 
 REASON = "interrupted"
-
-
-def _ending_signals() -> list[signal.Signals]:
-    """Return the signals that end a run, without SIGHUP if the user has it ignored (nohup)."""
-    ignored = signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
-    return [signal.SIGINT, signal.SIGTERM, *([] if ignored else [signal.SIGHUP])]
 
 
 def _leave_lost_terminal() -> None:
@@ -37,13 +32,8 @@ def signals_as_ctrl_c() -> Iterator[None]:
         _leave_lost_terminal()
         raise KeyboardInterrupt
 
-    numbers = [number for number in _ending_signals() if number != signal.SIGINT]
-    before = {number: signal.signal(number, interrupt) for number in numbers}
-    try:
+    with handled([number for number in ending_signals() if number != signal.SIGINT], interrupt):
         yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 class Interrupt:
@@ -65,17 +55,10 @@ class Interrupt:
     @contextlib.contextmanager
     def caught(self) -> Iterator[None]:
         """Treat Ctrl-C, SIGTERM and SIGHUP as requests to end the run (main thread only)."""
-        before = {}
-        try:
-            for number in _ending_signals():
-                before[number] = signal.signal(number, self._come)
-        except ValueError:
-            before = {}  # only the main thread handles signals
-        try:
+        with contextlib.ExitStack() as stack:
+            with contextlib.suppress(ValueError):  # only the main thread handles signals
+                stack.enter_context(handled(ending_signals(), self._come))
             yield
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
 
     def heed(self, recorder: RecorderNode) -> bool:
         """Ask the world to end after this step if that was requested; return whether it was."""

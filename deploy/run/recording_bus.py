@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass, field
 
-from deploy.record.records import Records
 from deploy.run.in_memory import MemoryRun
 from deploy.scenario.plan import Plan
 from protocol import keys as names
 from protocol.bus import Bus, Message
-from protocol.messages import Sense, unpack
+from protocol.message_codec import unpack
+from protocol.messages import Sense
 
 
 @dataclass
@@ -39,24 +39,26 @@ class RecordingBus:
         if self.inner is not None:
             self.inner.close()
 
-    @property
-    def senses(self) -> list[Sense]:
-        """The received sensor messages."""
-        bodies = (unpack(m.payload) for m in self.received if names.parts(m.key)[0] == "body")
-        return [message for message in bodies if isinstance(message, Sense)]
 
-
-def record_run(
-    plan: Plan, participants: Collection[str] | None = None
-) -> tuple[dict[str, RecordingBus], Records]:
-    """Run a plan in memory; return the recorded bus of each participant (default: all), and the run's records."""
+def record_run(plan: Plan, participants: Collection[str]) -> dict[str, list[Message]]:
+    """Run a plan in memory; return the messages that each of the participants received."""
     buses: dict[str, RecordingBus] = {}
 
     def wrap(name: str, bus: Bus) -> Bus:
-        if participants is not None and name not in participants:
+        if name not in participants:
             return bus
         buses[name] = RecordingBus(bus)
         return buses[name]
 
-    records = MemoryRun(plan, wrap=wrap).complete()
-    return buses, records
+    MemoryRun(plan, wrap=wrap).complete()
+    return {name: bus.received for name, bus in buses.items()}
+
+
+def record_senses(plan: Plan) -> list[list[Sense]]:
+    """Run a plan in memory; return the sensor messages of each robot."""
+    robots = list(map(names.robot, range(plan.scenario.robots)))
+    received = record_run(plan, robots)
+    bodies = (
+        [unpack(m.payload) for m in received[name] if names.parts(m.key)[0] == "body"] for name in robots
+    )
+    return [[message for message in messages if isinstance(message, Sense)] for messages in bodies]

@@ -15,6 +15,7 @@ from agent.mapping.estimator import Estimator
 from deploy.serve.giving_way import Others
 from deploy.serve.navigator import TURN_SPEED, Navigator, Outcome
 from protocol.arrays import Uint16s
+from protocol.boxes import NO_BOX, box_of
 from protocol.grid import UNKNOWN, Grid
 from protocol.map_frame import MapFrame
 from protocol.range_scans import UNIT, Laser, RangeScan, beam_ends
@@ -136,14 +137,13 @@ class SimulatedRobot:
     def own_map(self) -> tuple[Grid, MapFrame]:
         """Return the part of its map frame that the robot knows, and where it lies."""
         states, area = self._estimator.states, self._map_area
-        known = states != UNKNOWN
-        rows, columns = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
-        if not len(rows):
+        box = box_of(states != UNKNOWN)
+        if box == NO_BOX:
             return states[:1, :1], MapFrame(1, 1, area.resolution, area.x, area.y)
-        top, bottom, left, right = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1
+        left, top, right, bottom = box
         x, y = area.position(float(left), float(bottom))
         part = np.ascontiguousarray(states[top:bottom, left:right])
-        return part, MapFrame(int(right - left), int(bottom - top), area.resolution, x, y)
+        return part, MapFrame(right - left, bottom - top, area.resolution, x, y)
 
     def _to_true(self, goal: Pose) -> Pose:
         """Return where the robot must be, in truth, so that it believes to be at a pose of its map frame."""

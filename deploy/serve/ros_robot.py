@@ -31,7 +31,7 @@ NO_PLAN, NO_PROGRESS = 208, 105
 
 _ENDS = {Outcome.REACHED: Status.SUCCEEDED, Outcome.CANCELED: Status.CANCELED}
 _ERRORS = {Outcome.UNREACHABLE: NO_PLAN, Outcome.STUCK: NO_PROGRESS}
-_TRANSFORM, _DURATION = "geometry_msgs/msg/TransformStamped", "builtin_interfaces/msg/Duration"
+_DURATION = "builtin_interfaces/msg/Duration"
 
 
 class RosRobot:
@@ -70,7 +70,7 @@ class RosRobot:
         self._feedback_ns = 0
         """Time of the last feedback."""
         fixed = node.publisher("tf_static", names.TRANSFORMS, LATCHED)
-        fixed.publish(self._transforms((BASE, LASER, robot.laser_pose), stamp_ns=0), now_ns)
+        fixed.publish(node.messages.transforms([(BASE, LASER, robot.laser_pose)], 0), now_ns)
         self._tf = node.publisher("tf", names.TRANSFORMS, TF)
         self._odom = node.publisher("odom", names.ODOMETRY)
         self._scan = node.publisher("scan", names.LASER_SCAN, SENSOR)
@@ -89,7 +89,7 @@ class RosRobot:
         robot = self.robot
         correction = robot.pose.then(robot.odometry.inverse())
         edges = (MAP, ODOM, correction), (ODOM, BASE, robot.odometry)
-        self._tf.publish(self._transforms(*edges, stamp_ns=stamp_ns), now_ns)
+        self._tf.publish(self.node.messages.transforms(edges, stamp_ns), now_ns)
         self._odom.publish(self._odometry(stamp_ns), now_ns)
         self._scan.publish(self._laser_scan(stamp_ns), now_ns)
         if now_ns - self._map_ns >= MAP_NS:
@@ -104,15 +104,6 @@ class RosRobot:
         if before is None or not np.array_equal(before.data, message.data):
             self._map = message
             self._own_map.publish(message, now_ns)
-
-    def _transforms(self, *edges: tuple[str, str, Pose], stamp_ns: int) -> Any:
-        messages, found = self.node.messages, []
-        for parent, child, pose in edges:
-            each = messages.new(_TRANSFORM, header=messages.header(parent, stamp_ns), child_frame_id=child)
-            each.transform.translation.x, each.transform.translation.y = pose.x, pose.y
-            each.transform.rotation = messages.pose(*pose).orientation
-            found.append(each)
-        return messages[names.TRANSFORMS](transforms=found)
 
     def _odometry(self, stamp_ns: int) -> Any:
         messages = self.node.messages
@@ -161,9 +152,7 @@ class RosRobot:
         seconds, nanoseconds = divmod(max(0, now_ns - task.began_ns), 10**9)
         return messages.new(
             f"{NAVIGATE_TO_POSE}_Feedback",
-            current_pose=messages.new(
-                names.POSE_STAMPED, header=messages.header(MAP, stamp_ns), pose=messages.pose(*robot.pose)
-            ),
+            current_pose=messages.stamped(MAP, robot.pose, stamp_ns),
             navigation_time=messages[_DURATION](sec=seconds, nanosec=nanoseconds),
             number_of_recoveries=robot.navigator.recoveries,
             distance_remaining=robot.navigator.remaining_m(robot.true),

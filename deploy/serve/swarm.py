@@ -16,12 +16,12 @@ from deploy.serve.navigator import Navigator
 from deploy.serve.robot import SimulatedRobot
 from protocol.map_frame import MapFrame
 from protocol.range_scans import MAX_REACH_M
+from protocol.token_bucket import SECOND
 from protocol.transforms import Pose
 from worldsim.localization import Localization
 from worldsim.sensors import RobotSensors, SensorSettings
 from worldsim.velocity_world import VelocityWorld
 
-SECOND = 10**9
 LATEST = 10
 """Steps by which the simulation may be late; it skips the time beyond them."""
 AVOID_M = 3.0

@@ -47,7 +47,7 @@ from pydantic import AfterValidator, Field
 from deploy.study import statistics
 from deploy.study.results import Row
 from deploy.study.statistics import NO_EVIDENCE, SIGNIFICANT, Evidence, Interval
-from deploy.study.tables import VARIANT, check, has_finished, key_of, metric_value
+from deploy.study.tables import VARIANT, check, has_finished, key_of, levels_of, metric_value
 
 HOLDS, IN_PART, NOT, UNDECIDED = "holds", "holds in part", "does not hold", "undecided"
 
@@ -276,12 +276,11 @@ def _evidence(rule: Rule, rows: Sequence[Row]) -> tuple[Evidence, int]:
 
 
 def _trend(rule: Rule, rows: Sequence[Row], key: str, sign: int) -> tuple[Evidence, int]:
-    levels = list({repr(row["place"][key]): row["place"][key] for row in rows}.values())
-    found = [_values(rule, _side(rows, {key: level}), {key}) for level in levels]
+    found = [_values(rule, _side(rows, {key: level}), {key}) for level in levels_of(rows, key)]
     places = dict.fromkeys(place for of_level in found for place in of_level)
     blocks = [[of_level.get(place) for of_level in found] for place in places]
     whole = [[value for value in block if value is not None] for block in blocks if None not in block]
-    if len(levels) < 3:
+    if len(found) < 3:
         whole = []
     return statistics.trend(whole, sign), len(blocks) - len(whole)
 

@@ -41,7 +41,7 @@ PENALTY = 3e-4
 """Weight of half the sum of the squared logarithms of the factors, against the mean code length in nats."""
 
 COUNTED = np.array(
-    [*range(SAME_MOTION, BASES + 2 * NUMBER), *range(MORE_SCANS_NARROW, MORE_SCANS_NARROW + 16)], np.int32
+    [*range(SAME_MOTION, BASES + 2 * NUMBER), *range(MORE_SCANS_NARROW, MORE_SCANS_NARROW + 4)], np.int32
 )
 """Contexts that begin with other counts than on wide media: those of far poses, of dependencies, and of more scans."""
 
@@ -124,16 +124,6 @@ def fitted(examples: Sequence[Example]) -> NDArray[np.float64]:
     result = minimize(loss, np.zeros(VALUES), jac=True, method="L-BFGS-B", options={"maxiter": 80})
     logs: NDArray[np.float64] = result.x
     return logs
-
-
-def code_length(factors: NDArray[np.int8], examples: Sequence[Example]) -> float:
-    """Return the mean bits of choices by a row of the table of factors."""
-    bits = 0.0
-    for columns, chosen in examples:
-        logs = factors[columns].sum(axis=1, dtype=float) / LOG_UNIT
-        logs[-1] = factors[columns[-1, 0]] / LOG_UNIT
-        bits += np.logaddexp2.reduce(logs) - logs[chosen]
-    return bits / len(examples)
 
 
 def rounded(logs: NDArray[np.float64]) -> Factors:

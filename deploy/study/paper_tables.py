@@ -10,10 +10,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from deploy.study.figure_style import FigureStyle
+from deploy.study.results import write_table
 from worldsim.atomic_files import write_whole
 
 if TYPE_CHECKING:
     import polars as pl
+    from matplotlib.figure import Figure
 
 Lines = Sequence[Sequence[str]]
 """A table as text; the first line is its header."""
@@ -51,6 +53,17 @@ def write_tables(stem: Path, style: FigureStyle, lines: Lines, frame: pl.DataFra
         write_whole(stem.with_name(f"{stem.name}-table.csv"), lambda out: out.write(text.encode()))
     if "tex" in style.formats:
         write_whole(stem.with_name(f"{stem.name}-table.tex"), lambda out: out.write(latex(lines).encode()))
+
+
+def write_result(
+    folder: Path, name: str, canvas: Figure, frame: pl.DataFrame, style: FigureStyle
+) -> list[Path]:
+    """Write ``NAME.png`` and ``NAME.csv``, and all formats of a style; return these two files."""
+    files = [folder / f"{name}.png", folder / f"{name}.csv"]
+    style.save(canvas, files[0])
+    write_table(frame, files[1])
+    write_tables(folder / name, style, texts(frame), frame)
+    return files
 
 
 def texts(frame: pl.DataFrame) -> list[list[str]]:

@@ -34,7 +34,7 @@ from deploy.study.figure_style import DEFAULT, FigureStyle
 from deploy.study.measures import SERIES
 from deploy.study.results import Results, Row
 from deploy.study.statistics import interval
-from deploy.study.tables import VARIANT, check, has_finished, metric_value, short
+from deploy.study.tables import VARIANT, check, has_finished, levels_of, metric_value, short
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -98,8 +98,8 @@ def draw(plot: Plot, rows: Sequence[Row], results: Results, style: FigureStyle =
     from matplotlib.figure import Figure  # noqa: PLC0415  half a second to import
 
     rows = [row for row in rows if all(row["place"][key] in plot.where[key] for key in plot.where)]
-    panels = (_values(rows, plot.panels) if plot.panels else []) or [None]
-    lines = _values(rows, plot.lines) if plot.lines else [None]
+    panels = (levels_of(rows, plot.panels) if plot.panels else []) or [None]
+    lines = levels_of(rows, plot.lines) if plot.lines else [None]
     columns, (width, height) = style.layout(len(panels))
     across = math.ceil(len(panels) / columns)
     with style.applied():
@@ -152,7 +152,7 @@ def _x_label(plot: Plot, rows: Sequence[Row]) -> str:
         return plot.xlabel
     if plot.kind == CURVES:
         return "time (steps)"
-    if all(str(value).endswith("%") for value in _values(rows, plot.x)):
+    if all(str(value).endswith("%") for value in levels_of(rows, plot.x)):
         return "communication range (% of the diagonal)"
     return labels.label(plot.x)
 
@@ -173,7 +173,7 @@ def as_html(canvas: Figure) -> str:
 
 
 def _lines(panel: Axes, plot: Plot, rows: Sequence[Row], lines: Sequence[Any], _: Results) -> None:
-    levels = _values(rows, plot.x)
+    levels = levels_of(rows, plot.x)
     numbers = [number for level in levels if (number := _number(level)) is not None]
     is_axis = len(numbers) == len(levels) and numbers == sorted(numbers)
     places = np.array(numbers if is_axis else range(len(levels)), float)
@@ -201,7 +201,7 @@ def _lines(panel: Axes, plot: Plot, rows: Sequence[Row], lines: Sequence[Any], _
 
 def _boxes(panel: Axes, plot: Plot, rows: Sequence[Row], lines: Sequence[Any], _: Results) -> None:
     """A group of boxes for each value of `plot.x`; without it, one box for each line."""
-    levels = _values(rows, plot.x) if plot.x else [None]
+    levels = levels_of(rows, plot.x) if plot.x else [None]
     step, width = (0.8 / len(lines), 0.64 / len(lines)) if plot.x else (1.0, 0.6)
     for n, line in enumerate(lines):
         color = COLORS[n % len(COLORS)]
@@ -249,11 +249,6 @@ def _name(line: Any) -> str | None:
 def _of(rows: Sequence[Row], key: str, value: Any) -> list[Row]:
     """The rows with a value of a key; all rows if the value is None."""
     return [row for row in rows if value is None or row["place"][key] == value]
-
-
-def _values(rows: Sequence[Row], key: str) -> list[Any]:
-    """A key's values, in the order of the grid."""
-    return list({repr(row["place"][key]): row["place"][key] for row in rows}.values())
 
 
 def _number(value: object) -> float | None:

@@ -21,11 +21,11 @@ from deploy.scenario.radio_presets import preset_of
 from deploy.study import plots
 from deploy.study.experiment import listed
 from deploy.study.figure_style import DEFAULT, FigureStyle
-from deploy.study.paper_tables import texts, write_tables
+from deploy.study.paper_tables import write_result
 from deploy.study.plots import Plot
 from deploy.study.progress import Report, counting
 from deploy.study.requirements import MIN_MAP_ACCURACY, Requirements
-from deploy.study.results import Results, Row, make_folder, write_table
+from deploy.study.results import Results, Row, make_folder
 from deploy.study.runs import PLACE, Case, StudyRuns, cases, failures, looked_up, make
 from deploy.study.sizing import METRICS, SEEDS
 from deploy.study.statistics import Interval, interval
@@ -162,11 +162,7 @@ class RadioSizing(StudyRuns):
 
     def write(self, folder: Path, style: FigureStyle = DEFAULT) -> list[Path]:
         """Write ``radios.png`` and ``radios.csv``, and all formats of a style."""
-        files = [folder / "radios.png", folder / "radios.csv"]
-        style.save(self.plot(style), files[0])
-        write_table(self.table, files[1])
-        write_tables(folder / "radios", style, texts(self.table), self.table)
-        return files
+        return write_result(folder, "radios", self.plot(style), self.table, style)
 
     def __repr__(self) -> str:
         teams = ", ".join(f"{a.radio}: {a.robots if a.is_enough else 'none'}" for a in self.answers)

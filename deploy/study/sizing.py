@@ -14,10 +14,9 @@ from deploy.scenario.plan import load_map
 from deploy.study import plots
 from deploy.study.experiment import listed
 from deploy.study.figure_style import DEFAULT, FigureStyle
-from deploy.study.paper_tables import texts, write_tables
+from deploy.study.paper_tables import write_result
 from deploy.study.plots import Plot
 from deploy.study.requirements import MIN_MAP_ACCURACY, Requirements
-from deploy.study.results import write_table
 from deploy.study.runs import Case
 from deploy.study.statistics import Interval, interval, share
 from deploy.study.sweep import Sweep, of_settings, run
@@ -127,11 +126,7 @@ class Sizing:
 
     def write(self, folder: Path, style: FigureStyle = DEFAULT) -> list[Path]:
         """Write ``size.png`` and ``size.csv``, and all formats of a style."""
-        files = [folder / "size.png", folder / "size.csv"]
-        style.save(self.plot(style), files[0])
-        write_table(self.table, files[1])
-        write_tables(folder / "size", style, texts(self.table), self.table)
-        return files
+        return write_result(folder, "size", self.plot(style), self.table, style)
 
     def __repr__(self) -> str:
         return f"<Sizing of {len(self.sweep.rows)} runs: {self.sentence}>"

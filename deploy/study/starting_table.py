@@ -20,15 +20,11 @@ from agent.encodings.update_packets import ENOUGH_STEPS
 from agent.predictive import contexts
 from agent.predictive.history import History
 from agent.predictive.scan_stream import ScanStream
-from deploy.run.recording_bus import record_run
-from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
-from deploy.scenario.scenario import parse
-from protocol import keys as names
-from protocol.boxes import Box, bounding_box
-from protocol.grid import UNKNOWN, ray_table
-from protocol.messages import Sense, cells_from_bytes
-from protocol.scans import draw
+from deploy.study.training import OwnMap, explored
+from protocol.boxes import bounding_box
+from protocol.grid import ray_table
+from protocol.messages import Sense
 from worldsim.generators.seeds import check_training_seeds
 
 MAPS = ("office", "mixed", "burgard-office", "autolab-like", "jh-like", "unstructured", "office-plain")
@@ -54,21 +50,13 @@ def counted(plan: Plan, senses: list[list[Sense]]) -> Iterator[NDArray[np.uint16
         ScanStream(n, grids[n], ray_tables[n], histories, scratch, team=True, counts=even.copy())
         for n in range(robots)
     ]
-    own = np.full((robots, *shape), UNKNOWN, np.uint8)
-    poses: list[list[tuple[int, int]]] = [[] for _ in senses]
-    boxes: list[list[Box]] = [[] for _ in senses]
+    maps = [OwnMap(shape, beams) for beams in ray_tables]
     for step in range(max(map(len, senses))):
-        for robot in range(robots):
-            sense = senses[robot][step]
-            readings = np.frombuffer(sense.readings, np.uint16).copy()
-            driven = cells_from_bytes(sense.driven)
-            change = draw(own[robot], ray_tables[robot], sense.x, sense.y, readings, driven)
-            if change.cells:
-                poses[robot].append((sense.x, sense.y))
-                boxes[robot].append(change.box)
-            if poses[robot] and (step + robot) % ENOUGH_STEPS == 0:
-                streams[robot].encode(own[robot], poses[robot], bounding_box(boxes[robot]))
-                poses[robot], boxes[robot] = [], []
+        for robot, own in enumerate(maps):
+            own.add(senses[robot][step])
+            if own.poses and (step + robot) % ENOUGH_STEPS == 0:
+                streams[robot].encode(own.grid, own.poses, bounding_box(own.boxes))
+                own.poses, own.boxes = [], []
     for stream in streams:
         yield stream.counts
 
@@ -79,13 +67,10 @@ def train() -> NDArray[np.uint16]:
     runs = list(product(MAPS, TEAMS, SPEEDS))
     check_training_seeds(range(len(runs)))
     for number, (name, robots, speed) in enumerate(runs):
-        settings = {
-            "map": name, "map_seed": number, "seed": number, "robots": robots, "speed": speed, "steps": STEPS,
-            "strategy": "meier", "map_encoding": "scans", "bandwidth": "unlimited", "bus": "memory",
-        }  # fmt: skip
-        plan = plans.make(parse(settings))
-        buses, _ = record_run(plan, list(map(names.robot, range(robots))))
-        total += np.sum(list(counted(plan, [bus.senses for bus in buses.values()])), axis=0, dtype=float)
+        exploration = explored(
+            map=name, map_seed=number, seed=number, robots=robots, speed=speed, steps=STEPS, strategy="meier"
+        )
+        total += np.sum(list(counted(*exploration)), axis=0, dtype=float)
         print(f"{number + 1:3} {name} {robots} {speed}", flush=True)
     most = np.full(contexts.CONTEXTS, REST_WEIGHT)
     most[: contexts.OBSERVED] = CELLS_WEIGHT

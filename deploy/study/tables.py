@@ -247,6 +247,11 @@ def _value(summary: Row, text: str, twins: dict[Any, Row]) -> float | None:
     return value / other if other else None
 
 
+def levels_of(runs: Sequence[Row], key: str) -> list[Any]:
+    """The values of a key, in the order of the grid."""
+    return list({repr(run["place"][key]): run["place"][key] for run in runs}.values())
+
+
 def short(value: object) -> str:
     """A value of the grid as a label; for files the name."""
     return Path(value).stem if isinstance(value, str) and value.endswith((".yaml", ".png")) else str(value)

@@ -27,12 +27,9 @@ from agent.predictive.tile_author import TileAuthor
 from agent.predictive.tile_stream import TileStream
 from agent.predictive.tiles import CONTEXTS, SETS
 from agent.predictive.urgent_tile_author import UrgentTileAuthor
-from deploy.run.recording_bus import record_run
-from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
-from deploy.scenario.scenario import parse
 from deploy.study.starting_table import MAPS
-from protocol import keys as names
+from deploy.study.training import explored
 from protocol.grid import UNKNOWN
 from protocol.messages import Sense
 from worldsim.generators.seeds import check_training_seeds
@@ -103,12 +100,7 @@ def train() -> Model:
     check_training_seeds(range(FIRST_SEED, FIRST_SEED + len(runs)))
     for number, (name, robots, sensors) in enumerate(runs):
         seed = FIRST_SEED + number
-        settings = {
-            "map": name, "map_seed": seed, "seed": seed, "robots": robots, "steps": STEPS, "bandwidth": "unlimited",
-            "map_encoding": "scans", "bus": "memory", **sensors,
-        }  # fmt: skip
-        plan = plans.make(parse(settings))
-        senses = [bus.senses for bus in record_run(plan, list(map(names.robot, range(robots))))[0].values()]
+        plan, senses = explored(map=name, map_seed=seed, seed=seed, robots=robots, steps=STEPS, **sensors)
         sizes = []
         for author in AUTHORS:
             model, size = train_on(plan, senses, author, model)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from protocol.grid import FREE, Grid
+from worldsim.largest_part import largest_part
 
 SIGMA = 1.5
 """Standard deviation of the Gaussian in cells."""
@@ -50,7 +51,7 @@ def pixels(free: Mask) -> Pixels:
 
 def free_space(grid: Grid) -> Mask:
     """The largest 4-connected area of free cells, shape (h, w)."""
-    return _largest_area(grid == FREE)
+    return largest_part(grid == FREE)
 
 
 def cleaned(free: Mask, resolution: float) -> Mask:
@@ -64,13 +65,6 @@ def cleaned(free: Mask, resolution: float) -> Mask:
     small[[0, labels[0, 0]]] = False
     found: Mask = free | small[labels][1:-1, 1:-1]
     return found
-
-
-def _largest_area(free: Mask) -> Mask:
-    labels, areas = ndimage.label(free)
-    sizes = np.bincount(labels.ravel(), minlength=areas + 1)[1:]
-    largest: Mask = labels == (1 + np.argmax(sizes) if areas else -1)
-    return largest
 
 
 def distances(free: Mask) -> NDArray[np.float64]:
@@ -110,4 +104,4 @@ def smoothed(free: Mask) -> Mask:
     solid = (~free).astype(np.float64)
     for _ in range(SMOOTHINGS):
         solid = (ndimage.gaussian_filter(solid, SIGMA, mode="nearest") >= THRESHOLD).astype(np.float64)
-    return _largest_area(solid == 0)
+    return largest_part(solid == 0)

@@ -22,16 +22,12 @@ from agent.predictive.mixer import Model, new_model
 from agent.predictive.model_table import packed
 from agent.predictive.scan_stream import NarrowBand, ScanStream
 from agent.predictive.wall_model import CONTEXTS
-from deploy.run.recording_bus import record_run
-from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
-from deploy.scenario.scenario import parse
 from deploy.study.tile_table import shortened
-from protocol import keys as names
-from protocol.boxes import Box, bounding_box
-from protocol.grid import UNKNOWN, ray_table
-from protocol.messages import Sense, cells_from_bytes
-from protocol.scans import draw
+from deploy.study.training import OwnMap, explored
+from protocol.boxes import bounding_box
+from protocol.grid import ray_table
+from protocol.messages import Sense
 from worldsim.generators.seeds import check_training_seeds
 
 MAPS = (
@@ -45,8 +41,8 @@ FIRST_SEED = 100
 TURNS = 8
 """Robots, and steps from one update of a robot to the next."""
 
-BYTES = 15
-"""Bytes after which an update has no further scan."""
+BYTES = 20
+"""The limit of an update."""
 
 STEPS = 400
 
@@ -75,33 +71,24 @@ def train_on(
 
     `streams` and `senses` are the empty stream and the sensor messages of each robot, one message per step.
     """
-    robots, shape = len(senses), streams[0].grid.shape
     updates: list[tuple[int, bytes]] = []
-    own = np.full((robots, *shape), UNKNOWN, np.uint8)
-    poses: list[list[tuple[int, int]]] = [[] for _ in senses]
-    boxes: list[list[Box]] = [[] for _ in senses]
+    maps = [OwnMap(stream.grid.shape, stream.ray_table) for stream in streams]
     for step in range(max(map(len, senses))):
-        for robot in range(robots):
-            sense = senses[robot][step]
-            readings = np.frombuffer(sense.readings, np.uint16).copy()
-            beams = streams[robot].ray_table
-            change = draw(own[robot], beams, sense.x, sense.y, readings, cells_from_bytes(sense.driven))
-            if change.cells:
-                poses[robot].append((sense.x, sense.y))
-                boxes[robot].append(change.box)
-            if not poses[robot] or (step + robot) % TURNS:
+        for robot, (own, stream) in enumerate(zip(maps, streams, strict=True)):
+            own.add(senses[robot][step])
+            if not own.poses or (step + robot) % TURNS:
                 continue
-            stream, box = streams[robot], bounding_box(boxes[robot])
+            box = bounding_box(own.boxes)
             stream.model = model
-            encoded = stream.encode(own[robot], poses[robot], box, most=BYTES)
+            encoded = stream.encode(own.grid, own.poses, box)
             model = stream.model
-            sent = len(poses[robot])
+            sent = len(own.poses)
             if encoded is not None:
                 stream.commit()
                 updates.append((robot, encoded[0]))
                 sent = encoded[2]
-            del poses[robot][:sent]
-            boxes[robot] = [box] if poses[robot] else []
+            del own.poses[:sent]
+            own.boxes = [box] if own.poses else []
     return model, updates
 
 
@@ -110,13 +97,10 @@ def explorations() -> Iterator[tuple[str, Plan, list[list[Sense]]]]:
     check_training_seeds(range(FIRST_SEED, FIRST_SEED + len(MAPS)))
     for number, name in enumerate(MAPS):
         seed = FIRST_SEED + number
-        settings = {
-            "map": name, "map_seed": seed, "seed": seed, "robots": TURNS, "speed": 0.5, "steps": STEPS,
-            "strategy": "meier", "map_encoding": "scans", "bandwidth": "unlimited", "bus": "memory",
-        }  # fmt: skip
-        plan = plans.make(parse(settings))
-        senses = [bus.senses for bus in record_run(plan, list(map(names.robot, range(TURNS))))[0].values()]
-        yield f"{number + 1:2} of {len(MAPS)} {name}", plan, senses
+        exploration = explored(
+            map=name, map_seed=seed, seed=seed, robots=TURNS, speed=0.5, steps=STEPS, strategy="meier"
+        )
+        yield f"{number + 1:2} of {len(MAPS)} {name}", *exploration
 
 
 def train() -> Model:

@@ -7,8 +7,7 @@ The package needs the extra ``ros2``; nothing else in Murmur imports it unless a
 
 from importlib.util import find_spec
 
-for _package in ("rosbags", "xxhash"):
-    if find_spec(_package) is None:
-        raise ModuleNotFoundError(
-            f"ROS 2 needs the package {_package}: pip install 'murmur-robots[ros2]'", name=_package
-        )
+if find_spec("rosbags") is None:
+    raise ModuleNotFoundError(
+        "ROS 2 needs the package rosbags: pip install 'murmur-robots[ros2]'", name="rosbags"
+    )

@@ -12,7 +12,6 @@ from enum import IntEnum
 from typing import Any
 
 import numpy as np
-import xxhash
 
 from protocol.ros2.attachments import Attachment
 from protocol.ros2.endpoints import Endpoint, Link
@@ -20,6 +19,7 @@ from protocol.ros2.interfaces import CANCEL_GOAL
 from protocol.ros2.messages import Messages, nanoseconds
 from protocol.ros2.qos import DEFAULT, LATCHED
 from protocol.ros2.services import UNLIMITED_S, Request, ServiceClient, ServiceServer
+from protocol.ros2.tokens import digest
 from protocol.ros2.topics import Publisher, Subscription
 
 KEPT_GOALS = 32
@@ -97,7 +97,7 @@ class ActionServer:
         )
         self.endpoints: list[Endpoint] = [self._feedback, self._status]
         for each, of_type, on_request in services:
-            self.endpoints.append(ServiceServer(link, f"{below}/{each}", of_type, DEFAULT, on_request))
+            self.endpoints.append(ServiceServer(link, f"{below}/{each}", of_type, on_request))
 
     def change(self, goal: ServerGoal, status: Status, now_ns: int) -> None:
         """Set the state of a goal, and publish the states of all."""
@@ -144,12 +144,8 @@ class ActionServer:
         if goal is not None and goal.response is None:
             goal.waiting.append(request)
             return
-        response = goal.response if goal is not None else None
-        request.reply(response or self._unknown(), now_ns)
-
-    def _unknown(self) -> Any:
-        """Return the response for a goal that is not known, with an empty result."""
-        return self._messages.new(f"{self._type}_GetResult_Response")
+        unknown = f"{self._type}_GetResult_Response"
+        request.reply(goal.response if goal is not None else self._messages.new(unknown), now_ns)
 
     def _cancel(self, request: Request, now_ns: int) -> None:
         """Cancel one goal, or with the id zero all goals; those accepted until a time if there is one."""
@@ -206,11 +202,9 @@ class ActionClient:
         self._sent = 0
         self._goals: dict[bytes, tuple[ClientGoal, OnEnd]] = {}
         below = f"{name}/_action"
-        self._send = ServiceClient(link, f"{below}/send_goal", f"{type_name}_SendGoal", DEFAULT)
-        self._cancel = ServiceClient(link, f"{below}/cancel_goal", CANCEL_GOAL, DEFAULT)
-        self._get_result = ServiceClient(
-            link, f"{below}/get_result", f"{type_name}_GetResult", DEFAULT, UNLIMITED_S
-        )
+        self._send = ServiceClient(link, f"{below}/send_goal", f"{type_name}_SendGoal")
+        self._cancel = ServiceClient(link, f"{below}/cancel_goal", CANCEL_GOAL)
+        self._get_result = ServiceClient(link, f"{below}/get_result", f"{type_name}_GetResult", UNLIMITED_S)
         feedback = Subscription(
             link, f"{below}/feedback", f"{type_name}_FeedbackMessage", DEFAULT, self._take_feedback
         )
@@ -225,7 +219,7 @@ class ActionClient:
     def send(self, goal: Any, now_ns: int, on_end: OnEnd) -> ClientGoal:
         """Send a goal; `Ros2Node.spin` calls `on_end` once, when the goal has ended in any way."""
         self._sent += 1
-        sent = ClientGoal(xxhash.xxh3_128(self._send.gid + self._sent.to_bytes(8, "little")).digest())
+        sent = ClientGoal(digest(self._send.gid + self._sent.to_bytes(8, "little")))
         self._goals[sent.id] = sent, on_end
         request = self._messages[f"{self._type}_SendGoal_Request"](
             goal_id=_uuid(self._messages, sent.id), goal=goal

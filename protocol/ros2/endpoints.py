@@ -15,6 +15,7 @@ from typing import Any, Protocol
 
 import zenoh
 
+from protocol.errors import ProtocolError
 from protocol.ros2.messages import Messages
 from protocol.ros2.names import DataKey, qualified
 from protocol.ros2.qos import Qos
@@ -87,14 +88,26 @@ class Receiver(Endpoint, ABC):
         self.inbox.append(item)
         self.link.wake.set()
 
-    def reject(self, error: Exception) -> None:
-        """Count a malformed message."""
-        self.rejected += 1
-        self.last_error = f"{self.name}: {error}"
+    def take(self, now_ns: int) -> int:
+        """Decode all items of the inbox and hand them to their callbacks; return how many."""
+        taken = len(self.inbox)
+        for _ in range(taken):
+            try:
+                decoded = self.decode(self.inbox.popleft())
+            except ProtocolError as error:
+                self.rejected += 1
+                self.last_error = f"{self.name}: {error}"
+            else:
+                self.handle(decoded, now_ns)
+        return taken
 
     @abstractmethod
-    def take(self, now_ns: int) -> int:
-        """Handle all items of the inbox; return how many."""
+    def decode(self, item: Any) -> Any:
+        """Decode an item of the inbox; ProtocolError if it is malformed."""
+
+    @abstractmethod
+    def handle(self, decoded: Any, now_ns: int) -> None:
+        """Hand a decoded item to its callback, at `now_ns` since 1970."""
 
 
 def content(part: zenoh.ZBytes | None) -> bytes | None:

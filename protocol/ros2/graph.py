@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass
 
 import zenoh
 
 from protocol.errors import ProtocolError
 from protocol.ros2.tokens import ROOT, EndpointToken, Kind, NodeToken, all_tokens, parse_token
 
+TIMEOUT_S = 1.0
+"""Tokens that arrive within this time count."""
+
 
 @dataclass(frozen=True)
 class Graph:
-    """The nodes and endpoints of a domain, sorted; `malformed` has an error for each token that cannot be read."""
+    """The nodes and endpoints of a domain, sorted."""
 
     nodes: tuple[NodeToken, ...] = ()
     endpoints: tuple[EndpointToken, ...] = ()
-    malformed: tuple[str, ...] = field(default=())
 
     def names(self, *kinds: Kind) -> dict[str, list[str]]:
         """Return the topics (or services) that endpoints of these kinds have: qualified name to types."""
@@ -42,30 +45,29 @@ class Graph:
 
 
 def parse_graph(tokens: list[str]) -> Graph:
-    """Return the graph that liveliness tokens describe."""
-    nodes, endpoints, malformed = [], [], []
+    """Return the graph that liveliness tokens describe; malformed tokens are ignored."""
+    nodes, endpoints = [], []
     for token in sorted(set(tokens)):
-        try:
+        with suppress(ProtocolError):
             parsed = parse_token(token)
-        except ProtocolError as error:
-            malformed.append(str(error))
-            continue
-        if isinstance(parsed, NodeToken):
-            nodes.append(parsed)
-        else:
-            endpoints.append(parsed)
-    return Graph(tuple(nodes), tuple(endpoints), tuple(malformed))
+            if isinstance(parsed, NodeToken):
+                nodes.append(parsed)
+            else:
+                endpoints.append(parsed)
+    return Graph(tuple(nodes), tuple(endpoints))
 
 
-def read_graph(session: zenoh.Session, domain: int, timeout_s: float) -> Graph:
-    """Ask for all tokens of a domain; those that arrive within `timeout_s` count."""
-    replies = session.liveliness().get(all_tokens(domain), timeout=timeout_s)
-    return parse_graph([str(reply.ok.key_expr) for reply in replies if reply.ok is not None])
+def read_graph(session: zenoh.Session, domain: int) -> Graph:
+    """Ask for all tokens of a domain."""
+    return parse_graph(_tokens(session, all_tokens(domain)))
 
 
-def read_domains(session: zenoh.Session, timeout_s: float) -> set[int]:
+def read_domains(session: zenoh.Session) -> set[int]:
     """Return the domains in which nodes are visible."""
-    replies = session.liveliness().get(f"{ROOT}/**", timeout=timeout_s)
-    return {
-        each.domain for each in parse_graph([str(reply.ok.key_expr) for reply in replies if reply.ok]).nodes
-    }
+    return {each.domain for each in parse_graph(_tokens(session, f"{ROOT}/**")).nodes}
+
+
+def _tokens(session: zenoh.Session, key: str) -> list[str]:
+    """Ask for the tokens that match a key expression."""
+    replies = session.liveliness().get(key, timeout=TIMEOUT_S)
+    return [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]

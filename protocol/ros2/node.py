@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from types import TracebackType
 from typing import Self, TypeVar
 
 from protocol.ros2.actions import ActionClient, ActionServer, OnCancel, OnGoal
@@ -67,11 +66,11 @@ class Ros2Node:
 
     def server(self, name: str, type_name: str, on_request: OnRequest) -> ServiceServer:
         """Declare a server; `spin` hands each request to `on_request`, which replies now or later."""
-        return self._added(ServiceServer(self._link, name, type_name, DEFAULT, on_request))
+        return self._added(ServiceServer(self._link, name, type_name, on_request))
 
     def client(self, name: str, type_name: str) -> ServiceClient:
         """Declare a client of a service."""
-        return self._added(ServiceClient(self._link, name, type_name, DEFAULT))
+        return self._added(ServiceClient(self._link, name, type_name))
 
     def action_server(self, name: str, type_name: str, on_goal: OnGoal, on_cancel: OnCancel) -> ActionServer:
         """Declare a server of an action."""
@@ -103,18 +102,13 @@ class Ros2Node:
         receivers = [each for each in self._endpoints if isinstance(each, Receiver)]
         return {each.name: f"{each.rejected}: {each.last_error}" for each in receivers if each.rejected}
 
-    def graph(self, timeout_s: float = 1.0) -> Graph:
+    def graph(self) -> Graph:
         """Return all nodes, topics, and services of the domain that are visible now."""
-        return read_graph(self._session, self.token.domain, timeout_s)
+        return read_graph(self._session, self.token.domain)
 
-    def domains(self, timeout_s: float = 1.0) -> set[int]:
+    def domains(self) -> set[int]:
         """Return all domains in which nodes are visible now."""
-        return read_domains(self._session, timeout_s)
-
-    def withdraw(self, endpoint: Endpoint) -> None:
-        """Close one endpoint of the node."""
-        self._endpoints.remove(endpoint)
-        endpoint.close()
+        return read_domains(self._session)
 
     def close(self) -> None:
         """Withdraw all endpoints, then the node, and close its session."""
@@ -127,9 +121,7 @@ class Ros2Node:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _added(self, endpoint: _Endpoint) -> _Endpoint:

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from protocol.errors import ProtocolError, shown
+from protocol.token_bucket import SECOND
 
 FOREVER_NS = 2**63 - 1
 """Nanoseconds of an infinite duration."""
 TOKEN_DEPTH = 42
 """The depth that tokens leave out."""
 MAX_DEPTH = 1 << 20
-_SECOND = 10**9
 
 
 class Reliability(IntEnum):
@@ -136,7 +136,7 @@ def _text(value: int, default: int) -> str:
 
 def _duration(nanoseconds: int) -> str:
     """Return seconds and nanoseconds; each is left out if it is the one of an infinite duration."""
-    pairs = zip(divmod(nanoseconds, _SECOND), divmod(FOREVER_NS, _SECOND), strict=True)
+    pairs = zip(divmod(nanoseconds, SECOND), divmod(FOREVER_NS, SECOND), strict=True)
     return ",".join(_text(value, default) for value, default in pairs)
 
 
@@ -149,8 +149,8 @@ def _number(text: str, default: int) -> int:
 
 
 def _nanoseconds(parts: list[str]) -> int:
-    seconds, rest = map(_number, parts, divmod(FOREVER_NS, _SECOND))
-    return seconds * _SECOND + rest
+    seconds, rest = map(_number, parts, divmod(FOREVER_NS, SECOND))
+    return seconds * SECOND + rest
 
 
 def _malformed(text: str, reason: str) -> ProtocolError:

@@ -16,7 +16,7 @@ import zenoh
 from protocol.errors import ProtocolError
 from protocol.ros2.attachments import Attachment, decode_attachment
 from protocol.ros2.endpoints import Link, Receiver, content
-from protocol.ros2.qos import Qos
+from protocol.ros2.qos import DEFAULT
 from protocol.ros2.tokens import Kind
 
 TIMEOUT_S = 10.0
@@ -53,33 +53,32 @@ OnResponse = Callable[[Any, int], None]
 class ServiceServer(Receiver):
     """A server of a service."""
 
-    def __init__(self, link: Link, name: str, type_name: str, qos: Qos, on_request: OnRequest) -> None:
-        super().__init__(link, link.token(Kind.SERVER, name, type_name, qos), qos.kept)
+    def __init__(self, link: Link, name: str, type_name: str, on_request: OnRequest) -> None:
+        super().__init__(link, link.token(Kind.SERVER, name, type_name, DEFAULT), DEFAULT.kept)
         self._type = type_name
         self._on_request = on_request
         self.announce(link.session.declare_queryable(self.key, self.put, complete=True))
 
-    def take(self, now_ns: int) -> int:
-        """Decode all requests of the inbox and hand them to the callback; return how many."""
-        taken = len(self.inbox)
-        for _ in range(taken):
-            query = self.inbox.popleft()
-            try:
-                source = decode_attachment(content(query.attachment))
-                message = self.link.messages.decode(content(query.payload) or b"", f"{self._type}_Request")
-            except ProtocolError as error:
-                self.reject(error)
-                query.drop()
-                continue
-            self._on_request(Request(message, source, self, query), now_ns)
-        return taken
+    def decode(self, item: zenoh.Query) -> Request:
+        """Decode a request; a malformed one gets no response."""
+        try:
+            source = decode_attachment(content(item.attachment))
+            message = self.link.messages.decode(content(item.payload) or b"", f"{self._type}_Request")
+        except ProtocolError:
+            item.drop()  # type: ignore[no-untyped-call]
+            raise
+        return Request(message, source, self, item)
+
+    def handle(self, decoded: Request, now_ns: int) -> None:
+        """Hand a request to the callback."""
+        self._on_request(decoded, now_ns)
 
 
 class ServiceClient(Receiver):
     """A client of a service."""
 
-    def __init__(self, link: Link, name: str, type_name: str, qos: Qos, timeout_s: float = TIMEOUT_S) -> None:
-        super().__init__(link, link.token(Kind.CLIENT, name, type_name, qos), None)
+    def __init__(self, link: Link, name: str, type_name: str, timeout_s: float = TIMEOUT_S) -> None:
+        super().__init__(link, link.token(Kind.CLIENT, name, type_name, DEFAULT), None)
         self._type = type_name
         self._sequence = 0
         self._waiting: dict[int, OnResponse] = {}
@@ -111,25 +110,11 @@ class ServiceClient(Receiver):
             attachment=Attachment(sequence, now_ns, self.gid).encode(),
         )
 
-    def take(self, now_ns: int) -> int:
-        """Hand the responses of the inbox to their callbacks; return how many items the inbox had."""
-        taken = len(self.inbox)
-        for _ in range(taken):
-            sequence, reply = self.inbox.popleft()
-            response = None
-            if reply is not None:
-                try:
-                    response = self._response(sequence, reply)
-                except ProtocolError as error:
-                    self.reject(error)
-                    continue
-            on_response = self._waiting.pop(sequence, None)
-            if on_response is not None:
-                on_response(response, now_ns)
-        return taken
-
-    def _response(self, sequence: int, reply: zenoh.Reply) -> Any:
-        """Decode a reply; ProtocolError if it is an error, or malformed."""
+    def decode(self, item: tuple[int, zenoh.Reply | None]) -> tuple[int, Any]:
+        """Decode a reply, None if there is none, to the response to a request; ProtocolError also for an error."""
+        sequence, reply = item
+        if reply is None:
+            return sequence, None
         sample = reply.ok
         if sample is None:
             failure = reply.err
@@ -139,4 +124,11 @@ class ServiceClient(Receiver):
         if source.sequence != sequence:
             reason = f"number {source.sequence} instead of {sequence}"
             raise ProtocolError(f"{self._type}_Response", 0, reason)
-        return self.link.messages.decode(sample.payload.to_bytes(), f"{self._type}_Response")
+        return sequence, self.link.messages.decode(sample.payload.to_bytes(), f"{self._type}_Response")
+
+    def handle(self, decoded: tuple[int, Any], now_ns: int) -> None:
+        """Hand a response to the callback of its request."""
+        sequence, response = decoded
+        on_response = self._waiting.pop(sequence, None)
+        if on_response is not None:
+            on_response(response, now_ns)

@@ -11,7 +11,12 @@ import re
 from dataclasses import dataclass
 from enum import StrEnum
 
-import xxhash
+try:
+    import xxhash
+except ModuleNotFoundError:
+    raise ModuleNotFoundError(
+        "ROS 2 needs the package xxhash: pip install 'murmur-robots[ros2]'", name="xxhash"
+    ) from None
 
 from protocol.errors import ProtocolError, shown
 from protocol.ros2.names import (
@@ -83,9 +88,14 @@ class EndpointToken:
         return f"{self.node.text(self.entity_id, self.kind)}/{what}"
 
 
+def digest(data: bytes) -> bytes:
+    """Return the 16 bytes of XXH3-128, the high 64 bits first, big-endian."""
+    return xxhash.xxh3_128(data).digest()
+
+
 def gid(token: str) -> bytes:
-    """Return the 16 bytes that identify an endpoint: XXH3-128 of its token, the low 64 bits first, little-endian."""
-    return xxhash.xxh3_128(token.encode()).digest()[::-1]
+    """Return the 16 bytes that identify an endpoint: the `digest` of its token, reversed."""
+    return digest(token.encode())[::-1]
 
 
 def all_tokens(domain: int) -> str:

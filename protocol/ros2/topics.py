@@ -12,7 +12,6 @@ from typing import Any
 import zenoh
 from zenoh import ext
 
-from protocol.errors import ProtocolError
 from protocol.ros2.attachments import Attachment, decode_attachment
 from protocol.ros2.endpoints import Endpoint, Link, Receiver, content
 from protocol.ros2.qos import History, Qos, Reliability
@@ -89,16 +88,12 @@ class Subscription(Receiver):
     def _arrive(self, sample: zenoh.Sample) -> None:
         self.put((sample.payload.to_bytes(), content(sample.attachment)))
 
-    def take(self, now_ns: int) -> int:  # noqa: ARG002
-        """Decode all messages of the inbox and hand them to the callback; return how many."""
-        taken = len(self.inbox)
-        for _ in range(taken):
-            payload, attachment = self.inbox.popleft()
-            try:
-                source = decode_attachment(attachment)
-                message = self.link.messages.decode(payload, self._type)
-            except ProtocolError as error:
-                self.reject(error)
-                continue
-            self._on_message(message, source)
-        return taken
+    def decode(self, item: tuple[bytes, bytes | None]) -> tuple[Any, Attachment]:
+        """Decode a message and its attachment."""
+        payload, attachment = item
+        source = decode_attachment(attachment)
+        return self.link.messages.decode(payload, self._type), source
+
+    def handle(self, decoded: tuple[Any, Attachment], now_ns: int) -> None:  # noqa: ARG002
+        """Hand a message and its attachment to the callback."""
+        self._on_message(*decoded)

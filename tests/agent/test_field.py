@@ -10,7 +10,6 @@ from msgspec.structs import replace
 from agent.encodings.catalog import ENCODINGS
 from agent.field import FAREWELLS, FieldFiles, FieldRobot, drive, field_settings, team_context
 from agent.pose_guard import PoseGuard
-from agent.radios.memory_air import Faults, MemoryAir
 from agent.radios.options import LinkOptions
 from agent.radios.sealing import KEY_BYTES, OVERHEAD, Sealer
 from agent.radios.session_file import SessionFileError
@@ -19,6 +18,7 @@ from protocol.messages import Move, Sense
 from protocol.range_scans import Laser
 from protocol.token_bucket import SECOND
 from tests.agent.radios.air_team import Wire, WorldBody
+from tests.agent.radios.memory_air import Faults, MemoryAir
 from tests.system.team import small_plan
 from worldsim.base import BaseWorld
 

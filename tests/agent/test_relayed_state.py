@@ -11,7 +11,7 @@ from agent.strategies.base import Cell, Pose, Situation
 from agent.strategies.burgard import Burgard
 from agent.team_state import RelayedState
 from netshaper.admission import is_broadcast
-from protocol import packets
+from protocol import packet_codec, packets
 from protocol.grid import ray_table
 from protocol.messages import RoundReport, Sense
 from protocol.packets import Passed, Target
@@ -140,7 +140,7 @@ def test_a_relayed_state_circulates_no_longer_than_through_a_chain_of_all_robots
 ])  # fmt: skip
 def test_a_relayed_state_of_an_unknown_robot_or_cell_is_a_fault(frame: list[packets.AnyPacket]) -> None:
     robot = Robot(settings_for(GRID, robot=2, robots=3, strategy="burgard", map_encoding="scans"))
-    robot.receive_broadcast(1, packets.encode(frame))
+    robot.receive_broadcast(1, packet_codec.encode(frame))
     assert len(robot.faults) == 1
 
 
@@ -152,9 +152,9 @@ def test_a_relayed_state_of_an_unknown_robot_or_cell_is_a_fault(frame: list[pack
 def test_the_radio_rejects_broadcasts_with_repeated_or_unordered_packets(
     frame: list[packets.AnyPacket],
 ) -> None:
-    assert not is_broadcast(packets.encode(frame))
+    assert not is_broadcast(packet_codec.encode(frame))
     assert is_broadcast(
-        packets.encode(
+        packet_codec.encode(
             [packets.Pose(1, 1, 0), Target(1, 1), Passed(1, 1, 3, 4), Target(5, 5), Passed(2, 1, 3, 4)]
         )
     )

@@ -10,7 +10,8 @@ import numpy as np
 from agent.outline.contour import contours
 from agent.outline.polygons import Polygons
 from agent.viewer_feed import ViewerFeed, outline_bytes
-from protocol.messages import Outlines, Snapshot, grid_from_bytes
+from protocol.cell_bytes import grid_from_bytes
+from protocol.messages import Outlines, Snapshot
 
 
 def robot(planning: Any, polygons: dict[int, Polygons]) -> Any:

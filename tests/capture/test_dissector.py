@@ -17,7 +17,7 @@ from deploy.scenario.scenario import parse
 from netshaper import capture
 from netshaper.capture import KEPT, VERDICTS
 from netshaper.ledger import CAUSES, EVERYONE
-from protocol import packets
+from protocol import packet_codec, packets
 from protocol.errors import ProtocolError
 from protocol.packets import ALL_KINDS, Fragment, Packet, Update
 from tests.agent.encodings.names import EXACT
@@ -46,12 +46,12 @@ KINDS: list[type[Packet]] = [
 def drawn(kind: type[Packet], chance: random.Random) -> bytes:
     """A packet of one kind: all bits of its fields set, or none, or drawn."""
     if kind is Fragment:
-        return packets.encode([Fragment(chance.randbytes(chance.randint(1, packets.FRAGMENT_DATA)))])
+        return packet_codec.encode([Fragment(chance.randbytes(chance.randint(1, packets.FRAGMENT_DATA)))])
     if kind is Update:
         short = Update(None, chance.randbytes(packets.UPDATE_DATA))
         data = chance.randbytes(chance.randint(0, packets.LONG_UPDATE_DATA))
         long = Update(chance.randrange(packets.UPDATE_NUMBERS), data, chance.randrange(2))
-        return packets.encode([chance.choice((short, long))])
+        return packet_codec.encode([chance.choice((short, long))])
     (layout,) = [layout for layout in packets.LAYOUTS if layout.packet == kind.__name__]
     width = sum(bits.width for _, bits in layout.fields)
     fields = chance.choice((0, (1 << width) - 1, chance.getrandbits(width))) if width else 0
@@ -86,7 +86,7 @@ def test_every_packet_is_shown_by_name_and_field(tshark: Tshark, tmp_path: Path)
     ]
     rows = tshark.fields(write(tmp_path / "all.pcapng", payloads), names)
     for payload, (layout, kind, size, map_id, *values) in zip(payloads, rows, strict=True):
-        (packet,) = packets.decode(payload)
+        (packet,) = packet_codec.decode(payload)
         assert layout == [type(packet).__name__]
         assert kind == [packet.name]
         assert size == [str(len(payload))]
@@ -182,10 +182,10 @@ def test_the_dissector_accepts_exactly_the_packets_that_the_decoder_reads(
         sent: list[str] = []
         error, at = "", 0
         try:
-            while packet := packets.packet_at(payload, at):
+            while packet := packet_codec.packet_at(payload, at):
                 sent.append(packet.name)
-                at += packets.length(payload, at)
-            packets.decode(payload)
+                at += packet_codec.length(payload, at)
+            packet_codec.decode(payload)
         except ProtocolError as caught:
             error = str(caught)
         assert bool(broken or spare) == bool(error), (payload.hex(), error)
@@ -208,7 +208,7 @@ def test_a_malformed_header_causes_no_lua_error(tshark: Tshark, tmp_path: Path) 
 
 
 def test_truncated_frames_are_no_error(tshark: Tshark, tmp_path: Path) -> None:
-    payload = packets.encode([Fragment(bytes(50))] * 9)
+    payload = packet_codec.encode([Fragment(bytes(50))] * 9)
     file = tmp_path / "truncated.pcapng"
     file.write_bytes(capture.head("a test") + encoded(1, [captured_frame(payload, BUDGET)]))
     names = ["murmur.bytes", "murmur.truncated", "murmur.kind", "murmur.broken", "murmur.refused"]

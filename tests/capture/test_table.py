@@ -16,7 +16,8 @@ from deploy.run.result import Result
 from deploy.scenario.scenario import parse
 from netshaper.capture import VERDICTS
 from netshaper.ledger import CAUSES, FRAMES
-from protocol.packets import ALL_KINDS, LAYOUTS, Offer, decode
+from protocol.packet_codec import decode
+from protocol.packets import ALL_KINDS, LAYOUTS, Offer
 
 
 @pytest.fixture(scope="module")

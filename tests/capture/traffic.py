@@ -16,7 +16,8 @@ from netshaper.capture import Captured
 from netshaper.ledger import EVERYONE, FRAMES
 from netshaper.pcapng import Reader
 from protocol import keys
-from protocol.messages import RobotFrames, unpack
+from protocol.message_codec import unpack
+from protocol.messages import RobotFrames
 from protocol.numbering import HEAD
 from tests.capture.sniffer import Segment, Strangers, Stream, segments
 from tests.capture.zenoh_wire import Session

@@ -37,7 +37,7 @@ from deploy.scenario.scenario import SHIPPED, Scenario, load
 from docs import code_tables, made_pages, packet_tables
 from netshaper import access
 from netshaper.ledger import CAUSES
-from protocol import messages, packet_index, packets
+from protocol import messages, packet_codec, packet_index, packets
 from protocol.body import Body
 from protocol.grid import MAX_ROBOTS, MAX_SIDE, UNKNOWN, Grid, ray_table
 from protocol.keys import Keys
@@ -101,7 +101,7 @@ def scripts() -> Iterator[tuple[list[packets.Edit], NumberedPolygons]]:
 
 def described(*buffers: bytes) -> list[str]:
     return [
-        f"{piece.hex(' '):18} {packets.decode(piece)[0]!r}"
+        f"{piece.hex(' '):18} {packet_codec.decode(piece)[0]!r}"
         for buffer in buffers
         for piece in packet_index.split(buffer)
     ]
@@ -116,8 +116,8 @@ def worked_example() -> str:
     lines = []
     entries: list[bytes] = []
     for step, (edits, _) in enumerate(scripts(), 1):
-        lines += [f"# step {step}", *described(packets.encode(edits))]
-        entries += [packets.encode([packet]) for packet in edits]
+        lines += [f"# step {step}", *described(packet_codec.encode(edits))]
+        entries += [packet_codec.encode([packet]) for packet in edits]
     sender, receiver = replication(0, 2), replication(1, 2)
     sender.append(entries)
     (offer,) = sender.open_round(0, [1], None)
@@ -134,8 +134,8 @@ def worked_example() -> str:
 def block_example() -> str:
     """A receiver that holds more than the sender expects, and one that two robots offer the same map."""
     sender, receiver = replication(0, 3), replication(1, 3)
-    sender.logs[2].append(5000 * [packets.encode([packets.Save()])])
-    receiver.logs[2].append(4200 * [packets.encode([packets.Save()])])
+    sender.logs[2].append(5000 * [packet_codec.encode([packets.Save()])])
+    receiver.logs[2].append(4200 * [packet_codec.encode([packets.Save()])])
     sender.open_round(0, [1], None)
     (offer,) = sender.open_round(1, [1], None)
     answer, decline = receiver.answer([Delivery(0, offer.payload, 0), Delivery(2, offer.payload, 1)])
@@ -254,7 +254,7 @@ def test_the_hex_in_the_document_decodes_as_explained_there() -> None:
         if line.startswith("#"):
             continue
         code, explained = line[:18], line[19:]
-        (packet,) = packets.decode(bytes.fromhex(code))
+        (packet,) = packet_codec.decode(bytes.fromhex(code))
         assert repr(packet) == explained
         if not isinstance(packet, packets.Offer | packets.Answer) and receiver.feed(bytes.fromhex(code)):
             assert canonical(receiver.held.polygons) == models.pop(0)
@@ -281,7 +281,7 @@ def test_disseminations_are_all_described() -> None:
 
 
 def test_messages_are_numbered_and_on_the_generated_page_in_order() -> None:
-    kinds = messages._TYPES
+    kinds = messages.TYPES
     page = made_pages.messages_page()
     assert [kind.__struct_config__.tag for kind in kinds] == list(range(len(kinds)))
     assert set(messages.Record.__subclasses__()) == set(kinds)

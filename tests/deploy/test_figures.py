@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from docs import figures
-from docs.figures import DOCS, FIGURES, NOT_CHECKED, Figure, NotThere, differences
+from docs.figures import FIGURES, NOT_CHECKED, differences
+from docs.measured_table import DOCS, Figure
+from docs.measurements import NotThere
 
 MEASURED = ["peers.md", "predictive.md", "real-sensors.md", "recorded.md", "repairmen.md", "results"]
 """Pages and folders with measurements; `tests/deploy/test_docs.py` compares tables of other pages with the code."""
@@ -73,7 +74,7 @@ def test_a_wrong_figure_is_named_and_replaced(tmp_path: Path, monkeypatch: pytes
     (tmp_path / "page.md").write_text(
         "# Page\n\n| robots | steps |\n|---|---|\n| 1 | 12 |\n| 2 | 8 |\n\nEnd\n"
     )
-    monkeypatch.setattr(figures, "DOCS", tmp_path)
+    monkeypatch.setattr("docs.measured_table.DOCS", tmp_path)
     figure = Figure("page.md", "| robots |", lambda row, _: str(12 // int(row["robots"])))
     assert list(differences(figure, fast=False, write=True)) == [
         "docs/page.md: 2, steps: '8' on the page, measured '6'"

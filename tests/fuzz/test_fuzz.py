@@ -43,12 +43,13 @@ from deploy.scenario.errors import ScenarioError
 from deploy.scenario.scenario import Scenario, parse
 from deploy.scenario.toml_files import lay
 from netshaper.radio_options import RadioOptions
-from protocol import packet_index, packets
+from protocol import packet_codec, packet_index
 from protocol.body import Body
 from protocol.budget import Budget
 from protocol.errors import ProtocolError
 from protocol.keys import Keys
-from protocol.messages import ConnectionReport, Delivery, Missed, Record, RoundReport, unpack
+from protocol.message_codec import unpack
+from protocol.messages import ConnectionReport, Delivery, Missed, Record, RoundReport
 from protocol.range_scans import Laser, range_scan_size
 from protocol.rights import RIGHTS, read
 from protocol.scans import fragments
@@ -75,8 +76,8 @@ KEY = bytes(range(KEY_BYTES))
 
 def read_packets(data: bytes) -> None:
     assert b"".join(packet_index.split(data)) == data
-    for packet in packets.decode(data):
-        assert packets.decode(packets.encode([packet])) == [packet]
+    for packet in packet_codec.decode(data):
+        assert packet_codec.decode(packet_codec.encode([packet])) == [packet]
 
 
 def read_messages(data: bytes) -> None:

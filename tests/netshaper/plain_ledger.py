@@ -14,7 +14,7 @@ from netshaper.admission import content_of
 from netshaper.capture import KEPT, PART, VERSION, WIDE
 from netshaper.frame_log import Frame, FrameLog, comment
 from netshaper.ledger import CAUSES, KIND_NUMBER, MALFORMED, on_air
-from protocol import packets
+from protocol import packet_codec
 from protocol.errors import ProtocolError
 
 Row = tuple[int, ...]
@@ -86,13 +86,13 @@ def rows(step: int, seen: Iterable[LoggedFrame]) -> list[Row]:
 def counted(payload: bytes) -> list[tuple[int, int, int]]:
     """The number of each kind in a frame, how many there are, and their bytes."""
     try:
-        content = packets.decode(payload)
+        content = packet_codec.decode(payload)
     except ProtocolError:
         return [(MALFORMED, 1, len(payload))]
     number = Counter(KIND_NUMBER[packet.name] for packet in content)
     size = Counter[int]()
     for packet in content:
-        size[KIND_NUMBER[packet.name]] += len(packets.encode([packet]))
+        size[KIND_NUMBER[packet.name]] += len(packet_codec.encode([packet]))
     return [(kind, number[kind], size[kind]) for kind in sorted(number)]
 
 
@@ -126,7 +126,7 @@ def parts(seen: LoggedFrame) -> Iterator[tuple[bytes, int]]:
         return
     while len(rest) > PART:
         end = 0
-        while (behind := end + packets.length(rest, end)) <= PART:
+        while (behind := end + packet_codec.length(rest, end)) <= PART:
             end = behind
         yield rest[:end], end
         rest = rest[end:]

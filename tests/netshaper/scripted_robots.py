@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from netshaper.ledger import EVERYONE
-from protocol import packets
+from protocol import packet_codec, packets
 from protocol.messages import (
     Close,
     Delivery,
@@ -50,12 +50,13 @@ class Robot:
             block = int(rng.integers(64))
             if peer in event.peers:
                 frames += [
-                    OutgoingFrame(peer, packets.encode([packets.Offer(map_id, block)])) for map_id in maps
+                    OutgoingFrame(peer, packet_codec.encode([packets.Offer(map_id, block)]))
+                    for map_id in maps
                 ]
         return [RobotFrames(event.step, event.round, "offers", broadcast, frames)]
 
     def target(self, rng: np.random.Generator) -> bytes:
-        return packets.encode([packets.Target(*rng.integers(0, 2048, 2).tolist())])
+        return packet_codec.encode([packets.Target(*rng.integers(0, 2048, 2).tolist())])
 
     def replies(self, event: PhaseDelivery) -> list[RobotFrames]:
         phase = "answers" if event.phase == "offers" else "data"
@@ -74,10 +75,10 @@ class Robot:
     def answer(self, rng: np.random.Generator) -> bytes:
         index, block = packets.Answer(int(rng.integers(4096))), packets.Block(int(rng.integers(64)))
         choices: list[list[packets.Packet]] = [[index], [block, index], [packets.Block(packets.DECLINED)]]
-        return packets.encode(choices[rng.integers(3)])
+        return packet_codec.encode(choices[rng.integers(3)])
 
     def data(self, rng: np.random.Generator, answer: bytes) -> bytes:
-        if answer == packets.encode([packets.Block(packets.DECLINED)]) or rng.random() < 0.2:
+        if answer == packet_codec.encode([packets.Block(packets.DECLINED)]) or rng.random() < 0.2:
             return b""
         kinds = [
             packets.Save(),
@@ -85,7 +86,7 @@ class Robot:
             packets.Insert(1, 2, 3, 0, 1),
             packets.Fragment(bytes(63)),
         ]
-        return packets.encode([kinds[kind] for kind in rng.integers(0, 4, rng.integers(1, 12))])
+        return packet_codec.encode([kinds[kind] for kind in rng.integers(0, 4, rng.integers(1, 12))])
 
     def rests(self, _event: Close) -> list[RobotFrames]:
         return []
@@ -107,7 +108,7 @@ class Gossiper(Robot):
             packets.Held(0, 300),
             packets.Gone(1),
         ]
-        news = packets.encode([kinds[kind] for kind in rng.integers(0, len(kinds), rng.integers(0, 9))])
+        news = packet_codec.encode([kinds[kind] for kind in rng.integers(0, len(kinds), rng.integers(0, 9))])
         frames = [OutgoingFrame(EVERYONE, news)] if news else []
         priority = int(rng.integers(0, 256))
         return [RobotFrames(event.step, event.round, "offers", broadcast, frames, priority)]
@@ -138,9 +139,9 @@ class ByzantineRobot(Robot):
         choices: list[Callable[[], bytes]] = [
             lambda: rng.bytes(int(rng.integers(0, 30))),
             lambda: b"",
-            lambda: packets.encode([packets.Offer(int(rng.integers(64)), 0)]),
-            lambda: 2 * packets.encode([packets.Offer(int(rng.integers(self.robots)), 0)]),
-            lambda: packets.encode([packets.Target(1, 2)]),
+            lambda: packet_codec.encode([packets.Offer(int(rng.integers(64)), 0)]),
+            lambda: 2 * packet_codec.encode([packets.Offer(int(rng.integers(self.robots)), 0)]),
+            lambda: packet_codec.encode([packets.Target(1, 2)]),
             lambda: self.answer(rng),
             lambda: Robot.data(self, rng, b""),
         ]

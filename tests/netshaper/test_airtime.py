@@ -12,7 +12,8 @@ from netshaper.airtime import HOUR_S, RECENT, Airtime, Saving, Shares, cut_into_
 from netshaper.duty_cycle import STEP
 from protocol import packet_index
 from protocol.budget import UNLIMITED, Budget
-from protocol.packets import Fragment, encode
+from protocol.packet_codec import encode
+from protocol.packets import Fragment
 
 BUDGET = Budget(100)
 

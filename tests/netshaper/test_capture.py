@@ -18,7 +18,8 @@ from netshaper.pcapng import CaptureError, Reader
 from netshaper.settings import RadioSettings
 from protocol.budget import Budget
 from protocol.messages import OutgoingFrame, RobotFrames
-from protocol.packets import Delete, Save, encode
+from protocol.packet_codec import encode
+from protocol.packets import Delete, Save
 from tests.netshaper import plain_ledger
 from tests.netshaper.network import Network
 from tests.netshaper.plain_ledger import LoggedFrame, received_by

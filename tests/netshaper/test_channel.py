@@ -22,7 +22,7 @@ from netshaper.channel import (
     without_checksum,
 )
 from netshaper.radio_options import RadioOptions
-from protocol import packets
+from protocol import packet_codec, packets
 
 frames = st.lists(st.binary(min_size=1, max_size=40), min_size=1, max_size=4)
 
@@ -109,7 +109,7 @@ def test_a_checksum_is_the_ccitt_one_and_matches_its_frame(frame: bytes) -> None
         for _ in range(8):
             register = register << 1 ^ (0x1021 if register & 0x8000 else 0)
             register &= 0xFFFF
-    assert packets.decode(summed[len(frame) :]) == [packets.Check(register)]
+    assert packet_codec.decode(summed[len(frame) :]) == [packets.Check(register)]
     assert register == binascii.crc_hqx(frame, 0)
 
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from netshaper.ledger import ROW
-from protocol.packets import encode
+from protocol.packet_codec import encode
 from tests.netshaper import plain_ledger
 from tests.netshaper.plain_ledger import LoggedFrame
 from tests.protocol.test_packets import streams

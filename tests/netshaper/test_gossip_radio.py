@@ -16,7 +16,8 @@ from netshaper.settings import RadioSettings
 from protocol import packet_index, packets
 from protocol.budget import UNLIMITED, Budget
 from protocol.messages import Open, OutgoingFrame, RobotFrames
-from protocol.packets import Offer, Save, Target, encode
+from protocol.packet_codec import encode
+from protocol.packets import Offer, Save, Target
 from tests.netshaper.network import Network
 from tests.netshaper.scenes import gossip, play
 from tests.netshaper.scripted_robots import Gossiper, Mute

@@ -13,7 +13,8 @@ from netshaper.medium import Medium
 from netshaper.settings import RadioSettings
 from protocol import packets
 from protocol.budget import UNLIMITED, Budget
-from protocol.packets import Answer, Block, Delete, Fragment, Insert, Offer, Packet, Save, Target, encode
+from protocol.packet_codec import encode
+from protocol.packets import Answer, Block, Delete, Fragment, Insert, Offer, Packet, Save, Target
 
 data = st.lists(
     st.sampled_from([Save(), Delete(7), Insert(1, 2, 3, 0, 1), Fragment(bytes(63)), Fragment(bytes(5))]),

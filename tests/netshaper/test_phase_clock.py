@@ -20,7 +20,8 @@ from protocol.messages import (
     RadioReport,
     RobotFrames,
 )
-from protocol.packets import Offer, Pose, encode
+from protocol.packet_codec import encode
+from protocol.packets import Offer, Pose
 from tests.netshaper.test_relay import RECORDER, WORLD, Run
 
 STEP_NS = 1200

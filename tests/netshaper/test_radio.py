@@ -26,7 +26,7 @@ from netshaper.ledger import (
     balance,
 )
 from netshaper.settings import RadioSettings
-from protocol import packet_index, packets
+from protocol import packet_codec, packet_index, packets
 from protocol.budget import UNLIMITED, Budget
 from protocol.messages import (
     Close,
@@ -38,7 +38,8 @@ from protocol.messages import (
     RobotFrames,
     RoundReport,
 )
-from protocol.packets import DECLINED, Answer, Block, Delete, Offer, Save, Target, encode
+from protocol.packet_codec import encode
+from protocol.packets import DECLINED, Answer, Block, Delete, Offer, Save, Target
 from tests.netshaper.network import Network, Step
 from tests.netshaper.scenes import gossip, play, scenes, seeds
 from tests.netshaper.scripted_robots import ByzantineRobot, Mute, Robot
@@ -139,7 +140,7 @@ def test_a_receiver_gets_its_offers_in_their_order_on_the_air(scene: Any) -> Non
             for each in event.deliveries:
                 assert each.sender != receiver
                 if event.phase == "offers":
-                    assert packets.decode(each.payload)[0].map == each.map_id  # type: ignore[union-attr]
+                    assert packet_codec.decode(each.payload)[0].map == each.map_id  # type: ignore[union-attr]
         played = step.rows[(step.rows["connection"] >= 0)]["connection"].tolist()
         assert played == sorted(played)
 

@@ -21,6 +21,7 @@ from protocol.bus import Bus
 from protocol.grid import MAX_ROBOTS
 from protocol.keys import RELAY, Keys
 from protocol.memory_bus import MemoryHub
+from protocol.message_codec import pack, unpack
 from protocol.messages import (
     MAX_CONNECTIONS,
     Begin,
@@ -42,10 +43,9 @@ from protocol.messages import (
     RobotFrames,
     Shutdown,
     Stop,
-    pack,
-    unpack,
 )
-from protocol.packets import Offer, Passed, Pose, Target, encode
+from protocol.packet_codec import encode
+from protocol.packets import Offer, Passed, Pose, Target
 
 KEYS = Keys("relay")
 WORLD, RECORDER = names.WORLD, names.RECORDER

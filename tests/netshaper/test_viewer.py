@@ -19,7 +19,8 @@ from netshaper.settings import RadioSettings
 from protocol import keys as names
 from protocol.keys import Keys, may_be_dropped
 from protocol.memory_bus import MemoryBus, MemoryHub
-from protocol.messages import Begin, End, ErrorReport, Lost, Shutdown, Stop, Watched, pack, unpack
+from protocol.message_codec import pack, unpack
+from protocol.messages import Begin, End, ErrorReport, Lost, Shutdown, Stop, Watched
 from protocol.zenoh_bus import join
 
 

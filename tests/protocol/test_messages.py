@@ -12,20 +12,11 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from msgspec import inspect
 
-from protocol import messages
+from protocol import message_codec, messages
+from protocol.cell_bytes import cells_from_bytes, cells_to_bytes
 from protocol.errors import ProtocolError
-from protocol.messages import (
-    Begin,
-    End,
-    Move,
-    OutgoingFrame,
-    RobotFrames,
-    Sense,
-    cells_from_bytes,
-    cells_to_bytes,
-    pack,
-    unpack,
-)
+from protocol.message_codec import pack, unpack
+from protocol.messages import Begin, End, Move, OutgoingFrame, RobotFrames, Sense
 
 KINDS = [
     kind
@@ -148,7 +139,7 @@ def wrong_for(kind: inspect.Type) -> st.SearchStrategy[Any]:
             return st.sampled_from([0, 1, None, "true"])
         case inspect.StrType():
             return st.sampled_from([1, None, b"a", [], "a" * ((kind.max_length or 0) + 1)])
-        case inspect.BytesType() if (kind.max_length or 0) < messages.MAX_EXPLAINED // 2:
+        case inspect.BytesType() if (kind.max_length or 0) < message_codec.MAX_EXPLAINED // 2:
             return st.sampled_from([1, None, "a", [], bytes((kind.max_length or 0) + 1)])
         case inspect.BytesType():
             return st.sampled_from([1, None, "a", []])
@@ -162,9 +153,9 @@ def wrong_for(kind: inspect.Type) -> st.SearchStrategy[Any]:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_message_is_longer_than_its_kind_may_be(kind: type[messages.Record]) -> None:
-    most = messages.max_bytes(inspect.type_info(kind))
+    most = message_codec.max_bytes(inspect.type_info(kind))
     assert most < 1 << 32
-    read = messages.unpacker((kind,), "r1")
+    read = message_codec.unpacker((kind,), "r1")
     if most < 1 << 24:
         with pytest.raises(ProtocolError, match=f"{most + 1} bytes; r1 may send at most {most}"):
             read(bytes(most + 1))
@@ -272,7 +263,7 @@ def test_a_list_of_other_items_than_frames_is_refused() -> None:
 
 def test_a_message_of_an_unexpected_kind_is_refused() -> None:
     with pytest.raises(ProtocolError, match="Begin at byte 0: r1 may not send it here"):
-        messages.unpacker((End,), "r1")(pack(Begin()))
+        message_codec.unpacker((End,), "r1")(pack(Begin()))
 
 
 @given(st.lists(st.tuples(st.integers(-(2**15), 2**15 - 1), st.integers(-(2**15), 2**15 - 1)), max_size=20))

@@ -10,8 +10,9 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from protocol.errors import ProtocolError
+from protocol.packet_codec import decode, encode
 from protocol.packet_index import ends, index_of, split
-from protocol.packets import ALL_KINDS, AnyPacket, decode, encode
+from protocol.packets import ALL_KINDS, AnyPacket
 from tests.protocol.test_packets import EXAMPLES, streams
 
 noisy = st.binary(max_size=100) | st.builds(

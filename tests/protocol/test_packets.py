@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from protocol import packets
 from protocol.errors import ProtocolError
+from protocol.packet_codec import decode, decode_kind, encode, handshake, length, packet_at
 from protocol.packets import (
     ALL_KINDS,
     DECLINED,
@@ -46,12 +47,6 @@ from protocol.packets import (
     Save,
     Target,
     Update,
-    decode,
-    decode_kind,
-    encode,
-    handshake,
-    length,
-    packet_at,
 )
 
 GOLDEN = Path(__file__).parent / "golden" / "packets.txt"

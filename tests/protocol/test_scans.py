@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, MAX_SIDE, OCCUPIED, UNKNOWN, Grid, RayTable, ray_table
-from protocol.packets import AnyPacket, Fragment, decode, encode
+from protocol.packet_codec import decode, encode
+from protocol.packets import AnyPacket, Fragment
 from protocol.scans import (
     HIT,
     NONE,

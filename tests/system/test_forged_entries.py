@@ -24,10 +24,11 @@ from deploy.run.in_memory import MemoryRun
 from deploy.scenario import plan as plans
 from deploy.scenario.scenario import parse
 from protocol import keys as names
-from protocol import packet_index, packets
+from protocol import packet_codec, packet_index, packets
 from protocol.bus import Bus, Message
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
-from protocol.messages import EVERYONE, OutgoingFrame, RelayUpdate, RobotFrames, RoundReport, pack, unpack
+from protocol.message_codec import pack, unpack
+from protocol.messages import EVERYONE, OutgoingFrame, RelayUpdate, RobotFrames, RoundReport
 
 AUTHOR, VICTIM, FORGER = 0, 1, 3
 
@@ -48,7 +49,7 @@ def random_bytes(robot: Robot, rng: np.random.Generator) -> bytes:
     """A well-formed entry with random content, most of which can be decoded."""
     log = robot.replication.logs[AUTHOR]
     number = len(decoded(robot)) % packets.UPDATE_NUMBERS
-    update = packets.encode([packets.Update(number, rng.bytes(30))])
+    update = packet_codec.encode([packets.Update(number, rng.bytes(30))])
     return header(AUTHOR, len(log)) + update if len(log) > 4 else b""
 
 

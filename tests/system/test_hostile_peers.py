@@ -17,12 +17,13 @@ from agent.settings import Settings
 from deploy.run.in_memory import MemoryRun
 from deploy.scenario.plan import Plan
 from protocol import keys as names
-from protocol import map_parts, messages, packet_index, packets
+from protocol import map_parts, messages, packet_codec, packet_index
 from protocol.budget import Budget
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, UNKNOWN, ray_table
 from protocol.keys import Keys
+from protocol.message_codec import pack, unpack
 from protocol.messages import (
     EVERYONE,
     Broadcasts,
@@ -41,9 +42,8 @@ from protocol.messages import (
     RobotFrames,
     RoundReport,
     Sense,
-    pack,
-    unpack,
 )
+from protocol.packet_codec import encode
 from protocol.packets import (
     DECLINED,
     Answer,
@@ -65,7 +65,6 @@ from protocol.packets import (
     Save,
     Target,
     Update,
-    encode,
 )
 from protocol.scans import Scan, draw
 from tests.agent.outline.edit_scripts import canonical
@@ -137,7 +136,7 @@ class _Forger:
         if isinstance(message, RobotFrames):
             forged, edits = encode(MALFORMED_DATA["two save points in a row"]), ("em", "chg", "rm")
             frames = [
-                replace(frame, payload=forged) if packets.name(frame.payload) in edits else frame
+                replace(frame, payload=forged) if packet_codec.name(frame.payload) in edits else frame
                 for frame in message.frames
             ]
             payload = pack(replace(message, frames=frames))
@@ -498,7 +497,7 @@ def test_no_frame_stops_a_robots_process(steps: list[tuple[list[bytes], ...]]) -
 
 def _is_a_broadcast(frame: bytes) -> bool:
     try:
-        decoded = packets.decode(frame)
+        decoded = packet_codec.decode(frame)
     except ProtocolError:
         return False
     return all(isinstance(p, Target | Pose) and p.x < WIDTH and p.y < HEIGHT for p in decoded)

@@ -23,7 +23,7 @@ from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import parse
 from netshaper.ledger import CAUSES, DATA, balance
 from netshaper.settings import RadioSettings
-from protocol import packet_index, packets
+from protocol import packet_codec, packet_index, packets
 from protocol.budget import UNLIMITED, Budget
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.messages import MediumEvent, Open, OutgoingFrame, PhaseDelivery, RobotFrames, RoundReport
@@ -297,7 +297,7 @@ class Pair:
         return self.network.step(number, cells).rows
 
     def entry(self, robot: int, number: int) -> bytes:
-        return packets.encode([packets.Fragment(bytes([robot, number % 256, number // 256]))])
+        return packet_codec.encode([packets.Fragment(bytes([robot, number % 256, number // 256]))])
 
     def holds(self, robot: int, map_id: int) -> int:
         """The length of a robot's copy of a log; checks its entries."""
@@ -335,7 +335,7 @@ def test_a_frame_to_a_robot_out_of_range_is_not_delivered() -> None:
     def insistent(event: MediumEvent) -> list[RobotFrames]:
         if not isinstance(event, Open):
             return []
-        offer = OutgoingFrame(1, packets.encode([packets.Offer(0, 0)]))
+        offer = OutgoingFrame(1, packet_codec.encode([packets.Offer(0, 0)]))
         return [RobotFrames(event.step, event.round, "offers", frames=[offer])]
 
     def silent(event: MediumEvent) -> list[RobotFrames]:

@@ -16,12 +16,12 @@ from deploy.run import launch
 from deploy.run.in_memory import MemoryRun
 from deploy.scenario.plan import Plan
 from protocol import keys as names
-from protocol import messages, packets, rights
+from protocol import message_codec, messages, packet_codec, packets, rights
 from protocol.budget import Budget
 from protocol.bus import Bus, Message
 from protocol.grid import FREE, UNKNOWN
 from protocol.keys import Keys
-from protocol.messages import pack
+from protocol.message_codec import pack
 from tests.system.team import small_plan
 
 EXAMPLES: tuple[messages.Record, ...] = (
@@ -109,7 +109,7 @@ class Rogue:
             found = self._forbidden(Keys(message.key.split("/")[1]))
             self._messages = [each for each in found if len(each.payload) <= self._most_bytes]
         is_message = names.parts(message.key)[0] != "presence"
-        kind = type(messages.unpack(message.payload)).__name__ if is_message else "presence"
+        kind = type(message_codec.unpack(message.payload)).__name__ if is_message else "presence"
         self._received[kind] += 1
         for each in self._messages if self._received[kind] <= OFTEN else ():
             self._inner.put(*each)
@@ -130,7 +130,7 @@ class Listener:
     done = False
 
     def handle(self, message: Message) -> None:
-        self.done = isinstance(messages.unpack(message.payload), messages.Shutdown)
+        self.done = isinstance(message_codec.unpack(message.payload), messages.Shutdown)
 
 
 def play(rogue: str = "") -> Records:
@@ -184,9 +184,9 @@ NOISE = (
     b"\xff\x00",
     bytes(range(256)),
     bytes(100_000),
-    1000 * packets.encode([packets.Save()]),
+    1000 * packet_codec.encode([packets.Save()]),
     *(
-        packets.encode([each])
+        packet_codec.encode([each])
         for each in (
             packets.Offer(1, 0),
             packets.Answer(4095),
@@ -246,7 +246,7 @@ class Silent:
         self.receive, self.close = inner.receive, inner.close
 
     def put(self, key: str, payload: bytes) -> None:
-        if isinstance(messages.unpack(payload), self._kind):
+        if isinstance(message_codec.unpack(payload), self._kind):
             self._left -= 1
             if self._left < 0:
                 return

@@ -22,12 +22,13 @@ from netshaper.admission import readers
 from netshaper.hub import open_hub
 from netshaper.settings import RadioSettings
 from protocol import keys as names
-from protocol import messages, packets, rights
+from protocol import messages, packet_codec, packets, rights
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
 from protocol.keys import Keys
 from protocol.memory_bus import MemoryHub
-from protocol.messages import ErrorReport, Lost, MapChanges, RobotFrames, WorldReport, pack, unpack
+from protocol.message_codec import pack, unpack
+from protocol.messages import ErrorReport, Lost, MapChanges, RobotFrames, WorldReport
 from protocol.packet_index import index_of
 from protocol.zenoh_bus import Credential, join
 from tests.system.team import small_plan
@@ -115,7 +116,7 @@ def test_frames_of_one_robot_cannot_occupy_the_relay() -> None:
         assert set(records.lost.values()) <= {rights.TOO_MANY_BYTES.format(rights.MAX_STEP_BYTES)}
 
 
-@pytest.mark.parametrize("unit", [b"\x00", b"\xff", packets.encode([packets.Offer(1, 0)])])
+@pytest.mark.parametrize("unit", [b"\x00", b"\xff", packet_codec.encode([packets.Offer(1, 0)])])
 def test_frames_that_are_refused_cost_little_time(unit: bytes) -> None:
     frame = (MB // len(unit)) * unit
     for read in readers(RADIO).values():
@@ -126,7 +127,7 @@ def test_frames_that_are_refused_cost_little_time(unit: bytes) -> None:
 
 
 def test_an_error_deep_in_a_frame_names_its_position() -> None:
-    frame = 1000 * packets.encode([packets.Offer(1, 0)]) + b"\xff\xff"
+    frame = 1000 * packet_codec.encode([packets.Offer(1, 0)]) + b"\xff\xff"
     with pytest.raises(ProtocolError, match="at byte 2000: cut off after 2 of 6 bytes"):
         index_of(frame)
 

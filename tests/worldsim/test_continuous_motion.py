@@ -10,8 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.body import Body
+from protocol.cell_bytes import points_to_bytes
 from protocol.grid import FREE, OCCUPIED, enlarge
-from protocol.messages import Move, points_to_bytes
+from protocol.messages import Move
 from protocol.scans import NONE
 from worldsim.motion import FINE, cell_of, glide
 from worldsim.world import World, WorldSettings, beams_outside, reachable_by

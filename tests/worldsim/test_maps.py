@@ -119,10 +119,10 @@ def test_numbers_are_read_as_ros_reads_them(tmp_path: Path) -> None:
 
 
 @settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
-@given(worlds, st.sampled_from([None, "picture.png", "picture.pgm"]))
-def test_saved_map_is_loaded_with_every_cell(tmp_path: Path, world: Map, image: str | None) -> None:
+@given(worlds)
+def test_saved_map_is_loaded_with_every_cell(tmp_path: Path, world: Map) -> None:
     path = tmp_path / "world.yaml"
-    save(world, path, image)
+    save(world, path)
     again = load(path)
     assert np.array_equal(again.cells, world.cells)
     assert again.cells.dtype == np.uint8
@@ -143,17 +143,12 @@ def test_real_maps_keep_every_cell_through_save_and_load(tmp_path: Path) -> None
 
 def test_a_save_that_fails_leaves_the_old_map_and_nothing_else(tmp_path: Path) -> None:
     path = write(tmp_path)
+    path = path.rename(tmp_path / "taken.yaml")
     (tmp_path / "taken.png").mkdir()
     before = {file: file.read_bytes() for file in tmp_path.iterdir() if file.is_file()}
     with pytest.raises(OSError, match="taken"):
-        save(load(path), path, "taken.png")
+        save(load(path), path)
     assert {file: file.read_bytes() for file in tmp_path.iterdir() if file.is_file()} == before
-
-
-def test_a_picture_of_another_kind_is_not_written(tmp_path: Path) -> None:
-    with pytest.raises(MapError, match=r"world.jpg.*\.png or \.pgm"):
-        save(Map("world", np.ones((2, 2), np.uint8), 0.1), tmp_path / "world.yaml", "world.jpg")
-    assert not list(tmp_path.iterdir())
 
 
 def test_the_origin_is_the_outer_corner_of_the_lower_left_cell(tmp_path: Path) -> None:
@@ -269,7 +264,10 @@ def test_error_names_an_invalid_picture(tmp_path: Path, picture: bytes, message:
 @pytest.mark.parametrize("suffix", [".png", ".pgm"])
 def test_truncated_picture_is_rejected(tmp_path: Path, suffix: str) -> None:
     cells = np.random.default_rng(0).integers(0, 3, (12, 9), np.uint8)
-    save(Map("world", cells, 0.1), tmp_path / "world.yaml", f"world{suffix}")
+    if suffix == ".png":
+        save(Map("world", cells, 0.1), tmp_path / "world.yaml")
+    else:
+        write(tmp_path, b"P5\n9 12\n255\n" + cells.tobytes())
     picture = tmp_path / f"world{suffix}"
     whole = picture.read_bytes()
     end_mark = 16 if suffix == ".png" else 0

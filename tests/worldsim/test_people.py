@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from protocol.body import Body
+from protocol.cell_bytes import cells_to_bytes
 from protocol.grid import FREE, OCCUPIED, Grid, enlarge
 from protocol.keyed_random import keyed_random
-from protocol.messages import Move, Sense, cells_to_bytes
+from protocol.messages import Move, Sense
 from protocol.range_scans import NO_MEASUREMENT, TURN, Laser, decode_range_scan
 from worldsim.motion import NOT_BLOCKED, PERSON
 from worldsim.people import People, PeopleSettings, shortest_way

@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from protocol.body import Body
+from protocol.cell_bytes import cells_from_bytes, cells_to_bytes, points_to_bytes
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, disc, ray_table
-from protocol.messages import FaultEvent, Move, Sense, cells_from_bytes, cells_to_bytes, points_to_bytes
+from protocol.messages import FaultEvent, Move, Sense
 from protocol.range_scans import TURN, Laser
 from protocol.scans import HIT, NONE, Readings, check_readings, draw
 from worldsim.motion import INTERFERENCE, NOT_BLOCKED, ROBOT, WALL

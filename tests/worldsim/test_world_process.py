@@ -13,9 +13,11 @@ from hypothesis import strategies as st
 from protocol import keys as names
 from protocol.body import Body
 from protocol.bus import Bus
+from protocol.cell_bytes import cells_to_bytes, points_to_bytes
 from protocol.grid import FREE
 from protocol.keys import Keys
 from protocol.memory_bus import MemoryHub
+from protocol.message_codec import pack, unpack
 from protocol.messages import (
     Begin,
     Close,
@@ -29,10 +31,6 @@ from protocol.messages import (
     Shutdown,
     Stop,
     WorldReport,
-    cells_to_bytes,
-    pack,
-    points_to_bytes,
-    unpack,
 )
 from protocol.range_scans import Laser
 from worldsim.base import EXPLORED, STALLED

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.grid import FREE, MAX_SIDE, OCCUPIED, UNKNOWN, Grid
+from worldsim.largest_part import largest_part
 from worldsim.map_error import MapError
 
 _SIXTEENTHS = 16
@@ -108,12 +109,8 @@ def enclose(cells: Grid, wall: int) -> None:
         around = np.pad(near, 1)
         near = around[1:-1, :-2] | near | around[1:-1, 2:]
     cells[near & (cells == UNKNOWN)] = OCCUPIED
-    from scipy import ndimage  # noqa: PLC0415  slow to import, and listing names needs none
-
-    numbers, _ = ndimage.label(cells == FREE)
-    sizes = np.bincount(numbers.ravel())
-    sizes[0] = 0
-    cells[(numbers != sizes.argmax()) & (cells == FREE)] = OCCUPIED
+    free = cells == FREE
+    cells[free & ~largest_part(free)] = OCCUPIED
 
 
 def fill(cells: Grid, corners: Points, state: int) -> None:

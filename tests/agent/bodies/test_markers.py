@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("rosbags", reason="rosbags is not installed: pip install 'murmur-robots[ros2]'")
 pytest.importorskip("xxhash", reason="xxhash is not installed: pip install 'murmur-robots[ros2]'")
 
-from agent.bodies.markers import ADD, DELETE, MOST_POINTS, frontier_cells, layers, marker_array
+from agent.bodies.markers import ADD, DELETE, MOST_POINTS, layers, marker_array
 from protocol.grid import FREE, OCCUPIED, UNKNOWN
 from protocol.map_frame import MapFrame
 from protocol.ros2.messages import MARKERS, Messages
@@ -41,4 +41,5 @@ def test_markers_lie_in_the_map_frame_of_the_robot_and_empty_ones_are_deleted() 
 def test_large_frontiers_are_thinned_out() -> None:
     grid = np.full((200, 200), FREE, np.uint8)
     grid[::2] = UNKNOWN
-    assert 0 < len(frontier_cells(grid)) <= MOST_POINTS
+    frontiers, _, _ = layers(grid, None, [])
+    assert 0 < len(frontiers.cells) <= MOST_POINTS

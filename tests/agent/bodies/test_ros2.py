@@ -19,9 +19,10 @@ from agent.bodies.team_map import occupancy_grid
 from agent.mapping.mapper import EstimatingMapper
 from agent.settings import EncodingSettings, ReplicationSettings, Settings
 from protocol.body import Body
+from protocol.cell_bytes import cells_to_bytes, points_to_bytes
 from protocol.grid import FREE, OCCUPIED, UNKNOWN
 from protocol.map_frame import MapFrame
-from protocol.messages import Move, Sense, cells_to_bytes, points_to_bytes
+from protocol.messages import Move, Sense
 from protocol.range_scans import NO_MEASUREMENT, NOTHING, TURN, UNIT, RangeScan, decode_range_scan
 from protocol.ros2 import messages as names
 from protocol.ros2.messages import Messages

@@ -14,7 +14,8 @@ from agent.settings import EncodingSettings, ReplicationSettings, Settings
 from protocol.body import Body
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
-from protocol.packets import Fragment, Save, encode
+from protocol.packet_codec import encode
+from protocol.packets import Fragment, Save
 from protocol.scans import Change, Scan
 from tests.agent.encodings.arrival import LATE
 

@@ -22,13 +22,14 @@ from agent.outline.objects import Objects
 from agent.outline.polygons import Polygons
 from agent.outline.simplify import refine
 from agent.settings import EncodingSettings, MediumSettings, ReplicationSettings, Settings
-from protocol import packets
+from protocol import packet_codec
 from protocol.body import Body
 from protocol.budget import UNLIMITED, Budget
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
+from protocol.packet_codec import decode, encode
 from protocol.packets import Change as Changed
-from protocol.packets import Delete, Fragment, Save, decode, encode
+from protocol.packets import Delete, Fragment, Save
 from protocol.scans import Change, Scan
 from tests.agent.encodings.arrival import LATE
 from tests.agent.explorations import Cell, exploration, growing_maps
@@ -110,7 +111,7 @@ def test_receivers_hold_the_authors_approximation_after_every_step(
 
 def test_each_log_entry_is_one_packet_and_a_step_ends_with_a_save_point() -> None:
     for entries in reported(maker((60, 80)), walk()):
-        sent = [packets.decode(packet) for packet in entries]
+        sent = [packet_codec.decode(packet) for packet in entries]
         assert [len(packet) for packet in sent] == [1] * len(entries)
         assert [isinstance(packet, Save) for (packet,) in sent] == [False] * (len(sent) - 1) + [True] * bool(
             sent

@@ -19,16 +19,8 @@ from protocol.body import Body
 from protocol.budget import UNLIMITED, Budget
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, ray_table
-from protocol.packets import (
-    LONG_UPDATE_DATA,
-    UPDATE_DATA,
-    UPDATE_NUMBERS,
-    Delete,
-    Fragment,
-    Update,
-    decode_kind,
-    encode,
-)
+from protocol.packet_codec import decode_kind, encode
+from protocol.packets import LONG_UPDATE_DATA, UPDATE_DATA, UPDATE_NUMBERS, Delete, Fragment, Update
 from protocol.scans import Change, Scan, draw
 from tests.agent.encodings.arrival import LATE
 from worldsim.laser import cast
@@ -185,7 +177,7 @@ def test_a_small_budget_splits_changes_into_one_update_per_step(seed: int) -> No
         receiver.apply(0, b"".join(sent), **LATE)
         packets += sum(update.number is not None for update in decode_kind(b"".join(sent), Update))
     assert (receiver.merge(unknown()) == author.own).all()
-    assert packets > 1 or np.count_nonzero(author.own) < 100
+    assert packets > 1 or np.count_nonzero(author.own) < 200
 
 
 @given(seeds, st.booleans())
@@ -209,6 +201,20 @@ def test_author_and_receivers_know_the_same_dependencies(seed: int, taken_back: 
             receiver.apply(map_id, b"".join(log[read[map_id] : packets]), **LATE)
             read[map_id] = max(read[map_id], packets)
         assert receiver.dependencies(1)[-1].end == end
+
+
+@pytest.mark.parametrize(("budget", "is_settled"), [(6, True), (50, False)])
+def test_a_full_update_is_encoded_again_only_after_news_of_teammates(budget: int, is_settled: bool) -> None:
+    truth = world(0)
+    author, other = (Explorer(robot, 0, bandwidth=Budget(budget)) for robot in range(2))
+    for _ in range(8):
+        assert author.scan(truth, delivered=False) == []
+    sent = author.scan(truth)
+    assert author.map_encoding.is_settled == is_settled
+    assert author.scan(truth, delivered=False) == []
+    assert author.map_encoding.retractable == (len(sent) if is_settled else 0)
+    author.map_encoding.apply(1, b"".join(other.scan(truth)), **LATE)
+    assert not author.map_encoding.is_settled
 
 
 @given(seeds)

@@ -14,7 +14,8 @@ from agent.encodings.predictive import PATIENCE
 from deploy.scenario.plan import Plan
 from protocol.errors import ProtocolError
 from protocol.grid import UNKNOWN, Grid, ray_table
-from protocol.packets import Update, decode
+from protocol.packet_codec import decode
+from protocol.packets import Update
 from protocol.scans import Scan, draw
 from tests.system.team import corridor, plan_on
 from worldsim.laser import cast

@@ -15,7 +15,8 @@ from agent.settings import EncodingSettings, ReplicationSettings, Settings
 from protocol.body import Body
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, ray_table
-from protocol.packets import Delete, Fragment, Save, encode
+from protocol.packet_codec import encode
+from protocol.packets import Delete, Fragment, Save
 from protocol.scans import HIT, NONE, Change, Scan, draw, encode_scan, fragments, scan_size
 from tests.agent.encodings.arrival import LATE
 

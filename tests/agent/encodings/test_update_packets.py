@@ -12,7 +12,8 @@ from agent.encodings.update_packets import NARROW, UpdateLimits
 from agent.settings import EncodingSettings, MediumSettings, ReplicationSettings, Settings
 from protocol.body import Body
 from protocol.budget import Budget
-from protocol.packets import EARLY, SHORT_HEAD, UPDATE_DATA, From, FromEarly, Target, Update, decode_kind
+from protocol.packet_codec import decode_kind
+from protocol.packets import EARLY, SHORT_HEAD, UPDATE_DATA, From, FromEarly, Target, Update
 
 LEAST = From.size + SHORT_HEAD + UPDATE_DATA
 """The smallest budget of a step that holds any packet behind a header."""

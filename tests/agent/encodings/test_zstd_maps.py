@@ -13,7 +13,8 @@ from agent.settings import EncodingSettings, ReplicationSettings, Settings
 from protocol.body import Body
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
-from protocol.packets import Save, encode
+from protocol.packet_codec import encode
+from protocol.packets import Save
 from protocol.scans import Change, Scan, fragments
 from tests.agent.encodings.arrival import LATE
 

@@ -11,7 +11,8 @@ from agent.outline.claims import THESIS, Drawing, DrawnClaims, Layer
 from agent.outline.edits import NumberedPolygons, edit_packets
 from agent.outline.objects import Objects
 from agent.outline.polygons import Polygons
-from protocol.packets import Change, Delete, Edit, Emerge, Insert, Remove, Replace, Save, decode
+from protocol.packet_codec import decode
+from protocol.packets import Change, Delete, Edit, Emerge, Insert, Remove, Replace, Save
 
 Symbol = tuple[int, int, int, int]
 Cycle = list[Symbol]

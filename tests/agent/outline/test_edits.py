@@ -15,17 +15,8 @@ from agent.outline.edits import NumberedPolygons, edit_packets
 from agent.outline.polygons import Polygons
 from agent.outline.simplify import refine
 from protocol.grid import FREE, UNKNOWN, Grid
-from protocol.packets import (
-    Change,
-    Delete,
-    Edit,
-    Emerge,
-    Insert,
-    Remove,
-    Replace,
-    Save,
-    encode,
-)
+from protocol.packet_codec import encode
+from protocol.packets import Change, Delete, Edit, Emerge, Insert, Remove, Replace, Save
 from tests.agent.explorations import Cell, exploration, growing_maps, real_map
 from tests.agent.outline.edit_scripts import Cycle, Symbol, canonical, edit_script, lists
 

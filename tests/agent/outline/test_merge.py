@@ -21,7 +21,7 @@ from agent.outline.receiver import Receiver
 from agent.outline.simplify import refine
 from protocol.boxes import NO_BOXES, Boxes
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
-from protocol.packets import encode
+from protocol.packet_codec import encode
 from tests.agent.explorations import Cell, exploration, grids, growing_maps, real_map
 from tests.agent.outline.edit_scripts import edit_script, layer
 

@@ -22,6 +22,7 @@ from agent.outline.polygons import Polygons
 from agent.outline.receiver import Receiver
 from agent.outline.simplify import refine
 from protocol.errors import ProtocolError
+from protocol.packet_codec import encode
 from protocol.packets import (
     MAX_OBJECTS,
     MAX_VERTICES,
@@ -35,7 +36,6 @@ from protocol.packets import (
     Replace,
     Save,
     Target,
-    encode,
 )
 from tests.agent.explorations import exploration, growing_maps, real_map
 from tests.agent.outline.edit_scripts import canonical, edit_script, layer

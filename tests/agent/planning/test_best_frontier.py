@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from agent.planning.best_frontier import TradeOff, best_frontier
 from agent.planning.cost_field import FAR, costs, way, way_between, workspace
-from agent.planning.frontier import Floor, frontier_cells, reachable_frontier
+from agent.planning.frontier import Floor, Regions, frontier_cells
 from agent.planning.utility import utilities
 from protocol.grid import FREE, Grid
 from tests.agent.explorations import exploration, real_map
@@ -95,7 +95,7 @@ def test_the_frontier_found_while_flooding_is_the_frontier_of_the_reached_cells(
 ) -> None:
     grid, x, y = case
     floor = Floor(grid)
-    found = reachable_frontier(floor, grid, x, y)
+    found = Regions().frontier(floor, grid, x, y)
     assert found.tolist() == frontier_cells(grid, np.isfinite(costs(floor, x, y))).tolist()
 
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.planning.cost_field import costs, nearest_first, way
-from agent.planning.frontier import Floor, frontier_cells, is_frontier, reachable_frontier
+from agent.planning.frontier import Floor, Regions, frontier_cells, is_frontier
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from tests.agent.planning.planning_references import dijkstra, drawn
 
@@ -51,7 +51,7 @@ def test_frontier_cells_are_free_reachable_and_beside_the_unknown_row_by_row(
         for cx in range(width)
         if by_definition(grid, cx, cy) and field[cy, cx] < math.inf
     ]
-    found = reachable_frontier(Floor(grid), grid, x, y)
+    found = Regions().frontier(Floor(grid), grid, x, y)
     assert found.dtype == np.int32
     assert found.tolist() == wanted
 
@@ -67,7 +67,7 @@ def test_is_frontier_agrees_for_each_cell(case: tuple[Grid, int, int]) -> None:
 
 def test_the_rim_of_the_grid_is_no_frontier_and_a_diagonal_neighbor_does_not_count() -> None:
     inside = drawn("...", "...")
-    assert not reachable_frontier(Floor(inside), inside, 0, 0).size
+    assert not Regions().frontier(Floor(inside), inside, 0, 0).size
     grid = drawn("..#", "..#", "##?")
     assert not is_frontier(grid, 1, 1)
     assert is_frontier(drawn("..", ".?"), 1, 0)
@@ -76,7 +76,7 @@ def test_the_rim_of_the_grid_is_no_frontier_and_a_diagonal_neighbor_does_not_cou
 def test_a_frontier_behind_a_wall_does_not_count() -> None:
     grid = drawn(".#.?")
     assert is_frontier(grid, 2, 0)
-    assert not reachable_frontier(Floor(grid), grid, 0, 0).size
+    assert not Regions().frontier(Floor(grid), grid, 0, 0).size
 
 
 @given(

@@ -23,9 +23,11 @@ from worldsim.laser import cast
 
 BEAMS = 36
 RANGES = (5.0, 3.0, 7.0)
-NARROW = NarrowBand(5.0, 15)
+LONG = 1000
+NARROW = NarrowBand(5.0, LONG)
 seeds = st.integers(0, 2**32 - 1)
-bands = st.sampled_from([None, NARROW, NarrowBand(0.0001, 1), NarrowBand(300.0, 40)])
+bands = st.sampled_from([None, NARROW, NarrowBand(0.0001, LONG), NarrowBand(300.0, LONG)])
+short_bands = st.sampled_from([NarrowBand(5.0, limit) for limit in (1, 2, 5, 10, 20, 40)])
 
 Cell = tuple[int, int]
 
@@ -154,7 +156,7 @@ def test_an_update_waits_for_its_dependencies_and_changes_nothing_until_then(see
     assert (receiver.grids == author.grids).all()
 
 
-@given(seeds, bands)
+@given(seeds, bands | short_bands)
 def test_a_rolled_back_update_leaves_no_trace(seed: int, narrow: NarrowBand | None) -> None:
     scene = Scene.drawn(seed)
     author, other = Group(scene.shape, narrow=narrow), Group(scene.shape, narrow=narrow)
@@ -244,7 +246,12 @@ def test_a_scan_of_an_office_takes_a_hundredth_of_its_readings() -> None:
 messages = st.binary(max_size=64)
 
 
-@given(seeds, messages, st.lists(st.tuples(st.integers(0, 63), st.integers(0, 255)), max_size=3), bands)
+@given(
+    seeds,
+    messages,
+    st.lists(st.tuples(st.integers(0, 63), st.integers(0, 255)), max_size=3),
+    bands | short_bands,
+)
 def test_noise_and_damaged_updates_change_nothing_or_decode_fully(
     seed: int, noise: bytes, flips: list[tuple[int, int]], narrow: NarrowBand | None
 ) -> None:
@@ -276,7 +283,7 @@ def test_noise_and_damaged_updates_change_nothing_or_decode_fully(
         assert (receiver.grids == author.grids).all()
 
 
-@pytest.mark.parametrize("narrow", [None, NARROW])
+@pytest.mark.parametrize("narrow", [None, NARROW, NarrowBand(5.0, 15)])
 @pytest.mark.parametrize("size", [0, 1, 4, 16, 64, 1000])
 def test_hostile_bytes_cost_bounded_time(size: int, narrow: NarrowBand | None) -> None:
     grid = np.zeros((400, 400), np.uint8)
@@ -345,7 +352,7 @@ def test_on_narrow_media_a_scan_is_left_out_if_earlier_ones_reveal_its_cells() -
 def test_updates_of_a_walk_are_shorter_on_narrow_media() -> None:
     truth, walk = exploration(120)
     sizes = []
-    for band in (None, NARROW):
+    for band in (None, NarrowBand(5.0, 15)):
         author = Group((truth.shape[0], truth.shape[1]), team=False, narrow=band, ranges=(30.0,)).streams[0]
         receiver = Group((truth.shape[0], truth.shape[1]), team=False, narrow=band, ranges=(30.0,)).streams[0]
         own, size = walk[-1][0], 0
@@ -360,6 +367,43 @@ def test_updates_of_a_walk_are_shorter_on_narrow_media() -> None:
         assert ((receiver.grid & STATE) == own).all()
         sizes.append(size)
     assert sizes[1] < 0.8 * sizes[0]
+
+
+@pytest.mark.parametrize("limit", [8, 10, 15])
+def test_on_narrow_media_an_update_ends_at_its_limit_and_the_next_one_has_the_rest(limit: int) -> None:
+    truth, walk = exploration(60)
+    shape, band = (truth.shape[0], truth.shape[1]), NarrowBand(5.0, limit)
+    author, receiver = (Group(shape, team=False, narrow=band, ranges=(30.0,)).streams[0] for _ in range(2))
+    own, poses, sizes = walk[-1][0], [pose for _, pose in walk], []
+    while poses:
+        update = author.encode(own, poses, (0, 0, shape[1], shape[0]))
+        if update is None:
+            break
+        assert receiver.decode(update[0]) is not None
+        sizes.append(len(update[0]))
+        poses = poses[update[2] :]
+    assert ((receiver.grid & STATE) == own).all()
+    assert len(sizes) > 1
+    assert max(sizes) <= limit + 1
+    assert min(sizes[:-1]) >= limit - 2
+
+
+@given(seeds)
+def test_dependencies_on_narrow_media_include_those_of_the_bases(seed: int) -> None:
+    scene = Scene.drawn(seed)
+    author, receiver = (Group(scene.shape, narrow=NARROW) for _ in range(2))
+    for _ in range(15):
+        robot = int(scene.rng.integers(len(RANGES)))
+        if (update := scene.encode(author, robot)) is None:
+            continue
+        received = receiver.streams[robot].decode(update[0])
+        assert received is not None
+        assert received.ends == update[1].ends
+        for base in received.bases:
+            last = receiver.histories[base.map_id].between(base.end - 1, base.end)[0]
+            others = [each for each in range(len(RANGES)) if each != robot]
+            assert received.ends[base.map_id] >= base.end
+            assert all(received.ends[each] >= last.ends[each] for each in others)
 
 
 def test_an_empty_update_leaves_the_one_before_it_retractable() -> None:
@@ -380,7 +424,7 @@ def test_an_empty_update_leaves_the_one_before_it_retractable() -> None:
     assert again[0] == update[0]
 
 
-@given(seeds, st.integers(1, 40), bands)
+@given(seeds, st.integers(1, 40), bands | short_bands)
 def test_a_size_limit_defers_scans_to_the_next_updates(
     seed: int, most: int, narrow: NarrowBand | None
 ) -> None:
@@ -389,15 +433,18 @@ def test_a_size_limit_defers_scans_to_the_next_updates(
     height, width = scene.shape
     for _ in range(4):
         robot = int(scene.rng.integers(len(RANGES)))
-        poses = scene.change(robot)
+        poses, stream = scene.change(robot), author.streams[robot]
         scans = -1
-        while scans < len(poses):
+        while scans < len(poses) or stream.is_cut:
             poses = poses[max(scans, 0) :]
-            update = author.streams[robot].encode(scene.own[robot], poses, (0, 0, width, height), most=most)
+            update = stream.encode(scene.own[robot], poses, (0, 0, width, height), most=most)
             if update is None:
                 break
-            message, _, scans = update
-            assert receiver.streams[robot].decode(message) is not None
+            message, reported, scans = update
+            received = receiver.streams[robot].decode(message)
+            assert received is not None
+            assert received.places.tolist() == reported.places.tolist()
+            assert received.states.tolist() == reported.states.tolist()
         else:
             assert receiver.follows(robot, scene.own[robot])
         assert (receiver.grids == author.grids).all()

@@ -89,7 +89,7 @@ def scan_of_a_room(*, narrow: bool, model: Model | None = None) -> bytes:
     own[10:70, 10:110] = FREE
     own[10, 10:110] = own[69, 10:110] = own[10:70, 10] = own[10:70, 109] = OCCUPIED
     own[30, 10:40] = own[30:50, 60] = OCCUPIED
-    scratch, band = np.empty((2 * own.size, 2), np.int32), NarrowBand(5.0, 15) if narrow else None
+    scratch, band = np.empty((2 * own.size, 2), np.int32), NarrowBand(5.0, 1000) if narrow else None
     beams = ray_table(50.0, 360)
     stream = ScanStream(0, np.zeros_like(own), beams, [History()], scratch, team=False, narrow=band)
     if model is not None:

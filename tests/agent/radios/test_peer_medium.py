@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 
-from agent.radios.memory_air import Faults, MemoryAir
 from agent.radios.options import MIN_FRAME, LinkOptions
 from agent.radios.peer_medium import FRAME_OVERHEAD, MAX_BROADCAST, MAX_WAITING, WORTHWHILE, PeerMedium
 from agent.radios.sealing import KEY_BYTES, OVERHEAD, Opener, Sealer
@@ -23,8 +22,10 @@ from protocol.messages import (
     RoundReport,
     SendReport,
 )
-from protocol.packets import HeldEarly, Pose, encode
+from protocol.packet_codec import encode
+from protocol.packets import HeldEarly, Pose
 from protocol.token_bucket import SECOND
+from tests.agent.radios.memory_air import Faults, MemoryAir
 
 KEY = bytes(range(KEY_BYTES))
 OPTIONS = LinkOptions("udp", interface="lo", bytes_per_s=100, frame_bytes=200, interval_s=1.0)

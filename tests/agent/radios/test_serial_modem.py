@@ -14,7 +14,7 @@ import pytest
 from agent.radios.cobs import LineReader, line
 from agent.radios.options import LinkOptions
 from agent.radios.serial_modem import SerialModem
-from agent.radios.transport import MAX_PER_CALL, Transport, TransportError, waiting
+from agent.radios.transport import MAX_PER_CALL, Transport, TransportError, wait
 from protocol.token_bucket import SECOND
 from tests.agent.radios.air_team import AirTeam, assert_maps_agree, exchange_all
 from tests.agent.radios.modems import LONGEST, RATE, Modems, Terminal
@@ -127,12 +127,12 @@ def test_a_modem_that_is_unplugged_and_plugged_in_again_continues(tmp_path: Path
     assert modem.receive() == []
     assert modem.fileno() == -1
     assert not modem.send(b"frame")
-    waiting(modem)(1000)
+    wait(modem, 1000)
     port.symlink_to(second.path)
     assert modem.send(b"frame")
     assert read(second, len(line(b"frame"))) == line(b"frame")
     os.write(second.side, line(b"reply"))
-    waiting(modem)(PATIENCE_S * SECOND)
+    wait(modem, PATIENCE_S * SECOND)
     assert arrived(modem) == [b"reply"]
     modem.close()
     assert not modem.send(b"frame")

@@ -30,7 +30,8 @@ from protocol.messages import (
     RoundReport,
     SendReport,
 )
-from protocol.packets import SALTS, Fragment, Held, HeldEarly, LogDigest, decode, encode
+from protocol.packet_codec import decode, encode
+from protocol.packets import SALTS, Fragment, Held, HeldEarly, LogDigest
 
 Reach = Mapping[int, Sequence[int]]
 """The robots in range of each robot; a robot without a key is dead."""
@@ -376,7 +377,8 @@ class Network:
 
 def packet_map(offer: bytes) -> int:
     """The map number of an offer."""
-    from protocol.packets import Offer, decode
+    from protocol.packet_codec import decode
+    from protocol.packets import Offer
 
     (packet,) = decode(offer)
     assert isinstance(packet, Offer)

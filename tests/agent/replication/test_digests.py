@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from agent.replication.control_packets import Header, header
 from agent.replication.digests import INTERVAL, LogVerifier
 from agent.replication.log import Log
-from protocol import packet_index, packets
+from protocol import packet_codec, packet_index
 from protocol.messages import Delivery, RoundReport
-from protocol.packets import Fragment, LogDigest, decode, encode
+from protocol.packet_codec import decode, encode
+from protocol.packets import Fragment, LogDigest
 from tests.agent.replication.network import (
     VARIANTS,
     Network,
@@ -43,7 +44,7 @@ def forged(sender: int, _receiver: int, map_id: int, frame: bytes) -> bytes:
         return frame
     sent = []
     for packet in packet_index.split(frame):
-        if packets.name(packet) != Fragment.name:
+        if packet_codec.name(packet) != Fragment.name:
             control = decode(packet)[0]
             map_id = control.map if isinstance(control, Header) else map_id
             sent.append(packet)
@@ -151,7 +152,7 @@ def test_an_author_reports_a_forgery_of_its_log_and_sends_a_digest(name: str, ac
     assert engine.replica.digest_length == 2
     assert receive(header(0, 2) + entry(0, 2) + entry(0, 3)) == [(FORGER, 0)], "it wrote no entry 3"
     sent = engine.announcements() + b"".join(each.payload for each in engine.open_round(0, [1, 2], None))
-    digests = [each for each in packets.decode(sent) if isinstance(each, LogDigest)]
+    digests = [each for each in packet_codec.decode(sent) if isinstance(each, LogDigest)]
     assert [each.entries for each in digests] == [2]
     assert len(engine.logs[0]) == 3, "its own log is its own"
 

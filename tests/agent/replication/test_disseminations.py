@@ -11,7 +11,8 @@ from agent.replication.base import Replication
 from protocol import packet_index
 from protocol.errors import ProtocolError
 from protocol.messages import ConnectionReport, Delivery, RoundReport, SendReport
-from protocol.packets import Answer, HeldEarly, Offer, encode
+from protocol.packet_codec import encode
+from protocol.packets import Answer, HeldEarly, Offer
 from tests.agent.replication.network import (
     VARIANTS,
     Network,

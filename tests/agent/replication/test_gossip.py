@@ -13,9 +13,10 @@ from agent.replication.delivery import PATIENCE
 from agent.replication.gossip import REFRESH
 from agent.replication.gossip_policy import HELD_PER_PRIORITY, MAX_PRIORITY
 from agent.replication.neighbors import GREETING
-from protocol import packet_index, packets
+from protocol import packet_codec, packet_index
 from protocol.errors import ProtocolError
 from protocol.messages import Delivery, RoundReport, SendReport
+from protocol.packet_codec import encode
 from protocol.packets import (
     GOSSIP_WINDOW,
     Delete,
@@ -29,7 +30,6 @@ from protocol.packets import (
     Offer,
     Save,
     Target,
-    encode,
 )
 from tests.agent.replication.network import Network, entries, entry, everyone, line, make_engine, random_reach
 
@@ -192,7 +192,9 @@ def test_a_header_precedes_entries_only_where_a_receiver_may_have_missed_the_las
     assert broadcasts(network)[1].startswith(encode([Gone(2)]))
     network.append(0, 1)
     step(network, APART)
-    assert not [each for each in packets.decode(broadcasts(network)[0]) if isinstance(each, From | FromEarly)]
+    assert not [
+        each for each in packet_codec.decode(broadcasts(network)[0]) if isinstance(each, From | FromEarly)
+    ]
     assert entry(0, 1) in broadcasts(network)[0]
     network.append(0, 1)
     step(network, everyone(3))
@@ -213,7 +215,7 @@ def test_robots_that_meet_report_the_logs_that_grew_since() -> None:
     reports = {
         (robot, packet)
         for robot, frame in broadcasts(network).items()
-        for packet in packets.decode(frame)
+        for packet in packet_codec.decode(frame)
         if isinstance(packet, Held | HeldEarly)
     }
     assert (1, HeldEarly(2, 3)) in reports
@@ -324,7 +326,7 @@ def test_no_entries_are_sent_whose_predecessors_all_in_range_lack() -> None:
         sent = [
             p
             for frame in broadcasts(network).values()
-            for p in packets.decode(frame)
+            for p in packet_codec.decode(frame)
             if isinstance(p, Fragment)
         ]
         assert not sent or network.length(2, 0) > before
@@ -341,7 +343,7 @@ def test_entries_that_came_behind_a_gap_are_kept_until_it_is_filled() -> None:
         each.close_round(closing((0, encode([FromEarly(0, first)]) + b"".join(entries(0, first, first + 3)))))
     assert packet_index.split(each.logs[0].read(0, None)) == entries(0, 0, 6)
     (frame,) = each.open_round(1, [0], None)
-    assert packets.decode(frame.payload) == [HeldEarly(0, 6)], (
+    assert packet_codec.decode(frame.payload) == [HeldEarly(0, 6)], (
         "no robot is to repeat the entries that were kept"
     )
 
@@ -421,7 +423,9 @@ def test_claims_of_more_entries_than_there_are_silence_no_robot(acks: bool) -> N
 def test_claims_in_acknowledged_frames_harm_no_other_robot() -> None:
     network = Network(3, acks=True, seed=3)
     network.append(0, 20)
-    lie = encode([Held(0, 10_000), HeldEarly(2, 200), Offer(0, 3), From(1, 7), *packets.decode(entry(1, 7))])
+    lie = encode(
+        [Held(0, 10_000), HeldEarly(2, 200), Offer(0, 3), From(1, 7), *packet_codec.decode(entry(1, 7))]
+    )
     for robot in (0, 2):
         assert not network.engines[robot].close_round(closing((1, lie)))
     for _ in range(40):

@@ -18,10 +18,11 @@ from agent.replication.log import Log
 from agent.replication.peers import map_ids
 from agent.replication.policies import CROWD, Rounds, backoff
 from agent.replication.replica import Replica
-from protocol import packet_index, packets
+from protocol import packet_codec, packet_index, packets
 from protocol.errors import ProtocolError
 from protocol.messages import ConnectionReport, Delivery, OutgoingFrame, RoundReport
-from protocol.packets import BLOCKS, DECLINED, INDEX_WINDOW, Answer, Block, Offer, Save, encode
+from protocol.packet_codec import encode
+from protocol.packets import BLOCKS, DECLINED, INDEX_WINDOW, Answer, Block, Offer, Save
 from tests.agent.replication.network import Network, entries, entry, everyone, line, make_engine
 
 ROUND = BLOCKS * INDEX_WINDOW
@@ -240,7 +241,7 @@ def test_an_answer_is_as_short_as_it_can_be(length: int, count: int) -> None:
     each = engine(1)
     each.logs[0] = long_log(length)
     (reply,) = each.answer([Delivery(0, encode([Offer(0, 0)]), 0)])
-    assert len(packets.decode(reply.payload)) == count
+    assert len(packet_codec.decode(reply.payload)) == count
     assert len(reply.payload) == 2 * count
 
 
@@ -432,7 +433,7 @@ def test_no_robot_accepts_entries_of_its_own_map() -> None:
     each = engine(0, 3)
     each.append(entries(0, 0, 2))
     (answer,) = each.answer([Delivery(1, encode([Offer(0, 0)]), 5)])
-    assert packets.decode(answer.payload) == [Block(DECLINED)]
+    assert packet_codec.decode(answer.payload) == [Block(DECLINED)]
     each.close_round(closing(ConnectionReport(5, 2, 2, 9), data=[Delivery(1, entry(0, 2), 5)]))
     assert packet_index.split(each.logs[0].read(0, None)) == entries(0, 0, 2)
 
@@ -441,7 +442,7 @@ def test_data_on_a_connection_that_was_declined_or_never_offered_is_dropped() ->
     each = engine(0, 3)
     offer = encode([Offer(2, 0)])
     answers = each.answer([Delivery(1, offer, 5), Delivery(2, offer, 6)])
-    assert [packets.decode(frame.payload) for frame in answers] == [[Answer(0)], [Block(DECLINED)]]
+    assert [packet_codec.decode(frame.payload) for frame in answers] == [[Answer(0)], [Block(DECLINED)]]
     data = [Delivery(sender, entry(2, 0), connection) for sender, connection in ((1, 5), (2, 6), (2, 99))]
     each.close_round(closing(ConnectionReport(5, 2, 2, 7), ConnectionReport(6, 2, 2, 7), data=data))
     assert packet_index.split(each.logs[2].read(0, None)) == entries(2, 0, 1)

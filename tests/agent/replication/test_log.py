@@ -17,7 +17,8 @@ from agent.replication.peers import map_ids
 from agent.replication.replica import ASK_AGAIN, LONGEST, MANY, TRIES, Replica
 from protocol import packet_index
 from protocol.errors import ProtocolError
-from protocol.packets import DIGEST_WINDOW, FromEarly, Held, Near, encode
+from protocol.packet_codec import encode
+from protocol.packets import DIGEST_WINDOW, FromEarly, Held, Near
 from tests.agent.replication.network import entries, entry
 
 sizes = st.lists(st.integers(1, 30), max_size=12)

@@ -95,11 +95,36 @@ def test_a_teammate_out_of_range_is_assumed_at_its_target_for_some_time() -> Non
     assert make_strategy().decide(replace(away, step=2 + RECALL)).target == END
 
 
+# The hall with a wall instead of its unknown end: only the gap is left.
+CLOSED: Grid = HALL.copy()
+CLOSED[1:-1, 50] = OCCUPIED
+
+
+@pytest.mark.parametrize(("mission", "first"), [("open", GAP), ("return", None)])
+def test_two_robots_that_leave_the_last_goal_to_each_other_both_drive_there(
+    mission: str, first: tuple[int, int] | None
+) -> None:
+    # Each of them knows an old pose of the other one, nearer to the gap than its own.
+    here, known = (20, 25), (15, 10)
+    found = [
+        make_strategy(robot, {"mission": mission}, CLOSED).decide(
+            robot_at(
+                here[robot],
+                4,
+                CLOSED,
+                peers=(1 - robot,),
+                poses={1 - robot: Pose(known[1 - robot], 4, leads=False)},
+            )
+        )
+        for robot in (0, 1)
+    ]
+    assert [each.target for each in found] == [first] * 2
+
+
 def test_a_waiting_robot_takes_over_the_goal_of_a_teammate_that_stands_still() -> None:
-    # Only the gap is left, and robot 1 is the nearer to it, but sees nothing to do.
-    grid = HALL.copy()
-    grid[1:-1, 50] = OCCUPIED
-    robot = make_strategy(grid=grid)
+    # Robot 1 is the nearer to the gap, but sees nothing to do. Robots that must return wait for their teammates.
+    grid = CLOSED
+    robot = make_strategy(0, {"mission": "return"}, grid)
     seen = [
         robot.decide(
             replace(

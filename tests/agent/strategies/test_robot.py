@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from agent.announcements import REPEAT_POSE
 from agent.robot import SURE_AFTER, SURE_AFTER_NOISE, SURE_AFTER_NOISE_IN_TEAM, Robot, sure_after
 from agent.strategies.base import Decision, Pose, Situation, Strategy
-from protocol import packets
+from protocol import packet_codec, packets
 from protocol.grid import ray_table
 from protocol.messages import Delivery, RoundReport, SendReport, Sense
 from protocol.range_scans import TURN, Laser
@@ -37,7 +37,7 @@ def carried(step: int) -> RoundReport:
 
 def announced(robot: Robot, peers: list[int]) -> list[str]:
     frame = robot.announce(peers)
-    return [] if frame is None else [packet.name for packet in packets.decode(frame)]
+    return [] if frame is None else [packet.name for packet in packet_codec.decode(frame)]
 
 
 def test_only_team_strategies_publish_poses() -> None:
@@ -75,7 +75,7 @@ def test_a_pose_and_a_target_go_in_one_broadcast_and_are_understood() -> None:
     one.perceive(sense(2))
     frame = one.announce([1])
     assert frame is not None
-    assert [packet.name for packet in packets.decode(frame)] == ["pose", "targ"]
+    assert [packet.name for packet in packet_codec.decode(frame)] == ["pose", "targ"]
     assert len(frame) == 7
     other.receive_broadcast(0, frame)
     assert not other.faults
@@ -87,7 +87,7 @@ def test_a_pose_contains_whether_the_robot_leads() -> None:
         robot.perceive(sense(1))
         frame = robot.announce([1 - number])
         assert frame is not None
-        (pose,) = packets.decode(frame)
+        (pose,) = packet_codec.decode(frame)
         assert pose == packets.Pose(10, 10, leads)
 
 
@@ -110,7 +110,7 @@ def test_a_depot_is_the_first_received_pose_and_distances_add_up_from_pose_to_po
     for step, x, received in ((1, 10, (3, 4)), (2, 13, (6, 8)), (3, 13, (6, 10))):
         robot.perceive(sense(step, x))
         robot.announce([1])
-        robot.receive_broadcast(1, packets.encode([packets.Pose(*received, 0)]))
+        robot.receive_broadcast(1, packet_codec.encode([packets.Pose(*received, 0)]))
         robot.decide()
     situation = Witness.situation
     assert situation.homes == {0: (10, 10), 1: (3, 4)}
@@ -121,7 +121,11 @@ def test_a_depot_is_the_first_received_pose_and_distances_add_up_from_pose_to_po
 
 def test_a_malformed_broadcast_is_a_fault_and_nothing_more() -> None:
     robot = make_robot("burgard")
-    for frame in (packets.encode([packets.Pose(500, 3, 0)]), packets.encode([packets.Save()]), b"\xff"):
+    for frame in (
+        packet_codec.encode([packets.Pose(500, 3, 0)]),
+        packet_codec.encode([packets.Save()]),
+        b"\xff",
+    ):
         robot.receive_broadcast(1, frame)
     assert len(robot.faults) == 3
     robot.perceive(sense(1))

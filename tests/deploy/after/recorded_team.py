@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from agent.radios.memory_air import MemoryAir
 from agent.radios.options import LinkOptions
 from agent.radios.peer_medium import FrameRecord
 from deploy.record.field_records import FieldRecorder, RobotSetup
 from deploy.scenario.plan import Plan
 from protocol.token_bucket import SECOND
 from tests.agent.radios.air_team import AirTeam
+from tests.agent.radios.memory_air import MemoryAir
 
 CORNER = -5.0, 2.0
 """The lower left corner of the team's grid in the common frame."""

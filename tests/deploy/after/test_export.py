@@ -11,25 +11,26 @@ import numpy as np
 import pytest
 import yaml
 
+pytest.importorskip("rosbags", reason="rosbags is not installed: pip install 'murmur-robots[mcap]'")
+pytest.importorskip(
+    "mcap_ros2", reason="mcap-ros2-support is not installed: pip install 'murmur-robots[dev]'"
+)
+
+from agent.bodies.team_map import occupancy
 from deploy.after import archive
-from deploy.after.export import ExportError, export_mcap, occupancy, ranges_of
+from deploy.after.bag_messages import ranges_of
+from deploy.after.export import ExportError, export_mcap
 from deploy.after.recast_scans import Lasers
 from deploy.record.colors import GROUPS
 from deploy.run.in_memory import MemoryRun
 from protocol.grid import ray_table
-from protocol.messages import Sense, unpack
+from protocol.message_codec import unpack
+from protocol.messages import Sense
 from protocol.scans import HIT, NONE
 from protocol.transforms import Pose
 from tests.deploy.small_run import small_directory, small_plan
 from worldsim.maps import to_cell, to_world
 from worldsim.recorded import reading
-
-needs_packages = [
-    pytest.importorskip("rosbags", reason="rosbags is not installed: pip install 'murmur-robots[mcap]'"),
-    pytest.importorskip(
-        "mcap_ros2", reason="mcap-ros2-support is not installed: pip install 'murmur-robots[dev]'"
-    ),
-]
 
 
 @cache

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 import murmur
-from agent.radios.memory_air import Faults, MemoryAir
 from deploy.after.archive import Archive, read
 from deploy.after.field_summary import NEEDS_TRUTH
 from deploy.after.merge import merge
@@ -23,6 +22,7 @@ from deploy.run.result import Result
 from deploy.scenario.errors import ScenarioError
 from protocol.grid import FREE, UNKNOWN, Grid
 from protocol.token_bucket import SECOND
+from tests.agent.radios.memory_air import Faults, MemoryAir
 from tests.deploy.after.recorded_team import CORNER, RATE, RecordedTeam
 from tests.deploy.commands.office_floor import murmur as command
 from tests.system.team import small_plan

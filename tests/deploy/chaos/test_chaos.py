@@ -19,7 +19,8 @@ from deploy.run.in_memory import MemoryRun
 from deploy.scenario import plan as plans
 from protocol.grid import UNKNOWN
 from protocol.memory_bus import MemoryHub
-from protocol.messages import OutgoingFrame, RobotFrames, pack, unpack
+from protocol.message_codec import pack, unpack
+from protocol.messages import OutgoingFrame, RobotFrames
 
 SMALL = [6, 11, 15, 75]
 """Seeds of small and short cases."""

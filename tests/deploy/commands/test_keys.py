@@ -19,7 +19,8 @@ from deploy.scenario.scenario import parse
 from protocol import keys as names
 from protocol.bus import Bus
 from protocol.keys import Keys
-from protocol.messages import Shutdown, pack
+from protocol.message_codec import pack
+from protocol.messages import Shutdown
 from protocol.zenoh_bus import Credential, join
 from tests.deploy.commands.office_floor import murmur
 

@@ -20,16 +20,8 @@ from protocol import keys as names
 from protocol.bus import Message
 from protocol.grid import FREE
 from protocol.keys import Keys
-from protocol.messages import (
-    ErrorReport,
-    Outlines,
-    RadioReport,
-    RobotStatus,
-    Shutdown,
-    Snapshot,
-    WorldReport,
-    pack,
-)
+from protocol.message_codec import pack
+from protocol.messages import ErrorReport, Outlines, RadioReport, RobotStatus, Shutdown, Snapshot, WorldReport
 from tests.deploy.small_run import SETTINGS, Listener, reports, small_plan, small_run
 from worldsim.maps import to_world
 

@@ -120,7 +120,6 @@ def test_bytes_are_summed_by_traffic_type_and_link(events: RunEvents) -> None:
         "targets": 3,
     }
     assert events.traffic.carried == 80
-    assert events.traffic.cut == 600
     assert events.traffic.links == {(0, 2): 2, (1, 0): 3, (2, 0): 75}
     assert events.bytes == {"ins": 60, "conn": 2, "em": 15, "targ": 3}
     assert report == ["robot 2 reports 2 new objects", "channel full: 600 B not sent"]

@@ -22,8 +22,8 @@ from deploy.dashboard.shapes import (
 )
 from deploy.record.colors import CELLS, GROUPS, robot_color
 from deploy.record.ticks import tick_values
+from protocol.cell_bytes import grid_from_bytes, grid_to_bytes
 from protocol.grid import MAX_ROBOTS, Grid
-from protocol.messages import grid_from_bytes, grid_to_bytes
 from protocol.packets import ALL_KINDS
 from worldsim.maps import Map
 

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from agent.radios.team_key import create_key
-from deploy.field import listener
+from deploy.field import connection, listener
 from protocol.transforms import Pose
 from tests.agent.bodies.ros_house import house
 from tests.deploy.commands.office_floor import murmur
@@ -87,7 +87,7 @@ def test_without_a_router_the_other_checks_are_skipped(
     def refuse(*_: object, **__: object) -> None:
         raise ConnectionError
 
-    monkeypatch.setattr(listener, "Ros2Node", refuse)
+    monkeypatch.setattr(connection, "Ros2Node", refuse)
     code, findings = examine(tmp_path, "tcp/127.0.0.1:9")
     assert code == 1
     assert findings["router"] == (

@@ -20,7 +20,8 @@ from protocol import keys as names
 from protocol import rights
 from protocol.bus import Bus
 from protocol.grid import FREE
-from protocol.messages import End, MapPart, Move, OutgoingFrame, RobotFrames, pack
+from protocol.message_codec import pack
+from protocol.messages import End, MapPart, Move, OutgoingFrame, RobotFrames
 from tests.system.team import small_plan
 
 

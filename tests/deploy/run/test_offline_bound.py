@@ -9,8 +9,9 @@ import pytest
 
 from deploy.run.offline_bound import Cell, KnownBuilding, offline_steps, offline_tours
 from protocol.body import Body
+from protocol.cell_bytes import cells_to_bytes
 from protocol.grid import FREE, OCCUPIED, Grid
-from protocol.messages import Move, cells_to_bytes
+from protocol.messages import Move
 from worldsim import generators
 from worldsim.world import World, WorldSettings
 

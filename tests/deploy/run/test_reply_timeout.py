@@ -15,7 +15,8 @@ from protocol import map_parts
 from protocol.bus import Message
 from protocol.keys import Keys
 from protocol.map_parts import FinalMaps
-from protocol.messages import End, MapPart, WorldReport, pack
+from protocol.message_codec import pack
+from protocol.messages import End, MapPart, WorldReport
 
 
 class WaitingNode:

@@ -6,14 +6,14 @@ from agent.predictive.mixer import new_model
 from agent.predictive.tile_author import TileAuthor
 from agent.predictive.tiles import CONTEXTS, SETS
 from agent.predictive.urgent_tile_author import UrgentTileAuthor
-from deploy.run.recording_bus import record_run
+from deploy.run.recording_bus import record_senses
 from deploy.study.tile_table import LEAST_SEEN, OLDEST_START, SENSORS, shortened, train_on
 from tests.system.team import small_plan
 
 
 def test_a_model_learns_from_an_exploration() -> None:
     plan = small_plan("office", robots=2, map_encoding="scans", bandwidth="unlimited", steps=40, **SENSORS[0])
-    senses = [bus.senses for bus in record_run(plan, ["r0", "r1"])[0].values()]
+    senses = record_senses(plan)
     for author in (TileAuthor, UrgentTileAuthor):
         model, first = train_on(plan, senses, author, new_model(CONTEXTS, SETS))
         assert first > 100

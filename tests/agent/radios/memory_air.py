@@ -1,4 +1,4 @@
-"""Transport in memory, for tests and dry runs: it loses, delays, repeats, and separates frames, equally in each run."""
+"""Transport in memory: it loses, delays, repeats, and separates frames, equally in each run."""
 
 from __future__ import annotations
 

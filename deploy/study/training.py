@@ -1,0 +1,43 @@
+"""What the training of the predictive encoding's tables shares: explorations, and the maps that robots encode again."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from deploy.run.recording_bus import record_senses
+from deploy.scenario import plan as plans
+from deploy.scenario.plan import Plan
+from deploy.scenario.scenario import parse
+from protocol.boxes import Box
+from protocol.cell_bytes import cells_from_bytes
+from protocol.grid import UNKNOWN, RayTable
+from protocol.messages import Sense
+from protocol.scans import draw
+
+
+def explored(**settings: Any) -> tuple[Plan, list[list[Sense]]]:
+    """Run an exploration without a limit of the radio; return its plan, and the sensor messages of each robot."""
+    plan = plans.make(parse({"map_encoding": "scans", "bandwidth": "unlimited", "bus": "memory", **settings}))
+    return plan, record_senses(plan)
+
+
+class OwnMap:
+    """The map that a robot makes of its exact scans, and what it has not encoded yet."""
+
+    def __init__(self, shape: tuple[int, ...], beams: RayTable) -> None:
+        self.grid = np.full(shape, UNKNOWN, np.uint8)
+        self.poses: list[tuple[int, int]] = []
+        """Poses of the scans that have changed the map."""
+        self.boxes: list[Box] = []
+        """The boxes of the changed cells."""
+        self._beams = beams
+
+    def add(self, sense: Sense) -> None:
+        """Draw a scan."""
+        readings = np.frombuffer(sense.readings, np.uint16).copy()
+        change = draw(self.grid, self._beams, sense.x, sense.y, readings, cells_from_bytes(sense.driven))
+        if change.cells:
+            self.poses.append((sense.x, sense.y))
+            self.boxes.append(change.box)
