@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from agent.bodies.markers import frontier_cells
 from agent.planning.avoided import MOST_TIMES, AvoidedTargets
+from agent.planning.frontier import frontier_cells
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 
 TARGET, AWAY = (20, 10), (3, 10)
@@ -24,7 +24,7 @@ def steps_avoided(avoided: AvoidedTargets, most: int = 100) -> int:
     for step in range(most):
         grid = half_known()
         avoided.draw(grid, AWAY)
-        if list(TARGET) in frontier_cells(grid).tolist():
+        if list(TARGET) in frontier_cells(grid, grid == FREE).tolist():
             return step
     return most
 
@@ -34,7 +34,7 @@ def test_the_frontier_around_a_target_vanishes_and_other_frontiers_stay() -> Non
     avoided.add(TARGET, 1)
     grid = half_known()
     avoided.draw(grid, AWAY)
-    left = frontier_cells(grid)
+    left = frontier_cells(grid, grid == FREE)
     assert {tuple(cell) for cell in left.tolist()} == {(20, row) for row in range(20) if abs(row - 10) > 4}
     assert (grid[:, :21] == FREE).all(), "ways over known cells stay"
     assert (grid[:, 21:] != FREE).all()
@@ -61,4 +61,4 @@ def test_a_robot_beside_the_target_is_not_enclosed(here: tuple[int, int]) -> Non
     rows, columns = np.nonzero(grid == OCCUPIED)
     assert len(rows)
     assert np.hypot(columns - here[0], rows - here[1]).min() > 2.0
-    assert list(TARGET) not in frontier_cells(grid).tolist()
+    assert list(TARGET) not in frontier_cells(grid, grid == FREE).tolist()
