@@ -38,8 +38,9 @@ PACKETS_A_STEP = 3
 NARROW = 42
 """Bytes per step below which scans are coded by better predictions (`agent.predictive.scan_stream.NarrowBand`)."""
 
-FILLED_PACKETS = 2
-"""Packets of a full update that fill the budget of a step each. With more, robots wait longer for their turn."""
+FULL_STEPS = 2
+"""Steps of which a full update of scans on a narrow medium takes the budget. With more, robots wait longer for their
+turn."""
 
 LONG_FRAGMENT = 32
 """Bytes of content of a packet from which updates of tiles, most of which take several packets, are split into packets
@@ -57,7 +58,7 @@ class UpdateLimits:
     step_bytes: float
     """Bytes after which a step encodes no more: changes that wait can still be merged with later ones.
 
-    If `is_narrow`, the limit of an update. With `fills`, it takes `FILLED_PACKETS` packets, which fill as many steps.
+    If `is_narrow`, the limit of an update, `FULL_STEPS` budgets; with `fills`, as many packets.
     """
     wait_steps: int
     """Steps for which few new cells wait (`ENOUGH_STEPS`)."""
@@ -86,8 +87,9 @@ class UpdateLimits:
             size = min(size, medium.frame_bytes - SHORT_HEAD)
             fills = min(fills, medium.frame_bytes)
         size = min(max(size, UPDATE_DATA), LONG_UPDATE_DATA)
-        if is_narrow and fills:
-            step_bytes = FILLED_PACKETS * max(size, fills - FromEarly.size - SHORT_HEAD)
+        if is_narrow:
+            content = max(size, fills - FromEarly.size - SHORT_HEAD) if fills else step_bytes
+            step_bytes = FULL_STEPS * content
         splits_long = settings.shares_tiles and size >= LONG_FRAGMENT
         return cls(size, size if splits_long else UPDATE_DATA, step_bytes, wait_steps, fills, is_narrow)
 

@@ -94,6 +94,9 @@ MAX_GOALS = 96
 SMALL_FRONTIER = 1 / 4
 """Longest frontier segment, in sensor ranges, that is observed from a viewpoint; longer ones show more from near by."""
 
+SMALL_FRONTIER_M = 1.25
+"""Longest such segment in meters, about a wide door. Behind longer ones, whole rooms or halls may lie."""
+
 SMALL_FRONTIER_CELLS = 2
 """A segment of at most this many cells is observed from a viewpoint even if the sensor range is short."""
 
@@ -249,7 +252,9 @@ class Repairmen(TeamStrategy):
         self._tour = []
         chosen = super().choose(situation, goals, planner)
         numbers = self._tour[: 1 + AHEAD]
-        small_cells = max(SMALL_FRONTIER_CELLS, SMALL_FRONTIER * self.settings.scale_cells)
+        settings = self.settings
+        small = min(SMALL_FRONTIER * settings.scale_cells, SMALL_FRONTIER_M / settings.resolution)
+        small_cells = max(SMALL_FRONTIER_CELLS, small)
         self._next = goals[numbers], self._lengths[numbers] <= small_cells
         return chosen
 

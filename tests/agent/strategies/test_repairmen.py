@@ -100,6 +100,19 @@ CLOSED: Grid = HALL.copy()
 CLOSED[1:-1, 50] = OCCUPIED
 
 
+@pytest.mark.parametrize(("resolution", "end"), [(0.1, 18), (0.5, 1)])
+def test_a_frontier_as_wide_as_a_door_is_observed_from_afar_and_a_wider_one_from_nearby(
+    resolution: float, end: int
+) -> None:
+    # Three cells are 0.3 or 1.5 m. A viewpoint is at most 0.9 of the sensor range, 18 cells, from the unknown cells.
+    grid = CLOSED.copy()
+    grid[3:6, 0] = UNKNOWN
+    task = settings_for(grid, 0, 2, ranges_cells=[20.0, 20.0], speed_cells=60.0, resolution=resolution)
+    decision = Repairmen({}, task).decide(robot_at(45, 4, grid))
+    assert decision.target == GAP
+    assert decision.path[-1].tolist() == [end, 4]
+
+
 @pytest.mark.parametrize(("mission", "first"), [("open", GAP), ("return", None)])
 def test_two_robots_that_leave_the_last_goal_to_each_other_both_drive_there(
     mission: str, first: tuple[int, int] | None
