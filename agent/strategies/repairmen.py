@@ -91,6 +91,9 @@ SINGLE_ROBOT_HYSTERESIS = 1 / 4
 MAX_GOALS = 96
 """Approximate limit of the goals of a plan: every step searches the ways between all pairs of them."""
 
+LONGEST_RANGE_M = 10.0
+"""Lengths in plans grow with the sensor range up to this one, in meters. In buildings, walls limit longer views."""
+
 SMALL_FRONTIER = 1 / 4
 """Longest frontier segment, in sensor ranges, that is observed from a viewpoint; longer ones show more from near by."""
 
@@ -163,6 +166,11 @@ class Repairmen(TeamStrategy):
         self._given_up: dict[int, int] = {}
         """By teammate that the robot no longer relies on: the step of its last received target at that time."""
 
+    @property
+    def _range_cells(self) -> float:
+        """The sensor range with which plans compute, in cells."""
+        return min(self.settings.scale_cells, LONGEST_RANGE_M / self.settings.resolution)
+
     def is_due(self, situation: Situation) -> bool:
         """Return whether to plan: in each step that changes the planning grid, so that robots do not oscillate.
 
@@ -231,7 +239,7 @@ class Repairmen(TeamStrategy):
         frontier = self.frontier(situation, planner)
         if not len(frontier):
             return frontier
-        shape = self.settings.scale_cells, self.team_size(situation)
+        shape = self._range_cells, self.team_size(situation)
         find = partial(_representatives, situation.grid, frontier, *shape)
         cells, self._lengths = planner.shared((_representatives, frontier.tobytes(), *shape), find)
         return cells
@@ -252,8 +260,7 @@ class Repairmen(TeamStrategy):
         self._tour = []
         chosen = super().choose(situation, goals, planner)
         numbers = self._tour[: 1 + AHEAD]
-        settings = self.settings
-        small = min(SMALL_FRONTIER * settings.scale_cells, SMALL_FRONTIER_M / settings.resolution)
+        small = min(SMALL_FRONTIER * self._range_cells, SMALL_FRONTIER_M / self.settings.resolution)
         small_cells = max(SMALL_FRONTIER_CELLS, small)
         self._next = goals[numbers], self._lengths[numbers] <= small_cells
         return chosen
@@ -293,7 +300,7 @@ class Repairmen(TeamStrategy):
 
     def assign(self, table: Table, situation: Situation, planner: PathPlanner) -> Assignment:
         """Return the first goal of each robot's tour: minimum latency for a team, least length for a single robot."""
-        range_cells = self.settings.scale_cells
+        range_cells = self._range_cells
         nearer = self._with_hysteresis(table, situation)
         if self.settings.robots == 1:
             self._tour = single_robot_tour(nearer[0], self._between)
@@ -330,7 +337,7 @@ class Repairmen(TeamStrategy):
 
     def _with_hysteresis(self, table: Table, situation: Situation) -> FloatRows:
         """Return the costs of all goals, reduced for the goal nearest to each robot's last target."""
-        range_cells = self.settings.scale_cells
+        range_cells = self._range_cells
         target_hysteresis = self.options.target_hysteresis * (
             SINGLE_ROBOT_HYSTERESIS if self.settings.robots == 1 else 1.0
         )
