@@ -39,7 +39,7 @@ from agent.settings import Settings
 from agent.strategies.base import Cell
 from protocol.grid import FINE
 from protocol.messages import Move, Sense
-from protocol.token_bucket import SECOND
+from protocol.nanoseconds import SECOND
 
 FAREWELLS = 3
 """How often a robot tells teammates that it has ended: frames may be lost."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from protocol.token_bucket import SECOND
+from protocol.nanoseconds import SECOND
 
 
 class PoseGuard:

@@ -224,7 +224,7 @@ def kilobyte(row: Row, column: str) -> str:
 
 
 def in_five_buildings(name: str, variant: str, **settings: Any) -> pl.DataFrame:
-    """Runs in five real buildings, of which one is large."""
+    """Return runs in five real buildings; the largest one has a longer sensor range and a higher speed."""
     seeds = list(range(10, 20))
     small = maps("intel", "fr079", "autolab", "aces")
     parts = [

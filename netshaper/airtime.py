@@ -13,9 +13,10 @@ from functools import reduce
 
 from netshaper.duty_cycle import DutyCycle
 from protocol.budget import UNLIMITED, Budget
+from protocol.nanoseconds import SECOND
 from protocol.packet_index import PacketIndex
 from protocol.packets import Pose, Target
-from protocol.token_bucket import SECOND, TokenBucket
+from protocol.token_bucket import TokenBucket
 
 RECENT = 8
 """Time constant, in steps, of the exponential average of bytes that a robot sent."""

@@ -11,8 +11,8 @@ from protocol import packets
 from protocol.budget import UNLIMITED, Budget
 from protocol.grid import Grid
 from protocol.messages import MAX_FRAME, Change, FaultEvent
+from protocol.nanoseconds import SECOND
 from protocol.packets import Held, Offer, Passed, Target
-from protocol.token_bucket import SECOND
 
 MIN_EXTRA = 64
 """Minimum bytes that a frame may exceed the budget by."""

@@ -149,7 +149,7 @@ def decode(buffer: bytes, offset: int = 0) -> list[AnyPacket]:
 
 
 def decode_kind(frame: bytes, kind: type[KindOfPacket]) -> list[KindOfPacket]:
-    """Read a frame whose packets are all of one class; ProtocolError as `decode`, or if one is of another class."""
+    """Read a frame as `decode` does; ProtocolError also if it contains a packet of another class than `kind`."""
     packets = decode(frame)
     for packet in packets:
         if not isinstance(packet, kind):

@@ -6,8 +6,7 @@ Radios in the field have one in real time (`agent.radios.pacing`), the simulated
 
 from __future__ import annotations
 
-SECOND = 1_000_000_000
-"""Nanoseconds of a second."""
+from protocol.nanoseconds import SECOND
 
 
 class TokenBucket:

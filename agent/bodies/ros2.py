@@ -20,16 +20,17 @@ from protocol.cell_bytes import cells_from_bytes, points_from_bytes
 from protocol.grid import FINE
 from protocol.map_frame import MapFrame
 from protocol.messages import Move, Sense
+from protocol.nanoseconds import SECOND
 from protocol.range_scans import TURN, UNIT, Laser
 from protocol.ros2.messages import nanoseconds
 from protocol.transforms import Pose, TransformBuffer, pose_of
 
 HEADINGS = 8
-REMEMBERED_NS = 10 * 10**9
+REMEMBERED_NS = 10 * SECOND
 """Age up to which transforms are kept, relative to the last known pose."""
-UNUSED_NS = 60 * 10**9
+UNUSED_NS = 60 * SECOND
 """Age up to which transforms are kept while no pose is known, relative to the last transform."""
-SETTLE_NS = 2 * 10**9
+SETTLE_NS = 2 * SECOND
 """Time for which poses must be plausible again after a jump."""
 JUMP_M = 0.5
 """Distance that a pose may jump: SLAM corrects it."""
@@ -207,7 +208,7 @@ class Ros2Body(ABC):
         """Return whether a pose is plausible: neither it nor one of the last `SETTLE_NS` has jumped."""
         before, self._pose = self._pose, (stamp, pose)
         if before is not None:
-            elapsed_s = max(0, stamp - before[0]) / 10**9
+            elapsed_s = max(0, stamp - before[0]) / SECOND
             jump = math.dist(before[1][:2], pose[:2])
             if jump > self._settings.speed * elapsed_s + JUMP_M:
                 self._settled_ns = stamp + SETTLE_NS

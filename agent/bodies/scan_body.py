@@ -14,13 +14,14 @@ from agent.bodies.ros2 import BodySettings, Ros2Body, frame_name
 from protocol.map_frame import MapFrame
 from protocol.messages import Sense
 from protocol.metric_scans import BeamAngles, millimeters
+from protocol.nanoseconds import SECOND
 from protocol.range_scans import NO_MEASUREMENT, Laser, RangeScan, encode_range_scan
 from protocol.ros2.messages import nanoseconds
 from protocol.transforms import Pose
 
 WAITING_SCANS = 32
 """Scans that wait for the transform at their time."""
-LATE_NS = 10**9
+LATE_NS = SECOND
 """Time after the last scan with a known pose from which transforms count as missing; before, they may be on the way."""
 
 

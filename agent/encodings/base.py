@@ -49,7 +49,7 @@ class MapEncoding(ABC):
     retractable: int = 0
     """Packets at the end of this robot's log that `retract_last` may still remove; 0: the log is final."""
     is_settled: bool = False
-    """Whether packets that are encoded again instead of these would hardly differ."""
+    """Whether retracting these packets would be in vain: packets encoded instead of them would hardly differ."""
     urgency: float | None = None
     """How much the packets added last change the plans of teammates, per byte; None: packets have no ranks."""
 

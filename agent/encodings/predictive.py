@@ -193,7 +193,7 @@ class PredictiveEncoding(GridEncoding):
             self._note_dependency(map_id, self._last)
             updates += 1
             size += len(message)
-            if limits.is_narrow:  # a single update can be retracted
+            if limits.is_narrow:  # several updates of a step could not be retracted
                 break
         log.packets += len(packets)
         self.retractable = len(packets) if updates == 1 else 0

@@ -1,4 +1,7 @@
-"""Streams of maps of exact lasers: an update codes scans, and corrections of what they reveal."""
+"""Streams of maps of exact lasers: an update codes scans, and corrections of what they reveal.
+
+On a narrow medium, an update has a limit of bytes. If a scan does not fit, the next update begins with its rest.
+"""
 
 from __future__ import annotations
 
@@ -220,7 +223,7 @@ class ScanStream(Stream):
         return changed
 
     def _ends(self, coder: Coder, scans: int, changed: int) -> bool:
-        """Whether no scan can follow in this update, so that no bit tells whether one does."""
+        """Whether the update has no room for another scan. Receivers see this too, so no bit says that it ends."""
         is_full = changed > 0 and _place(coder) >= self._last_byte - LEAST_SCAN
         return self.is_cut or is_full or scans == MAX_SCANS
 

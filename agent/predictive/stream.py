@@ -93,7 +93,7 @@ class Stream(ABC):
         self.avoided: Set[int] = frozenset()
         """Maps on which no further updates shall depend."""
         self._bases: list[Base] = []
-        """Dependencies of the last update beyond those of the update before, by ascending map ID."""
+        """Dependencies that the last update names, by ascending map ID."""
         self._scratch = scratch
         bases = range(len(histories) if base_maps is None else base_maps) if team else ()
         self._others = np.array([other for other in bases if other != map_id], np.int64)
@@ -198,7 +198,10 @@ class Stream(ABC):
         return applied
 
     def _find_base(self, other: int, own: Grid, near: Box) -> int:
-        """Return the number of updates of a map up to the last one that saves cells; 0 if no further one does."""
+        """Return on how many updates of map `other` the next update should depend; 0 for no more than the last one did.
+
+        They end with the last update that reports a cell which the author would have to report itself.
+        """
         history, first = self.histories[other], int(self.depends_on[other])
         end = len(history)
         while (number := history.last_near(first, end, near)) >= 0:

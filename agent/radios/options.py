@@ -11,8 +11,9 @@ from agent.radios.peer_medium import FRAME_OVERHEAD, WORTHWHILE, Timing
 from agent.radios.serial_modem import BAUD_RATES, SerialModem
 from agent.radios.transport import Transport
 from agent.radios.udp import GROUP, MAX_DATAGRAM, PORT, UdpRadio
+from protocol.nanoseconds import SECOND
 from protocol.presets import preset
-from protocol.token_bucket import SECOND, TokenBucket
+from protocol.token_bucket import TokenBucket
 
 MIN_PACKETS = 16
 """Minimum bytes of packets in a frame: the longest packet that cannot be split, a broadcast, and a checksum."""

@@ -14,7 +14,8 @@ from bisect import bisect_right
 from collections.abc import Callable
 
 from protocol.keyed_random import keyed_random
-from protocol.token_bucket import SECOND, TokenBucket
+from protocol.nanoseconds import SECOND
+from protocol.token_bucket import TokenBucket
 
 HOUR = 3600 * SECOND
 

@@ -41,8 +41,8 @@ from protocol.messages import (
     RoundReport,
     SendReport,
 )
+from protocol.nanoseconds import SECOND
 from protocol.packet_index import index_of
-from protocol.token_bucket import SECOND
 
 LENGTH_FIELD = 1
 MAX_BROADCAST = 255

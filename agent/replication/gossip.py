@@ -335,8 +335,8 @@ def _note_receivers(
 ) -> None:
     """Note that a peer sent entries `first` to `end` - 1 of a map, which the robots `near` it received.
 
-    `expected` and `informed` are the columns of this map in the tables of the same names.
-    They take them unless they lack earlier ones. If this robot `holds` them now, the peer and its receivers know it.
+    Receivers take the entries unless they lack earlier ones. If this robot `holds` the entries now, the peer and its
+    receivers know that. `expected` and `informed` are the columns of this map in the tables of the same names.
     """
     for other in range(len(near)):
         if near[other] and other != robot and expected[other] >= first:

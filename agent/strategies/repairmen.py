@@ -16,8 +16,8 @@ Long tours cost time only if robots are scarce. So the weight of the lengths of 
 more robots than goals of large gain: at the start, in narrow corridors, and toward the end. Then more robots get tours.
 
 Robots know poses and maps of their teammates several steps late, so their plans differ: of the last goals, two robots
-may each compute that the other one visits them. Therefore no robot waits. A robot without a tour drives to a goal of
-a teammate, also toward the end, when no goal needs a second robot. In an `open` mission, its way costs no steps.
+may each compute that the other one visits them. So a robot without a tour drives to a goal of a teammate, even if that
+goal does not need a second robot. With `mission=return` it does not: it would drive away from home.
 
 A robot does not drive up to a small frontier. It observes it from a viewpoint that lies on or near its tour
 (`agent.planning.viewpoint`).

@@ -16,6 +16,7 @@ from deploy.record.colors import GROUPS, robot_color
 from netshaper.ledger import FRAMES
 from protocol.grid import Grid, RayTable
 from protocol.messages import Outlines
+from protocol.nanoseconds import SECOND
 from protocol.ros2.interfaces import fields_of
 from protocol.ros2.messages import (
     LASER_SCAN,
@@ -26,7 +27,6 @@ from protocol.ros2.messages import (
     Messages,
 )
 from protocol.scans import HIT, NONE, Readings
-from protocol.token_bucket import SECOND
 from protocol.transforms import Pose
 from worldsim.maps import Map
 

@@ -27,6 +27,7 @@ from pathlib import Path
 from typing import Any
 
 from deploy.after.archive import read
+from protocol.nanoseconds import SECOND
 
 BAG = "rosbag"
 
@@ -36,7 +37,7 @@ LATCHED = {"map": 1, "truth": 1, "tf_static": 1, "polygons": 100}
 DEPTH = 100
 """Queue length of all other topics."""
 
-FOREVER = divmod(2**63 - 1, 10**9)
+FOREVER = divmod(2**63 - 1, SECOND)
 """Seconds and nanoseconds of an infinite duration."""
 
 
@@ -70,7 +71,7 @@ def export_mcap(directory: Path) -> Path:
                     topics[topic] = writer.add_connection(
                         topic, message.__msgtype__, typestore=types, offered_qos_profiles=[offered]
                     )
-                writer.write(topics[topic], step * 10**9, messages.ros.encode(message))
+                writer.write(topics[topic], step * SECOND, messages.ros.encode(message))
         shutil.rmtree(directory / BAG, ignore_errors=True)
         shutil.move(Path(folder) / BAG, directory / BAG)
     return directory / BAG / f"{BAG}.mcap"

@@ -25,8 +25,8 @@ from deploy.scenario.scenario import Scenario, parse
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, UNKNOWN, Grid
 from protocol.messages import MapChanges, Missed, Outlines, RobotStatus, WorldReport
+from protocol.nanoseconds import SECOND
 from protocol.plugins import without_import
-from protocol.token_bucket import SECOND
 from worldsim.clock import MOVE
 from worldsim.map_error import MapError
 from worldsim.maps import Map

@@ -31,7 +31,7 @@ from netshaper.frame_log import Frame, FrameLog
 from netshaper.ledger import BROADCAST, CAUSES, EVERYONE
 from netshaper.pcapng import CaptureError
 from protocol.files import open_file
-from protocol.token_bucket import SECOND
+from protocol.nanoseconds import SECOND
 
 UNKNOWN = 1 << 62
 """The bound of an error about which nothing is known."""

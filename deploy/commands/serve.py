@@ -16,6 +16,7 @@ from deploy.commands.flags import ROBOTS, GroupedCommand, command_family, option
 from deploy.commands.scenario_flags import OwnFlag, run_flags
 from deploy.scenario.errors import ScenarioError
 from deploy.scenario.scenario import Scenario, load
+from protocol.nanoseconds import SECOND
 
 if TYPE_CHECKING:
     from deploy.serve.agent_files import AgentFiles
@@ -103,7 +104,7 @@ def serve_ros2(
     show = _print_json if as_json else _print_text
     swarm = serve(make(scenario), chosen, lambda swarm: show(scenario, swarm, chosen, files), errors.print)
     if as_json:
-        print(json.dumps({"coverage": swarm.world.coverage, "seconds": swarm.time_ns / 10**9}), flush=True)
+        print(json.dumps({"coverage": swarm.world.coverage, "seconds": swarm.time_ns / SECOND}), flush=True)
     else:
         screen.print(f"The robots have seen {swarm.world.coverage:.1%} of what they can reach.")
 

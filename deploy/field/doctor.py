@@ -16,12 +16,12 @@ from deploy.field.connection import make_body, map_pose
 from deploy.field.listener import ENOUGH_MESSAGES, LISTEN_S, Heard, Listener
 from deploy.field.robot_file import RobotFile
 from deploy.field.robot_plan import map_frame
+from protocol.nanoseconds import SECOND
 from protocol.ros2.graph import Graph
 from protocol.ros2.interfaces import NAVIGATE_TO_POSE
 from protocol.ros2.messages import DISTROS, POSE_STAMPED, Messages
 from protocol.ros2.node import Ros2Node
 from protocol.ros2.tokens import EndpointToken, Kind
-from protocol.token_bucket import SECOND
 
 LEAST_HZ = 1.0
 """Rate of scans and transforms below which a robot stands still again and again (`dead_man_s`)."""

@@ -23,8 +23,8 @@ from deploy.field.ros2_robot import Ros2Robot
 from deploy.field.running import running
 from deploy.record.field_records import FieldRecorder
 from protocol.errors import ProtocolError
+from protocol.nanoseconds import SECOND
 from protocol.signals import ending_signals, handled
-from protocol.token_bucket import SECOND
 
 SLICE_NS = SECOND // 10
 """Nanoseconds after which a waiting robot looks for messages, signals, and the request to stop."""

@@ -14,8 +14,8 @@ from deploy.record.field_records import RobotSetup, clock_id
 from protocol.body import Body
 from protocol.budget import Budget
 from protocol.map_frame import MapFrame
+from protocol.nanoseconds import SECOND
 from protocol.range_scans import TURN, Laser
-from protocol.token_bucket import SECOND
 
 JUMP_M = 0.5
 """Distance that any two poses may differ in addition to what the robot drives: SLAM corrects it."""

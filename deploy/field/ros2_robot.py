@@ -19,10 +19,10 @@ from deploy.field.robot_file import RobotSettings
 from deploy.field.robot_plan import map_frame
 from protocol.grid import Grid
 from protocol.messages import Move, Sense
+from protocol.nanoseconds import SECOND
 from protocol.range_scans import Laser
 from protocol.ros2.messages import MARKERS, OCCUPANCY_GRID, STRING
 from protocol.ros2.qos import LATCHED
-from protocol.token_bucket import SECOND
 
 REPEAT_S = 10.0
 """Seconds after which a goal is sent again if the robot, which may have missed it, has not moved."""

@@ -12,6 +12,7 @@ from deploy.scenario.plan import Plan
 from deploy.serve.ros_robot import RosRobot
 from deploy.serve.swarm import Swarm, SwarmSettings
 from protocol.errors import shown, there_are
+from protocol.nanoseconds import SECOND
 from protocol.ros2 import messages as names
 from protocol.ros2.names import check_domain, check_node
 from protocol.ros2.node import Ros2Node
@@ -102,7 +103,7 @@ def serve(
                     publisher.publish(messages[names.CLOCK](clock=messages.time(stamp_ns)), now_ns)
                 for each in robots:
                     each.publish(stamp_ns, now_ns)
-            time.sleep(max(0, swarm.next_ns - clock_ns()) / 10**9)
+            time.sleep(max(0, swarm.next_ns - clock_ns()) / SECOND)
     return swarm
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from agent.bodies.team_map import occupancy_grid
 from deploy.serve.navigator import Outcome
 from deploy.serve.robot import SimulatedRobot, Task
+from protocol.nanoseconds import SECOND
 from protocol.range_scans import NO_MEASUREMENT, NOTHING, TURN
 from protocol.ros2 import messages as names
 from protocol.ros2.actions import ServerGoal, Status
@@ -23,7 +24,7 @@ from worldsim.velocity_world import Velocity
 
 MAP, ODOM, BASE, LASER = "map", "odom", "base_link", "laser"
 """Frames; each robot has its own, in the ``tf`` of its namespace."""
-MAP_NS = 2 * 10**9
+MAP_NS = 2 * SECOND
 """Least time between two messages of ``map``."""
 FEEDBACK_NS = 500_000_000
 NO_PLAN, NO_PROGRESS = 208, 105
@@ -149,7 +150,7 @@ class RosRobot:
 
     def _feedback(self, task: Task, stamp_ns: int, now_ns: int) -> Any:
         messages, robot = self.node.messages, self.robot
-        seconds, nanoseconds = divmod(max(0, now_ns - task.began_ns), 10**9)
+        seconds, nanoseconds = divmod(max(0, now_ns - task.began_ns), SECOND)
         return messages.new(
             f"{NAVIGATE_TO_POSE}_Feedback",
             current_pose=messages.stamped(MAP, robot.pose, stamp_ns),

@@ -15,8 +15,8 @@ from deploy.serve.giving_way import Others, Way
 from deploy.serve.navigator import Navigator
 from deploy.serve.robot import SimulatedRobot
 from protocol.map_frame import MapFrame
+from protocol.nanoseconds import SECOND
 from protocol.range_scans import MAX_REACH_M
-from protocol.token_bucket import SECOND
 from protocol.transforms import Pose
 from worldsim.localization import Localization
 from worldsim.sensors import RobotSensors, SensorSettings

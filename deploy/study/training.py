@@ -24,7 +24,7 @@ def explored(**settings: Any) -> tuple[Plan, list[list[Sense]]]:
 
 
 class OwnMap:
-    """The map that a robot makes of its exact scans, and what it has not encoded yet."""
+    """A robot's map of its exact scans, and the scans that it has yet to encode."""
 
     def __init__(self, shape: tuple[int, ...], beams: RayTable) -> None:
         self.grid = np.full(shape, UNKNOWN, np.uint8)

@@ -11,9 +11,9 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 
 from protocol.errors import ProtocolError, there_are
+from protocol.nanoseconds import SECOND
 from protocol.ros2.interfaces import EVENT_INFO, Definitions, definitions
 from protocol.ros2.names import NO_HASH
-from protocol.token_bucket import SECOND
 from protocol.transforms import Pose
 
 DISTROS = ("humble", "jazzy", "kilted", "lyrical", "rolling")

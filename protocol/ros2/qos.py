@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from protocol.errors import ProtocolError, shown
-from protocol.token_bucket import SECOND
+from protocol.nanoseconds import SECOND
 
 FOREVER_NS = 2**63 - 1
 """Nanoseconds of an infinite duration."""

@@ -15,8 +15,8 @@ from agent.radios.sealing import KEY_BYTES, OVERHEAD, Sealer
 from agent.radios.session_file import SessionFileError
 from agent.settings import EncodingSettings, Settings
 from protocol.messages import Move, Sense
+from protocol.nanoseconds import SECOND
 from protocol.range_scans import Laser
-from protocol.token_bucket import SECOND
 from tests.agent.radios.air_team import Wire, WorldBody
 from tests.agent.radios.memory_air import Faults, MemoryAir
 from tests.system.team import small_plan

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.pose_guard import PoseGuard
-from protocol.token_bucket import SECOND
+from protocol.nanoseconds import SECOND
 
 
 @given(st.lists(st.tuples(st.floats(0, 1), st.integers(0, 3 * SECOND)), max_size=40))

@@ -20,7 +20,7 @@ from agent.radios.transport import Transport
 from agent.robot import Robot
 from deploy.scenario.plan import Plan
 from protocol.messages import Move, Sense
-from protocol.token_bucket import SECOND
+from protocol.nanoseconds import SECOND
 
 KEY = bytes(range(KEY_BYTES))
 

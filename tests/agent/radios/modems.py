@@ -12,7 +12,7 @@ from pathlib import Path
 
 from agent.radios.cobs import LineReader, line
 from protocol.keyed_random import keyed_random
-from protocol.token_bucket import SECOND
+from protocol.nanoseconds import SECOND
 
 LONGEST = 222
 """Bytes of the longest frame."""

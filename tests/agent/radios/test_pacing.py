@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 
 from agent.radios.neighbors import Neighbors
 from agent.radios.pacing import ALWAYS, HOUR, DutyCycle, Pacer
+from protocol.nanoseconds import SECOND
 from protocol.presets import PRESETS
-from protocol.token_bucket import SECOND, TokenBucket
+from protocol.token_bucket import TokenBucket
 
 GAPS = st.lists(st.tuples(st.integers(0, 20 * SECOND), st.integers(1, 300)), max_size=60)
 

@@ -22,9 +22,9 @@ from protocol.messages import (
     RoundReport,
     SendReport,
 )
+from protocol.nanoseconds import SECOND
 from protocol.packet_codec import encode
 from protocol.packets import HeldEarly, Pose
-from protocol.token_bucket import SECOND
 from tests.agent.radios.memory_air import Faults, MemoryAir
 
 KEY = bytes(range(KEY_BYTES))

@@ -15,7 +15,7 @@ from agent.radios.cobs import LineReader, line
 from agent.radios.options import LinkOptions
 from agent.radios.serial_modem import SerialModem
 from agent.radios.transport import MAX_PER_CALL, Transport, TransportError, wait
-from protocol.token_bucket import SECOND
+from protocol.nanoseconds import SECOND
 from tests.agent.radios.air_team import AirTeam, assert_maps_agree, exchange_all
 from tests.agent.radios.modems import LONGEST, RATE, Modems, Terminal
 from tests.agent.radios.test_teams_on_the_air import TEAM

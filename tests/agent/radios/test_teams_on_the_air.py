@@ -14,7 +14,7 @@ from agent.radios.options import LinkOptions
 from agent.radios.sealing import KEY_BYTES, Sealer
 from agent.radios.transport import Transport
 from protocol.grid import UNKNOWN
-from protocol.token_bucket import SECOND
+from protocol.nanoseconds import SECOND
 from tests.agent.radios.air_team import KEY, AirTeam, assert_maps_agree, exchange_all
 from tests.agent.radios.memory_air import Faults, MemoryAir
 from tests.system.team import small_plan

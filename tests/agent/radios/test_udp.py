@@ -15,7 +15,7 @@ from agent.radios.options import LinkOptions
 from agent.radios.transport import Transport, TransportError
 from agent.radios.udp import GROUP, MAX_DATAGRAM, PORT, UdpRadio
 from protocol.keyed_random import keyed_random
-from protocol.token_bucket import SECOND
+from protocol.nanoseconds import SECOND
 from tests.agent.radios.air_team import AirTeam, assert_maps_agree, exchange_all
 from tests.agent.radios.namespaces import BROADCAST, INTERFACE, Hosts, hosts, why_not
 from tests.agent.radios.test_teams_on_the_air import TEAM

@@ -14,6 +14,15 @@ from protocol.grid import FREE, UNKNOWN
 from tests.agent.planning.planning_references import drawn
 from tests.agent.strategies.deciding import decide, make_strategy, robot_at
 
+BEHIND_A_WALL = drawn(
+    "..........",
+    "..........",
+    "#######...",
+    "..........",
+    "?.........",
+)
+"""The only unknown cell is behind a wall."""
+
 
 def test_leaders_are_elected_over_a_scripted_sequence_of_meetings() -> None:
     # Robot 2 of a team in which robot 0 leads throughout: (leaders that it senses, whether it leads then).
@@ -24,7 +33,7 @@ def test_leaders_are_elected_over_a_scripted_sequence_of_meetings() -> None:
         ([3], True),  # meets a leader lower in the hierarchy: that one steps down
         ([1], False),  # meets a higher one
         ([1], False),
-        ([], True),  # that one is gone, or dead
+        ([], True),  # the higher one is out of range, or has failed
         ([0, 3], False),  # meets two
     ]
     leads = False
@@ -88,13 +97,7 @@ def test_a_teammate_that_comes_into_range_is_not_assumed_to_repeat_its_way_since
 
 
 def test_a_leader_takes_the_shortest_way_and_a_trooper_stops_before_the_wall() -> None:
-    grid = drawn(
-        "..........",
-        "..........",
-        "#######...",
-        "..........",
-        "?.........",
-    )
+    grid = BEHIND_A_WALL
     settings = {"speed_cells": 30.0, "resolution": 1.0}
     leader = make_strategy("leaders", {}, grid, **settings).decide(robot_at(0, 0, grid=grid))
     assert leader.points[-1].tolist() == [0, 3000] or leader.points[-1].tolist() == [1000, 4000]
@@ -123,13 +126,7 @@ def test_a_robot_without_progress_is_stalled() -> None:
 
 
 def test_a_trooper_escapes_from_a_local_minimum_until_it_has_observed_the_frontier() -> None:
-    grid = drawn(
-        "..........",
-        "..........",
-        "#######...",
-        "..........",
-        "?.........",
-    )
+    grid = BEHIND_A_WALL
     seen = np.full_like(grid, FREE)
     seen[0, 9] = UNKNOWN
     reach = {}

@@ -9,7 +9,7 @@ from agent.radios.options import LinkOptions
 from agent.radios.peer_medium import FrameRecord
 from deploy.record.field_records import FieldRecorder, RobotSetup
 from deploy.scenario.plan import Plan
-from protocol.token_bucket import SECOND
+from protocol.nanoseconds import SECOND
 from tests.agent.radios.air_team import AirTeam
 from tests.agent.radios.memory_air import MemoryAir
 

@@ -21,7 +21,7 @@ from deploy.run.exit_codes import NOT_FINISHED
 from deploy.run.result import Result
 from deploy.scenario.errors import ScenarioError
 from protocol.grid import FREE, UNKNOWN, Grid
-from protocol.token_bucket import SECOND
+from protocol.nanoseconds import SECOND
 from tests.agent.radios.memory_air import Faults, MemoryAir
 from tests.deploy.after.recorded_team import CORNER, RATE, RecordedTeam
 from tests.deploy.commands.office_floor import murmur as command

@@ -15,7 +15,7 @@ from deploy.after.merge import UNKNOWN, align, join, merge, read_recording
 from deploy.record.link_records import FRAMES
 from netshaper import capture, pcapng
 from netshaper.ledger import CAUSES
-from protocol.token_bucket import SECOND
+from protocol.nanoseconds import SECOND
 from tests.agent.radios.memory_air import Faults, MemoryAir
 from tests.deploy.after.recorded_team import RecordedTeam
 from tests.deploy.commands.office_floor import murmur

@@ -11,9 +11,9 @@ from agent.radios.options import LinkOptions
 from agent.radios.peer_medium import FrameRecord
 from deploy.record.link_records import FRAMES, LinkRecorder, frame_log, read_frames
 from netshaper import capture, pcapng
+from protocol.nanoseconds import SECOND
 from protocol.packet_codec import encode
 from protocol.packets import HeldEarly, Pose
-from protocol.token_bucket import SECOND
 from tests.agent.radios.air_team import AirTeam
 from tests.agent.radios.memory_air import Faults, MemoryAir
 from tests.system.team import small_plan
