@@ -8,6 +8,9 @@ from typing import Any, TypeVar
 
 Options = TypeVar("Options")
 
+_WORDING = {bool: "true or false", int: "a whole number", float: "a number", str: "text"}
+"""Types of options, as errors name them."""
+
 
 def option(default: Any, help_line: str, choices: Iterable[str] = (), *, least: float | None = None) -> Any:
     """Declare a field of an options dataclass: default, help line, allowed texts, smallest number."""
@@ -57,7 +60,7 @@ def read_options(
             raise ValueError(f"{owner} has no option {name!r}; there are: {there_are}")
         wanted = type(known[name].default)
         if type(value) is not wanted and not (wanted is float and type(value) is int):
-            raise ValueError(f"option {name} of {owner} must be {wanted.__name__}, not {value!r}")
+            raise ValueError(f"option {name} of {owner} must be {_WORDING[wanted]}, not {value!r}")
         choices = known[name].choices
         if choices and value not in choices:
             raise ValueError(f"option {name} of {owner} is one of {', '.join(choices)}; not {value!r}")

@@ -139,12 +139,12 @@ class TeamStrategy(TargetStrategy):
         radii = {robot: self.settings.bodies[robot].radius_cells for robot in team}
         if len(set(radii.values())) == 1:
             return super().frontier(situation, planner)
-        found = {
-            (y, x)
-            for robot, cell in team.items()
-            for x, y in planner.of_radius(radii[robot]).frontier(*cell).tolist()
-        }
-        return np.array([(x, y) for y, x in sorted(found)], np.int32).reshape(-1, 2)
+        reached = np.concatenate(
+            [planner.of_radius(radii[robot]).frontier(*cell) for robot, cell in team.items()]
+        )
+        width = planner.grid.shape[1]
+        rows, columns = np.divmod(np.unique(reached[:, 1] * width + reached[:, 0]), width)
+        return np.column_stack((columns, rows)).astype(np.int32)
 
     def draw(self, purpose: str, situation: Situation) -> np.random.Generator:
         """Return a random generator that is the same for all members."""

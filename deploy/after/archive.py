@@ -26,6 +26,10 @@ Table = dict[str, NDArray[Any]]
 """Columns by name."""
 
 
+SETTINGS = ("robots", "seed", "strategy", "map_encoding", "bandwidth")
+"""Settings that a run's scenario and its summary both have."""
+
+
 @dataclass(frozen=True)
 class Archive:
     """One run, as recorded in its directory."""
@@ -121,10 +125,18 @@ def cell_of(world: Map, x: float, y: float) -> tuple[float, float]:
 def read(directory: Path) -> Archive:
     """Read a run directory.
 
-    Raises ScenarioError if it is not a run directory, or a table is missing or damaged.
+    Raises ScenarioError if it is not a run directory, a table is missing or damaged, or its scenario is not that of the
+    run.
     """
     plan = run_directory.read_plan(directory)
     summary = run_directory.read_summary(directory)
+    for key in SETTINGS:
+        now, then = getattr(plan.scenario, key), summary.get(key)
+        if key in summary and then != now:
+            raise ScenarioError(
+                f"{directory}: {key} = {now!r} in {run_directory.SCENARIO}, but the run had {then!r}, by "
+                f"{run_directory.SUMMARY}; change a scenario in another directory"
+            )
     digests = summary.get("tables")
     for name in (run_directory.STEPS, run_directory.LEDGER, MAP_CHANGES, OUTLINES):
         if (directory / name).is_file():

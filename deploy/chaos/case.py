@@ -32,6 +32,8 @@ MAPS = (
 )  # fmt: skip
 STRATEGIES = ("meier", "meier", "burgard", "greedy", "nearest", "repairmen")
 BANDWIDTHS = (500, 2000, 10000, "unlimited")
+NARROW_BANDWIDTHS = (15, 20, 30, 41)
+"""Bandwidths below which the predictive encoding codes scans otherwise (`agent.encodings.update_packets.NARROW`)."""
 RANGES = ("25%", "50%", "100%")
 LASTING = ("stop", "mute", "deaf")
 
@@ -94,6 +96,9 @@ def case(seed: int) -> ChaosCase:
         step, bandwidth = int(draw.integers(1, CALM)), bandwidths[int(draw.integers(len(bandwidths)))]
         settings["change"] = [{"step": step, "bandwidth": bandwidth, "range": str(draw.choice(RANGES))}]
     flipped = (int(draw.integers(robots)),) if draw.random() < 0.3 else ()
+    narrow = keyed_random(seed, "narrow")
+    if map_encoding == "predictive" and settings["dissemination"] == "gossip" and narrow.random() < 0.5:
+        settings["bandwidth"] = int(narrow.choice(NARROW_BANDWIDTHS))
     settings["digests"] = bool(byzantine or flipped)
     lies = keyed_random(seed, "false map")
     false_map = (int(lies.integers(robots)), str(lies.choice(list(LIES))))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import errno
 import json
 import os
 import traceback
@@ -16,6 +15,7 @@ from rich.console import Console
 
 from deploy.run.exit_codes import BAD_INPUT, BROKEN_OFF
 from deploy.run.failure import RunFailed
+from worldsim.atomic_files import DISK_ERRORS
 
 errors = Console(stderr=True, highlight=False, soft_wrap=True, markup=False)
 screen = Console(highlight=False, soft_wrap=True, markup=False)
@@ -109,8 +109,7 @@ def _explain(error: OSError) -> tuple[str, int]:
     """The system's error and the exit code: bad input if another file name would help, else aborted."""
     if error.filename is None:
         return error.strerror or str(error), BROKEN_OFF
-    is_bad_name = error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.ENOMEM)
-    return f"{error.filename}: {error.strerror}", BAD_INPUT if is_bad_name else BROKEN_OFF
+    return f"{error.filename}: {error.strerror}", BROKEN_OFF if error.errno in DISK_ERRORS else BAD_INPUT
 
 
 def fail(message: str, code: int) -> NoReturn:

@@ -46,18 +46,25 @@ def kinds() -> dict[str, Plugins[Any]]:
     }
 
 
-def with_names(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return settings with names instead of classes, also in lists of values; ValueError as `Plugins.name_of`."""
-    return {setting: _with_names(setting, value) for setting, value in settings.items()}
+def plain_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return settings as a TOML file has them.
+
+    Names replace classes of plug-ins, and numbers and lists replace those of numpy, pandas, and polars, also within
+    lists and tables. Raises ValueError as `Plugins.name_of`.
+    """
+    return {setting: _plain(setting, value) for setting, value in settings.items()}
 
 
-def _with_names(setting: str, value: Any) -> Any:
-    if isinstance(value, type) and setting in kinds():
-        return kinds()[setting].name_of(value)
+def _plain(setting: str, value: Any) -> Any:
+    if isinstance(value, type):
+        return kinds()[setting].name_of(value) if setting in kinds() else value
+    for convert in ("tolist", "to_list"):  # numpy and pandas, polars
+        if hasattr(value, convert):
+            return getattr(value, convert)()
     if isinstance(value, dict):
-        return {key: _with_names(f"{setting}.{key}", each) for key, each in value.items()}
+        return {key: _plain(f"{setting}.{key}", each) for key, each in value.items()}
     if isinstance(value, list | tuple):
-        return type(value)(_with_names(setting, each) for each in value)
+        return type(value)(_plain(setting, each) for each in value)
     return value
 
 

@@ -66,7 +66,7 @@ class Scenario(RunSettings, CommunicationSettings, ControlSettings, TeamSettings
 
     def __init__(self, **settings: Any) -> None:
         try:
-            super().__init__(**plugins.with_names(settings))
+            super().__init__(**plugins.plain_settings(settings))
         except ValidationError as error:
             raise explained(error, Scenario) from None
         except ValueError as error:

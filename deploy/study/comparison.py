@@ -17,6 +17,7 @@ from deploy.scenario.scenario import Scenario, load
 from deploy.scenario.toml_files import remove_preset_keys
 from deploy.study import plots
 from deploy.study.claims import HOLDS, UNDECIDED, Finding, Rule, judge
+from deploy.study.experiment import first_seeds
 from deploy.study.figure_style import DEFAULT, FigureStyle
 from deploy.study.plots import BOXES, CURVES, Plot
 from deploy.study.results import write_table
@@ -100,7 +101,7 @@ def compare(
     metric: str = "steps",
     jobs: int | None = None,
     scheduler: str | None = None,
-    out: Path | None = None,
+    out: Path | str | None = None,
     progress: bool = True,
     **settings: Any,
 ) -> Comparison:
@@ -111,7 +112,7 @@ def compare(
     scenarios : sequence of Scenario, settings or paths; or dict of name to settings
         Two or more scenarios. Their seeds are replaced.
     seeds : int
-        Number of runs of each scenario on each map.
+        Number of runs of each scenario on each map, at least 2.
     metric : str
         The compared metric, as in tables (docs/experiments.md).
     **settings
@@ -128,7 +129,7 @@ def compare(
     --------
     deploy.study.sweep.sweep : the other parameters
     """
-    variants, settings = _named(scenarios), plugins.with_names(settings)
+    variants, settings = _named(scenarios), plugins.plain_settings(settings)
     if len(variants) < 2:
         raise ScenarioError("there is nothing to compare: give at least two scenarios")
     check(metric, ())
@@ -139,7 +140,7 @@ def compare(
     if len({repr(keys) for keys in variants.values()}) < len(variants):
         raise ScenarioError("two of the scenarios are the same")
     metrics = list(dict.fromkeys((metric, *METRICS)))
-    made = of_settings("compare", {}, {**settings, "seed": range(seeds)}, variants, metrics)
+    made = of_settings("compare", {}, {**settings, "seed": first_seeds(seeds, least=2)}, variants, metrics)
     panels = "map" if "map" in made.grid else ""
     boxes = Plot(metric, kind=BOXES, panels=panels)
     curves = Plot("explored", kind=CURVES, panels=panels)
@@ -166,7 +167,7 @@ def _named(
 ) -> dict[str, dict[str, Any]]:
     """The settings of each scenario by a name: that of its file, or its differing settings."""
     if isinstance(scenarios, dict):
-        return {name: plugins.with_names(keys) for name, keys in scenarios.items()}
+        return {name: plugins.plain_settings(keys) for name, keys in scenarios.items()}
     named: dict[str, dict[str, Any]] = {}
     settings = [_settings(each) for each in scenarios]
     for each, own in zip(scenarios, settings, strict=True):
@@ -190,7 +191,7 @@ def _settings(scenario: Scenario | dict[str, Any] | Path | str) -> dict[str, Any
         scenario = load(Path(scenario), {})
     if isinstance(scenario, Scenario):
         scenario = scenario.model_dump(mode="json", exclude_unset=True)
-    return plugins.with_names({key: value for key, value in scenario.items() if key not in REPLACED})
+    return plugins.plain_settings({key: value for key, value in scenario.items() if key not in REPLACED})
 
 
 def _sentence(metric: str, finding: Finding) -> str:

@@ -24,6 +24,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from deploy.scenario import plugins
 from deploy.scenario.errors import ScenarioError, explained
 from deploy.scenario.scenario import SHIPPED as SCENARIOS
 from deploy.scenario.tables import MAX_RUNS, Whole
@@ -244,7 +245,7 @@ def override(experiment: Experiment, settings: dict[str, Any]) -> Experiment:
             table = replace(table, rows=[*(table.rows or []), key])
         grid[key] = value if isinstance(value, list) else [value]
         try:
-            _check_values(f"--set {key}", grid[key])
+            _check_values(key, grid[key])
         except ValueError as error:
             raise ScenarioError(str(error)) from None
     return replace(experiment, base=base, grid=grid, table=table)
@@ -257,11 +258,22 @@ def _is_axis(key: str, value: Any) -> bool:
     return all(key in each for each in value if isinstance(each, dict))
 
 
-def listed(key: str, values: Sequence[Any]) -> list[Any]:
-    """The values of a key of a grid as a list; ScenarioError if they are too many for a study."""
+def listed(key: str, values: Any) -> list[Any]:
+    """The values of a key of a grid as a list; ScenarioError if they are none, or too many for a study."""
+    (values,) = plugins.plain_settings({key: values}).values()
+    if not isinstance(values, list | tuple | range):
+        raise ScenarioError(f"{key} = {shown(values)}: must be a list of values, as [{shown(values)}]")
     if values[MAX_RUNS:]:
         raise ScenarioError(f"{key} = {shown(values)}: must be at most {MAX_RUNS} values")
     return list(values)
+
+
+def first_seeds(number: Any, least: int = 1) -> list[int]:
+    """The seeds from 0 up; ScenarioError unless their number is whole and from `least` to `MAX_RUNS`."""
+    (number,) = plugins.plain_settings({"seeds": number}).values()
+    if type(number) is not int or not least <= number <= MAX_RUNS:
+        raise ScenarioError(f"seeds = {shown(number)}: must be a whole number from {least} to {MAX_RUNS}")
+    return list(range(number))
 
 
 def _check_values(key: str, values: Any) -> None:

@@ -19,7 +19,7 @@ from deploy.run.failure import RunFailed
 from deploy.run.workers import workers
 from deploy.scenario.radio_presets import preset_of
 from deploy.study import plots
-from deploy.study.experiment import listed
+from deploy.study.experiment import first_seeds, listed
 from deploy.study.figure_style import DEFAULT, FigureStyle
 from deploy.study.paper_tables import write_result
 from deploy.study.plots import Plot
@@ -184,7 +184,7 @@ def size_radios(
     seeds: int = SEEDS,
     jobs: int | None = None,
     scheduler: str | None = None,
-    out: Path | None = None,
+    out: Path | str | None = None,
     progress: bool | Report = True,
     **settings: Any,
 ) -> RadioSizing:
@@ -213,21 +213,22 @@ def size_radios(
     --------
     deploy.study.sizing.size : the other parameters
     """
-    for name in radio:
+    for name in (radio := listed("radio", radio)):
         preset_of(name)
     grid = {
-        "radio": listed("radio", radio),
+        "radio": radio,
         "robots": sorted(listed("robots", robots)),
-        "seed": listed("seed", range(seeds)),
+        "seed": first_seeds(seeds),
     }
+    requirements = Requirements(deadline, min_map_accuracy, finish)
     made = of_settings("size", {"map": map, "finish": finish, **settings}, grid, {"plain": {}}, METRICS)
     possible = cases(made)
-    requirements = Requirements(deadline, min_map_accuracy, finish)
-    if out is not None:
-        make_folder(out.parent)
+    file = None if out is None else Path(out)
+    if file is not None:
+        make_folder(file.parent)
     console = Console(stderr=True, quiet=not progress)
     with (
-        Results(out) as results,
+        Results(file) as results,
         nullcontext(progress) if callable(progress) else counting(console, "size") as report,
     ):
         run = _search(possible, results, requirements, report, jobs, scheduler)

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from deploy.scenario.errors import ScenarioError
 from deploy.study.results import Row
 from deploy.study.tables import has_finished
+from protocol.errors import shown
 
 MIN_MAP_ACCURACY = 0.95
 
@@ -20,6 +22,14 @@ class Requirements:
     """Minimum share of correct cells on the map of the first robot, or of the worst one (`finish`)."""
     finish: str = "all"
     """Which robots must finish with an accurate map: ``first`` or ``all``."""
+
+    def __post_init__(self) -> None:
+        """Raise ScenarioError if no run, or each run, would meet them."""
+        deadline, accuracy = self.deadline, self.min_map_accuracy
+        if deadline is not None and not deadline >= 1:
+            raise ScenarioError(f"deadline = {shown(deadline)}: must be a number of steps, at least 1")
+        if not 0 <= accuracy <= 1:
+            raise ScenarioError(f"min_map_accuracy = {shown(accuracy)}: must be a share from 0 to 1, as 0.95")
 
     def are_met(self, row: Row) -> bool:
         """Return whether a run meets them."""

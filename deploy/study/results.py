@@ -8,6 +8,7 @@ killed process loses only the last runs. Rows are sorted by their settings, not 
 from __future__ import annotations
 
 import fcntl
+import io
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -18,7 +19,7 @@ from typing import Any, Self
 import polars as pl
 
 from protocol.files import check_regular
-from worldsim.atomic_files import write_whole
+from worldsim.atomic_files import DISK_ERRORS, write_whole
 
 Row = dict[str, Any]
 """A run: key, settings and metrics by column; nested metrics have dotted names."""
@@ -146,7 +147,7 @@ class Results:
         if self._file is not None:
             began = time.monotonic()
             with _named(self._file):
-                write_whole(self._file, self.frame.write_parquet)
+                _write(self._file, self.frame.write_parquet)
             self._is_behind = False
             self._written = time.monotonic()
             self._took = self._written - began
@@ -168,12 +169,22 @@ def read(file: Path) -> pl.DataFrame:
 
 
 def write_table(frame: pl.DataFrame, file: Path) -> None:
-    """Write a table as CSV or parquet, by the suffix of its name; ValueError for other suffixes or if that fails."""
+    """Write a table as CSV or parquet, by the suffix of its name.
+
+    Raises ValueError for other suffixes and for names that cannot be written, OSError if the disk is full.
+    """
     writers: dict[str, Callable[[Any], object]] = {".csv": frame.write_csv, ".parquet": frame.write_parquet}
     if file.suffix not in writers:
         raise ValueError(f"{file}: must end in {' or '.join(writers)}")
     with _named(file):
-        write_whole(file, writers[file.suffix])
+        _write(file, writers[file.suffix])
+
+
+def _write(file: Path, write: Callable[[io.BytesIO], object]) -> None:
+    """Write what `write` writes into a buffer: polars itself reports a full disk without its number."""
+    buffer = io.BytesIO()
+    write(buffer)
+    write_whole(file, lambda opened: opened.write(buffer.getbuffer()))
 
 
 def _locked(file: Path) -> int:
@@ -192,8 +203,10 @@ def _locked(file: Path) -> int:
 
 @contextmanager
 def _named(file: Path) -> Iterator[None]:
-    """Turn an OSError into a ValueError that names the file."""
+    """Turn an OSError into a ValueError that names the file, unless the disk is full: another name would not help."""
     try:
         yield
     except OSError as error:
+        if error.errno in DISK_ERRORS:
+            raise
         raise ValueError(f"{file}: {error.strerror or error}; name a file that can be written") from None

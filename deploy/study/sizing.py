@@ -12,7 +12,7 @@ import polars as pl
 
 from deploy.scenario.plan import load_map
 from deploy.study import plots
-from deploy.study.experiment import listed
+from deploy.study.experiment import first_seeds, listed
 from deploy.study.figure_style import DEFAULT, FigureStyle
 from deploy.study.paper_tables import write_result
 from deploy.study.plots import Plot
@@ -147,7 +147,7 @@ def size(
     seeds: int = SEEDS,
     jobs: int | None = None,
     scheduler: str | None = None,
-    out: Path | None = None,
+    out: Path | str | None = None,
     progress: bool = True,
     **settings: Any,
 ) -> Sizing:
@@ -183,19 +183,17 @@ def size(
     """
     grid: dict[str, list[Any]] = {
         "robots": sorted(listed("robots", robots)),
-        "bandwidth": sorted(bandwidth, key=lambda b: math.inf if isinstance(b, str) else b),
-        "range": list(range),
-        "seed": listed("seed", _counted(seeds)),
+        "bandwidth": sorted(
+            listed("bandwidth", bandwidth), key=lambda b: math.inf if isinstance(b, str) else b
+        ),
+        "range": listed("range", range),
+        "seed": first_seeds(seeds),
     }
+    requirements = Requirements(deadline, min_map_accuracy, finish)
     made = of_settings("size", {"map": map, "finish": finish, **settings}, grid, {"plain": {}}, METRICS)
     plot = Plot("steps", "robots", lines="bandwidth", panels="range")
     done = run(replace(made, plots=(plot,)), jobs=jobs, scheduler=scheduler, out=out, progress=progress)
-    requirements = Requirements(deadline, min_map_accuracy, finish)
     return Sizing(done, _options(done, requirements), requirements)
-
-
-_counted = range
-"""The builtin; `size` has a parameter of that name."""
 
 
 def _options(done: Sweep, requirements: Requirements) -> list[Option]:

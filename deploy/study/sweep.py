@@ -92,7 +92,7 @@ def sweep(
     quick: bool = False,
     jobs: int | None = None,
     scheduler: str | None = None,
-    out: Path | None = None,
+    out: Path | str | None = None,
     progress: bool = True,
     **settings: Any,
 ) -> Sweep:
@@ -114,7 +114,7 @@ def sweep(
         Number of processes; by default one per core.
     scheduler : str, optional
         Address of a Dask scheduler; its workers make the runs instead.
-    out : Path, optional
+    out : Path or str, optional
         File of the table of runs (parquet); runs in it are not repeated.
     progress : bool
         Whether to show progress and the remaining time.
@@ -128,10 +128,10 @@ def sweep(
     RunFailed
         All runs failed. `Sweep.failures` has the causes if only some did.
     """
-    settings = plugins.with_names(settings)
+    settings = plugins.plain_settings(settings)
     if experiment is None:
-        base = plugins.with_names(base or {})
-        variants = {name: plugins.with_names(keys) for name, keys in (variants or {}).items()}
+        base = plugins.plain_settings(base or {})
+        variants = {name: plugins.plain_settings(keys) for name, keys in (variants or {}).items()}
         read = of_settings("sweep", base, settings, variants or {"plain": {}}, metrics)
     else:
         if base or variants:
@@ -142,13 +142,14 @@ def sweep(
 
 
 def run(
-    experiment: Experiment, *, jobs: int | None, scheduler: str | None, out: Path | None, progress: bool
+    experiment: Experiment, *, jobs: int | None, scheduler: str | None, out: Path | str | None, progress: bool
 ) -> Sweep:
     """Run an experiment; parameters and errors as for `sweep`."""
     todo = cases(experiment)
-    if out is not None:
-        make_folder(out.parent)
-    with Results(out) as results:
+    file = None if out is None else Path(out)
+    if file is not None:
+        make_folder(file.parent)
+    with Results(file) as results:
         done = Sweep(todo, results, experiment)
         done.make(jobs=jobs, scheduler=scheduler, progress=progress)
     if not done.rows and done.failures:

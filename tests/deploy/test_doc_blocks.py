@@ -29,6 +29,8 @@ from tests.deploy.commands.office_floor import murmur
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+RESULTS = ROOT / "docs" / "results"
+"""Pages of measurements, whose commands take hours; `docs.figures` repeats them."""
 BLOCK = re.compile(r"(?:<!-- ([^\n]*?) -->\n)?^([ ]*)```([^\n]*)\n(.*?)^[ ]*```$", re.M | re.S)
 LANGUAGES = {"", "sh", "console", "python", "toml"}
 PLACEHOLDERS = {"HOST", "N"}
@@ -80,6 +82,8 @@ SMALLER = {
     "murmur sweep lossy.toml": "murmur sweep lossy.toml --quick --seeds 1",
     "seeds=10)": "seeds=2)",
     "robots=range(2, 9), deadline=300,": "robots=[2], seeds=1, deadline=300,",
+    "tune repairmen --evaluations 20": "tune repairmen --evaluations 2 --maps maze --seeds 0 --check-seeds 1",
+    "--maps caves,warehouse --seeds 0..4 --check-seeds 5..9": "--maps em --seeds 0 --check-seeds 1 --evaluations 2",
 }
 """Parts of blocks that take minutes, each with a smaller one."""
 
@@ -116,8 +120,18 @@ NOT_RUN = {
     # They need a ROS 2 robot; see tests/deploy/field/test_robot_process.py.
     "pip install 'murmur-robots[ros2]'",
     "ros2 run rmw_zenoh_cpp rmw_zenohd",
+    "murmur doctor --ros2 robot.toml",
     "murmur robot robot.toml",
     "murmur stop record",
+    "murmur stop --all",
+    "murmur serve-ros2 --map office --robots 2 --write-robots dry-run",
+    "murmur robot dry-run/r0.toml",
+    "murmur robot dry-run/r1.toml",
+    "murmur serve-ros2 --map building.yaml --robots 2 --team 3 --interface wlan0 --write-robots half",
+    "murmur robot half/r0.toml",
+    "murmur robot half/r1.toml",
+    "murmur merge r0/record r1/record r2/record --out team",
+    "murmur report team",
     # They need five terminals; see tests/system/test_by_hand.py.
     f"{RELAY} 127.0.0.1:7447 --credentials credentials",
     "murmur run worldsim hand.toml --credential credentials/world.json",
@@ -212,7 +226,11 @@ def test_lines_in_the_rules_are_on_a_page() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+@pytest.mark.parametrize(
+    "page",
+    [page for page in PAGES if RESULTS not in page.parents],
+    ids=lambda page: str(page.relative_to(ROOT)),
+)
 def test_every_block_of_a_page_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Run everything with real processes, and compare the output with the page."""
     tools, folder = tmp_path / "bin", tmp_path / "page"

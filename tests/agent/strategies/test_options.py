@@ -44,14 +44,14 @@ def test_an_unknown_strategy_is_rejected_with_a_list_of_names() -> None:
     ("name", "options", "message"),
     [
         ("meier", {"gamma": 1}, r"meier has no option 'gamma'; there are: candidates, .*beta"),
-        ("meier", {"beta": "much"}, r"option beta of meier must be float, not 'much'"),
+        ("meier", {"beta": "much"}, r"option beta of meier must be a number, not 'much'"),
         ("meier", {"half_life": -0.01}, r"option half_life of meier must be 0 or more, not -0.01"),
         ("burgard", {"every": -1}, r"option every of burgard must be 0 or more, not -1"),
         ("burgard-optimal", {"beta": -1}, r"option beta of burgard-optimal must be 0 or more"),
         ("leaders", {"first": -1}, r"option first of leaders must be 0 or more"),
         ("potential-field", {"damping": -0.1}, r"option damping of potential-field must be 0 or more"),
         ("sheng-bid", {"gain": -1.0}, r"option gain of sheng-bid must be 0 or more"),
-        ("meier", {"herding": 1}, r"option herding of meier must be bool"),
+        ("meier", {"herding": 1}, r"option herding of meier must be true or false"),
         ("hungarian", {"candidates": "all"}, r"candidates of hungarian is one of cells, rfe, anr.*not 'all'"),
         ("meier", {"candidates": "breadth-first"}, r"candidates = breadth-first: .*no goals to compare"),
         (

@@ -93,6 +93,25 @@ def test_robots_of_different_sizes_compute_one_assignment(name: str, seed: int, 
     assert all(each == found[0] for each in found)
 
 
+def test_the_frontier_of_robots_of_different_sizes_is_what_any_of_them_reaches_row_by_row() -> None:
+    random = np.random.default_rng(5)
+    grid = half_explored(random)
+    radii = [3.0, 0.0, 2.0]
+    for robot, situation in enumerate(views(random, grid, 2)):
+        planning_robot: Any = strategy("repairmen")(
+            {}, settings_for(grid, robot, 3, ranges_cells=[30.0] * 3, radii_cells=radii)
+        )
+        cells = planning_robot.team(situation)
+        reached = {
+            tuple(cell)
+            for peer, here in cells.items()
+            for cell in PathPlanner(grid, radius_cells=radii[peer]).frontier(*here).tolist()
+        }
+        found = planning_robot.frontier(situation, PathPlanner(grid, radius_cells=radii[robot]))
+        assert len(cells) > 1 and found.dtype == np.int32
+        assert found.tolist() == [list(cell) for cell in sorted(reached, key=lambda cell: cell[::-1])]
+
+
 def test_a_wide_robot_is_assigned_reachable_goals() -> None:
     # A hall with a door of one cell; the unknown cells lie in the room behind it and to the right.
     grid = np.full((21, 40), FREE, np.uint8)

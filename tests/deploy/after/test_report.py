@@ -198,6 +198,24 @@ def test_other_folders_and_damaged_tables_are_refused(tmp_path: Path, directory:
         write_report(directory)
 
 
+@pytest.mark.parametrize(
+    ("key", "value"), [("robots", 2), ("seed", 7), ("bandwidth", 3), ("strategy", "nearest")]
+)
+def test_a_scenario_that_was_changed_after_the_run_is_refused(
+    directory: Path, key: str, value: object
+) -> None:
+    """Reports would show figures of the run with settings of another one, and exports would lack robots."""
+    scenario = directory / run_directory.SCENARIO
+    line = re.compile(rf"^{key} = .*$", re.M)
+    changed, count = line.subn(f"{key} = {value!r}", scenario.read_text(), count=1)
+    assert count == 1
+    scenario.write_text(changed)
+    for words in (["report"], ["export", "--mcap"], ["movie"]):
+        done = CliRunner().invoke(app, [*words, str(directory)])
+        assert done.exit_code == 2, done.output
+        assert f"{key} = {value!r} in scenario.toml, but the run had " in done.stderr
+
+
 @pytest.mark.parametrize("name", [run_directory.STEPS, run_directory.LEDGER, MAP_CHANGES, OUTLINES])
 def test_a_flipped_byte_of_a_table_is_found(directory: Path, name: str) -> None:
     """Parquet files have no checksum of their own: most flips give other values, and some crash their reader."""

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from agent.replication.log import Log
 from deploy.chaos import runs
 from deploy.chaos.byzantine import HostileRadios
-from deploy.chaos.case import CALM, ChaosCase, case
+from deploy.chaos.case import CALM, NARROW_BANDWIDTHS, ChaosCase, case
 from deploy.chaos.invariants import InvariantChecker, InvariantError
 from deploy.chaos.runs import Verdict, run_case, shrink
 from deploy.commands.app import app
@@ -24,6 +24,8 @@ from protocol.messages import OutgoingFrame, RobotFrames
 
 SMALL = [6, 11, 15, 75]
 """Seeds of small and short cases."""
+NARROW = 85
+"""Seed of a short case on a narrow medium."""
 
 
 def test_a_case_follows_from_its_seed() -> None:
@@ -36,13 +38,14 @@ def test_a_case_follows_from_its_seed() -> None:
     assert any(each.false_map for each in drawn)
     assert not any(each.false_map and each.scenario.map_encoding == "polygons" for each in drawn)
     assert any(each.scenario.change for each in drawn)
+    assert any(each.scenario.bandwidth in NARROW_BANDWIDTHS for each in drawn)
     assert any(each.heavy for each in drawn)
     assert {cut.reset for each in drawn for cut in each.cuts} == {False, True}
     for each in drawn:
         assert all(fault.step + fault.steps <= CALM for fault in each.scenario.fault)
 
 
-@pytest.mark.parametrize("seed", SMALL)
+@pytest.mark.parametrize("seed", [*SMALL, NARROW])
 def test_cases_pass_and_are_deterministic(seed: int) -> None:
     first, second = (
         run_case(case(seed), as_processes=bool(number) and seed == SMALL[0]) for number in range(2)

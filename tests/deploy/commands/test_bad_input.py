@@ -168,7 +168,7 @@ EXPLORE = {
     "--bus can": "bus = 'can': must be 'zenoh' or 'memory'",
     "--option beta": "option = 'beta': must be NAME=VALUE, as beta=0.5",
     "--option gamma=3": "repairmen has no option 'gamma'; there are: candidates,",
-    "--option small_frontier=x": "option small_frontier of repairmen must be float, not 'x'",
+    "--option small_frontier=x": "option small_frontier of repairmen must be a number, not 'x'",
     "--option beta=NaN": "beta must lie between",
     "--bandwidth -1": "bandwidth = '-1': must be a whole number of bytes per step, 0 to",
     "--bandwidth 1kB": "bandwidth = '1kB': must be a whole number of bytes per step",

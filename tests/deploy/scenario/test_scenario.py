@@ -152,7 +152,10 @@ WRONG = [
     ({"bus": "tram"}, "bus = 'tram': .*'zenoh' or 'memory'"),
     ({"map": 3}, "map = 3: must be text"),
     ({"options": {"gamma": 1.0}}, "repairmen has no option 'gamma'; there are: .*small_frontier"),
-    ({"options": {"small_frontier": "big"}}, "option small_frontier of repairmen must be float, not 'big'"),
+    (
+        {"options": {"small_frontier": "big"}},
+        "option small_frontier of repairmen must be a number, not 'big'",
+    ),
     ({"options": {"beta": math.nan}}, "options = .*beta must lie between"),
     ({"options": 3}, "options = 3: "),
     ({"colour": "red"}, "colour: unknown setting; there are: map, .*fault"),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import resource
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +11,7 @@ import polars as pl
 import pytest
 
 from deploy.study import results
-from deploy.study.results import Results
+from deploy.study.results import Results, write_table
 
 
 def row(key: str, seed: int, **more: Any) -> dict[str, Any]:
@@ -83,3 +85,19 @@ def test_the_file_extension_selects_the_table_format(tmp_path: Path) -> None:
         assert reader(tmp_path / f"t{ending}").equals(frame)
     with pytest.raises(ValueError, match=r"t\.txt: must end in \.csv or \.parquet"):
         results.write_table(frame, tmp_path / "t.txt")
+
+
+@pytest.mark.parametrize("name", ["a.parquet", "a.csv"])
+def test_a_full_disk_is_an_error_of_the_disk_and_leaves_the_last_table(tmp_path: Path, name: str) -> None:
+    file = tmp_path / name
+    write_table(pl.DataFrame({"a": [1]}), file)
+    before = file.read_bytes()
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
+    try:
+        with pytest.raises(OSError, match=name) as caught:
+            write_table(pl.DataFrame({"a": range(100_000)}), file)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert (caught.value.errno, file.read_bytes()) == (errno.EFBIG, before)
+    assert [each.name for each in tmp_path.iterdir()] == [name]

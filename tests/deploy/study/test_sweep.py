@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import polars as pl
 import pytest
 
@@ -26,6 +27,37 @@ def test_a_sweep_runs_each_value_of_a_list(tmp_path: Path) -> None:
     assert done.runs.select("steps", "seed").rows() == [(2, 0), (2, 1), (3, 0), (3, 1)]
     assert len(pl.read_parquet(out)) == 4 and len(done.table) == 6
     assert repr(done) == "<Sweep sweep: 4 of 4 runs>" and "<table" in done._repr_html_()
+
+
+def test_numbers_and_lists_of_numpy_and_polars_are_those_of_python(tmp_path: Path) -> None:
+    out = str(tmp_path / "new" / "runs.parquet")
+    done = sweep(map="em", steps=np.array([2, 3]), seed=pl.Series([0]), robots=np.int64(1), out=out, **QUIET)
+    assert done.runs.select("steps", "robots").rows() == [(2, 1), (3, 1)]
+    assert len(pl.read_parquet(out)) == 2
+    assert Scenario(robots=np.int32(2), start=np.array([1.0, 2.0])).start == (1.0, 2.0)
+    tried = {"bandwidth": np.array([100]), "range": ("100%",), "seeds": np.int64(1), "out": out}
+    assert len(size("em", robots=np.arange(1, 2), steps=2, **tried, **QUIET).options) == 1
+
+
+@pytest.mark.parametrize(
+    ("tried", "message"),
+    [
+        ({"bandwidth": 100}, r"bandwidth = 100: must be a list of values, as \[100\]"),
+        ({"range": "30%"}, r"range = '30%': must be a list of values, as \['30%'\]"),
+        ({"robots": []}, r"robots = \[\]: must be a list of values"),
+        ({"seeds": 0}, "seeds = 0: must be a whole number from 1 to 100000"),
+        ({"seeds": 2.5}, r"seeds = 2\.5: must be a whole number"),
+        ({"deadline": -1}, "deadline = -1: must be a number of steps, at least 1"),
+        ({"min_map_accuracy": 95}, "min_map_accuracy = 95: must be a share from 0 to 1, as 0.95"),
+    ],
+)
+def test_sizings_of_no_meaning_are_rejected_before_their_runs(
+    tmp_path: Path, tried: dict[str, Any], message: str
+) -> None:
+    out = tmp_path / "runs.parquet"
+    with pytest.raises(ScenarioError, match=message):
+        size("em", out=out, **tried, **QUIET)
+    assert not out.exists()
 
 
 def test_an_experiment_is_swept_with_other_settings(tmp_path: Path) -> None:
@@ -97,6 +129,7 @@ def test_scenarios_of_files_and_objects_are_compared_by_their_names(tmp_path: Pa
     ("scenarios", "settings", "message"),
     [
         ([ROOMS], {}, "nothing to compare"),
+        ([ROOMS, {**ROOMS, "speed": 2.0}], {"seeds": 1}, "seeds = 1: must be a whole number from 2"),
         ([ROOMS, ROOMS], {}, "two of the scenarios are the same: map = "),
         ({"a": ROOMS, "b": ROOMS}, {}, "two of the scenarios are the same"),
         ([ROOMS, ROOMS | {"robots": 0}], {}, "robots = 0"),
