@@ -203,7 +203,7 @@ def _sentence(metric: str, finding: Finding) -> str:
     bounds = "" if effect.low != effect.low else f" [{effect.low:.2f}, {effect.high:.2f}]"
     excluded = f", {finding.left_out} excluded as unfinished or 0" if finding.left_out else ""
     pairs = f"{effect.n} pairs{excluded}"
-    text = f"{effect.mean:.2f}{bounds} of the {metric} of {other} (p = {finding.p:.3g}, {pairs})"
+    text = f"{effect.mean:.2f}{bounds} times the {metric} of {other} (p = {finding.p:.3g}, {pairs})"
     if finding.verdict == UNDECIDED:
         return f"{one} and {other} have no significant difference: {one} has {text}"
     return f"{one} has {'less' if finding.verdict == HOLDS else 'more'} than {other}: {text}"

@@ -248,7 +248,7 @@ def test_teams_are_compared_by_the_command(tmp_path: Path) -> None:
     for setting in ("sensor_range=2.5", "speed=1.0", "map_encoding=scans", "bandwidth=unlimited"):
         words += ["--set", setting]
     code, text, _ = command(*words, "--out", tmp_path / "c", "--formats", "svg,tex", of="compare")
-    assert code == 0 and "leaders" in text and "of the steps of " in text
+    assert code == 0 and "leaders" in text and " times the steps of " in text
     written = {file.name for file in (tmp_path / "c").iterdir()}
     assert written >= {"boxes.png", "curves.png", "means.csv", "runs.parquet"}
     assert written >= {"boxes.svg", "curves.svg", "means-table.tex"}

@@ -94,7 +94,7 @@ def test_scenarios_are_compared_in_pairs_with_a_verdict_and_pictures(tmp_path: P
     done = compare([ROOMS, ROOMS | {"speed": 0.3}], seeds=4, **QUIET)
     (sentence,) = done.verdicts
     assert sentence.startswith("speed 1.0 has less than speed 0.3: 0.")
-    assert "of the steps of " in sentence and sentence.endswith("4 pairs)")
+    assert " times the steps of " in sentence and sentence.endswith("4 pairs)")
     assert done.table.filter(pl.col("metric") == "steps")["variant"].to_list() == ["speed 1.0", "speed 0.3"]
     for file in done.write(tmp_path):
         assert file.stat().st_size > 100
