@@ -110,7 +110,7 @@ def test_noisy_maps_are_compared_by_their_walls_and_their_agreement() -> None:
     }
     noisy = {laser: small | {"laser": {"preset": laser}} for laser in ("sick-lms", "rplidar-a1")}
     done = compare(noisy, seeds=2, metric="worst_walls_within_tolerance", **QUIET)
-    assert "of the worst_walls_within_tolerance of" in done.verdicts[0]
+    assert " times the worst_walls_within_tolerance of " in done.verdicts[0]
     means = dict(done.table.filter(pl.col("n") == 2).group_by("metric").agg(pl.col("mean").min()).rows())
     assert 0 < means["worst_walls_within_tolerance"] < means["walls_within_tolerance"] < 1
     assert 0.9 < means["claimed_worst_wall_f1"] < 1
