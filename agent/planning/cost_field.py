@@ -250,6 +250,15 @@ def offsets(stride: int) -> Int64s:
 
 
 @kernel
+def turned_offsets(stride: int) -> Int64s:
+    """Return the index difference of each step on a flat floor of columns, each with `stride` cells."""
+    offset = np.empty(8, np.int64)
+    for number in range(8):
+        offset[number] = _STEPS[number, 0] * stride + _STEPS[number, 1]
+    return offset
+
+
+@kernel
 def _settle_until(
     free: Bools,
     work: Workspace,

@@ -16,12 +16,14 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.planning.cost_field import ONE, ROOT, SHIFT, UNIT, offsets
+from agent.planning.cost_field import ONE, ROOT, SHIFT, UNIT, offsets, turned_offsets
 from agent.planning.frontier import Floor
-from protocol.arrays import BoolRows, Bools, Cells, FloatRows, Int64Rows, Int64s, Uint8s
+from protocol.arrays import BoolRows, Bools, Cells, FloatRows, Int16s, Int64Rows, Int64s, Uint8s
 from protocol.kernels import kernel
 
-_Jumps = Annotated[NDArray[np.int16], "int16[:,:,::1]"]
+_Jumps = Annotated[NDArray[np.int16], "int16[:,::1]"]
+"""Steps from each cell to the next jump point or goal, by direction: +x, +y, -x, -y; 0 for none. Cells are numbered row
+by row for the vertical directions, and column by column for the horizontal ones."""
 
 _BEGIN = 8
 """Step number of the start of a search."""
@@ -127,9 +129,11 @@ class _JumpPoints:
         self._free = np.ascontiguousarray(free[self._top : bottom + 1, self._left : right + 1])
         is_goal = np.zeros(self._free.shape, np.bool_)
         is_goal.reshape(-1)[self._at(goals)] = True
-        self._jumps = work.jumps[: 4 * self._free.size].reshape(4, *self._free.shape)
+        self._jumps = work.jumps[: 4 * self._free.size].reshape(4, -1)
         self._work = work
-        _lay_out(self._free, is_goal, self._jumps)
+        _lay_out(self._free, is_goal, self._jumps[1], self._jumps[3])
+        turned = np.ascontiguousarray(self._free.T), np.ascontiguousarray(is_goal.T)
+        _lay_out(*turned, self._jumps[0], self._jumps[2])
 
     def search(self, starts: Cells, goals: Cells, first: Int64s) -> FloatRows:
         """Do the work of `GoalCosts.search`."""
@@ -140,7 +144,7 @@ class _JumpPoints:
         inside = (x > 0) & (x < width - 1) & (y > 0) & (y < height - 1)
         costs = np.empty((len(starts), len(goals)))
         start = np.where(inside, self._at(starts), -1)
-        _search(self._free.reshape(-1), self._jumps, start, self._at(goals), first, *memory, costs)
+        _search(self._free, self._jumps, start, self._at(goals), first, *memory, costs)
         return costs
 
     def _at(self, cells: Cells) -> Int64s:
@@ -178,37 +182,26 @@ def _workspace(cells: int) -> _Workspace:
 
 
 @kernel
-def _lay_out(free: BoolRows, is_goal: BoolRows, jumps: _Jumps) -> None:
-    """Compute the number of steps from each cell to the next jump point or goal in each direction; 0 for none.
+def _lay_out(free: BoolRows, is_goal: BoolRows, down: Int16s, up: Int16s) -> None:
+    """Compute the number of steps from each cell to the next jump point or goal below and above; 0 for none.
 
-    A run may turn at a cell beside which a free cell follows an obstacle. Directions 0 and 2 are +x and -x, 1 and 3 are
-    +y and -y.
+    A run may turn at a cell beside which a free cell follows an obstacle. No run leaves the floor. All cells of a row
+    are independent, so that compilers can use vector instructions; unsigned indices help them.
     """
     height, width = free.shape
-    # No run leaves the floor.
-    jumps[0, :, width - 2] = jumps[1, height - 2, :] = jumps[2, :, 1] = jumps[3, 1, :] = 0
-    stop = np.zeros(width, np.bool_)
-    for y in range(1, height - 1):
-        for way in (1, -1):
-            for x in range(1, width - 1):
-                above = free[y - 1, x] & ~free[y - 1, x - way]
-                below = free[y + 1, x] & ~free[y + 1, x - way]
-                stop[x] = is_goal[y, x] | above | below
-            jump = jumps[1 - way, y]
-            ahead = 0
-            for index in range(1, width - 1):
-                x = width - 1 - index if way > 0 else index
-                ahead = (x if stop[x] else ahead) if free[y, x] else 0
-                jump[x - way] = way * (ahead - x) + 1 if ahead else 0
-    for index in range(1, height - 1):
-        for way in (1, -1):
+    down[(height - 2) * width :] = up[: 2 * width] = 0
+    for way in (1, -1):
+        jumps = down if way > 0 else up
+        for index in range(1, height - 1):
             y = height - 1 - index if way > 0 else index
-            for x in range(1, width - 1):
-                left = free[y, x - 1] & ~free[y - way, x - 1]
-                right = free[y, x + 1] & ~free[y - way, x + 1]
-                ahead = jumps[2 - way, y, x]
-                jump = np.int16(1) if is_goal[y, x] | left | right else ahead + np.int16(ahead > 0)
-                jumps[2 - way, y - way, x] = jump if free[y, x] else np.int16(0)
+            before = y - way
+            here, behind, goal = free[y], free[before], is_goal[y]
+            ahead, out = jumps[y * width : (y + 1) * width], jumps[before * width : (before + 1) * width]
+            for x in range(np.uint64(1), np.uint64(width - 1)):
+                left, right = x - np.uint64(1), x + np.uint64(1)
+                stops = goal[x] | here[left] & ~behind[left] | here[right] & ~behind[right]
+                jump = np.int16(1) if stops else np.int16(ahead[x] + np.int16(ahead[x] > 0))
+                out[x] = jump if here[x] else np.int16(0)
 
 
 @kernel
@@ -241,22 +234,18 @@ def _reach(cell: int, new: int, step: int, length: Int64s, came: Uint8s) -> bool
 
 
 @kernel
-def _queue_up(
-    cell: int, new: int, step: int, length: Int64s, came: Uint8s, buckets: Int64s, queue: Int64Rows, used: int
-) -> int:
-    """Queue a jump point if its arrival is new; return the length of the queue."""
-    if _reach(cell, new, step, length, came):
-        bucket = (new >> SHIFT) & (len(buckets) - 1)
-        queue[used, 0], queue[used, 1], queue[used, 2] = cell, step, buckets[bucket]
-        buckets[bucket] = used
-        used += 1
-    return used
+def _queue_up(cell: int, new: int, step: int, buckets: Int64s, queue: Int64Rows, used: int) -> int:
+    """Queue an arrival at a jump point; return the length of the queue."""
+    bucket = (new >> SHIFT) & (len(buckets) - 1)
+    queue[used, 0], queue[used, 1], queue[used, 2] = cell, step, buckets[bucket]
+    buckets[bucket] = used
+    return used + 1
 
 
 @kernel
 def _search(
-    free: Bools,
-    laid_out: _Jumps,
+    floor: BoolRows,
+    jumps: _Jumps,
     starts: Int64s,
     goals: Int64s,
     first: Int64s,
@@ -268,9 +257,9 @@ def _search(
 
     Negative starts have no way. The queue has rows (cell, arrival step, next entry of the same bucket).
     """
-    _, height, stride = laid_out.shape
-    jumps = laid_out.reshape(4, height * stride)
-    offset = offsets(stride)
+    height, stride = floor.shape
+    free = floor.reshape(height * stride)
+    offset, turned_offset = offsets(stride), turned_offsets(height)
     # A power of two, with more levels than the longest diagonal with a straight run at its end.
     levels = 1
     while levels < 2 * (height + stride):
@@ -301,26 +290,28 @@ def _search(
                     longer[:used] = queue[:used]
                     queue = longer
                 onward = _onward(free, offset, cell, step)
+                turned = cell % stride * height + cell // stride  # its number column by column
                 for number in range(4):
-                    jump = jumps[number, cell]
-                    if jump and onward >> number & 1:
-                        to, new = cell + jump * offset[number], base + jump * ONE
-                        used = _queue_up(to, new, number, length, came, buckets, queue, used)
+                    jump = np.int64(jumps[number, cell if number & 1 else turned])
+                    to, new = cell + jump * offset[number], base + jump * ONE
+                    if jump and onward >> number & 1 and _reach(to, new, number, length, came):
+                        used = _queue_up(to, new, number, buckets, queue, used)
                 for number in range(4, 8):
                     if not onward >> number & 1:
                         continue
                     one, other = number - 4, (number - 3) & 3
-                    at, so_far = cell, base
+                    at, turned_at, so_far = cell, turned, base
                     while free[at + offset[one]] and free[at + offset[other]] and free[at + offset[number]]:
                         at += offset[number]
+                        turned_at += turned_offset[number]
                         so_far += ROOT
                         if not _reach(at, so_far, number, length, came):
                             break
                         for side in (one, other):
-                            jump = jumps[side, at]
-                            if jump:
-                                to, new = at + jump * offset[side], so_far + jump * ONE
-                                used = _queue_up(to, new, side, length, came, buckets, queue, used)
+                            jump = np.int64(jumps[side, at if side & 1 else turned_at])
+                            to, new = at + jump * offset[side], so_far + jump * ONE
+                            if jump and _reach(to, new, side, length, came):
+                                used = _queue_up(to, new, side, buckets, queue, used)
             # Goals are checked in their order; a far goal delays the check of later ones.
             while reached < len(goals) and came[goals[reached]] and length[goals[reached]] >> SHIFT <= level:
                 reached += 1
