@@ -100,7 +100,8 @@ def best_viewpoint(
 
     Goals that are visible from this viewpoint as well need no further way. The robot, in cell `here`, scans at the end
     of each step of `step` cells, so the way to the viewpoint counts in whole steps. `views` has the viewpoints of each
-    goal, None for a goal that the robot must drive to; the first goal has viewpoints.
+    goal, row by row, None for a goal that the robot must drive to. The first goal has viewpoints; those of later goals
+    are among them.
 
     Returns None if the robot is already at a viewpoint, so that a scan had no effect, or no viewpoint is reachable.
     """
@@ -114,13 +115,15 @@ def best_viewpoint(
     # The end of the way so far, through each viewpoint.
     places = cells.copy()
     for goal, seen_from in zip(goals[1:], more, strict=False):
-        missed = np.ones(len(cost), np.bool_)
-        if seen_from is not None and len(seen_from):
-            missed = ~_are_among(cells, seen_from, planner.grid.shape)
+        x, y = goal.tolist()
+        if seen_from is None or not len(seen_from):
+            cost += planner.costs_to(x, y, places)
+            break
+        missed = ~_are_selected(cells, seen_from)
         if missed.any():
-            cost[missed] += planner.costs_to(int(goal[0]), int(goal[1]), places[missed])
+            cost[missed] += planner.costs_to(x, y, places[missed])
             places[missed] = goal
-        if missed.all() or (places == goal).all():
+        if (places == goal).all():
             break
     rounded = np.round(cost, _DIGITS)
     shortest = np.flatnonzero(rounded == rounded.min())
@@ -132,12 +135,20 @@ def best_viewpoint(
     return found
 
 
-def _are_among(cells: Cells, others: Cells, shape: tuple[int, ...]) -> Bools:
-    """Return for each cell of a grid of this shape whether `others` contains it."""
-    marked = np.zeros(shape, np.bool_)
-    marked[others[:, 1], others[:, 0]] = True
-    among: Bools = marked[cells[:, 1], cells[:, 0]]
-    return among
+@kernel
+def _are_selected(cells: Cells, selection: Cells) -> Bools:
+    """Return for each cell whether `selection`, some of these cells in the same order, contains it."""
+    selected = np.zeros(len(cells), np.bool_)
+    count = 0
+    for at in range(len(cells)):
+        if (
+            count < len(selection)
+            and cells[at, 0] == selection[count, 0]
+            and cells[at, 1] == selection[count, 1]
+        ):
+            selected[at] = True
+            count += 1
+    return selected
 
 
 @kernel
