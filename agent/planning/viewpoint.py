@@ -14,15 +14,15 @@ from typing import NamedTuple
 import numpy as np
 
 from agent.planning.path_planner import PathPlanner
-from protocol.arrays import Bools, Cells, Int32Rows, Int32s, Int64s
+from protocol.arrays import Bools, Cells, Floats, Int32Rows, Int32s, Int64s
 from protocol.grid import FREE, UNKNOWN, Grid, RayTable
 from protocol.kernels import kernel
 
 _BEGUN = 1 / 2
 """Cells by which a way may exceed a whole number of steps without another step: robots round lengths."""
 
-_DIGITS = 6
-"""Decimals to which lengths are compared."""
+_PARTS = 1e6
+"""Parts of a cell to which lengths are rounded before they are compared."""
 
 _OUTSIDE = 255
 """State of cells outside the part of the grid that a beam may cross."""
@@ -125,14 +125,23 @@ def best_viewpoint(
             places[missed] = goal
         if (places == goal).all():
             break
-    rounded = np.round(cost, _DIGITS)
-    shortest = np.flatnonzero(rounded == rounded.min())
-    best = int(shortest[ways[shortest].argmin()])
-    if not np.isfinite(cost[best]):
+    best = _cheapest(cost, ways)
+    if not math.isfinite(cost[best]):
         return None
     found = int(cells[best, 0]), int(cells[best, 1])
     planner.note_cost(here, found, ways.item(best))
     return found
+
+
+@kernel
+def _cheapest(cost: Floats, ways: Floats) -> int:
+    """Return the index of the least cost, rounded (`_PARTS`); of equal ones that of the shortest way, the first one."""
+    best, least = 0, np.rint(cost[0] * _PARTS)
+    for at in range(1, len(cost)):
+        rounded = np.rint(cost[at] * _PARTS)
+        if rounded < least or (rounded == least and ways[at] < ways[best]):
+            best, least = at, rounded
+    return best
 
 
 @kernel

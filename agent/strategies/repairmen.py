@@ -316,7 +316,7 @@ class Repairmen(TeamStrategy):
             self._tour = single_robot_tour(nearer[0], self._between)
             return np.array((self._tour or [-1])[:1])
         near = NEAR * range_cells
-        ways, between = (np.maximum(costs - near, REMAINS * costs) for costs in (nearer, self._between))
+        ways, between = _to_neighborhoods(nearer, near), _to_neighborhoods(self._between, near)
         gain = planner.shared(
             (expected_gain, table.goals.tobytes(), self._lengths.tobytes(), range_cells),
             partial(expected_gain, situation.grid, table.goals, self._lengths, range_cells),
@@ -376,6 +376,17 @@ def _representatives(grid: Grid, frontier: Cells, range_cells: float, robots: in
         gap *= 1.5
         stays = thin_out(grid, cells, lengths, gap)
     return cells[stays], lengths[stays]
+
+
+@kernel
+def _to_neighborhoods(costs: FloatRows, near: float) -> FloatRows:
+    """Return the costs of ways to goals up to their neighborhoods of radius `near`, plus a share of the rest."""
+    shorter = np.empty(costs.shape)
+    for row in range(len(costs)):
+        for goal in range(costs.shape[1]):
+            cost = costs[row, goal]
+            shorter[row, goal] = max(cost - near, REMAINS * cost)
+    return shorter
 
 
 @kernel
