@@ -12,15 +12,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from typing import TypeVar
+from typing import Any
 
 from agent.settings import Settings
 from agent.strategies.base import Cell, Pose, Situation
 from protocol import packets
 from protocol.grid import Grid
 from protocol.messages import Sense
-
-_Value = TypeVar("_Value")
 
 PLACED = packets.Pose, packets.Target, packets.Passed
 """Packets that name a cell."""
@@ -51,6 +49,8 @@ class TeamState:
         """The step in which each teammate was first known to be at another cell than before."""
         self._traveled: dict[int, float] = {}
         self._here: Cell | None = None
+        self._entries = 0
+        """Entries of all tables when they were last sorted."""
 
     def perceive(self, sense: Sense) -> None:
         """Note this robot's own position at the beginning of a step."""
@@ -102,6 +102,7 @@ class TeamState:
         new_targets, self._new_targets = self._new_targets, {}
         self.targets |= new_targets
         self._target_steps |= dict.fromkeys(new_targets, sense.step)
+        self._sort_tables()
         return Situation(
             step=sense.step,
             grid=grid,
@@ -110,19 +111,33 @@ class TeamState:
             offset=(sense.offset_x, sense.offset_y),
             heading=sense.heading,
             blocked=sense.blocked,
-            homes=_ascending(self._homes),
+            homes=self._homes.copy(),
             home=self._homes[self._robot],
             peers=self.in_range,
             connected=self.relayed.connected(sense.step, self.in_range),
-            poses=_ascending(self.poses),
-            last_moved=_ascending(self._moved),
-            traveled=_ascending(self._traveled),
-            targets=_ascending(self.targets),
-            target_steps=_ascending(self._target_steps),
+            poses=self.poses.copy(),
+            last_moved=self._moved.copy(),
+            traveled=self._traveled.copy(),
+            targets=self.targets.copy(),
+            target_steps=self._target_steps.copy(),
             new_targets=new_targets,
             log_entries=log_entries,
             backlog=backlog,
         )
+
+    def _sort_tables(self) -> None:
+        """Put all tables into ascending order of robot numbers, if any has another robot than the last time."""
+        tables: tuple[dict[int, Any], ...] = (
+            self._homes, self.poses, self._moved, self._traveled, self.targets, self._target_steps,
+        )  # fmt: skip
+        entries = sum(map(len, tables))
+        if entries == self._entries:
+            return
+        self._entries = entries
+        for table in tables:
+            ascending = sorted(table.items())
+            table.clear()
+            table.update(ascending)
 
     def _note_pose(self, peer: int, pose: Pose) -> None:
         before = self.poses.get(peer)
@@ -188,13 +203,3 @@ class RelayedState:
                 states.append(packets.Passed(robot, step - self._seen[robot], *poses[robot][:2]))
                 states += [packets.Target(*targets[robot])] if robot in targets else []
         return states
-
-
-def _ascending(of_robots: dict[int, _Value]) -> dict[int, _Value]:
-    """Put a dictionary into ascending order of robot numbers, and return a copy."""
-    ascending = sorted(of_robots)
-    if list(of_robots) != ascending:
-        values = [of_robots[robot] for robot in ascending]
-        of_robots.clear()
-        of_robots |= zip(ascending, values, strict=True)
-    return of_robots.copy()

@@ -10,6 +10,9 @@ compiler, `murmur setup` fills the cache with several processes. The fork server
 (`deploy.run.preload`), so robots never compile. Fastmath is off: equal versions of the libraries give equal bits on
 every machine, and the library and the cache have the same code.
 
+A call of a kernel by a kernel counts the references of all arrays among its arguments, also of those in tuples. This
+may take longer than a short kernel's work, so a kernel with many arrays should contain the loop that would call it.
+
 The cache is ``__pycache__`` beside each module. If this cannot be written, it is in the user's cache directory, or in
 ``NUMBA_CACHE_DIR``. If no directory can be written, each process compiles the kernels again.
 """

@@ -179,6 +179,8 @@ def settle(
             larger = np.empty((4, 2 * (fill[to] + 8 * fill[ring])), np.int32)
             larger[:, : buckets.shape[1]] = buckets
             buckets = larger
+    stride = offset[1]
+    bound_x, bound_y = bound[0] % stride, bound[0] // stride
     wanted = np.empty(8, np.int64)
     for at in range(fill[ring]):
         cell = np.int64(buckets[np.uint64(ring), np.uint64(at)])
@@ -187,8 +189,10 @@ def settle(
         direction = np.int64(came[here])
         if direction == _SETTLED or base >> SHIFT != level:
             continue  # a duplicate, or reached on a shorter way since
-        if bound[1] < FAR and base + _least(int(cell), bound[0], offset[1]) > bound[1]:
-            continue
+        if bound[1] < FAR:
+            dx, dy = abs(cell % stride - bound_x), abs(cell // stride - bound_y)
+            if base + min(dx, dy) * ROOT + abs(dx - dy) * ONE > bound[1]:
+                continue  # too far even without obstacles
         came[here] = _SETTLED
         if cell == start:
             for number in range(8):
@@ -234,18 +238,20 @@ def settle(
 
 
 @kernel
-def _least(one: int, other: int, stride: int) -> int:
-    """Return the length of the shortest way between two cells of a floor without obstacles."""
-    dx, dy = abs(one % stride - other % stride), abs(one // stride - other // stride)
-    return int(min(dx, dy) * ROOT + abs(dx - dy) * ONE)
-
-
-@kernel
 def offsets(stride: int) -> Int64s:
     """Return the index difference of each step on a flat floor."""
     offset = np.empty(8, np.int64)
     for number in range(8):
         offset[number] = _STEPS[number, 1] * stride + _STEPS[number, 0]
+    return offset
+
+
+@kernel
+def turned_offsets(stride: int) -> Int64s:
+    """Return the index difference of each step on a flat floor of columns, each with `stride` cells."""
+    offset = np.empty(8, np.int64)
+    for number in range(8):
+        offset[number] = _STEPS[number, 0] * stride + _STEPS[number, 1]
     return offset
 
 

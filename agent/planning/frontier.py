@@ -60,7 +60,7 @@ class Regions:
             if ((runs[:, 0] <= at) & (at <= runs[:, 1])).any():
                 return cells
         runs = _flood(floor.free, floor.stride, at)
-        cells = _collect(grid, floor.stride, runs)
+        cells = _collect(grid, floor.stride, runs, at)
         if floor.free[at]:  # else the runs may join regions
             self._known.append((runs, cells))
         return cells
@@ -138,14 +138,25 @@ def _flood(free: Bools, stride: int, start: int) -> Int32Rows:
 
 
 @kernel
-def _collect(grid: Grid, stride: int, runs: Int32Rows) -> Cells:
-    """Return the frontier cells of runs, row by row."""
+def _collect(grid: Grid, stride: int, runs: Int32Rows, start: int) -> Cells:
+    """Return the frontier cells of the runs around `start`, row by row.
+
+    All cells of a run are free, except perhaps `start`. So inside other runs only cells above and below may be unknown.
+    """
+    height = grid.shape[0]
     found = np.empty((runs[:, 1] - runs[:, 0] + 1).sum(), np.int32)
     count = 0
     for index in range(len(runs)):
-        y = runs[index, 0] // stride - 1
-        for cell in range(runs[index, 0], runs[index, 1] + 1):
-            if is_frontier(grid, cell - (y + 1) * stride - 1, y):
+        first, last = runs[index]
+        y = first // stride - 1
+        begin = (y + 1) * stride + 1
+        above, below = grid[max(y - 1, 0)], grid[min(y + 1, height - 1)]
+        has_start = first <= start <= last
+        for cell in range(first, last + 1):
+            x = np.uint64(cell - begin)
+            at_end = cell == first or cell == last  # noqa: PLR1714  faster than to look it up in a tuple
+            is_candidate = above[x] == UNKNOWN or below[x] == UNKNOWN or at_end or has_start
+            if is_candidate and is_frontier(grid, cell - begin, y):
                 found[count] = cell
                 count += 1
     # Few of the cells are frontier cells, so sorting them is faster than sorting the runs.

@@ -16,12 +16,14 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.planning.cost_field import ONE, ROOT, SHIFT, UNIT, offsets
+from agent.planning.cost_field import ONE, ROOT, SHIFT, UNIT, offsets, turned_offsets
 from agent.planning.frontier import Floor
-from protocol.arrays import BoolRows, Bools, Cells, FloatRows, Int64Rows, Int64s, Uint8s
+from protocol.arrays import BoolRows, Bools, Cells, FloatRows, Int16s, Int64Rows, Int64s, Uint8s
 from protocol.kernels import kernel
 
-_Jumps = Annotated[NDArray[np.int16], "int16[:,:,::1]"]
+_Jumps = Annotated[NDArray[np.int16], "int16[:,::1]"]
+"""Steps from each cell to the next jump point or goal, by direction: +x, +y, -x, -y; 0 for none. Cells are numbered row
+by row for the vertical directions, and column by column for the horizontal ones."""
 
 _BEGIN = 8
 """Step number of the start of a search."""
@@ -119,37 +121,26 @@ class _JumpPoints:
 
     def __init__(self, floor: Floor, goals: Cells, work: _Workspace) -> None:
         free = floor.free.reshape(floor.height + 2, floor.stride)
-        rows, columns = (np.flatnonzero(free.any(axis=axis)) for axis in (1, 0))
-        x = np.concatenate([goals[:, 0] + 1, columns[:1] - 1, columns[-1:] + 1])
-        y = np.concatenate([goals[:, 1] + 1, rows[:1] - 1, rows[-1:] + 1])
-        self._left, right = max(int(x.min()), 1) - 1, min(int(x.max()), floor.width) + 1
-        self._top, bottom = max(int(y.min()), 1) - 1, min(int(y.max()), floor.height) + 1
-        self._free = np.ascontiguousarray(free[self._top : bottom + 1, self._left : right + 1])
-        is_goal = np.zeros(self._free.shape, np.bool_)
-        is_goal.reshape(-1)[self._at(goals)] = True
-        self._jumps = work.jumps[: 4 * self._free.size].reshape(4, *self._free.shape)
+        left, top, self._free = _cut_out(free, np.ascontiguousarray(goals))
+        self._corner = np.array([left - 1, top - 1], np.int32)
+        self._jumps = work.jumps[: 4 * self._free.size].reshape(4, -1)
         self._work = work
-        _lay_out(self._free, is_goal, self._jumps)
+        cells = self._in_box(goals)
+        _lay_out(self._free, cells, self._jumps[1], self._jumps[3])
+        turned = np.ascontiguousarray(self._free.T), np.ascontiguousarray(cells[:, ::-1])
+        _lay_out(*turned, self._jumps[0], self._jumps[2])
 
     def search(self, starts: Cells, goals: Cells, first: Int64s) -> FloatRows:
         """Do the work of `GoalCosts.search`."""
         size = self._free.size
         memory = self._work.length[:size], self._work.came[:size]
-        height, width = self._free.shape
-        x, y = starts[:, 0] + (1 - self._left), starts[:, 1] + (1 - self._top)
-        inside = (x > 0) & (x < width - 1) & (y > 0) & (y < height - 1)
         costs = np.empty((len(starts), len(goals)))
-        start = np.where(inside, self._at(starts), -1)
-        _search(self._free.reshape(-1), self._jumps, start, self._at(goals), first, *memory, costs)
+        _search(self._free, self._jumps, self._in_box(starts), self._in_box(goals), first, *memory, costs)
         return costs
 
-    def _at(self, cells: Cells) -> Int64s:
-        """Return the index of each cell in the box."""
-        stride = self._free.shape[1]
-        at: Int64s = (
-            (cells[:, 1].astype(np.int64) + (1 - self._top)) * stride + cells[:, 0] + (1 - self._left)
-        )
-        return at
+    def _in_box(self, cells: Cells) -> Cells:
+        """Return the columns and rows of cells in the box."""
+        return np.ascontiguousarray(cells - self._corner)
 
 
 class _Workspace:
@@ -178,37 +169,50 @@ def _workspace(cells: int) -> _Workspace:
 
 
 @kernel
-def _lay_out(free: BoolRows, is_goal: BoolRows, jumps: _Jumps) -> None:
-    """Compute the number of steps from each cell to the next jump point or goal in each direction; 0 for none.
+def _cut_out(free: BoolRows, goals: Cells) -> tuple[int, int, BoolRows]:
+    """Return the first column and row of the box of a floor (`_JumpPoints`), rims included, and its part of `free`."""
+    height, width = free.shape
+    in_column, in_row = np.zeros(width, np.bool_), np.zeros(height, np.bool_)
+    for y in range(height):
+        for x in range(width):
+            in_column[x] |= free[y, x]
+        in_row[y] = free[y].any()
+    columns, rows = in_column.nonzero()[0], in_row.nonzero()[0]
+    left, right, top, bottom = width, 0, height, 0
+    if len(rows):
+        left, right, top, bottom = columns[0] - 1, columns[-1] + 1, rows[0] - 1, rows[-1] + 1
+    if len(goals):
+        left, right = min(left, goals[:, 0].min() + 1), max(right, goals[:, 0].max() + 1)
+        top, bottom = min(top, goals[:, 1].min() + 1), max(bottom, goals[:, 1].max() + 1)
+    left, top = max(left, 1) - 1, max(top, 1) - 1
+    part = free[top : min(bottom, height - 2) + 2, left : min(right, width - 2) + 2]
+    return left, top, part.copy()
 
-    A run may turn at a cell beside which a free cell follows an obstacle. Directions 0 and 2 are +x and -x, 1 and 3 are
-    +y and -y.
+
+@kernel
+def _lay_out(free: BoolRows, goals: Cells, down: Int16s, up: Int16s) -> None:
+    """Compute the number of steps from each cell to the next jump point or goal below and above; 0 for none.
+
+    A run may turn at a cell beside which a free cell follows an obstacle. No run leaves the floor. All cells of a row
+    are independent, so that compilers can use vector instructions; unsigned indices help them.
     """
     height, width = free.shape
-    # No run leaves the floor.
-    jumps[0, :, width - 2] = jumps[1, height - 2, :] = jumps[2, :, 1] = jumps[3, 1, :] = 0
-    stop = np.zeros(width, np.bool_)
-    for y in range(1, height - 1):
-        for way in (1, -1):
-            for x in range(1, width - 1):
-                above = free[y - 1, x] & ~free[y - 1, x - way]
-                below = free[y + 1, x] & ~free[y + 1, x - way]
-                stop[x] = is_goal[y, x] | above | below
-            jump = jumps[1 - way, y]
-            ahead = 0
-            for index in range(1, width - 1):
-                x = width - 1 - index if way > 0 else index
-                ahead = (x if stop[x] else ahead) if free[y, x] else 0
-                jump[x - way] = way * (ahead - x) + 1 if ahead else 0
-    for index in range(1, height - 1):
-        for way in (1, -1):
+    is_goal = np.zeros((height, width), np.bool_)
+    for number in range(len(goals)):
+        is_goal[goals[number, 1], goals[number, 0]] = True
+    down[(height - 2) * width :] = up[: 2 * width] = 0
+    for way in (1, -1):
+        jumps = down if way > 0 else up
+        for index in range(1, height - 1):
             y = height - 1 - index if way > 0 else index
-            for x in range(1, width - 1):
-                left = free[y, x - 1] & ~free[y - way, x - 1]
-                right = free[y, x + 1] & ~free[y - way, x + 1]
-                ahead = jumps[2 - way, y, x]
-                jump = np.int16(1) if is_goal[y, x] | left | right else ahead + np.int16(ahead > 0)
-                jumps[2 - way, y - way, x] = jump if free[y, x] else np.int16(0)
+            before = y - way
+            here, behind, goal = free[y], free[before], is_goal[y]
+            ahead, out = jumps[y * width : (y + 1) * width], jumps[before * width : (before + 1) * width]
+            for x in range(np.uint64(1), np.uint64(width - 1)):
+                left, right = x - np.uint64(1), x + np.uint64(1)
+                stops = goal[x] | here[left] & ~behind[left] | here[right] & ~behind[right]
+                jump = np.int16(1) if stops else np.int16(ahead[x] + np.int16(ahead[x] > 0))
+                out[x] = jump if here[x] else np.int16(0)
 
 
 @kernel
@@ -241,24 +245,20 @@ def _reach(cell: int, new: int, step: int, length: Int64s, came: Uint8s) -> bool
 
 
 @kernel
-def _queue_up(
-    cell: int, new: int, step: int, length: Int64s, came: Uint8s, buckets: Int64s, queue: Int64Rows, used: int
-) -> int:
-    """Queue a jump point if its arrival is new; return the length of the queue."""
-    if _reach(cell, new, step, length, came):
-        bucket = (new >> SHIFT) & (len(buckets) - 1)
-        queue[used, 0], queue[used, 1], queue[used, 2] = cell, step, buckets[bucket]
-        buckets[bucket] = used
-        used += 1
-    return used
+def _queue_up(cell: int, new: int, step: int, buckets: Int64s, queue: Int64Rows, used: int) -> int:
+    """Queue an arrival at a jump point; return the length of the queue."""
+    bucket = (new >> SHIFT) & (len(buckets) - 1)
+    queue[used, 0], queue[used, 1], queue[used, 2] = cell, step, buckets[bucket]
+    buckets[bucket] = used
+    return used + 1
 
 
 @kernel
 def _search(
-    free: Bools,
-    laid_out: _Jumps,
-    starts: Int64s,
-    goals: Int64s,
+    floor: BoolRows,
+    jumps: _Jumps,
+    starts: Cells,
+    goals: Cells,
     first: Int64s,
     length: Int64s,
     came: Uint8s,
@@ -266,11 +266,15 @@ def _search(
 ) -> None:
     """Settle jump points in buckets of width 1, until all goals of a start from its `first` on are settled.
 
-    Negative starts have no way. The queue has rows (cell, arrival step, next entry of the same bucket).
+    Starts outside the floor or on its rim have no way. The queue has rows (cell, arrival step, next entry of the same
+    bucket).
     """
-    _, height, stride = laid_out.shape
-    jumps = laid_out.reshape(4, height * stride)
-    offset = offsets(stride)
+    height, stride = floor.shape
+    free = floor.reshape(height * stride)
+    offset, turned_offset = offsets(stride), turned_offsets(height)
+    ends = np.empty(len(goals), np.int64)
+    for number in range(len(goals)):
+        ends[number] = goals[number, 1] * stride + goals[number, 0]
     # A power of two, with more levels than the longest diagonal with a straight run at its end.
     levels = 1
     while levels < 2 * (height + stride):
@@ -278,16 +282,18 @@ def _search(
     buckets = np.empty(levels, np.int64)
     queue = np.empty((1024, 3), np.int64)
     for row in range(len(starts)):
-        if starts[row] < 0:
+        x, y = starts[row]
+        if not (0 < x < stride - 1 and 0 < y < height - 1):
             costs[row] = np.inf
             continue
+        start = y * stride + x
         came[:] = 0
         buckets[:] = -1
-        length[starts[row]], came[starts[row]] = 0, 255
-        queue[0, 0], queue[0, 1], queue[0, 2] = starts[row], _BEGIN, -1
+        length[start], came[start] = 0, 255
+        queue[0, 0], queue[0, 1], queue[0, 2] = start, _BEGIN, -1
         buckets[0] = 0
         used, done, level, reached = 1, 0, 0, first[row]
-        while done < used and reached < len(goals):
+        while done < used and reached < len(ends):
             entry = buckets[level & (levels - 1)]
             buckets[level & (levels - 1)] = -1
             while entry >= 0:
@@ -301,29 +307,31 @@ def _search(
                     longer[:used] = queue[:used]
                     queue = longer
                 onward = _onward(free, offset, cell, step)
+                turned = cell % stride * height + cell // stride  # its number column by column
                 for number in range(4):
-                    jump = jumps[number, cell]
-                    if jump and onward >> number & 1:
-                        to, new = cell + jump * offset[number], base + jump * ONE
-                        used = _queue_up(to, new, number, length, came, buckets, queue, used)
+                    jump = np.int64(jumps[number, cell if number & 1 else turned])
+                    to, new = cell + jump * offset[number], base + jump * ONE
+                    if jump and onward >> number & 1 and _reach(to, new, number, length, came):
+                        used = _queue_up(to, new, number, buckets, queue, used)
                 for number in range(4, 8):
                     if not onward >> number & 1:
                         continue
                     one, other = number - 4, (number - 3) & 3
-                    at, so_far = cell, base
+                    at, turned_at, so_far = cell, turned, base
                     while free[at + offset[one]] and free[at + offset[other]] and free[at + offset[number]]:
                         at += offset[number]
+                        turned_at += turned_offset[number]
                         so_far += ROOT
                         if not _reach(at, so_far, number, length, came):
                             break
                         for side in (one, other):
-                            jump = jumps[side, at]
-                            if jump:
-                                to, new = at + jump * offset[side], so_far + jump * ONE
-                                used = _queue_up(to, new, side, length, came, buckets, queue, used)
+                            jump = np.int64(jumps[side, at if side & 1 else turned_at])
+                            to, new = at + jump * offset[side], so_far + jump * ONE
+                            if jump and _reach(to, new, side, length, came):
+                                used = _queue_up(to, new, side, buckets, queue, used)
             # Goals are checked in their order; a far goal delays the check of later ones.
-            while reached < len(goals) and came[goals[reached]] and length[goals[reached]] >> SHIFT <= level:
+            while reached < len(ends) and came[ends[reached]] and length[ends[reached]] >> SHIFT <= level:
                 reached += 1
             level += 1
-        for number in range(first[row], len(goals)):
-            costs[row, number] = length[goals[number]] * UNIT if came[goals[number]] else np.inf
+        for number in range(first[row], len(ends)):
+            costs[row, number] = length[ends[number]] * UNIT if came[ends[number]] else np.inf

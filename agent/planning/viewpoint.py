@@ -14,15 +14,15 @@ from typing import NamedTuple
 import numpy as np
 
 from agent.planning.path_planner import PathPlanner
-from protocol.arrays import Bools, Cells, Int32Rows, Int32s, Int64s
+from protocol.arrays import Bools, Cells, Floats, Int32Rows, Int32s, Int64s
 from protocol.grid import FREE, UNKNOWN, Grid, RayTable
 from protocol.kernels import kernel
 
 _BEGUN = 1 / 2
 """Cells by which a way may exceed a whole number of steps without another step: robots round lengths."""
 
-_DIGITS = 6
-"""Decimals to which lengths are compared."""
+_PARTS = 1e6
+"""Parts of a cell to which lengths are rounded before they are compared."""
 
 _OUTSIDE = 255
 """State of cells outside the part of the grid that a beam may cross."""
@@ -100,7 +100,8 @@ def best_viewpoint(
 
     Goals that are visible from this viewpoint as well need no further way. The robot, in cell `here`, scans at the end
     of each step of `step` cells, so the way to the viewpoint counts in whole steps. `views` has the viewpoints of each
-    goal, None for a goal that the robot must drive to; the first goal has viewpoints.
+    goal, row by row, None for a goal that the robot must drive to. The first goal has viewpoints; those of later goals
+    are among them.
 
     Returns None if the robot is already at a viewpoint, so that a scan had no effect, or no viewpoint is reachable.
     """
@@ -114,30 +115,49 @@ def best_viewpoint(
     # The end of the way so far, through each viewpoint.
     places = cells.copy()
     for goal, seen_from in zip(goals[1:], more, strict=False):
-        missed = np.ones(len(cost), np.bool_)
-        if seen_from is not None and len(seen_from):
-            missed = ~_are_among(cells, seen_from, planner.grid.shape)
-        if missed.any():
-            cost[missed] += planner.costs_to(int(goal[0]), int(goal[1]), places[missed])
-            places[missed] = goal
-        if missed.all() or (places == goal).all():
+        x, y = goal.tolist()
+        if seen_from is None or not len(seen_from):
+            cost += planner.costs_to(x, y, places)
             break
-    rounded = np.round(cost, _DIGITS)
-    shortest = np.flatnonzero(rounded == rounded.min())
-    best = int(shortest[ways[shortest].argmin()])
-    if not np.isfinite(cost[best]):
+        missed = ~_are_selected(cells, seen_from)
+        if missed.any():
+            cost[missed] += planner.costs_to(x, y, places[missed])
+            places[missed] = goal
+        if (places == goal).all():
+            break
+    best = _cheapest(cost, ways)
+    if not math.isfinite(cost[best]):
         return None
     found = int(cells[best, 0]), int(cells[best, 1])
     planner.note_cost(here, found, ways.item(best))
     return found
 
 
-def _are_among(cells: Cells, others: Cells, shape: tuple[int, ...]) -> Bools:
-    """Return for each cell of a grid of this shape whether `others` contains it."""
-    marked = np.zeros(shape, np.bool_)
-    marked[others[:, 1], others[:, 0]] = True
-    among: Bools = marked[cells[:, 1], cells[:, 0]]
-    return among
+@kernel
+def _cheapest(cost: Floats, ways: Floats) -> int:
+    """Return the index of the least cost, rounded (`_PARTS`); of equal ones that of the shortest way, the first one."""
+    best, least = 0, np.rint(cost[0] * _PARTS)
+    for at in range(1, len(cost)):
+        rounded = np.rint(cost[at] * _PARTS)
+        if rounded < least or (rounded == least and ways[at] < ways[best]):
+            best, least = at, rounded
+    return best
+
+
+@kernel
+def _are_selected(cells: Cells, selection: Cells) -> Bools:
+    """Return for each cell whether `selection`, some of these cells in the same order, contains it."""
+    selected = np.zeros(len(cells), np.bool_)
+    count = 0
+    for at in range(len(cells)):
+        if (
+            count < len(selection)
+            and cells[at, 0] == selection[count, 0]
+            and cells[at, 1] == selection[count, 1]
+        ):
+            selected[at] = True
+            count += 1
+    return selected
 
 
 @kernel

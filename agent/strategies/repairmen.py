@@ -165,6 +165,8 @@ class Repairmen(TeamStrategy):
         self._observed_in_vain: set[Cell] = set()
         self._given_up: dict[int, int] = {}
         """By teammate that the robot no longer relies on: the step of its last received target at that time."""
+        self._members: tuple[Situation | None, int, dict[int, Cell]] = None, 0, {}
+        """The last result of `team`, and what it follows from: the situation and `_waited`."""
 
     @property
     def _range_cells(self) -> float:
@@ -208,8 +210,16 @@ class Repairmen(TeamStrategy):
         """Return the sub-team and teammates that left it lately; these are assumed to be at their last targets.
 
         A robot without a goal does not rely on teammates that stand still. If it stays without a goal for long, it
-        relies on no teammate until that teammate sends a new target.
+        relies on no teammate until that teammate sends a new target. Callers must not modify the result.
         """
+        known, waited, members = self._members
+        if known is not situation or waited != self._waited:
+            members = self._reliable_team(situation)
+            self._members = situation, self._waited, members
+        return members
+
+    def _reliable_team(self, situation: Situation) -> dict[int, Cell]:
+        """Do the work of `team`."""
         members = super().team(situation)
         left = {
             peer: situation.targets[peer]
@@ -306,7 +316,7 @@ class Repairmen(TeamStrategy):
             self._tour = single_robot_tour(nearer[0], self._between)
             return np.array((self._tour or [-1])[:1])
         near = NEAR * range_cells
-        ways, between = (np.maximum(costs - near, REMAINS * costs) for costs in (nearer, self._between))
+        ways, between = _to_neighborhoods(nearer, near), _to_neighborhoods(self._between, near)
         gain = planner.shared(
             (expected_gain, table.goals.tobytes(), self._lengths.tobytes(), range_cells),
             partial(expected_gain, situation.grid, table.goals, self._lengths, range_cells),
@@ -366,6 +376,17 @@ def _representatives(grid: Grid, frontier: Cells, range_cells: float, robots: in
         gap *= 1.5
         stays = thin_out(grid, cells, lengths, gap)
     return cells[stays], lengths[stays]
+
+
+@kernel
+def _to_neighborhoods(costs: FloatRows, near: float) -> FloatRows:
+    """Return the costs of ways to goals up to their neighborhoods of radius `near`, plus a share of the rest."""
+    shorter = np.empty(costs.shape)
+    for row in range(len(costs)):
+        for goal in range(costs.shape[1]):
+            cost = costs[row, goal]
+            shorter[row, goal] = max(cost - near, REMAINS * cost)
+    return shorter
 
 
 @kernel
