@@ -27,7 +27,6 @@ from agent.planning.path_planner import PathPlanner
 from agent.planning.second_look import SecondLook
 from agent.replication.digests import INTERVAL
 from agent.replication.engine import make_replication
-from agent.replication.peers import MapId
 from agent.replication.replica import Rejected
 from agent.settings import Settings
 from agent.strategies.base import Cell, Decision, Pose, Situation
@@ -359,11 +358,11 @@ class Robot:
         self._withheld = []
 
 
-def _consume(encoding: MapEncoding, team: TeamState, peer: int, map_id: MapId, frame: bytes) -> Sequence[int]:
+def _consume(encoding: MapEncoding, team: TeamState, peer: int, map_id: int, frame: bytes) -> Sequence[int]:
     """Decode entries of a map that a teammate sent; return where in the frame each one ends."""
     ends = packet_index.ends(frame)
-    encoding.apply(map_id.number, frame, step=team.step, sender=peer)
-    team.infer_pose(map_id.robot, encoding.scan_cell(map_id.number))
+    encoding.apply(map_id, frame, step=team.step, sender=peer)
+    team.infer_pose(encoding.settings.author_of(map_id), encoding.scan_cell(map_id))
     return ends
 
 

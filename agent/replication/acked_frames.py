@@ -193,7 +193,7 @@ class AckedFrames(Replication):
 
     def _reported(self, peer: int, number: int, length: int) -> None:
         """A peer reports how many entries of a map it holds; after restarts, a late report may claim too many."""
-        if len(self.logs) > self.peers.robots:
+        if self.peers.may_restart:
             self.peers.expected[peer, number] = 0
         self.peers.expect(peer, number, self._possible(number, length))
         timer, now = self._timers[peer, number], self._rounds.now

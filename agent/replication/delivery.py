@@ -66,7 +66,7 @@ class Acks:
         """Steps after which a report of each peer came back recently."""
         self._interval = PATIENCE
         """Steps within which this robot reports; longer on a narrow medium."""
-        self._reported: Table = np.zeros(len(peers.maps), np.int64)
+        self._reported: Table = np.zeros(peers.maps, np.int64)
         """Length of each log in this robot's last report of it."""
         self._repeated: set[int] = set()
         """Maps of which entries came that were already held."""
@@ -112,7 +112,7 @@ class Acks:
             expected[peer, number] = length
             return
         before, since = int(acked[peer, number]), int(self._expected_since[peer, number])
-        if length > before or len(self._peers.maps) > self._peers.robots:
+        if length > before or self._peers.may_restart:
             acked[peer, number] = length
             if since != NEVER and length > before:
                 round_trip = max(step - since, int(self._round_trip[peer]) - 1)

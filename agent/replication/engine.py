@@ -24,7 +24,7 @@ from agent.replication.delivery import Acks
 from agent.replication.gossip import Gossip
 from agent.replication.gossip_policy import Dependencies
 from agent.replication.handshakes import Handshakes
-from agent.replication.peers import Table, map_ids
+from agent.replication.peers import PeerTable, Table
 from agent.replication.policies import GOSSIP, Offer, Rounds, backoff, thesis
 from agent.replication.replica import Consume, Rebuild, Replica
 from agent.settings import ReplicationSettings, Settings
@@ -119,7 +119,6 @@ def make_replication(
     `rebuild` decodes all logs again after entries were dropped.
     """
     replication = settings.replication
-    maps = map_ids(settings.robots, settings.incarnations)
-    own = maps[settings.own_map]
-    replica = Replica(own, maps, consume, rebuild, ordered=not replication.requires_acks)
+    peers = PeerTable(settings.own_map, settings.robots, settings.maps)
+    replica = Replica(peers, consume, rebuild, ordered=not replication.requires_acks)
     return PLUGINS.find(replication.dissemination)().make(replication, replica, dependencies)

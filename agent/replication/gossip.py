@@ -63,7 +63,7 @@ class Gossip(Replication):
         """Whether any robot has ever been out of range."""
         self._gaps: set[int] = set()
         """Maps of which entries came behind others that this robot lacks."""
-        self._reported: Table = np.full(len(peers.maps), -PATIENCE, np.int64)
+        self._reported: Table = np.full(peers.maps, -PATIENCE, np.int64)
         """The step in which this robot last reported each map."""
         self._idle_since = 0
         """The last step in which this robot had nothing to send, or sent something.
@@ -215,7 +215,7 @@ class Gossip(Replication):
         if number == self.peers.own:
             self._cursors.sent(end, self._in_range)
             self.shared = max(self.shared, end)
-        elif self.peers.maps[number].robot == self.peers.robot:
+        elif self.peers.author(number) == self.peers.robot:
             self._cursors.sent_earlier_incarnation()
 
     def _listeners(self) -> Mask:
@@ -259,7 +259,7 @@ class Gossip(Replication):
                 case Near(robot) | Gone(robot) if robot < robots:
                     self._neighbors.near[peer, robot] = isinstance(control, Near)
                 case (Held(number, _) | HeldEarly(number, _)) as held if number < len(logs) and (
-                    number != peer or len(logs) > robots
+                    number != peer or self.peers.may_restart
                 ):
                     length = self._possible(number, offset(held, len(logs[number])))
                     dropped = length < self.peers.expected.item(peer, number)

@@ -97,7 +97,7 @@ def backoff(rounds: Rounds, lengths: Table) -> list[Offer]:
     if rounds.number or (rounds.single and now % 2 == 0):
         missing = np.where(now >= rounds.due, lengths - expected, 0)
         missing[:, own] = 0
-        missing[rounds.peers.rows, rounds.peers.current] = 0
+        missing[np.arange(rounds.peers.robots), rounds.peers.current] = 0
         most = missing.argmax(axis=1).tolist()
         for peer in in_range:
             number = most[peer]

@@ -24,14 +24,15 @@ import numpy as np
 
 from agent.replication.digests import LogVerifier
 from agent.replication.log import Log
-from agent.replication.peers import MapId, PeerTable, Table
+from agent.replication.peers import PeerTable, Table
 from protocol.errors import ProtocolError
 from protocol.packets import LogDigest
 
-Consume = Callable[[int, MapId, bytes], Sequence[int]]
-"""Decodes the next entries of a map, given the sender and a frame; returns where in the frame each entry ends.
+Consume = Callable[[int, int, bytes], Sequence[int]]
+"""Decodes the next entries of a map, given the sender, the map's number, and a frame of whole entries.
 
-Raises ProtocolError, and changes nothing, if they are malformed or impossible.
+Returns where in the frame each entry ends. Raises ProtocolError, and changes nothing, if entries are malformed or
+impossible.
 """
 
 Rebuild = Callable[[Sequence[bytes]], object]
@@ -54,7 +55,6 @@ class Rejected(NamedTuple):
     """Event: entries that a peer sent were malformed, impossible, or not written by their author."""
 
     peer: int
-    map: MapId
     reason: str
 
 
@@ -77,16 +77,15 @@ class Replica:
 
     def __init__(
         self,
-        own: MapId,
-        maps: list[MapId],
+        peers: PeerTable,
         consume: Consume,
         rebuild: Rebuild,
         *,
         ordered: bool = True,
     ) -> None:
-        self.peers = PeerTable(own, maps)
-        self.logs = [Log() for _ in maps]
-        self.own_log = self.logs[own.number]
+        self.peers = peers
+        self.logs = [Log() for _ in range(peers.maps)]
+        self.own_log = self.logs[peers.own]
         self.verifiers = [LogVerifier(log, ordered=ordered) for log in self.logs]
         self.step = 0
         """Steps so far."""
@@ -123,7 +122,7 @@ class Replica:
 
     def has_forwarded(self) -> bool:
         """Return whether entries that are not verified may come from a peer that is not their author."""
-        return any(senders - {self.peers.maps[number].robot} for number, senders in self._senders.items())
+        return any(senders - {self.peers.author(number)} for number, senders in self._senders.items())
 
     def lengths(self) -> Table:
         """Return the number of entries of each log."""
@@ -139,7 +138,7 @@ class Replica:
             return False
         log = self.logs[number]
         try:
-            ends = self._consume(peer, self.peers.maps[number], frame)
+            ends = self._consume(peer, number, frame)
         except ProtocolError as error:
             self.reject(peer, number, str(error))
             return False
@@ -200,11 +199,7 @@ class Replica:
         if self.own_log.read(min(first, len(self.own_log)), None, first + len(entries)) != b"".join(entries):
             self.request_digest(first + len(entries))
             reason = "sent entries of this robot's map that this robot did not write"
-            self._report(peer, self.peers.own, reason)
-
-    def _report(self, peer: int, number: int, reason: str) -> None:
-        """Report that a peer sent wrong entries of a map."""
-        self._rejected.append(Rejected(peer, self.peers.maps[number], reason))
+            self._rejected.append(Rejected(peer, reason))
 
     def _verify(self, number: int) -> None:
         """Check the digests of a log whose entries have arrived."""
@@ -214,7 +209,7 @@ class Replica:
             for peer in self._senders.pop(number, ()):
                 self._suspicions.pop((peer, number), None)
         elif verified is False:
-            author = self.peers.maps[number].robot
+            author = self.peers.author(number)
             senders = self._senders[number]
             for peer in sorted(senders - {author}) or sorted(senders):
                 forwarded = "forwarded entries that their author did not write, or they were damaged"
@@ -224,10 +219,10 @@ class Replica:
 
     def _suspect(self, peer: int, number: int, reason: str) -> None:
         """Accept no entries of a map from a peer for a while; the author may send them again at once the first time."""
-        self._report(peer, number, reason)
+        self._rejected.append(Rejected(peer, reason))
         self._suspicions[peer, number] += 1
         wait = 1 << self._suspicions[peer, number]
-        author = self.peers.maps[number].robot
+        author = self.peers.author(number)
         self._until[peer, number] = self.step + min(wait - 2 if peer == author else 2 * wait, LONGEST)
 
     def _drop(self, number: int) -> None:

@@ -15,7 +15,7 @@ from agent.replication.base import Replication
 from agent.replication.control_packets import LEAST_HANDSHAKE
 from agent.replication.handshakes import MAX_WAIT, STUBBORN, Connection
 from agent.replication.log import Log
-from agent.replication.peers import map_ids
+from agent.replication.peers import PeerTable
 from agent.replication.policies import CROWD, Rounds, backoff
 from agent.replication.replica import Replica
 from protocol import packet_codec, packet_index, packets
@@ -309,8 +309,8 @@ def test_backoff_offers_by_its_rule(team: Any, number: int, now: int, single: bo
     robots, rng, held, due, lengths = team
     robot = int(rng.integers(robots))
     peers = [peer for peer in range(robots) if peer != robot]
-    maps = map_ids(robots)
-    replica = Replica(maps[robot], maps, lambda *received: packet_index.ends(received[-1]), lambda _: None)
+    peer_table = PeerTable(robot, robots, robots)
+    replica = Replica(peer_table, lambda *received: packet_index.ends(received[-1]), lambda _: None)
     for log, length in zip(replica.logs, lengths.tolist(), strict=True):
         log.append([b"entry"] * length)
     rounds = Rounds(replica, backoff, forwards=True)
