@@ -78,15 +78,12 @@ class Replication(ABC):
 
     def undelivered(self) -> int:
         """Count the entries of this robot's log that are not acknowledged, over all peers that have not ended."""
-        acked: list[int] = self.peers.acked[:, self.peers.own].tolist()
-        receivers = self.peers.robots - 1
-        for peer in self.ended - {self.peers.robot} if self.ended else ():
-            receivers, acked[peer] = receivers - 1, 0
-        return len(self.replica.own_log) * receivers - sum(acked)
+        peers = set(range(self.peers.robots)) - self.ended - {self.peers.robot}
+        return sum(map(self.undelivered_to, peers))
 
     def undelivered_to(self, peer: int) -> int:
         """Count the entries of this robot's log that a peer has not acknowledged."""
-        return len(self.replica.own_log) - int(self.peers.acked[peer, self.peers.own])
+        return len(self.replica.own_log) - self.peers.acked.item(peer, self.peers.own)
 
     def announcements(self) -> bytes:
         """Return the packets about logs to broadcast in this step: the digest that is due, and requests for entries."""

@@ -20,7 +20,6 @@ from typing import ClassVar
 
 from agent.replication.acked_frames import AckedFrames
 from agent.replication.base import Replication
-from agent.replication.delivery import Acks
 from agent.replication.gossip import Gossip
 from agent.replication.gossip_policy import Dependencies
 from agent.replication.handshakes import Handshakes
@@ -96,8 +95,7 @@ class GossipDissemination(Dissemination):
         self, settings: ReplicationSettings, replica: Replica, dependencies: Dependencies
     ) -> Replication:
         """Return a robot's end of the gossip."""
-        acks = Acks(replica.peers, reliable=not settings.requires_acks)
-        return Gossip(replica, acks, dependencies)
+        return Gossip(replica, dependencies, reliable=not settings.requires_acks)
 
 
 DISSEMINATIONS: dict[str, type[Dissemination]] = {

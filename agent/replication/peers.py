@@ -13,6 +13,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from protocol.arrays import Bools, Int64s
+from protocol.kernels import kernel
+
 Table = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
@@ -57,6 +60,12 @@ class PeerTable:
         if length > self.expected.item(peer, number):
             self.expected[peer, number] = length
 
+    def acknowledge(self, peer: int, number: int, length: int) -> None:
+        """Note that a peer certainly holds so many entries of a map."""
+        if length > self.acked.item(peer, number):
+            self.acked[peer, number] = length
+        self.expect(peer, number, length)
+
     def restarted(self, peer: int, number: int) -> bool:
         """Return whether a peer's use of a map number shows that it restarted; it lost all received entries then."""
         if not self.current[peer] < number < self.maps or self.author(number) != peer:
@@ -64,3 +73,11 @@ class PeerTable:
         self.current[peer] = number
         self.expected[peer] = self.acked[peer] = 0
         return True
+
+
+@kernel
+def raise_lengths(lengths: Int64s, peers: Bools, first: int, end: int) -> None:
+    """Raise the lengths of a map to `end`, for those of `peers` where they are at least `first`."""
+    for peer in range(len(peers)):
+        if peers[peer] and lengths[peer] >= first:
+            lengths[peer] = max(lengths[peer], end)

@@ -24,7 +24,7 @@ from agent.outline.simplify import refine
 from agent.predictive.scan_updates import MAX_SCANS
 from agent.predictive.tile_author import ENOUGH_TILES, INTERVAL, LONGEST_WAIT, QUIET_STEPS
 from agent.predictive.urgent_tile_author import FEW_QUIET_STEPS
-from agent.replication import handshakes, neighbors
+from agent.replication import handshakes
 from agent.replication.base import Replication
 from agent.replication.engine import DISSEMINATIONS
 from agent.settings import EncodingSettings, ReplicationSettings, Settings
@@ -267,13 +267,11 @@ def test_the_rooms_of_the_worked_example_are_drawn() -> None:
     assert HALL.strip("\n") in text
 
 
-def test_the_transition_tables_are_those_that_the_code_runs_by() -> None:
+def test_the_transition_table_is_that_by_which_the_code_runs() -> None:
     connections = {
         (state, event, after) for _, state, event, after, _ in rows("replication.md", "Handshakes")
     }
     assert connections == {(*before, after) for before, after in handshakes.TRANSITIONS.items()}
-    meetings = {tuple(row) for row in rows("replication.md", "Meetings")}
-    assert meetings == {(*before, after) for before, after in neighbors.TRANSITIONS.items()}
 
 
 def test_disseminations_are_all_described() -> None:

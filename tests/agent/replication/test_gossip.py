@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from agent.encodings.base import Dependency
 from agent.replication.base import Replication
 from agent.replication.delivery import PATIENCE
-from agent.replication.gossip import REFRESH
 from agent.replication.gossip_policy import HELD_PER_PRIORITY, MAX_PRIORITY
 from agent.replication.neighbors import GREETING
+from agent.replication.reports import REFRESH
 from protocol import packet_codec, packet_index
 from protocol.errors import ProtocolError
 from protocol.messages import Delivery, RoundReport, SendReport
