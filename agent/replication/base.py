@@ -35,8 +35,8 @@ class Replication(ABC):
         """Salt of the next digest, below 2**7, which no other robot can predict; None: this robot sends no digests."""
         self.urgency: float | None = None
         """How much the entries appended last change the plans of peers, per byte; None: entries have no ranks."""
-        self._digest_step = INTERVAL * (self.peers.robots - self.peers.robot)
-        """The step in which to send the next regular digest; robots take turns."""
+        self._digest_turn = 0
+        """This robot's turn in which the last regular digest was due; robots take turns."""
         self.ended: frozenset[int] = frozenset()
         """Peers that have ended, by the reports of the medium: nothing has to be delivered to them."""
         self._asked: dict[tuple[int, int], tuple[int, int]] = {}
@@ -108,11 +108,11 @@ class Replication(ABC):
 
     def _next_digest(self) -> bytes:
         """Return the digest of this robot's log if one is due or a peer may hold other entries; else empty bytes."""
-        replica, robots = self.replica, self.peers.robots
-        if replica.step >= self._digest_step:
+        replica = self.replica
+        turn = (replica.step + INTERVAL * self.peers.robot) // (INTERVAL * self.peers.robots)
+        if turn > self._digest_turn:
+            self._digest_turn = turn
             replica.request_digest(len(replica.own_log))
-            wait = INTERVAL * robots
-            self._digest_step = replica.step + wait - (replica.step + INTERVAL * self.peers.robot) % wait
         length = 0 if replica.digest_length is None else min(replica.digest_length, self.shared)
         if self.salt is None or not length:
             return b""

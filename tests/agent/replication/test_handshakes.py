@@ -16,7 +16,7 @@ from agent.replication.control_packets import LEAST_HANDSHAKE
 from agent.replication.handshakes import MAX_WAIT, STUBBORN, Connection
 from agent.replication.log import Log
 from agent.replication.peers import PeerTable
-from agent.replication.policies import CROWD, Rounds, backoff
+from agent.replication.policies import CROWD, Backoff, Rounds
 from agent.replication.replica import Replica
 from protocol import packet_codec, packet_index, packets
 from protocol.errors import ProtocolError
@@ -313,7 +313,7 @@ def test_backoff_offers_by_its_rule(team: Any, number: int, now: int, single: bo
     replica = Replica(peer_table, lambda *received: packet_index.ends(received[-1]), lambda _: None)
     for log, length in zip(replica.logs, lengths.tolist(), strict=True):
         log.append([b"entry"] * length)
-    rounds = Rounds(replica, backoff, forwards=True)
+    rounds = Rounds(replica, Backoff().offers, forwards=True)
     rounds.now, rounds.single = now - 1, single
     replica.peers.expected[:], rounds.due[:] = held, due
     by_the_rule = [
