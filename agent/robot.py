@@ -146,11 +146,6 @@ class Robot:
         return self._team.poses
 
     @property
-    def distrusted(self) -> set[int]:
-        """Teammates that sent map updates which were malformed or not their author's, several times."""
-        return self.replication.replica.distrusted
-
-    @property
     def known_cells(self) -> int:
         """Cells of the self-explored grid that are known."""
         return self._mapper.known_cells

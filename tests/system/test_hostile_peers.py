@@ -113,14 +113,14 @@ def test_a_byzantine_robot_is_reported_and_honest_robots_still_share_their_maps(
     assert any(move.explored for move in team.moves.values())
     for number in (0, 2):
         robot = team.members[number].robot
-        assert robot.distrusted <= {BYZANTINE}
+        assert robot.replication.replica.distrusted <= {BYZANTINE}
         assert {fault.peer for fault in robot.faults} == {BYZANTINE}
         assert robot.faults[0].reason
         assert team.held(number, 2 - number) == team.held(2 - number, 2 - number)
         if case != "all of the building":  # a robot that repeats this claim later may have been everywhere
             assert team.held(number, BYZANTINE) is None
             assert not (team.truth != FREE)[robot.planning == FREE].any()
-    assert not team.members[BYZANTINE].robot.distrusted
+    assert not team.members[BYZANTINE].robot.replication.replica.distrusted
 
 
 class _Forger:
@@ -255,9 +255,9 @@ def test_hostile_data_never_stops_a_robot_nor_changes_a_saved_state(frames: list
             assert now is not None
             assert now.inside.sum() == 1
             assert encode([Save()]) in packet_index.split(frame)
-            assert BYZANTINE not in robot.distrusted
-        assert robot.distrusted <= {BYZANTINE}
-        assert robot.distrusted <= {fault.peer for fault in robot.faults} <= {BYZANTINE}
+            assert BYZANTINE not in robot.replication.replica.distrusted
+        assert robot.replication.replica.distrusted <= {BYZANTINE}
+        assert robot.replication.replica.distrusted <= {fault.peer for fault in robot.faults} <= {BYZANTINE}
         assert canonical(robot.polygons[2]) == meant
         assert robot.decide().step == step
 
@@ -276,7 +276,7 @@ def test_a_robot_whose_own_map_contradicts_a_forged_copy_is_not_distrusted() -> 
     receive(1, BYZANTINE, 2, forged)
     receive(2, 2, 2, maps[1])
     assert [fault.peer for fault in robot.faults] == [2]
-    assert robot.distrusted == set()
+    assert robot.replication.replica.distrusted == set()
     receive(3, 2, 1, maps[0])
     assert canonical(robot.polygons[1]) == honest_updates()[0][1]
     receive(4, BYZANTINE, 2, encode(MALFORMED_DATA["two save points in a row"]))
@@ -301,7 +301,7 @@ def test_a_robot_that_forwards_one_of_two_versions_of_a_byzantine_robot_s_map_is
     passed_on = honest.replication.logs[BYZANTINE].read(len(deceived.replication.logs[BYZANTINE]), None)
     receive(deceived, 0, BYZANTINE, passed_on)
     assert [fault.peer for fault in deceived.faults] == [0]
-    assert deceived.distrusted == set()
+    assert deceived.replication.replica.distrusted == set()
     receive(deceived, 0, BYZANTINE, passed_on)
     assert len(deceived.faults) == 1, "this map is not accepted from that robot again"
     receive(deceived, 0, 0, honest_updates()[0][0])
