@@ -22,23 +22,22 @@ from protocol.packets import Held, HeldEarly, LogDigest
 class Replication(ABC):
     """One robot's end of the replication of all maps."""
 
-    priority = 0
-    """Priority of this round's frames: the higher, the shorter a broadcast waits for a free medium."""
-    shared = 0
-    """Offset in this robot's log before which other robots may hold entries; those from there on may change."""
-
     def __init__(self, replica: Replica) -> None:
         self.replica = replica
         self.peers = replica.peers
         self.logs = replica.logs
+        self.priority = 0
+        """Priority of this round's frames: the higher, the shorter a broadcast waits for a free medium."""
+        self.shared = 0
+        """Offset in this robot's log before which other robots may hold entries; those from there on may change."""
         self.salt: int | None = None
         """Salt of the next digest, below 2**7, which no other robot can predict; None: this robot sends no digests."""
         self.urgency: float | None = None
         """How much the entries appended last change the plans of peers, per byte; None: entries have no ranks."""
-        self._digest_turn = 0
-        """This robot's turn in which the last regular digest was due; robots take turns."""
         self.ended: frozenset[int] = frozenset()
         """Peers that have ended, by the reports of the medium: nothing has to be delivered to them."""
+        self._digest_turn = 0
+        """This robot's turn in which the last regular digest was due; robots take turns."""
         self._asked: dict[tuple[int, int], tuple[int, int]] = {}
         """(peer, map number): before which step a peer's next request is not answered, and the steps after that."""
 
@@ -75,6 +74,10 @@ class Replication(ABC):
 
         Returns the rejections of peers' entries.
         """
+
+    @abstractmethod
+    def delivered(self) -> bool:
+        """Return whether peers are in range, and all of them hold this robot's log."""
 
     def undelivered(self) -> int:
         """Count the entries of this robot's log that are not acknowledged, over all peers that have not ended."""
@@ -142,7 +145,3 @@ class Replication(ABC):
             self.replica.request_digest(length)
         self.peers.expected[peer, number] = length
         self.peers.acked[peer, number] = min(self.peers.acked.item(peer, number), length)
-
-    @abstractmethod
-    def delivered(self) -> bool:
-        """Return whether peers are in range, and all of them hold this robot's log."""
