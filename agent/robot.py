@@ -37,7 +37,8 @@ from protocol.body import narrowest_opening
 from protocol.cell_bytes import cells_to_bytes, points_to_bytes
 from protocol.errors import ProtocolError
 from protocol.grid import OCCUPIED, Grid
-from protocol.messages import MAX_WAY_CELLS, Move, RoundReport, Sense
+from protocol.message_fields import MAX_WAY_CELLS
+from protocol.messages import Move, RoundReport, Sense
 from protocol.packets import SALTS, Held, HeldEarly, LogDigest
 
 SURE_AFTER = 10

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from protocol.bounds import check_bounds
-from protocol.messages import MAX_PEOPLE
+from protocol.message_fields import MAX_PEOPLE
 
 MAX_WALKING_SPEED = 5.0
 
