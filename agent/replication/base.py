@@ -81,8 +81,9 @@ class Replication(ABC):
 
     def undelivered(self) -> int:
         """Count the entries of this robot's log that are not acknowledged, over all peers that have not ended."""
-        peers = set(range(self.peers.robots)) - self.ended - {self.peers.robot}
-        return sum(map(self.undelivered_to, peers))
+        length, acked = len(self.replica.own_log), self.peers.acked[:, self.peers.own].tolist()
+        gone = {self.peers.robot, *self.ended}
+        return sum(length - held for peer, held in enumerate(acked) if peer not in gone)
 
     def undelivered_to(self, peer: int) -> int:
         """Count the entries of this robot's log that a peer has not acknowledged."""
