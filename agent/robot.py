@@ -178,7 +178,7 @@ class Robot:
             self.replication.salt = zlib.crc32(sense.readings + sense.range_scan, sense.step) % SALTS
         encoding, replication = self._encoding, self.replication
         may_retract = encoding.retractable and not encoding.is_settled and not self._withheld
-        if may_retract and replication.retract(encoding.retractable):
+        if may_retract and replication.own_log.retract(encoding.retractable):
             encoding.retract_last()
         delivered = replication.delivered() and not self._withheld
         if delivered:
@@ -239,7 +239,7 @@ class Robot:
         return self._team.situation(
             sense,
             self._explorable(sense),
-            log_entries=len(self.replication.replica.own_log),
+            log_entries=self.replication.own_log.length,
             backlog=self.replication.undelivered(),
         )
 
@@ -349,7 +349,7 @@ class Robot:
 
     def _publish(self) -> None:
         """Append all withheld entries to the log."""
-        self.replication.append(self._withheld)
+        self.replication.own_log.append(self._withheld)
         self.replication.urgency = self._encoding.urgency
         self._withheld = []
 

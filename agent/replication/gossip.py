@@ -81,12 +81,11 @@ class Gossip(Replication):
             self._builder = FrameBuilder()  # without handlers, which refer to this object
             if number == 0 or self.urgency is None:
                 self._idle_since = step
-        has_own = self.shared < len(self.replica.own_log)
         self.priority = self._policy.priority(
             len(payload),
             step - self._idle_since,
-            unfinished=has_own and self.replica.last_append < self.shared,
-            urgency=self.urgency if has_own else None,
+            unfinished=self.own_log.is_unfinished,
+            urgency=self.urgency if self.own_log.has_unsent else None,
         )
         return [OutgoingFrame(EVERYONE, payload)] if payload else []
 
@@ -127,7 +126,7 @@ class Gossip(Replication):
 
     def delivered(self) -> bool:
         """Return whether peers are in range and all of this robot's log has been on the air."""
-        return bool(self._neighbors.in_range) and self.shared == len(self.replica.own_log)
+        return bool(self._neighbors.in_range) and not self.own_log.has_unsent
 
     # --- sending
 
@@ -169,7 +168,7 @@ class Gossip(Replication):
         self._note_receivers(self.peers.robot, number, first, end)
         if number == self.peers.own:
             self._cursors.sent(end, self._neighbors.in_range)
-            self.shared = max(self.shared, end)
+            self.own_log.sent(end)
         elif self.peers.author(number) == self.peers.robot:
             self._cursors.sent_earlier_incarnation()
 
@@ -215,7 +214,7 @@ class Gossip(Replication):
                     length = self._possible(number, offset(held, len(logs[number])))
                     dropped = length < self.peers.expected.item(peer, number)
                     if dropped and number == self.peers.own and self._acks.reliable:
-                        self.replica.request_digest(length)
+                        self.own_log.request_digest(length)
                     self._acks.report_received(peer, number, length, self.replica.step)
                     self._meetings.reported(peer)
                 case LogDigest():

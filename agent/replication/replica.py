@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from agent.replication.digests import LogVerifier
-from agent.replication.log import Log
+from agent.replication.log import Log, OwnLog
 from agent.replication.peers import PeerTable, Table
 from protocol.errors import ProtocolError
 from protocol.packets import LogDigest
@@ -75,24 +75,13 @@ class Replica:
     `rebuild` is called after decoded entries were dropped; `ordered`: frames of a robot arrive in their order.
     """
 
-    def __init__(
-        self,
-        peers: PeerTable,
-        consume: Consume,
-        rebuild: Rebuild,
-        *,
-        ordered: bool = True,
-    ) -> None:
+    def __init__(self, peers: PeerTable, consume: Consume, rebuild: Rebuild, *, ordered: bool = True) -> None:
         self.peers = peers
-        self.logs = [Log() for _ in range(peers.maps)]
-        self.own_log = self.logs[peers.own]
+        self.own_log = OwnLog()
+        self.logs = [self.own_log if number == peers.own else Log() for number in range(peers.maps)]
         self.verifiers = [LogVerifier(log, ordered=ordered) for log in self.logs]
         self.step = 0
         """Steps so far."""
-        self.digest_length: int | None = None
-        """Entries of this robot's log of which to send a digest: it is time to, or a peer may hold other entries."""
-        self.last_append = 0
-        """Offset in this robot's log of the entries that were appended last."""
         self._requests: dict[int, _Request] = {}
         """By number of a map of which entries were dropped."""
         self._suspicions: Counter[tuple[int, int]] = Counter()
@@ -113,12 +102,6 @@ class Replica:
     def distrusted(self) -> set[int]:
         """Peers that sent wrong entries `MANY` times."""
         return {peer for (peer, _), count in self._suspicions.items() if count >= MANY}
-
-    def append(self, entries: list[bytes]) -> None:
-        """Append to this robot's log."""
-        if entries:
-            self.last_append = len(self.own_log)
-        self.own_log.append(entries)
 
     def has_forwarded(self) -> bool:
         """Return whether entries that are not verified may come from a peer that is not their author."""
@@ -189,15 +172,10 @@ class Replica:
             length, _, wait = self._requests[number]
             self._requests[number] = _Request(length, self.step + wait, min(2 * wait, LONGEST))
 
-    def request_digest(self, length: int) -> None:
-        """Send a digest of this robot's first `length` entries, or of fewer if that is requested already."""
-        if length:
-            self.digest_length = min(length, length if self.digest_length is None else self.digest_length)
-
     def check_own(self, peer: int, first: int, entries: list[bytes]) -> None:
         """Compare entries of this robot's log that a peer sent, from offset `first` on; report forged ones."""
         if self.own_log.read(min(first, len(self.own_log)), None, first + len(entries)) != b"".join(entries):
-            self.request_digest(first + len(entries))
+            self.own_log.request_digest(first + len(entries))
             reason = "sent entries of this robot's map that this robot did not write"
             self._rejected.append(Rejected(peer, reason))
 

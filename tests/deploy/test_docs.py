@@ -119,7 +119,7 @@ def worked_example() -> str:
         lines += [f"# step {step}", *described(packet_codec.encode(edits))]
         entries += [packet_codec.encode([packet]) for packet in edits]
     sender, receiver = replication(0, 2), replication(1, 2)
-    sender.append(entries)
+    sender.own_log.append(entries)
     (offer,) = sender.open_round(0, [1], None)
     receiver.open_round(0, [0], None)
     (answer,) = receiver.answer([Delivery(0, offer.payload, 0)])
@@ -184,7 +184,7 @@ def updates_example() -> str:
         readings = cast(truth, no_robots, beams, x, 2)
         change = draw(own, beams, x, 2, readings)
         entries = maker.encode_changes(own, Scan(x, 2, readings), change, delivered=True)
-        gossip.append(entries)
+        gossip.own_log.append(entries)
         frame = gossip.open_round(0, peers, None)[0].payload
         assert not gossip.close_round(RoundReport(1, 0, [], [SendReport(0, len(frame))], [], False))
         receiver.apply(0, b"".join(entries), step=1000, sender=0)

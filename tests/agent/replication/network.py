@@ -156,7 +156,7 @@ class Network:
         """Let a robot append so many entries to its log."""
         first = self.appended[robot]
         self.appended[robot] += count
-        self.engines[robot].append(entries(robot, first, first + count))
+        self.engines[robot].own_log.append(entries(robot, first, first + count))
 
     def written(self, robot: int) -> list[bytes]:
         """All entries that a robot ever appended."""

@@ -89,7 +89,7 @@ def test_a_byzantine_robot_neither_spoils_a_log_nor_keeps_others_from_theirs(
 
 def test_no_robot_accepts_entries_of_its_own_map() -> None:
     each = engine(0, 3)
-    each.append(entries(0, 0, 2))
+    each.own_log.append(entries(0, 0, 2))
     (answer,) = each.answer([Delivery(1, encode([Offer(0, 0)]), 5)])
     assert packet_codec.decode(answer.payload) == [Block(DECLINED)]
     each.close_round(closing(ConnectionReport(5, 2, 2, 9), data=[Delivery(1, entry(0, 2), 5)]))
@@ -130,7 +130,7 @@ def test_a_malformed_offer_is_an_error(frame: bytes) -> None:
 )
 def test_a_malformed_answer_is_an_error(frame: bytes) -> None:
     each = engine(0, 3)
-    each.append(entries(0, 0, 2))
+    each.own_log.append(entries(0, 0, 2))
     assert each.open_round(0, [1], None)
     with pytest.raises(ProtocolError):
         each.send_data([Delivery(1, frame, 0, 0)])
@@ -138,7 +138,7 @@ def test_a_malformed_answer_is_an_error(frame: bytes) -> None:
 
 def test_an_answer_to_an_offer_that_was_not_made_is_an_error() -> None:
     each = engine(0, 3)
-    each.append(entries(0, 0, 2))
+    each.own_log.append(entries(0, 0, 2))
     each.open_round(0, [1], None)
     for peer, of in ((2, 0), (1, 1)):
         with pytest.raises(ProtocolError, match=f"robot {peer} answers an offer that was not made"):
@@ -148,7 +148,7 @@ def test_an_answer_to_an_offer_that_was_not_made_is_an_error() -> None:
 @pytest.mark.parametrize("claimed", [2, 3, 4095])
 def test_no_entries_go_to_a_peer_that_claims_as_many_or_more(claimed: int) -> None:
     each = engine()
-    each.append(entries(0, 0, 2))
+    each.own_log.append(entries(0, 0, 2))
     each.open_round(0, [1], None)
     assert each.send_data([Delivery(1, encode([Answer(claimed)]), 0, 0)]) == []
     each.close_round(closing(ConnectionReport(0, 2, 2, 0)))

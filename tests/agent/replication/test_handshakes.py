@@ -83,7 +83,7 @@ def test_frames_that_were_not_on_the_air_change_nothing(budget: int) -> None:
 
 def test_an_answer_that_was_not_on_the_air_changes_nothing() -> None:
     each = engine()
-    each.append(entries(0, 0, 5))
+    each.own_log.append(entries(0, 0, 5))
     for number in range(3):
         assert each.open_round(0, [1], None), "an answer that no robot received is no refusal"
         each.send_data([Delivery(1, encode([Answer(3 + number)]), number, 0)])

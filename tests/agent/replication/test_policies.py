@@ -91,7 +91,7 @@ def test_a_crowd_makes_no_more_offers_than_the_medium_can_carry_answers_to(
 
 def test_in_a_crowd_every_robot_has_its_turn() -> None:
     robots, each = 30, engine(7, 30)
-    each.append(entries(7, 0, 1))
+    each.own_log.append(entries(7, 0, 1))
     offered: list[int] = []
     while len(offered) < robots - 1:
         offered += [frame.receiver for frame in each.open_round(0, list(everyone(robots)[7]), 400)]
