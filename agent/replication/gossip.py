@@ -49,7 +49,7 @@ class Gossip(Replication):
         self._neighbors = Neighbors(robot, robots)
         self._meetings = Meetings(robots, settled=first_incarnation)
         self._cursors = BroadcastCursors(robot, robots, known=first_incarnation, reliable=reliable)
-        self._policy = GossipPolicy(peers, replica.logs, self._neighbors, dependencies, self._add_range)
+        self._policy = GossipPolicy(peers, replica.logs, self._neighbors, dependencies)
         self._builder = FrameBuilder()
         self._idle_since = 0
         """The last step in which this robot had nothing to send, or sent something.
@@ -75,7 +75,7 @@ class Gossip(Replication):
         if not in_range:
             return []
         self._add_reports(lengths)
-        self._policy.serve(self._acks.turn)
+        self._policy.serve(self._add_range, self._acks.turn)
         payload = self._builder.payload
         if not payload:
             self._builder = FrameBuilder()  # without handlers, which refer to this object

@@ -54,18 +54,12 @@ class GossipPolicy:
     """What peers in range lack, since when, and which of that this robot broadcasts."""
 
     def __init__(
-        self,
-        peers: PeerTable,
-        logs: Sequence[Log],
-        neighbors: Neighbors,
-        dependencies: Dependencies,
-        add: Add,
+        self, peers: PeerTable, logs: Sequence[Log], neighbors: Neighbors, dependencies: Dependencies
     ) -> None:
         self._peers = peers
         self._logs = logs
         self._neighbors = neighbors
         self._dependencies = dependencies
-        self._add = add
         self._lacks: dict[int, dict[int, int]] = {}
         """By peer and map number: how many entries this robot holds that the peer should not hold yet."""
         self._since = peers.new_table()
@@ -89,7 +83,7 @@ class GossipPolicy:
                 if number not in before.get(peer, ()):
                     self._since[peer, number] = step
 
-    def serve(self, turn: int) -> None:
+    def serve(self, add: Add, turn: int) -> None:
         """Add what peers lack to this round's frame.
 
         `turn` is the number of steps after which the next robot forwards what a peer still lacks.
@@ -100,11 +94,11 @@ class GossipPolicy:
             will_hold, lacks = held[peer], self._lacks[peer]
             will_hold[self._peers.current[peer]] = MAX_LENGTH
             for number in sorted(lacks, key=lambda each: (each != self._peers.own, lacks[each], each)):
-                self._bring(peer, will_hold, number, len(self._logs[number]))
+                self._bring(add, peer, will_hold, number, len(self._logs[number]))
             if self._served is None and self._sent:
                 self._served = peer
 
-    def _bring(self, peer: int, will_hold: list[int], number: int, end: int) -> None:
+    def _bring(self, add: Add, peer: int, will_hold: list[int], number: int, end: int) -> None:
         """Send what a peer lacks of a map before offset `end`, and before each range what it depends on.
 
         `will_hold` are the peer's log lengths once it has received the frame.
@@ -114,14 +108,14 @@ class GossipPolicy:
             if each.first >= end:
                 break
             if any(will_hold[other] < length for other, length in each.requires):
-                self._send(peer, will_hold, number, each.first)
+                self._send(add, peer, will_hold, number, each.first)
                 for other, length in each.requires:
-                    self._bring(peer, will_hold, other, length)
+                    self._bring(add, peer, will_hold, other, length)
                 if any(will_hold[other] < length for other, length in each.requires):
                     return
-        self._send(peer, will_hold, number, end)
+        self._send(add, peer, will_hold, number, end)
 
-    def _send(self, peer: int, will_hold: list[int], number: int, end: int) -> None:
+    def _send(self, add: Add, peer: int, will_hold: list[int], number: int, end: int) -> None:
         """Send what a peer lacks of a map before offset `end`, but not what is in the frame already."""
         first = will_hold[number]
         if first >= end:
@@ -132,7 +126,7 @@ class GossipPolicy:
         else:
             end = min(end, low)
         if first < end and (number == self._peers.own or self._is_forwarder(peer, number)):
-            end = self._add(number, first, min(end, len(self._logs[number])))
+            end = add(number, first, min(end, len(self._logs[number])))
             if end > first:
                 low, high = self._sent.get(number, (first, end))
                 self._sent[number] = min(low, first), max(high, end)
