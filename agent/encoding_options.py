@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
+from protocol.bounds import check_bounds
+
 MAX_USE = 100
 """Largest `medium_use`."""
 MAX_PATIENCE = 100
@@ -105,5 +107,4 @@ class PredictiveOptions:
     maps of others, the default is 2."""
 
     def __post_init__(self) -> None:
-        if not 1 <= self.patience <= MAX_PATIENCE:
-            raise ValueError(f"patience = {self.patience}: must be 1 to {MAX_PATIENCE}")
+        check_bounds(self, "patience", 1, MAX_PATIENCE)

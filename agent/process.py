@@ -22,6 +22,7 @@ from protocol.errors import ProtocolError
 from protocol.keys import Keys
 from protocol.map_parts import FinalMaps
 from protocol.message_codec import pack
+from protocol.message_fields import clip
 from protocol.messages import (
     Close,
     Configure,
@@ -37,7 +38,6 @@ from protocol.messages import (
     Sense,
     Shutdown,
     Watched,
-    clip,
 )
 
 

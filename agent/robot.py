@@ -27,7 +27,6 @@ from agent.planning.path_planner import PathPlanner
 from agent.planning.second_look import SecondLook
 from agent.replication.digests import INTERVAL
 from agent.replication.engine import make_replication
-from agent.replication.peers import MapId
 from agent.replication.replica import Rejected
 from agent.settings import Settings
 from agent.strategies.base import Cell, Decision, Pose, Situation
@@ -38,7 +37,8 @@ from protocol.body import narrowest_opening
 from protocol.cell_bytes import cells_to_bytes, points_to_bytes
 from protocol.errors import ProtocolError
 from protocol.grid import OCCUPIED, Grid
-from protocol.messages import MAX_WAY_CELLS, Move, RoundReport, Sense
+from protocol.message_fields import MAX_WAY_CELLS
+from protocol.messages import Move, RoundReport, Sense
 from protocol.packets import SALTS, Held, HeldEarly, LogDigest
 
 SURE_AFTER = 10
@@ -147,11 +147,6 @@ class Robot:
         return self._team.poses
 
     @property
-    def distrusted(self) -> set[int]:
-        """Teammates that sent map updates which were malformed or not their author's, several times."""
-        return self.replication.replica.distrusted
-
-    @property
     def known_cells(self) -> int:
         """Cells of the self-explored grid that are known."""
         return self._mapper.known_cells
@@ -183,7 +178,7 @@ class Robot:
             self.replication.salt = zlib.crc32(sense.readings + sense.range_scan, sense.step) % SALTS
         encoding, replication = self._encoding, self.replication
         may_retract = encoding.retractable and not encoding.is_settled and not self._withheld
-        if may_retract and replication.retract(encoding.retractable):
+        if may_retract and replication.own_log.retract(encoding.retractable):
             encoding.retract_last()
         delivered = replication.delivered() and not self._withheld
         if delivered:
@@ -244,7 +239,7 @@ class Robot:
         return self._team.situation(
             sense,
             self._explorable(sense),
-            log_entries=len(self.replication.replica.own_log),
+            log_entries=self.replication.own_log.length,
             backlog=self.replication.undelivered(),
         )
 
@@ -354,16 +349,16 @@ class Robot:
 
     def _publish(self) -> None:
         """Append all withheld entries to the log."""
-        self.replication.append(self._withheld)
+        self.replication.own_log.append(self._withheld)
         self.replication.urgency = self._encoding.urgency
         self._withheld = []
 
 
-def _consume(encoding: MapEncoding, team: TeamState, peer: int, map_id: MapId, frame: bytes) -> Sequence[int]:
+def _consume(encoding: MapEncoding, team: TeamState, peer: int, map_id: int, frame: bytes) -> Sequence[int]:
     """Decode entries of a map that a teammate sent; return where in the frame each one ends."""
     ends = packet_index.ends(frame)
-    encoding.apply(map_id.number, frame, step=team.step, sender=peer)
-    team.infer_pose(map_id.robot, encoding.scan_cell(map_id.number))
+    encoding.apply(map_id, frame, step=team.step, sender=peer)
+    team.infer_pose(encoding.settings.author_of(map_id), encoding.scan_cell(map_id))
     return ends
 
 

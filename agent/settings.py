@@ -15,7 +15,7 @@ from agent.encoding_options import PolygonOptions, PredictiveOptions
 from protocol.body import Body
 from protocol.budget import UNLIMITED, Budget
 from protocol.errors import ProtocolError
-from protocol.messages import SideLength
+from protocol.message_fields import SideLength
 from protocol.range_scans import Laser
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
+
+from protocol.bounds import check_bounds
 
 MAX_STEPS = 10_000
 """Maximum delay of a frame in steps."""
@@ -44,7 +45,8 @@ class ChannelOptions:
     checksums: bool = False
 
     def __post_init__(self) -> None:
-        check_bounds(self, _BOUNDS)
+        for name, least, most in _BOUNDS:
+            check_bounds(self, name, least, most)
         if 0 < self.burst_every < 1:
             raise ValueError(f"burst_every = {self.burst_every:g}: must be 0 (no bursts), or 1 step or more")
 
@@ -59,14 +61,6 @@ class ChannelOptions:
         return not (
             self.loss or self.burst_every or self.delay or self.jitter or self.duplication or self.sums
         )
-
-
-def check_bounds(options: object, bounds: Iterable[tuple[str, float, float]]) -> None:
-    """Raise ValueError if an option lies outside its bounds: name, least value, largest value."""
-    for name, least, most in bounds:
-        value = getattr(options, name)
-        if not least <= value <= most:
-            raise ValueError(f"{name} = {value:g}: must be {least:g} to {most:g}")
 
 
 _BOUNDS = (

@@ -12,7 +12,7 @@ import zenoh
 from netshaper import access
 from protocol import keys as names
 from protocol.keys import Keys
-from protocol.messages import MAX_FRAMES, MAX_ROBOT_PAYLOAD
+from protocol.message_fields import MAX_FRAMES, MAX_ROBOT_PAYLOAD
 from protocol.temporary import temporary_folder
 from protocol.zenoh_bus import Certificate, Credential, ZenohBus, insert, plain_config, receive_apart, use_tls
 

@@ -22,8 +22,8 @@ from protocol.errors import ProtocolError
 from protocol.faults import RADIO_KINDS
 from protocol.keys import Keys
 from protocol.message_codec import pack
+from protocol.message_fields import MAX_NAME, clip
 from protocol.messages import (
-    MAX_NAME,
     Back,
     Begin,
     Change,
@@ -45,7 +45,6 @@ from protocol.messages import (
     Shutdown,
     Stop,
     Watched,
-    clip,
 )
 from protocol.rights import MAX_PROTOCOL_ERRORS, MAX_STEP_BYTES, TOO_MANY_BYTES, TOO_MANY_ERRORS
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from netshaper.channel_options import MOST, ChannelOptions, check_bounds
+from netshaper.channel_options import MOST, ChannelOptions
+from protocol.bounds import check_bounds
 
 MIN_FRAME = 16
 """Minimum frame size in bytes: the longest packet that cannot be split, a broadcast, and a checksum."""
@@ -71,7 +72,8 @@ class PathLossOptions:
     shadowing_m: float = 5.0
 
     def __post_init__(self) -> None:
-        check_bounds(self, _PATH_LOSS_BOUNDS)
+        for name, least, most in _PATH_LOSS_BOUNDS:
+            check_bounds(self, name, least, most)
 
 
 @dataclass(frozen=True)
@@ -111,7 +113,8 @@ class RadioOptions(PathLossOptions, ChannelOptions):
     def __post_init__(self) -> None:
         ChannelOptions.__post_init__(self)
         PathLossOptions.__post_init__(self)
-        check_bounds(self, _LIMIT_BOUNDS)
+        for name, least, most in _LIMIT_BOUNDS:
+            check_bounds(self, name, least, most)
         for name in ("frame_bytes", "send_bytes", "receive_bytes"):
             if 0 < getattr(self, name) < MIN_FRAME:
                 raise ValueError(

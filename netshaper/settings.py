@@ -10,7 +10,8 @@ from netshaper.radio_options import MIN_FRAME, RadioOptions
 from protocol import packets
 from protocol.budget import UNLIMITED, Budget
 from protocol.grid import Grid
-from protocol.messages import MAX_FRAME, Change, FaultEvent
+from protocol.message_fields import MAX_FRAME
+from protocol.messages import Change, FaultEvent
 from protocol.nanoseconds import SECOND
 from protocol.packets import Held, Offer, Passed, Target
 

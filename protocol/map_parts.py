@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from protocol.errors import ProtocolError
 from protocol.grid import OCCUPIED, UNKNOWN, Grid
-from protocol.messages import PART_CELLS
+from protocol.message_fields import PART_CELLS
 
 Mask = NDArray[np.bool_]
 

@@ -11,7 +11,8 @@ import msgspec
 from msgspec import inspect
 
 from protocol.errors import ProtocolError
-from protocol.messages import MAX_FRAME, MAX_FRAMES, MAX_PAYLOAD, TYPES, Record
+from protocol.message_fields import MAX_FRAME, MAX_FRAMES, MAX_PAYLOAD
+from protocol.messages import TYPES, Record
 
 _HEAD = {kind: 0x90 | len(kind.__struct_fields__) + 1 for kind in TYPES}
 """First byte of each message: the msgpack head of a list with this number of items."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.messages import MAX_BEAMS
+from protocol.message_fields import MAX_BEAMS
 from protocol.range_scans import NO_MEASUREMENT, NOTHING, TURN
 
 

@@ -13,9 +13,8 @@ from typing import Any
 from protocol import keys as names
 from protocol.keys import RECORDER, RELAY, VIEW, WORLD, Keys
 from protocol.message_codec import unpacker
+from protocol.message_fields import MAX_PAYLOAD, MAX_ROBOT_PAYLOAD
 from protocol.messages import (
-    MAX_PAYLOAD,
-    MAX_ROBOT_PAYLOAD,
     Back,
     Begin,
     Change,

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from protocol.messages import MAX_PEOPLE
+from protocol.bounds import check_bounds
+from protocol.message_fields import MAX_PEOPLE
 
 MAX_WALKING_SPEED = 5.0
 
@@ -34,9 +35,6 @@ class PeopleOptions:
     radius: float = 0.25
 
     def __post_init__(self) -> None:
-        if not 0 <= self.number <= MAX_PEOPLE:
-            raise ValueError(f"number = {self.number}: must be 0 to {MAX_PEOPLE}")
-        if not 0 <= self.speed <= MAX_WALKING_SPEED:
-            raise ValueError(f"speed = {self.speed:g}: must be 0 to {MAX_WALKING_SPEED:g} m/s")
-        if not MIN_RADIUS_M <= self.radius <= MAX_RADIUS_M:
-            raise ValueError(f"radius = {self.radius:g}: must be {MIN_RADIUS_M:g} to {MAX_RADIUS_M:g} m")
+        check_bounds(self, "number", 0, MAX_PEOPLE)
+        check_bounds(self, "speed", 0, MAX_WALKING_SPEED, "m/s")
+        check_bounds(self, "radius", MIN_RADIUS_M, MAX_RADIUS_M, "m")

@@ -18,8 +18,8 @@ from protocol.faults import KINDS
 from protocol.grid import FINE
 from protocol.keys import Keys
 from protocol.message_codec import pack
+from protocol.message_fields import MAX_NAME, clip
 from protocol.messages import (
-    MAX_NAME,
     Back,
     Begin,
     Close,
@@ -34,7 +34,6 @@ from protocol.messages import (
     Stop,
     Watched,
     WorldReport,
-    clip,
 )
 from protocol.rights import MAX_PROTOCOL_ERRORS, TOO_MANY_ERRORS
 from worldsim.barrier import Barrier

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
+from protocol.bounds import check_bounds
 from protocol.range_scans import MAX_REACH_M
 
 IDEAL, EXACT = "ideal", "exact"
@@ -68,19 +69,13 @@ class LaserOptions:
             raise ValueError(
                 "short + missing: exclude each other, so their probabilities are together at most 1"
             )
-        for name, most in (
-            ("range_error_m", MAX_RANGE_ERROR_M),
-            ("min_range_m", MAX_MIN_RANGE_M),
-            ("max_range_m", MAX_REACH_M),
-        ):
-            if not 0 <= getattr(self, name) <= most:
-                raise ValueError(f"{name} = {getattr(self, name):g}: must be 0 to {most:g} m")
+        check_bounds(self, "range_error_m", 0, MAX_RANGE_ERROR_M, "m")
+        check_bounds(self, "min_range_m", 0, MAX_MIN_RANGE_M, "m")
+        check_bounds(self, "max_range_m", 0, MAX_REACH_M, "m")
         if 0 < self.max_range_m <= self.min_range_m:
             raise ValueError(f"max_range_m = {self.max_range_m:g}: must exceed min_range_m")
-        if not 0 <= self.beams <= MAX_LASER_BEAMS:
-            raise ValueError(f"beams = {self.beams}: must be 0 to {MAX_LASER_BEAMS}")
-        if not MIN_RATE <= self.rate <= 1:
-            raise ValueError(f"rate = {self.rate:g}: must be {MIN_RATE:g} to 1 scans per step")
+        check_bounds(self, "beams", 0, MAX_LASER_BEAMS)
+        check_bounds(self, "rate", MIN_RATE, 1, "scans per step")
 
     @property
     def is_ideal(self) -> bool:
@@ -108,13 +103,8 @@ class PoseOptions:
     heading_error_deg: float = 0.0
 
     def __post_init__(self) -> None:
-        if not 0 <= self.position_error_m <= MAX_POSE_ERROR_M:
-            raise ValueError(
-                f"position_error_m = {self.position_error_m:g}: must be 0 to {MAX_POSE_ERROR_M:g} m"
-            )
-        if not 0 <= self.heading_error_deg <= MAX_HEADING_ERROR_DEG:
-            most = f"{MAX_HEADING_ERROR_DEG:g} degrees"
-            raise ValueError(f"heading_error_deg = {self.heading_error_deg:g}: must be 0 to {most}")
+        check_bounds(self, "position_error_m", 0, MAX_POSE_ERROR_M, "m")
+        check_bounds(self, "heading_error_deg", 0, MAX_HEADING_ERROR_DEG, "degrees")
 
     @property
     def is_exact(self) -> bool:

@@ -11,6 +11,7 @@ from agent.radios.peer_medium import FRAME_OVERHEAD, WORTHWHILE, Timing
 from agent.radios.serial_modem import BAUD_RATES, SerialModem
 from agent.radios.transport import Transport
 from agent.radios.udp import GROUP, MAX_DATAGRAM, PORT, UdpRadio
+from protocol.bounds import check_bounds
 from protocol.nanoseconds import SECOND
 from protocol.presets import preset
 from protocol.token_bucket import TokenBucket
@@ -95,20 +96,17 @@ class LinkOptions:
             raise ValueError("a serial modem needs a preset, or bytes_per_s and frame_bytes")
         if self.baud not in BAUD_RATES:
             raise ValueError(f"baud = {self.baud}: must be one of {', '.join(map(str, BAUD_RATES))}")
-        if not 1 / ALWAYS <= self.duty_cycle <= 1:
-            raise ValueError(f"duty_cycle = {self.duty_cycle:g}: must be {1 / ALWAYS:g} to 1 (no limit)")
-        if not 0 < self.udp_port < 1 << 16:
-            raise ValueError(f"udp_port = {self.udp_port}: must be 1 to 65535")
+        check_bounds(self, "duty_cycle", 1 / ALWAYS, 1, "(no limit)")
+        check_bounds(self, "udp_port", 1, 65535)
         if not 0 <= self.bytes_per_s <= MAX_RATE:
             raise ValueError(
                 f"bytes_per_s = {self.bytes_per_s}: must be 1 to {MAX_RATE}, or 0 for the preset's"
             )
         most = MAX_DATAGRAM if self.medium == "udp" else MAX_FRAME
-        if self.frame_bytes and not MIN_FRAME <= self.frame_bytes <= most:
-            raise ValueError(f"frame_bytes = {self.frame_bytes}: must be {MIN_FRAME} to {most}")
+        if self.frame_bytes:
+            check_bounds(self, "frame_bytes", MIN_FRAME, most)
         for name in ("interval_s", "hello_s", "neighbor_timeout_s"):
-            if not 0 <= getattr(self, name) <= MAX_DURATION_S:
-                raise ValueError(f"{name} = {getattr(self, name):g}: must be 0 to {MAX_DURATION_S} (a week)")
+            check_bounds(self, name, 0, MAX_DURATION_S, "(a week)")
         self.timing()
         self.pacer(seed=0, robot=0, now=0)
 

@@ -2,5 +2,6 @@
 
 Read in this order: `engine` (the interface and its implementations), `replica`, `peers` and `log` (what robots hold),
 `policies` and `gossip_policy` (which log ranges to send), `handshakes`, `acked_frames` and `gossip` (how they travel),
-`delivery` (acknowledgments), `neighbors`, `frame_builder`, `control_packets`. docs/replication.md has the same story.
+`delivery` (acknowledgments), `reports`, `neighbors`, `frame_builder`, `control_packets`. docs/replication.md has the
+same story.
 """

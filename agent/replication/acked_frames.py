@@ -101,7 +101,7 @@ class AckedFrames(Replication):
 
     def delivered(self) -> bool:
         """Return whether all peers in range reported to hold this robot's log, but for those that are `UNREACHABLE`."""
-        length, own, in_range = len(self.replica.own_log), self.peers.own, self._rounds.in_range
+        length, own, in_range = self.own_log.length, self.peers.own, self._rounds.in_range
         return bool(in_range) and all(
             self.peers.expected[peer, own] >= length or self._timers[peer, own].tries > UNREACHABLE
             for peer in in_range
@@ -130,7 +130,7 @@ class AckedFrames(Replication):
         self._transmitted(peer, number)
         self._timers[peer, number].reported = -MAX_WAIT
         if number == self.peers.own:
-            self.shared = max(self.shared, end)
+            self.own_log.sent(end)
 
     def _transmitted(self, peer: int, number: int) -> None:
         """Start the retransmission timeout of a map; it doubles with every transmission that no report follows."""
@@ -193,7 +193,7 @@ class AckedFrames(Replication):
 
     def _reported(self, peer: int, number: int, length: int) -> None:
         """A peer reports how many entries of a map it holds; after restarts, a late report may claim too many."""
-        if len(self.logs) > self.peers.robots:
+        if self.peers.may_restart:
             self.peers.expected[peer, number] = 0
         self.peers.expect(peer, number, self._possible(number, length))
         timer, now = self._timers[peer, number], self._rounds.now

@@ -22,37 +22,24 @@ from protocol.packets import Held, HeldEarly, LogDigest
 class Replication(ABC):
     """One robot's end of the replication of all maps."""
 
-    priority = 0
-    """Priority of this round's frames: the higher, the shorter a broadcast waits for a free medium."""
-    shared = 0
-    """Offset in this robot's log before which other robots may hold entries; those from there on may change."""
-
     def __init__(self, replica: Replica) -> None:
         self.replica = replica
         self.peers = replica.peers
         self.logs = replica.logs
+        self.own_log = replica.own_log
+        """The log of this robot, to which the caller appends entries."""
+        self.priority = 0
+        """Priority of this round's frames: the higher, the shorter a broadcast waits for a free medium."""
         self.salt: int | None = None
         """Salt of the next digest, below 2**7, which no other robot can predict; None: this robot sends no digests."""
         self.urgency: float | None = None
         """How much the entries appended last change the plans of peers, per byte; None: entries have no ranks."""
-        self._digest_step = INTERVAL * (self.peers.robots - self.peers.robot)
-        """The step in which to send the next regular digest; robots take turns."""
         self.ended: frozenset[int] = frozenset()
         """Peers that have ended, by the reports of the medium: nothing has to be delivered to them."""
+        self._digest_turn = 0
+        """This robot's turn in which the last regular digest was due; robots take turns."""
         self._asked: dict[tuple[int, int], tuple[int, int]] = {}
         """(peer, map number): before which step a peer's next request is not answered, and the steps after that."""
-
-    def append(self, entries: list[bytes]) -> None:
-        """Append entries to this robot's log."""
-        self.replica.append(entries)
-
-    def retract(self, count: int) -> bool:
-        """Remove the last `count` entries of this robot's log if no other robot can hold any; return whether it did."""
-        left = len(self.replica.own_log) - count
-        if left < self.shared:
-            return False
-        self.replica.own_log.cut(left)
-        return True
 
     @abstractmethod
     def open_round(self, number: int, in_range: list[int], budget: int | None) -> list[OutgoingFrame]:
@@ -76,17 +63,19 @@ class Replication(ABC):
         Returns the rejections of peers' entries.
         """
 
+    @abstractmethod
+    def delivered(self) -> bool:
+        """Return whether peers are in range, and all of them hold this robot's log."""
+
     def undelivered(self) -> int:
         """Count the entries of this robot's log that are not acknowledged, over all peers that have not ended."""
-        acked: list[int] = self.peers.acked[:, self.peers.own].tolist()
-        receivers = self.peers.robots - 1
-        for peer in self.ended - {self.peers.robot} if self.ended else ():
-            receivers, acked[peer] = receivers - 1, 0
-        return len(self.replica.own_log) * receivers - sum(acked)
+        length, acked = self.own_log.length, self.peers.acked[:, self.peers.own].tolist()
+        gone = {self.peers.robot, *self.ended}
+        return sum(length - held for peer, held in enumerate(acked) if peer not in gone)
 
     def undelivered_to(self, peer: int) -> int:
         """Count the entries of this robot's log that a peer has not acknowledged."""
-        return len(self.replica.own_log) - int(self.peers.acked[peer, self.peers.own])
+        return self.own_log.length - self.peers.acked.item(peer, self.peers.own)
 
     def announcements(self) -> bytes:
         """Return the packets about logs to broadcast in this step: the digest that is due, and requests for entries."""
@@ -111,20 +100,19 @@ class Replication(ABC):
 
     def _next_digest(self) -> bytes:
         """Return the digest of this robot's log if one is due or a peer may hold other entries; else empty bytes."""
-        replica, robots = self.replica, self.peers.robots
-        if replica.step >= self._digest_step:
-            replica.request_digest(len(replica.own_log))
-            wait = INTERVAL * robots
-            self._digest_step = replica.step + wait - (replica.step + INTERVAL * self.peers.robot) % wait
-        length = 0 if replica.digest_length is None else min(replica.digest_length, self.shared)
+        log, verifier = self.own_log, self.replica.verifiers[self.peers.own]
+        turn = (self.replica.step + INTERVAL * self.peers.robot) // (INTERVAL * self.peers.robots)
+        if turn > self._digest_turn:
+            self._digest_turn = turn
+            log.request_digest(log.length)
+        length = 0 if log.digest_length is None else min(log.digest_length, log.shared)
         if self.salt is None or not length:
             return b""
-        verifier = replica.verifiers[self.peers.own]
-        return packet_codec.encode([verifier.digest(length, self.salt, complete=length == self.shared)])
+        return packet_codec.encode([verifier.digest(length, self.salt, complete=length == log.shared)])
 
     def _digest_sent(self) -> None:
         """Note that the digest of this robot's log was on the air."""
-        self.replica.digest_length = None
+        self.own_log.digest_length = None
 
     def _requests(self) -> bytes:
         """Return the log lengths of the maps to ask for."""
@@ -137,15 +125,11 @@ class Replication(ABC):
 
     def _possible(self, number: int, length: int) -> int:
         """Limit a log length that a peer claims: no robot holds entries of this robot's map that were not sent."""
-        return min(length, self.shared) if number == self.peers.own else length
+        return min(length, self.own_log.shared) if number == self.peers.own else length
 
     def _peer_dropped(self, peer: int, number: int, length: int) -> None:
         """A peer dropped the entries of a map from offset `length` on."""
         if number == self.peers.own:
-            self.replica.request_digest(length)
+            self.own_log.request_digest(length)
         self.peers.expected[peer, number] = length
         self.peers.acked[peer, number] = min(self.peers.acked.item(peer, number), length)
-
-    @abstractmethod
-    def delivered(self) -> bool:
-        """Return whether peers are in range, and all of them hold this robot's log."""

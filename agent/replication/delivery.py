@@ -2,13 +2,11 @@
 
 On a reliable medium, which loses nothing, the send report is the acknowledgment. If the medium may lose, delay,
 repeat or reorder frames, a broadcast only raises the number of entries that a peer is *expected* to hold. Peers
-acknowledge by `Held` reports, or by sending entries themselves. An expectation that is not acknowledged within the
-retransmission timeout is dropped, so the entries are broadcast again:
+acknowledge by `Held` reports (`reports`), or by sending entries themselves. An expectation that is not acknowledged
+within the retransmission timeout is dropped, so the entries are broadcast again:
 
     event                                                       reaction
-    entries are new, or were already held and came again        report the map within `_interval` steps
-    entries came behind a gap                                   store them; report now and every `GAP_REPORTS` steps
-    the gap was filled, and stored entries follow               report at once
+    entries came behind a gap                                   store them until the gap is filled
     a peer reports no more than was acknowledged, though        drop the expectation
     it was sent more than a round trip ago
     a peer reports nothing for two round trips and the          drop the expectation
@@ -24,14 +22,11 @@ from collections import defaultdict
 
 import numpy as np
 
-from agent.replication.peers import Mask, PeerTable, Table
+from agent.replication.peers import PeerTable, Table
 from protocol.packets import Held
 
 PATIENCE = 6
 """Steps after which a robot repeats its report of a gap, and after which the next peer forwards missing entries."""
-
-GAP_REPORTS = 2
-"""Steps after which a gap is reported again where the medium may lose the report."""
 
 SHARE = 8
 """The part of the medium that reports may take, as a divisor."""
@@ -53,8 +48,8 @@ class Acks:
 
     def __init__(self, peers: PeerTable, *, reliable: bool) -> None:
         self.reliable = reliable
-        self.gap_interval = PATIENCE if reliable else GAP_REPORTS
-        """Steps between two reports of a gap."""
+        self.interval = PATIENCE
+        """Steps within which a robot acknowledges entries; longer on a narrow medium."""
         self.turn = PATIENCE
         """Steps after which the next peer may forward entries that another lacks."""
         self._peers = peers
@@ -64,46 +59,27 @@ class Acks:
         """The step since which a peer is expected to hold more than it acknowledged."""
         self._round_trip = np.full(peers.robots, MIN_ROUND_TRIP, np.int64)
         """Steps after which a report of each peer came back recently."""
-        self._interval = PATIENCE
-        """Steps within which this robot reports; longer on a narrow medium."""
-        self._reported: Table = np.zeros(len(peers.maps), np.int64)
-        """Length of each log in this robot's last report of it."""
-        self._repeated: set[int] = set()
-        """Maps of which entries came that were already held."""
         self._stored: defaultdict[int, dict[int, tuple[int, bytes]]] = defaultdict(dict)
         """Entries of each map that came behind a gap, by offset, with their senders."""
 
-    def open_round(self, step: int, budget: int | None) -> None:
-        """Drop expectations whose retransmission timeout is over; `budget`: bytes of a step that begins, else None."""
+    def begin_step(self, budget: int | None) -> None:
+        """Adapt intervals to the bytes that the team may send in this step (None: no limit)."""
+        if budget and not self.reliable:
+            robots = self._peers.robots
+            self.interval = max(PATIENCE, math.ceil(SHARE * Held.size * robots * (robots - 1) / budget))
+            self.turn = 2 * int(self._round_trip.max()) + self.interval
+
+    def drop_late(self, step: int) -> None:
+        """Drop expectations whose retransmission timeout is over."""
         if self.reliable:
             return
-        if budget:
-            robots = self._peers.robots
-            self._interval = max(PATIENCE, math.ceil(SHARE * Held.size * robots * (robots - 1) / budget))
-            self.turn = 2 * int(self._round_trip.max()) + self._interval
         expected, acked, since = self._peers.expected, self._peers.acked, self._expected_since
         open_ones = expected > acked
         since[~open_ones] = NEVER
         since[open_ones & (since == NEVER)] = step
-        late = open_ones & (step - since > 2 * self._round_trip[:, None] + self._interval)
+        late = open_ones & (step - since > 2 * self._round_trip[:, None] + self.interval)
         expected[late] = acked[late]
         since[late] = NEVER
-
-    def add_due(self, due: Mask, lengths: Table, step: int, last: Table) -> None:
-        """Mark the maps with news, or repeated entries, that were not reported within the interval.
-
-        `lengths`: of this robot's logs. `last`: the step of each map's last report.
-        """
-        if self.reliable:
-            return
-        news = lengths > self._reported
-        news[list(self._repeated)] = True
-        due |= news & (step >= last + self._interval)
-
-    def report_sent(self, number: int, length: int) -> None:
-        """Note that this robot's report of a map was on the air."""
-        self._reported[number] = length
-        self._repeated.discard(number)
 
     def report_received(self, peer: int, number: int, length: int, step: int) -> None:
         """Acknowledge entries, measure the round trip, and drop an expectation that the report contradicts."""
@@ -112,7 +88,7 @@ class Acks:
             expected[peer, number] = length
             return
         before, since = int(acked[peer, number]), int(self._expected_since[peer, number])
-        if length > before or len(self._peers.maps) > self._peers.robots:
+        if length > before or self._peers.may_restart:
             acked[peer, number] = length
             if since != NEVER and length > before:
                 round_trip = max(step - since, int(self._round_trip[peer]) - 1)
@@ -122,21 +98,13 @@ class Acks:
             expected[peer, number] = length
         self._peers.expect(peer, number, length)
 
-    def entries_received(self, peer: int, number: int, end: int, length: int) -> None:
-        """Note that a peer sent entries up to offset `end`, and so holds them; this robot holds `length`."""
-        if self.reliable:
-            return
-        self._peers.acked[peer, number] = max(int(self._peers.acked[peer, number]), end)
-        if end <= length:
-            self._repeated.add(number)
-
     def store(self, peer: int, number: int, first: int, entries: list[bytes]) -> None:
         """Store entries that came behind a gap; on a reliable medium their sender sends them again."""
         if not self.reliable:
             self._stored[number] |= {offset: (peer, entry) for offset, entry in enumerate(entries, first)}
 
     def stored(self, number: int, length: int) -> tuple[int, bytes] | None:
-        """Take the stored entry at offset `length`; if there is none, drop those before it."""
+        """Take the stored entry at offset `length`, with its sender; if there is none, drop those before it."""
         if number not in self._stored:
             return None
         entry = self._stored[number].pop(length, None)

@@ -15,97 +15,25 @@ Plug-ins (`protocol.plugins`) travel like ``backoff``: a subclass of `OfferDisse
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from typing import ClassVar
-
 from agent.replication.acked_frames import AckedFrames
 from agent.replication.base import Replication
-from agent.replication.delivery import Acks
 from agent.replication.gossip import Gossip
 from agent.replication.gossip_policy import Dependencies
 from agent.replication.handshakes import Handshakes
-from agent.replication.peers import Table, map_ids
-from agent.replication.policies import GOSSIP, Offer, Rounds, backoff, thesis
+from agent.replication.peers import PeerTable
+from agent.replication.policies import GOSSIP, Backoff, OfferDissemination, Thesis
 from agent.replication.replica import Consume, Rebuild, Replica
-from agent.settings import ReplicationSettings, Settings
+from agent.settings import Settings
 from protocol.plugins import Plugins
 
+__all__ = ["DISSEMINATIONS", "PLUGINS", "OfferDissemination", "make_replication"]
 
-class Dissemination(ABC):
-    """How the logs of maps reach all robots."""
+Dissemination = type[OfferDissemination] | type[Gossip]
 
-    name: ClassVar[str]
-
-    @abstractmethod
-    def make(
-        self, settings: ReplicationSettings, replica: Replica, dependencies: Dependencies
-    ) -> Replication:
-        """Return a robot's end of the replication of `replica`; `dependencies` as for `make_replication`."""
-
-
-class OfferDissemination(Dissemination):
-    """Robots offer log ranges to each other, and send the entries that the receiver asks for."""
-
-    def make(
-        self, settings: ReplicationSettings, replica: Replica, dependencies: Dependencies
-    ) -> Replication:
-        """Return the end of the replication that fits the medium."""
-        del dependencies
-        unicast = AckedFrames if settings.requires_acks else Handshakes
-        return unicast(replica, self.offers, forwards=settings.forward_maps)
-
-    @abstractmethod
-    def offers(self, rounds: Rounds, lengths: Table) -> list[Offer]:
-        """Return the offers of a round, at most one per peer and map.
-
-        Parameters
-        ----------
-        rounds : Rounds
-            The peers in range, the entries that each is known to hold, and the rounds so far.
-        lengths : int64 array, shape (maps,)
-            Entries of each map that this robot may offer.
-        """
-
-
-class Backoff(OfferDissemination):
-    """One map per peer, with exponential back-off after refusals."""
-
-    name = "backoff"
-
-    def offers(self, rounds: Rounds, lengths: Table) -> list[Offer]:
-        """Return the offers of a round."""
-        return backoff(rounds, lengths)
-
-
-class Thesis(OfferDissemination):
-    """All that each peer lacks."""
-
-    name = "thesis"
-
-    def offers(self, rounds: Rounds, lengths: Table) -> list[Offer]:
-        """Return the offers of a round."""
-        return thesis(rounds, lengths)
-
-
-class GossipDissemination(Dissemination):
-    """Robots broadcast their logs, and forward those of others."""
-
-    name = GOSSIP
-
-    def make(
-        self, settings: ReplicationSettings, replica: Replica, dependencies: Dependencies
-    ) -> Replication:
-        """Return a robot's end of the gossip."""
-        acks = Acks(replica.peers, reliable=not settings.requires_acks)
-        return Gossip(replica, acks, dependencies)
-
-
-DISSEMINATIONS: dict[str, type[Dissemination]] = {
-    kind.name: kind for kind in (Backoff, Thesis, GossipDissemination)
-}
+DISSEMINATIONS: dict[str, Dissemination] = {Backoff.name: Backoff, Thesis.name: Thesis, GOSSIP: Gossip}
 """The values of the scenario's setting `dissemination`, besides plug-ins."""
 
-PLUGINS: Plugins[type[Dissemination]] = Plugins(
+PLUGINS: Plugins[Dissemination] = Plugins(
     "dissemination", "murmur.disseminations", OfferDissemination, DISSEMINATIONS, OfferDissemination
 )
 
@@ -118,8 +46,11 @@ def make_replication(
     `consume` decodes received entries; `dependencies` returns log ranges that depend on other logs, by map number;
     `rebuild` decodes all logs again after entries were dropped.
     """
-    replication = settings.replication
-    maps = map_ids(settings.robots, settings.incarnations)
-    own = maps[settings.own_map]
-    replica = Replica(own, maps, consume, rebuild, ordered=not replication.requires_acks)
-    return PLUGINS.find(replication.dissemination)().make(replication, replica, dependencies)
+    dissemination = PLUGINS.find(settings.replication.dissemination)
+    reliable = not settings.replication.requires_acks
+    peers = PeerTable(settings.own_map, settings.robots, settings.maps)
+    replica = Replica(peers, consume, rebuild, ordered=reliable)
+    if issubclass(dissemination, Gossip):
+        return Gossip(replica, dependencies, reliable=reliable)
+    unicast = Handshakes if reliable else AckedFrames
+    return unicast(replica, dissemination().offers, forwards=settings.replication.forward_maps)

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from agent.replication.log import Log
-from protocol.messages import MAX_LOAD
+from protocol.message_fields import MAX_LOAD
 
 
 def limited(budget: int | None) -> int:

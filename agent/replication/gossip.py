@@ -8,11 +8,7 @@ the same forwarder (`gossip_policy`). A frame holds, in this order:
     event                                                     part of the frame
     this robot's range has changed                            near, gone: the robots that came and left
     a digest of this robot's log is due                       digest (`digests`)
-    entries were dropped (`replica`)                          held: the length of that log
-    a meeting owes reports (`neighbors`)                      held: each map of which the peer may know less
-    entries arrived behind a gap                              held: this robot's log length, until the gap is filled
-    some robot has been out of range before                   held: one map, in turn, every `REFRESH` steps
-    peer acknowledgments are due (`delivery.Acks`)            held: the maps with news
+    peers should know what this robot holds (`reports`)       held: the lengths of some of its logs
     a peer in range lacks entries of this robot's log         from, and the entries
     this robot is to forward what a peer lacks                from, and the entries
 
@@ -23,87 +19,73 @@ from __future__ import annotations
 
 from functools import partial
 
-import numpy as np
-
 from agent.replication.base import Replication
 from agent.replication.control_packets import Header, ParsedFrame, header, offset, parse, report
-from agent.replication.delivery import PATIENCE, Acks
+from agent.replication.delivery import Acks
 from agent.replication.frame_builder import FrameBuilder
 from agent.replication.gossip_policy import Dependencies, GossipPolicy
 from agent.replication.neighbors import BroadcastCursors, Meetings, Neighbors
-from agent.replication.peers import Mask, Table
+from agent.replication.peers import Table, raise_lengths
 from agent.replication.replica import Rejected, Replica
+from agent.replication.reports import Reports
 from protocol import packet_codec
-from protocol.arrays import Bools, Int64s
 from protocol.errors import ProtocolError
-from protocol.kernels import kernel
 from protocol.messages import EVERYONE, OutgoingFrame, RoundReport
 from protocol.packets import From, FromEarly, Gone, Held, HeldEarly, LogDigest, Near
 
-REFRESH = 16
-"""Steps after which a robot that has not always had all others in range reports one more map."""
-
 
 class Gossip(Replication):
-    """One robot's broadcasts, and its processing of those that it receives."""
+    """One robot's broadcasts, and its processing of those that it receives.
 
-    def __init__(self, replica: Replica, acks: Acks, dependencies: Dependencies) -> None:
+    `reliable`: whether the medium loses nothing.
+    """
+
+    def __init__(self, replica: Replica, dependencies: Dependencies, *, reliable: bool) -> None:
         super().__init__(replica)
         peers = self.peers
         robot, robots, first_incarnation = peers.robot, peers.robots, peers.own < peers.robots
-        self._acks = acks
+        self._acks = Acks(peers, reliable=reliable)
+        self._reports = Reports(replica, self._acks)
         self._neighbors = Neighbors(robot, robots)
         self._meetings = Meetings(robots, settled=first_incarnation)
-        self._cursors = BroadcastCursors(robot, robots, known=first_incarnation, reliable=acks.reliable)
+        self._cursors = BroadcastCursors(robot, robots, known=first_incarnation, reliable=reliable)
         self._policy = GossipPolicy(peers, replica.logs, self._neighbors, dependencies)
-        self._informed = peers.new_table()
-        """``_informed[peer, map]``: entries that the peer knows this robot to hold."""
-        self._in_range: list[int] = []
-        self._parted = False
-        """Whether any robot has ever been out of range."""
-        self._gaps: set[int] = set()
-        """Maps of which entries came behind others that this robot lacks."""
-        self._reported: Table = np.full(len(peers.maps), -PATIENCE, np.int64)
-        """The step in which this robot last reported each map."""
+        self._builder = FrameBuilder()
         self._idle_since = 0
         """The last step in which this robot had nothing to send, or sent something.
 
         Without ranks of entries, also one in which the rest of a budget was too small for it.
         """
-        self._builder = FrameBuilder()
 
     def open_round(self, number: int, in_range: list[int], budget: int | None) -> list[OutgoingFrame]:
         """Return the broadcast of this round, if there is anything to send."""
         self.replica.step += number == 0
         step = self.replica.step
         if number == 0:
+            self._neighbors.begin_step(in_range)
             self._meetings.begin_step(step, in_range)
             self._cursors.begin_step(in_range)
-            self._in_range = in_range
-            self._parted = self._parted or len(in_range) < self.peers.robots - 1
+            self._acks.begin_step(budget)
         for dropped in self.replica.take_dropped():
-            self._entries_dropped(dropped)
-        self._acks.open_round(step, budget if number == 0 else None)
+            self._reports.dropped(dropped)
+        self._acks.drop_late(step)
         lengths = self.replica.lengths()
-        self._policy.compare(step, self._meetings.known(self._in_range), lengths)
+        self._policy.compare(step, self._meetings.known(in_range), lengths)
         self._builder = FrameBuilder(budget)
         if not in_range:
             return []
         self._add_reports(lengths)
-        served = self._policy.serve(self._in_range, self._acks.turn, self._add_range)
+        self._policy.serve(self._add_range, self._acks.turn)
         payload = self._builder.payload
         if not payload:
             self._builder = FrameBuilder()  # without handlers, which refer to this object
             if number == 0 or self.urgency is None:
                 self._idle_since = step
-        has_own = self.shared < len(self.replica.own_log)
         self.priority = self._policy.priority(
-            served,
             len(payload),
             step - self._idle_since,
-            parted=self._parted,
-            unfinished=has_own and self.replica.last_append < self.shared,
-            urgency=self.urgency if has_own else None,
+            unfinished=self.own_log.is_unfinished,
+            urgency=self.urgency if self.own_log.has_unsent else None,
         )
         return [OutgoingFrame(EVERYONE, payload)] if payload else []
 
@@ -144,48 +126,32 @@ class Gossip(Replication):
 
     def delivered(self) -> bool:
         """Return whether peers are in range and all of this robot's log has been on the air."""
-        return bool(self._in_range) and self.shared == len(self.replica.own_log)
+        return bool(self._neighbors.in_range) and not self.own_log.has_unsent
 
     # --- sending
 
     def _add_reports(self, lengths: Table) -> None:
         """Add reports of this robot's range and of its log lengths to the frame."""
-        builder, owed = self._builder, self._meetings.owed()
-        for robot, here in self._neighbors.news(self._in_range):
+        builder, neighbors, owed = self._builder, self._neighbors, self._meetings.owed()
+        for robot, here in neighbors.news():
             near = packet_codec.encode([Near(robot) if here else Gone(robot)])
             if builder.fits(near):
-                builder.add(near, partial(self._neighbors.inform, self._in_range, robot, here))
+                builder.add(near, partial(neighbors.inform, robot, here))
         digest = self._next_digest()
         if digest and builder.fits(digest):
             builder.add(digest, self._digest_sent)
         end = 0
-        for number in self._reports_due(lengths, owed).nonzero()[0].tolist():
+        for number in self._reports.due(lengths, owed, parted=neighbors.have_parted):
             held = report(number, len(self.logs[number]))
             if builder.fits(held):
                 end = builder.add(held, partial(self._report_sent, number))
-        builder.add_marker(end, partial(self._reports_sent, owed))
-
-    def _reports_due(self, lengths: Table, owed: list[int]) -> Mask:
-        """Return the mask of maps of which some peer should know how much this robot holds."""
-        robots, step = self.peers.robots, self.replica.step
-        due = np.zeros(len(lengths), np.bool_)
-        for peer in owed:
-            due |= self._informed[peer] < lengths
-        if self._acks.reliable:
-            due[self.replica.maps_to_ask_for()] = True
-        for number in self._gaps:
-            due[number] |= step >= self._reported[number] + self._acks.gap_interval
-        if self._parted and step % REFRESH == self.peers.robot % REFRESH:
-            numbers = np.arange(len(lengths))
-            due |= (numbers % robots == step // REFRESH % robots) & ((numbers < robots) | (lengths > 0))
-        self._acks.add_due(due, lengths, step, self._reported)
-        due[self.peers.own] = False
-        return due
+        builder.add_marker(end, partial(self._meetings.informed, owed))
 
     def _add_range(self, number: int, first: int, end: int) -> int:
         """Add entries of a map to the frame, behind a header where one is needed; return the offset after the last."""
         own = number == self.peers.own
-        continues = own and not self._builder.has_entries and self._cursors.known(first, self._in_range)
+        in_range = self._neighbors.in_range
+        continues = own and not self._builder.has_entries and self._cursors.known(first, in_range)
         head = b"" if continues else header(number, first)
         return self._builder.add_entries(
             self.logs[number], first, end, head, partial(self._entries_sent, number)
@@ -195,34 +161,26 @@ class Gossip(Replication):
 
     def _report_sent(self, number: int) -> None:
         """This robot's report of a map was on the air."""
-        self.replica.asked(number)
-        length = len(self.logs[number])
-        self._reported[number] = self.replica.step
-        self._gaps.discard(number)
-        self._inform(self._listeners(), number, length)
-        self._acks.report_sent(number, length)
-
-    def _reports_sent(self, owed: list[int]) -> None:
-        """All reports that this robot owed to peers were on the air."""
-        for peer in owed:
-            self._meetings.on(peer, "informed")
+        self._reports.sent(number, self._neighbors.receivers(self.peers.robot))
 
     def _entries_sent(self, number: int, first: int, end: int) -> None:
         """Entries `first` to `end` - 1 of a map were on the air."""
-        listeners = self._listeners()
-        self._inform(listeners, number, end)
-        _raise_lengths(self.peers.expected.T[number], listeners, first, end)
+        self._note_receivers(self.peers.robot, number, first, end)
         if number == self.peers.own:
-            self._cursors.sent(end, self._in_range)
-            self.shared = max(self.shared, end)
-        elif self.peers.maps[number].robot == self.peers.robot:
+            self._cursors.sent(end, self._neighbors.in_range)
+            self.own_log.sent(end)
+        elif self.peers.author(number) == self.peers.robot:
             self._cursors.sent_earlier_incarnation()
 
-    def _listeners(self) -> Mask:
-        """Return the mask of the robots in range."""
-        listeners = np.zeros(self.peers.robots, np.bool_)
-        listeners[self._in_range] = True
-        return listeners
+    def _note_receivers(self, sender: int, number: int, first: int, end: int) -> None:
+        """Note that all in range of a sender received entries `first` to `end` - 1 of a map.
+
+        They take the entries unless they lack earlier ones. If this robot holds the entries, they know that.
+        """
+        receivers = self._neighbors.receivers(sender)
+        raise_lengths(self.peers.expected.T[number], receivers, first, end)
+        if len(self.logs[number]) >= end:
+            self._reports.inform(receivers, number, end)
 
     # --- receiving
 
@@ -230,12 +188,6 @@ class Gossip(Replication):
         """Reject a frame that is malformed; where the peer's next broadcast begins is no longer known."""
         self._cursors.missed(peer)
         self.replica.reject(peer, self.peers.current[peer], reason)
-
-    def _entries_dropped(self, number: int) -> None:
-        """This robot dropped entries of a map, so peers know that it holds more than it does."""
-        length = len(self.logs[number])
-        self._informed[:, number] = np.minimum(self._informed[:, number], length)
-        self._acks.report_sent(number, length)
 
     def _peer_dropped(self, peer: int, number: int, length: int) -> None:
         """A peer dropped entries, so it lacks them."""
@@ -246,8 +198,7 @@ class Gossip(Replication):
         """A peer that broadcasts a map of a new incarnation of its own lost its state."""
         for control in frame.controls:
             if isinstance(control, Header) and self.peers.restarted(peer, control.map):
-                self._informed[peer] = 0
-                for part in (self._acks, self._cursors, self._neighbors):
+                for part in (self._acks, self._reports, self._cursors, self._neighbors):
                     part.restarted(peer)
                 self._meetings.on(peer, "restarted")
 
@@ -259,15 +210,14 @@ class Gossip(Replication):
                 case Near(robot) | Gone(robot) if robot < robots:
                     self._neighbors.near[peer, robot] = isinstance(control, Near)
                 case (Held(number, _) | HeldEarly(number, _)) as held if number < len(logs) and (
-                    number != peer or len(logs) > robots
+                    number != peer or self.peers.may_restart
                 ):
                     length = self._possible(number, offset(held, len(logs[number])))
                     dropped = length < self.peers.expected.item(peer, number)
                     if dropped and number == self.peers.own and self._acks.reliable:
-                        self.replica.request_digest(length)
+                        self.own_log.request_digest(length)
                     self._acks.report_received(peer, number, length, self.replica.step)
                     self._meetings.on(peer, "reported")
-                    self._neighbors.near[peer, self.peers.robot] = True
                 case LogDigest():
                     pass
                 case From(number, _) | FromEarly(number, _) if number < len(logs):
@@ -281,73 +231,30 @@ class Gossip(Replication):
         number = self.peers.current[peer] if head is None else head.map
         if number >= len(self.logs):
             return
-        log, replica = self.logs[number], self.replica
+        log, replica, reports = self.logs[number], self.replica, self._reports
         first = self._cursors.of(peer) if head is None else offset(head, log.length)
         if first is None:
-            self._gaps.add(number)
+            reports.gaps.add(number)
             return
         if number == self.peers.own:
             replica.check_own(peer, first, entries)
         end = max(first, self._possible(number, first + len(entries)))
         if end == first:
             return
-        self._acks.entries_received(peer, number, end, log.length)
         if number == self.peers.current[peer]:
             self._cursors.received(peer, end)
-        self.peers.expect(peer, number, end)
+        self.peers.acknowledge(peer, number, end)
         if first > log.length:
-            self._gaps.add(number)
+            reports.gaps.add(number)
             if not replica.refuses(peer, number):
                 self._acks.store(peer, number, first, entries)
         else:
-            self._gaps.discard(number)
-        if first <= log.length < end and number not in self.peers.own_maps:
+            reports.gaps.discard(number)
+        if end <= log.length:
+            reports.repeated.add(number)
+        elif first <= log.length and number not in self.peers.own_maps:
             replica.accept(peer, number, b"".join(entries[log.length - first :]))
-        _note_receivers(
-            self._neighbors.near[peer],
-            self.peers.expected.T[number],
-            self._informed.T[number],
-            peer,
-            self.peers.robot,
-            first,
-            end,
-            log.length >= end,
-        )
+        self._note_receivers(peer, number, first, end)
         while (stored := self._acks.stored(number, log.length)) is not None:
-            self._gaps.add(number)
+            reports.gaps.add(number)
             replica.accept(stored[0], number, stored[1])
-
-    def _inform(self, peers: Mask, number: int, length: int) -> None:
-        """Peers know that this robot holds so many entries of a map."""
-        _raise_lengths(self._informed.T[number], peers, 0, length)
-
-
-@kernel
-def _note_receivers(
-    near: Bools,
-    expected: Int64s,
-    informed: Int64s,
-    peer: int,
-    robot: int,
-    first: int,
-    end: int,
-    holds: bool,
-) -> None:
-    """Note that a peer sent entries `first` to `end` - 1 of a map, which the robots `near` it received.
-
-    Receivers take the entries unless they lack earlier ones. If this robot `holds` the entries now, the peer and its
-    receivers know that. `expected` and `informed` are the columns of this map in the tables of the same names.
-    """
-    for other in range(len(near)):
-        if near[other] and other != robot and expected[other] >= first:
-            expected[other] = max(expected[other], end)
-        if holds and (near[other] or other in (peer, robot)):
-            informed[other] = max(informed[other], end)
-
-
-@kernel
-def _raise_lengths(lengths: Int64s, peers: Bools, first: int, end: int) -> None:
-    """Raise the lengths of a map to `end`, for those of `peers` where they are at least `first`."""
-    for peer in range(len(peers)):
-        if peers[peer] and lengths[peer] >= first:
-            lengths[peer] = max(lengths[peer], end)

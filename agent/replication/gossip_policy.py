@@ -27,7 +27,7 @@ from protocol.kernels import kernel
 Dependencies = Callable[[int], Sequence[Dependency]]
 """Returns, for a map number, its log ranges that depend on other logs, in order (`MapEncoding.dependencies`)."""
 
-Broadcast = Callable[[int, int, int], int]
+Add = Callable[[int, int, int], int]
 """Adds a log range (map number, first, end) to the frame; returns the offset after the last entry that fits."""
 
 MAX_PRIORITY = 255
@@ -64,9 +64,10 @@ class GossipPolicy:
         """By peer and map number: how many entries this robot holds that the peer should not hold yet."""
         self._since = peers.new_table()
         """``_since[peer, map]``: the step since which the peer lacks some."""
-        self._in_range: list[int] = []
         self._step = 0
         self._turn = 0
+        self._served: int | None = None
+        """The peer that this round's frame serves first."""
         self._sent: dict[int, tuple[int, int]] = {}
         """The range of each map that is in this round's frame."""
 
@@ -82,40 +83,40 @@ class GossipPolicy:
                 if number not in before.get(peer, ()):
                     self._since[peer, number] = step
 
-    def serve(self, in_range: list[int], turn: int, broadcast: Broadcast) -> int | None:
-        """Broadcast what peers lack; return the peer that is served first, if any.
+    def serve(self, add: Add, turn: int) -> None:
+        """Add what peers lack to this round's frame.
 
         `turn` is the number of steps after which the next robot forwards what a peer still lacks.
         """
-        self._in_range, self._turn = in_range, turn
-        self._sent = {}
-        served = None
+        self._turn, self._served, self._sent = turn, None, {}
         held: dict[int, list[int]] = {peer: self._peers.expected[peer].tolist() for peer in self._lacks}
         for peer in sorted(held, key=lambda each: (-sum(held[each]), each)):
             will_hold, lacks = held[peer], self._lacks[peer]
             will_hold[self._peers.current[peer]] = MAX_LENGTH
             for number in sorted(lacks, key=lambda each: (each != self._peers.own, lacks[each], each)):
-                self._bring(broadcast, peer, will_hold, number, len(self._logs[number]))
-            if served is None and self._sent:
-                served = peer
-        return served
+                self._bring(add, peer, will_hold, number, len(self._logs[number]))
+            if self._served is None and self._sent:
+                self._served = peer
 
-    def _bring(self, broadcast: Broadcast, peer: int, will_hold: list[int], number: int, end: int) -> None:
-        """Broadcast what a peer lacks of a map before offset `end`, and before each range what it depends on."""
+    def _bring(self, add: Add, peer: int, will_hold: list[int], number: int, end: int) -> None:
+        """Send what a peer lacks of a map before offset `end`, and before each range what it depends on.
+
+        `will_hold` are the peer's log lengths once it has received the frame.
+        """
         dependencies = self._dependencies(number)
         for each in dependencies[bisect_right(dependencies, will_hold[number], key=attrgetter("end")) :]:
             if each.first >= end:
                 break
             if any(will_hold[other] < length for other, length in each.requires):
-                self._send(broadcast, peer, will_hold, number, each.first)
+                self._send(add, peer, will_hold, number, each.first)
                 for other, length in each.requires:
-                    self._bring(broadcast, peer, will_hold, other, length)
+                    self._bring(add, peer, will_hold, other, length)
                 if any(will_hold[other] < length for other, length in each.requires):
                     return
-        self._send(broadcast, peer, will_hold, number, end)
+        self._send(add, peer, will_hold, number, end)
 
-    def _send(self, broadcast: Broadcast, peer: int, will_hold: list[int], number: int, end: int) -> None:
-        """Broadcast what a peer lacks of a map before offset `end`, but not what is in the frame already."""
+    def _send(self, add: Add, peer: int, will_hold: list[int], number: int, end: int) -> None:
+        """Send what a peer lacks of a map before offset `end`, but not what is in the frame already."""
         first = will_hold[number]
         if first >= end:
             return
@@ -125,8 +126,7 @@ class GossipPolicy:
         else:
             end = min(end, low)
         if first < end and (number == self._peers.own or self._is_forwarder(peer, number)):
-            end = min(end, len(self._logs[number]))
-            end = broadcast(number, first, end)
+            end = add(number, first, min(end, len(self._logs[number])))
             if end > first:
                 low, high = self._sent.get(number, (first, end))
                 self._sent[number] = min(low, first), max(high, end)
@@ -141,7 +141,7 @@ class GossipPolicy:
         current, expected, robots = self._peers.current, self._peers.expected, self._peers.robots
         candidates = [
             each
-            for each in self._in_range
+            for each in self._neighbors.in_range
             if self._neighbors.near[each, peer]
             and (current[each] == number or expected[each, number] > expected[peer, number])
         ]
@@ -150,24 +150,16 @@ class GossipPolicy:
         waited = self._step - self._since.item(peer, number)
         return candidates.index(self._peers.robot) <= waited // self._turn
 
-    def priority(
-        self,
-        served: int | None,
-        size: int,
-        waited: int,
-        *,
-        parted: bool,
-        unfinished: bool,
-        urgency: float | None = None,
-    ) -> int:
-        """Return the priority of a frame of `size` bytes that waited for some steps, given the first served peer.
+    def priority(self, size: int, waited: int, *, unfinished: bool, urgency: float | None) -> int:
+        """Return the priority of this round's frame, of `size` bytes, which waited for some steps.
 
-        If robots have been out of range (`parted`): the more that peer holds, the higher. Else frames come first that
-        are `unfinished`: a part of the entries appended last has been on the air, and the rest has not. Other frames
-        rank by the product of their `urgency`, at least 1, and the steps that they waited. Where entries have no
-        urgency, they rank by how few entries the peer lacks, and by their size.
+        If robots have been out of range: the more the peer holds that is served first, the higher. Else frames come
+        first that are `unfinished`: a part of the entries appended last has been on the air, and the rest has not.
+        Other frames rank by the product of their `urgency`, at least 1, and the steps that they waited. Where entries
+        have no urgency, they rank by how few entries the peer lacks, and by their size.
         """
-        if parted:
+        served = self._served
+        if self._neighbors.have_parted:
             held = 0 if served is None else int(self._peers.expected[served].sum())
             priority = min(MAX_HELD_PRIORITY, held // HELD_PER_PRIORITY)
         elif unfinished:

@@ -145,7 +145,7 @@ class Handshakes(Replication):
 
     def delivered(self) -> bool:
         """Return whether all peers in range hold this robot's log, and there are any; see `STUBBORN`."""
-        own, length, in_range = self.peers.own, len(self.replica.own_log), self._rounds.in_range
+        own, length, in_range = self.peers.own, self.own_log.length, self._rounds.in_range
         expected = self.peers.expected[:, own].tolist()
         return bool(in_range) and all(
             expected[peer] == length or self._waits[peer, own] > STUBBORN for peer in in_range
@@ -170,7 +170,7 @@ class Handshakes(Replication):
             self._waits[pair] = 1
             reached = self.logs[connection.number].offset_after(reached, sent)
         if connection.number == self.peers.own:
-            self.shared = max(self.shared, reached)
+            self.own_log.sent(reached)
         self.peers.expect(*pair, reached)
 
     def _peer_dropped(self, peer: int, number: int, length: int) -> None:

@@ -1,7 +1,7 @@
 """A log of encoded map updates, stored as one run of bytes.
 
-Entries have offsets from 0. The author may remove entries at the end while no other robot can hold them; a receiver
-removes entries at the end that are not the author's.
+Entries have offsets from 0. The author may remove entries at the end while no other robot can hold them (`OwnLog`); a
+receiver removes entries at the end that are not the author's.
 """
 
 from __future__ import annotations
@@ -60,3 +60,49 @@ class Log:
         """Return where an entry begins, or where the log ends, which may have been cut meanwhile."""
         offset = min(offset, len(self._ends))
         return self._ends[offset - 1] if offset else 0
+
+
+class OwnLog(Log):
+    """The log that this robot writes."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.shared = 0
+        """Offset before which other robots may hold entries; those from there on may change."""
+        self.last_append = 0
+        """Offset of the entries that were appended last."""
+        self.digest_length: int | None = None
+        """Entries of which to send a digest: it is time to, or a peer may hold others. None: no digest is due."""
+
+    @property
+    def has_unsent(self) -> bool:
+        """Whether some entries have not been on the air."""
+        return self.shared < self.length
+
+    @property
+    def is_unfinished(self) -> bool:
+        """Whether some of the entries appended last have been on the air, and the rest has not."""
+        return self.last_append < self.shared < self.length
+
+    def append(self, entries: list[bytes]) -> None:
+        """Add entries at the end."""
+        if entries:
+            self.last_append = self.length
+        super().append(entries)
+
+    def retract(self, count: int) -> bool:
+        """Remove the last `count` entries if no other robot can hold any of them; return whether it did."""
+        left = self.length - count
+        if left < self.shared:
+            return False
+        self.cut(left)
+        return True
+
+    def sent(self, end: int) -> None:
+        """Note that other robots may hold the entries before offset `end` now."""
+        self.shared = max(self.shared, end)
+
+    def request_digest(self, length: int) -> None:
+        """Send a digest of the first `length` entries, or of fewer if that is requested already."""
+        if length:
+            self.digest_length = min(length, length if self.digest_length is None else self.digest_length)

@@ -6,8 +6,8 @@ have passed, this robot does not send it old entries: it may hold them already.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from typing import Literal
+from collections.abc import Iterable
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -16,73 +16,73 @@ from agent.replication.peers import Mask
 GREETING = 1
 """Steps after a peer's arrival for which this robot waits for its report."""
 
-State = Literal["away", "meeting", "owing", "awaiting", "settled"]
 Event = Literal["arrived", "reported", "timed out", "informed", "restarted", "left"]
 
-TRANSITIONS: dict[tuple[State, Event], State] = {
-    ("away", "arrived"): "meeting",
-    ("away", "restarted"): "owing",
-    ("meeting", "reported"): "owing",
-    ("meeting", "timed out"): "owing",
-    ("meeting", "informed"): "awaiting",
-    ("owing", "informed"): "settled",
-    ("owing", "arrived"): "meeting",
-    ("awaiting", "reported"): "settled",
-    ("awaiting", "timed out"): "settled",
-    ("awaiting", "restarted"): "meeting",
-    ("settled", "restarted"): "owing",
+
+class _Facts(NamedTuple):
+    """What an event changes in the meeting with a peer; None: nothing."""
+
+    owes: bool | None = None
+    """Whether this robot owes the peer reports."""
+    awaits: bool | None = None
+    """Whether it waits for a report of the peer."""
+
+
+TRANSITIONS: dict[Event, _Facts] = {
+    "arrived": _Facts(owes=True, awaits=True),
+    "reported": _Facts(awaits=False),
+    "timed out": _Facts(awaits=False),
+    "informed": _Facts(owes=False),
+    "restarted": _Facts(owes=True),
+    "left": _Facts(owes=False, awaits=False),
 }
-"""The states of a meeting with one peer. From every state "left" leads to "away"; other events change nothing.
-
-Events: the peer comes into range (arrived), reports, restarts or leaves the range; this robot's reports were sent
-(informed); the greeting times out.
-"""
-
-_AWAITING = ("meeting", "awaiting")
-"""States in which this robot waits for the peer's report."""
+"""The events of a meeting. *Informed*: the owed reports were on the air. *Restarted*: the peer lost its state."""
 
 
 class Meetings:
-    """This robot's meetings with all peers.
+    """The reports that this robot and robots that came into its range must exchange, by `TRANSITIONS`.
 
     `settled`: all start at the same time with empty logs; else everyone in range must report first.
     """
 
     def __init__(self, robots: int, *, settled: bool) -> None:
-        self._states: list[State] = ["settled" if settled else "away"] * robots
         self._in_range = set(range(robots)) if settled else set[int]()
-        self._arrived: dict[int, int] = {}
+        self._arrived = dict.fromkeys(self._in_range, 0)
         """The step in which each peer came into range last."""
+        self._owed: set[int] = set()
+        """Peers to which this robot owes reports."""
+        self._awaited: set[int] = set()
+        """Peers whose report it waits for."""
 
     def on(self, peer: int, event: Event) -> None:
         """Follow the transition table."""
-        state = self._states[peer]
-        self._states[peer] = "away" if event == "left" else TRANSITIONS.get((state, event), state)
+        for peers, fact in zip((self._owed, self._awaited), TRANSITIONS[event], strict=True):
+            if fact is not None:
+                (peers.add if fact else peers.discard)(peer)
 
-    def begin_step(self, step: int, in_range: Sequence[int]) -> None:
-        """Note which peers have left the range and which have come, and time out greetings."""
+    def begin_step(self, step: int, in_range: Iterable[int]) -> None:
+        """Note which peers have left the range and which have come; after `GREETING` steps, await no report."""
         before, self._in_range = self._in_range, set(in_range)
-        for peer, state in enumerate(self._states):
-            if state != "away" and peer not in self._in_range:
-                self.on(peer, "left")
-        for peer in in_range:
-            if peer not in before:
-                self.on(peer, "arrived")
-                self._arrived[peer] = step
-            elif self._awaits_report(peer) and step > self._arrived[peer] + GREETING:
-                self.on(peer, "timed out")
+        for peer in before - self._in_range:
+            self.on(peer, "left")
+        for peer in self._in_range - before:
+            self.on(peer, "arrived")
+            self._arrived[peer] = step
+        for peer in [each for each in self._awaited if step > self._arrived[each] + GREETING]:
+            self.on(peer, "timed out")
 
     def owed(self) -> list[int]:
         """Return the peers to which this robot owes reports, ascending."""
-        return [peer for peer, state in enumerate(self._states) if state in ("meeting", "owing")]
+        return sorted(self._owed)
 
     def known(self, in_range: Iterable[int]) -> list[int]:
         """Return the peers in range whose report is not awaited."""
-        states = self._states
-        return [peer for peer in in_range if states[peer] not in _AWAITING]
+        return [peer for peer in in_range if peer not in self._awaited]
 
-    def _awaits_report(self, peer: int) -> bool:
-        return self._states[peer] in _AWAITING
+    def informed(self, peers: Iterable[int]) -> None:
+        """Note that the reports that this robot owed to peers were on the air."""
+        for peer in peers:
+            self.on(peer, "informed")
 
 
 class Neighbors:
@@ -94,36 +94,55 @@ class Neighbors:
 
     def __init__(self, robot: int, robots: int) -> None:
         self._robot = robot
+        self.in_range: list[int] = []
+        """The robots in this robot's range in this step."""
+        self.have_parted = False
+        """Whether any robot has ever been out of range."""
         self.near: Mask = ~np.eye(robots, dtype=np.bool_)
-        """``near[peer, other]``: whether `other` is in range of a peer, by the peer's reports."""
+        """``near[robot, other]``: whether `other` is in a robot's range; as to peers, by their reports."""
         self._informed: Mask = np.arange(robots) != np.full((robots, 1), robot)
         """``_informed[peer, other]``: whether `other` is in this robot's range, by the reports that a peer received.
 
         True for the peer itself: only peers in range are informed.
         """
-        self._settled: list[int] | None = None
-        """The peers in range of which none had an outdated report at the last call of `news`; None if any had."""
+        self._settled = False
+        """Whether `news` found none, and nothing has changed since."""
 
-    def news(self, in_range: list[int]) -> list[tuple[int, bool]]:
+    def begin_step(self, in_range: list[int]) -> None:
+        """Note which robots are in range."""
+        if len(in_range) < len(self.near) - 1:
+            self.have_parted = True
+        if in_range != self.in_range:
+            self._settled = False
+        self.in_range = in_range
+        self.near[self._robot] = False
+        self.near[self._robot, in_range] = True
+
+    def news(self) -> list[tuple[int, bool]]:
         """Return the robots of which a peer in range has an outdated report, and whether each is in range now."""
-        if in_range == self._settled:
+        if self._settled:
             return []
-        here = np.zeros(len(self.near), np.bool_)
-        here[in_range] = True
-        outdated = np.logical_or.reduce(self._informed[in_range] != here).nonzero()[0].tolist()
-        self._settled = None if outdated else in_range
+        here = self.near[self._robot]
+        outdated = np.logical_or.reduce(self._informed[self.in_range] != here).nonzero()[0].tolist()
+        self._settled = not outdated
         return [(other, bool(here[other])) for other in outdated]
 
-    def inform(self, peers: list[int], other: int, here: bool) -> None:
-        """Note that peers received this robot's report about another robot."""
-        self._informed[peers, other] = here
-        self._settled = None
+    def inform(self, other: int, here: bool) -> None:
+        """Note that the peers in range received this robot's report about another robot."""
+        self._informed[self.in_range, other] = here
+        self._settled = False
+
+    def receivers(self, sender: int) -> Mask:
+        """Return the mask of the robots that know what a robot broadcast: those in its range, and itself."""
+        receivers: Mask = self.near[sender].copy()
+        receivers[sender] = True
+        return receivers
 
     def restarted(self, peer: int) -> None:
         """Note that a peer lost its state: it has received and sent no reports."""
         self.near[peer] = np.arange(len(self.near)) != peer
         self._informed[peer] = np.arange(len(self.near)) != self._robot
-        self._settled = None
+        self._settled = False
 
 
 class BroadcastCursors:

@@ -1,23 +1,24 @@
 """Policies of unicast dissemination: which log ranges to offer to which peer in a round.
 
-A policy is a function of the peer table, the log lengths and the round. `thesis` offers every peer all that it lacks.
-`backoff` offers each peer one map at most, this robot's own first; after a refusal it waits twice as long, as Ethernet
-does after a collision. Maps of other robots are offered after the first round of a step, the one with most missing
-entries first; if steps have only one round, own and other maps alternate. In a crowd (`CROWD`) robots offer to no more
-peers than the medium could carry answers of, in turn.
+A policy is a function of the peer table, the log lengths and the round. Plug-ins (`protocol.plugins`) are further
+policies.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from bisect import bisect_left
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
 from agent.replication.control_packets import LEAST_HANDSHAKE
 from agent.replication.peers import Table
 from agent.replication.replica import Replica
+
+GOSSIP = "gossip"
+"""The name of the dissemination without offers (`agent.replication.gossip`)."""
 
 CROWD = 16
 """Robots in range of each other above which ``backoff`` bounds handshakes by the medium's capacity: at this size 240
@@ -73,41 +74,75 @@ Policy = Callable[[Rounds, Table], list[Offer]]
 """Chooses offers, given the rounds so far and the number of entries of each map that may be offered."""
 
 
-def thesis(rounds: Rounds, lengths: Table) -> list[Offer]:
-    """Offer every peer in range all that it lacks, this robot's map first."""
-    peers, held = rounds.peers, lengths.tolist()
-    numbers = [peers.own, *(number for number in range(len(held)) if number != peers.own)]
-    return [
-        Offer(peer, number, first)
-        for peer in rounds.in_range
-        for number in numbers
-        if number != peers.current[peer] and (first := peers.expected.item(peer, number)) < held[number]
-    ]
+class OfferDissemination(ABC):
+    """Robots offer log ranges to each other, and send the entries that the receiver asks for."""
+
+    name: ClassVar[str]
+
+    @abstractmethod
+    def offers(self, rounds: Rounds, lengths: Table) -> list[Offer]:
+        """Return the offers of a round, at most one per peer and map.
+
+        Parameters
+        ----------
+        rounds : Rounds
+            The peers in range, the entries that each is known to hold, and the rounds so far.
+        lengths : int64 array, shape (maps,)
+            Entries of each map that this robot may offer.
+        """
 
 
-def backoff(rounds: Rounds, lengths: Table) -> list[Offer]:
-    """Offer every peer in range one map at most, with binary exponential back-off after refusals."""
-    in_range, now, own, expected = rounds.in_range, rounds.now, rounds.peers.own, rounds.peers.expected
-    length = lengths.item(own)
-    offers = {
-        peer: Offer(peer, own, first)
-        for peer in in_range
-        if (first := expected.item(peer, own)) < length and now >= rounds.due.item(peer, own)
-    }
-    if rounds.number or (rounds.single and now % 2 == 0):
-        missing = np.where(now >= rounds.due, lengths - expected, 0)
-        missing[:, own] = 0
-        missing[rounds.peers.rows, rounds.peers.current] = 0
-        most = missing.argmax(axis=1).tolist()
-        for peer in in_range:
-            number = most[peer]
-            if (rounds.single or peer not in offers) and missing.item(peer, number) > 0:
-                offers[peer] = Offer(peer, number, expected.item(peer, number))
-    chosen = [offers[peer] for peer in in_range if peer in offers]
-    crowd = len(in_range) + 1
-    if rounds.budget is None or crowd <= CROWD:
-        return chosen
-    return _in_turn(chosen, rounds, max(1, rounds.budget // (LEAST_HANDSHAKE * crowd)))
+class Thesis(OfferDissemination):
+    """Every peer in range is offered all that it lacks, this robot's map first."""
+
+    name = "thesis"
+
+    def offers(self, rounds: Rounds, lengths: Table) -> list[Offer]:
+        """Return the offers of a round."""
+        peers, held = rounds.peers, lengths.tolist()
+        numbers = [peers.own, *(number for number in range(len(held)) if number != peers.own)]
+        return [
+            Offer(peer, number, first)
+            for peer in rounds.in_range
+            for number in numbers
+            if number != peers.current[peer] and (first := peers.expected.item(peer, number)) < held[number]
+        ]
+
+
+class Backoff(OfferDissemination):
+    """Every peer in range is offered one map at most, this robot's own first.
+
+    After a refusal, a map waits twice as long as before (`Rounds.due`), as Ethernet does after a collision. Maps of
+    other robots are offered after the first round of a step, the one with most missing entries first; if steps have
+    only one round, own and other maps alternate. In a crowd (`CROWD`) robots offer to no more peers than the medium
+    could carry answers of, in turn.
+    """
+
+    name = "backoff"
+
+    def offers(self, rounds: Rounds, lengths: Table) -> list[Offer]:
+        """Return the offers of a round."""
+        in_range, now, own, expected = rounds.in_range, rounds.now, rounds.peers.own, rounds.peers.expected
+        length = lengths.item(own)
+        offers = {
+            peer: Offer(peer, own, first)
+            for peer in in_range
+            if (first := expected.item(peer, own)) < length and now >= rounds.due.item(peer, own)
+        }
+        if rounds.number or (rounds.single and now % 2 == 0):
+            missing = np.where(now >= rounds.due, lengths - expected, 0)
+            missing[:, own] = 0
+            missing[np.arange(rounds.peers.robots), rounds.peers.current] = 0
+            most = missing.argmax(axis=1).tolist()
+            for peer in in_range:
+                number = most[peer]
+                if (rounds.single or peer not in offers) and missing.item(peer, number) > 0:
+                    offers[peer] = Offer(peer, number, expected.item(peer, number))
+        chosen = [offers[peer] for peer in in_range if peer in offers]
+        crowd = len(in_range) + 1
+        if rounds.budget is None or crowd <= CROWD:
+            return chosen
+        return _in_turn(chosen, rounds, max(1, rounds.budget // (LEAST_HANDSHAKE * crowd)))
 
 
 def _in_turn(offers: list[Offer], rounds: Rounds, most: int) -> list[Offer]:
@@ -118,6 +153,3 @@ def _in_turn(offers: list[Offer], rounds: Rounds, most: int) -> list[Offer]:
     if offers:
         rounds.next_peer = offers[-1].peer + 1
     return offers
-
-
-GOSSIP = "gossip"

@@ -23,15 +23,16 @@ from typing import NamedTuple
 import numpy as np
 
 from agent.replication.digests import LogVerifier
-from agent.replication.log import Log
-from agent.replication.peers import MapId, PeerTable, Table
+from agent.replication.log import Log, OwnLog
+from agent.replication.peers import PeerTable, Table
 from protocol.errors import ProtocolError
 from protocol.packets import LogDigest
 
-Consume = Callable[[int, MapId, bytes], Sequence[int]]
-"""Decodes the next entries of a map, given the sender and a frame; returns where in the frame each entry ends.
+Consume = Callable[[int, int, bytes], Sequence[int]]
+"""Decodes the next entries of a map, given the sender, the map's number, and a frame of whole entries.
 
-Raises ProtocolError, and changes nothing, if they are malformed or impossible.
+Returns where in the frame each entry ends. Raises ProtocolError, and changes nothing, if entries are malformed or
+impossible.
 """
 
 Rebuild = Callable[[Sequence[bytes]], object]
@@ -54,7 +55,6 @@ class Rejected(NamedTuple):
     """Event: entries that a peer sent were malformed, impossible, or not written by their author."""
 
     peer: int
-    map: MapId
     reason: str
 
 
@@ -75,25 +75,13 @@ class Replica:
     `rebuild` is called after decoded entries were dropped; `ordered`: frames of a robot arrive in their order.
     """
 
-    def __init__(
-        self,
-        own: MapId,
-        maps: list[MapId],
-        consume: Consume,
-        rebuild: Rebuild,
-        *,
-        ordered: bool = True,
-    ) -> None:
-        self.peers = PeerTable(own, maps)
-        self.logs = [Log() for _ in maps]
-        self.own_log = self.logs[own.number]
+    def __init__(self, peers: PeerTable, consume: Consume, rebuild: Rebuild, *, ordered: bool = True) -> None:
+        self.peers = peers
+        self.own_log = OwnLog()
+        self.logs = [self.own_log if number == peers.own else Log() for number in range(peers.maps)]
         self.verifiers = [LogVerifier(log, ordered=ordered) for log in self.logs]
         self.step = 0
         """Steps so far."""
-        self.digest_length: int | None = None
-        """Entries of this robot's log of which to send a digest: it is time to, or a peer may hold other entries."""
-        self.last_append = 0
-        """Offset in this robot's log of the entries that were appended last."""
         self._requests: dict[int, _Request] = {}
         """By number of a map of which entries were dropped."""
         self._suspicions: Counter[tuple[int, int]] = Counter()
@@ -115,15 +103,9 @@ class Replica:
         """Peers that sent wrong entries `MANY` times."""
         return {peer for (peer, _), count in self._suspicions.items() if count >= MANY}
 
-    def append(self, entries: list[bytes]) -> None:
-        """Append to this robot's log."""
-        if entries:
-            self.last_append = len(self.own_log)
-        self.own_log.append(entries)
-
     def has_forwarded(self) -> bool:
         """Return whether entries that are not verified may come from a peer that is not their author."""
-        return any(senders - {self.peers.maps[number].robot} for number, senders in self._senders.items())
+        return any(senders - {self.peers.author(number)} for number, senders in self._senders.items())
 
     def lengths(self) -> Table:
         """Return the number of entries of each log."""
@@ -139,7 +121,7 @@ class Replica:
             return False
         log = self.logs[number]
         try:
-            ends = self._consume(peer, self.peers.maps[number], frame)
+            ends = self._consume(peer, number, frame)
         except ProtocolError as error:
             self.reject(peer, number, str(error))
             return False
@@ -190,21 +172,12 @@ class Replica:
             length, _, wait = self._requests[number]
             self._requests[number] = _Request(length, self.step + wait, min(2 * wait, LONGEST))
 
-    def request_digest(self, length: int) -> None:
-        """Send a digest of this robot's first `length` entries, or of fewer if that is requested already."""
-        if length:
-            self.digest_length = min(length, length if self.digest_length is None else self.digest_length)
-
     def check_own(self, peer: int, first: int, entries: list[bytes]) -> None:
         """Compare entries of this robot's log that a peer sent, from offset `first` on; report forged ones."""
         if self.own_log.read(min(first, len(self.own_log)), None, first + len(entries)) != b"".join(entries):
-            self.request_digest(first + len(entries))
+            self.own_log.request_digest(first + len(entries))
             reason = "sent entries of this robot's map that this robot did not write"
-            self._report(peer, self.peers.own, reason)
-
-    def _report(self, peer: int, number: int, reason: str) -> None:
-        """Report that a peer sent wrong entries of a map."""
-        self._rejected.append(Rejected(peer, self.peers.maps[number], reason))
+            self._rejected.append(Rejected(peer, reason))
 
     def _verify(self, number: int) -> None:
         """Check the digests of a log whose entries have arrived."""
@@ -214,7 +187,7 @@ class Replica:
             for peer in self._senders.pop(number, ()):
                 self._suspicions.pop((peer, number), None)
         elif verified is False:
-            author = self.peers.maps[number].robot
+            author = self.peers.author(number)
             senders = self._senders[number]
             for peer in sorted(senders - {author}) or sorted(senders):
                 forwarded = "forwarded entries that their author did not write, or they were damaged"
@@ -224,10 +197,10 @@ class Replica:
 
     def _suspect(self, peer: int, number: int, reason: str) -> None:
         """Accept no entries of a map from a peer for a while; the author may send them again at once the first time."""
-        self._report(peer, number, reason)
+        self._rejected.append(Rejected(peer, reason))
         self._suspicions[peer, number] += 1
         wait = 1 << self._suspicions[peer, number]
-        author = self.peers.maps[number].robot
+        author = self.peers.author(number)
         self._until[peer, number] = self.step + min(wait - 2 if peer == author else 2 * wait, LONGEST)
 
     def _drop(self, number: int) -> None:

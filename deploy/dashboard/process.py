@@ -18,7 +18,8 @@ from protocol import keys as names
 from protocol import rights
 from protocol.bus import BusClosed, Message
 from protocol.errors import ProtocolError
-from protocol.messages import ErrorReport, Shutdown, clip
+from protocol.message_fields import clip
+from protocol.messages import ErrorReport, Shutdown
 from protocol.signals import ending_signals, handled
 from protocol.zenoh_bus import Credential, join
 

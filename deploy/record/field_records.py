@@ -37,7 +37,8 @@ from protocol.files import open_file, read_file
 from protocol.grid import OCCUPIED
 from protocol.map_parts import FinalMaps
 from protocol.message_codec import pack, unpacker
-from protocol.messages import MAX_PAYLOAD, MAX_TEXT, MapChanges, Outlines
+from protocol.message_fields import MAX_PAYLOAD, MAX_TEXT
+from protocol.messages import MapChanges, Outlines
 from protocol.range_scans import TURN, decode_range_scan
 from worldsim.atomic_files import write_whole
 

@@ -30,7 +30,7 @@ from netshaper.ledger import BROADCAST, CAUSES, EVERYONE, NEWS, ROW
 from protocol.errors import ProtocolError
 from protocol.files import open_file
 from protocol.grid import MAX_ROBOTS
-from protocol.messages import MAX_STEPS
+from protocol.message_fields import MAX_STEPS
 from protocol.packet_index import NO_PACKETS, index_of
 from worldsim.atomic_files import write_whole
 

@@ -1,6 +1,8 @@
 """A scenario: all settings that determine the result of a run; read from TOML and validated before the run starts.
 
-A class for each group has its settings, and checks that need no other group. Here are the checks across groups.
+A class for each group has its settings, and checks that need no other group. Here are the checks across groups. The
+groups are base classes, not attributes: files, `murmur.explore`, and the command line give all settings side by side,
+and defaults of one group depend on settings of others.
 
     `building_settings`        the map, people, and where robots start; or logs of a real building
     `team_settings`            the robots and their hardware

@@ -119,7 +119,7 @@ def worked_example() -> str:
         lines += [f"# step {step}", *described(packet_codec.encode(edits))]
         entries += [packet_codec.encode([packet]) for packet in edits]
     sender, receiver = replication(0, 2), replication(1, 2)
-    sender.append(entries)
+    sender.own_log.append(entries)
     (offer,) = sender.open_round(0, [1], None)
     receiver.open_round(0, [0], None)
     (answer,) = receiver.answer([Delivery(0, offer.payload, 0)])
@@ -184,7 +184,7 @@ def updates_example() -> str:
         readings = cast(truth, no_robots, beams, x, 2)
         change = draw(own, beams, x, 2, readings)
         entries = maker.encode_changes(own, Scan(x, 2, readings), change, delivered=True)
-        gossip.append(entries)
+        gossip.own_log.append(entries)
         frame = gossip.open_round(0, peers, None)[0].payload
         assert not gossip.close_round(RoundReport(1, 0, [], [SendReport(0, len(frame))], [], False))
         receiver.apply(0, b"".join(entries), step=1000, sender=0)
@@ -267,13 +267,16 @@ def test_the_rooms_of_the_worked_example_are_drawn() -> None:
     assert HALL.strip("\n") in text
 
 
-def test_the_transition_tables_are_those_that_the_code_runs_by() -> None:
+def test_the_transition_tables_are_those_by_which_the_code_runs() -> None:
     connections = {
         (state, event, after) for _, state, event, after, _ in rows("replication.md", "Handshakes")
     }
     assert connections == {(*before, after) for before, after in handshakes.TRANSITIONS.items()}
-    meetings = {tuple(row) for row in rows("replication.md", "Meetings")}
-    assert meetings == {(*before, after) for before, after in neighbors.TRANSITIONS.items()}
+    facts = {True: "yes", False: "no", None: ""}
+    events = {
+        event: tuple(facts[fact] for fact in changed) for event, changed in neighbors.TRANSITIONS.items()
+    }
+    assert {event: (owes, awaits) for event, owes, awaits in rows("replication.md", "Meetings")} == events
 
 
 def test_disseminations_are_all_described() -> None:

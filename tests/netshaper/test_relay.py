@@ -22,8 +22,8 @@ from protocol.grid import MAX_ROBOTS
 from protocol.keys import RELAY, Keys
 from protocol.memory_bus import MemoryHub
 from protocol.message_codec import pack, unpack
+from protocol.message_fields import MAX_CONNECTIONS
 from protocol.messages import (
-    MAX_CONNECTIONS,
     Begin,
     Broadcasts,
     Close,

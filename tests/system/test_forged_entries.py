@@ -225,7 +225,7 @@ def play(seed: int, bandwidth: int, disturbance: str = "", **settings: Any) -> O
     robots = [agent.robot for agent in run.agents if agent.robot is not None]
     honest = [robot for robot in robots if robot.settings.robot != FORGER or disturbance not in FORGERIES]
     wrong = sum(int(((robot.planning != truth) & (robot.planning != UNKNOWN)).sum()) for robot in honest)
-    distrusted = set().union(*(robot.distrusted for robot in honest))
+    distrusted = set().union(*(robot.replication.replica.distrusted for robot in honest))
     happened = all(end.done for end in ends)
     return Outcome(
         summary["steps"], summary["bytes"]["total"], wrong, distrusted, summary["finished"], happened

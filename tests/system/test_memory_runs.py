@@ -292,7 +292,7 @@ class Pair:
     def step(self, number: int, cells: dict[int, tuple[int, int]]) -> NDArray[np.void]:
         """Play one step; return its ledger."""
         for robot, engine in enumerate(self.engines):
-            engine.append([self.entry(robot, self.logged[robot])])
+            engine.own_log.append([self.entry(robot, self.logged[robot])])
             self.logged[robot] += 1
         return self.network.step(number, cells).rows
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+from protocol.bounds import check_bounds
+
 PER_SCAN, RECORDED = "scan", "recorded"
 """One scan per robot and step; or one second of the log per step."""
 
@@ -45,13 +47,9 @@ class RecordingOptions:
     listeners: int = 0
 
     def __post_init__(self) -> None:
-        if not 1 <= self.every <= MAX_EVERY:
-            raise ValueError(f"every = {self.every}: must be 1 to {MAX_EVERY}")
+        check_bounds(self, "every", 1, MAX_EVERY)
         if self.pace not in PACES:
             raise ValueError(f"pace = {self.pace!r}: must be {' or '.join(PACES)}")
-        if not MIN_CELL_M <= self.resolution <= MAX_CELL_M:
-            raise ValueError(
-                f"resolution = {self.resolution:g}: must be {MIN_CELL_M:g} to {MAX_CELL_M:g} m per cell"
-            )
+        check_bounds(self, "resolution", MIN_CELL_M, MAX_CELL_M, "m per cell")
         if self.listeners < 0:
             raise ValueError(f"listeners = {self.listeners}: must not be negative")

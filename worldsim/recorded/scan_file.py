@@ -13,7 +13,7 @@ import numpy as np
 
 from protocol.errors import shown
 from protocol.files import open_file
-from protocol.messages import MAX_BEAMS
+from protocol.message_fields import MAX_BEAMS
 from protocol.metric_scans import BeamAngles
 from protocol.range_scans import TURN
 from worldsim.atomic_files import write_whole

@@ -16,7 +16,6 @@ import numpy as np
 from agent.replication.base import Replication
 from agent.replication.engine import DISSEMINATIONS, make_replication
 from agent.replication.gossip_policy import Dependencies
-from agent.replication.peers import MapId
 from agent.replication.replica import Consume, Rebuild, Rejected
 from agent.settings import EncodingSettings, ReplicationSettings, Settings
 from protocol import packet_index
@@ -141,7 +140,7 @@ class Network:
         self.announced = 0
         """Bytes of announcements so far, which are on the air besides those in `carried`."""
         self._salts = np.random.default_rng([seed, 1]) if digests else None
-        self.understands: Callable[[int, MapId, list[bytes]], bool] = self.are_next
+        self.understands: Callable[[int, int, list[bytes]], bool] = self.are_next
         """Whether a robot can decode the next entries of a map."""
         self.appended = [0] * robots
         self.rng = np.random.default_rng(seed)
@@ -157,7 +156,7 @@ class Network:
         """Let a robot append so many entries to its log."""
         first = self.appended[robot]
         self.appended[robot] += count
-        self.engines[robot].append(entries(robot, first, first + count))
+        self.engines[robot].own_log.append(entries(robot, first, first + count))
 
     def written(self, robot: int) -> list[bytes]:
         """All entries that a robot ever appended."""
@@ -359,20 +358,20 @@ class Network:
 
     # --- decoding
 
-    def _consume(self, robot: int, peer: int, map_id: MapId, frame: bytes) -> Sequence[int]:
+    def _consume(self, robot: int, peer: int, map_id: int, frame: bytes) -> Sequence[int]:
         if not self.understands(robot, map_id, packet_index.split(frame)):
             raise ProtocolError("entry", 0, f"robot {robot} cannot decode what robot {peer} sends")
         ends = packet_index.ends(frame)
-        self.decoded[robot][map_id.number] += frame
+        self.decoded[robot][map_id] += frame
         return ends
 
     def _rebuild(self, robot: int, logs: Sequence[bytes]) -> None:
         self.decoded[robot] = list(logs)
 
-    def are_next(self, robot: int, map_id: MapId, received: list[bytes]) -> bool:
+    def are_next(self, robot: int, map_id: int, received: list[bytes]) -> bool:
         """Whether entries are the next ones of a map that another robot writes."""
-        first = self.length(robot, map_id.number)
-        return map_id.robot != robot and received == self.written(map_id.robot)[first : first + len(received)]
+        first = self.length(robot, map_id)
+        return map_id != robot and received == self.written(map_id)[first : first + len(received)]
 
 
 def packet_map(offer: bytes) -> int:

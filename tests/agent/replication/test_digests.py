@@ -138,19 +138,19 @@ def test_a_flipped_bit_in_a_frame_does_no_lasting_harm_and_nobody_is_distrusted(
 @pytest.mark.parametrize(("name", "acks"), [each for each in VARIANTS if each[1] or each[0] == "gossip"])
 def test_an_author_reports_a_forgery_of_its_log_and_sends_a_digest(name: str, acks: bool) -> None:
     engine = make_engine(0, 3, lambda *received: packet_index.ends(received[-1]), name, requires_acks=acks)
-    engine.append(entries(0, 0, 3))
-    engine.shared = 3
+    engine.own_log.append(entries(0, 0, 3))
+    engine.own_log.sent(3)
 
-    def receive(*frames: bytes) -> list[tuple[int, int]]:
+    def receive(*frames: bytes) -> list[int]:
         report = RoundReport(1, 0, [], [], [Delivery(FORGER, frame) for frame in frames], False)
-        return [(each.peer, each.map.number) for each in engine.close_round(report)]
+        return [each.peer for each in engine.close_round(report)]
 
     engine.salt = 7
     assert receive(header(0, 1) + entry(0, 1) + entry(0, 2)) == []
-    assert engine.replica.digest_length is None
-    assert receive(header(0, 1) + forgery(entry(0, 1))) == [(FORGER, 0)]
-    assert engine.replica.digest_length == 2
-    assert receive(header(0, 2) + entry(0, 2) + entry(0, 3)) == [(FORGER, 0)], "it wrote no entry 3"
+    assert engine.own_log.digest_length is None
+    assert receive(header(0, 1) + forgery(entry(0, 1))) == [FORGER]
+    assert engine.own_log.digest_length == 2
+    assert receive(header(0, 2) + entry(0, 2) + entry(0, 3)) == [FORGER], "it wrote no entry 3"
     sent = engine.announcements() + b"".join(each.payload for each in engine.open_round(0, [1, 2], None))
     digests = [each for each in packet_codec.decode(sent) if isinstance(each, LogDigest)]
     assert [each.entries for each in digests] == [2]

@@ -141,42 +141,42 @@ def test_logs_become_complete_after_a_partition_of_a_hundred_steps(name: str, ac
 @pytest.mark.parametrize("name", LOSSY)
 def test_entries_are_not_retracted_once_they_were_on_the_air(name: str) -> None:
     each = engine(name, acks=True)
-    each.append(entries(0, 0, 2))
-    assert each.retract(1)
-    each.append(entries(0, 1, 2))
+    each.own_log.append(entries(0, 0, 2))
+    assert each.own_log.retract(1)
+    each.own_log.append(entries(0, 1, 2))
     for number in range(4):
         frames = each.open_round(number, [1], None)
         sent = [SendReport(at, len(frame.payload)) for at, frame in enumerate(frames)]
         report = Delivery(1, encode([HeldEarly(0, 0)]))
         each.close_round(RoundReport(1, number, [], sent, [report], False))
-    assert not each.retract(1), "it was lost perhaps, but perhaps not"
+    assert not each.own_log.retract(1), "it was lost perhaps, but perhaps not"
 
 
 @pytest.mark.parametrize(("name", "acks"), VARIANTS)
 def test_only_entries_that_were_never_on_the_air_are_retracted(name: str, acks: bool) -> None:
     network = Network(2, name, acks=acks)
     network.append(0, 3)
-    assert network.engines[0].retract(1)
+    assert network.engines[0].own_log.retract(1)
     network.appended[0] -= 1
     network.settle(everyone(2))
-    assert not network.engines[0].retract(1)
+    assert not network.engines[0].own_log.retract(1)
 
 
 def test_a_peer_that_claims_entries_which_were_never_sent_cannot_make_the_log_inconsistent() -> None:
     for name in LOSSY:
         each = engine(name, acks=True)
-        each.append(entries(0, 0, 5))
+        each.own_log.append(entries(0, 0, 5))
         each.open_round(0, [1], 9)
         claim = Delivery(1, encode([HeldEarly(0, 5)]))
         each.close_round(RoundReport(1, 0, [], [], [claim], False))
-        assert each.retract(2)
+        assert each.own_log.retract(2)
         assert len(each.logs[0]) == 3
     each = engine("backoff")
-    each.append(entries(0, 0, 5))
+    each.own_log.append(entries(0, 0, 5))
     each.open_round(0, [1], None)
     each.send_data([Delivery(1, encode([Answer(5)]), 0, 0)])
     each.close_round(RoundReport(1, 0, [ConnectionReport(0, 2, 2, 0)], [], [], False))
-    assert not each.retract(2), "the log is as the peer claims to hold it"
+    assert not each.own_log.retract(2), "the log is as the peer claims to hold it"
     assert len(each.logs[0]) == 5
 
 

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from agent.encodings.base import Dependency
 from agent.replication.base import Replication
 from agent.replication.delivery import PATIENCE
-from agent.replication.gossip import REFRESH
 from agent.replication.gossip_policy import HELD_PER_PRIORITY, MAX_PRIORITY
 from agent.replication.neighbors import GREETING
+from agent.replication.reports import REFRESH
 from protocol import packet_codec, packet_index
 from protocol.errors import ProtocolError
 from protocol.messages import Delivery, RoundReport, SendReport
@@ -232,8 +232,8 @@ def test_a_log_is_delivered_once_it_was_on_the_air_with_a_peer_in_range() -> Non
     step(network, everyone(2), len(entry(0, 0)))
     assert not maker.delivered()
     assert maker.undelivered() == 1
-    assert not maker.retract(2)
-    assert maker.retract(1)
+    assert not maker.own_log.retract(2)
+    assert maker.own_log.retract(1)
     network.appended[0] -= 1
     network.append(0, 1)
     step(network, everyone(2))
@@ -244,7 +244,7 @@ def test_a_log_is_delivered_once_it_was_on_the_air_with_a_peer_in_range() -> Non
 
 def test_an_unfinished_append_has_the_highest_priority_and_waiting_raises_it() -> None:
     each = engine(0, 2)
-    each.append(entries(0, 0, 2))
+    each.own_log.append(entries(0, 0, 2))
     priorities = []
     for carried in (0, 0, len(entry(0, 0))):
         each.open_round(0, [1], 100)
@@ -262,7 +262,7 @@ def test_with_an_urgency_it_ranks_frames_times_the_steps_that_they_waited() -> N
         each = engine(0, 2)
         each.urgency = urgency
         each.open_round(0, [1], 100)
-        each.append(entries(0, 0, 2))
+        each.own_log.append(entries(0, 0, 2))
         for _ in range(3):
             each.open_round(0, [1], 100)
             priorities.append(each.priority)
@@ -280,7 +280,7 @@ def test_once_robots_were_apart_serving_a_peer_that_holds_more_has_priority() ->
         each.open_round(0, [1], 100)  # robot 2 is away
         each.logs[1].append(entries(1, 0, known))
         each.peers.expected[2, 1] = held
-        each.append(entries(0, 0, 1))
+        each.own_log.append(entries(0, 0, 1))
         for _ in range(GREETING + 2):
             each.open_round(0, [2], 100)
         priorities.append(each.priority)

@@ -12,8 +12,8 @@ from agent.replication.control_packets import parse
 from agent.replication.digests import MAX_OPEN, LogVerifier
 from agent.replication.frame_builder import FrameBuilder
 from agent.replication.log import Log
-from agent.replication.neighbors import BroadcastCursors, Neighbors
-from agent.replication.peers import map_ids
+from agent.replication.neighbors import GREETING, BroadcastCursors, Meetings, Neighbors
+from agent.replication.peers import PeerTable
 from agent.replication.replica import ASK_AGAIN, LONGEST, MANY, TRIES, Replica
 from protocol import packet_index
 from protocol.errors import ProtocolError
@@ -120,7 +120,9 @@ def test_a_frame_is_split_into_control_packets_and_entries_behind_their_headers(
 
 def test_all_robots_are_neighbors_until_they_report_otherwise() -> None:
     neighbors = Neighbors(0, 4)
-    assert neighbors.news([1, 2, 3]) == []
+    neighbors.begin_step([1, 2, 3])
+    assert neighbors.news() == []
+    assert not neighbors.have_parted
     assert np.flatnonzero(neighbors.near[2]).tolist() == [0, 1, 3]
     neighbors.near[2, 3] = False
     assert np.flatnonzero(neighbors.near[2]).tolist() == [0, 1]
@@ -130,21 +132,47 @@ def test_all_robots_are_neighbors_until_they_report_otherwise() -> None:
 
 def test_a_departure_is_news_until_all_in_range_received_it() -> None:
     neighbors = Neighbors(0, 4)
-    assert neighbors.news([1, 2]) == [(3, False)]
-    neighbors.inform([1], 3, here=False)
-    assert neighbors.news([1, 2]) == [(3, False)]
-    neighbors.inform([2], 3, here=False)
-    assert neighbors.news([1, 2]) == []
-    assert neighbors.news([1, 2, 3]) == [(3, True)]
+    neighbors.begin_step([1])
+    assert neighbors.news() == [(2, False), (3, False)]
+    neighbors.inform(3, here=False)
+    assert neighbors.news() == [(2, False)]
+    neighbors.begin_step([1, 2])
+    assert neighbors.news() == [(3, False)]
+    neighbors.inform(3, here=False)
+    assert neighbors.news() == []
+    neighbors.begin_step([1, 2, 3])
+    assert neighbors.news() == [(3, True)]
 
 
 def test_a_robot_that_restarts_has_received_and_sent_nothing() -> None:
     neighbors = Neighbors(0, 3)
     neighbors.near[1, 2] = False
-    neighbors.inform([1], 2, here=False)
+    neighbors.begin_step([1])
+    neighbors.inform(2, here=False)
+    assert neighbors.news() == []
     neighbors.restarted(1)
     assert neighbors.near[1, 2]
-    assert neighbors.news([1]) == [(2, False)]
+    assert neighbors.news() == [(2, False)]
+
+
+def test_robots_that_meet_owe_reports_and_await_one() -> None:
+    meetings = Meetings(4, settled=True)
+    meetings.begin_step(1, [1, 2])
+    assert (meetings.owed(), meetings.known([1, 2])) == ([], [1, 2]), "all logs are empty at first"
+    meetings.begin_step(2, [1, 3])
+    assert (meetings.owed(), meetings.known([1, 3])) == ([3], [1])
+    meetings.on(3, "reported")
+    assert (meetings.owed(), meetings.known([1, 3])) == ([3], [1, 3])
+    meetings.informed([3])
+    meetings.on(1, "restarted")
+    assert (meetings.owed(), meetings.known([1, 3])) == ([1], [1, 3])
+    for step in range(3, 4 + GREETING):
+        meetings.begin_step(step, [2])
+        assert (meetings.owed(), meetings.known([2])) == ([2], [])
+    meetings.begin_step(4 + GREETING, [2])
+    assert (meetings.owed(), meetings.known([2])) == ([2], [2]), "a silent peer is not waited for"
+    meetings.begin_step(5 + GREETING, [])
+    assert meetings.owed() == []
 
 
 def test_cursors_are_known_to_robots_that_were_in_range_ever_since() -> None:
@@ -168,10 +196,9 @@ class _Judge:
     malformed = b"lie"
 
     def __init__(self) -> None:
-        maps = map_ids(4)
-        self.replica = Replica(maps[0], maps, self._consume, lambda _logs: None)
+        self.replica = Replica(PeerTable(0, 4, 4), self._consume, lambda _logs: None)
 
-    def _consume(self, peer: int, map_id: object, frame: bytes) -> list[int]:
+    def _consume(self, peer: int, map_id: int, frame: bytes) -> list[int]:
         if frame == self.malformed:
             raise ProtocolError("entry", 0, "a lie")
         return [len(frame)]
@@ -190,9 +217,7 @@ def test_a_malformed_entry_is_rejected_and_its_sender_suspected_for_that_map_alo
     replica = judge.replica
     assert replica.accept(1, 2, entry(2, 0))
     assert not replica.accept(3, 2, b"lie")
-    assert [(each.peer, each.map.number, each.reason) for each in replica.take_rejected()] == [
-        (3, 2, "entry at byte 0: a lie")
-    ]
+    assert replica.take_rejected() == [(3, "entry at byte 0: a lie")]
     assert replica.distrusted == set(), "robot 1 may have sent the wrong entry"
     assert [replica.refuses(3, number) for number in (2, 3)] == [True, False]
     assert replica.accept(3, 3, entry(3, 0))

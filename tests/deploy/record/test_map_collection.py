@@ -15,7 +15,8 @@ from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
 from protocol.grid import UNKNOWN
 from protocol.map_parts import FinalMaps
-from protocol.messages import PART_CELLS, MapPart
+from protocol.message_fields import PART_CELLS
+from protocol.messages import MapPart
 from tests.system.team import small_plan
 
 SHAPE = (1000, 900)

@@ -31,11 +31,12 @@ def test_a_run_without_references_is_freed_at_once(
     )
     under_way = MemoryRun(plans.make(scenario))
     list(under_way.steps())
-    gone = weakref.ref(under_way), weakref.ref(under_way.agents[0].robot)
+    robot = under_way.agents[0].robot
+    gone = [weakref.ref(part) for part in (under_way, robot, robot.replication)]
     gc.disable()
     try:
-        del under_way
-        assert [ref() for ref in gone] == [None, None]
+        del under_way, robot
+        assert [ref() for ref in gone] == [None, None, None]
     finally:
         gc.enable()
 

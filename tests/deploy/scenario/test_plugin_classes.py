@@ -10,7 +10,7 @@ import pytest
 
 from agent.encodings.scans import ScanEncoding
 from agent.replication.engine import OfferDissemination
-from agent.replication.policies import Offer, Rounds, thesis
+from agent.replication.policies import Offer, Rounds, Thesis
 from agent.strategies.meier import Meier
 from agent.strategies.registry import strategy
 from agent.strategies.targets import TargetStrategy
@@ -44,7 +44,7 @@ class ToAll(OfferDissemination):
     name = "to-all"
 
     def offers(self, rounds: Rounds, lengths: np.ndarray) -> list[Offer]:
-        return thesis(rounds, lengths)
+        return Thesis().offers(rounds, lengths)
 
 
 class Deaf(RadioModel):
