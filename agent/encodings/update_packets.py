@@ -38,6 +38,9 @@ PACKETS_A_STEP = 3
 NARROW = 42
 """Bytes per step below which scans are coded by better predictions (`agent.predictive.scan_stream.NarrowBand`)."""
 
+NARROW_APART = 250
+"""The same limit if robots may leave each other's range. Each entry is then sent several times: to robots that meet."""
+
 FULL_STEPS = 2
 """Steps of which a full update of scans on a narrow medium takes the budget. With more, robots wait longer for their
 turn."""
@@ -68,7 +71,7 @@ class UpdateLimits:
     With such a budget, only one robot sends updates in a step, and updates rank by their new cells per byte.
     """
     is_narrow: bool = False
-    """Whether the budget of a step is below `NARROW`, and updates contain scans."""
+    """Whether updates contain scans, and the budget of a step is below `NARROW` or `NARROW_APART`."""
 
     @classmethod
     def of(cls, settings: Settings) -> UpdateLimits:
@@ -77,11 +80,12 @@ class UpdateLimits:
         medium = settings.medium
         if (bandwidth := medium.bandwidth.limit) is not None:
             size = bandwidth // PACKETS_A_STEP - SHORT_HEAD
-            step_bytes, is_narrow = max(bandwidth, 1), bandwidth < NARROW and not settings.shares_tiles
+            hear_all = medium.reach_cells > math.hypot(settings.width, settings.height) - 1
+            step_bytes = max(bandwidth, 1)
+            is_narrow = bandwidth < (NARROW if hear_all else NARROW_APART) and not settings.shares_tiles
             scarcity = FAIR_SHARE * settings.robots / max(bandwidth, 1)
             wait_steps = min(max(math.ceil(scarcity), 1), ENOUGH_STEPS)
             is_filled = bandwidth < Target.size + 2 * Update.size
-            hear_all = medium.reach_cells > math.hypot(settings.width, settings.height) - 1
             fills = bandwidth if is_filled and hear_all and not settings.replication.requires_acks else 0
         if medium.frame_bytes is not None:
             size = min(size, medium.frame_bytes - SHORT_HEAD)

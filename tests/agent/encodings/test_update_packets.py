@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.encoding_options import PredictiveOptions
-from agent.encodings.update_packets import NARROW, UpdateLimits
+from agent.encodings.update_packets import NARROW, NARROW_APART, UpdateLimits
 from agent.settings import EncodingSettings, MediumSettings, ReplicationSettings, Settings
 from protocol.body import Body
 from protocol.budget import Budget
@@ -65,6 +65,9 @@ def test_packets_on_a_lossy_or_a_wide_medium_are_short(message: bytes, offset: i
         assert all(len(packet) <= SHORT_HEAD + UPDATE_DATA for packet in some.packets(message, 0, offset))
 
 
-@given(st.integers(1, 200))
-def test_a_medium_is_narrow_below_its_limit(budget: int) -> None:
+@given(st.integers(1, 400))
+def test_a_medium_is_narrow_below_its_limit_and_sooner_where_robots_may_leave_each_others_range(
+    budget: int,
+) -> None:
     assert limits(budget).is_narrow == (budget < NARROW)
+    assert limits(budget, reach=20.0).is_narrow == (budget < NARROW_APART)
