@@ -61,7 +61,11 @@ def test_the_bound_holds_at_every_receiver_after_every_update(seed: int, team: b
             tiles[map_id][bound.tiles_near(disturb(random, own[map_id], log_odds[map_id]))] = 1
         stream = author.streams[map_id]
         pose = int(random.integers(WIDTH)), int(random.integers(HEIGHT))
+        before = stream.grid.copy()
+        size = stream.size(own[map_id], log_odds[map_id], bound, tiles[map_id], pose)
+        assert np.array_equal(stream.grid, before)
         encoded = stream.encode(own[map_id], log_odds[map_id], bound, tiles[map_id], pose)
+        assert size == (len(encoded[0]) if encoded is not None else 0)
         tiles[map_id] = 0
         if encoded is not None:
             stream.commit()
