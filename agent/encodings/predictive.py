@@ -108,7 +108,12 @@ class PredictiveEncoding(GridEncoding):
         assert isinstance(stream, TileStream)
         settled = 1 if settings.laser is None else SETTLED
         patience = self._options.patience
-        bound = Bound(settings.encoding.tolerance, settled, closes_gaps=patience == 1)
+        bound = Bound(
+            settings.encoding.tolerance,
+            settled,
+            closes_gaps=patience == 1,
+            straightens=self._limits.is_narrow and patience == 1,
+        )
         if settings.medium.bandwidth.limit is not None and patience == 1:
             return (NarrowTileAuthor if self._limits.is_narrow else UrgentTileAuthor)(stream, bound)
         return TileAuthor(stream, bound, patience)

@@ -46,9 +46,12 @@ def disturb(random: np.random.Generator, own: Grid, log_odds: NDArray[np.int8]) 
 
 @pytest.mark.parametrize("tolerance", [0, 1, 2])
 @pytest.mark.parametrize("team", [True, False])
+@pytest.mark.parametrize("straightens", [False, True])
 @pytest.mark.parametrize("seed", range(2))
-def test_the_bound_holds_at_every_receiver_after_every_update(seed: int, team: bool, tolerance: int) -> None:
-    random, bound = np.random.default_rng(seed), Bound(tolerance, SETTLED)
+def test_the_bound_holds_at_every_receiver_after_every_update(
+    seed: int, straightens: bool, team: bool, tolerance: int
+) -> None:
+    random, bound = np.random.default_rng(seed), Bound(tolerance, SETTLED, straightens=straightens)
     authors = [Side(team=team) for _ in range(MAPS)]
     own = np.zeros((MAPS, HEIGHT, WIDTH), np.uint8)
     log_odds = np.zeros((MAPS, HEIGHT, WIDTH), np.int8)
