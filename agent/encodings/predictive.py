@@ -28,6 +28,7 @@ from agent.mapping.bound import Bound
 from agent.mapping.estimator import SETTLED
 from agent.predictive.author import Author
 from agent.predictive.history import DecodedUpdate, History
+from agent.predictive.narrow_tile_author import NarrowTileAuthor
 from agent.predictive.scan_author import ScanAuthor
 from agent.predictive.scan_stream import NarrowBand, ScanStream
 from agent.predictive.shared_decoder import CachedReader, SharedDecoderCache
@@ -107,9 +108,14 @@ class PredictiveEncoding(GridEncoding):
         assert isinstance(stream, TileStream)
         settled = 1 if settings.laser is None else SETTLED
         patience = self._options.patience
-        bound = Bound(settings.encoding.tolerance, settled, closes_gaps=patience == 1)
+        bound = Bound(
+            settings.encoding.tolerance,
+            settled,
+            closes_gaps=patience == 1,
+            straightens=self._limits.is_narrow and patience == 1,
+        )
         if settings.medium.bandwidth.limit is not None and patience == 1:
-            return UrgentTileAuthor(stream, bound)
+            return (NarrowTileAuthor if self._limits.is_narrow else UrgentTileAuthor)(stream, bound)
         return TileAuthor(stream, bound, patience)
 
     def _stream(self, map_id: int, histories: Sequence[History]) -> Stream:

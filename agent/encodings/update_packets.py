@@ -1,10 +1,10 @@
 """How updates of the predictive encoding are cut into packets, and how many bytes a step encodes.
 
 Both depend on the budget of a step. A packet that does not fit into the rest of a budget leaves that rest unused, so
-packets are short: the budget holds `PACKETS_A_STEP` of them. If it is too small for a target and two of them, and all
-robots are always in range of each other, one packet fills it, except for the header that names the packet's offset in
-its log (`FromEarly`, or `From` behind offset `EARLY`). Such packets need no header but after a restart, so a target
-fits there instead.
+packets are short: the budget holds `PACKETS_A_STEP` of them. If it is too small for a target and two of them, or narrow
+with updates of tiles, and all robots are always in range of each other, one packet fills it, except for the header that
+names the packet's offset in its log (`FromEarly`, or `From` behind offset `EARLY`). Such packets need no header but
+after a restart, so a target fits there instead.
 """
 
 from __future__ import annotations
@@ -36,14 +36,19 @@ PACKETS_A_STEP = 3
 """Packets that the budget of a step holds, unless it is very small."""
 
 NARROW = 42
-"""Bytes per step below which scans are coded by better predictions (`agent.predictive.scan_stream.NarrowBand`)."""
+"""Bytes per step below which scans are coded by better predictions (`agent.predictive.scan_stream.NarrowBand`), and
+updates of tiles are long (`agent.predictive.narrow_tile_author`)."""
 
 NARROW_APART = 250
-"""The same limit if robots may leave each other's range. Each entry is then sent several times: to robots that meet."""
+"""The same limit for scans if robots may leave each other's range: each entry is then sent several times, to robots that
+meet."""
 
 FULL_STEPS = 2
 """Steps of which a full update of scans on a narrow medium takes the budget. With more, robots wait longer for their
 turn."""
+
+FULL_TILE_STEPS = 4
+"""The same for an update of tiles, which begins with more bytes of its own."""
 
 LONG_FRAGMENT = 32
 """Bytes of content of a packet from which updates of tiles, most of which take several packets, are split into packets
@@ -61,7 +66,7 @@ class UpdateLimits:
     step_bytes: float
     """Bytes after which a step encodes no more: changes that wait can still be merged with later ones.
 
-    If `is_narrow`, the limit of an update, `FULL_STEPS` budgets; with `fills`, as many packets.
+    If `is_narrow`, the limit of an update: `FULL_STEPS` or `FULL_TILE_STEPS` budgets; with `fills`, as many packets.
     """
     wait_steps: int
     """Steps for which few new cells wait (`ENOUGH_STEPS`)."""
@@ -71,7 +76,7 @@ class UpdateLimits:
     With such a budget, only one robot sends updates in a step, and updates rank by their new cells per byte.
     """
     is_narrow: bool = False
-    """Whether updates contain scans, and the budget of a step is below `NARROW` or `NARROW_APART`."""
+    """Whether the budget of a step is below `NARROW`, or `NARROW_APART`."""
 
     @classmethod
     def of(cls, settings: Settings) -> UpdateLimits:
@@ -82,10 +87,10 @@ class UpdateLimits:
             size = bandwidth // PACKETS_A_STEP - SHORT_HEAD
             hear_all = medium.reach_cells > math.hypot(settings.width, settings.height) - 1
             step_bytes = max(bandwidth, 1)
-            is_narrow = bandwidth < (NARROW if hear_all else NARROW_APART) and not settings.shares_tiles
+            is_narrow = bandwidth < (NARROW if hear_all or settings.shares_tiles else NARROW_APART)
             scarcity = FAIR_SHARE * settings.robots / max(bandwidth, 1)
             wait_steps = min(max(math.ceil(scarcity), 1), ENOUGH_STEPS)
-            is_filled = bandwidth < Target.size + 2 * Update.size
+            is_filled = bandwidth < (NARROW if settings.shares_tiles else Target.size + 2 * Update.size)
             fills = bandwidth if is_filled and hear_all and not settings.replication.requires_acks else 0
         if medium.frame_bytes is not None:
             size = min(size, medium.frame_bytes - SHORT_HEAD)
@@ -93,7 +98,7 @@ class UpdateLimits:
         size = min(max(size, UPDATE_DATA), LONG_UPDATE_DATA)
         if is_narrow:
             content = max(size, fills - FromEarly.size - SHORT_HEAD) if fills else step_bytes
-            step_bytes = FULL_STEPS * content
+            step_bytes = (FULL_TILE_STEPS if settings.shares_tiles else FULL_STEPS) * content
         splits_long = settings.shares_tiles and size >= LONG_FRAGMENT
         return cls(size, size if splits_long else UPDATE_DATA, step_bytes, wait_steps, fills, is_narrow)
 

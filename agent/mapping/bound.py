@@ -24,6 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from agent.mapping.estimator import Int8Grid
+from agent.mapping.straight_walls import fill_notches
 from protocol.arrays import Int64s
 from protocol.boxes import Box
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
@@ -56,6 +57,8 @@ class Bound:
     """Absolute log odds from which a cell is settled."""
     closes_gaps: bool = True
     """Whether the fifth condition counts; it serves robots that plan with the maps of others."""
+    straightens: bool = False
+    """Whether walls that receivers do not know yet are straightened (`agent.mapping.straight_walls`)."""
 
     def tiles_near(self, box: Box) -> tuple[slice, slice]:
         """Return the rows and columns of tiles in which changes of the cells in a box may violate the bound.
@@ -87,7 +90,10 @@ class Bound:
         """
         settled = self.settled if self.tolerance else 0
         last = _CLOSE if self.closes_gaps else _FILL
-        return int(_apply(own, log_odds, settled, held, tiles, self.tolerance, last, target, changed))
+        straightens = self.straightens and self.tolerance > 0
+        return int(
+            _apply(own, log_odds, settled, held, tiles, self.tolerance, last, straightens, target, changed)
+        )
 
 
 @kernel
@@ -208,6 +214,7 @@ def _apply(
     tiles: Grid,
     tolerance: int,
     last: int,
+    straightens: bool,
     target: Grid,
     changed: Grid,
 ) -> int:
@@ -235,4 +242,11 @@ def _apply(
                 after = _change_tile(phase, own, log_odds, settled, target, box, tolerance, before)
                 changed[tile_y, tile_x] = after
                 count += after and not before
+    if straightens:
+        for tile_y in range(top, bottom + 1):
+            for tile_x in range(left, right + 1):
+                if changed[tile_y, tile_x]:
+                    box[0], box[1] = tile_x * TILE, tile_y * TILE
+                    box[2], box[3] = min(box[0] + TILE, width), min(box[1] + TILE, height)
+                    fill_notches(own, held, target, box)
     return count

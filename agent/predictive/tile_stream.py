@@ -104,6 +104,15 @@ class TileStream(Stream):
             self.rollback()
             size *= 2
 
+    def size(self, own: Grid, log_odds: Int8Grid, bound: Bound, tiles: Grid, pose: tuple[int, int]) -> int:
+        """Return the bytes of the update that `encode` would return, 0 for None; the stream is unchanged."""
+        encoded = self.encode(own, log_odds, bound, tiles, pose)
+        if encoded is None:
+            return 0
+        self.histories[self.map_id].pop()
+        self.rollback()
+        return len(encoded[0])
+
     def _read_content(self, coder: Coder) -> DecodedUpdate:
         """Decode the pose and the tiles."""
         self._read_pose(coder)

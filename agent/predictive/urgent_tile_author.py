@@ -10,7 +10,8 @@ frequent as the budget allows. An update takes one of three kinds of tiles, the 
 3. all others. They bring copies within the bound, but hardly change plans. Those of no value are only ready once they
    have not changed for `WORTHLESS_QUIET_STEPS` steps, or have waited for `WORTHLESS_LONGEST_WAIT`.
 
-Of the first two, those with the most value per byte go first, of the last, those that have waited longest.
+Of the first two, those with the most value per byte go first, of the last, those that have waited longest. Narrow media
+have another order (`agent.predictive.narrow_tile_author`).
 
 While the robot stands still, its scans show hardly anything new. So none of its tiles waits for further changes. Robots
 that have finished stand still, so their last tiles arrive before the run ends.
@@ -27,6 +28,7 @@ from agent.predictive.history import DecodedUpdate
 from agent.predictive.tile_author import LONGEST_WAIT, TileAuthor
 from agent.predictive.tile_stream import TileStream
 from agent.predictive.tile_value import TileValues, tile_values
+from protocol.arrays import Int64s
 from protocol.grid import Grid
 
 FEW_QUIET_STEPS = 2
@@ -98,18 +100,35 @@ class UrgentTileAuthor(TileAuthor):
         if values is None or self._last_step == self._step:
             return chosen
         useful = self._violate & (values.cells >= LEAST_CELLS)
-        is_late = self._waiting_since <= self._step - LONGEST_WAIT
-        complete = useful & (values.is_complete | is_late | self._stands_still)
-        if useful.any():
-            places = np.flatnonzero(complete if complete.any() else useful)
-            order = np.argsort(
-                -values.cells.reshape(-1)[places] / values.size.reshape(-1)[places], kind="stable"
-            )
-        else:
-            places = np.flatnonzero(self._violate)
-            order = np.argsort(self._waiting_since.reshape(-1)[places], kind="stable")
-        places = places[order]
-        sizes = np.cumsum(values.size.reshape(-1)[places])
-        chosen.reshape(-1)[places[: max(1, int(np.searchsorted(sizes, most, side="right")))]] = True
+        places = self._order(values, useful)
+        chosen.reshape(-1)[places[: self._fitting(places, values, most)]] = True
         self._is_worth_much, self._has_more = bool(useful.any()), bool((useful & ~chosen).any())
         return chosen
+
+    def _order(self, values: TileValues, useful: NDArray[np.bool_]) -> Int64s:
+        """Return the tiles of one kind, by their flat indices, those first that are to be sent first.
+
+        `useful` marks the tiles of the first two kinds.
+        """
+        if not useful.any():
+            places = np.flatnonzero(self._violate)
+            return places[np.argsort(self._waiting_since.reshape(-1)[places], kind="stable")]
+        complete = self._complete(values, useful)
+        return most_per_byte(values, complete if complete.any() else useful)
+
+    def _complete(self, values: TileValues, useful: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return the tiles of the first kind."""
+        is_late = self._waiting_since <= self._step - LONGEST_WAIT
+        return useful & (values.is_complete | is_late | self._stands_still)
+
+    def _fitting(self, places: Int64s, values: TileValues, most: float) -> int:
+        """Return how many of the tiles, in their order, have about `most` bytes, but at least 1."""
+        sizes = np.cumsum(values.size.reshape(-1)[places])
+        return max(1, int(np.searchsorted(sizes, most, side="right")))
+
+
+def most_per_byte(values: TileValues, tiles: NDArray[np.bool_]) -> Int64s:
+    """Return some tiles, by their flat indices, those with the most value per byte first."""
+    places = np.flatnonzero(tiles)
+    rates = values.cells.reshape(-1)[places] / values.size.reshape(-1)[places]
+    return places[np.argsort(-rates, kind="stable")]

@@ -31,6 +31,8 @@ def tile_team(**settings: Any) -> Team:
         {"bandwidth": "unlimited"},
         {"bandwidth": 5},
         {"bandwidth": 15},
+        {"bandwidth": 25, "predictive": {"base": "own"}},
+        {"bandwidth": 25, "range": "40%"},
         {"bandwidth": 50, "predictive": {"base": "own"}},
         {"bandwidth": 50, "radio": {"frame_bytes": 20}},
         {"bandwidth": 50, "tolerance": 0},
@@ -39,8 +41,8 @@ def tile_team(**settings: Any) -> Team:
         {"bandwidth": 100, "radio": {"loss": 0.2}, "digests": True},
     ],
     ids=[
-        "unlimited", "5 B", "15 B", "base own", "short frames", "tolerance 0", "exact lasers", "a short range",
-        "loss and digests",
+        "unlimited", "5 B", "15 B", "25 B, base own", "25 B, range 40 %", "base own", "short frames", "tolerance 0",
+        "exact lasers", "a short range", "loss and digests",
     ],
 )  # fmt: skip
 def test_whoever_holds_the_logs_of_a_robot_decodes_its_map(settings: dict[str, Any]) -> None:

@@ -10,6 +10,7 @@ import pytest
 from agent.mapping.bound import TILE, Bound, tiles_of
 from agent.mapping.estimator import SETTLED
 from agent.predictive.history import DecodedUpdate, History
+from agent.predictive.narrow_tile_author import NarrowTileAuthor
 from agent.predictive.scan_updates import STATE
 from agent.predictive.tile_author import (
     ENOUGH_TILES,
@@ -290,7 +291,7 @@ def test_after_a_restart_the_whole_grid_is_sent_again() -> None:
 @pytest.mark.parametrize("most", [5, 40, math.inf])
 @pytest.mark.parametrize("tolerance", [0, 1, 2])
 @pytest.mark.parametrize("seed", range(2))
-@pytest.mark.parametrize("author", [TileAuthor, UrgentTileAuthor])
+@pytest.mark.parametrize("author", [TileAuthor, UrgentTileAuthor, NarrowTileAuthor])
 def test_when_nothing_waits_any_more_the_copy_fulfills_the_bound(
     author: type[TileAuthor], seed: int, tolerance: int, most: float
 ) -> None:

@@ -46,9 +46,12 @@ def disturb(random: np.random.Generator, own: Grid, log_odds: NDArray[np.int8]) 
 
 @pytest.mark.parametrize("tolerance", [0, 1, 2])
 @pytest.mark.parametrize("team", [True, False])
+@pytest.mark.parametrize("straightens", [False, True])
 @pytest.mark.parametrize("seed", range(2))
-def test_the_bound_holds_at_every_receiver_after_every_update(seed: int, team: bool, tolerance: int) -> None:
-    random, bound = np.random.default_rng(seed), Bound(tolerance, SETTLED)
+def test_the_bound_holds_at_every_receiver_after_every_update(
+    seed: int, straightens: bool, team: bool, tolerance: int
+) -> None:
+    random, bound = np.random.default_rng(seed), Bound(tolerance, SETTLED, straightens=straightens)
     authors = [Side(team=team) for _ in range(MAPS)]
     own = np.zeros((MAPS, HEIGHT, WIDTH), np.uint8)
     log_odds = np.zeros((MAPS, HEIGHT, WIDTH), np.int8)
@@ -61,7 +64,11 @@ def test_the_bound_holds_at_every_receiver_after_every_update(seed: int, team: b
             tiles[map_id][bound.tiles_near(disturb(random, own[map_id], log_odds[map_id]))] = 1
         stream = author.streams[map_id]
         pose = int(random.integers(WIDTH)), int(random.integers(HEIGHT))
+        before = stream.grid.copy()
+        size = stream.size(own[map_id], log_odds[map_id], bound, tiles[map_id], pose)
+        assert np.array_equal(stream.grid, before)
         encoded = stream.encode(own[map_id], log_odds[map_id], bound, tiles[map_id], pose)
+        assert size == (len(encoded[0]) if encoded is not None else 0)
         tiles[map_id] = 0
         if encoded is not None:
             stream.commit()
