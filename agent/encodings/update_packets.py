@@ -40,8 +40,8 @@ NARROW = 42
 updates of tiles are long (`agent.predictive.narrow_tile_author`)."""
 
 NARROW_APART = 250
-"""The same limit for scans if robots may leave each other's range: each entry is then sent several times, to robots that
-meet."""
+"""The same limit for scans if robots may leave each other's range: each update is then sent several times, to robots
+that meet."""
 
 FULL_STEPS = 2
 """Steps of which a full update of scans on a narrow medium takes the budget. With more, robots wait longer for their
