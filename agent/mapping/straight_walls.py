@@ -5,7 +5,8 @@ cells between two walls. Its cells become walls if each of them has a wall of th
 perpendicular to the notch, and free space on the other side. So the copy stays within the bound (`agent.mapping.bound`)
 with any tolerance of at least 1, and openings between two walls stay open.
 
-Only cells that receivers do not know become walls, so no cell changes back and forth.
+Only cells that receivers do not know become walls, so no cell changes back and forth. Cells that the author does not know
+stay unknown: behind a thin wall, there may be a passage of the next room.
 """
 
 from __future__ import annotations
@@ -16,7 +17,6 @@ from protocol.kernels import kernel
 
 LONGEST_NOTCH = 3
 """Cells of the longest notch that is filled; longer ones save hardly any bytes."""
-
 
 CLEARANCE = 4
 """Cells without a wall that remain in front of a filled notch: robots must still fit through narrow passages."""
@@ -40,7 +40,7 @@ def _is_clear(own: Grid, x: int, y: int, dx: int, dy: int) -> bool:
 @kernel
 def _may_fill(own: Grid, held: Grid, target: Grid, x: int, y: int, dx: int, dy: int) -> bool:
     """Whether a cell of a notch in direction (`dx`, `dy`) may become a wall."""
-    if held[y, x] & 3 != UNKNOWN or target[y, x] == OCCUPIED:
+    if held[y, x] & 3 != UNKNOWN or own[y, x] == UNKNOWN or target[y, x] == OCCUPIED:
         return False
     is_free = own[y, x] == FREE
     for side in (-1, 1):

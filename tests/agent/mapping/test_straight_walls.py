@@ -84,7 +84,7 @@ def test_with_tolerance_0_nothing_is_straightened() -> None:
 
 @pytest.mark.parametrize("tolerance", [1, 2])
 @pytest.mark.parametrize("seed", range(8))
-def test_the_bound_holds_and_only_cells_that_receivers_do_not_know_become_walls(
+def test_the_bound_holds_and_only_cells_that_the_author_knows_and_receivers_do_not_become_walls(
     seed: int, tolerance: int
 ) -> None:
     random = np.random.default_rng(seed)
@@ -96,4 +96,5 @@ def test_the_bound_holds_and_only_cells_that_receivers_do_not_know_become_walls(
     differ = plain != straight
     assert differ.any()
     assert (held[differ] == UNKNOWN).all()
+    assert (own[differ] != UNKNOWN).all()
     assert (straight[differ] == OCCUPIED).all()
