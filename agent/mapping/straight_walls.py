@@ -5,8 +5,8 @@ cells between two walls. Its cells become walls if each of them has a wall of th
 perpendicular to the notch, and free space on the other side. So the copy stays within the bound (`agent.mapping.bound`)
 with any tolerance of at least 1, and openings between two walls stay open.
 
-Only cells that receivers do not know become walls, so no cell changes back and forth. Cells that the author does not know
-stay unknown: behind a thin wall, there may be a passage of the next room.
+Only cells that receivers do not know become walls, so no cell changes back and forth. Cells that the author does not
+know stay unknown: behind a thin wall, there may be a passage of the next room.
 """
 
 from __future__ import annotations
