@@ -60,7 +60,7 @@ VERIFY_STEPS = 3
 
 DELIVERY_STEPS = 5
 """Most steps for which a robot that has nothing left waits until teammates in range hold the areas that it has found:
-its report may end the run, and they would lack them."""
+its report may end the run, and they would lack them. If updates are long, it waits as long as two of them take."""
 
 
 ABOUT_LOGS = LogDigest, Held, HeldEarly
@@ -332,7 +332,7 @@ class Robot:
         """Return for how many further steps it waits if teammates in range lack areas that it has found."""
         in_range = bool(self._team.in_range)
         has_news = in_range and self._encoding.has_news(delivered=self.replication.delivered())
-        return DELIVERY_STEPS if has_news else 0
+        return max(DELIVERY_STEPS, 2 * self._encoding.update_steps) if has_news else 0
 
     def _apply(self, decision: Decision) -> None:
         """Take over a decision, and prepare what teammates are sent of it."""

@@ -53,6 +53,9 @@ class MapEncoding(ABC):
     urgency: float | None = None
     """How much the packets added last change the plans of teammates, per byte; None: packets have no ranks."""
 
+    update_steps: int = 1
+    """Steps of which the longest update takes the budget."""
+
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         self.log_odds: Int8Grid = np.empty((0, 0), np.int8)

@@ -77,6 +77,7 @@ class PredictiveEncoding(GridEncoding):
         self._options = settings.encoding.predictive
         self._own_map = settings.own_map
         self._limits = UpdateLimits.of(settings)
+        self.update_steps = self._limits.full_steps
         self._histories = [History() for _ in range(settings.maps)]
         self._scratch = np.empty((2 * settings.height * settings.width, 2), np.int32)
         self._author = self._make_author()

@@ -75,13 +75,16 @@ class UpdateLimits:
 
     With such a budget, only one robot sends updates in a step, and updates rank by their new cells per byte.
     """
+    full_steps: int = 1
+    """Steps of which a full update takes the budget."""
     is_narrow: bool = False
     """Whether the budget of a step is below `NARROW`, or `NARROW_APART`."""
 
     @classmethod
     def of(cls, settings: Settings) -> UpdateLimits:
         """Derive the limits from the team's budget and the frame size."""
-        size, step_bytes, wait_steps, fills, is_narrow = LONG_UPDATE_DATA, math.inf, 1, 0, False
+        size, step_bytes, wait_steps = LONG_UPDATE_DATA, math.inf, 1
+        fills, full_steps, is_narrow = 0, 1, False
         medium = settings.medium
         if (bandwidth := medium.bandwidth.limit) is not None:
             size = bandwidth // PACKETS_A_STEP - SHORT_HEAD
@@ -98,9 +101,11 @@ class UpdateLimits:
         size = min(max(size, UPDATE_DATA), LONG_UPDATE_DATA)
         if is_narrow:
             content = max(size, fills - FromEarly.size - SHORT_HEAD) if fills else step_bytes
-            step_bytes = (FULL_TILE_STEPS if settings.shares_tiles else FULL_STEPS) * content
+            full_steps = FULL_TILE_STEPS if settings.shares_tiles else FULL_STEPS
+            step_bytes = full_steps * content
         splits_long = settings.shares_tiles and size >= LONG_FRAGMENT
-        return cls(size, size if splits_long else UPDATE_DATA, step_bytes, wait_steps, fills, is_narrow)
+        fragment_bytes = size if splits_long else UPDATE_DATA
+        return cls(size, fragment_bytes, step_bytes, wait_steps, fills, full_steps, is_narrow)
 
     def packets(self, message: bytes, number: int, offset: int) -> list[bytes]:
         """Split update `number` of a log into packets, the first of which has this offset in the log."""

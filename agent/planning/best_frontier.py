@@ -80,7 +80,7 @@ def _search(
     length = work[0]
     fill = np.empty(5, np.int64)
     buckets = begin(work, fill, start)
-    offset = offsets(stride)
+    offset = offsets(1, stride)
     here = np.empty(2, np.int32)
     # Entries: negative bound, cell, number of counted targets, utility after these.
     queue = [(0.0, buckets[0, 0], 0, 0.0)]

@@ -238,20 +238,11 @@ def settle(
 
 
 @kernel
-def offsets(stride: int) -> Int64s:
-    """Return the index difference of each step on a flat floor."""
+def offsets(right: int, down: int) -> Int64s:
+    """Return the index difference of each step on a flat floor, given those of a step right and of one down."""
     offset = np.empty(8, np.int64)
     for number in range(8):
-        offset[number] = _STEPS[number, 1] * stride + _STEPS[number, 0]
-    return offset
-
-
-@kernel
-def turned_offsets(stride: int) -> Int64s:
-    """Return the index difference of each step on a flat floor of columns, each with `stride` cells."""
-    offset = np.empty(8, np.int64)
-    for number in range(8):
-        offset[number] = _STEPS[number, 0] * stride + _STEPS[number, 1]
+        offset[number] = _STEPS[number, 0] * right + _STEPS[number, 1] * down
     return offset
 
 
@@ -281,7 +272,7 @@ def _spread(free: Bools, start: int, work: Workspace, field: Field) -> None:
     fill = np.empty(5, np.int64)
     buckets = begin(work, fill, start)
     _settle_until(
-        free, work, buckets, fill, offsets(width + 2), 0, start, 0, NO_BOUND
+        free, work, buckets, fill, offsets(1, width + 2), 0, start, 0, NO_BOUND
     )  # cell 0, on the rim, is never settled
     length = work[0]
     for row in range(height):
@@ -297,7 +288,7 @@ def _spread_to(free: Bools, stride: int, start: int, cells: Cells, work: Workspa
     length, came, _ = work
     fill = np.empty(5, np.int64)
     buckets, level = begin(work, fill, start), 0
-    offset = offsets(stride)
+    offset = offsets(1, stride)
     for index in range(len(cells)):
         cell = (cells[index, 1] + 1) * stride + cells[index, 0] + 1
         if came[cell] != _SETTLED:  # else the search for an earlier cell has passed this one
@@ -309,7 +300,7 @@ def _spread_to(free: Bools, stride: int, start: int, cells: Cells, work: Workspa
 @kernel
 def _lead(free: Bools, stride: int, start: int, end: int, limit: int, work: Workspace) -> tuple[bool, Cells]:
     fill = np.empty(5, np.int64)
-    offset = offsets(stride)
+    offset = offsets(1, stride)
     _settle_until(free, work, begin(work, fill, start), fill, offset, 0, start, end, (end, limit))
     found = work[0][end] != FAR
     cells = way_back(free, work[0], offset, end) if found else np.empty((0, 2), np.int32)
@@ -326,7 +317,7 @@ def _spread_to_frontier(
     stride = grid.shape[1] + 2
     fill = np.empty(5, np.int64)
     buckets = begin(work, fill, start)
-    offset = offsets(stride)
+    offset = offsets(1, stride)
     level = 0
     first = -1
     found = -1

@@ -16,7 +16,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.planning.cost_field import ONE, ROOT, SHIFT, UNIT, offsets, turned_offsets
+from agent.planning.cost_field import ONE, ROOT, SHIFT, UNIT, offsets
 from agent.planning.frontier import Floor
 from protocol.arrays import BoolRows, Bools, Cells, FloatRows, Int16s, Int64Rows, Int64s, Uint8s
 from protocol.kernels import kernel
@@ -271,7 +271,7 @@ def _search(
     """
     height, stride = floor.shape
     free = floor.reshape(height * stride)
-    offset, turned_offset = offsets(stride), turned_offsets(height)
+    offset, turned_offset = offsets(1, stride), offsets(height, 1)
     ends = np.empty(len(goals), np.int64)
     for number in range(len(goals)):
         ends[number] = goals[number, 1] * stride + goals[number, 0]

@@ -53,7 +53,6 @@ def test_strategies_finish_with_real_sensors(strategy: str) -> None:
 
 @pytest.mark.parametrize("seed", [1, 3, 5])
 def test_a_robot_reports_the_end_once_its_teammate_holds_the_areas_that_it_has_found(seed: int) -> None:
-    """Tiles that would not change the teammate's plans may be missing."""
     noisy: dict[str, Any] = {"laser": {"preset": "utm-30lx"}, "pose": {"preset": "graph-slam"}}
     team = Team(
         small_plan(
@@ -65,7 +64,7 @@ def test_a_robot_reports_the_end_once_its_teammate_holds_the_areas_that_it_has_f
     first = next(robot for robot, move in team.moves.items() if move.explored)
     robot, teammate = team.robots[first], team.robots[1 - first]
     found = (robot.own == FREE) & robot.settled
-    assert 0.98 * found.sum() < (found & (teammate.planning != UNKNOWN)).sum()
+    assert 0.995 * found.sum() < (found & (teammate.planning != UNKNOWN)).sum()
 
 
 def test_the_summary_tells_how_well_walls_fit_the_true_ones_and_each_other() -> None:
