@@ -99,7 +99,7 @@ class GossipPolicy:
                 self._served = peer
 
     def _bring(self, add: Add, peer: int, will_hold: list[int], number: int, end: int) -> None:
-        """Send what a peer lacks of a map before offset `end`, and before each range what it depends on.
+        """Send the entries of a map before offset `end` that a peer lacks, each range behind those on which it depends.
 
         `will_hold` are the peer's log lengths once it has received the frame.
         """
@@ -116,7 +116,7 @@ class GossipPolicy:
         self._send(add, peer, will_hold, number, end)
 
     def _send(self, add: Add, peer: int, will_hold: list[int], number: int, end: int) -> None:
-        """Send what a peer lacks of a map before offset `end`, but not what is in the frame already."""
+        """Send the entries of a map before offset `end` that a peer lacks, unless the frame has them already."""
         first = will_hold[number]
         if first >= end:
             return

@@ -166,7 +166,7 @@ class Repairmen(TeamStrategy):
         self._given_up: dict[int, int] = {}
         """By teammate that the robot no longer relies on: the step of its last received target at that time."""
         self._members: tuple[Situation | None, int, dict[int, Cell]] = None, 0, {}
-        """The last result of `team`, and what it follows from: the situation and `_waited`."""
+        """The last result of `team`, and its inputs: the situation and `_waited`."""
 
     @property
     def _range_cells(self) -> float:
