@@ -17,6 +17,7 @@ OptionFlag = Annotated[
     list[str] | None,
     typer.Option(metavar="NAME=VALUE", help="as width_m=60, height_m=40 or clutter=5; repeatable"),
 ]
+ResolutionFlag = Annotated[float | None, typer.Option(metavar="M", help="meters per cell")]
 maps_app = subcommands(app, "map", "List, make and show maps.")
 
 
@@ -36,6 +37,7 @@ def map_make(
     name: Annotated[str, typer.Argument(metavar="NAME", help="a name from `murmur map list`")],
     seed: Annotated[int, typer.Option(min=0, metavar="S", help="seed of the generator")] = 0,
     option: OptionFlag = None,
+    resolution: ResolutionFlag = None,
     out: Annotated[Path | None, typer.Option(metavar="FILE.yaml", help="default: NAME.yaml here")] = None,
 ) -> None:
     """Make a map and write it in the format of ROS map_server: a YAML file and its picture."""
@@ -44,7 +46,7 @@ def map_make(
     path = out or Path(f"{name}.yaml")
     if path.suffix not in (".yaml", ".yml"):
         raise ValueError(f"out = {path}: must end in .yaml")
-    maps.save(generators.make(name, seed=seed, **map_options(option)), path)
+    maps.save(generators.make(name, seed=seed, **map_options(option, resolution)), path)
     screen.print(f"{path}: {generators.describe(name)}, seed {seed}")
 
 
@@ -52,18 +54,15 @@ def map_make(
 def map_show(
     file: Annotated[str, typer.Argument(metavar="FILE|NAME", help="a map file, or a generator's name")],
     seed: Annotated[int, typer.Option(min=0, metavar="S", help="the generator's seed")] = 0,
-    resolution: Annotated[
-        float | None, typer.Option(metavar="M", help="meters per cell of a generated map or a picture")
-    ] = None,
     option: OptionFlag = None,
+    resolution: ResolutionFlag = None,
     png: Annotated[Path | None, file_option("FILE.png", "draw the map with axes in meters")] = None,
 ) -> None:
     """Show a map in the terminal, with its size."""
     from deploy.commands.sketch import sketch  # noqa: PLC0415
     from deploy.scenario.finding_maps import find_map  # noqa: PLC0415
 
-    options = map_options(option) | ({} if resolution is None else {"resolution": resolution})
-    world_map = find_map(file, seed, options)
+    world_map = find_map(file, seed, map_options(option, resolution))
     free = int((world_map.cells == 1).sum())
     screen.print(sketch(world_map.cells, screen))
     screen.print(
@@ -79,7 +78,7 @@ def map_show(
         screen.print(f"drawn to {png}")
 
 
-def map_options(texts: list[str] | None) -> dict[str, float]:
+def map_options(texts: list[str] | None, resolution: float | None) -> dict[str, float]:
     """Return the options of a generator, given as NAME=VALUE; ValueError if one is not NAME=VALUE with a number."""
     options = named_values(texts or [], "option", "width_m=60")
     for name, value in options.items():
@@ -87,4 +86,4 @@ def map_options(texts: list[str] | None) -> dict[str, float]:
             raise ValueError(f"option = '{name}={value}': must be a number")
         if name == "seed":
             raise ValueError("option = 'seed=...': use --seed")
-    return options
+    return options if resolution is None else options | {"resolution": resolution}

@@ -178,7 +178,11 @@ def _named(
             raise ScenarioError(f"two of the scenarios are the same: {same}")
         else:
             differing = {k: v for k, v in own.items() if any(other.get(k) != v for other in settings)}
-            name = ", ".join(v if isinstance(v, str) else f"{k} {v}" for k, v in differing.items()) or "plain"
+            keyed = {k: f"{k} {v}" for k, v in differing.items()}
+            words = {k: v for k, v in differing.items() if isinstance(v, str) and v[:1].isalpha()}
+            name = ", ".join((keyed | words).values()) or "plain"
+            if name in named:
+                name = ", ".join(keyed.values())
         if name in named:
             raise ScenarioError(f"two scenarios are called {name!r}: rename a file, or use a dict in Python")
         named[name] = own

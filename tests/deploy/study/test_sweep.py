@@ -133,6 +133,7 @@ def test_scenarios_of_files_and_objects_are_compared_by_their_names(tmp_path: Pa
         ([ROOMS, ROOMS], {}, "two of the scenarios are the same: map = "),
         ({"a": ROOMS, "b": ROOMS}, {}, "two of the scenarios are the same"),
         ([ROOMS, ROOMS | {"robots": 0}], {}, "robots = 0"),
+        ([ROOMS | {"strategy": "meier"}, ROOMS | {"strategi": "meier"}], {}, "strategi: unknown setting"),
         ([ROOMS, ROOMS | {"speed": 2.0}], {"metric": "stepz"}, "'stepz' is not a metric"),
     ],
 )
