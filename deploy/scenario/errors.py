@@ -57,10 +57,11 @@ def _line(item: Any, keys: Mapping[str, list[str]]) -> str:
     message = str(item["msg"]).removeprefix("Value error, ")
     for theirs, ours in _WORDING.items():
         message = message.replace(theirs, ours)
-    message = re.sub(r"a dictionary or an instance of \w+", "a table", message)
+    path = [part for part in item["loc"] if isinstance(part, str)]
+    wanted = f"a table of {', '.join(keys['.'.join(path)])}" if ".".join(path) in keys else "a table"
+    message = re.sub(r"a dictionary or an instance of \w+", wanted, message)
     if item["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
-        table = ".".join(str(part) for part in item["loc"][:-1] if isinstance(part, str))
-        return f"{key}: unknown setting; {there_are(keys[table], str(item['loc'][-1]))}"
+        return f"{key}: unknown setting; {there_are(keys['.'.join(path[:-1])], path[-1])}"
     if item["type"] == "missing":
         return f"{key} is missing"
     return f"{key} = {shown(item['input'])}: {message}" if key else message

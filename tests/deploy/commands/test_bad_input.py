@@ -228,7 +228,7 @@ EXPLORE = {
     "--set pose.preset=[]": "pose.preset = []: there are: exact, graph-slam,",
     "--set pose.heading_error_deg=1e300": "heading_error_deg = 1e+300: must be 0 to 10 degrees",
     "--set pose=slam": "pose.preset = 'slam': there are: exact, graph-slam, particle-filter",
-    "--set pose=3": "pose = 3: must be a table",
+    "--set pose=3": "pose = 3: must be a table of preset, position_error_m",
     "--set laser.preset=[]": "laser.preset = []: there are: ideal, sick-lms,",
     "--set laser.preset=ideal --laser sick-lms": "set = 'laser.preset=...': --laser is given, too; remove one",
     "--laser sick": "laser.preset = 'sick': did you mean sick-lms?",
