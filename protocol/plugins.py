@@ -34,8 +34,8 @@ from protocol.errors import shown, there_are
 
 Part = TypeVar("Part")
 
-MAX_NAME = 200
-"""Maximum length of the name of a file with a plug-in."""
+MAX_NAME = 60
+"""Maximum characters of the name of a file with a plug-in: a file system allows 255 bytes, a character takes up to 4."""
 
 MAIN = "__main__"
 """The module of a script or notebook. Other processes cannot import it."""

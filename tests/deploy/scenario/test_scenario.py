@@ -146,6 +146,7 @@ WRONG = [
         "map_encoding = 'smoke': no map encoding is called 'smoke'; there are: .*scans",
     ),
     ({"strategy": "best"}, "no strategy is called 'best'; there are: .*meier"),
+    ({"strategy": "é" * 400}, "no strategy is called"),
     ({"dissemination": "never"}, "dissemination = 'never': .*there are: backoff, thesis, gossip;"),
     ({"radio": {"model": "disk"}}, "no radio model is called 'disk'; did you mean disc"),
     ({"radio": {"preset": "wify"}}, "no radio preset is called 'wify'; did you mean wifi"),
