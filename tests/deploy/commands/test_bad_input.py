@@ -68,7 +68,7 @@ FILES = {
     "nowhere.json": '{"run": "a", "name": "r0", "hub": "the hub", "password": "x"}',
     "deep.toml": "options = " + 5000 * "[" + 5000 * "]",
     "deep.yaml": 5000 * "[" + 5000 * "]",
-    "deep.json": 100_000 * "[",
+    "deep.json": '{"depth": ' + 100_000 * "[",
     "endless.yaml": YAML.format(image="/dev/zero"),
     "coarse.yaml": YAML.format(image="room.png").replace("0.1", "900000", 1),
     "afar.yaml": YAML.format(image="room.png").replace("[0, 0, 0]", "[1.0e+308, 0, 0]"),
