@@ -221,7 +221,7 @@ EXPLORE = {
     "reuse.toml": "reuse = 'yes': must be true or false",
     f"--set radio.delay={400 * '9'}": "999: must lie between -2147483647 and 2147483647",
     f"--set laser.beams={400 * '9'}": "999: must lie between -2147483647 and 2147483647",
-    "--set laser.missing=NaN": "missing = nan: must be a probability, from 0 to 1",
+    "--set laser.missing=NaN": "missing = nan: must be 0 to 1",
     "--set laser.range_error_m=Infinity": "range_error_m = inf: must be 0 to 1 m",
     "--set laser.short=[0.1]": "short = [0.1]: must be a number",
     "--set laser.noise=1": "laser.noise: unknown setting; there are: preset, range_error_m,",
