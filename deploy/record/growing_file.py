@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import csv
 import io
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -38,9 +38,9 @@ class GrowingFile(io.FileIO):
         self.write(text.getvalue().encode())
 
 
-def close_all(files: Iterable[GrowingFile]) -> None:
+def close_all(files: Sequence[GrowingFile]) -> None:
     """Close files; OSError if one of them could not be written."""
-    for file in (files := list(files)):
+    for file in files:
         file.close()
     for file in files:
         if file.failure is not None:
