@@ -174,9 +174,10 @@ class KnownBuilding:
 
 
 def known_map_steps(plan: Plan) -> int:
-    """Return the steps of the offline plan for a run's map and starts; all robots have the first one's hardware.
+    """Return the steps of the offline plan for a run's map and starts.
 
-    The last results are kept, because runs of different strategies share them.
+    All robots are assumed to have the hardware of the first one. The last results are kept, because runs of different
+    strategies share them.
     """
     body, cells = plan.world.bodies[0], plan.map.cells
     starts = tuple((int(x), int(y)) for x, y in plan.world.starts)
