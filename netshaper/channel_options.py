@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
-from protocol.bounds import check_bounds
+from protocol.bounds import Range, check_ranges
 
 MAX_STEPS = 10_000
 """Maximum delay of a frame in steps."""
 
 MOST = 1e6
 """Largest value of options without another limit."""
+
+Probability = Annotated[float, Range(0, 1)]
 
 
 @dataclass(frozen=True)
@@ -34,19 +37,18 @@ class ChannelOptions:
         Whether frames end with a checksum in any case.
     """
 
-    loss: float = 0.0
-    burst_loss: float = 1.0
-    burst_every: float = 0.0
-    burst_steps: float = 5.0
-    delay: int = 0
-    jitter: int = 0
-    duplication: float = 0.0
-    bit_errors: float = 0.0
+    loss: Probability = 0.0
+    burst_loss: Probability = 1.0
+    burst_every: Annotated[float, Range(0, MOST)] = 0.0
+    burst_steps: Annotated[float, Range(1, MOST)] = 5.0
+    delay: Annotated[int, Range(0, MAX_STEPS)] = 0
+    jitter: Annotated[int, Range(0, MAX_STEPS)] = 0
+    duplication: Probability = 0.0
+    bit_errors: Probability = 0.0
     checksums: bool = False
 
     def __post_init__(self) -> None:
-        for name, least, most in _BOUNDS:
-            check_bounds(self, name, least, most)
+        check_ranges(self)
         if 0 < self.burst_every < 1:
             raise ValueError(f"burst_every = {self.burst_every:g}: must be 0 (no bursts), or 1 step or more")
 
@@ -61,15 +63,3 @@ class ChannelOptions:
         return not (
             self.loss or self.burst_every or self.delay or self.jitter or self.duplication or self.sums
         )
-
-
-_BOUNDS = (
-    ("loss", 0, 1),
-    ("burst_loss", 0, 1),
-    ("burst_every", 0, MOST),
-    ("burst_steps", 1, MOST),
-    ("delay", 0, MAX_STEPS),
-    ("jitter", 0, MAX_STEPS),
-    ("duplication", 0, 1),
-    ("bit_errors", 0, 1),
-)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 from netshaper.channel_options import MOST, ChannelOptions
-from protocol.bounds import check_bounds
+from protocol.bounds import Range, check_ranges
 
 MIN_FRAME = 16
 """Minimum frame size in bytes: the longest packet that cannot be split, a broadcast, and a checksum."""
@@ -65,15 +65,14 @@ class PathLossOptions:
         Side of the squares in which the shadowing is the same.
     """
 
-    exponent: float = 2.0
-    db_per_meter: float = 0.0
-    db_per_wall: float = 6.9
-    shadowing_db: float = 0.0
-    shadowing_m: float = 5.0
+    exponent: Annotated[float, Range(0.1, 10)] = 2.0
+    db_per_meter: Annotated[float, Range(0, 1000)] = 0.0
+    db_per_wall: Annotated[float, Range(0, 1000)] = 6.9
+    shadowing_db: Annotated[float, Range(0, 100)] = 0.0
+    shadowing_m: Annotated[float, Range(0.01, MOST)] = 5.0
 
     def __post_init__(self) -> None:
-        for name, least, most in _PATH_LOSS_BOUNDS:
-            check_bounds(self, name, least, most)
+        check_ranges(self)
 
 
 @dataclass(frozen=True)
@@ -102,19 +101,16 @@ class RadioOptions(PathLossOptions, ChannelOptions):
     __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
 
     preset: str = ""
-    frame_bytes: int = 0
+    frame_bytes: Annotated[int, Range(0, 65535)] = 0
     model: str = "disc"
-    send_bytes: int = 0
-    receive_bytes: int = 0
-    duty_cycle: float = 1.0
+    send_bytes: Annotated[int, Range(0, 2**31 - 1)] = 0
+    receive_bytes: Annotated[int, Range(0, 2**31 - 1)] = 0
+    duty_cycle: Annotated[float, Range(0, 1)] = 1.0
     reuse: bool = False
     partition: tuple[Partition, ...] = ()
 
     def __post_init__(self) -> None:
         ChannelOptions.__post_init__(self)
-        PathLossOptions.__post_init__(self)
-        for name, least, most in _LIMIT_BOUNDS:
-            check_bounds(self, name, least, most)
         for name in ("frame_bytes", "send_bytes", "receive_bytes"):
             if 0 < getattr(self, name) < MIN_FRAME:
                 raise ValueError(
@@ -128,18 +124,3 @@ class RadioOptions(PathLossOptions, ChannelOptions):
         """Whether the channel is lossless and the shared budget is the only limit."""
         limited = self.send_bytes or self.receive_bytes or self.duty_cycle < 1 or self.reuse
         return self.lossless and not limited
-
-
-_PATH_LOSS_BOUNDS = (
-    ("exponent", 0.1, 10),
-    ("db_per_meter", 0, 1000),
-    ("db_per_wall", 0, 1000),
-    ("shadowing_db", 0, 100),
-    ("shadowing_m", 0.01, MOST),
-)
-_LIMIT_BOUNDS = (
-    ("frame_bytes", 0, 65535),
-    ("send_bytes", 0, 2**31 - 1),
-    ("receive_bytes", 0, 2**31 - 1),
-    ("duty_cycle", 0, 1),
-)

@@ -31,7 +31,7 @@ def shown(value: object) -> str:
     return _SHORT.repr(value)
 
 
-def there_are(known: Iterable[str], name: str = "") -> str:
+def there_are(known: Iterable[str], name: str) -> str:
     """Return the end of an error text on an unknown `name`: the most similar of the `known` names, then all."""
     stems = {each.removesuffix(".toml"): each for each in known}
     near = difflib.get_close_matches(name.lower().removesuffix(".toml"), stems)

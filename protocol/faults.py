@@ -79,11 +79,6 @@ def check(faults: Iterable[FaultEvent], robots: int) -> None:
             gone.pop(fault.robot, None)
 
 
-def deafen(faults: Iterable[FaultEvent]) -> bool:
-    """Return whether some robot may become deaf. Senders of broadcasts cannot notice that without acknowledgments."""
-    return any(fault.kind == "deaf" for fault in faults)
-
-
 def incarnations(faults: Iterable[FaultEvent]) -> int:
     """Return how often a robot may start at most: once, and once more for each of its restarts."""
     counts = Counter(fault.robot for fault in faults if fault.kind == "restart")

@@ -269,7 +269,7 @@ def _is_installed(place: str) -> bool:
 
 
 PACKAGES = ("agent", "deploy", "netshaper", "protocol", "worldsim")
-"""The packages of this project whose parts a scenario may name."""
+"""The packages of this project that a run consists of; scenarios may name parts of them."""
 
 
 def package(point: EntryPoint) -> str:

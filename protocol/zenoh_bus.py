@@ -13,9 +13,11 @@ import os
 import re
 import threading
 import time
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
+
+import msgspec
 
 from protocol import keys as names
 from protocol.alarm import Alarm
@@ -75,40 +77,32 @@ class Credential:
     def read(cls, path: Path) -> Credential:
         """Read a credential file; ValueError if it is unreadable or malformed."""
         try:
-            text = read_file(path).decode()
+            data = read_file(path)
         except OSError as error:
             raise ValueError(f"credential {path}: {error.strerror}") from None
-        except ValueError as error:
-            raise ValueError(f"credential {path}: not JSON ({error})") from None
-        return cls.parse(text, f"credential {path}")
+        return cls.parse(data, f"credential {path}")
 
     @classmethod
-    def parse(cls, text: str, where: str = "credential") -> Credential:
+    def parse(cls, data: str | bytes, where: str = "credential") -> Credential:
         """Read a credential from JSON; ValueError, whose text starts with `where`, if it is malformed."""
+        needs = (
+            f"{where}: needs the strings run, name, hub, password, or a certificate instead of the password"
+        )
         try:
-            data = json.loads(text)
-        except (ValueError, RecursionError) as error:
+            found = msgspec.json.decode(data, type=cls)
+        except msgspec.ValidationError as error:
+            raise ValueError(f"{needs} ({error})") from None
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
             raise ValueError(f"{where}: not JSON ({error})") from None
-        certificate = data.get("certificate") if isinstance(data, dict) else None
-        wanted = ["run", "name", "hub", *(["password"] if certificate is None else [])]
-        if not isinstance(data, dict) or any(not isinstance(data.get(key), str) for key in wanted):
-            raise ValueError(f"{where}: needs the strings {', '.join(wanted)}")
-        parts = [field.name for field in fields(Certificate)]
-        if certificate is not None and (
-            not isinstance(certificate, dict)
-            or any(not isinstance(certificate.get(key), str) for key in parts)
-        ):
-            raise ValueError(f"{where}: its certificate needs the strings {', '.join(parts)}")
-        Keys(data["run"])
-        port = re.fullmatch(r"(?:tcp|tls)/\S+:([0-9]{1,5})", data["hub"])
+        if found.certificate is None and not found.password:
+            raise ValueError(needs)
+        Keys(found.run)
+        port = re.fullmatch(r"(?:tcp|tls)/\S+:([0-9]{1,5})", found.hub)
         if port is None or not 0 < int(port[1]) < 1 << 16:
-            raise ValueError(f"{where}: hub = {data['hub']!r}: must be as tcp/127.0.0.1:7447")
-        found = Certificate(**{key: certificate[key] for key in parts}) if certificate is not None else None
-        password = data["password"] if found is None else ""
-        robots = data.get("robots", [])
-        if not isinstance(robots, list) or not all(map(names.is_robot, robots)):
-            raise ValueError(f"{where}: robots = {robots!r}: must be names of robots, as r0")
-        return cls(data["run"], data["name"], data["hub"], password, found, tuple(robots))
+            raise ValueError(f"{where}: hub = {found.hub!r}: must be as tcp/127.0.0.1:7447")
+        if not all(map(names.is_robot, found.robots)):
+            raise ValueError(f"{where}: robots = {list(found.robots)!r}: must be names of robots, as r0")
+        return found
 
 
 class ZenohBus:

@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
-from protocol.bounds import check_bounds
+from protocol.bounds import Range, check_ranges
 from protocol.message_fields import MAX_PEOPLE
-
-MAX_WALKING_SPEED = 5.0
-
-MIN_RADIUS_M, MAX_RADIUS_M = 0.05, 1.0
 
 
 @dataclass(frozen=True)
@@ -30,11 +26,9 @@ class PeopleOptions:
 
     __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
 
-    number: int = 0
-    speed: float = 1.34
-    radius: float = 0.25
+    number: Annotated[int, Range(0, MAX_PEOPLE)] = 0
+    speed: Annotated[float, Range(0, 5.0, "m/s")] = 1.34
+    radius: Annotated[float, Range(0.05, 1.0, "m")] = 0.25
 
     def __post_init__(self) -> None:
-        check_bounds(self, "number", 0, MAX_PEOPLE)
-        check_bounds(self, "speed", 0, MAX_WALKING_SPEED, "m/s")
-        check_bounds(self, "radius", MIN_RADIUS_M, MAX_RADIUS_M, "m")
+        check_ranges(self)

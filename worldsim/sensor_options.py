@@ -3,28 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
-from protocol.bounds import check_bounds
+from protocol.bounds import Range, check_ranges
 from protocol.range_scans import MAX_REACH_M
 
 IDEAL, EXACT = "ideal", "exact"
 
-MAX_LASER_BEAMS = 1440
-
-MIN_RATE = 0.01
-
-MAX_RANGE_ERROR_M, MAX_MIN_RANGE_M = 1.0, 10.0
-
-MAX_POSE_ERROR_M, MAX_HEADING_ERROR_DEG = 1.0, 10.0
-
-
-def _check_shares(options: object, *names: str) -> None:
-    """Raise ValueError if one of these values is no probability."""
-    for name in names:
-        value = getattr(options, name)
-        if not 0 <= value <= 1:
-            raise ValueError(f"{name} = {value:g}: must be a probability, from 0 to 1")
+Share = Annotated[float, Range(0, 1)]
 
 
 @dataclass(frozen=True)
@@ -53,29 +39,24 @@ class LaserOptions:
     __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
 
     preset: str = IDEAL
-    range_error_m: float = 0.0
-    range_error_share: float = 0.0
-    short: float = 0.0
-    missing: float = 0.0
-    mixed: float = 0.0
-    min_range_m: float = 0.0
-    max_range_m: float = 0.0
-    beams: int = 0
-    rate: float = 1.0
+    range_error_m: Annotated[float, Range(0, 1, "m")] = 0.0
+    range_error_share: Share = 0.0
+    short: Share = 0.0
+    missing: Share = 0.0
+    mixed: Share = 0.0
+    min_range_m: Annotated[float, Range(0, 10, "m")] = 0.0
+    max_range_m: Annotated[float, Range(0, MAX_REACH_M, "m")] = 0.0
+    beams: Annotated[int, Range(0, 1440)] = 0
+    rate: Annotated[float, Range(0.01, 1, "scans per step")] = 1.0
 
     def __post_init__(self) -> None:
-        _check_shares(self, "range_error_share", "short", "missing", "mixed")
+        check_ranges(self)
         if self.short + self.missing > 1:
             raise ValueError(
                 "short + missing: exclude each other, so their probabilities are together at most 1"
             )
-        check_bounds(self, "range_error_m", 0, MAX_RANGE_ERROR_M, "m")
-        check_bounds(self, "min_range_m", 0, MAX_MIN_RANGE_M, "m")
-        check_bounds(self, "max_range_m", 0, MAX_REACH_M, "m")
         if 0 < self.max_range_m <= self.min_range_m:
             raise ValueError(f"max_range_m = {self.max_range_m:g}: must exceed min_range_m")
-        check_bounds(self, "beams", 0, MAX_LASER_BEAMS)
-        check_bounds(self, "rate", MIN_RATE, 1, "scans per step")
 
     @property
     def is_ideal(self) -> bool:
@@ -99,12 +80,11 @@ class PoseOptions:
     __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
 
     preset: str = EXACT
-    position_error_m: float = 0.0
-    heading_error_deg: float = 0.0
+    position_error_m: Annotated[float, Range(0, 1, "m")] = 0.0
+    heading_error_deg: Annotated[float, Range(0, 10, "degrees")] = 0.0
 
     def __post_init__(self) -> None:
-        check_bounds(self, "position_error_m", 0, MAX_POSE_ERROR_M, "m")
-        check_bounds(self, "heading_error_deg", 0, MAX_HEADING_ERROR_DEG, "degrees")
+        check_ranges(self)
 
     @property
     def is_exact(self) -> bool:

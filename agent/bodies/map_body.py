@@ -14,8 +14,8 @@ from agent.bodies.ros2 import BodySettings, Ros2Body
 from protocol.boxes import NO_BOX, box_of
 from protocol.grid import UNKNOWN, Grid, disc
 from protocol.map_frame import MapFrame
-from protocol.map_part import MapPart, encode_map_part
 from protocol.messages import Sense
+from protocol.own_map import OwnMapPart, encode_own_map
 from protocol.range_scans import TURN, UNIT, Laser
 
 BEAMS = 360
@@ -82,7 +82,7 @@ class MapBody(Ros2Body):
         near |= self._disc[y : y + height, x : x + width]
 
     def _observed(self) -> bytes:
-        """Return the known cells that have been within reach, as a part of the grid (`protocol.map_part`)."""
+        """Return the known cells that have been within reach, as a part of the grid (`protocol.own_map`)."""
         assert self._map is not None
         if self._states is None:
             self._states = self._map.states(self._grid, self._settings.map_pose)
@@ -91,4 +91,4 @@ class MapBody(Ros2Body):
         if box == NO_BOX:
             return b""
         x0, y0, x1, y1 = box
-        return encode_map_part(MapPart(box, states[y0:y1, x0:x1]))
+        return encode_own_map(OwnMapPart(box, states[y0:y1, x0:x1]))

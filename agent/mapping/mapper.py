@@ -18,8 +18,8 @@ from protocol.boxes import NO_BOX, Box
 from protocol.cell_bytes import cells_from_bytes
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, ray_table
-from protocol.map_part import MapPart, decode_map_part
 from protocol.messages import Sense
+from protocol.own_map import OwnMapPart, decode_own_map
 from protocol.range_scans import (
     NO_MEASUREMENT,
     TURN,
@@ -123,15 +123,15 @@ class GivenMapper(Mapper):
         if not (0 <= sense.x < width and 0 <= sense.y < height):
             reason = f"cell ({sense.x}, {sense.y}) is outside the {width} x {height} grid"
             raise ProtocolError("map part", 0, reason)
-        here = MapPart((sense.x, sense.y, sense.x + 1, sense.y + 1), np.full((1, 1), FREE, np.uint8))
+        here = OwnMapPart((sense.x, sense.y, sense.x + 1, sense.y + 1), np.full((1, 1), FREE, np.uint8))
         change = UNCHANGED
         if sense.own_map:
-            change = self._apply(decode_map_part(sense.own_map, height, width), except_for=here.box)
+            change = self._apply(decode_own_map(sense.own_map, height, width), except_for=here.box)
         place = round((sense.x + 0.5) * UNIT), round((sense.y + 0.5) * UNIT)
         scan = RangeScan(place, sense.heading * TURN // 8, np.empty(0, np.uint16))
         return scan, change.joined(self._apply(here))
 
-    def _apply(self, part: MapPart, except_for: Box | None = None) -> Change:
+    def _apply(self, part: OwnMapPart, except_for: Box | None = None) -> Change:
         """Take the known cells of a part, but those in a box; return which of them have changed."""
         x0, y0, x1, y1 = part.box
         states, log_odds = self.states[y0:y1, x0:x1], self.log_odds[y0:y1, x0:x1]

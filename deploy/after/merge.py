@@ -21,8 +21,9 @@ from deploy.after.recorded_view import record_view
 from deploy.dashboard.process import RECORDING
 from deploy.record import run_directory
 from deploy.record.field_records import FieldRecord, read_field_record
+from deploy.record.growing_file import GrowingFile
 from deploy.record.link_records import FrameLine, contents, read_frames
-from deploy.record.run_directory import CAPTURE, CaptureFile
+from deploy.record.run_directory import CAPTURE
 from deploy.run.exit_codes import EXPLORED, NOT_FINISHED
 from deploy.run.result import Result
 from deploy.scenario.plan import Plan
@@ -128,7 +129,7 @@ def starts_in(folder: Path) -> list[Path]:
 def _write_capture(path: Path, plan: Plan, logs: dict[int, FrameLog]) -> list[OSError]:
     """Write the joined capture; return the error if it could not be written."""
     scenario = plan.scenario
-    with CaptureFile(path, "wb") as file:
+    with GrowingFile(path, "wb") as file:
         file.write(
             capture.head(f"{scenario.robots} robots in the field, map encoding {scenario.map_encoding}")
         )

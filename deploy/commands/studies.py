@@ -136,13 +136,12 @@ def reproduce(
     from deploy.commands import terminal  # noqa: PLC0415
     from deploy.run.workers import workers  # noqa: PLC0415
     from deploy.study import reproduction  # noqa: PLC0415
-    from deploy.study.results import Results, make_folder  # noqa: PLC0415
+    from deploy.study.results import open_results  # noqa: PLC0415
 
     settings = {"seed": list(range(seeds))} if seeds is not None else {}
     found = reproduction.requested(claim or [], quick=quick, settings=settings)
-    make_folder(out)
     runs = out / reproduction.RUNS
-    with Results(runs) as results:
+    with open_results(runs) as results:
         with stopping(runs), counting(errors, "reproduce") as report:
             done = reproduction.reproduce(
                 found, results, workers(jobs, scheduler), report, quick=quick, retry=retry

@@ -55,7 +55,7 @@ def tune(
     from deploy.commands import terminal  # noqa: PLC0415
     from deploy.run.workers import workers  # noqa: PLC0415
     from deploy.study import tuning  # noqa: PLC0415
-    from deploy.study.results import Results, make_folder, write_table  # noqa: PLC0415
+    from deploy.study.results import open_results, write_table  # noqa: PLC0415
     from worldsim.atomic_files import write_whole  # noqa: PLC0415
 
     search = tuning.Search(
@@ -69,9 +69,8 @@ def tune(
         settings=named_values(set_ or [], "set", "robots=6"),
     )
     search.check()
-    make_folder(out)
     with (
-        Results(out / RUNS) as results,
+        open_results(out / RUNS) as results,
         stopping(out / RUNS),
         counting(errors, "tune", announce=True) as report,
     ):

@@ -1,4 +1,4 @@
-"""Arrow tables from numpy arrays and lists, by the descriptions of their columns.
+"""Arrow tables from numpy arrays and lists, by the descriptions of their columns, and their files.
 
 `pyarrow.array` imports pandas if it is installed, to look for its types. That takes longer than writing the tables of
 most runs, so arrays are made of their buffers.
@@ -7,12 +7,14 @@ most runs, so arrays are made of their buffers.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deploy.record.columns import Column
+from worldsim.atomic_files import write_whole
 
 Values = NDArray[Any] | Sequence[Any]
 
@@ -32,6 +34,13 @@ def table(columns: Mapping[str, Values], described: Sequence[Column]) -> Any:
     types = [pa.type_for_alias(column.type) for column in described]
     arrays = [_array(columns[each.name], kind) for each, kind in zip(described, types, strict=True)]
     return pa.Table.from_arrays(arrays, names=[column.name for column in described])
+
+
+def write_table(path: Path, table: Any, compression: str = "snappy") -> None:
+    """Write a `pyarrow.Table` atomically as a parquet file; OSError if that fails."""
+    from pyarrow import parquet  # noqa: PLC0415  half a second to import
+
+    write_whole(path, lambda file: parquet.write_table(table, file, compression=compression))
 
 
 def _array(values: Values, kind: Any) -> Any:

@@ -29,8 +29,8 @@ from agent.field import FieldRobot, position
 from agent.radios.peer_medium import FrameRecord
 from agent.settings import Settings
 from agent.viewer_feed import SHOWN_EVERY, RecorderFeed
+from deploy.record.growing_file import GrowingFile, close_all
 from deploy.record.link_records import LinkRecorder
-from deploy.record.run_directory import CaptureFile
 from deploy.record.versions import versions
 from protocol.errors import ProtocolError
 from protocol.files import open_file, read_file
@@ -142,9 +142,9 @@ class FieldRecorder:
         setup = msgspec.structs.replace(setup, versions=versions())
         _write_json(folder / SETUP, setup)
         self._laser, self._resolution = setup.settings.laser, setup.settings.resolution
-        self._steps = CaptureFile(folder / STEP_LINES, "xb")
-        self._steps.write(_line(StepLine._fields))
-        self._maps = CaptureFile(folder / MAPS, "xb")
+        self._steps = GrowingFile(folder / STEP_LINES, "xb")
+        self._steps.write_rows([StepLine._fields])
+        self._maps = GrowingFile(folder / MAPS, "xb")
         self._feed = RecorderFeed(setup.settings)
         self._step = 0
 
@@ -162,7 +162,7 @@ class FieldRecorder:
             field.begin, step, x_mm, y_mm, heading, target_x, target_y, robot.known_cells,
             robot.replication.undelivered(), field.late_steps, work_us, status or robot.status,
         )  # fmt: skip
-        self._steps.write(_line(line))
+        self._steps.write_rows([line])
         if step % SHOWN_EVERY == 0:
             self._write_changes(field)
 
@@ -173,12 +173,10 @@ class FieldRecorder:
         maps = FinalMaps(robot.own, robot.planning, robot.shared, robot.settled)
         write_whole(self.folder / FINAL_MAPS, lambda file: np.savez_compressed(file, **maps._asdict()))
         _write_json(self.folder / END, Ending(reason, is_complete))
-        for file in (self._steps, self._maps):
-            file.close()
-        self._links.close()
-        for file in (self._steps, self._maps):
-            if file.failure is not None:
-                raise file.failure
+        try:
+            self._links.close()
+        finally:
+            close_all([self._steps, self._maps])
 
     def _write_changes(self, field: FieldRobot) -> None:
         for report in self._feed.changes(self._step, field.robot):
@@ -293,9 +291,3 @@ def _read_json(path: Path, kind: type[Content]) -> Content:
 def _write_json(path: Path, content: msgspec.Struct) -> None:
     text = json.dumps(msgspec.to_builtins(content), indent=2) + "\n"
     write_whole(path, lambda file: file.write(text.encode()))
-
-
-def _line(values: Sequence[Any]) -> bytes:
-    out = StringIO()
-    csv.writer(out, lineterminator="\n").writerow(["" if each is None else each for each in values])
-    return out.getvalue().encode()

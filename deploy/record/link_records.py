@@ -12,9 +12,7 @@ rows.
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Iterable, Sequence
-from io import StringIO
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,7 +21,9 @@ import numpy as np
 from agent.radios.options import MAX_FRAME
 from agent.radios.peer_medium import FrameRecord
 from agent.radios.replay_window import MAX_COUNTER, MAX_SESSION
-from deploy.record.run_directory import CAPTURE, LEDGER, CaptureFile, ledger_table
+from deploy.record.arrow_tables import write_table
+from deploy.record.growing_file import GrowingFile, close_all
+from deploy.record.run_directory import CAPTURE, LEDGER, ledger_table
 from netshaper import capture
 from netshaper.frame_log import Content, Frame, FrameLog
 from netshaper.ledger import BROADCAST, CAUSES, EVERYONE, NEWS, ROW
@@ -32,7 +32,6 @@ from protocol.files import open_file
 from protocol.grid import MAX_ROBOTS
 from protocol.message_fields import MAX_STEPS
 from protocol.packet_index import NO_PACKETS, index_of
-from worldsim.atomic_files import write_whole
 
 FRAMES = "frames.csv"
 
@@ -87,10 +86,10 @@ class LinkRecorder:
         folder.mkdir(parents=True, exist_ok=True)
         self.folder = folder
         self._robot = robot
-        self._capture = CaptureFile(folder / CAPTURE, "xb")
+        self._capture = GrowingFile(folder / CAPTURE, "xb")
         self._capture.write(capture.head(f"radio of robot {robot} in the field"))
-        self._frames = CaptureFile(folder / FRAMES, "xb")
-        self._frames.write(_lines([FrameLine._fields]))
+        self._frames = GrowingFile(folder / FRAMES, "xb")
+        self._frames.write_rows([FrameLine._fields])
         self._rows: list[bytes] = []
 
     def record(self, step: int, records: Sequence[FrameRecord]) -> None:
@@ -99,32 +98,18 @@ class LinkRecorder:
         if len(log):
             self._capture.write(capture.encode(step, log))
             self._rows.append(log.ledger_rows(step))
-        self._frames.write(
-            _lines(
-                FrameLine(
-                    self._robot, each.time, step, each.sender, each.session, each.counter, each.size,
-                    len(each.broadcast), len(each.gossip),
-                )
-                for each in records
+        self._frames.write_rows(
+            FrameLine(
+                self._robot, each.time, step, each.sender, each.session, each.counter, each.size,
+                len(each.broadcast), len(each.gossip),
             )
+            for each in records
         )  # fmt: skip
 
     def close(self) -> None:
         """Write the ledger; OSError if one of the files could not be written."""
-        for file in (self._capture, self._frames):
-            file.close()
-        write_ledger(self.folder, self._rows)
-        for file in (self._capture, self._frames):
-            if file.failure is not None:
-                raise file.failure
-
-
-def write_ledger(folder: Path, rows: Sequence[bytes]) -> None:
-    """Write ``ledger.parquet`` from the rows of all steps."""
-    from pyarrow import parquet  # noqa: PLC0415  takes half a second to import
-
-    table = ledger_table(np.frombuffer(b"".join(rows), ROW))
-    write_whole(folder / LEDGER, lambda file: parquet.write_table(table, file))
+        write_table(self.folder / LEDGER, ledger_table(np.frombuffer(b"".join(self._rows), ROW)))
+        close_all([self._capture, self._frames])
 
 
 def read_frames(folder: Path) -> list[FrameLine]:
@@ -149,12 +134,6 @@ def read_frames(folder: Path) -> list[FrameLine]:
                 raise ValueError(f"{path}, line {number}: {name} = {value} is not from {least} to {most}")
         frames.append(frame)
     return frames
-
-
-def _lines(rows: Iterable[Sequence[object]]) -> bytes:
-    out = StringIO()
-    csv.writer(out, lineterminator="\n").writerows(rows)
-    return out.getvalue().encode()
 
 
 def _content(kind: int, packets: bytes) -> Content:

@@ -11,18 +11,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.record.arrow_tables import table
+from deploy.record.arrow_tables import Values, table, write_table
 from deploy.record.columns import MAP_CHANGES as CHANGE_COLUMNS
 from deploy.record.columns import OUTLINES as OUTLINE_COLUMNS
 from protocol.errors import ProtocolError
 from protocol.grid import OCCUPIED, Grid
 from protocol.messages import MapChanges, Outlines
-from worldsim.atomic_files import write_whole
 
 MAP_CHANGES, OUTLINES = "map_changes.parquet", "outlines.parquet"
 PER_STEP = 2
@@ -109,19 +107,19 @@ class MapHistory:
         sizes = [len(cells) for _, _, cells, _ in reports]
         cells = np.concatenate([np.empty(0, np.uint32), *(cells for _, _, cells, _ in reports)])
         values = np.concatenate([np.empty(0, np.uint8), *(values for *_, values in reports)])
-        changes = {
+        changes: dict[str, Values] = {
             "robot": np.repeat(np.array([robot for robot, *_ in reports], np.int16), sizes),
             "step": np.repeat(np.array([step for _, step, *_ in reports], np.int32), sizes),
             "x": cells % self._shape[1], "y": cells // self._shape[1],
             "own": values & 3, "planning": values >> 2,
         }  # fmt: skip
-        _write_table(folder / MAP_CHANGES, changes, CHANGE_COLUMNS)
+        write_table(folder / MAP_CHANGES, table(changes, CHANGE_COLUMNS), "zstd")
         if held := self.outline_changes():
-            outlines = {
+            outlines: dict[str, Values] = {
                 "robot": [robot for robot, _ in held], "step": [each.step for _, each in held],
                 "map": [each.map_id for _, each in held], "vertices": [each.vertices for _, each in held],
             }  # fmt: skip
-            _write_table(folder / OUTLINES, outlines, OUTLINE_COLUMNS)
+            write_table(folder / OUTLINES, table(outlines, OUTLINE_COLUMNS), "zstd")
 
     @classmethod
     def read(cls, folder: Path, shape: tuple[int, int]) -> MapHistory:
@@ -166,10 +164,3 @@ def _check_order(report: MapChanges | Outlines, before: Sequence[int]) -> None:
     """Raise ProtocolError if a report is older than the last one, or one too many of its step."""
     if (before and report.step < before[-1]) or before.count(report.step) >= PER_STEP:
         raise ProtocolError(type(report).__name__, 0, f"step {report.step} after step {before[-1]}")
-
-
-def _write_table(path: Path, columns: dict[str, Any], described: Any) -> None:
-    from pyarrow import parquet  # noqa: PLC0415  half a second to import
-
-    written = table(columns, described)
-    write_whole(path, lambda file: parquet.write_table(written, file, compression="zstd"))

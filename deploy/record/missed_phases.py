@@ -8,12 +8,11 @@ from typing import Any
 
 import msgspec
 
-from deploy.record.arrow_tables import table
+from deploy.record.arrow_tables import table, write_table
 from deploy.record.columns import MISSED as COLUMNS
 from deploy.scenario.errors import ScenarioError
 from netshaper.phase_clock import PHASES
 from protocol.messages import Missed
-from worldsim.atomic_files import write_whole
 from worldsim.clock import MOVE, STEP
 
 MISSED = "missed.parquet"
@@ -21,12 +20,9 @@ MISSED = "missed.parquet"
 
 def write(path: Path, record: Iterable[Missed]) -> None:
     """Write a record, in its order."""
-    from pyarrow import parquet  # noqa: PLC0415  half a second to import
-
     rows = [(missed, robot) for missed in record for robot in missed.robots]
     columns = {name: [getattr(missed, name) for missed, _ in rows] for name in ("step", "phase", "round")}
-    written = table({**columns, "robot": [robot for _, robot in rows]}, COLUMNS)
-    write_whole(path, lambda file: parquet.write_table(written, file))
+    write_table(path, table({**columns, "robot": [robot for _, robot in rows]}, COLUMNS))
 
 
 def read(path: Path, robots: int) -> list[Missed]:

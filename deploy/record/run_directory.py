@@ -10,23 +10,23 @@ from __future__ import annotations
 import contextlib
 import errno
 import hashlib
-import io
 import json
 import os
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deploy.record import missed_phases
-from deploy.record.arrow_tables import table
+from deploy.record.arrow_tables import table, write_table
 from deploy.record.columns import FILES
 from deploy.record.columns import LEDGER as LEDGER_COLUMNS
 from deploy.record.columns import STEPS as STEP_COLUMNS
+from deploy.record.growing_file import GrowingFile
 from deploy.record.map_history import MAP_CHANGES
 from deploy.record.missed_phases import MISSED
 from deploy.record.records import Records
@@ -44,9 +44,6 @@ from worldsim import maps
 from worldsim.atomic_files import write_whole
 from worldsim.maps import Map, to_world
 from worldsim.recorded import scan_file
-
-if TYPE_CHECKING:
-    from _typeshed import ReadableBuffer
 
 SCENARIO, SUMMARY, STEPS, LEDGER = "scenario.toml", "summary.json", "steps.parquet", "ledger.parquet"
 CAPTURE, NEW_CAPTURE = "radio.pcapng", ".radio.pcapng"
@@ -135,7 +132,7 @@ def _write_scans(out: Path, recording: Recording) -> list[str]:
 
 
 @contextlib.contextmanager
-def open_capture(directory: Path | None, plan: Plan, *, again: bool = False) -> Iterator[CaptureFile | None]:
+def open_capture(directory: Path | None, plan: Plan, *, again: bool = False) -> Iterator[GrowingFile | None]:
     """Start ``radio.pcapng``, or the file that `settle_capture` renames to it; writes go to the disk immediately."""
     if directory is None:
         yield None
@@ -145,29 +142,9 @@ def open_capture(directory: Path | None, plan: Plan, *, again: bool = False) -> 
         f"{scenario.robots} robots on {plan.map.name}, map encoding {scenario.map_encoding}, "
         f"bandwidth {scenario.bandwidth}, range {plan.range_m:.1f} m, seed {scenario.seed}"
     )
-    with CaptureFile(directory / (NEW_CAPTURE if again else CAPTURE), "wb") as file:
+    with GrowingFile(directory / (NEW_CAPTURE if again else CAPTURE), "wb") as file:
         file.write(capture.head(comment))
         yield file
-
-
-class CaptureFile(io.FileIO):
-    """A capture; if a write fails, it ends with its last whole block, and further ones are discarded."""
-
-    failure: OSError | None = None
-    """Why the capture has ended early."""
-
-    def write(self, blocks: ReadableBuffer) -> int:
-        """Append whole blocks."""
-        rest = memoryview(blocks).cast("B")
-        length, end = len(rest), self.tell()
-        try:
-            while rest and self.failure is None:
-                rest = rest[super().write(rest) or 0 :]
-        except OSError as error:
-            self.failure = OSError(error.errno, error.strerror, str(self.name))
-            with contextlib.suppress(OSError):
-                self.truncate(end)
-        return length
 
 
 def settle_capture(directory: Path | None, *, accept: bool) -> None:
@@ -241,8 +218,6 @@ def write_results(
     Raises OSError at the end if one cannot be written, or if `failures` has a file that could not be written before;
     the error names all such files.
     """
-    from pyarrow import parquet  # noqa: PLC0415
-
     from deploy.record.map_pictures import maps_figure, save  # noqa: PLC0415
 
     def write_summary() -> None:
@@ -255,12 +230,8 @@ def write_results(
     found = {name: Map(name, grid, plan.map.resolution, plan.map.origin) for name, grid in grids.items()}
     writers: dict[str, Callable[[], object]] = {
         SUMMARY: write_summary,
-        STEPS: lambda: write_whole(
-            out / STEPS, lambda file: parquet.write_table(steps_table(plan, records), file)
-        ),
-        LEDGER: lambda: write_whole(
-            out / LEDGER, lambda file: parquet.write_table(ledger_table(records.ledger()), file)
-        ),
+        STEPS: lambda: write_table(out / STEPS, steps_table(plan, records)),
+        LEDGER: lambda: write_table(out / LEDGER, ledger_table(records.ledger())),
         MAP_CHANGES: lambda: records.maps.write(out),
     }
     if plan.scenario.clock == "wall":

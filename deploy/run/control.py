@@ -24,13 +24,14 @@ CUT_SHORT = ("interrupted", "broken off")
 
 
 class Control:
-    """Controls a run from any thread: ``explore(control=...)``; `pace` is the initial speed in steps per second."""
+    """Controls a run from any thread: ``explore(control=...)``."""
 
-    def __init__(self, pace: float | None = None) -> None:
+    def __init__(self) -> None:
         values = multiprocessing.get_context("forkserver")
         self._credit = values.Value("q", -1)
         """Number of steps that may be opened; -1: any number."""
-        self._period = values.Value("d", 1 / pace if pace else 0.0)
+        self._period = values.Value("d", 0.0)
+        """Minimum seconds of a step; 0: no limit."""
         self._requests: queue.SimpleQueue[FaultEvent | Change] = queue.SimpleQueue()
         self._scenario: Scenario | None = None
         self._diagonal_m = 0.0

@@ -8,11 +8,12 @@ from pathlib import Path
 from types import TracebackType
 
 from deploy.run.limits import out_of_memory
+from protocol.plugins import PACKAGES
 
 HEAD = "Traceback (most recent call last):"
 
 _HERE = Path(__file__).parents[2]
-_OURS = tuple(f"{_HERE / package}/" for package in ("agent", "deploy", "netshaper", "protocol", "worldsim"))
+_OURS = tuple(f"{_HERE / package}/" for package in PACKAGES)
 _PYTHON = f"{sysconfig.get_path('stdlib')}/"
 _PACKAGES = ("/site-packages/", "/dist-packages/")
 

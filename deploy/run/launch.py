@@ -12,6 +12,7 @@ import multiprocessing
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import BinaryIO
 
@@ -108,9 +109,10 @@ def run(
     `revive` restarts robots that end unexpectedly. `wrap`, which must be picklable, wraps the bus of each participant
     here.
     """
+    timeout_s = plan.scenario.reply_timeout_s
     world = WorldTask(
-        plan.make_world(), plan.scenario.steps, 1000 * plan.map.resolution, pace, free,
-        plan.scenario.reply_timeout_s, revive, gate, plan.incarnations,
+        plan.make_world(), plan.scenario.steps, 1000 * plan.map.resolution, pace, free, timeout_s, revive, gate,
+        plan.incarnations,
     )  # fmt: skip
     port = show.task.port if show is not None else None
     with contextlib.ExitStack() as stack:
@@ -119,11 +121,17 @@ def run(
         rendezvous = (
             fleet.rendezvous if fleet is not None else rendezvous or on_loopback(plan.scenario.robots)
         )
-        processes = stack.enter_context(ProcessTable(folder, plan.scenario.reply_timeout_s))
+        processes = stack.enter_context(ProcessTable(folder, timeout_s))
         if fleet is not None:
             stack.enter_context(fleet.running(rendezvous.credentials, folder))
-        table = _relay_and_world(plan, rendezvous, world, wrap, captures=capture is not None)
-        table |= _robots(plan, rendezvous, fleet.robots if fleet is not None else set(), journals, wrap)
+        table: dict[str, Callable[[], None]] = {
+            names.RELAY: partial(
+                serve_relay, rendezvous, plan.radio, timeout_s, world.pause_s,
+                captures=capture is not None, may_return=plan.incarnations > 1,
+            ),
+            names.WORLD: partial(serve_world, rendezvous.credentials[names.WORLD], world, wrap),
+            **_robots(plan, rendezvous, fleet.robots if fleet is not None else set(), journals, wrap),
+        }  # fmt: skip
         supervisor = _Supervisor(processes, table, fleet)
         stack.enter_context(announced(live, rendezvous.credentials[names.VIEW], port))
         try:
@@ -138,54 +146,31 @@ def run(
         return outcome
 
 
-ProcessEntry = tuple[Callable[..., None], *tuple[object, ...]]
-"""The function that a process runs, and its arguments."""
-
-
-def _relay_and_world(
-    plan: Plan, rendezvous: Rendezvous, world: WorldTask, wrap: Wrap | None, *, captures: bool
-) -> dict[str, ProcessEntry]:
-    """Return the processes of relay and world, by name."""
-    return {
-        names.RELAY: (
-            serve_relay,
-            rendezvous.run,
-            rendezvous.endpoint,
-            rendezvous.credentials,
-            plan.radio,
-            rendezvous.certificate,
-            plan.scenario.reply_timeout_s,
-            world.pause_s,
-            captures,
-            plan.incarnations > 1,
-        ),
-        names.WORLD: (serve_world, rendezvous.credentials[names.WORLD], world, wrap),
-    }
-
-
 def _robots(
     plan: Plan, rendezvous: Rendezvous, elsewhere: set[str], journals: Path, wrap: Wrap | None
-) -> dict[str, ProcessEntry]:
-    """Return the processes of the robots on this host, and of the routers between them and the hub, by name."""
-    table: dict[str, ProcessEntry] = {}
+) -> dict[str, Callable[[], None]]:
+    """Return the tasks of the robots on this host, and of the routers between them and the hub, by name."""
+    table: dict[str, Callable[[], None]] = {}
     credentials = dict(rendezvous.credentials)
     for router in [each for each in rendezvous.credentials.values() if each.robots]:
         if elsewhere.isdisjoint(router.robots):
             there = behind(router)
-            table[router.name] = (serve_router, router, there.endpoint, there.credentials)
+            table[router.name] = partial(serve_router, router, there)
             credentials |= there.credentials
     for number in range(plan.scenario.robots):
         name = names.robot(number)
         if name not in elsewhere:
             journal = journals / journal_name(number) if plan.incarnations > 1 else None
-            table[name] = (serve_agent, credentials[name], journal, wrap)
+            table[name] = partial(serve_agent, credentials[name], journal, wrap)
     return table
 
 
 class _Supervisor:
     """Starts, restarts and ends the processes of a run, and collects the unexpected ends."""
 
-    def __init__(self, processes: ProcessTable, table: dict[str, ProcessEntry], fleet: Fleet | None) -> None:
+    def __init__(
+        self, processes: ProcessTable, table: dict[str, Callable[[], None]], fleet: Fleet | None
+    ) -> None:
         self.deaths = processes.deaths
         """Processes and hosts that ended unexpectedly, each with its crash report."""
         self._processes = processes
@@ -197,8 +182,8 @@ class _Supervisor:
 
     def start(self) -> None:
         """Start all processes; ConnectionError if that fails."""
-        for name, (serve, *args) in self._table.items():
-            self._processes.start(name, serve, *args)
+        for name, task in self._table.items():
+            self._processes.start(name, task)
 
     def apply(self, event: FaultEvent) -> None:
         """Apply a fault to a robot's process: expect its end, or restart it."""
@@ -208,9 +193,8 @@ class _Supervisor:
         if event.kind in ("kill", "restart"):
             self._processes.excuse(name)
         if event.kind == "restart":
-            serve, *args = self._table[name]
             try:
-                self._processes.start(name, serve, *args)
+                self._processes.start(name, self._table[name])
             except ConnectionError as error:
                 self.deaths[FORK_SERVER] = str(error)
             self._reported.discard(name)
@@ -255,9 +239,8 @@ class _Supervisor:
 def _start_viewer(processes: ProcessTable, rendezvous: Rendezvous, show: Show) -> None:
     """Start the viewer, and wait for it up to `VIEWER_S`, so that it receives the first steps."""
     here, there = multiprocessing.Pipe(duplex=False)
-    processes.start(
-        names.VIEW, serve_view, rendezvous.credentials[names.VIEW], show.task, there, needed=False
-    )
+    task = partial(serve_view, rendezvous.credentials[names.VIEW], show.task, there)
+    processes.start(names.VIEW, task, needed=False)
     there.close()
     with contextlib.suppress(EOFError):
         if here.poll(VIEWER_S) and here.recv():
@@ -298,9 +281,9 @@ def _record(
             recorder.stop(FORK_SERVER_DIED)
         return bool({names.WORLD, FORK_SERVER} & supervisor.deaths.keys())
 
+    timeout_s = plan.scenario.reply_timeout_s
     with contextlib.closing(bus):
         try:
-            timeout_s = plan.scenario.reply_timeout_s
             attend(bus, recorder, heed, poll, timeout_s, 2 * silence_s(timeout_s, pause_s))
         except BusClosed as error:
             time.sleep(POLL_S)  # the process ends a moment after it has left the bus

@@ -23,6 +23,7 @@ from agent.planning.cost_field import way as path_down
 from agent.planning.frontier import Floor
 from agent.planning.jump_point_search import costs_between
 from agent.planning.team_tours import Task, team_tours
+from deploy.scenario.plan import Plan
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, enlarge, ray_table
 from protocol.scans import draw
 from worldsim.laser import cast
@@ -170,6 +171,26 @@ class KnownBuilding:
         near = ((x, y), (x + 1, y), (x, y + 1), (x - 1, y), (x, y - 1))
         inside = (each for each in near if 0 <= each[0] < width and 0 <= each[1] < height)
         return next(each for each in inside if self.floor[each[1], each[0]] == FREE)
+
+
+def known_map_steps(plan: Plan) -> int:
+    """Return the steps of the offline plan for a run's map and starts.
+
+    All robots are assumed to have the hardware of the first one. The last results are kept, because runs of different
+    strategies share them.
+    """
+    body, cells = plan.world.bodies[0], plan.map.cells
+    starts = tuple((int(x), int(y)) for x, y in plan.world.starts)
+    hardware = float(body.range_cells), float(body.speed), plan.world.beams, float(body.radius_cells)
+    return _known_map_steps(cells.tobytes(), cells.shape, starts, hardware)
+
+
+@lru_cache(maxsize=8)
+def _known_map_steps(
+    cells: bytes, shape: tuple[int, ...], starts: tuple[Cell, ...], hardware: tuple[float, float, int, float]
+) -> int:
+    truth = np.frombuffer(cells, np.uint8).reshape(shape).copy()
+    return offline_steps(KnownBuilding(truth, starts[0], *hardware), starts)
 
 
 def offline_steps(building: KnownBuilding, starts: Sequence[Cell]) -> int:

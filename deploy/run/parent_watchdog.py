@@ -1,4 +1,4 @@
-"""Watchdog for a killed launcher: its children end shortly after it, and the fork server removes its directory.
+"""Watchdog for a killed parent: its children end shortly after it, and the fork server removes its directory.
 
 The fork server ends once the launcher and all children have ended. It listens in a temporary directory, which the
 launcher removes, or, if the launcher was killed, the fork server, which imports this module.
@@ -24,7 +24,7 @@ LONGEST = 45
 FOLDER = "MURMUR_FORK_SERVER"
 """Environment variable with the launcher's process number and directory, set for the fork server only."""
 GRACE_S = 5.0
-"""Time for a child to shut down after the end of its launcher."""
+"""Time for a child of a run to shut down after the end of its launcher."""
 
 
 @cache
@@ -48,17 +48,17 @@ def _remove_folder(launcher: str, folder: str) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def end_with_launcher() -> None:
-    """Kill this child shortly after its launcher has ended for any reason."""
+def end_with_parent(grace_s: float) -> None:
+    """Kill this child `grace_s` seconds after its parent has ended for any reason."""
     parent = multiprocessing.parent_process()
+    assert parent is not None
 
     def watch() -> None:
-        if parent is not None:
-            parent.join()
-            time.sleep(GRACE_S)
-            os.kill(os.getpid(), signal.SIGKILL)
+        parent.join()
+        time.sleep(grace_s)
+        os.kill(os.getpid(), signal.SIGKILL)
 
-    threading.Thread(target=watch, name="launcher", daemon=True).start()
+    threading.Thread(target=watch, name="parent", daemon=True).start()
 
 
 if FOLDER in os.environ:

@@ -109,14 +109,14 @@ class ProcessTable:
     def __exit__(self, *_: object) -> None:
         self.end()
 
-    def start(self, name: str, serve: Callable[..., None], *args: object, needed: bool = True) -> None:
-        """Start a child that runs ``serve(*args)``; its output goes to ``NAME.log``.
+    def start(self, name: str, serve: Callable[[], None], *, needed: bool = True) -> None:
+        """Start a child that runs `serve`, which must be picklable; its output goes to ``NAME.log``.
 
         Raises ConnectionError if the fork server dies, or cannot start another process.
         """
         log = self._logs / f"{name}.log"
         with _blank_main():
-            process = self._context.Process(target=in_background, args=(name, log, serve, *args), name=name)
+            process = self._context.Process(target=in_background, args=(name, log, serve), name=name)
             os.environ[parent_watchdog.FOLDER] = f"{os.getpid()}:{parent_watchdog.open_folder()}"
             try:
                 process.start()

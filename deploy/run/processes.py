@@ -33,7 +33,7 @@ from netshaper.settings import RadioSettings
 from protocol import keys as names
 from protocol.bus import Bus, BusClosed
 from protocol.keys import Keys
-from protocol.zenoh_bus import RECONNECT_S, Certificate, Credential, ZenohBus, join, send_along
+from protocol.zenoh_bus import RECONNECT_S, Credential, ZenohBus, join, send_along
 from worldsim.base import BaseWorld
 from worldsim.clock import WallClock
 from worldsim.pace import Pace
@@ -41,6 +41,7 @@ from worldsim.process import WorldNode
 
 if TYPE_CHECKING:
     from deploy.dashboard.process import ViewTask
+    from deploy.run.rendezvous import Rendezvous
 
 POLL_S = 0.25
 FAREWELL_S = 2.0
@@ -86,28 +87,21 @@ class WorldTask:
 
 
 def serve_relay(
-    run: str,
-    endpoint: str,
-    credentials: Mapping[str, Credential],
+    rendezvous: Rendezvous,
     settings: RadioSettings,
-    certificate: Certificate | None = None,
-    reply_timeout_s: float = REPLY_TIMEOUT_S,
-    pause_s: float = 0.0,
-    captures: bool = True,
-    may_return: bool = False,
+    reply_timeout_s: float,
+    pause_s: float,
+    *,
+    captures: bool,
+    may_return: bool,
 ) -> None:
     """Serve as the hub and relay of a run until all participants have left; they must join in time."""
-    with closing(open_hub(run, endpoint, credentials, certificate)) as bus:
+    run = rendezvous.run
+    with closing(open_hub(run, rendezvous.endpoint, rendezvous.credentials, rendezvous.certificate)) as bus:
         relay(
-            bus,
-            run,
-            settings,
-            reply_timeout_s,
-            pause_s,
-            waits=False,
-            captures=captures,
-            may_return=may_return,
-        )
+            bus, run, settings, reply_timeout_s, pause_s,
+            waits=False, captures=captures, may_return=may_return,
+        )  # fmt: skip
 
 
 def relay(
@@ -205,9 +199,9 @@ def serve_world(credential: Credential, task: WorldTask, wrap: Wrap | None = Non
             reply_timeout.check()
 
 
-def serve_router(credential: Credential, endpoint: str, credentials: Mapping[str, Credential]) -> None:
-    """Serve as the router of a host's robots, which authenticate with `credentials`, until the hub is gone."""
-    with closing(Router(credential, endpoint, credentials)) as router:
+def serve_router(credential: Credential, robots: Rendezvous) -> None:
+    """Serve as the router of a host's robots, which meet at the rendezvous `robots`, until the hub is gone."""
+    with closing(Router(credential, robots.endpoint, robots.credentials)) as router:
         router.serve()
 
 
@@ -263,10 +257,10 @@ def _serve_robot(bus: Bus, node: AgentNode) -> None:
             os.kill(os.getpid(), signal.SIGKILL)
 
 
-def in_background(name: str, log: Path, serve: Callable[..., None], *args: object) -> None:
+def in_background(name: str, log: Path, serve: Callable[[], None]) -> None:
     """Run `serve` as a child of the launcher: its output goes to `log`; the launcher handles Ctrl-C and SIGHUP."""
     setproctitle(f"murmur {name}")
-    parent_watchdog.end_with_launcher()
+    parent_watchdog.end_with_parent(parent_watchdog.GRACE_S)
     for number in (signal.SIGINT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     try:
@@ -278,7 +272,7 @@ def in_background(name: str, log: Path, serve: Callable[..., None], *args: objec
     except OSError as error:
         print(f"{log}: {error.strerror}", file=sys.stderr)  # the run continues without this file
     try:
-        serve(*args)
+        serve()
     except (BusClosed, ConnectionError) as error:
         print(error, file=sys.stderr)
         sys.exit(BROKEN_OFF)

@@ -18,6 +18,7 @@ import select
 import signal
 import sys
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from io import RawIOBase
 from pathlib import Path
 from typing import Any
@@ -120,14 +121,14 @@ def _run(credentials: list[Credential], orders: RawIOBase, channel: _Channel) ->
     from deploy.run.processes import serve_agent, serve_router  # noqa: PLC0415
     from deploy.run.rendezvous import behind  # noqa: PLC0415  the first message must not wait
 
-    table: dict[str, tuple[Callable[..., None], *tuple[object, ...]]] = {}
+    table: dict[str, Callable[[], None]] = {}
     for credential in credentials:
         if credential.robots:
             there = behind(credential)
-            table[credential.name] = serve_router, credential, there.endpoint, there.credentials
-            table |= {name: (serve_agent, shown) for name, shown in there.credentials.items()}
+            table[credential.name] = partial(serve_router, credential, there)
+            table |= {name: partial(serve_agent, shown) for name, shown in there.credentials.items()}
         else:
-            table[credential.name] = serve_agent, credential
+            table[credential.name] = partial(serve_agent, credential)
     routers = {credential.name for credential in credentials if credential.robots}
 
     with temporary_folder() as folder:
@@ -141,8 +142,8 @@ def _run(credentials: list[Credential], orders: RawIOBase, channel: _Channel) ->
                 channel.send(robot=name, log=text.decode(errors="replace"))
 
         with ProcessTable(logs) as processes:
-            for name, row in table.items():
-                processes.start(name, *row)
+            for name, task in table.items():
+                processes.start(name, task)
             while set(running) - routers:
                 is_over = False
                 if select.select([0], [], [], POLL_S)[0]:

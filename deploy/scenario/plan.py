@@ -181,10 +181,12 @@ def _robot_settings(
     *,
     record_maps: bool,
 ) -> dict[int, Settings]:
+    # The sender of a broadcast does not notice without acknowledgments that a teammate is deaf.
+    may_be_deaf = any(fault.kind == "deaf" for fault in scenario.faults)
     replication = ReplicationSettings(
         scenario.dissemination,
         forward_maps=scenario.forward_maps,
-        requires_acks=not radio.perfect or (radio.gossip and faults.deafen(scenario.faults)),
+        requires_acks=not radio.perfect or (radio.gossip and may_be_deaf),
         digests=scenario.digests,
     )
     medium = MediumSettings(radio.budget, radio.range_cells, radio.packet_bytes)

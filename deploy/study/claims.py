@@ -47,7 +47,7 @@ from pydantic import AfterValidator, Field
 from deploy.study import statistics
 from deploy.study.results import Row
 from deploy.study.statistics import NO_EVIDENCE, SIGNIFICANT, Evidence, Interval
-from deploy.study.tables import VARIANT, check, has_finished, key_of, levels_of, metric_value
+from deploy.study.tables import VARIANT, check, check_keys, has_finished, key_of, levels_of, metric_value
 
 HOLDS, IN_PART, NOT, UNDECIDED = "holds", "holds in part", "does not hold", "undecided"
 
@@ -188,15 +188,10 @@ class Verdict(NamedTuple):
 
 def check_claim(claim: Claim, grid: Iterable[str], variants: Collection[str], metrics: Iterable[str]) -> None:
     """Raise ValueError if a rule names a key, a variant or a metric that its experiment does not have."""
-    keys = sorted({*grid, VARIANT})
     for rule in claim.rule:
         key = rule.expectation.key
-        for name in (*rule.compare, *rule.to, *rule.by, *rule.where, *([key] if key else [])):
-            if name not in keys:
-                raise ValueError(
-                    f"claim.rule {rule.statement!r} names {name!r}, which is not in the grid; "
-                    f"there are: {', '.join(keys)}"
-                )
+        named = [*rule.compare, *rule.to, *rule.by, *rule.where, *([key] if key else [])]
+        check_keys(f"claim.rule {rule.statement!r}", named, grid)
         for choice in (rule.compare, rule.to):
             if choice.get(VARIANT, next(iter(variants))) not in variants:
                 raise ValueError(

@@ -23,8 +23,8 @@ from agent.planning.frontier import frontier_cells
 from deploy.record.records import Records
 from deploy.record.summary import VALUE_BYTES, raw_scan_bytes, summarize
 from deploy.run.in_memory import MemoryRun
+from deploy.run.offline_bound import known_map_steps
 from deploy.scenario.plan import Plan
-from deploy.study.offline import known_map_steps
 from deploy.study.recovery import recovery
 from netshaper.ledger import KIND_NUMBER
 from protocol.budget import WORD_FOR_UNLIMITED

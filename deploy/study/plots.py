@@ -34,7 +34,7 @@ from deploy.study.figure_style import DEFAULT, FigureStyle
 from deploy.study.measures import SERIES
 from deploy.study.results import Results, Row
 from deploy.study.statistics import interval
-from deploy.study.tables import VARIANT, check, has_finished, levels_of, metric_value, short
+from deploy.study.tables import VARIANT, check, check_keys, has_finished, levels_of, metric_value, short
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -76,15 +76,9 @@ class Plot:
 
 def check_plot(plot: Plot, grid: Iterable[str], metrics: Iterable[str]) -> None:
     """Raise ValueError if a plot names a key, a metric or a series that its experiment does not have."""
-    keys = sorted({*grid, VARIANT})
-    for name, key in (("x", plot.x), ("lines", plot.lines), ("panels", plot.panels)):
-        if key and key not in keys:
-            raise ValueError(f"plot.{name} = {key!r}: is not in the grid; there are: {', '.join(keys)}")
-    for key in plot.where:
-        if key not in keys:
-            raise ValueError(
-                f"plot.where names {key!r}, which is not in the grid; there are: {', '.join(keys)}"
-            )
+    named = {"x": [plot.x], "lines": [plot.lines], "panels": [plot.panels], "where": plot.where}
+    for name, keys in named.items():
+        check_keys(f"plot.{name}", filter(None, keys), grid)
     if plot.kind == CURVES and plot.y not in SERIES:
         raise ValueError(f"plot.y = {plot.y!r}: is not a series; there are: {', '.join(SERIES)}")
     if plot.kind != CURVES:

@@ -25,7 +25,7 @@ from deploy.study.paper_tables import write_result
 from deploy.study.plots import Plot
 from deploy.study.progress import Report, counting
 from deploy.study.requirements import MIN_MAP_ACCURACY, Requirements
-from deploy.study.results import Results, Row, make_folder
+from deploy.study.results import Results, Row, open_results
 from deploy.study.runs import PLACE, Case, StudyRuns, cases, failures, looked_up, make
 from deploy.study.sizing import METRICS, SEEDS
 from deploy.study.statistics import Interval, interval
@@ -223,12 +223,9 @@ def size_radios(
     requirements = Requirements(deadline, min_map_accuracy, finish)
     made = of_settings("size", {"map": map, "finish": finish, **settings}, grid, {"plain": {}}, METRICS)
     possible = cases(made)
-    file = None if out is None else Path(out)
-    if file is not None:
-        make_folder(file.parent)
     console = Console(stderr=True, quiet=not progress)
     with (
-        Results(file) as results,
+        open_results(out) as results,
         nullcontext(progress) if callable(progress) else counting(console, "size") as report,
     ):
         run = _search(possible, results, requirements, report, jobs, scheduler)

@@ -45,14 +45,6 @@ MAX_WRITING_SHARE = 1 / 20
 """Maximum share of the time that is spent on writing the table."""
 
 
-def make_folder(folder: Path) -> None:
-    """Make a folder for results if it does not exist; ValueError if that fails."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ValueError(f"{folder}: cannot be created ({error.strerror}); name another folder") from None
-
-
 class Results:
     """An open table of runs; use it in a ``with`` statement.
 
@@ -151,6 +143,20 @@ class Results:
             self._is_behind = False
             self._written = time.monotonic()
             self._took = self._written - began
+
+
+def open_results(out: Path | str | None) -> Results:
+    """Open the table of runs in file `out`, and make its folder; without a file, one in memory. Errors: `Results`."""
+    if out is None:
+        return Results(None)
+    file = Path(out)
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ValueError(
+            f"{file.parent}: cannot be created ({error.strerror}); name another folder"
+        ) from None
+    return Results(file)
 
 
 def read(file: Path) -> pl.DataFrame:

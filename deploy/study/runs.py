@@ -47,8 +47,7 @@ MOST_STEPS = "most_steps"
 
 SOURCES = (
     "agent", "netshaper", "protocol", "worldsim", "deploy/scenario", "deploy/record", "deploy/run",
-    "deploy/study/measures.py", "deploy/study/offline.py", "deploy/study/recovery.py", "deploy/study/runs.py",
-    "deploy/study/voronoi.py",
+    "deploy/study/measures.py", "deploy/study/recovery.py", "deploy/study/runs.py", "deploy/study/voronoi.py",
 )  # fmt: skip
 """The sources that determine the metrics of a run."""
 

@@ -18,12 +18,9 @@ from numpy.typing import NDArray
 
 from agent.encodings.update_packets import ENOUGH_STEPS
 from agent.predictive import contexts
-from agent.predictive.history import History
-from agent.predictive.scan_stream import ScanStream
 from deploy.scenario.plan import Plan
-from deploy.study.training import OwnMap, explored
+from deploy.study.training import OwnMap, explored, scan_streams
 from protocol.boxes import bounding_box
-from protocol.grid import ray_table
 from protocol.messages import Sense
 from worldsim.generators.seeds import check_training_seeds
 
@@ -40,22 +37,13 @@ REST_WEIGHT = 96
 
 def counted(plan: Plan, senses: list[list[Sense]]) -> Iterator[NDArray[np.uint16]]:
     """Encode an exploration; yield the final counts of each robot's stream."""
-    robots, shape = len(senses), plan.map.cells.shape
-    ray_tables = [ray_table(body.range_cells, plan.world.beams) for body in plan.world.bodies]
-    grids = np.zeros((robots, *shape), np.uint8)
-    histories = [History() for _ in senses]
-    scratch = np.empty((2 * shape[0] * shape[1], 3), np.int32)
-    even = np.zeros((contexts.CONTEXTS, 2), np.uint16)
-    streams = [
-        ScanStream(n, grids[n], ray_tables[n], histories, scratch, team=True, counts=even.copy())
-        for n in range(robots)
-    ]
-    maps = [OwnMap(shape, beams) for beams in ray_tables]
+    streams = scan_streams(plan, lambda _: {"counts": np.zeros((contexts.CONTEXTS, 2), np.uint16)})
+    maps = [OwnMap(stream.grid.shape, stream.ray_table) for stream in streams]
     for step in range(max(map(len, senses))):
-        for robot, own in enumerate(maps):
+        for robot, (own, stream) in enumerate(zip(maps, streams, strict=True)):
             own.add(senses[robot][step])
             if own.poses and (step + robot) % ENOUGH_STEPS == 0:
-                streams[robot].encode(own.grid, own.poses, bounding_box(own.boxes))
+                stream.encode(own.grid, own.poses, bounding_box(own.boxes))
                 own.poses, own.boxes = [], []
     for stream in streams:
         yield stream.counts

@@ -19,7 +19,7 @@ from deploy.study import paper_tables, plots
 from deploy.study.experiment import Experiment
 from deploy.study.figure_style import DEFAULT, FigureStyle
 from deploy.study.progress import counting
-from deploy.study.results import Results, make_folder
+from deploy.study.results import open_results
 from deploy.study.runs import StudyRuns, cases, make
 from deploy.study.tables import DEFAULT_METRICS, VARIANT, Table, described, means, short, tabulate
 
@@ -146,10 +146,7 @@ def run(
 ) -> Sweep:
     """Run an experiment; parameters and errors as for `sweep`."""
     todo = cases(experiment)
-    file = None if out is None else Path(out)
-    if file is not None:
-        make_folder(file.parent)
-    with Results(file) as results:
+    with open_results(out) as results:
         done = Sweep(todo, results, experiment)
         done.make(jobs=jobs, scheduler=scheduler, progress=progress)
     if not done.rows and done.failures:

@@ -94,12 +94,19 @@ class Table:
 
 def check_table(table: Table, grid: Iterable[str], variants: Iterable[str], metrics: Iterable[str]) -> None:
     """Raise ValueError if a table names a key, a variant or a metric that its experiment does not have."""
-    known = [*grid, VARIANT]
-    for key in table.keys:
-        if key not in known:
-            raise ValueError(f"table names {key!r}, which is not in the grid; there are: {', '.join(known)}")
+    check_keys("table", table.keys, grid)
     for value in table.values:
         check(value, variants, metrics)
+
+
+def check_keys(where: str, keys: Iterable[str], grid: Iterable[str]) -> None:
+    """Raise ValueError, whose text begins with `where`, unless all keys are in the grid, or the variant."""
+    known = sorted({*grid, VARIANT})
+    for key in keys:
+        if key not in known:
+            raise ValueError(
+                f"{where} names {key!r}, which is not in the grid; there are: {', '.join(known)}"
+            )
 
 
 def check(text: str, variants: Iterable[str], names: Iterable[str] = ()) -> None:

@@ -17,16 +17,14 @@ from typing import Any
 
 import numpy as np
 
-from agent.predictive.history import History
 from agent.predictive.mixer import Model, new_model
 from agent.predictive.model_table import packed
 from agent.predictive.scan_stream import NarrowBand, ScanStream
 from agent.predictive.wall_model import CONTEXTS
 from deploy.scenario.plan import Plan
 from deploy.study.tile_table import shortened
-from deploy.study.training import OwnMap, explored
+from deploy.study.training import OwnMap, explored, scan_streams
 from protocol.boxes import bounding_box
-from protocol.grid import ray_table
 from protocol.messages import Sense
 from worldsim.generators.seeds import check_training_seeds
 
@@ -51,17 +49,7 @@ def make_streams(
     plan: Plan, kind: Callable[..., ScanStream] = ScanStream, **options: Any
 ) -> list[ScanStream]:
     """Make the empty stream of each robot, with the limit `BYTES` of an update."""
-    shape, bodies = plan.map.cells.shape, plan.world.bodies
-    histories = [History() for _ in bodies]
-    scratch = np.empty((2 * shape[0] * shape[1], 2), np.int32)
-    beams = [ray_table(body.range_cells, plan.world.beams) for body in bodies]
-    narrow = [NarrowBand(body.speed, BYTES) for body in bodies]
-    return [
-        kind(
-            n, np.zeros(shape, np.uint8), beams[n], histories, scratch, team=True, narrow=narrow[n], **options
-        )
-        for n in range(len(bodies))
-    ]
+    return scan_streams(plan, lambda body: options | {"narrow": NarrowBand(body.speed, BYTES)}, kind)
 
 
 def train_on(

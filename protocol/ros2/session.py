@@ -17,13 +17,8 @@ CONNECT_S = 5.0
 
 def open_client(router: str = ROUTER, timeout_s: float = CONNECT_S) -> zenoh.Session:
     """Open a session of a node; ConnectionError if no router answers within `timeout_s`."""
-    config = _config("client")
-    try:
-        insert(config, "connect/endpoints", [router])
-    except zenoh.ZError:
-        raise ValueError(f"{router!r} is not the address of a router, as {ROUTER}") from None
+    config = _config("client", "connect", router, "the address of a router")
     insert(config, "connect/timeout_ms", int(1000 * timeout_s))
-    insert(config, "connect/exit_on_failure", True)
     try:
         return zenoh.open(config)
     except zenoh.ZError:
@@ -35,12 +30,7 @@ def open_client(router: str = ROUTER, timeout_s: float = CONNECT_S) -> zenoh.Ses
 
 def open_router(endpoint: str = ROUTER) -> zenoh.Session:
     """Open a router, for hosts without that of ROS 2; ConnectionError if it cannot listen at `endpoint`."""
-    config = _config("router")
-    try:
-        insert(config, "listen/endpoints", [endpoint])
-    except zenoh.ZError:
-        raise ValueError(f"{endpoint!r} is not an address to listen at, as {ROUTER}") from None
-    insert(config, "listen/exit_on_failure", True)
+    config = _config("router", "listen", endpoint, "an address to listen at")
     try:
         return zenoh.open(config)
     except zenoh.ZError:
@@ -49,8 +39,14 @@ def open_router(endpoint: str = ROUTER) -> zenoh.Session:
         ) from None
 
 
-def _config(mode: str) -> zenoh.Config:
+def _config(mode: str, side: str, address: str, kind: str) -> zenoh.Config:
+    """Return the configuration to ``connect`` or ``listen`` at an address; ValueError if it is not of this `kind`."""
     config = plain_config(mode)
+    try:
+        insert(config, f"{side}/endpoints", [address])
+    except zenoh.ZError:
+        raise ValueError(f"{address!r} is not {kind}, as {ROUTER}") from None
+    insert(config, f"{side}/exit_on_failure", True)
     insert(config, "timestamping/enabled", True)
     insert(config, "transport/unicast/qos/enabled", True)
     return config

@@ -227,5 +227,5 @@ def test_a_credential_with_a_certificate_is_read_as_it_was_written(tmp_path: Pat
 @pytest.mark.parametrize("damaged", ['"x"', "{}", '{"authority": "a", "certificate": "b", "key": 1}'])
 def test_a_credential_whose_certificate_is_damaged_is_refused(damaged: str) -> None:
     text = f'{{"run": "a", "name": "r0", "hub": "tls/127.0.0.1:1", "certificate": {damaged}}}'
-    with pytest.raises(ValueError, match=r"its certificate needs the strings authority, certificate, key"):
+    with pytest.raises(ValueError, match=r"needs the strings .* at `\$\.certificate"):
         Credential.parse(text)

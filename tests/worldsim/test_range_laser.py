@@ -146,7 +146,7 @@ def test_no_range_ends_in_empty_space_at_the_end_of_the_reach() -> None:
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"missing": 1.5}, "probability"),
+        ({"missing": 1.5}, "missing = 1.5: must be 0 to 1$"),
         ({"missing": 0.6, "short": 0.6}, "together"),
         ({"range_error_m": -1}, "0 to 1 m"),
         ({"min_range_m": 3, "max_range_m": 2}, "must exceed"),

@@ -8,17 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from protocol.grid import FREE, OCCUPIED, Grid
-from worldsim.generators.drawing import (
-    blob,
-    canvas,
-    enclose,
-    environment,
-    field,
-    fill,
-    scatter,
-    wall_thickness,
-)
+from protocol.grid import FREE, Grid
+from worldsim.generators.drawing import Walls, blob, environment, fill, scatter, wall_thickness, walled
 from worldsim.generators.floorplan import Builder, Style, inside
 
 
@@ -49,10 +40,7 @@ def corridor(cells: Grid, random: np.random.Generator, resolution: float) -> Non
     Builder(cells, random, resolution, style).offices(inside(cells, wall_thickness(resolution)), corridors=1)
 
 
-_Walls = tuple[tuple[float, float, float, float], ...]
-"""Center lines of walls, in meters from the upper left corner: from (x, y) to (x, y)."""
-
-_FIVE_ROOMS: _Walls = (
+_FIVE_ROOMS: Walls = (
     (0.0, 5.6, 2.0, 5.6),  # above the corridor; doorways of 0.9 m
     (2.9, 5.6, 9.0, 5.6),
     (9.9, 5.6, 15.1, 5.6),
@@ -65,7 +53,7 @@ _FIVE_ROOMS: _Walls = (
     (9.0, 7.9, 9.0, 14.0),
 )
 
-_TWO_ROOMS: _Walls = (
+_TWO_ROOMS: Walls = (
     (0.0, 5.6, 1.6, 5.6),  # above the corridor
     (2.5, 5.6, 11.5, 5.6),
     (12.4, 5.6, 14.0, 5.6),
@@ -76,20 +64,9 @@ _TWO_ROOMS: _Walls = (
 
 def five_rooms(_random: np.random.Generator, *, resolution: float = 0.15) -> Grid:
     """18 x 14 m: five empty rooms along a corridor (Burgard et al., Figs. 3, 11)."""
-    return _draw(18.0, 14.0, _FIVE_ROOMS, resolution)
+    return walled(18.0, 14.0, _FIVE_ROOMS, resolution, is_centered=False)
 
 
 def two_rooms(_random: np.random.Generator, *, resolution: float = 0.15) -> Grid:
     """14 x 8 m: two rooms with a doorway between them, each with one to a corridor (Burgard et al., Figs. 4, 5)."""
-    return _draw(14.0, 8.0, _TWO_ROOMS, resolution)
-
-
-def _draw(width_m: float, height_m: float, walls: _Walls, resolution: float) -> Grid:
-    cells = canvas(width_m, height_m, resolution, least_m=0.0)
-    thickness = wall_thickness(resolution)
-    field(cells, thickness)
-    for wall in walls:
-        left, top, right, bottom = (round(end / resolution) for end in wall)
-        cells[top : bottom + thickness, left : right + thickness] = OCCUPIED
-    enclose(cells, thickness)
-    return cells
+    return walled(14.0, 8.0, _TWO_ROOMS, resolution, is_centered=False)

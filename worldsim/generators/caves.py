@@ -12,12 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.grid import FREE, UNKNOWN, Grid
-from worldsim.generators.clutter import add_clutter, check_clutter
-from worldsim.generators.drawing import blob, canvas, enclose, fill, rock, wall_thickness
+from worldsim.generators.clutter import cluttered
+from worldsim.generators.drawing import blob, fill, rock, wall_thickness
 from worldsim.generators.spanning_tree import spanning_tree
-
-LEAST_M = 15.0
-"""Shortest side of a cave, in meters."""
 
 PITCH_M = 6.5
 """Approximate distance of neighboring chambers, in meters."""
@@ -31,8 +28,6 @@ BEND_M = 2.5
 """Largest distance of a hall's control point from the straight line, in meters."""
 LOOPS = 0.35
 """Share of the halls outside the spanning tree that are dug as well."""
-ROCK_M = (0.2, 0.6)
-"""Smallest and largest radius of a rock, in meters."""
 
 _BLOB_STEP_M = 0.4
 """Distance of neighboring blobs of a hall, in meters."""
@@ -41,22 +36,12 @@ Point = NDArray[np.float64]
 """A position in cells: float64 array of x and y."""
 
 
-def caves(
-    random: np.random.Generator,
-    *,
-    width_m: float = 40.0,
-    height_m: float = 30.0,
-    resolution: float = 0.1,
-    clutter: float = 2.0,
-) -> Grid:
-    """40 x 30 m: chambers and winding halls with loops, rocks on the floor (Murmur).
-
-    `clutter` is the number of rocks per 100 square meters of floor; fewer are drawn where there is no place.
-    """
-    cells = canvas(width_m, height_m, resolution, LEAST_M)
-    check_clutter(clutter, "rocks")
+@cluttered(40.0, 30.0, 2.0, least_m=15.0, objects="rocks", radii_m=(0.2, 0.6), shape=rock)
+def caves(cells: Grid, random: np.random.Generator, resolution: float) -> None:
+    """40 x 30 m: chambers and winding halls with loops, rocks on the floor (Murmur)."""
     wall = wall_thickness(resolution)
-    columns, rows = (max(2, round(side_m / PITCH_M)) for side_m in (width_m, height_m))
+    sides_m = (round(side * resolution, 3) for side in reversed(cells.shape))
+    columns, rows = (max(2, round(side_m / PITCH_M)) for side_m in sides_m)
     chambers = _chambers(random, cells.shape, columns, rows)
     for center in chambers.reshape(-1, 2):
         _dig(cells, random, center, random.uniform(*CHAMBER_M) / resolution, corners=12)
@@ -66,10 +51,6 @@ def caves(
             _dig(cells, random, center, random.uniform(*HALL_M) / resolution, corners=9)
     for border in (cells[:wall], cells[-wall:], cells[:, :wall], cells[:, -wall:]):
         border[:] = UNKNOWN
-    floor = cells == FREE
-    add_clutter(cells, random, floor, clutter, resolution=resolution, radii_m=ROCK_M, shapes=(rock,))
-    enclose(cells, wall)
-    return cells
 
 
 def _chambers(

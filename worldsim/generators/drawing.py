@@ -25,6 +25,9 @@ _COARSEST = 0.4
 Points = NDArray[np.float64]
 """Corners of a shape: float64 array of shape (n, 2), x and y."""
 
+Walls = tuple[tuple[float, float, float, float], ...]
+"""Walls along an axis, in meters from the upper left corner: each a line from (x, y) to (x, y)."""
+
 Environment = Callable[..., Grid]
 """Draws an environment from a random generator, and parameters by name. Its docstring describes the environment."""
 
@@ -84,6 +87,22 @@ def length(name: str, side_m: float, resolution: float, least_m: float) -> int:
 def wall_thickness(resolution: float) -> int:
     """Return the thickness of walls: 0.2 m, but at least one cell and at most two."""
     return min(max(round(0.2 / resolution), 1), 2)
+
+
+def walled(width_m: float, height_m: float, walls: Walls, resolution: float, *, is_centered: bool) -> Grid:
+    """Draw a field with walls, and enclose it; MapError as `canvas`.
+
+    `is_centered`: whether the lines are the middle of the walls; else they are their left or upper side.
+    """
+    cells = canvas(width_m, height_m, resolution, least_m=0.0)
+    thickness = wall_thickness(resolution)
+    before = thickness // 2 if is_centered else 0
+    field(cells, thickness)
+    for wall in walls:
+        left, top, right, bottom = (round(end / resolution) - before for end in wall)
+        cells[max(top, 0) : bottom + thickness, max(left, 0) : right + thickness] = OCCUPIED
+    enclose(cells, thickness)
+    return cells
 
 
 def carve(cells: Grid, left: int, top: int, right: int, bottom: int) -> None:

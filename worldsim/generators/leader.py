@@ -8,15 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from protocol.grid import OCCUPIED, Grid
-from worldsim.generators.drawing import canvas, enclose, field, wall_thickness
+from protocol.grid import Grid
+from worldsim.generators.drawing import Walls, walled
 
-_SIDE_M = 10.0
-
-_Walls = tuple[tuple[float, float, float, float], ...]
-"""Center lines of walls, in meters: from (x, y) to (x, y)."""
-
-_TRAP: _Walls = (
+_TRAP: Walls = (
     (3.6, 1.2, 3.6, 5.5),  # left of the hall, then the walls between the rooms there
     (3.6, 7.8, 3.6, 10.0),
     (0.0, 3.3, 3.6, 3.3),
@@ -27,9 +22,9 @@ _TRAP: _Walls = (
     (6.4, 6.7, 10.0, 6.7),
 )
 
-_ROOMS: _Walls = ((5.0, 1.6, 5.0, 3.6), (5.0, 6.4, 5.0, 8.4), (1.6, 5.0, 3.6, 5.0), (6.4, 5.0, 8.4, 5.0))
+_ROOMS: Walls = ((5.0, 1.6, 5.0, 3.6), (5.0, 6.4, 5.0, 8.4), (1.6, 5.0, 3.6, 5.0), (6.4, 5.0, 8.4, 5.0))
 
-_OBSTACLES: _Walls = (
+_OBSTACLES: Walls = (
     (1.8, 2.0, 3.8, 2.0),  # a cup that opens downwards
     (1.8, 2.0, 1.8, 4.0),
     (3.8, 2.0, 3.8, 4.0),
@@ -44,25 +39,14 @@ _OBSTACLES: _Walls = (
 
 def obstacles(_random: np.random.Generator, *, resolution: float = 0.1) -> Grid:
     """10 x 10 m: a hall with nonconvex obstacles (leader paper, Fig. 2)."""
-    return _draw(_OBSTACLES, resolution)
+    return walled(10.0, 10.0, _OBSTACLES, resolution, is_centered=True)
 
 
 def trap(_random: np.random.Generator, *, resolution: float = 0.1) -> Grid:
     """10 x 10 m: rooms that trap robots attracted straight to the closest frontier (leader paper, Fig. 3)."""
-    return _draw(_TRAP, resolution)
+    return walled(10.0, 10.0, _TRAP, resolution, is_centered=True)
 
 
 def rooms(_random: np.random.Generator, *, resolution: float = 0.1) -> Grid:
     """10 x 10 m: rooms behind short screens, with and without leaders (leader paper, Figs. 4, 5)."""
-    return _draw(_ROOMS, resolution)
-
-
-def _draw(walls: _Walls, resolution: float) -> Grid:
-    cells = canvas(_SIDE_M, _SIDE_M, resolution, least_m=_SIDE_M)
-    thickness = wall_thickness(resolution)
-    field(cells, thickness)
-    for wall in walls:
-        left, top, right, bottom = (round(end / resolution) - thickness // 2 for end in wall)
-        cells[max(top, 0) : bottom + thickness, max(left, 0) : right + thickness] = OCCUPIED
-    enclose(cells, thickness)
-    return cells
+    return walled(10.0, 10.0, _ROOMS, resolution, is_centered=True)

@@ -4,37 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from protocol.grid import FREE, Grid
-from worldsim.generators.clutter import add_clutter, check_clutter
-from worldsim.generators.drawing import box, canvas, carve, enclose, wall_thickness
+from protocol.grid import Grid
+from worldsim.generators.clutter import cluttered
+from worldsim.generators.drawing import box, carve, wall_thickness
 from worldsim.generators.floorplan import inside
 from worldsim.generators.spanning_tree import spanning_tree
-
-LEAST_M = 8.0
-"""Shortest side of a maze, in meters."""
 
 CORRIDOR_M = 2.0
 """Least width of the corridors, in meters; what is left of the maze's side is added to all of them."""
 LOOPS = 0.06
 """Share of the walls between neighboring squares, outside the spanning tree, that are open as well."""
-CRATE_M = (0.15, 0.3)
-"""Smallest and largest radius of a crate, in meters."""
 
 
-def maze(
-    random: np.random.Generator,
-    *,
-    width_m: float = 30.0,
-    height_m: float = 24.0,
-    resolution: float = 0.1,
-    clutter: float = 0.0,
-) -> Grid:
-    """30 x 24 m: a maze of corridors with dead ends and a few loops (Murmur).
-
-    `clutter` is the number of crates per 100 square meters of floor; fewer are drawn where there is no place.
-    """
-    cells = canvas(width_m, height_m, resolution, LEAST_M)
-    check_clutter(clutter, "crates")
+@cluttered(30.0, 24.0, 0.0, least_m=8.0, objects="crates", radii_m=(0.15, 0.3), shape=box)
+def maze(cells: Grid, random: np.random.Generator, resolution: float) -> None:
+    """30 x 24 m: a maze of corridors with dead ends and a few loops (Murmur)."""
     wall = wall_thickness(resolution)
     whole = inside(cells, wall)
     lefts, tops = (_edges(side, wall, resolution) for side in (whole.width, whole.height))
@@ -44,10 +28,6 @@ def maze(
         _open(cells, lefts, tops, place, place)
     for one, other in tree + [pair for pair in others if random.random() < LOOPS]:
         _open(cells, lefts, tops, one, other)
-    floor = cells == FREE
-    add_clutter(cells, random, floor, clutter, resolution=resolution, radii_m=CRATE_M, shapes=(box,))
-    enclose(cells, wall)
-    return cells
 
 
 def _edges(side: int, wall: int, resolution: float) -> list[int]:

@@ -7,15 +7,13 @@ as around them.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from protocol.grid import FREE, UNKNOWN, Grid
 from worldsim.generators.alkhawaldah import blocks
-from worldsim.generators.clutter import add_clutter, check_clutter
-from worldsim.generators.drawing import canvas, disc, enclose, field, wall_thickness
+from worldsim.generators.clutter import cluttered
+from worldsim.generators.drawing import disc, field, wall_thickness
 from worldsim.generators.floorplan import Box, Builder, Style, inside
-
-LEAST_M = 30.0
-"""Shortest side of a campus, in meters."""
 
 ROAD_M, PLOT_M = 4.0, 26.0
 """Width of roads, and longest side of a plot, in meters."""
@@ -25,24 +23,11 @@ CORRIDOR_M = 15.0
 """Depth from which a building has two corridors, in meters."""
 LAWN_M = (0.5, 1.5)
 """Range of the strip of lawn around a building, in meters."""
-TREE_M = (0.2, 0.6)
-"""Smallest and largest radius of a tree, in meters."""
 
 
-def office_campus(
-    random: np.random.Generator,
-    *,
-    width_m: float = 60.0,
-    height_m: float = 45.0,
-    resolution: float = 0.1,
-    clutter: float = 1.5,
-) -> Grid:
-    """60 x 45 m: a campus of office buildings that robots enter, roads, lawns with trees (Murmur).
-
-    `clutter` is the number of trees per 100 square meters outdoors; fewer are drawn where there is no place.
-    """
-    cells = canvas(width_m, height_m, resolution, LEAST_M)
-    check_clutter(clutter, "trees")
+@cluttered(60.0, 45.0, 1.5, least_m=30.0, objects="trees", radii_m=(0.2, 0.6), shape=disc)
+def office_campus(cells: Grid, random: np.random.Generator, resolution: float) -> NDArray[np.bool_]:
+    """60 x 45 m: a campus of office buildings that robots enter, roads, lawns with trees (Murmur)."""
     wall = wall_thickness(resolution)
     road = round(ROAD_M / resolution)
     field(cells, wall)
@@ -54,12 +39,10 @@ def office_campus(
     buildings = [each for each in buildings if min(each.width, each.height) * resolution >= BUILDING_M]
     for each in buildings:
         cells[each.top : each.bottom, each.left : each.right] = UNKNOWN
-    outdoors = cells == FREE
+    outdoors: NDArray[np.bool_] = cells == FREE
     for each in buildings:
         _building(cells, random, each, resolution)
-    add_clutter(cells, random, outdoors, clutter, resolution=resolution, radii_m=TREE_M, shapes=(disc,))
-    enclose(cells, wall)
-    return cells
+    return outdoors
 
 
 def _building(cells: Grid, random: np.random.Generator, outline: Box, resolution: float) -> None:

@@ -6,15 +6,14 @@ in blocks, between them picking aisles, and cross aisles between the blocks.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from protocol.grid import FREE, OCCUPIED, Grid
-from worldsim.generators.clutter import add_clutter, check_clutter
-from worldsim.generators.drawing import Points, canvas, carve, enclose, wall_thickness
+from protocol.grid import OCCUPIED, Grid
+from worldsim.generators.clutter import cluttered
+from worldsim.generators.drawing import Points, carve, wall_thickness
 from worldsim.generators.floorplan import Box, inside
-
-LEAST_M = 20.0
-"""Shortest side of a warehouse, in meters."""
 
 RACK_M, BAY_M = 2.2, 2.7
 """Depth of two racks back to back, and length of a bay of them, in meters."""
@@ -29,35 +28,8 @@ TRAILER_M, DOCK_M = (2.5, 4.0), 4.5
 
 PALLET_M = (1.2, 0.8)
 """Sides of a pallet, in meters (EN 13698-1)."""
-
-
-def warehouse(
-    random: np.random.Generator,
-    *,
-    width_m: float = 40.0,
-    height_m: float = 30.0,
-    resolution: float = 0.1,
-    clutter: float = 3.0,
-) -> Grid:
-    """40 x 30 m: racks between aisles, docks with trailers, pallets (layout of Roodbergen and de Koster).
-
-    `clutter` is the number of pallets per 100 square meters of floor; fewer are drawn where there is no place.
-    """
-    cells = canvas(width_m, height_m, resolution, LEAST_M)
-    check_clutter(clutter, "pallets")
-    wall = wall_thickness(resolution)
-    whole = inside(cells, wall)
-    hall = Box(whole.left, whole.top, whole.right, whole.bottom - round(TRAILER_M[1] / resolution) - wall)
-    carve(cells, hall.left, hall.top, hall.right, hall.bottom)
-    _docks(cells, random, hall, whole.bottom, resolution)
-    _racks(cells, random, hall, resolution)
-    radius_m = float(np.hypot(*PALLET_M)) / 2
-    radii_m = (radius_m, radius_m)
-    add_clutter(
-        cells, random, cells == FREE, clutter, resolution=resolution, radii_m=radii_m, shapes=(_pallet,)
-    )
-    enclose(cells, wall)
-    return cells
+PALLET_RADIUS_M = math.hypot(*PALLET_M) / 2
+"""Distance of a pallet's corners from its center, in meters."""
 
 
 def _pallet(random: np.random.Generator) -> Points:
@@ -66,6 +38,25 @@ def _pallet(random: np.random.Generator) -> Points:
     corners: Points = np.array([(-length, -width), (length, -width), (length, width), (-length, width)])
     corners /= np.hypot(length, width)
     return corners
+
+
+@cluttered(
+    40.0,
+    30.0,
+    3.0,
+    least_m=20.0,
+    objects="pallets",
+    radii_m=(PALLET_RADIUS_M, PALLET_RADIUS_M),
+    shape=_pallet,
+)
+def warehouse(cells: Grid, random: np.random.Generator, resolution: float) -> None:
+    """40 x 30 m: racks between aisles, docks with trailers, pallets (layout of Roodbergen and de Koster)."""
+    wall = wall_thickness(resolution)
+    whole = inside(cells, wall)
+    hall = Box(whole.left, whole.top, whole.right, whole.bottom - round(TRAILER_M[1] / resolution) - wall)
+    carve(cells, hall.left, hall.top, hall.right, hall.bottom)
+    _docks(cells, random, hall, whole.bottom, resolution)
+    _racks(cells, random, hall, resolution)
 
 
 def _docks(cells: Grid, random: np.random.Generator, hall: Box, bottom: int, resolution: float) -> None:

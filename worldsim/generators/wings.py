@@ -8,13 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from protocol.grid import FREE, Grid
-from worldsim.generators.clutter import add_clutter, check_clutter
-from worldsim.generators.drawing import box, canvas, carve, enclose, wall_thickness
+from protocol.grid import Grid
+from worldsim.generators.clutter import cluttered
+from worldsim.generators.drawing import box, carve, wall_thickness
 from worldsim.generators.floorplan import Box, Builder, Style, inside
-
-LEAST_M = 30.0
-"""Shortest side of a multi-wing office, in meters."""
 
 MAIN_M, LINK_M = 3.0, 2.0
 """Width of the main corridor and of links, in meters."""
@@ -26,27 +23,12 @@ LENGTH = (0.65, 1.0)
 """Shortest and longest wing, as a share of the space on its side of the main corridor."""
 LINKED = 0.5
 """Share of neighboring wings with a link between their far ends."""
-FURNITURE_M = (0.3, 0.6)
-"""Smallest and largest radius of a piece of furniture, in meters."""
 
 
-def wings(
-    random: np.random.Generator,
-    *,
-    width_m: float = 56.0,
-    height_m: float = 40.0,
-    resolution: float = 0.1,
-    clutter: float = 3.0,
-) -> Grid:
-    """56 x 40 m: an office of several wings along a main corridor, with links and furniture (Murmur).
-
-    `clutter` is the number of pieces of furniture per 100 square meters of floor; fewer are drawn where there is no
-    place.
-    """
-    cells = canvas(width_m, height_m, resolution, LEAST_M)
-    check_clutter(clutter, "pieces of furniture")
-    wall = wall_thickness(resolution)
-    whole = inside(cells, wall)
+@cluttered(56.0, 40.0, 3.0, least_m=30.0, objects="pieces of furniture", radii_m=(0.3, 0.6), shape=box)
+def wings(cells: Grid, random: np.random.Generator, resolution: float) -> None:
+    """56 x 40 m: an office of several wings along a main corridor, with links and furniture (Murmur)."""
+    whole = inside(cells, wall_thickness(resolution))
     main = round(MAIN_M / resolution)
     top = whole.top + round(random.uniform(0.45, 0.55) * (whole.height - main))
     carve(cells, whole.left, top, whole.right, top + main)
@@ -55,10 +37,6 @@ def wings(
     above = Box(whole.left, cells.shape[0] - top, whole.right, cells.shape[0] - whole.top)
     for drawn, side in ((cells, below), (upper, above)):
         _side(drawn, random, side, resolution)
-    floor = cells == FREE
-    add_clutter(cells, random, floor, clutter, resolution=resolution, radii_m=FURNITURE_M, shapes=(box,))
-    enclose(cells, wall)
-    return cells
 
 
 def _side(cells: Grid, random: np.random.Generator, side: Box, resolution: float) -> None:

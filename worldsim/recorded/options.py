@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
-from protocol.bounds import check_bounds
+from protocol.bounds import Range, check_ranges
 
 PER_SCAN, RECORDED = "scan", "recorded"
 """One scan per robot and step; or one second of the log per step."""
 
 PACES = PER_SCAN, RECORDED
-
-MAX_EVERY = 1_000_000
-MIN_CELL_M, MAX_CELL_M = 0.01, 10.0
 
 
 @dataclass(frozen=True)
@@ -40,16 +37,15 @@ class RecordingOptions:
     __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
 
     files: tuple[str, ...] = ()
-    every: int = 1
+    every: Annotated[int, Range(1, 1_000_000)] = 1
     pace: str = PER_SCAN
     topic: str = ""
-    resolution: float = 0.1
+    resolution: Annotated[float, Range(0.01, 10.0, "m per cell")] = 0.1
     listeners: int = 0
 
     def __post_init__(self) -> None:
-        check_bounds(self, "every", 1, MAX_EVERY)
+        check_ranges(self)
         if self.pace not in PACES:
             raise ValueError(f"pace = {self.pace!r}: must be {' or '.join(PACES)}")
-        check_bounds(self, "resolution", MIN_CELL_M, MAX_CELL_M, "m per cell")
         if self.listeners < 0:
             raise ValueError(f"listeners = {self.listeners}: must not be negative")

@@ -22,8 +22,8 @@ from protocol.body import Body
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.map_frame import MapFrame
-from protocol.map_part import MapPart, decode_map_part, encode_map_part
 from protocol.messages import Sense
+from protocol.own_map import OwnMapPart, decode_own_map, encode_own_map
 from protocol.ros2 import messages as names
 from protocol.transforms import Pose
 from tests.agent.bodies.test_ros2 import AT_ORIGIN, GRID, MESSAGES, SECOND, stand
@@ -186,25 +186,25 @@ def test_without_transforms_the_body_says_which_are_missing() -> None:
     ("data", "reason"),
     [
         (b"", "0 bytes instead of 16 or more"),
-        (encode_map_part(MapPart((0, 0, 2, 1), np.zeros((1, 2), np.uint8)))[:-1], "17 bytes instead of 18"),
+        (encode_own_map(OwnMapPart((0, 0, 2, 1), np.zeros((1, 2), np.uint8)))[:-1], "17 bytes instead of 18"),
         (
-            encode_map_part(MapPart((3, 0, 6, 1), np.zeros((1, 3), np.uint8))),
+            encode_own_map(OwnMapPart((3, 0, 6, 1), np.zeros((1, 3), np.uint8))),
             "does not lie in the 5 x 4 grid",
         ),
         (
-            encode_map_part(MapPart((1, 1, 1, 2), np.zeros((1, 0), np.uint8))),
+            encode_own_map(OwnMapPart((1, 1, 1, 2), np.zeros((1, 0), np.uint8))),
             "does not lie in the 5 x 4 grid",
         ),
-        (encode_map_part(MapPart((0, 0, 1, 1), np.full((1, 1), 3, np.uint8))), "a cell has state 3"),
+        (encode_own_map(OwnMapPart((0, 0, 1, 1), np.full((1, 1), 3, np.uint8))), "a cell has state 3"),
     ],
 )
 def test_a_malformed_part_of_a_map_is_refused(data: bytes, reason: str) -> None:
     with pytest.raises(ProtocolError, match=reason):
-        decode_map_part(data, 4, 5)
+        decode_own_map(data, 4, 5)
 
 
 def test_a_part_of_a_map_survives_its_binary_form() -> None:
     states: Grid = np.arange(6, dtype=np.uint8).reshape(2, 3) % 3
-    part = decode_map_part(encode_map_part(MapPart((1, 2, 4, 4), states)), 4, 5)
+    part = decode_own_map(encode_own_map(OwnMapPart((1, 2, 4, 4), states)), 4, 5)
     assert part.box == (1, 2, 4, 4)
     assert np.array_equal(part.states, states)

@@ -19,19 +19,19 @@ HEAD_BYTES = _HEAD.size
 
 
 @dataclass(frozen=True, eq=False)
-class MapPart:
+class OwnMapPart:
     """The states of the cells in a box, uint8 of shape (y1 - y0, x1 - x0); unknown cells have no meaning."""
 
     box: Box
     states: Grid
 
 
-def encode_map_part(part: MapPart) -> bytes:
+def encode_own_map(part: OwnMapPart) -> bytes:
     """Encode a part in its binary form."""
     return _HEAD.pack(*part.box) + part.states.tobytes()
 
 
-def decode_map_part(data: bytes, height: int, width: int) -> MapPart:
+def decode_own_map(data: bytes, height: int, width: int) -> OwnMapPart:
     """Decode a part of a grid of this size; ProtocolError if it is malformed, or lies outside of the grid."""
     if len(data) < HEAD_BYTES:
         raise ProtocolError("map part", 0, f"{len(data)} bytes instead of {HEAD_BYTES} or more")
@@ -48,4 +48,4 @@ def decode_map_part(data: bytes, height: int, width: int) -> MapPart:
         raise ProtocolError(
             "map part", HEAD_BYTES, f"a cell has state {states.max()}; the last one is {OCCUPIED}"
         )
-    return MapPart((x0, y0, x1, y1), states)
+    return OwnMapPart((x0, y0, x1, y1), states)

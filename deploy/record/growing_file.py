@@ -1,0 +1,47 @@
+"""A file that grows during a run. If it cannot be written, the run continues, and the file ends with its last part."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import io
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from _typeshed import ReadableBuffer
+
+
+class GrowingFile(io.FileIO):
+    """A file to which whole parts are appended, at once and unbuffered: blocks of a capture, lines, or messages."""
+
+    failure: OSError | None = None
+    """Why the file has ended early: the first error of a write. Further parts are discarded."""
+
+    def write(self, part: ReadableBuffer) -> int:
+        """Append a part; if that fails, cut the file back to the last whole one."""
+        rest = memoryview(part).cast("B")
+        length, end = len(rest), self.tell()
+        try:
+            while rest and self.failure is None:
+                rest = rest[super().write(rest) or 0 :]
+        except OSError as error:
+            self.failure = OSError(error.errno, error.strerror, str(self.name))
+            with contextlib.suppress(OSError):
+                self.truncate(end)
+        return length
+
+    def write_rows(self, rows: Iterable[Iterable[object]]) -> None:
+        """Append lines of a CSV table; None is an empty field."""
+        text = io.StringIO()
+        csv.writer(text, lineterminator="\n").writerows(rows)
+        self.write(text.getvalue().encode())
+
+
+def close_all(files: Sequence[GrowingFile]) -> None:
+    """Close files; OSError if one of them could not be written."""
+    for file in files:
+        file.close()
+    for file in files:
+        if file.failure is not None:
+            raise file.failure
