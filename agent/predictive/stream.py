@@ -189,13 +189,13 @@ class Stream(ABC):
         """
         more = np.zeros(len(self.depends_on), np.int64)
         applied: list[DecodedUpdate] = []
-        lacking = _unreported(self.grid, own, *near)
+        lacking = lacking_box(self.grid, own, *near)
         for other in self._others.tolist():
             first = int(self.depends_on[other])
             if end := self._find_base(other, own, lacking):
                 more[other] = end - first
                 applied += self._depend_on(other, end)
-                lacking = _unreported(self.grid, own, *near)
+                lacking = lacking_box(self.grid, own, *near)
         _code_bases(coder, self._others, more, self._bases_grew)
         return applied
 
@@ -295,7 +295,7 @@ def _reports(grid: Grid, places: Int32s, before: Uint8s) -> tuple[Uint8s, Uint8s
 
 
 @kernel
-def _unreported(grid: Grid, own: Grid, x0: int, y0: int, x1: int, y1: int) -> tuple[int, int, int, int]:
+def lacking_box(grid: Grid, own: Grid, x0: int, y0: int, x1: int, y1: int) -> tuple[int, int, int, int]:
     """Return the bounding box of the cells of a box that the robot knows and would have to report itself."""
     height, width = grid.shape
     x0, y0, x1, y1 = max(x0, 0), max(y0, 0), min(x1, width), min(y1, height)
