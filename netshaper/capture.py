@@ -22,11 +22,11 @@ microseconds, so that equal runs write equal files.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import Any
+import struct
+from collections.abc import Iterator
+from functools import lru_cache
 
 import msgspec
-import numpy as np
 
 from netshaper import pcapng
 from netshaper.frame_log import (
@@ -44,24 +44,13 @@ from netshaper.frame_log import (
 )
 from netshaper.ledger import CAUSES, FRAMES, on_air
 from netshaper.pcapng import CaptureError
-from protocol.arrays import Int64Rows, Uint8s
-from protocol.grid import MAX_ROBOTS
 
 LINK_TYPE = 147
 """LINKTYPE_USER0, which the dissector reads."""
 
 VERSION, WIDE = 1, 2
 """Versions of the header: the short one, and the one for large teams."""
-_FIELDS = (
-    "version", "frame", "verdict", "round", "sender", "receiver", "map", "part", "step", "connection", "receivers",
-)  # fmt: skip
-HEAD = np.dtype(
-    list(zip(_FIELDS, ["u1", "u1", "u1", "u1", "i1", "i1", "i1", "u1", ">u4", ">i4", "V8"], strict=True))
-)
-WIDE_HEAD = np.dtype(
-    list(zip(_FIELDS, ["u1", "u1", "u1", "u1", ">i2", ">i2", ">i2", ">u2", ">u4", ">i4", "V32"], strict=True))
-)
-_LAYOUTS = {VERSION: HEAD, WIDE: WIDE_HEAD}
+_HEADS = {VERSION: struct.Struct(">4B3bBIi8s"), WIDE: struct.Struct(">4B3hHIi32s")}
 NARROW = 64
 """Number of robots that the short header supports."""
 
@@ -113,37 +102,32 @@ def head(description: str) -> bytes:
 
 def encode(step: int, log: FrameLog) -> bytes:
     """Write the frames of a step, in the order of the log, as blocks of the file."""
-    if not len(log):
-        return b""
-    rows, payloads = log.rows(), [content.payload for content in log.contents]
-    received = np.zeros((len(rows), MAX_ROBOTS), np.bool_)
-    received[np.repeat(np.arange(len(rows)), rows[:, RECEIVERS]), log.receivers] = True
-    masks = np.packbits(received, axis=1, bitorder="little")[:, ::-1]
-    parts: Sequence[int] = [0] * len(rows)
-    if max(map(len, payloads)) > PART:
-        frames, parts, payloads = _cut(rows, log.contents)
-        rows, masks = rows[frames], masks[frames]
-    stored = [
-        payload if on_air(verdict) else payload[:KEPT]
-        for payload, verdict in zip(payloads, rows[:, VERDICT].tolist(), strict=True)
-    ]
-    heads = _heads(step, rows, parts, masks)
-    times_us = step * _SECOND + np.minimum(np.arange(len(rows)), _SECOND - 1)
-    data = [head + payload for head, payload in zip(heads, stored, strict=True)]
-    missing = [len(payload) - len(kept) for payload, kept in zip(payloads, stored, strict=True)]
-    texts = [pcapng.comment(text) for text in log.texts]
-    return pcapng.packets(times_us, data, missing, [texts[text] for text in rows[:, COMMENT].tolist()])
+    comments = [pcapng.comment(text) for text in log.texts]
+    blocks: list[bytes] = []
+    number = first = 0
+    for row, content in zip(log.rows_as_lists(), log.contents, strict=True):
+        verdict, received = row[VERDICT], log.receivers[first : first + row[RECEIVERS]]
+        first += row[RECEIVERS]
+        numbers, receivers = (row[SENDER], row[RECEIVER], row[MAP]), _mask(tuple(received))
+        is_wide = max(numbers) >= NARROW or receivers >> NARROW
+        version, receiver_bytes = (WIDE, 32) if is_wide else (VERSION, 8)
+        mask = receivers.to_bytes(receiver_bytes, "big")
+        is_cut = len(content.payload) > PART and on_air(verdict)
+        for part, payload in enumerate(_parts(content) if is_cut else [content.payload]):
+            head = _HEADS[version].pack(
+                version, row[FRAME], verdict, row[ROUND], *numbers, part, step, row[CONNECTION], mask
+            )
+            kept = payload if on_air(verdict) else payload[:KEPT]
+            time_us = step * _SECOND + min(number, _SECOND - 1)
+            blocks += pcapng.packet(time_us, head + kept, len(payload) - len(kept), comments[row[COMMENT]])
+            number += 1
+    return b"".join(blocks)
 
 
-def _cut(rows: Int64Rows, contents: Sequence[Content]) -> tuple[list[int], list[int], list[bytes]]:
-    """Cut long frames on the air into packets: of each packet its frame, its number in the frame, and its bytes."""
-    pieces = [
-        (number, part, payload)
-        for number, (content, verdict) in enumerate(zip(contents, rows[:, VERDICT].tolist(), strict=True))
-        for part, payload in enumerate(_parts(content) if on_air(verdict) else [content.payload])
-    ]
-    frames, parts, payloads = zip(*pieces, strict=True)
-    return list(frames), list(parts), list(payloads)
+@lru_cache(maxsize=1 << 12)
+def _mask(robots: tuple[int, ...]) -> int:
+    """Return the robots as bits of a number."""
+    return sum(1 << robot for robot in robots)
 
 
 def _parts(content: Content) -> list[bytes]:
@@ -154,23 +138,6 @@ def _parts(content: Content) -> list[bytes]:
         parts.append(payload[begin:end])
         begin = end
     return [*parts, payload[begin:]]
-
-
-def _heads(step: int, rows: Int64Rows, parts: Sequence[int], masks: Uint8s) -> list[bytes]:
-    """Write the headers of packets; `masks`: the receivers of each as a number of 256 bits, shape (packets, 32)."""
-    columns = [rows[:, column] for column in (FRAME, VERDICT, ROUND, SENDER, RECEIVER, MAP)]
-    wide = (rows[:, (SENDER, RECEIVER, MAP)].max(axis=1) >= NARROW) | masks[:, : -NARROW // 8].any(axis=1)
-    versions = []
-    for version, layout in _LAYOUTS.items():
-        heads = np.empty(len(rows), layout)
-        for name, values in zip(_FIELDS, [version, *columns, parts, step, rows[:, CONNECTION]], strict=False):
-            heads[name] = values
-        size = layout["receivers"].itemsize
-        heads["receivers"] = np.ascontiguousarray(masks[:, -size:]).view(f"V{size}").ravel()
-        versions.append(heads.view(f"V{layout.itemsize}").tolist())
-        if not wide.any():
-            return versions[0]
-    return [long if is_wide else short for short, long, is_wide in zip(*versions, wide.tolist(), strict=True)]
 
 
 def read(reader: pcapng.Reader) -> Iterator[Captured]:
@@ -186,11 +153,11 @@ def read(reader: pcapng.Reader) -> Iterator[Captured]:
             raise CaptureError(
                 f"link type {reader.link_type} instead of {LINK_TYPE}: another program's capture"
             )
-        head = _LAYOUTS.get(packet.data[0]) if packet.data else None
-        if head is None or len(packet.data) < head.itemsize:
-            found = packet.data[: HEAD.itemsize].hex()
+        head = _HEADS.get(packet.data[0]) if packet.data else None
+        if head is None or len(packet.data) < head.size:
+            found = packet.data[: _HEADS[VERSION].size].hex()
             raise CaptureError(f"a packet without a header of version {VERSION} or {WIDE}: {found}")
-        values: Any = np.frombuffer(packet.data, head, 1).item()
+        values = head.unpack_from(packet.data)
         _, frame, cause, round_number, sender, receiver, map_id, part, step, connection, received = values
         if frame >= len(FRAMES) or cause >= len(VERDICTS):
             raise CaptureError(f"a packet with frame {frame} and verdict {cause}, which are unknown")
@@ -198,5 +165,5 @@ def read(reader: pcapng.Reader) -> Iterator[Captured]:
         receivers = [robot for robot in range(mask.bit_length()) if mask >> robot & 1]
         yield Captured(
             step, round_number, connection, frame, sender, receiver, map_id, cause, receivers, part,
-            packet.size - head.itemsize, packet.data[head.itemsize :], packet.comment,
+            packet.size - head.size, packet.data[head.size :], packet.comment,
         )  # fmt: skip

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
 
 import msgspec
@@ -131,6 +131,10 @@ class FrameLog:
         """Return a row per frame, shape (frames, `COLUMNS`); packing is four times as fast as `numpy.array`."""
         packed = struct.pack(f"={len(self._rows)}q", *self._rows)
         return np.frombuffer(bytearray(packed), np.int64).reshape(-1, COLUMNS)
+
+    def rows_as_lists(self) -> Iterator[tuple[int, ...]]:
+        """Yield the `COLUMNS` numbers of each frame."""
+        return zip(*[iter(self._rows)] * COLUMNS, strict=True)
 
     def ledger_rows(self, step: int) -> bytes:
         """Write the ledger's rows of a step (`netshaper.ledger.ROW`), one for each frame and kind of packet in it."""

@@ -7,15 +7,10 @@ so a file that a killed process left behind can be read up to its last complete 
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import chain
 from typing import BinaryIO
-
-import numpy as np
-
-from protocol.arrays import Int64s
 
 SECTION, INTERFACE, PACKET = 0x0A0D0D0A, 0x00000001, 0x00000006
 COMMENT, NAME, DESCRIPTION, APPLICATION = 1, 2, 3, 4
@@ -25,9 +20,8 @@ _MAGIC = 0x1A2B3C4D
 _BLOCK = struct.Struct("<II")
 _PACKET = struct.Struct("<5I")
 _OPTION = struct.Struct("<HH")
-_PACKET_HEAD = np.dtype(
-    [(name, "<u4") for name in ("kind", "length", "interface", "high", "low", "kept", "size")]
-)
+_PACKET_HEAD = struct.Struct("<7I")
+"""Kind and length of the block, interface, time (high and low), stored bytes, and original size."""
 _PADDINGS = [bytes(-size % 4) for size in range(4)]
 """Zeros that align data to 4 bytes, by the data's size modulo 4."""
 
@@ -60,18 +54,13 @@ def comment(text: str) -> bytes:
     return _options((COMMENT, text.encode()))
 
 
-def packets(times_us: Int64s, data: Sequence[bytes], cut: Sequence[int], options: Sequence[bytes]) -> bytes:
-    """Write enhanced packet blocks: of each packet its time, stored bytes, number of other bytes, and options."""
-    kept = np.array([len(each) for each in data], np.int64)
-    heads = np.zeros(len(data), _PACKET_HEAD)
-    heads["kind"] = PACKET
-    heads["length"] = _PACKET_HEAD.itemsize + (kept + 3 & ~3) + [len(each) for each in options] + 4
-    heads["high"], heads["low"] = times_us >> 32, times_us & 0xFFFFFFFF
-    heads["kept"], heads["size"] = kept, kept + cut
-    paddings = [_PADDINGS[size] for size in (kept & 3).tolist()]
-    ends = heads["length"].copy().view("V4").tolist()
-    blocks = zip(heads.view(f"V{_PACKET_HEAD.itemsize}").tolist(), data, paddings, options, ends, strict=True)
-    return b"".join(chain.from_iterable(blocks))
+def packet(time_us: int, data: bytes, missing: int, options: bytes) -> tuple[bytes, ...]:
+    """Write an enhanced packet block, in pieces; `missing` is the number of bytes that are not stored."""
+    kept = len(data)
+    padding = _PADDINGS[kept & 3]
+    length = _PACKET_HEAD.size + kept + len(padding) + len(options) + 4
+    head = _PACKET_HEAD.pack(PACKET, length, 0, time_us >> 32, time_us & 0xFFFFFFFF, kept, kept + missing)
+    return head, data, padding, options, length.to_bytes(4, "little")
 
 
 class Reader:

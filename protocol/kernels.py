@@ -55,8 +55,11 @@ class Kernel:
         """The library of the compiled function and its LLVM module as bitcode (`_release_modules`)."""
 
     def __call__(self, *args: Any) -> Any:
-        """Call the compiled function."""
-        return self.loaded(*args)
+        """Call the compiled function, and replace this object in the module of the caller, which has imported it."""
+        compiled, importer = self.loaded, sys._getframe(1).f_globals
+        if importer.get(self.function.__name__) is self:
+            importer[self.function.__name__] = compiled
+        return compiled(*args)
 
     @cached_property
     def loaded(self) -> Any:

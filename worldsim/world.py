@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -165,7 +165,7 @@ class World(BaseWorld):
             return [], INTERFERENCE
         body, start, offset = self.settings.bodies[robot], self.cells[robot], self.offsets[robot]
         floor, way = self.floors[body.radius_cells], body.speed + self._carry[robot]
-        marked = self._mark_others(robot, way)
+        marked = self._mark_others(robot, way, [cell_of(point) for point in points] or path)
         if points:
             point = start[0] * FINE + offset[0], start[1] * FINE + offset[1]
             result = glide(floor, self._taken, point, points, way)
@@ -185,15 +185,22 @@ class World(BaseWorld):
             self.headings[robot] = heading_of(*direction)
         return swept(start, result.cells), result.blocked
 
-    def _mark_others(self, robot: int, way: float) -> list[NDArray[np.uint8]]:
-        """Mark the cells that a robot's center may not enter because of robots within `way` cells, or of people.
+    def _mark_others(
+        self, robot: int, way: float, path: Sequence[tuple[int, int]] | None = None
+    ) -> list[NDArray[np.uint8]]:
+        """Mark the cells that a robot's center may not enter because of other robots, or of people.
 
-        Returns the parts of `_taken` with marks, which the caller clears.
+        Robots count that are within `way` cells, and near the box around `path` if that is given: the cells of the
+        robot's path or of its corners. Returns the parts of `_taken` with marks, which the caller clears.
         """
         own = self.settings.bodies[robot].radius_cells
-        x, y = self.cells[robot]
-        far = way + own + self._widest + 4
-        left, right, top, bottom = x - far, x + far, y - far, y + far
+        (x, y), berth = self.cells[robot], own + self._widest + 4
+        left, right, top, bottom = x - way, x + way, y - way, y + way
+        if path is not None:
+            columns, rows = zip((x, y), *path, strict=True)
+            left, right = max(left, min(columns)), min(right, max(columns))
+            top, bottom = max(top, min(rows)), min(bottom, max(rows))
+        left, right, top, bottom = left - berth, right + berth, top - berth, bottom + berth
         others = [
             (other, cell)
             for other, cell in self.cells.items()

@@ -14,8 +14,8 @@ from heapq import heappop, heappush
 import numpy as np
 
 from agent.planning.cost_field import (
+    FRONTS,
     NO_BOUND,
-    SHIFT,
     UNIT,
     Workspace,
     begin,
@@ -26,7 +26,7 @@ from agent.planning.cost_field import (
     workspace,
 )
 from agent.planning.frontier import Floor, is_enclosed, is_frontier
-from agent.planning.utility import sees
+from agent.planning.utility import in_sight
 from protocol.arrays import Bools, Cells, Floats
 from protocol.grid import Grid
 from protocol.kernels import kernel
@@ -76,43 +76,65 @@ def _search(
     beta: float,
     work: Workspace,
 ) -> tuple[int, Cells]:
-    stride = grid.shape[1] + 2
-    length = work[0]
-    fill = np.empty(5, np.int64)
-    buckets = begin(work, fill, start)
-    offset = offsets(1, stride)
-    here = np.empty(2, np.int32)
-    # Entries: negative bound, cell, number of counted targets, utility after these.
-    queue = [(0.0, buckets[0, 0], 0, 0.0)]
+    length, _, settled = work
+    stride, number = grid.shape[1] + 2, len(targets)
+    fill, offset = np.empty(FRONTS + 1, np.int64), offsets(1, stride)
+    fronts, level, checked = begin(free, work, fill, offset, start), 1, 0
+    # Robots often drive to the same target: each counts as the first one that is equal.
+    same = np.arange(number)
+    for target in range(number):
+        for other in range(target):
+            dx, dy = targets[target, 0] - targets[other, 0], targets[target, 1] - targets[other, 1]
+            if dx == 0 and dy == 0 and ranges[target] == ranges[other]:
+                same[target] = other
+                break
+    # P(d) of each queued cell, in the order of queueing, and of each target, as far as it was counted.
+    counted_p = np.empty((64, number))
+    queued = 0
+    # Entries: negative bound, cell, number of counted targets, utility after these, row of `counted_p`.
+    queue = [(0.0, settled[0], 0, 0.0, 0)]
     queue.clear()
-    level = 0
     best_cell = -1
     while best_cell < 0:
-        if fill[:4].any() and (len(queue) == 0 or -queue[0][0] <= 1.0 - beta * (level / scale)):
-            buckets = settle(free, work, buckets, fill, offset, level, start, NO_BOUND)
-            for at in range(fill[level & 3]):
-                cell = buckets[level & 3, at]
-                if length[cell] >> SHIFT != level or is_enclosed(free, cell, stride):
-                    continue
-                if is_frontier(grid, cell % stride - 1, cell // stride - 1):
-                    cost = beta * (length[cell] * UNIT / scale)
-                    heappush(queue, (cost - 1.0, cell, 0, 1.0))
-            fill[level & 3] = 0
+        for at in range(checked, fill[FRONTS]):
+            cell = settled[at]
+            if not is_enclosed(free, cell, stride) and is_frontier(
+                grid, cell % stride - 1, cell // stride - 1
+            ):
+                cost = beta * (length[cell] * UNIT / scale)
+                heappush(queue, (cost - 1.0, cell, 0, 1.0, queued))
+                queued += 1
+        checked = fill[FRONTS]
+        if fill[:FRONTS].any() and (len(queue) == 0 or -queue[0][0] <= 1.0 - beta * (level / scale)):
+            fronts = settle(free, work, fronts, fill, offset, level, NO_BOUND)
             level += 1
             continue
         if len(queue) == 0:
             break
-        _, cell, counted, utility = heappop(queue)
-        if counted == len(targets):
+        if queued > len(counted_p):
+            more = np.empty((2 * queued, number))
+            more[: len(counted_p)] = counted_p
+            counted_p = more
+        first, cell, counted, utility, row = heappop(queue)
+        if counted == number:
             best_cell = cell
             continue
-        here[0], here[1] = cell % stride - 1, cell // stride - 1
-        before = utility
-        while counted < len(targets) and utility == before:
-            utility -= weights[counted] * sees(grid, here, targets[counted], ranges[counted])
-            counted += 1
+        x, y = cell % stride - 1, cell // stride - 1
         cost = beta * (length[cell] * UNIT / scale)
-        heappush(queue, (cost - utility, cell, counted, utility))
+        second = max(queue[0][0], first) if queue else first
+        while counted < number and cost - utility <= second:
+            lowered = 0.0
+            if same[counted] < counted:
+                lowered = counted_p[row, same[counted]]
+            else:
+                tx, ty = targets[counted, 0], targets[counted, 1]
+                distance = np.sqrt(float((x - tx) ** 2 + (y - ty) ** 2))
+                if distance < ranges[counted] and in_sight(grid, x, y, tx, ty):
+                    lowered = 1.0 - distance / ranges[counted]
+                counted_p[row, counted] = lowered
+            utility -= weights[counted] * lowered
+            counted += 1
+        heappush(queue, (cost - utility, cell, counted, utility, row))
     cells = way_back(free, length, offset, best_cell) if best_cell >= 0 else np.empty((0, 2), np.int32)
-    tidy(work, fill)
+    tidy(work, fronts, fill)
     return best_cell, cells

@@ -2,7 +2,7 @@
 
 A way is 8-connected over free cells. A step to a 4-neighbor has length 1, a diagonal step sqrt 2; it needs both cells
 beside it free. The result equals that of value iteration. The search is Dijkstra's with buckets of width 1 (Dial 1969):
-no step is shorter, so the cells of a bucket cannot improve each other, and need no order.
+no step is shorter, so the cells of a bucket, a level, cannot improve each other, and need no order.
 
 Two measures make it fast. Of several equally long ways to a cell one suffices, the one with its diagonal steps first.
 So the search continues from a cell only in the direction of the last step, and sideways where an obstacle has just
@@ -43,12 +43,12 @@ FAR = 1 << 62
 _STEPS = np.array([(1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1), (-1, -1), (1, -1)], np.int64)
 """Neighbors (dx, dy). Step 4 + i is the diagonal between steps i and i + 1."""
 
-_SETTLED = 8
-"""In place of the number of a step: the search has passed the cell."""
+FRONTS = 20
+"""Rows of cells that a search has reached and not settled yet (`settle`)."""
 
 Workspace = tuple[Int64s, Uint8s, Int32s]
-"""Working memory of a search: the length of the way to each cell, the last step of this way (`_SETTLED` after the
-search has passed the cell), and a list of the reached cells."""
+"""Working memory of a search: the length of the way to each cell, the last step of this way, and a list of the settled
+cells, to which no shorter way can be found."""
 
 Bound = tuple[int, int]
 """A cell and a length: cells that cannot be on a way of this length to the cell need no successors."""
@@ -131,110 +131,135 @@ def way(grid: Grid, field: Field, x: int, y: int, weights: FloatRows = _NO_WEIGH
 
 
 @kernel
-def begin(work: Workspace, fill: Int64s, start: int) -> Int32Rows:
-    """Begin a search: put the start into the first of four empty buckets, and return them.
+def begin(free: Bools, work: Workspace, fill: Int64s, offset: Int64s, start: int) -> Int32Rows:
+    """Begin a search: settle the start, put its neighbors into the fronts of level 1, and return all fronts.
 
-    `fill` has the number of cells in each bucket, and last the number of cells that the search has reached.
+    `fill` has the number of cells in each front (`settle`), and last the number of settled cells.
     """
-    length, came, touched = work
-    buckets = np.empty((4, 1024), np.int32)
-    length[start], came[start], buckets[0, 0], touched[0] = 0, 0, start, start
+    length, came, settled = work
+    fronts = np.empty((FRONTS, 512), np.int32)
     fill[:] = 0
-    fill[0] = fill[4] = 1
-    return buckets
+    length[start], settled[0], fill[FRONTS] = 0, start, 1
+    for step in range(8):
+        cell = start + offset[step]
+        is_open = free[cell]
+        if step >= 4:
+            is_open = is_open and free[start + offset[step - 4]] and free[start + offset[(step - 3) & 3]]
+        if is_open:
+            row = 4 + step if step < 4 else 12 + (step & 3)
+            length[cell], came[cell] = ONE if step < 4 else ROOT, step
+            fronts[row, 0], fill[row] = cell, 1
+    return fronts
 
 
 @kernel
-def tidy(work: Workspace, fill: Int64s) -> None:
-    """Reset the reached cells of the workspace."""
-    length, came, touched = work
-    for at in range(fill[4]):
-        cell = np.uint64(touched[np.uint64(at)])
-        length[cell] = FAR
-        came[cell] = 0
+def tidy(work: Workspace, fronts: Int32Rows, fill: Int64s) -> None:
+    """Reset the lengths of all cells that the search has reached."""
+    length, _, settled = work
+    for at in range(fill[FRONTS]):
+        length[np.uint64(settled[np.uint64(at)])] = FAR
+    for row in range(FRONTS):
+        for at in range(fill[row]):
+            length[np.uint64(fronts[np.uint64(row), np.uint64(at)])] = FAR
 
 
 @kernel
 def settle(
-    free: Bools,
-    work: Workspace,
-    buckets: Int32Rows,
-    fill: Int64s,
-    offset: Int64s,
-    level: int,
-    start: int,
-    bound: Bound,
+    free: Bools, work: Workspace, fronts: Int32Rows, fill: Int64s, offset: Int64s, level: int, bound: Bound
 ) -> Int32Rows:
-    """Settle the cells of one bucket, and put their neighbors into the next two; the bucket stays filled.
+    """Settle the cells of a level, from 1: list them, and put their neighbors into the fronts of the next two levels.
 
-    Returns the buckets, enlarged if necessary.
+    Returns the fronts, enlarged if necessary. A level has eight of them, one for each step by which its cells were
+    reached, so the loop over a front has a fixed direction. Straight step i: row 4 (level % 2) + i, as straight steps
+    lead to the next level. Diagonal step 4 + i, which may lead to the one after that: row 8 + 4 (level % 3) + i.
     """
     # Unsigned indices cannot count from the end of an array, which saves a comparison each.
-    length, came, touched = work
-    ring = level & 3
-    for ahead in range(1, 3):
-        # A cell has at most eight successors.
-        to = (level + ahead) & 3
-        if fill[to] + 8 * fill[ring] > buckets.shape[1]:
-            larger = np.empty((4, 2 * (fill[to] + 8 * fill[ring])), np.int32)
-            larger[:, : buckets.shape[1]] = buckets
-            buckets = larger
+    length, came, settled = work
+    straight, next_straight = 4 * (level & 1), 4 * (~level & 1)
+    diagonal, next_diagonal = 8 + 4 * (level % 3), 8 + 4 * ((level + 1) % 3)
+    later_diagonal = 8 + 4 * ((level + 2) % 3)
+    # A cell has at most one successor in each front.
+    most = fill[:FRONTS].max()
+    for step in range(4):
+        most += fill[straight + step] + fill[diagonal + step]
+    if most > fronts.shape[1]:
+        larger = np.empty((FRONTS, 2 * most), np.int32)
+        larger[:, : fronts.shape[1]] = fronts
+        fronts = larger
     stride = offset[1]
     bound_x, bound_y = bound[0] % stride, bound[0] // stride
-    wanted = np.empty(8, np.int64)
-    for at in range(fill[ring]):
-        cell = np.int64(buckets[np.uint64(ring), np.uint64(at)])
-        here = np.uint64(cell)
-        base = length[here]
-        direction = np.int64(came[here])
-        if direction == _SETTLED or base >> SHIFT != level:
-            continue  # a duplicate, or reached on a shorter way since
-        if bound[1] < FAR:
-            dx, dy = abs(cell % stride - bound_x), abs(cell // stride - bound_y)
-            if base + min(dx, dy) * ROOT + abs(dx - dy) * ONE > bound[1]:
-                continue  # too far even without obstacles
-        came[here] = _SETTLED
-        if cell == start:
-            for number in range(8):
-                wanted[number] = number
-            count = 8
-        elif direction < 4:
-            wanted[0] = direction
-            count = 1
-            behind = cell - offset[np.uint64(direction)]
+    count = fill[FRONTS]
+    for step in range(4):
+        ahead = offset[step]
+        for at in range(fill[straight + step]):
+            cell = np.int64(fronts[np.uint64(straight + step), np.uint64(at)])
+            here = np.uint64(cell)
+            if came[here] != step:
+                continue  # reached on a shorter way since
+            settled[np.uint64(count)] = cell
+            count += 1
+            base = length[here]
+            if bound[1] < FAR:
+                dx, dy = abs(cell % stride - bound_x), abs(cell // stride - bound_y)
+                if base + min(dx, dy) * ROOT + abs(dx - dy) * ONE > bound[1]:
+                    continue  # too far even without obstacles
+            to = np.uint64(cell + ahead)
             for turn in (1, 3):
-                side = (direction + turn) & 3
+                side = (step + turn) & 3
                 aside = offset[np.uint64(side)]
-                if not free[np.uint64(behind + aside)] and free[np.uint64(cell + aside)]:
-                    wanted[np.uint64(count)] = side
-                    wanted[np.uint64(count + 1)] = 4 + direction if turn == 1 else 4 + side
-                    count += 2
-        else:
-            wanted[0] = direction
-            wanted[1] = direction - 4
-            wanted[2] = (direction - 3) & 3
-            count = 3
-        for index in range(count):
-            number = wanted[np.uint64(index)]
-            to_cell = np.uint64(cell + offset[np.uint64(number)])
-            if not free[to_cell]:
-                continue
-            new = base + ONE
-            if number >= 4:
-                one, other = offset[np.uint64(number - 4)], offset[np.uint64((number - 3) & 3)]
-                if not free[np.uint64(cell + one)] or not free[np.uint64(cell + other)]:
+                to_side, across = np.uint64(cell + aside), np.uint64(cell + aside + ahead)
+                if free[np.uint64(cell + aside - ahead)] or not free[to_side]:
                     continue
-                new = base + ROOT
-            if new < length[to_cell]:
-                if length[to_cell] == FAR:
-                    touched[np.uint64(fill[4])] = to_cell
-                    fill[4] += 1
-                length[to_cell] = new
-                came[to_cell] = number
-                to = (new >> SHIFT) & 3
-                buckets[np.uint64(to), np.uint64(fill[to])] = to_cell
-                fill[to] += 1
-    return buckets
+                if base + ONE < length[to_side]:
+                    length[to_side], came[to_side] = base + ONE, side
+                    row = np.uint64(next_straight + side)
+                    fronts[row, np.uint64(fill[row])] = to_side
+                    fill[row] += 1
+                if free[to] and free[across] and base + ROOT < length[across]:
+                    between = step if turn == 1 else side
+                    length[across], came[across] = base + ROOT, 4 + between
+                    is_next = (base + ROOT) >> SHIFT == level + 1
+                    row = np.uint64((next_diagonal if is_next else later_diagonal) + between)
+                    fronts[row, np.uint64(fill[row])] = across
+                    fill[row] += 1
+            if free[to] and base + ONE < length[to]:
+                length[to], came[to] = base + ONE, step
+                row = np.uint64(next_straight + step)
+                fronts[row, np.uint64(fill[row])] = to
+                fill[row] += 1
+        fill[straight + step] = 0
+    for step in range(4, 8):
+        for at in range(fill[diagonal + step - 4]):
+            cell = np.int64(fronts[np.uint64(diagonal + step - 4), np.uint64(at)])
+            here = np.uint64(cell)
+            if came[here] != step:
+                continue
+            settled[np.uint64(count)] = cell
+            count += 1
+            base = length[here]
+            if bound[1] < FAR:
+                dx, dy = abs(cell % stride - bound_x), abs(cell // stride - bound_y)
+                if base + min(dx, dy) * ROOT + abs(dx - dy) * ONE > bound[1]:
+                    continue
+            are_free = True
+            for side in (step - 4, (step - 3) & 3):
+                to = np.uint64(cell + offset[np.uint64(side)])
+                are_free = are_free and free[to]
+                if free[to] and base + ONE < length[to]:
+                    length[to], came[to] = base + ONE, side
+                    row = np.uint64(next_straight + side)
+                    fronts[row, np.uint64(fill[row])] = to
+                    fill[row] += 1
+            to = np.uint64(cell + offset[np.uint64(step)])
+            if are_free and free[to] and base + ROOT < length[to]:
+                length[to], came[to] = base + ROOT, step
+                is_next = (base + ROOT) >> SHIFT == level + 1
+                row = np.uint64((next_diagonal if is_next else later_diagonal) + step - 4)
+                fronts[row, np.uint64(fill[row])] = to
+                fill[row] += 1
+        fill[diagonal + step - 4] = 0
+    fill[FRONTS] = count
+    return fronts
 
 
 @kernel
@@ -250,61 +275,56 @@ def offsets(right: int, down: int) -> Int64s:
 def _settle_until(
     free: Bools,
     work: Workspace,
-    buckets: Int32Rows,
+    fronts: Int32Rows,
     fill: Int64s,
     offset: Int64s,
     level: int,
-    start: int,
     end: int,
     bound: Bound,
 ) -> tuple[Int32Rows, int]:
-    """Settle bucket after bucket until the cell `end` is settled or all are empty; return the buckets and the level."""
-    while fill[:4].any() and work[1][end] != 8:
-        buckets = settle(free, work, buckets, fill, offset, level, start, bound)
-        fill[level & 3] = 0
+    """Settle level after level until the cell `end` is settled or no cell is left; return the fronts and the level."""
+    while work[0][end] >> SHIFT >= level and fill[:FRONTS].any():
+        fronts = settle(free, work, fronts, fill, offset, level, bound)
         level += 1
-    return buckets, level
+    return fronts, level
 
 
 @kernel
 def _spread(free: Bools, start: int, work: Workspace, field: Field) -> None:
     height, width = field.shape
-    fill = np.empty(5, np.int64)
-    buckets = begin(work, fill, start)
-    _settle_until(
-        free, work, buckets, fill, offsets(1, width + 2), 0, start, 0, NO_BOUND
-    )  # cell 0, on the rim, is never settled
+    fill, offset = np.empty(FRONTS + 1, np.int64), offsets(1, width + 2)
+    fronts = begin(free, work, fill, offset, start)
+    # Cell 0, on the rim, is never settled.
+    fronts, _ = _settle_until(free, work, fronts, fill, offset, 1, 0, NO_BOUND)
     length = work[0]
     for row in range(height):
         first = (row + 1) * (width + 2) + 1
         source = length[first : first + width]
         for column in range(width):
             field[row, column] = source[column] * UNIT if source[column] != FAR else np.inf
-    tidy(work, fill)
+    tidy(work, fronts, fill)
 
 
 @kernel
 def _spread_to(free: Bools, stride: int, start: int, cells: Cells, work: Workspace, found: Floats) -> None:
-    length, came, _ = work
-    fill = np.empty(5, np.int64)
-    buckets, level = begin(work, fill, start), 0
-    offset = offsets(1, stride)
+    length = work[0]
+    fill, offset = np.empty(FRONTS + 1, np.int64), offsets(1, stride)
+    fronts, level = begin(free, work, fill, offset, start), 1
     for index in range(len(cells)):
         cell = (cells[index, 1] + 1) * stride + cells[index, 0] + 1
-        if came[cell] != _SETTLED:  # else the search for an earlier cell has passed this one
-            buckets, level = _settle_until(free, work, buckets, fill, offset, level, start, cell, NO_BOUND)
+        fronts, level = _settle_until(free, work, fronts, fill, offset, level, cell, NO_BOUND)
         found[index] = length[cell] * UNIT if length[cell] != FAR else np.inf
-    tidy(work, fill)
+    tidy(work, fronts, fill)
 
 
 @kernel
 def _lead(free: Bools, stride: int, start: int, end: int, limit: int, work: Workspace) -> tuple[bool, Cells]:
-    fill = np.empty(5, np.int64)
-    offset = offsets(1, stride)
-    _settle_until(free, work, begin(work, fill, start), fill, offset, 0, start, end, (end, limit))
+    fill, offset = np.empty(FRONTS + 1, np.int64), offsets(1, stride)
+    fronts = begin(free, work, fill, offset, start)
+    fronts, _ = _settle_until(free, work, fronts, fill, offset, 1, end, (end, limit))
     found = work[0][end] != FAR
     cells = way_back(free, work[0], offset, end) if found else np.empty((0, 2), np.int32)
-    tidy(work, fill)
+    tidy(work, fronts, fill)
     return found, cells
 
 
@@ -313,20 +333,18 @@ def _spread_to_frontier(
     free: Bools, grid: Grid, start: int, taken: Cells, ranges: Floats, work: Workspace
 ) -> tuple[int, Cells]:
     """Return the index of the found cell, -1 if there is none, and the way to it."""
-    length = work[0]
+    length, _, settled = work
     stride = grid.shape[1] + 2
-    fill = np.empty(5, np.int64)
-    buckets = begin(work, fill, start)
-    offset = offsets(1, stride)
-    level = 0
+    fill, offset = np.empty(FRONTS + 1, np.int64), offsets(1, stride)
+    fronts, level = begin(free, work, fill, offset, start), 1
     first = -1
     found = -1
-    while fill[:4].any() and found < 0:
-        buckets = settle(free, work, buckets, fill, offset, level, start, NO_BOUND)
+    checked = 0
+    while found < 0:
         nearest = -1
-        for at in range(fill[level & 3]):
-            cell = buckets[level & 3, at]
-            if length[cell] >> SHIFT != level or is_enclosed(free, cell, stride):
+        for at in range(checked, fill[FRONTS]):
+            cell = settled[at]
+            if is_enclosed(free, cell, stride):
                 continue
             cx, cy = cell % stride - 1, cell // stride - 1
             if not is_frontier(grid, cx, cy):
@@ -341,12 +359,16 @@ def _spread_to_frontier(
                 found = cell
         if first < 0:
             first = nearest
-        fill[level & 3] = 0
-        level += 1
+        checked = fill[FRONTS]
+        if not fill[:FRONTS].any():
+            break
+        if found < 0:
+            fronts = settle(free, work, fronts, fill, offset, level, NO_BOUND)
+            level += 1
     if found < 0:
         found = first
     cells = way_back(free, length, offset, found) if found >= 0 else np.empty((0, 2), np.int32)
-    tidy(work, fill)
+    tidy(work, fronts, fill)
     return found, cells
 
 

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence, Set
-from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -164,9 +163,10 @@ class Stream(ABC):
         """Append an update to the history, with its message, dependencies, scan cell and key."""
         self.key = key_of(self.key, message, self._bases)
         ends = tuple(self.depends_on.tolist())
-        update = replace(
-            update, message=message, bases=tuple(self._bases), ends=ends, pose=self.pose, key=self.key
-        )
+        update = DecodedUpdate(
+            update.places, update.states, update.before, update.box,
+            message, tuple(self._bases), ends, self.pose, self.key,
+        )  # fmt: skip
         self.histories[self.map_id].append(update)
         return update
 
@@ -189,11 +189,13 @@ class Stream(ABC):
         """
         more = np.zeros(len(self.depends_on), np.int64)
         applied: list[DecodedUpdate] = []
+        lacking = lacking_box(self.grid, own, *near)
         for other in self._others.tolist():
             first = int(self.depends_on[other])
-            if end := self._find_base(other, own, near):
+            if end := self._find_base(other, own, lacking):
                 more[other] = end - first
                 applied += self._depend_on(other, end)
+                lacking = lacking_box(self.grid, own, *near)
         _code_bases(coder, self._others, more, self._bases_grew)
         return applied
 
@@ -290,6 +292,24 @@ def _reports(grid: Grid, places: Int32s, before: Uint8s) -> tuple[Uint8s, Uint8s
         reported[index] = before[index] & STATE if before[index] & REPORTED else UNKNOWN
         x0, y0, x1, y1 = min(x0, x), min(y0, y), max(x1, x + 1), max(y1, y + 1)
     return states, reported, x0, y0, x1, y1
+
+
+@kernel
+def lacking_box(grid: Grid, own: Grid, x0: int, y0: int, x1: int, y1: int) -> tuple[int, int, int, int]:
+    """Return the bounding box of the cells of a box that the robot knows and would have to report itself."""
+    height, width = grid.shape
+    x0, y0, x1, y1 = max(x0, 0), max(y0, 0), min(x1, width), min(y1, height)
+    left, top, right, bottom = width, height, 0, 0
+    for y in range(y0, y1):
+        known, reported = own[y, x0:x1], grid[y, x0:x1]
+        lacks = False
+        for x in range(len(known)):  # without branches, so that compilers use vector instructions
+            lacks |= (known[x] != UNKNOWN) & (reported[x] & STATE == UNKNOWN)
+        for x in range(len(known) if lacks else 0):
+            if known[x] != UNKNOWN and reported[x] & STATE == UNKNOWN:
+                left, right = min(left, x0 + x), max(right, x0 + x + 1)
+                top, bottom = min(top, y), y + 1
+    return left, top, right, bottom
 
 
 @kernel

@@ -69,9 +69,10 @@ class Replication(ABC):
 
     def undelivered(self) -> int:
         """Count the entries of this robot's log that are not acknowledged, over all peers that have not ended."""
-        length, acked = self.own_log.length, self.peers.acked[:, self.peers.own].tolist()
+        length = self.own_log.length
+        acked: list[int] = self.peers.acked[:, self.peers.own].tolist()
         gone = {self.peers.robot, *self.ended}
-        return sum(length - held for peer, held in enumerate(acked) if peer not in gone)
+        return length * (len(acked) - len(gone)) - sum(acked) + sum([acked[peer] for peer in gone])
 
     def undelivered_to(self, peer: int) -> int:
         """Count the entries of this robot's log that a peer has not acknowledged."""
@@ -100,13 +101,15 @@ class Replication(ABC):
 
     def _next_digest(self) -> bytes:
         """Return the digest of this robot's log if one is due or a peer may hold other entries; else empty bytes."""
+        if self.salt is None:
+            return b""
         log, verifier = self.own_log, self.replica.verifiers[self.peers.own]
         turn = (self.replica.step + INTERVAL * self.peers.robot) // (INTERVAL * self.peers.robots)
         if turn > self._digest_turn:
             self._digest_turn = turn
             log.request_digest(log.length)
         length = 0 if log.digest_length is None else min(log.digest_length, log.shared)
-        if self.salt is None or not length:
+        if not length:
             return b""
         return packet_codec.encode([verifier.digest(length, self.salt, complete=length == log.shared)])
 

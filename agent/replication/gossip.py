@@ -145,7 +145,8 @@ class Gossip(Replication):
             held = report(number, len(self.logs[number]))
             if builder.fits(held):
                 end = builder.add(held, partial(self._report_sent, number))
-        builder.add_marker(end, partial(self._meetings.informed, owed))
+        if owed:
+            builder.add_marker(end, partial(self._meetings.informed, owed))
 
     def _add_range(self, number: int, first: int, end: int) -> int:
         """Add entries of a map to the frame, behind a header where one is needed; return the offset after the last."""

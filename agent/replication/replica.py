@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -49,6 +50,9 @@ LONGEST = 64
 
 ASK_AGAIN = 4
 """Steps until a robot asks again for entries for the first time; then it waits twice as long each time."""
+
+
+_LENGTH = attrgetter("length")
 
 
 class Rejected(NamedTuple):
@@ -109,7 +113,7 @@ class Replica:
 
     def lengths(self) -> Table:
         """Return the number of entries of each log."""
-        return np.array([log.length for log in self.logs], np.int64)
+        return np.fromiter(map(_LENGTH, self.logs), np.int64, len(self.logs))
 
     def refuses(self, peer: int, number: int) -> bool:
         """Return whether a peer's entries of a map are not accepted in this step."""

@@ -49,19 +49,23 @@ class Reports:
         `lengths`: of this robot's logs. `owed`: the peers to which meetings owe reports. `parted`: whether any robot
         has been out of range before.
         """
-        peers, step, waited = self._replica.peers, self._replica.step, self._replica.step - self._steps
+        peers, step, reliable = self._replica.peers, self._replica.step, self._acks.reliable
+        is_turn = parted and step % REFRESH == peers.robot % REFRESH
+        asked = self._replica.maps_to_ask_for() if reliable else []
+        if reliable and not (owed or self.gaps or is_turn or asked):
+            return []
+        waited = step - self._steps
         due = np.zeros(peers.maps, np.bool_)
         for peer in owed:
             due |= self._informed[peer] < lengths
         for number in self.gaps:
-            due[number] |= waited[number] >= (PATIENCE if self._acks.reliable else GAP_REPORTS)
-        if parted and step % REFRESH == peers.robot % REFRESH:
+            due[number] |= waited[number] >= (PATIENCE if reliable else GAP_REPORTS)
+        if is_turn:
             numbers = np.arange(peers.maps)
             in_turn = numbers % peers.robots == step // REFRESH % peers.robots
             due |= in_turn & ((numbers < peers.robots) | (lengths > 0))
-        if self._acks.reliable:
-            due[self._replica.maps_to_ask_for()] = True
-        else:
+        due[asked] = True
+        if not reliable:
             news = lengths > self._lengths
             news[list(self.repeated)] = True
             due |= news & (waited >= self._acks.interval)

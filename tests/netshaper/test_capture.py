@@ -152,7 +152,7 @@ def test_a_frame_too_long_for_one_packet_of_wireshark_is_several_that_hold_whole
     frames = read(write([(1, seen)]))
     assert [frame.part for frame in frames] == [0, 1, 2]
     assert b"".join(frame.payload for frame in frames) == payload
-    assert all(capture.HEAD.itemsize + frame.size <= MAX_PACKET for frame in frames)
+    assert all(plain_ledger.HEAD.size + frame.size <= MAX_PACKET for frame in frames)
     assert all(frame.size % 2 == 0 for frame in frames)
 
 

@@ -116,6 +116,18 @@ def test_a_kernel_that_calls_kernels_of_the_cache_can_be_compiled(tmp_path: Path
     assert call(tmp_path, command).stdout == "24 2 0\n"
 
 
+def test_a_module_that_imports_a_kernel_holds_the_compiled_function_after_its_first_call(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "sums.py").write_text(MODULE)
+    (tmp_path / "caller.py").write_text("from sums import twice\n\ndef call():\n    return twice(3)\n")
+    command = (
+        "import caller, protocol.kernels; kinds = [isinstance(caller.twice, protocol.kernels.Kernel)];"
+        "caller.call(); kinds.append(isinstance(caller.twice, protocol.kernels.Kernel)); print(kinds)"
+    )
+    assert call(tmp_path, command).stdout == "[True, False]\n"
+
+
 def test_a_kernel_is_compiled_again_if_one_that_it_calls_has_changed_in_another_module(
     tmp_path: Path,
 ) -> None:
