@@ -35,7 +35,7 @@ from protocol.errors import shown, there_are
 Part = TypeVar("Part")
 
 MAX_NAME = 60
-"""Maximum characters of the name of a file with a plug-in: a file system allows 255 bytes, a character takes up to 4."""
+"""Most characters of the name of a file with a plug-in: file systems allow 255 bytes, characters take up to 4."""
 
 MAIN = "__main__"
 """The module of a script or notebook. Other processes cannot import it."""
