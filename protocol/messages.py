@@ -82,7 +82,7 @@ class Sense(Record, tag=2, frozen=True):
     step. `readings`: one per beam (`protocol.scans`). `blocked`: why the last move stopped short. `offset_x`,
     `offset_y`: position within its cell, in thousandths of a cell from the center. `range_scan`: with a real laser,
     its scan (`protocol.range_scans`); `readings` is empty then, and the position is the believed one. `own_map`: of a
-    robot that makes its map itself, what it knows of it (`protocol.own_map`), instead of a scan.
+    robot that makes its map itself, the part that it knows (`protocol.own_map`), instead of a scan.
     """
 
     step: Step

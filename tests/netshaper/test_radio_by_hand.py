@@ -1,4 +1,4 @@
-"""The radio in scenes by hand: what a round puts on the air, what it refuses, and deaths in between."""
+"""The radio with frames written by hand: those that a round transmits and refuses, and robots that die in between."""
 
 from __future__ import annotations
 
