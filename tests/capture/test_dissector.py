@@ -48,10 +48,10 @@ def drawn(kind: type[Packet], chance: random.Random) -> bytes:
     if kind is Fragment:
         return packet_codec.encode([Fragment(chance.randbytes(chance.randint(1, packets.FRAGMENT_DATA)))])
     if kind is Update:
-        short = Update(None, chance.randbytes(packets.UPDATE_DATA))
-        data = chance.randbytes(chance.randint(0, packets.LONG_UPDATE_DATA))
-        long = Update(chance.randrange(packets.UPDATE_NUMBERS), data, chance.randrange(2))
-        return packet_codec.encode([chance.choice((short, long))])
+        number = chance.choice((None, *range(packets.UPDATE_NUMBERS)))
+        least = packets.UPDATE_PART if number is None else 0
+        data = chance.randbytes(chance.randint(least, packets.UPDATE_DATA))
+        return packet_codec.encode([Update(number, data)])
     (layout,) = [layout for layout in packets.LAYOUTS if layout.packet == kind.__name__]
     width = sum(bits.width for _, bits in layout.fields)
     fields = chance.choice((0, (1 << width) - 1, chance.getrandbits(width))) if width else 0
