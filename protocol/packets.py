@@ -26,6 +26,7 @@ EARLY = 1 << 12
 FIRST = 1 << 8
 """`FromFirst` and `HeldFirst` give log offsets below this number, of maps below `FIRST_MAPS`."""
 FIRST_MAPS = 1 << 4
+"""`FromFirst` and `HeldFirst` give maps below this number."""
 MAX_GOSSIP_MAPS = 1 << 8
 """The most maps that gossip can name."""
 

@@ -2,9 +2,9 @@
 
 Both depend on the budget of a step. A packet that does not fit into the rest of a budget leaves that rest unused, so
 packets are short: the budget holds `PACKETS_A_STEP` of them. If it is too small for a target and two of them, or narrow
-with updates of tiles, and all robots are always in range of each other, one packet fills it, except for the header that
-names the packet's offset in its log (`FromEarly`, or `From` behind offset `EARLY`). Such packets need no header but
-after a restart, so a target fits there instead.
+with updates of tiles, and all robots are always in range of each other, one packet fills it, except for the longest
+header that can name the packet's offset in its log (`FromEarly`, or `From` behind offset `EARLY`). Such packets need no
+header but after a restart, so a target fits there instead.
 """
 
 from __future__ import annotations
@@ -35,6 +35,9 @@ FAIR_SHARE = 28
 
 PACKETS_A_STEP = 3
 """Packets that the budget of a step holds, unless it is very small."""
+
+SHORTEST = 1 + UPDATE_PART
+"""Bytes of the shortest packet that another one of the same update follows."""
 
 NARROW = 42
 """Bytes per step below which scans are coded by better predictions (`agent.predictive.scan_stream.NarrowBand`), and
@@ -94,7 +97,7 @@ class UpdateLimits:
             is_narrow = bandwidth < (NARROW if hear_all or settings.shares_tiles else NARROW_APART)
             scarcity = FAIR_SHARE * settings.robots / max(bandwidth, 1)
             wait_steps = min(max(math.ceil(scarcity), 1), ENOUGH_STEPS)
-            is_filled = bandwidth < (NARROW if settings.shares_tiles else Target.size + 2 * (1 + UPDATE_PART))
+            is_filled = bandwidth < (NARROW if settings.shares_tiles else Target.size + 2 * SHORTEST)
             fills = bandwidth if is_filled and hear_all and not settings.replication.requires_acks else 0
         if medium.frame_bytes is not None:
             size = min(size, content_in(medium.frame_bytes))

@@ -4,8 +4,9 @@ An answer leaves out the fields that it shares with the offer. It names the offs
 before that the block, if it differs from the offered one; and before that the round of 64 blocks, if it is not the
 first. So no length is ambiguous.
 
-Other packets (`From`, `Held`) name an offset whole while it is small (`EARLY`), later modulo `GOSSIP_WINDOW`; the
-receiver takes the value nearest to its own log length, as TCP does with truncated sequence numbers.
+Other packets (`From`, `Held`) come in three lengths. The shorter ones name small offsets whole. The longest one names
+an offset modulo `GOSSIP_WINDOW`; the receiver takes the value nearest to its own log length, as TCP does with truncated
+sequence numbers.
 """
 
 from __future__ import annotations
@@ -35,6 +36,8 @@ ROUND = BLOCKS * INDEX_WINDOW
 
 LEAST_HANDSHAKE = packets.Offer.size + packets.Answer.size
 """Bytes of an offer and the shortest answer."""
+
+NamesOffset = TypeVar("NamesOffset", From, Held)
 
 # --- handshakes
 
@@ -100,10 +103,9 @@ def report(number: int, length: int) -> bytes:
     return _shortest(number, length, HeldFirst, HeldEarly, Held)
 
 
-Names = TypeVar("Names", From, Held)
-
-
-def _shortest(number: int, value: int, first: type[Names], early: type[Names], whole: type[Names]) -> bytes:
+def _shortest(
+    number: int, value: int, first: type[NamesOffset], early: type[NamesOffset], whole: type[NamesOffset]
+) -> bytes:
     """Encode map `number` and an offset in the shortest of three packets."""
     if number < FIRST_MAPS and value < FIRST:
         return packet_codec.encode([first(number, value)])

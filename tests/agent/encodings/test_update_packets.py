@@ -8,15 +8,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.encoding_options import PredictiveOptions
-from agent.encodings.update_packets import FULL_TILE_STEPS, NARROW, NARROW_APART, UpdateLimits, content_in
+from agent.encodings.update_packets import (
+    FULL_TILE_STEPS,
+    NARROW,
+    NARROW_APART,
+    SHORTEST,
+    UpdateLimits,
+    content_in,
+)
 from agent.settings import EncodingSettings, MediumSettings, ReplicationSettings, Settings
 from protocol.body import Body
 from protocol.budget import Budget
 from protocol.packet_codec import decode_kind
-from protocol.packets import EARLY, UPDATE_PART, From, FromEarly, Target, Update
-
-SHORTEST = 1 + UPDATE_PART
-"""Bytes of the shortest packets of updates that another one follows."""
+from protocol.packets import EARLY, From, FromEarly, Target, Update
 
 LEAST = From.size + SHORTEST
 """The smallest budget of a step that holds any packet behind a header."""
