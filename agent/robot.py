@@ -39,7 +39,7 @@ from protocol.errors import ProtocolError
 from protocol.grid import OCCUPIED, Grid
 from protocol.message_fields import MAX_WAY_CELLS
 from protocol.messages import Move, RoundReport, Sense
-from protocol.packets import SALTS, Held, HeldEarly, LogDigest
+from protocol.packets import SALTS, Held, LogDigest
 
 SURE_AFTER = 10
 """Steps for which a map with assumptions must have nothing left to explore before a robot reports that it is done:
@@ -63,7 +63,7 @@ DELIVERY_STEPS = 5
 its report may end the run, and they would lack them. If updates are long, it waits as long as two of them take."""
 
 
-ABOUT_LOGS = LogDigest, Held, HeldEarly
+ABOUT_LOGS = LogDigest, Held
 """Packets of a broadcast that concern logs; those before them concern the team."""
 
 

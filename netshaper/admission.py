@@ -26,14 +26,14 @@ from netshaper.settings import RadioSettings
 from protocol import packet_codec, packets
 from protocol.errors import ProtocolError
 from protocol.packet_index import NO_PACKETS, PacketIndex, cache_short, index_of
-from protocol.packets import Check, From, FromEarly, Held, HeldEarly, LogDigest, Offer
+from protocol.packets import Check, From, Held, HeldEarly, HeldFirst, LogDigest, Offer
 
 MAX_REPORTS = 1 << 12
 """Maximum number of offers, answers and reports in a frame: some for each map."""
 
-Begins = Offer | From | FromEarly
+Begins = Offer | From
 """Packets that select the map of the packets after them."""
-OfMap = Begins | Held | HeldEarly
+OfMap = Begins | Held
 """Packets of robots that require acknowledgments: each concerns one map."""
 
 Reader = Callable[[bytes], Content]
@@ -76,6 +76,7 @@ _LETTERS = {
     LogDigest: "d",
     Held: "h",
     HeldEarly: "h",
+    HeldFirst: "h",
 }
 _BROADCAST = re.compile(r"(?=.)p?t?(Pt?)*d?h*")
 
@@ -159,7 +160,7 @@ def read_news(settings: RadioSettings, payload: bytes) -> Content:
     else:
         kind = OFFER if any(isinstance(each, Offer) for each in reports) else ANSWER
     begun = [each.map for each in reports if isinstance(each, Begins)]
-    held = [each.map for each in reports if isinstance(each, Held | HeldEarly)]
+    held = [each.map for each in reports if isinstance(each, Held)]
     return Content(kind, payload, index, (begun or held or [-1])[0], problem)
 
 
@@ -177,7 +178,7 @@ def _wrong_in_news(settings: RadioSettings, index: PacketIndex, reports: Sequenc
     if any(isinstance(each, OfMap) and each.map >= settings.maps for each in reports):
         return "the map of a robot that does not exist"
     first = next((at for at, kind in enumerate(index.kinds) if kind != _CONN), len(index.kinds))
-    if first < len(index.kinds) and not any(isinstance(each, From | FromEarly) for each in reports[:first]):
+    if first < len(index.kinds) and not any(isinstance(each, From) for each in reports[:first]):
         return "log entries without the position at which they begin"
     return ""
 

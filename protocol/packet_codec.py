@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache
-from typing import Any, TypeVar, cast, get_args
+from typing import TypeVar, cast, get_args
 
 from protocol.errors import ProtocolError
 from protocol.packet_layout import Layout
 from protocol.packets import (
     ALL_KINDS,
     DECLINED,
-    FRAGMENT_DATA,
     HANDSHAKE_SIZE,
     LAYOUTS,
-    LONG_UPDATE_DATA,
-    SHORT_HEAD,
-    UPDATE_DATA,
-    UPDATE_NUMBERS,
+    LENGTH_HEAD,
     AnyPacket,
     Block,
     Fragment,
@@ -30,34 +26,36 @@ from protocol.packets import (
 
 KindOfPacket = TypeVar("KindOfPacket", bound=Packet)
 
-_PACKETS: dict[str, type[Packet]] = {kind.__name__: kind for kind in get_args(AnyPacket)}
+_PACKETS: dict[str, Callable[..., AnyPacket]] = {kind.__name__: kind for kind in get_args(AnyPacket)}
 
 _BY_FIRST_BYTE = [
     next((layout for layout in LAYOUTS if layout.starts_with(byte)), None) for byte in range(256)
 ]
-_LAYOUT = {_PACKETS[layout.packet]: layout for layout in LAYOUTS if layout.content is None}
-_FORM = {kind: (*layout.fixed, layout.places) for kind, layout in _LAYOUT.items()}
-"""For each packet without content: mask and value of its fixed bits, and the places of its fields."""
-_CLASS: list[Any] = [None if layout is None else _PACKETS[layout.packet] for layout in _BY_FIRST_BYTE]
-"""For each first byte the class of the packet; None: no packet starts with it."""
-
-_WITH_LENGTH = {layout.packet: int(layout.code, 2) for layout in LAYOUTS if layout.has_length}
-"""First byte of the layout with a length field, by the name of the packet."""
-_FULL, _SHORT = int(Fragment.code, 2), _WITH_LENGTH[Fragment.__name__]
-_UPDATE, _LONG = int(Update.code, 2), _WITH_LENGTH[Update.__name__]
+_LAYOUT = {layout.packet: layout for layout in LAYOUTS if layout.content is None}
+_WITH_CONTENT = {
+    kind: [layout for layout in LAYOUTS if layout.packet == kind.__name__] for kind in (Fragment, Update)
+}
 
 
-def _index_row(layout: Layout | None) -> tuple[int, ...]:
+def _index_row(first: int) -> tuple[int, ...]:
+    layout = _BY_FIRST_BYTE[first]
     if layout is None:
         return (-1, 0, 0, 0, 0, 0, 0)
-    size, shift = (0, layout.places[0][1]) if layout.has_length else (layout.size, 0)
-    fixed, content = (layout.fixed, (0, 0)) if layout.content is None else ((0, 0), layout.content)
-    return (ALL_KINDS.index(layout.kind), size, *fixed, shift, *content)
+    kind = ALL_KINDS.index(layout.kind)
+    if layout.content is None:
+        return (kind, layout.size, *layout.fixed, 0, 0, 0)
+    least, most = layout.content
+    if not layout.has_length:
+        return (kind, layout.size + most, 0, 0, 0, 0, 0)
+    _, shift, mask, bias = layout.places[0]
+    if layout.size == 1:
+        return (kind, layout.size + (first >> shift & mask) - bias, 0, 0, 0, 0, 0)
+    return (kind, 0, 0, 0, shift, least, most)
 
 
-LAYOUT_BY_BYTE = [_index_row(layout) for layout in _BY_FIRST_BYTE]
-"""For each first byte: number of the kind in `ALL_KINDS` (-1: no packet); bytes of the packet (0: it has a length
-field); mask of the bits that are equal in all such packets, and their value; shift of the length within the second
+LAYOUT_BY_BYTE = [_index_row(first) for first in range(256)]
+"""For each first byte: number of the kind in `ALL_KINDS` (-1: no packet); bytes of the packet (0: the second byte gives
+its length); mask of the bits that are equal in all such packets, and their value; shift of the length within the second
 byte, and the least and the most bytes of content (`protocol.packet_index`)."""
 _SIZE = [row[1] for row in LAYOUT_BY_BYTE]
 """For each first byte the bytes of the packet; 0: the second byte has its length, or there is no such packet."""
@@ -67,43 +65,35 @@ def encode(packets: Iterable[Packet]) -> bytes:
     """Write packets one after the other; ProtocolError if the value of a field does not fit its bits."""
     out = bytearray()
     for packet in packets:
-        if isinstance(packet, Fragment):
-            out += _write_fragment(packet, len(out))
-            continue
-        if isinstance(packet, Update):
-            out += _write_update(packet, len(out))
-            continue
-        _, number, places = _FORM[type(packet)]
-        for name, shift, mask, bias in places:
+        content, layout = b"", _LAYOUT.get(type(packet).__name__)
+        if layout is None:
+            assert isinstance(packet, Fragment | Update)
+            content, layout = packet.data, _layout_for(packet, len(out))
+        number = layout.fixed[1]
+        for name, shift, mask, bias in layout.places:
             value = getattr(packet, name) + bias
             if not 0 <= value <= mask:
                 reason = f"{name} {value - bias} is outside {-bias} to {mask - bias}"
                 raise ProtocolError(packet.name, len(out), reason)
             number |= value << shift
-        out += number.to_bytes(packet.size, "big")
+        out += number.to_bytes(layout.size, "big")
+        out += content
     return bytes(out)
 
 
-def _write_fragment(packet: Fragment, offset: int) -> bytes:
-    size = len(packet.data)
-    if not 1 <= size <= FRAGMENT_DATA:
-        raise ProtocolError(packet.name, offset, f"{size} bytes of content are outside 1 to {FRAGMENT_DATA}")
-    head = bytes([_FULL]) if size == FRAGMENT_DATA else bytes([_SHORT, size])
-    return head + packet.data
-
-
-def _write_update(packet: Update, offset: int) -> bytes:
-    size, number, more = len(packet.data), packet.number, packet.more
-    if number is None:
-        if size != UPDATE_DATA:
-            reason = f"{size} bytes of content instead of {UPDATE_DATA}"
-            raise ProtocolError(packet.name, offset, reason)
-        return bytes([_UPDATE]) + packet.data
-    if size > LONG_UPDATE_DATA or not (0 <= number < UPDATE_NUMBERS and 0 <= more <= 1):
-        limits = f"0 to {UPDATE_NUMBERS - 1}, 0 to {LONG_UPDATE_DATA} or 0 to 1"
-        reason = f"number {number}, size {size} or flag {more} is outside {limits}"
-        raise ProtocolError(packet.name, offset, reason)
-    return bytes([_LONG, size << 2 | number << 1 | more]) + packet.data
+def _layout_for(packet: Fragment | Update, offset: int) -> Layout:
+    """Return the layout that has the packet's fields and length."""
+    numbered = isinstance(packet, Update) and packet.number is not None
+    sizes: list[int] = []
+    for layout in _WITH_CONTENT[type(packet)]:
+        if layout.content is None or ("number" in dict(layout.fields)) != numbered:
+            continue
+        least, most = layout.content
+        if least <= packet.length <= most:
+            return layout
+        sizes += layout.content
+    reason = f"{packet.length} bytes of content are outside {min(sizes)} to {max(sizes)}"
+    raise ProtocolError(packet.name, offset, reason)
 
 
 def length(buffer: bytes, offset: int = 0) -> int:
@@ -112,15 +102,16 @@ def length(buffer: bytes, offset: int = 0) -> int:
     Raises ProtocolError if no packet starts with that byte, or its length field is out of range.
     """
     layout = _layout(buffer, offset)
-    if not layout.has_length or layout.content is None:
-        return layout.size
+    if size := _SIZE[buffer[offset]]:
+        return size
     if offset + 1 == len(buffer):
-        return SHORT_HEAD
+        return LENGTH_HEAD
+    assert layout.content is not None
     least, most = layout.content
     size = buffer[offset + 1] >> layout.places[0][1]
     if not least <= size <= most:
         raise ProtocolError(layout.kind, offset, f"{size} bytes of content are outside {least} to {most}")
-    return SHORT_HEAD + size
+    return LENGTH_HEAD + size
 
 
 def name(buffer: bytes, offset: int = 0) -> str:
@@ -184,20 +175,24 @@ def _decode_cached(frame: bytes) -> tuple[AnyPacket, ...]:
 
 def _read(buffer: bytes, offset: int, size: int) -> AnyPacket:
     """Read the whole packet of `size` bytes that starts at `offset`."""
-    first, packet = buffer[offset], buffer[offset : offset + size]
-    kind = _CLASS[first]
-    if kind is Fragment:
-        return Fragment(packet[1 if first == _FULL else SHORT_HEAD :])
-    if kind is Update and first == _UPDATE:
-        return Update(None, packet[1:])
-    if kind is Update:
-        return Update(packet[1] >> 1 & 1, packet[SHORT_HEAD:], packet[1] & 1)
-    fixed_mask, fixed, places = _FORM[kind]
-    number = int.from_bytes(packet, "big")
-    if number & fixed_mask != fixed:
-        raise _malformed(_LAYOUT[kind], number, offset)
-    read: AnyPacket = kind(*[(number >> shift & mask) - bias for _, shift, mask, bias in places])
-    return read
+    packet = buffer[offset : offset + size]
+    layout = _layout(buffer, offset)
+    if layout.content is not None:
+        return _read_with_content(layout, packet)
+    (mask, fixed), number = layout.fixed, int.from_bytes(packet, "big")
+    if number & mask != fixed:
+        raise _malformed(layout, number, offset)
+    return _PACKETS[layout.packet](
+        *[(number >> shift & mask) - bias for _, shift, mask, bias in layout.places]
+    )
+
+
+def _read_with_content(layout: Layout, packet: bytes) -> Fragment | Update:
+    head, data = int.from_bytes(packet[: layout.size], "big"), packet[layout.size :]
+    if layout.packet == Fragment.__name__:
+        return Fragment(data)
+    numbers = [head >> shift & mask for name, shift, mask, _ in layout.places if name == "number"]
+    return Update(numbers[0] if numbers else None, data)
 
 
 def _malformed(layout: Layout, number: int, offset: int) -> ProtocolError:

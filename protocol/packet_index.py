@@ -18,7 +18,7 @@ import numpy as np
 from protocol.arrays import Int32Rows, Int64Rows, ReadOnlyUint8s, Uint8s
 from protocol.kernels import kernel
 from protocol.packet_codec import LAYOUT_BY_BYTE, decode
-from protocol.packets import ALL_KINDS, SHORT_HEAD
+from protocol.packets import ALL_KINDS, LENGTH_HEAD
 
 TABLE: Int64Rows = np.array(LAYOUT_BY_BYTE, np.int64)
 """Layout of the packets that start with each byte, shape (256, 7); columns as in `LAYOUT_BY_BYTE`."""
@@ -116,7 +116,7 @@ def packet_end(data: ReadOnlyUint8s, at: int, end: int, table: Int64Rows) -> int
         size = np.int64(data[at + 1]) >> table[first, 4]
         if size < table[first, 5] or size > table[first, 6]:
             return -1
-        size += SHORT_HEAD
+        size += LENGTH_HEAD
     if at + size > end:
         return -1
     mask = table[first, 2]

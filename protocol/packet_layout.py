@@ -37,7 +37,7 @@ class Layout:
     kind: str
     """Kind by which ledger and reports count it."""
     size: int
-    """Bytes; of a layout with a length field the bytes without content."""
+    """Bytes before the content, which some layouts do not have."""
     code: str
     """Binary digits with which the packet starts."""
     fields: tuple[tuple[str, Bits], ...]
@@ -89,5 +89,5 @@ class Layout:
             groups.append(
                 f"n bytes of content, {least} to {most}" if self.has_length else f"{most} bytes of content"
             )
-            size = f"{self.size + least} to {self.size + most}" if self.has_length else size
+            size = f"{self.size + least} to {self.size + most}" if least < most else str(self.size + most)
         return f"{self.packet:9} {self.kind:6} {size:7} {' '.join(groups)}"

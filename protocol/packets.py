@@ -21,8 +21,12 @@ MAX_OBJECTS = 4096
 
 GOSSIP_WINDOW = 1 << 24
 """Log offsets in `From` and `Held` are modulo this number."""
-EARLY = 1 << 8
-"""`FromEarly` and `HeldEarly` can give log offsets below this number."""
+EARLY = 1 << 12
+"""`FromEarly` and `HeldEarly` give log offsets below this number."""
+FIRST = 1 << 8
+"""`FromFirst` and `HeldFirst` give log offsets below this number, of maps below `FIRST_MAPS`."""
+FIRST_MAPS = 1 << 4
+"""`FromFirst` and `HeldFirst` give maps below this number."""
 MAX_GOSSIP_MAPS = 1 << 8
 """The most maps that gossip can name."""
 
@@ -69,7 +73,9 @@ BlockNumber = Annotated[int, Bits(6, "b", "block of 4096 log entries, modulo 64"
 AnswerBlock = Annotated[int, Bits(7, "b", "block of 4096 log entries, modulo 64; 64: the offer is declined")]
 BlockOffset = Annotated[int, Bits(12, "i", "number of log entries held, within the block")]
 Offset = Annotated[int, Bits(24, "i", "offset of a log entry, modulo 16777216")]
-EarlyOffset = Annotated[int, Bits(8, "i", "offset of a log entry, below 256")]
+EarlyOffset = Annotated[int, Bits(12, "i", "offset of a log entry, below 4096")]
+FirstMap = Annotated[int, Bits(4, "m", "number of the map's robot, if the map is among the first 16")]
+FirstOffset = Annotated[int, Bits(8, "i", "offset of a log entry, below 256")]
 Robot = Annotated[int, Bits(8, "r", "number of the robot")]
 CellX = Annotated[int, Bits(11, "x", "column of a cell")]
 CellY = Annotated[int, Bits(11, "y", "row of a cell")]
@@ -99,7 +105,7 @@ class Insert(Packet, frozen=True):
     The vertex is the contour point of cell (x, y) on its side `side` (`agent.outline.contour`).
     """
 
-    name, size, code = "ins", 6, "010"
+    name, size, code = "ins", 6, "10100000"
     index: VertexIndex
     x: VertexX
     y: VertexY
@@ -110,7 +116,7 @@ class Insert(Packet, frozen=True):
 class Replace(Packet, frozen=True):
     """Replace the vertex at `index` of the current object."""
 
-    name, size, code = "rep", 6, "011"
+    name, size, code = "rep", 6, "10100001"
     index: VertexIndex
     x: VertexX
     y: VertexY
@@ -121,14 +127,14 @@ class Replace(Packet, frozen=True):
 class Delete(Packet, frozen=True):
     """Delete the vertex at `index` of the current object."""
 
-    name, size, code = "del", 2, "100"
+    name, size, code = "del", 2, "1101"
     index: VertexIndex
 
 
 class Emerge(Packet, frozen=True):
     """Create an object under the unused number `object`, and make it the current one; `count` inserts follow."""
 
-    name, size, code = "em", 5, "1101"
+    name, size, code = "em", 5, "10100010"
     object: Object
     count: Count
     inside: Inside
@@ -137,7 +143,7 @@ class Emerge(Packet, frozen=True):
 class Change(Packet, frozen=True):
     """Make `object` the current one; it has `count` vertices after the vertex packets that follow."""
 
-    name, size, code = "chg", 5, "1110"
+    name, size, code = "chg", 5, "10100011"
     object: Object
     count: Count
     inside: Inside
@@ -146,7 +152,7 @@ class Change(Packet, frozen=True):
 class Remove(Packet, frozen=True):
     """Remove `object`; its number may be used again."""
 
-    name, size, code = "rm", 2, "1010"
+    name, size, code = "rm", 2, "1110"
     object: Object
 
 
@@ -184,12 +190,20 @@ class From(Packet, frozen=True):
     index: Offset
 
 
-class FromEarly(Packet, frozen=True):
-    """Gossip: a shorter `From` for offsets below `EARLY`."""
+class FromEarly(From, frozen=True):
+    """Gossip: a shorter `From`, for offsets below `EARLY`."""
 
-    name, size, code = "conn", 3, "11111011"
+    name, size, code = "conn", 3, "0100"
     map: GossipMap
     index: EarlyOffset
+
+
+class FromFirst(From, frozen=True):
+    """Gossip: the shortest `From`, for offsets below `FIRST` and maps below `FIRST_MAPS`."""
+
+    name, size, code = "conn", 2, "0110"
+    map: FirstMap
+    index: FirstOffset
 
 
 class Held(Packet, frozen=True):
@@ -200,12 +214,20 @@ class Held(Packet, frozen=True):
     index: Offset
 
 
-class HeldEarly(Packet, frozen=True):
-    """Gossip: a shorter `Held` for fewer than `EARLY` entries."""
+class HeldEarly(Held, frozen=True):
+    """Gossip: a shorter `Held`, for fewer entries than `EARLY`."""
 
-    name, size, code = "conn", 3, "11111101"
+    name, size, code = "conn", 3, "0101"
     map: GossipMap
     index: EarlyOffset
+
+
+class HeldFirst(Held, frozen=True):
+    """Gossip: the shortest `Held`, for fewer entries than `FIRST` and maps below `FIRST_MAPS`."""
+
+    name, size, code = "conn", 2, "0111"
+    map: FirstMap
+    index: FirstOffset
 
 
 class Near(Packet, frozen=True):
@@ -284,37 +306,47 @@ class Fragment(Packet, frozen=True):
     name, size, code = "scan", 64, "11110001"
     data: bytes
 
+    @property
+    def length(self) -> int:
+        """Bytes of content."""
+        return len(self.data)
 
-class Update(Packet, frozen=True, repr_omit_defaults=True):
+
+class Update(Packet, frozen=True):
     """Fragment of a map update of the predictive encoding (`agent.predictive`).
 
-    Short fragments have `UPDATE_DATA` bytes, and no `number`: another one always follows. Long ones have up to
-    `LONG_UPDATE_DATA` bytes and the update's `number` in its map's log, modulo `UPDATE_NUMBERS`; another one follows if
-    `more` is 1. An update without content withdraws the last update that has not been withdrawn.
+    The last fragment has the update's `number` in its map's log, modulo `UPDATE_NUMBERS`. Those before have none, and
+    at least `UPDATE_PART` bytes. An update without content withdraws the last update that has not been withdrawn.
     """
 
-    name, size, code = "update", 9, "11110100"
+    name, size, code = "update", 65, "11110101"
     number: int | None
     data: bytes
-    more: int = 0
+
+    @property
+    def length(self) -> int:
+        """Bytes of content."""
+        return len(self.data)
 
 
-SHORT_HEAD = 2
-"""Bytes before the content of packets that have a length field."""
+LENGTH_HEAD = 2
+"""Bytes before the content of a packet whose second byte gives the bytes of content."""
 
 FRAGMENT_DATA = Fragment.size - 1
 """Bytes of content of a full fragment."""
 
-UPDATE_DATA = Update.size - 1
-"""Bytes of content of a short fragment of an update."""
-LONG_UPDATE_DATA = 63
-"""The most bytes of content of a long fragment."""
+UPDATE_DATA = Update.size - LENGTH_HEAD
+"""The most bytes of content of a fragment of an update."""
+SHORT_UPDATE_DATA = 15
+"""The most bytes of content behind a head of one byte."""
+UPDATE_PART = 8
+"""The fewest bytes of content of a fragment that another one follows."""
 UPDATE_NUMBERS = 2
 """Numbers of updates are sent modulo this one."""
 
 Edit = Insert | Replace | Delete | Emerge | Change | Remove | Save
 Handshake = Offer | Answer | Block
-Gossip = From | FromEarly | Held | HeldEarly | Near | Gone | LogDigest
+Gossip = From | FromEarly | FromFirst | Held | HeldEarly | HeldFirst | Near | Gone | LogDigest
 AnyPacket = Edit | Handshake | Gossip | Check | Target | Pose | Passed | Fragment | Update
 
 
@@ -327,27 +359,35 @@ def _declared(kind: type[Packet]) -> Layout:
 
 _LAYOUT = {kind: _declared(kind) for kind in get_args(AnyPacket) if kind not in (Fragment, Update)}
 
-_SHORT_FRAGMENT = Layout(
-    "Fragment", Fragment.name, SHORT_HEAD, "11110010",
-    ((LENGTH, Bits(8, "n", "bytes of content")),), (1, FRAGMENT_DATA - 1),
-)  # fmt: skip
-_LONG_UPDATE = Layout(
-    "Update", Update.name, SHORT_HEAD, "11110101",
-    (
-        (LENGTH, Bits(6, "n", "bytes of content")),
-        ("number", Bits(1, "u", "number of the update, modulo 2")),
-        ("more", Bits(1, "f", "1: another fragment of the update follows")),
-    ), (0, LONG_UPDATE_DATA),
-)  # fmt: skip
+_NUMBER = ("number", Bits(1, "u", "number of the update, modulo 2"))
 
-LAYOUTS: tuple[Layout, ...] = (
-    *_LAYOUT.values(),
-    Layout("Fragment", Fragment.name, Fragment.size, Fragment.code, (), (FRAGMENT_DATA, FRAGMENT_DATA)),
-    _SHORT_FRAGMENT,
-    Layout("Update", Update.name, Update.size, Update.code, (), (UPDATE_DATA, UPDATE_DATA)),
-    _LONG_UPDATE,
+
+def _length(width: int, least: int = 0) -> tuple[str, Bits]:
+    """Return the field that gives the bytes of content, in so many bits."""
+    meaning = f"bytes of content, minus {least}" if least else "bytes of content"
+    return LENGTH, Bits(width, "n", meaning, -least)
+
+
+def _with_content(
+    kind: type[Packet], code: str, fields: tuple[tuple[str, Bits], ...], least: int, most: int
+) -> Layout:
+    head = (len(code) + sum(bits.width for _, bits in fields)) // 8
+    return Layout(kind.__name__, kind.name, head, code, fields, (least, most))
+
+
+_FRAGMENTS = (
+    _with_content(Fragment, Fragment.code, (), FRAGMENT_DATA, FRAGMENT_DATA),
+    _with_content(Fragment, "11110010", (_length(8),), 1, FRAGMENT_DATA - 1),
 )
-"""All layouts: one for each packet without content, two for each with."""
+_UPDATES = (
+    _with_content(Update, "100", (_length(4), _NUMBER), 0, SHORT_UPDATE_DATA),
+    _with_content(Update, "10101", (_length(3, UPDATE_PART),), UPDATE_PART, SHORT_UPDATE_DATA),
+    _with_content(Update, Update.code, (_length(7), _NUMBER), SHORT_UPDATE_DATA + 1, UPDATE_DATA),
+    _with_content(Update, "11110100", (_length(8),), SHORT_UPDATE_DATA + 1, UPDATE_DATA),
+)
+
+LAYOUTS: tuple[Layout, ...] = (*_LAYOUT.values(), *_FRAGMENTS, *_UPDATES)
+"""All layouts: one for each packet without content, several for each with."""
 
 MAX_AGE = (1 << dict(_LAYOUT[Passed].fields)["age"].width) - 1
 """The greatest age that `Passed` can give, in steps."""

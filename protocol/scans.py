@@ -25,7 +25,7 @@ from protocol.errors import ProtocolError
 from protocol.grid import FREE, MAX_SIDE, OCCUPIED, UNKNOWN, Grid, RayTable
 from protocol.kernels import kernel
 from protocol.packet_codec import decode_kind, encode
-from protocol.packets import FRAGMENT_DATA, SHORT_HEAD, Fragment
+from protocol.packets import FRAGMENT_DATA, LENGTH_HEAD, Fragment
 
 HIT = 0x8000
 NONE = 0x7FFF
@@ -91,7 +91,7 @@ def _first_too_long(readings: Readings, start: Int32s) -> int:
 
 def fragments(data: bytes, most: int = Fragment.size) -> list[bytes]:
     """Split the binary form of a scan into `Fragment` packets of at most `most` bytes."""
-    size = FRAGMENT_DATA if most >= Fragment.size else most - SHORT_HEAD
+    size = FRAGMENT_DATA if most >= Fragment.size else most - LENGTH_HEAD
     pieces = (data[at : at + size] for at in range(0, len(data), size))
     return [encode([Fragment(piece)]) for piece in pieces]
 

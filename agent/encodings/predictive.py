@@ -288,8 +288,6 @@ class PredictiveEncoding(GridEncoding):
             if packet.number != updates % UPDATE_NUMBERS:
                 reason = f"update {packet.number}, expected {updates % UPDATE_NUMBERS}"
                 raise ProtocolError(Update.name, 0, reason)
-            if packet.more:
-                continue
             updates += 1
             if fragments:
                 new.append((fragments, count))

@@ -2,9 +2,9 @@
 
 Both depend on the budget of a step. A packet that does not fit into the rest of a budget leaves that rest unused, so
 packets are short: the budget holds `PACKETS_A_STEP` of them. If it is too small for a target and two of them, or narrow
-with updates of tiles, and all robots are always in range of each other, one packet fills it, except for the header that
-names the packet's offset in its log (`FromEarly`, or `From` behind offset `EARLY`). Such packets need no header but
-after a restart, so a target fits there instead.
+with updates of tiles, and all robots are always in range of each other, one packet fills it, except for the longest
+header that can name the packet's offset in its log (`FromEarly`, or `From` behind offset `EARLY`). Such packets need no
+header but after a restart, so a target fits there instead.
 """
 
 from __future__ import annotations
@@ -16,10 +16,11 @@ from agent.settings import Settings
 from protocol.packet_codec import encode
 from protocol.packets import (
     EARLY,
-    LONG_UPDATE_DATA,
-    SHORT_HEAD,
+    LENGTH_HEAD,
+    SHORT_UPDATE_DATA,
     UPDATE_DATA,
     UPDATE_NUMBERS,
+    UPDATE_PART,
     From,
     FromEarly,
     Target,
@@ -34,6 +35,9 @@ FAIR_SHARE = 28
 
 PACKETS_A_STEP = 3
 """Packets that the budget of a step holds, unless it is very small."""
+
+SHORTEST = 1 + UPDATE_PART
+"""Bytes of the shortest packet that another one of the same update follows."""
 
 NARROW = 42
 """Bytes per step below which scans are coded by better predictions (`agent.predictive.scan_stream.NarrowBand`), and
@@ -83,45 +87,49 @@ class UpdateLimits:
     @classmethod
     def of(cls, settings: Settings) -> UpdateLimits:
         """Derive the limits from the team's budget and the frame size."""
-        size, step_bytes, wait_steps = LONG_UPDATE_DATA, math.inf, 1
+        size, step_bytes, wait_steps = UPDATE_DATA, math.inf, 1
         fills, full_steps, is_narrow = 0, 1, False
         medium = settings.medium
         if (bandwidth := medium.bandwidth.limit) is not None:
-            size = bandwidth // PACKETS_A_STEP - SHORT_HEAD
+            size = content_in(bandwidth // PACKETS_A_STEP)
             hear_all = medium.reach_cells > math.hypot(settings.width, settings.height) - 1
             step_bytes = max(bandwidth, 1)
             is_narrow = bandwidth < (NARROW if hear_all or settings.shares_tiles else NARROW_APART)
             scarcity = FAIR_SHARE * settings.robots / max(bandwidth, 1)
             wait_steps = min(max(math.ceil(scarcity), 1), ENOUGH_STEPS)
-            is_filled = bandwidth < (NARROW if settings.shares_tiles else Target.size + 2 * Update.size)
+            is_filled = bandwidth < (NARROW if settings.shares_tiles else Target.size + 2 * SHORTEST)
             fills = bandwidth if is_filled and hear_all and not settings.replication.requires_acks else 0
         if medium.frame_bytes is not None:
-            size = min(size, medium.frame_bytes - SHORT_HEAD)
+            size = min(size, content_in(medium.frame_bytes))
             fills = min(fills, medium.frame_bytes)
-        size = min(max(size, UPDATE_DATA), LONG_UPDATE_DATA)
+        size = min(max(size, UPDATE_PART), UPDATE_DATA)
         if is_narrow:
-            content = max(size, fills - FromEarly.size - SHORT_HEAD) if fills else step_bytes
+            content = max(size, content_in(fills - FromEarly.size)) if fills else step_bytes
             full_steps = FULL_TILE_STEPS if settings.shares_tiles else FULL_STEPS
             step_bytes = full_steps * content
         splits_long = settings.shares_tiles and size >= LONG_FRAGMENT
-        fragment_bytes = size if splits_long else UPDATE_DATA
+        fragment_bytes = size if splits_long else UPDATE_PART
         return cls(size, fragment_bytes, step_bytes, wait_steps, fills, full_steps, is_narrow)
 
     def packets(self, message: bytes, number: int, offset: int) -> list[bytes]:
         """Split update `number` of a log into packets, the first of which has this offset in the log."""
-        last = offset + len(message) // UPDATE_DATA
+        last = offset + len(message) // UPDATE_PART
         header = FromEarly if last < EARLY else From
-        filling = self.fills - header.size - SHORT_HEAD
+        filling = content_in(self.fills - header.size)
         if filling > self.packet_bytes:
             return fragments(message, number, filling, filling)
         return fragments(message, number, self.packet_bytes, self.fragment_bytes)
 
 
-def fragments(message: bytes, number: int, most: int, size: int = UPDATE_DATA) -> list[bytes]:
+def content_in(size: int) -> int:
+    """Return how many bytes of content a packet of at most `size` bytes has."""
+    return max(min(size - 1, SHORT_UPDATE_DATA), size - LENGTH_HEAD)
+
+
+def fragments(message: bytes, number: int, most: int, size: int = UPDATE_PART) -> list[bytes]:
     """Split an update into packets of `size` bytes of content, and a last one of at most `most` bytes."""
-    number %= UPDATE_NUMBERS
     packets = []
     while len(message) > most:
         part, message = message[:size], message[size:]
-        packets.append(Update(None, part) if size == UPDATE_DATA else Update(number, part, more=1))
-    return [encode([packet]) for packet in (*packets, Update(number, message))]
+        packets.append(Update(None, part))
+    return [encode([packet]) for packet in (*packets, Update(number % UPDATE_NUMBERS, message))]

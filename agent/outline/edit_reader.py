@@ -28,11 +28,26 @@ from protocol.boxes import MAX_BOXES, NO_BOXES, Boxes, add_box, bounding_box
 from protocol.errors import ProtocolError
 from protocol.kernels import kernel
 from protocol.packet_codec import LAYOUT_BY_BYTE, packet_at
-from protocol.packets import ALL_KINDS, MAX_VERTICES, Edit
+from protocol.packets import (
+    ALL_KINDS,
+    MAX_VERTICES,
+    Change,
+    Delete,
+    Edit,
+    Insert,
+    Remove,
+    Replace,
+    Save,
+)
 
 _EDITS = [ALL_KINDS.index(kind.name) for kind in get_args(Edit)]
 _SIZE = np.array([size if kind in _EDITS else 0 for kind, size, *_ in LAYOUT_BY_BYTE], np.int64)
 """For each first byte the bytes of the edit packet; 0: it starts no edit packet."""
+
+_INSERT, _REPLACE, _CHANGE, _SAVE = (int(kind.code, 2) for kind in (Insert, Replace, Change, Save))
+"""First bytes of packets."""
+_DELETE, _REMOVE = int(Delete.code, 2), int(Remove.code, 2)
+"""The four bits with which packets start."""
 
 SMALL = 3
 """An object with at most so many vertices is redrawn as a whole: each vertex can decide whether it is drawn at all."""
@@ -173,7 +188,7 @@ def _header(data: Uint8s, at: int) -> tuple[int, int, int]:
     packet = 0
     for i in range(5):
         packet = packet << 8 | int(data[at + i])
-    return packet >> 24 & 0xFFF, packet >> 11 & 0x1FFF, packet >> 10 & 1
+    return packet >> 20 & 0xFFF, packet >> 7 & 0x1FFF, packet >> 6 & 1
 
 
 @kernel
@@ -204,15 +219,12 @@ def _apply(
     at = begin
     while at < end:
         head = data[at]
-        if head >> 5 in (2, 3, 4):
+        if head >> 4 == _DELETE or head in (_INSERT, _REPLACE):
             length = n[_VERTICES]
             if n[_OPEN] < 0:
                 return _reject(n, at, _CLOSED, 0, 0, 0)
-            if head >> 5 == 4:
-                packet = np.int64(data[at]) << 8 | data[at + 1]
-                index = packet >> 1 & 0xFFF
-                if packet & 1:
-                    return _reject(n, at, _MALFORMED, 0, 0, 0)
+            if head >> 4 == _DELETE:
+                index = (int(data[at]) << 8 | int(data[at + 1])) & 0xFFF
                 if index >= length:
                     return _reject(n, at, _NO_INDEX, n[_OPEN], index, length - 1)
                 around[0] = around[3] = vertices[_place(n, index)]
@@ -222,12 +234,12 @@ def _apply(
                 n[_VERTICES] -= 1
                 at += 2
             else:
-                packet = np.int64(0)
+                packet = 0
                 for i in range(6):
-                    packet = packet << 8 | data[at + i]
-                index, x, y = packet >> 33 & 0xFFF, packet >> 21 & 0xFFF, packet >> 9 & 0xFFF
-                is_new = head >> 5 == 2
-                if packet & 0x3F:
+                    packet = packet << 8 | int(data[at + i])
+                index, x, y = packet >> 28 & 0xFFF, packet >> 16 & 0xFFF, packet >> 4 & 0xFFF
+                is_new = head == _INSERT
+                if packet & 1:
                     return _reject(n, at, _MALFORMED, 0, 0, 0)
                 if is_new and length == MAX_VERTICES:
                     return _reject(n, at, _FULL, n[_OPEN], length, 0)
@@ -235,7 +247,7 @@ def _apply(
                     return _reject(n, at, _NO_INDEX, n[_OPEN], index, length + is_new - 1)
                 if x > width + 1 or y > height + 1:
                     return _reject(n, at, _OUTSIDE, x - 1, y - 1, 0)
-                around[:] = np.int32(y << 15 | x << 3 | (packet >> 6 & 7))
+                around[:] = np.int32(y << 15 | x << 3 | (packet >> 1 & 7))
                 if length:
                     around[1] = vertices[_place(n, (index + length - 1) % length)]
                     around[2] = vertices[_place(n, (index if is_new else index + 1) % length)]
@@ -271,7 +283,7 @@ def _apply(
             if as_a_whole:
                 n[_BOXES] = _add_box_around(boxes, n[_BOXES], table, number)
             n[_OPEN], n[_VERTICES], n[_GAP] = -1, 0, 0
-        if head >> 4 == 0xA:
+        if head >> 4 == _REMOVE:
             number = (np.int64(data[at]) << 8 | data[at + 1]) & 0xFFF
             if number >= len(table) or table[number, FIRST] < 0:
                 return _reject(n, at, _MISSING, number, 0, 0)
@@ -280,7 +292,7 @@ def _apply(
             table[number, FIRST] = -1
             n[_EDITED] = 1
             at += 2
-        elif head == 0xF0:
+        elif head == _SAVE:
             if not n[_EDITED]:
                 return _reject(n, at, _UNCHANGED, 0, 0, 0)
             if n[_INSIDES] != 1:
@@ -290,9 +302,9 @@ def _apply(
         else:
             number, count, is_inside = _header(data, at)
             known = table[number, FIRST] >= 0
-            if data[at + 4] or data[at + 3] & 3:
+            if data[at + 4] & 0x3F:
                 return _reject(n, at, _MALFORMED, 0, 0, 0)
-            if known != (head >> 4 == 0xE):
+            if known != (head == _CHANGE):
                 return _reject(n, at, _PRESENT if known else _MISSING, number, 0, 0)
             if count < 2 or count > MAX_VERTICES:
                 return _reject(n, at, _BAD_SIZE, count, 0, 0)

@@ -19,11 +19,16 @@ from agent.outline.objects import Symbols, symbols
 from agent.outline.polygons import Polygons
 from protocol.arrays import Bools, Int32Rows, Int32s, Int64s, Uint8s
 from protocol.kernels import kernel
-from protocol.packets import MAX_OBJECTS, Change, Delete, Emerge, Insert, Remove, Save
+from protocol.packets import MAX_OBJECTS, Change, Delete, Emerge, Insert, Remove, Replace, Save
 
 _INSERT, _DELETE, _EMERGE, _CHANGE, _REMOVE, _SAVE = (
     kind.size for kind in (Insert, Delete, Emerge, Change, Remove, Save)
 )
+"""Bytes of packets."""
+_INSERT_CODE, _REPLACE_CODE, _DELETE_CODE, _EMERGE_CODE, _CHANGE_CODE, _REMOVE_CODE, _SAVE_CODE = (
+    int(kind.code, 2) for kind in (Insert, Replace, Delete, Emerge, Change, Remove, Save)
+)
+"""Codes with which packets start."""
 _RECREATED = _REMOVE + _EMERGE
 """Bytes, besides the vertices, of an object that is removed and created instead of changed."""
 _MAX_SAVING = 1 << 30
@@ -92,13 +97,13 @@ def _put(out: Uint8s, ends: Int32s, packets: int, packet: int, size: int) -> int
 def _vertex_packet(code: int, index: int, symbol: int) -> int:
     """Return an `Insert` or `Replace` packet as a number, without spare bits set."""
     x, y = symbol >> 3 & 0xFFF, symbol >> 15
-    return code << 45 | index << 33 | x << 21 | y << 9 | (symbol & 7) << 6
+    return code << 40 | index << 28 | x << 16 | y << 4 | (symbol & 7) << 1
 
 
 @kernel
 def _object_packet(code: int, number: int, count: int, inside: int) -> int:
     """Return an `Emerge` or `Change` packet as a number."""
-    return code << 36 | number << 24 | count << 11 | inside << 10
+    return code << 32 | number << 20 | count << 7 | inside << 6
 
 
 @kernel
@@ -203,7 +208,7 @@ def _script(
     packets = 0
     for n in old_number:
         if not is_taken[n]:
-            packets = _put(out, ends, packets, 0b1010 << 12 | n, _REMOVE)
+            packets = _put(out, ends, packets, _REMOVE_CODE << 12 | n, _REMOVE)
     is_changed = successor >= 0
     is_moved = np.zeros(new_objects, np.bool_)
     if scan_order:
@@ -213,7 +218,7 @@ def _script(
     for k in np.argsort(number):
         if is_moved[k]:
             length = new_start[k + 1] - new_start[k]
-            packet = _object_packet(0b1110, number[k], length, new_inside[k])
+            packet = _object_packet(_CHANGE_CODE, number[k], length, new_inside[k])
             packets = _put(out, ends, packets, packet, _CHANGE)
         if not is_changed[k]:
             continue
@@ -224,7 +229,7 @@ def _script(
         shift[k] = begin
         before = old_symbols[old_start[former] : old_start[former + 1]]
         after = new_symbols[new_start[k] : new_start[k + 1]]
-        packet = _object_packet(0b1110, number[k], len(after), new_inside[k])
+        packet = _object_packet(_CHANGE_CODE, number[k], len(after), new_inside[k])
         packets = _put(out, ends, packets, packet, _CHANGE)
         stays = np.zeros(len(before), np.bool_)
         for i in source:
@@ -232,11 +237,11 @@ def _script(
                 stays[i] = True
         for i in range(len(before) - 1, -1, -1):
             if not stays[i]:
-                packets = _put(out, ends, packets, 0b100 << 13 | i << 1, _DELETE)
+                packets = _put(out, ends, packets, _DELETE_CODE << 12 | i, _DELETE)
         for i in range(len(after)):
             symbol = after[i + begin if i + begin < len(after) else i + begin - len(after)]
             if source[i] < 0 or before[source[i]] != symbol:
-                packet = _vertex_packet(0b010 if source[i] < 0 else 0b011, i, symbol)
+                packet = _vertex_packet(_INSERT_CODE if source[i] < 0 else _REPLACE_CODE, i, symbol)
                 packets = _put(out, ends, packets, packet, _INSERT)
     lowest = 0
     for k in range(new_objects):
@@ -247,10 +252,10 @@ def _script(
         number[k] = lowest
         lowest += 1
         cycle = new_symbols[new_start[k] : new_start[k + 1]]
-        packet = _object_packet(0b1101, number[k], len(cycle), new_inside[k])
+        packet = _object_packet(_EMERGE_CODE, number[k], len(cycle), new_inside[k])
         packets = _put(out, ends, packets, packet, _EMERGE)
         for i in range(len(cycle)):
-            packets = _put(out, ends, packets, _vertex_packet(0b010, i, cycle[i]), _INSERT)
+            packets = _put(out, ends, packets, _vertex_packet(_INSERT_CODE, i, cycle[i]), _INSERT)
     if packets:
-        packets = _put(out, ends, packets, 0xF0, _SAVE)
+        packets = _put(out, ends, packets, _SAVE_CODE, _SAVE)
     return out[: ends[packets]].copy(), ends[: packets + 1].copy()

@@ -28,7 +28,7 @@ from agent.replication.replica import Rejected, Replica
 from protocol import packets
 from protocol.errors import ProtocolError
 from protocol.messages import OutgoingFrame, RoundReport
-from protocol.packets import From, FromEarly, Held, HeldEarly
+from protocol.packets import From, Held
 
 MAX_WAIT = 64
 """Rounds between two transmissions at most, while no round trip is known."""
@@ -153,12 +153,12 @@ class AckedFrames(Replication):
             return
         for control in parsed.controls:
             match control:
-                case (Held(number, _) | HeldEarly(number, _)) as held if number < len(logs):
+                case Held(number, _) as held if number < len(logs):
                     self._reported(peer, number, offset(held, len(logs[number])))
                 case packets.Offer(number, _) if number < len(logs):
                     self._note_restart(peer, number)
                     self._owe_report(peer, number)
-                case From(number, _) | FromEarly(number, _) if number < len(logs):
+                case From(number, _) if number < len(logs):
                     self._note_restart(peer, number)
         for head, entries in parsed.sections:
             if head is None or head.map >= len(logs):

@@ -16,7 +16,7 @@ from agent.replication.replica import LONGEST, Rejected, Replica
 from protocol import packet_codec
 from protocol.errors import ProtocolError
 from protocol.messages import Delivery, OutgoingFrame, RoundReport
-from protocol.packets import Held, HeldEarly, LogDigest
+from protocol.packets import Held, LogDigest
 
 
 class Replication(ABC):
@@ -87,7 +87,7 @@ class Replication(ABC):
         self._digest_sent()
         self._requests_sent()
 
-    def receive_announcement(self, peer: int, packet: LogDigest | Held | HeldEarly) -> list[Rejected]:
+    def receive_announcement(self, peer: int, packet: LogDigest | Held) -> list[Rejected]:
         """Process a packet about logs that a peer broadcast; return the rejections of entries that it refutes."""
         if isinstance(packet, LogDigest):
             self.replica.receive_digest(peer, packet)

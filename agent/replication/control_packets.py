@@ -4,18 +4,32 @@ An answer leaves out the fields that it shares with the offer. It names the offs
 before that the block, if it differs from the offered one; and before that the round of 64 blocks, if it is not the
 first. So no length is ambiguous.
 
-Other packets (`From`, `Held`) name an offset whole while it is small (`EARLY`), later modulo `GOSSIP_WINDOW`; the
-receiver takes the value nearest to its own log length, as TCP does with truncated sequence numbers.
+Other packets (`From`, `Held`) come in three lengths. The shorter ones name small offsets whole. The longest one names
+an offset modulo `GOSSIP_WINDOW`; the receiver takes the value nearest to its own log length, as TCP does with truncated
+sequence numbers.
 """
 
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 from protocol import packet_codec, packet_index, packets
 from protocol.errors import ProtocolError
-from protocol.packets import BLOCKS, EARLY, GOSSIP_WINDOW, INDEX_WINDOW, From, FromEarly, Held, HeldEarly
+from protocol.packets import (
+    BLOCKS,
+    EARLY,
+    FIRST,
+    FIRST_MAPS,
+    GOSSIP_WINDOW,
+    INDEX_WINDOW,
+    From,
+    FromEarly,
+    FromFirst,
+    Held,
+    HeldEarly,
+    HeldFirst,
+)
 
 ROUND = BLOCKS * INDEX_WINDOW
 """Entries of a log whose blocks have different numbers."""
@@ -23,8 +37,7 @@ ROUND = BLOCKS * INDEX_WINDOW
 LEAST_HANDSHAKE = packets.Offer.size + packets.Answer.size
 """Bytes of an offer and the shortest answer."""
 
-Header = From | FromEarly
-"""Packet in front of entries: it names their log and their first offset."""
+NamesOffset = TypeVar("NamesOffset", From, Held)
 
 # --- handshakes
 
@@ -82,25 +95,30 @@ def read_answer(payload: bytes, offered_block: int) -> int | None:
 
 def header(number: int, first: int) -> bytes:
     """Encode the shortest packet in front of entries of map `number`, from offset `first` on."""
-    return packet_codec.encode(
-        [FromEarly(number, first) if first < EARLY else From(number, first % GOSSIP_WINDOW)]
-    )
+    return _shortest(number, first, FromFirst, FromEarly, From)
 
 
 def report(number: int, length: int) -> bytes:
     """Encode the shortest report that this robot holds `length` entries of map `number`."""
-    return packet_codec.encode(
-        [HeldEarly(number, length) if length < EARLY else Held(number, length % GOSSIP_WINDOW)]
-    )
+    return _shortest(number, length, HeldFirst, HeldEarly, Held)
 
 
-def offset(packet: Header | Held | HeldEarly, length: int) -> int:
+def _shortest(
+    number: int, value: int, first: type[NamesOffset], early: type[NamesOffset], whole: type[NamesOffset]
+) -> bytes:
+    """Encode map `number` and an offset in the shortest of three packets."""
+    if number < FIRST_MAPS and value < FIRST:
+        return packet_codec.encode([first(number, value)])
+    if value < EARLY:
+        return packet_codec.encode([early(number, value)])
+    return packet_codec.encode([whole(number, value % GOSSIP_WINDOW)])
+
+
+def offset(packet: From | Held, length: int) -> int:
     """Return the offset that a packet means, for a robot whose log has `length` entries."""
-    return (
-        packet.index
-        if isinstance(packet, FromEarly | HeldEarly)
-        else nearest(packet.index, length, GOSSIP_WINDOW)
-    )
+    if isinstance(packet, FromFirst | FromEarly | HeldFirst | HeldEarly):
+        return packet.index
+    return nearest(packet.index, length, GOSSIP_WINDOW)
 
 
 def nearest(number: int, length: int, window: int) -> int:
@@ -115,7 +133,7 @@ class ParsedFrame(NamedTuple):
     """
 
     controls: list[packets.AnyPacket]
-    sections: list[tuple[Header | None, list[bytes]]]
+    sections: list[tuple[From | None, list[bytes]]]
 
 
 @lru_cache(maxsize=64)
@@ -126,13 +144,13 @@ def parse(frame: bytes) -> ParsedFrame:
     """
     controls: list[packets.AnyPacket] = []
     entries: list[bytes] = []
-    sections: list[tuple[Header | None, list[bytes]]] = [(None, entries)]
+    sections: list[tuple[From | None, list[bytes]]] = [(None, entries)]
     for packet in packet_index.split(frame):
         if packet_codec.name(packet) != From.name:
             entries.append(packet)
             continue
         controls += packet_codec.decode(packet)
-        if isinstance(controls[-1], Header):
+        if isinstance(controls[-1], From):
             entries = []
             sections.append((controls[-1], entries))
     return ParsedFrame(controls, [section for section in sections if section[1]])

@@ -20,7 +20,7 @@ from __future__ import annotations
 from functools import partial
 
 from agent.replication.base import Replication
-from agent.replication.control_packets import Header, ParsedFrame, header, offset, parse, report
+from agent.replication.control_packets import ParsedFrame, header, offset, parse, report
 from agent.replication.delivery import Acks
 from agent.replication.frame_builder import FrameBuilder
 from agent.replication.gossip_policy import Dependencies, GossipPolicy
@@ -31,7 +31,7 @@ from agent.replication.reports import Reports
 from protocol import packet_codec
 from protocol.errors import ProtocolError
 from protocol.messages import EVERYONE, OutgoingFrame, RoundReport
-from protocol.packets import From, FromEarly, Gone, Held, HeldEarly, LogDigest, Near
+from protocol.packets import From, Gone, Held, LogDigest, Near
 
 
 class Gossip(Replication):
@@ -198,7 +198,7 @@ class Gossip(Replication):
     def _note_restart(self, peer: int, frame: ParsedFrame) -> None:
         """A peer that broadcasts a map of a new incarnation of its own lost its state."""
         for control in frame.controls:
-            if isinstance(control, Header) and self.peers.restarted(peer, control.map):
+            if isinstance(control, From) and self.peers.restarted(peer, control.map):
                 for part in (self._acks, self._reports, self._cursors, self._neighbors):
                     part.restarted(peer)
                 self._meetings.on(peer, "restarted")
@@ -210,7 +210,7 @@ class Gossip(Replication):
             match control:
                 case Near(robot) | Gone(robot) if robot < robots:
                     self._neighbors.near[peer, robot] = isinstance(control, Near)
-                case (Held(number, _) | HeldEarly(number, _)) as held if number < len(logs) and (
+                case Held(number, _) as held if number < len(logs) and (
                     number != peer or self.peers.may_restart
                 ):
                     length = self._possible(number, offset(held, len(logs[number])))
@@ -221,13 +221,13 @@ class Gossip(Replication):
                     self._meetings.on(peer, "reported")
                 case LogDigest():
                     pass
-                case From(number, _) | FromEarly(number, _) if number < len(logs):
+                case From(number, _) if number < len(logs):
                     pass
                 case other:
                     reason = f"{other} is not valid in gossip of {robots} robots"
                     self._reject_frame(peer, reason)
 
-    def _read_entries(self, peer: int, head: Header | None, entries: list[bytes]) -> None:
+    def _read_entries(self, peer: int, head: From | None, entries: list[bytes]) -> None:
         """Accept new entries of a map, and note which peers received them and know that this robot did."""
         number = self.peers.current[peer] if head is None else head.map
         if number >= len(self.logs):

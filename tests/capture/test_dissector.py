@@ -28,7 +28,7 @@ from tests.netshaper.plain_ledger import LoggedFrame
 
 GOLDEN = Path(__file__).parents[1] / "protocol" / "golden" / "packets.txt"
 VALUES = ("index", "x", "y", "side", "occupied", "object", "count", "inside", "block", "leads", "data",
-          "robot", "age", "sum", "number", "more", "entries", "complete", "salt", "hash")  # fmt: skip
+          "robot", "age", "sum", "number", "entries", "complete", "salt", "hash")  # fmt: skip
 DATA, BUDGET = 2, 1
 
 
@@ -48,10 +48,10 @@ def drawn(kind: type[Packet], chance: random.Random) -> bytes:
     if kind is Fragment:
         return packet_codec.encode([Fragment(chance.randbytes(chance.randint(1, packets.FRAGMENT_DATA)))])
     if kind is Update:
-        short = Update(None, chance.randbytes(packets.UPDATE_DATA))
-        data = chance.randbytes(chance.randint(0, packets.LONG_UPDATE_DATA))
-        long = Update(chance.randrange(packets.UPDATE_NUMBERS), data, chance.randrange(2))
-        return packet_codec.encode([chance.choice((short, long))])
+        number = chance.choice((None, *range(packets.UPDATE_NUMBERS)))
+        least = packets.UPDATE_PART if number is None else 0
+        data = chance.randbytes(chance.randint(least, packets.UPDATE_DATA))
+        return packet_codec.encode([Update(number, data)])
     (layout,) = [layout for layout in packets.LAYOUTS if layout.packet == kind.__name__]
     width = sum(bits.width for _, bits in layout.fields)
     fields = chance.choice((0, (1 << width) - 1, chance.getrandbits(width))) if width else 0
@@ -94,8 +94,6 @@ def test_every_packet_is_shown_by_name_and_field(tshark: Tshark, tmp_path: Path)
         assert map_id == ["2", str(wanted.pop("map"))] if "map" in wanted else ["2"]
         found = {name: value[0] for name, value in zip(VALUES, values, strict=True) if value}
         there = {name: v for name, v in wanted.items() if v not in (None, b"")}
-        if wanted.get("number", 0) is None:
-            there.pop("more")  # short fragments do not send it
         assert found == {name: v.hex() if isinstance(v, bytes) else str(v) for name, v in there.items()}
 
 

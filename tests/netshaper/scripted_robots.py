@@ -104,7 +104,7 @@ class Gossiper(Robot):
             packets.Fragment(bytes(63)),
             packets.Update(None, bytes(8)),
             packets.Update(0, b"new"),
-            packets.FromEarly(1, 7),
+            packets.FromFirst(1, 7),
             packets.Held(0, 300),
             packets.Gone(1),
         ]

@@ -35,8 +35,8 @@ class Sends(Gossiper):
         return [RobotFrames(event.step, event.round, "offers", broadcast, self.frames, self.priority)]
 
 
-def update(size: int) -> OutgoingFrame:
-    return OutgoingFrame(EVERYONE, encode([packets.Update(0, bytes(size))]))
+def entry(size: int) -> OutgoingFrame:
+    return OutgoingFrame(EVERYONE, encode([packets.Fragment(bytes(size))]))
 
 
 @given(gossip())
@@ -71,7 +71,7 @@ def test_news_are_cut_between_packets(scene: Any) -> None:
 
 
 def test_news_of_the_highest_priority_go_first_and_a_shorter_packet_may_use_the_rest() -> None:
-    robots = {n: Sends(n, b"", update(size), priority=10 * n % 20) for n, size in enumerate((40, 30, 3))}
+    robots = {n: Sends(n, b"", entry(size), priority=10 * n % 20) for n, size in enumerate((40, 30, 3))}
     network = Network(RadioSettings(3, 0, math.inf, Budget(40), 1, gossip=True), robots)
     rows = network.step(1, {number: (number, 0) for number in range(3)}).rows
     assert [(int(row["sender"]), int(row["carried"])) for row in rows] in (
@@ -104,7 +104,7 @@ def test_frames_that_are_not_news_are_refused_and_logged(payload: bytes, receive
 
 
 def test_targets_leave_most_of_a_narrow_medium_to_news() -> None:
-    robots = {n: Sends(n, encode([Target(n, 1)]), update(6)) for n in range(8)}
+    robots = {n: Sends(n, encode([Target(n, 1)]), entry(6)) for n in range(8)}
     network = Network(RadioSettings(8, 0, math.inf, Budget(48), 1, gossip=True), robots)
     rows = network.step(1, {number: (number, 0) for number in range(8)}).rows
     carried = rows[rows["carried"] == 1]
@@ -114,7 +114,7 @@ def test_targets_leave_most_of_a_narrow_medium_to_news() -> None:
 
 def broadcast_bytes(robots: int, budget: int, broadcast: bytes, steps: int, *, left: int = 2) -> list[int]:
     """Return the bytes of broadcasts carried in each step, if robots always have one, and news that leave `left`."""
-    sending = {n: Sends(n, broadcast, update(min(budget - 2 - left, 63))) for n in range(robots)}
+    sending = {n: Sends(n, broadcast, entry(min(budget - 2 - left, 63))) for n in range(robots)}
     network = Network(RadioSettings(robots, 0, math.inf, Budget(budget), 1, gossip=True), sending)
     cells = {number: (number, 0) for number in range(robots)}
     every = [network.step(step, cells).rows for step in range(1, steps + 1)]

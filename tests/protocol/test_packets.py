@@ -19,9 +19,9 @@ from protocol.packets import (
     FRAGMENT_DATA,
     KINDS,
     LAYOUTS,
-    LONG_UPDATE_DATA,
     UPDATE_DATA,
     UPDATE_NUMBERS,
+    UPDATE_PART,
     Answer,
     AnyPacket,
     Block,
@@ -32,9 +32,11 @@ from protocol.packets import (
     Fragment,
     From,
     FromEarly,
+    FromFirst,
     Gone,
     Held,
     HeldEarly,
+    HeldFirst,
     Insert,
     LogDigest,
     Near,
@@ -71,9 +73,11 @@ LIMITS: dict[type[Packet], dict[str, tuple[int, int]]] = {
     Passed: {"robot": (0, 255), "age": (0, 63), "x": (0, 2047), "y": (0, 2047)},
     Save: {},
     From: {"map": (0, 255), "index": (0, 2**24 - 1)},
-    FromEarly: {"map": (0, 255), "index": (0, 255)},
+    FromEarly: {"map": (0, 255), "index": (0, 4095)},
+    FromFirst: {"map": (0, 15), "index": (0, 255)},
     Held: {"map": (0, 255), "index": (0, 2**24 - 1)},
-    HeldEarly: {"map": (0, 255), "index": (0, 255)},
+    HeldEarly: {"map": (0, 255), "index": (0, 4095)},
+    HeldFirst: {"map": (0, 15), "index": (0, 255)},
     Near: {"robot": (0, 255)},
     Gone: {"robot": (0, 255)},
     Check: {"sum": (0, 2**16 - 1)},
@@ -100,8 +104,10 @@ EXAMPLES: list[AnyPacket] = [
     Fragment(bytes(range(63))),
     From(5, 70000),
     FromEarly(255, 12),
+    FromFirst(15, 255),
     Held(63, 512),
-    HeldEarly(5, 255),
+    HeldEarly(5, 4095),
+    HeldFirst(9, 17),
     Near(7),
     Gone(130),
     Check(0x29B1),
@@ -109,7 +115,12 @@ EXAMPLES: list[AnyPacket] = [
     Update(None, bytes(range(8))),
     Update(0, b"residual"),
     Update(1, b""),
-    Update(1, bytes(range(63)), 1),
+    Update(0, bytes(range(15))),
+    Update(1, bytes(range(16))),
+    Update(1, bytes(range(63))),
+    Update(None, bytes(range(15))),
+    Update(None, bytes(range(16))),
+    Update(None, bytes(range(63))),
 ]
 
 
@@ -123,10 +134,8 @@ def packets_of(kind: type[Packet]) -> st.SearchStrategy[Any]:
 
 fragments = st.builds(Fragment, st.binary(min_size=1, max_size=FRAGMENT_DATA))
 updates = st.one_of(
-    st.builds(Update, st.none(), st.binary(min_size=UPDATE_DATA, max_size=UPDATE_DATA)),
-    st.builds(
-        Update, st.integers(0, UPDATE_NUMBERS - 1), st.binary(max_size=LONG_UPDATE_DATA), st.integers(0, 1)
-    ),
+    st.builds(Update, st.none(), st.binary(min_size=UPDATE_PART, max_size=UPDATE_DATA)),
+    st.builds(Update, st.integers(0, UPDATE_NUMBERS - 1), st.binary(max_size=UPDATE_DATA)),
 )
 streams = st.lists(st.one_of(*map(packets_of, LIMITS), fragments, updates), max_size=12)
 
@@ -139,16 +148,16 @@ def documented_bits(packet: AnyPacket) -> str:
     """The layout that docs/protocol.md draws, as a string of zeros and ones."""
     match packet:
         case Insert() | Replace():
-            code = "010" if isinstance(packet, Insert) else "011"
+            code = "10100000" if isinstance(packet, Insert) else "10100001"
             expected = f"{packet.index:012b}{packet.x + 1:012b}{packet.y + 1:012b}"
-            expected = f"{code}{expected}{packet.side:02b}{packet.occupied:b}000000"
+            expected = f"{code}{expected}{packet.side:02b}{packet.occupied:b}0"
         case Delete():
-            expected = f"100{packet.index:012b}0"
+            expected = f"1101{packet.index:012b}"
         case Emerge() | Change():
-            code = "1101" if isinstance(packet, Emerge) else "1110"
-            expected = f"{code}{packet.object:012b}{packet.count:013b}{packet.inside:b}" + 10 * "0"
+            code = "10100010" if isinstance(packet, Emerge) else "10100011"
+            expected = f"{code}{packet.object:012b}{packet.count:013b}{packet.inside:b}" + 6 * "0"
         case Remove():
-            expected = f"1010{packet.object:012b}"
+            expected = f"1110{packet.object:012b}"
         case Offer():
             expected = f"1100{packet.map:06b}{packet.block:06b}"
         case Answer():
@@ -167,13 +176,20 @@ def documented_bits(packet: AnyPacket) -> str:
             size = len(packet.data)
             expected = ("11110001" if size == 63 else f"11110010{size:08b}") + bits(packet.data)
         case Update():
-            last = f"11110101{len(packet.data):06b}{packet.number or 0:b}{packet.more:b}"
-            expected = ("11110100" if packet.number is None else last) + bits(packet.data)
+            size, number = len(packet.data), packet.number
+            if number is None:
+                head = f"10101{size - 8:03b}" if size < 16 else f"11110100{size:08b}"
+            else:
+                head = f"100{size:04b}{number:b}" if size < 16 else f"11110101{size:07b}{number:b}"
+            expected = head + bits(packet.data)
+        case FromFirst() | HeldFirst():
+            code = "0110" if isinstance(packet, FromFirst) else "0111"
+            expected = f"{code}{packet.map:04b}{packet.index:08b}"
+        case FromEarly() | HeldEarly():
+            code = "0100" if isinstance(packet, FromEarly) else "0101"
+            expected = f"{code}{packet.map:08b}{packet.index:012b}"
         case From() | Held():
             expected = f"1111011{packet.code[-1]}{packet.map:08b}{packet.index:024b}"
-        case FromEarly() | HeldEarly():
-            code = "11111011" if isinstance(packet, FromEarly) else "11111101"
-            expected = f"{code}{packet.map:08b}{packet.index:08b}"
         case Near() | Gone():
             expected = f"{'11111001' if isinstance(packet, Near) else '11111110'}{packet.robot:08b}"
         case Check():
@@ -186,7 +202,18 @@ def documented_bits(packet: AnyPacket) -> str:
 @pytest.mark.parametrize("kind", LIMITS, ids=lambda kind: kind.__name__)
 def test_packet_sizes_are_those_of_table_6_1(kind: type[Packet]) -> None:
     packet = kind(*(low for low, _ in LIMITS[kind].values()))
-    longer = {Pose: 4, Passed: 6, From: 5, FromEarly: 3, Held: 5, HeldEarly: 3, Check: 3, LogDigest: 6}
+    longer = {
+        Pose: 4,
+        Passed: 6,
+        From: 5,
+        FromEarly: 3,
+        FromFirst: 2,
+        Held: 5,
+        HeldEarly: 3,
+        HeldFirst: 2,
+        Check: 3,
+        LogDigest: 6,
+    }
     assert len(encode([packet])) == kind.size == (longer[kind] if kind in longer else SIZES[kind.name])
 
 
@@ -384,22 +411,22 @@ def test_a_frame_of_one_kind_is_decoded(frame: list[Update]) -> None:
 
 
 @pytest.mark.parametrize(
-    "packet", [encode([Save()]), encode([Near(3)]), b"\xff", b"\xf4short", b"\xf5\x14abc"]
+    "packet", [encode([Save()]), encode([Near(3)]), b"\xff", b"\xf4\x10short", b"\x88abc", b"\xa8short"]
 )
 def test_bytes_that_are_no_whole_packets_of_this_kind_are_rejected(packet: bytes) -> None:
     with pytest.raises(ProtocolError):
-        decode_kind(encode([Update(None, bytes(UPDATE_DATA))]) + packet, Update)
+        decode_kind(encode([Update(None, bytes(UPDATE_PART))]) + packet, Update)
 
 
 @pytest.mark.parametrize(
     "packet",
     [
-        Update(None, bytes(UPDATE_DATA - 1)),
+        Update(None, bytes(UPDATE_PART - 1)),
         Update(None, bytes(UPDATE_DATA + 1)),
-        Update(0, bytes(LONG_UPDATE_DATA + 1)),
+        Update(0, bytes(UPDATE_DATA + 1)),
         Update(UPDATE_NUMBERS, b""),
         Update(-1, b""),
-        Update(0, b"", 2),
+        Update(UPDATE_NUMBERS, bytes(20)),
     ],
     ids=repr,
 )

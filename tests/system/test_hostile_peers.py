@@ -29,7 +29,7 @@ from protocol.packets import (
     Emerge,
     Fragment,
     From,
-    FromEarly,
+    FromFirst,
     Gone,
     Held,
     Insert,
@@ -128,7 +128,7 @@ MALFORMED_UPDATES: dict[str, list[Packet]] = {
     "an entry of noise": [Update(0, bytes(range(1, 60)))],
     "another entry than its next": [Update(1, b"ab")],
     "raw scans": [Fragment(b"noise")],
-    "another's map": [FromEarly(2, 0), Update(0, bytes(range(1, 60)))],
+    "another's map": [FromFirst(2, 0), Update(0, bytes(range(1, 60)))],
     "reports of maps that no robot has": [Held(2, 4000), Held(0, 4000), Gone(0), Gone(2)],
     "a map from its middle on": [From(1, 4000), Update(0, b"ab")],
 }

@@ -7,7 +7,7 @@
 local murmur = Proto("murmur", "Murmur radio")
 
 -- FRAMES, VERDICTS: names by number. Verdicts from FIRST_ON_AIR on are of frames that were sent but not received.
--- LAYOUTS: packet class, kind, code as binary digits, bytes (without content, if a field gives its length), fields as
+-- LAYOUTS: packet class, kind, code as binary digits, bytes before the content, fields as
 -- {name, bits, bias}, content as {least bytes, most bytes}.
 -- FIELDS: names, types and labels of all fields of packets.
 @TABLES@
@@ -92,12 +92,12 @@ local function sizes(tvb, offset, layout)
   local least, most = layout.content[1], layout.content[2]
   local length = layout.fields[1]
   if not length then
-    return layout.size - most, most
+    return layout.size, most
   end
   if tvb:len() - offset < layout.size then
     return layout.size, least
   end
-  local size = tvb(offset, layout.size):bitfield(#layout.code, length[2])
+  local size = tvb(offset, layout.size):bitfield(#layout.code, length[2]) - length[3]
   if size < least or size > most then
     return nil, "a packet of kind " .. layout.kind .. " with " .. size .. " bytes of content"
   end

@@ -20,7 +20,7 @@ from protocol.budget import UNLIMITED, Budget
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, ray_table
 from protocol.packet_codec import decode_kind, encode
-from protocol.packets import LONG_UPDATE_DATA, UPDATE_DATA, UPDATE_NUMBERS, Delete, Fragment, Update
+from protocol.packets import UPDATE_DATA, UPDATE_NUMBERS, UPDATE_PART, Delete, Fragment, Update
 from protocol.scans import Change, Scan, draw
 from tests.agent.encodings.arrival import LATE
 from worldsim.laser import cast
@@ -343,7 +343,7 @@ def test_malformed_data_is_rejected_and_changes_nothing(wrong: str, behind: bool
     assert receiver.merge(unknown()).any()
 
 
-@given(st.lists(st.tuples(st.integers(0, 1), st.binary(max_size=LONG_UPDATE_DATA)), max_size=12), seeds)
+@given(st.lists(st.tuples(st.integers(0, 1), st.binary(max_size=UPDATE_DATA)), max_size=12), seeds)
 def test_a_byzantine_robot_changes_no_map_but_its_own(forged: list[tuple[int, bytes]], seed: int) -> None:
     truth = world(seed)
     author, receiver = Explorer(0, seed), PredictiveEncoding(settings_of(1))
@@ -359,7 +359,7 @@ def test_a_byzantine_robot_changes_no_map_but_its_own(forged: list[tuple[int, by
     assert (receiver.merge(unknown())[known == FREE] != UNKNOWN).all()
 
 
-sizes = st.integers(UPDATE_DATA, LONG_UPDATE_DATA)
+sizes = st.integers(UPDATE_PART, UPDATE_DATA)
 
 
 @given(st.binary(max_size=300), st.integers(0, 100), sizes, sizes)
@@ -367,9 +367,8 @@ def test_fragments_reassemble_to_the_update(message: bytes, number: int, most: i
     size = min(size, most)
     *cut, last = decode_kind(b"".join(fragments(message, number, most, size)), Update)
     assert b"".join(piece.data for piece in (*cut, last)) == message
-    assert all(len(piece.data) == size and (piece.number is None or piece.more) for piece in cut)
+    assert all(len(piece.data) == size and piece.number is None for piece in cut)
     assert last.number == number % UPDATE_NUMBERS
-    assert not last.more
     assert len(last.data) <= most
 
 

@@ -8,14 +8,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.encoding_options import PredictiveOptions
-from agent.encodings.update_packets import FULL_TILE_STEPS, NARROW, NARROW_APART, UpdateLimits
+from agent.encodings.update_packets import (
+    FULL_TILE_STEPS,
+    NARROW,
+    NARROW_APART,
+    SHORTEST,
+    UpdateLimits,
+    content_in,
+)
 from agent.settings import EncodingSettings, MediumSettings, ReplicationSettings, Settings
 from protocol.body import Body
 from protocol.budget import Budget
 from protocol.packet_codec import decode_kind
-from protocol.packets import EARLY, SHORT_HEAD, UPDATE_DATA, From, FromEarly, Target, Update
+from protocol.packets import EARLY, From, FromEarly, Target, Update
 
-LEAST = From.size + SHORT_HEAD + UPDATE_DATA
+LEAST = From.size + SHORTEST
 """The smallest budget of a step that holds any packet behind a header."""
 
 messages = st.binary(min_size=1, max_size=400)
@@ -69,7 +76,7 @@ def test_a_packet_of_tiles_and_a_target_fill_a_narrow_budget(
     *full, last = some.packets(message, 0, offset)
     assert all(len(packet) + Target.size == budget for packet in full)
     assert len(last) + Target.size <= budget
-    content = budget - Target.size - SHORT_HEAD
+    content = content_in(budget - Target.size)
     assert some.step_bytes == FULL_TILE_STEPS * content
 
 
@@ -84,9 +91,9 @@ def test_packets_on_a_lossy_or_a_wide_medium_are_short(message: bytes, offset: i
     for some in (
         limits(20, requires_acks=True),
         limits(21),
-        limits(20, frame_bytes=SHORT_HEAD + UPDATE_DATA),
+        limits(20, frame_bytes=SHORTEST),
     ):
-        assert all(len(packet) <= SHORT_HEAD + UPDATE_DATA for packet in some.packets(message, 0, offset))
+        assert all(len(packet) <= SHORTEST for packet in some.packets(message, 0, offset))
 
 
 @given(st.integers(1, 400))

@@ -30,7 +30,7 @@ from protocol.messages import (
     SendReport,
 )
 from protocol.packet_codec import decode, encode
-from protocol.packets import SALTS, Fragment, Held, HeldEarly, LogDigest
+from protocol.packets import SALTS, Fragment, Held, LogDigest
 
 Reach = Mapping[int, Sequence[int]]
 """The robots in range of each robot; a robot without a key is dead."""
@@ -245,7 +245,7 @@ class Network:
             if self.loss and self.rng.random() < self.loss:
                 continue
             for packet in decode(payload):
-                assert isinstance(packet, LogDigest | Held | HeldEarly)
+                assert isinstance(packet, LogDigest | Held)
                 self._note(peer, self.engines[peer].receive_announcement(robot, packet))
 
     def _note(self, robot: int, rejected: list[Rejected]) -> None:

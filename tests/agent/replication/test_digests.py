@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.replication.control_packets import Header, header
+from agent.replication.control_packets import header
 from agent.replication.digests import INTERVAL, LogVerifier
 from agent.replication.log import Log
 from protocol import packet_codec, packet_index
 from protocol.messages import Delivery, RoundReport
 from protocol.packet_codec import decode, encode
-from protocol.packets import Fragment, LogDigest
+from protocol.packets import Fragment, From, LogDigest
 from tests.agent.replication.network import (
     VARIANTS,
     Network,
@@ -46,7 +46,7 @@ def forged(sender: int, _receiver: int, map_id: int, frame: bytes) -> bytes:
     for packet in packet_index.split(frame):
         if packet_codec.name(packet) != Fragment.name:
             control = decode(packet)[0]
-            map_id = control.map if isinstance(control, Header) else map_id
+            map_id = control.map if isinstance(control, From) else map_id
             sent.append(packet)
         else:
             sent.append(packet if map_id == FORGER else forgery(packet))

@@ -12,7 +12,7 @@ from protocol import packet_index
 from protocol.errors import ProtocolError
 from protocol.messages import ConnectionReport, Delivery, RoundReport, SendReport
 from protocol.packet_codec import encode
-from protocol.packets import Answer, HeldEarly, Offer
+from protocol.packets import Answer, HeldFirst, Offer
 from tests.agent.replication.network import (
     VARIANTS,
     Network,
@@ -147,7 +147,7 @@ def test_entries_are_not_retracted_once_they_were_on_the_air(name: str) -> None:
     for number in range(4):
         frames = each.open_round(number, [1], None)
         sent = [SendReport(at, len(frame.payload)) for at, frame in enumerate(frames)]
-        report = Delivery(1, encode([HeldEarly(0, 0)]))
+        report = Delivery(1, encode([HeldFirst(0, 0)]))
         each.close_round(RoundReport(1, number, [], sent, [report], False))
     assert not each.own_log.retract(1), "it was lost perhaps, but perhaps not"
 
@@ -167,7 +167,7 @@ def test_a_peer_that_claims_entries_which_were_never_sent_cannot_make_the_log_in
         each = engine(name, acks=True)
         each.own_log.append(entries(0, 0, 5))
         each.open_round(0, [1], 9)
-        claim = Delivery(1, encode([HeldEarly(0, 5)]))
+        claim = Delivery(1, encode([HeldFirst(0, 5)]))
         each.close_round(RoundReport(1, 0, [], [], [claim], False))
         assert each.own_log.retract(2)
         assert len(each.logs[0]) == 3

@@ -22,10 +22,10 @@ from protocol.packets import (
     Delete,
     Fragment,
     From,
-    FromEarly,
+    FromFirst,
     Gone,
     Held,
-    HeldEarly,
+    HeldFirst,
     Near,
     Offer,
     Save,
@@ -147,7 +147,7 @@ def test_of_several_robots_that_could_forward_a_map_one_does() -> None:
     for _ in range(GREETING + 3):
         step(network, {1: [2, 3, 4], 2: [1, 3, 4], 3: [1, 2, 4], 4: [1, 2, 3]})
         forwarders += [
-            robot for robot, frame in broadcasts(network).items() if encode([FromEarly(0, 0)]) in frame
+            robot for robot, frame in broadcasts(network).items() if encode([FromFirst(0, 0)]) in frame
         ]
     assert network.length(4, 0) == 4
     assert len(forwarders) == 1
@@ -192,13 +192,11 @@ def test_a_header_precedes_entries_only_where_a_receiver_may_have_missed_the_las
     assert broadcasts(network)[1].startswith(encode([Gone(2)]))
     network.append(0, 1)
     step(network, APART)
-    assert not [
-        each for each in packet_codec.decode(broadcasts(network)[0]) if isinstance(each, From | FromEarly)
-    ]
+    assert not [each for each in packet_codec.decode(broadcasts(network)[0]) if isinstance(each, From)]
     assert entry(0, 1) in broadcasts(network)[0]
     network.append(0, 1)
     step(network, everyone(3))
-    assert encode([FromEarly(0, 2)]) + entry(0, 2) in broadcasts(network)[0]
+    assert encode([FromFirst(0, 2)]) + entry(0, 2) in broadcasts(network)[0]
     for _ in range(GREETING + 2):
         step(network, everyone(3))
     assert network.length(2, 0) == 3
@@ -216,9 +214,9 @@ def test_robots_that_meet_report_the_logs_that_grew_since() -> None:
         (robot, packet)
         for robot, frame in broadcasts(network).items()
         for packet in packet_codec.decode(frame)
-        if isinstance(packet, Held | HeldEarly)
+        if isinstance(packet, Held)
     }
-    assert (1, HeldEarly(2, 3)) in reports
+    assert (1, HeldFirst(2, 3)) in reports
     assert not [packet for robot, packet in reports if packet.map in (0, 1) and robot != 0]
 
 
@@ -340,10 +338,10 @@ def test_entries_that_came_behind_a_gap_are_kept_until_it_is_filled() -> None:
     each = engine(1, 2, acks=True)
     each.open_round(0, [0], None)
     for first in (3, 0):
-        each.close_round(closing((0, encode([FromEarly(0, first)]) + b"".join(entries(0, first, first + 3)))))
+        each.close_round(closing((0, encode([FromFirst(0, first)]) + b"".join(entries(0, first, first + 3)))))
     assert packet_index.split(each.logs[0].read(0, None)) == entries(0, 0, 6)
     (frame,) = each.open_round(1, [0], None)
-    assert packet_codec.decode(frame.payload) == [HeldEarly(0, 6)], (
+    assert packet_codec.decode(frame.payload) == [HeldFirst(0, 6)], (
         "no robot is to repeat the entries that were kept"
     )
 
@@ -352,8 +350,8 @@ def test_false_entries_behind_a_gap_are_replaced_when_the_true_entries_arrive() 
     lie = entry(0, 7)
     each = engine(2, 3, acks=True, lie=lie)
     each.open_round(0, [0, 1], None)
-    first, second = (encode([FromEarly(0, at)]) + entry(0, at) for at in range(2))
-    assert not each.close_round(closing((1, encode([FromEarly(0, 1)]) + lie)))
+    first, second = (encode([FromFirst(0, at)]) + entry(0, at) for at in range(2))
+    assert not each.close_round(closing((1, encode([FromFirst(0, 1)]) + lie)))
     assert [rejected.peer for rejected in each.close_round(closing((0, first)))] == [1]
     each.close_round(closing((0, second)))
     assert packet_index.split(each.logs[0].read(0, None)) == entries(0, 0, 2)
@@ -362,9 +360,9 @@ def test_false_entries_behind_a_gap_are_replaced_when_the_true_entries_arrive() 
 def test_entries_that_were_kept_are_dropped_if_their_sender_is_rejected_meanwhile() -> None:
     each = engine(2, 3, acks=True)
     each.open_round(0, [0, 1], None)
-    each.close_round(closing((1, encode([FromEarly(0, 1)]) + entry(0, 1))))
+    each.close_round(closing((1, encode([FromFirst(0, 1)]) + entry(0, 1))))
     each.replica.reject(1, 0, "malformed")
-    each.close_round(closing((0, encode([FromEarly(0, 0)]) + entry(0, 0))))
+    each.close_round(closing((0, encode([FromFirst(0, 0)]) + entry(0, 0))))
     assert packet_index.split(each.logs[0].read(0, None)) == entries(0, 0, 1)
 
 
@@ -373,9 +371,9 @@ def test_entries_that_were_kept_are_dropped_if_their_sender_is_rejected_meanwhil
 
 any_packet = st.one_of(
     st.builds(From, st.integers(0, 255), st.integers(0, 2**24 - 1) | st.integers(0, 4)),
-    st.builds(FromEarly, st.integers(0, 4), st.integers(0, 9)),
+    st.builds(FromFirst, st.integers(0, 4), st.integers(0, 9)),
     st.builds(Held, st.integers(0, 255), st.integers(0, 2**24 - 1) | st.integers(0, 4)),
-    st.builds(HeldEarly, st.integers(0, 4), st.integers(0, 9)),
+    st.builds(HeldFirst, st.integers(0, 4), st.integers(0, 9)),
     st.builds(Near, st.integers(0, 255)),
     st.builds(Gone, st.integers(0, 4)),
     st.builds(Offer, st.integers(0, 63), st.integers(0, 63)),
@@ -409,7 +407,7 @@ def test_honest_robots_go_on_with_each_other_whatever_another_sends(
 def test_claims_of_more_entries_than_there_are_silence_no_robot(acks: bool) -> None:
     network = Network(3, "gossip", acks=acks)
     lie = (
-        encode([HeldEarly(0, 255), FromEarly(0, 0)]) + b"".join(entries(0, 0, 200)) + encode([Held(0, 9999)])
+        encode([HeldFirst(0, 255), FromFirst(0, 0)]) + b"".join(entries(0, 0, 200)) + encode([Held(0, 9999)])
     )
     for number in range(1, 9):
         network.append(0, 1)
@@ -424,7 +422,7 @@ def test_claims_in_acknowledged_frames_harm_no_other_robot() -> None:
     network = Network(3, acks=True, seed=3)
     network.append(0, 20)
     lie = encode(
-        [Held(0, 10_000), HeldEarly(2, 200), Offer(0, 3), From(1, 7), *packet_codec.decode(entry(1, 7))]
+        [Held(0, 10_000), HeldFirst(2, 200), Offer(0, 3), From(1, 7), *packet_codec.decode(entry(1, 7))]
     )
     for robot in (0, 2):
         assert not network.engines[robot].close_round(closing((1, lie)))

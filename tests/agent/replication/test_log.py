@@ -18,7 +18,7 @@ from agent.replication.replica import ASK_AGAIN, LONGEST, MANY, TRIES, Replica
 from protocol import packet_index
 from protocol.errors import ProtocolError
 from protocol.packet_codec import encode
-from protocol.packets import DIGEST_WINDOW, FromEarly, Held, Near
+from protocol.packets import DIGEST_WINDOW, FromFirst, Held, Near
 from tests.agent.replication.network import entries, entry
 
 sizes = st.lists(st.integers(1, 30), max_size=12)
@@ -110,10 +110,10 @@ def test_handlers_run_for_the_parts_that_were_on_the_air(sent: int, expected: li
 def test_a_frame_is_split_into_control_packets_and_entries_behind_their_headers() -> None:
     own, others = entries(0, 0, 2), entries(1, 5, 8)
     controls, sections = parse(
-        encode([Near(1)]) + b"".join(own) + encode([FromEarly(1, 5)]) + b"".join(others)
+        encode([Near(1)]) + b"".join(own) + encode([FromFirst(1, 5)]) + b"".join(others)
     )
-    assert controls == [Near(1), FromEarly(1, 5)]
-    assert sections == [(None, own), (FromEarly(1, 5), others)]
+    assert controls == [Near(1), FromFirst(1, 5)]
+    assert sections == [(None, own), (FromFirst(1, 5), others)]
     with pytest.raises(ProtocolError):
         parse(b"\xff")
 

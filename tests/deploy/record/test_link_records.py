@@ -13,12 +13,12 @@ from deploy.record.link_records import FRAMES, LinkRecorder, frame_log, read_fra
 from netshaper import capture, pcapng
 from protocol.nanoseconds import SECOND
 from protocol.packet_codec import encode
-from protocol.packets import HeldEarly, Pose
+from protocol.packets import HeldFirst, Pose
 from tests.agent.radios.air_team import AirTeam
 from tests.agent.radios.memory_air import Faults, MemoryAir
 from tests.system.team import small_plan
 
-POSE, REPORT = encode([Pose(3, 4, 0)]), encode([HeldEarly(1, 2)])
+POSE, REPORT = encode([Pose(3, 4, 0)]), encode([HeldFirst(1, 2)])
 
 
 def test_every_robot_writes_what_it_sent_and_received(tmp_path: Path) -> None:
