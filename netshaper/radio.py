@@ -264,7 +264,7 @@ class Radio:
                 receiver, content = each.receiver, read(each.payload)
                 pair = receiver, content.map_id if kind == OFFER else -1
                 problem = content.problem or (TWICE if pair in sent else "")
-                if kind == NEWS and (receiver == EVERYONE) != self.settings.gossip:
+                if (receiver == EVERYONE) != self.settings.gossip:
                     problem = NOT_FOR_ALL if receiver == EVERYONE else NOT_FOR_ONE
                 if receiver not in reachable:
                     self._refuse(Frame(sender, receiver, content), "range")

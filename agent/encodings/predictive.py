@@ -164,14 +164,19 @@ class PredictiveEncoding(GridEncoding):
     def _encode_new(
         self, own: Grid, scan: Scan | RangeScan, change: Change, *, delivered: bool
     ) -> list[bytes]:
-        """Encode an update, if there is anything to report."""
+        """Encode an update, if there is anything to report.
+
+        The first scan is encoded at once, although the robot does not know yet who is in range.
+        """
         author = self._author
+        is_first = not (author.has_changes or self._states[self.settings.own_map].packets)
         author.add(scan, change)
         if not author.has_changes:
             return []
         if delivered or not self.is_settled:
             self.retractable = 0
-        if not delivered or self._bases_changed or not author.is_due(own, self.log_odds, self.received):
+        may_send = (delivered or is_first) and not self._bases_changed
+        if not may_send or not author.is_due(own, self.log_odds, self.received):
             return []
         return self._encode_pending(own)
 

@@ -223,6 +223,15 @@ def test_a_map_is_offered_to_a_robot_once_per_round() -> None:
     assert [robot for robot, _ in network.radio.protocol_errors] == [0]
 
 
+def test_an_offer_to_all_robots_is_refused() -> None:
+    network = network_of(Sends(0, (EVERYONE, OFFER_0)), Sends(1))
+    step = network.step(1, TOGETHER)
+    assert logged(step) == [("offer", 0, EVERYONE, 2, False, "protocol")]
+    assert [robot for robot, _ in network.radio.protocol_errors] == [0]
+    assert step.delivered == []
+    assert step.reports == []
+
+
 def test_malformed_bytes_have_their_own_kind() -> None:
     step = network_of(Sends(0, (1, b"\xff\xff\xff")), Sends(1)).step(1, TOGETHER)
     assert step.rows[["kind", "packets", "bytes"]].tolist() == [(MALFORMED, 1, 3)]

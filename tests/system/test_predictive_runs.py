@@ -48,6 +48,27 @@ def test_with_unlimited_bandwidth_every_robot_knows_all_but_the_last_step_s_cell
         assert ((robot.planning != seen) & (seen != UNKNOWN)).mean() < 0.01
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_with_unlimited_bandwidth_robots_know_and_do_the_same_as_with_raw_scans(seed: int) -> None:
+    scans, predictive = (
+        Team(
+            small_plan(
+                "office", 16.0, robots=4, map_encoding=map_encoding, dissemination="gossip",
+                bandwidth="unlimited", seed=seed,
+            )
+        )
+        for map_encoding in ("scans", "predictive")
+    )  # fmt: skip
+    while not any(move.explored for move in scans.moves.values()):
+        for team in (scans, predictive):
+            team.explore(team.step + 1)
+        for other, robot in zip(scans.robots, predictive.robots, strict=True):
+            assert (robot.planning == other.planning).all(), (
+                f"robot {robot.settings.robot}, step {scans.step}"
+            )
+        assert predictive.moves == scans.moves
+
+
 @pytest.mark.parametrize("map_encoding", ["predictive", "scans", "polygons", "cells", "zstd-maps"])
 @pytest.mark.parametrize("reach", ["25%", "100%"])
 def test_every_sent_byte_is_carried_or_cut_within_the_budget(map_encoding: str, reach: str) -> None:
