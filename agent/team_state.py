@@ -49,8 +49,8 @@ class TeamState:
         """The step in which each teammate was first known to be at another cell than before."""
         self._traveled: dict[int, float] = {}
         self._here: Cell | None = None
-        self._entries = 0
-        """Entries of all tables when they were last sorted."""
+        self._lengths = [0] * 6
+        """Entries of each table when it was last sorted."""
 
     def perceive(self, sense: Sense) -> None:
         """Note this robot's own position at the beginning of a step."""
@@ -126,18 +126,16 @@ class TeamState:
         )
 
     def _sort_tables(self) -> None:
-        """Put all tables into ascending order of robot numbers, if any has another robot than the last time."""
+        """Put tables that have another robot than the last time into ascending order of robot numbers."""
         tables: tuple[dict[int, Any], ...] = (
             self._homes, self.poses, self._moved, self._traveled, self.targets, self._target_steps,
         )  # fmt: skip
-        entries = sum(map(len, tables))
-        if entries == self._entries:
-            return
-        self._entries = entries
-        for table in tables:
-            ascending = sorted(table.items())
-            table.clear()
-            table.update(ascending)
+        for number, table in enumerate(tables):
+            if len(table) != self._lengths[number]:
+                self._lengths[number] = len(table)
+                ascending = sorted(table.items())
+                table.clear()
+                table.update(ascending)
 
     def _note_pose(self, peer: int, pose: Pose) -> None:
         before = self.poses.get(peer)

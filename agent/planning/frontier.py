@@ -79,6 +79,15 @@ def is_frontier(grid: Grid, x: int, y: int) -> bool:
 
 
 @kernel
+def are_frontier(grid: Grid, cells: Cells) -> Bools:
+    """Return for each cell whether it is a frontier cell."""
+    are = np.empty(len(cells), np.bool_)
+    for number in range(len(cells)):
+        are[number] = is_frontier(grid, cells[number, 0], cells[number, 1])
+    return are
+
+
+@kernel
 def is_enclosed(free: Bools, cell: int, stride: int) -> bool:
     """Return whether all 4-neighbors of a cell are free on a flat floor, so that it is no frontier cell."""
     left, right, above, below = cell - 1, cell + 1, cell - stride, cell + stride

@@ -56,23 +56,21 @@ class GoalCosts:
         new = {key: at for at, key in enumerate(keys) if key not in rows}
         if new:
             cells = starts[list(new.values())]
-            self._add(cells, self.search(floor, cells, self.goals, np.zeros(len(cells), np.int64)))
-        return self._ways[[rows[key] for key in keys]].reshape(len(keys), len(self.goals))
+            self._add(list(new), self.search(floor, cells, self.goals, np.zeros(len(cells), np.int64)))
+        return self._ways.take(np.fromiter(map(rows.__getitem__, keys), np.intp, len(keys)), axis=0)
 
     def among(self, floor: Floor, starts: Cells) -> tuple[FloatRows, FloatRows]:
         """Return `costs_among` of these starts and the goals; callers must not modify the costs between goals."""
         if self._between is None:
-            cells = starts[list({key: at for at, key in enumerate(_keys(starts))}.values())]
-            ways, self._between = self._search_among(floor, cells)
+            new = {key: at for at, key in enumerate(_keys(starts))}
+            ways, self._between = self._search_among(floor, starts[list(new.values())])
             self._rows, self._ways = {}, self._ways[:0]
-            self._add(cells, ways)
+            self._add(list(new), ways)
         return self.ways(floor, starts), self._between
 
-    def _add(self, cells: Cells, ways: FloatRows) -> None:
-        """Add the costs of the ways from new starts to all goals."""
-        self._rows.update(
-            zip(_keys(cells), range(len(self._rows), len(self._rows) + len(cells)), strict=True)
-        )
+    def _add(self, keys: list[int], ways: FloatRows) -> None:
+        """Add the costs of the ways from new starts, given by their keys, to all goals."""
+        self._rows.update(zip(keys, range(len(self._rows), len(self._rows) + len(keys)), strict=True))
         self._ways = np.concatenate([self._ways, ways])
 
     def _search_among(self, floor: Floor, starts: Cells) -> tuple[FloatRows, FloatRows]:
@@ -108,7 +106,7 @@ class GoalCosts:
 
 def _keys(cells: Cells) -> list[int]:
     """Return a number for each cell, equal for equal cells."""
-    keys: list[int] = (cells[:, 1].astype(np.int64) << 32 | cells[:, 0]).tolist()
+    keys: list[int] = cells.view(np.int64).ravel().tolist()
     return keys
 
 

@@ -192,7 +192,7 @@ class Stream(ABC):
         lacking = lacking_box(self.grid, own, *near)
         for other in self._others.tolist():
             first = int(self.depends_on[other])
-            if end := self._find_base(other, own, lacking):
+            if len(self.histories[other]) > first and (end := self._find_base(other, own, lacking)):
                 more[other] = end - first
                 applied += self._depend_on(other, end)
                 lacking = lacking_box(self.grid, own, *near)

@@ -70,6 +70,8 @@ class GossipPolicy:
         """The peer that this round's frame serves first."""
         self._sent: dict[int, tuple[int, int]] = {}
         """The range of each map that is in this round's frame."""
+        self._too_long: set[tuple[int, int]] = set()
+        """Map numbers and first offsets of entries for which this round's frame has no room."""
 
     def compare(self, step: int, known: list[int], lengths: Table) -> None:
         """Compare log lengths with the version vectors of the peers in range whose report is not awaited."""
@@ -88,7 +90,7 @@ class GossipPolicy:
 
         `turn` is the number of steps after which the next robot forwards what a peer still lacks.
         """
-        self._turn, self._served, self._sent = turn, None, {}
+        self._turn, self._served, self._sent, self._too_long = turn, None, {}, set()
         held: dict[int, list[int]] = {peer: self._peers.expected[peer].tolist() for peer in self._lacks}
         for peer in sorted(held, key=lambda each: (-sum(held[each]), each)):
             will_hold, lacks = held[peer], self._lacks[peer]
@@ -107,11 +109,11 @@ class GossipPolicy:
         for each in dependencies[bisect_right(dependencies, will_hold[number], key=attrgetter("end")) :]:
             if each.first >= end:
                 break
-            if any(will_hold[other] < length for other, length in each.requires):
+            if _lacks(will_hold, each.requires):
                 self._send(add, peer, will_hold, number, each.first)
                 for other, length in each.requires:
                     self._bring(add, peer, will_hold, other, length)
-                if any(will_hold[other] < length for other, length in each.requires):
+                if _lacks(will_hold, each.requires):
                     return
         self._send(add, peer, will_hold, number, end)
 
@@ -126,11 +128,20 @@ class GossipPolicy:
         else:
             end = min(end, low)
         if first < end and (number == self._peers.own or self._is_forwarder(peer, number)):
-            end = add(number, first, min(end, len(self._logs[number])))
-            if end > first:
-                low, high = self._sent.get(number, (first, end))
-                self._sent[number] = min(low, first), max(high, end)
+            end = self._add(add, number, first, min(end, len(self._logs[number])))
         will_hold[number] = max(first, end)
+
+    def _add(self, add: Add, number: int, first: int, end: int) -> int:
+        """Add entries of a map to the frame, unless it has no room for the first; return the offset after the last."""
+        if (number, first) in self._too_long:
+            return first
+        end = add(number, first, end)
+        if end > first:
+            low, high = self._sent.get(number, (first, end))
+            self._sent[number] = min(low, first), max(high, end)
+        else:
+            self._too_long.add((number, first))
+        return end
 
     def _is_forwarder(self, peer: int, number: int) -> bool:
         """Return whether it is this robot's turn to forward what a peer lacks of a map.
@@ -170,6 +181,14 @@ class GossipPolicy:
             lacks = 0 if served is None else sum(self._lacks[served].values())
             priority = max(0, KEEPING_UP - lacks) + min(LONG, size)
         return min(MAX_PRIORITY - 1, priority + AGING * waited)
+
+
+def _lacks(held: list[int], requires: tuple[tuple[int, int], ...]) -> bool:
+    """Return whether a peer that holds so many entries of each map lacks any of these dependencies."""
+    for number, length in requires:  # noqa: SIM110  a generator takes twice as long
+        if held[number] < length:
+            return True
+    return False
 
 
 @kernel

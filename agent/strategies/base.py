@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -23,6 +24,11 @@ FULL_TURN = 360.0
 """Degrees."""
 
 NO_CELLS = np.empty((0, 2), np.int32)
+
+
+def array_of(cells: Collection[Cell]) -> Cells:
+    """Return cells as an array of shape (n, 2), in half the time of `numpy.array`."""
+    return np.fromiter(chain.from_iterable(cells), np.int32, 2 * len(cells)).reshape(-1, 2)
 
 
 class Pose(NamedTuple):

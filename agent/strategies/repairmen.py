@@ -40,7 +40,7 @@ import numpy as np
 from agent.planning.assignment import Assignment
 from agent.planning.candidates import components, count_representatives, thin_out
 from agent.planning.clusters import cluster_groups
-from agent.planning.frontier import is_frontier
+from agent.planning.frontier import are_frontier, is_frontier
 from agent.planning.gain import expected_gain
 from agent.planning.path_planner import PathPlanner
 from agent.planning.route import is_line_free, straighten
@@ -49,7 +49,7 @@ from agent.planning.team_tours import Task, team_tours
 from agent.planning.viewpoint import best_viewpoint, tour_viewpoints
 from agent.planning.yielding import MEMORY
 from agent.settings import Settings
-from agent.strategies.base import Cell, Situation
+from agent.strategies.base import Cell, Situation, array_of
 from agent.strategies.options import option
 from agent.strategies.targets import Parts
 from agent.strategies.team import PLAN_ALONE_AFTER, Table, TeamStrategy
@@ -189,6 +189,15 @@ class Repairmen(TeamStrategy):
             return not is_frontier(situation.grid, *target)
         return super().is_spent(situation, target, at)
 
+    def _spent_teammates(self, situation: Situation) -> set[tuple[int, Cell]]:
+        """Return the same as `TeamStrategy`, but test the targets of all teammates at once."""
+        if self.options.replan != EACH_STEP:
+            return super()._spent_teammates(situation)
+        known = situation.targets
+        sent = [(peer, known[peer]) for peer in self.team(situation) if peer in known]
+        are_left = are_frontier(situation.grid, array_of([target for _, target in sent]))
+        return {sent[number] for number in np.flatnonzero(~are_left).tolist()}
+
     def _drive(self, situation: Situation, planner: PathPlanner, goal: Cell | None) -> bool:
         """Plan a route to a cell; a target in a straight line of free cells is approached on that line.
 
@@ -261,7 +270,7 @@ class Repairmen(TeamStrategy):
         if len(radii) > 1:
             _, self._between = planner.of_radius(min(radii)).costs_among(goals[:0], goals)
             return super().table(situation, goals, planner)
-        cells = np.array(list(team.values()), np.int32)
+        cells = array_of(team.values())
         ways, self._between = planner.costs_among(cells, goals)
         return Table(tuple(team), cells, goals, ways)
 
@@ -323,7 +332,7 @@ class Repairmen(TeamStrategy):
         )
         worth = np.minimum(gain / PLENTY, 1.0)
         # Below 1, the team has more robots than goals of large gain.
-        demand = min(1.0, math.fsum(worth) / len(table.robots))
+        demand = min(1.0, math.fsum(worth.tolist()) / len(table.robots))
         task = Task(
             starts=ways,
             between=between,
@@ -352,7 +361,7 @@ class Repairmen(TeamStrategy):
             SINGLE_ROBOT_HYSTERESIS if self.settings.robots == 1 else 1.0
         )
         last = {**situation.targets, self.settings.robot: self.target}
-        targets = np.array([last.get(robot) or NO_TARGET for robot in table.robots], np.int32)
+        targets = array_of([last.get(robot) or NO_TARGET for robot in table.robots])
         ways = table.costs.copy()
         _prefer(ways, table.goals, targets, SAME * range_cells, target_hysteresis * range_cells)
         return ways

@@ -20,7 +20,7 @@ from agent.planning.assignment import Assignment, Costs
 from agent.planning.path_planner import PathPlanner
 from agent.planning.utility import in_sight
 from agent.settings import Settings
-from agent.strategies.base import Cell, Situation
+from agent.strategies.base import Cell, Situation, array_of
 from agent.strategies.targets import Clash, TargetStrategy, is_searched
 from protocol.arrays import Cells
 from protocol.keyed_random import keyed_random
@@ -118,14 +118,14 @@ class TeamStrategy(TargetStrategy):
     def table(self, situation: Situation, goals: Cells, planner: PathPlanner) -> Table:
         """Return the table of members, goals and costs."""
         team = self.team(situation)
-        cells = np.array(list(team.values()), np.int32)
+        cells = array_of(team.values())
         return Table(tuple(team), cells, goals, self.costs_of(team, goals, planner))
 
     def costs_of(self, team: Mapping[int, Cell], goals: Cells, planner: PathPlanner) -> Costs:
         """Return the cost of each member's way to each goal, shape (m, n), with obstacles enlarged by its radius."""
         costs = np.empty((len(team), len(goals)))
         radii = np.array([self.settings.bodies[robot].radius_cells for robot in team])
-        cells = np.array(list(team.values()), np.int32)
+        cells = array_of(team.values())
         for radius in np.unique(radii):
             alike = radii == radius
             costs[alike] = planner.of_radius(float(radius)).costs_between(cells[alike], goals)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol
@@ -24,6 +26,9 @@ from protocol.memory_bus import MemoryHub
 from protocol.messages import Change, FaultEvent, Missed
 from worldsim.clock import RecordedClock
 from worldsim.process import WorldNode
+
+GARBAGE = 100_000
+"""New Python objects after which the garbage collector runs."""
 
 
 class Node(Protocol):
@@ -162,10 +167,11 @@ class MemoryRun:
     ) -> Records:
         """Run to the end, and return the records; `watch` is called whenever a step has been opened."""
         opened = 0
-        for _ in self.steps(heed):
-            if watch is not None and self.records.step > opened:
-                opened = self.records.step
-                watch(self.records)
+        with _rare_collections():
+            for _ in self.steps(heed):
+                if watch is not None and self.records.step > opened:
+                    opened = self.records.step
+                    watch(self.records)
         return self.records
 
     def _note_full_map(self, step: int) -> None:
@@ -243,6 +249,18 @@ class MemoryRun:
 
     def _is_done(self) -> bool:
         return all(node.done for node in self._nodes.values())
+
+
+@contextmanager
+def _rare_collections() -> Iterator[None]:
+    """Let the garbage collector run rarely: it visits the state of all robots, but a run has few reference cycles."""
+    before = gc.get_threshold()
+    if before[0]:
+        gc.set_threshold(max(before[0], GARBAGE), *before[1:])
+    try:
+        yield
+    finally:
+        gc.set_threshold(*before)
 
 
 def check_clock(scenario: Scenario, missed: Sequence[Missed] | None) -> None:

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from agent.planning.cost_field import costs, nearest_first, way
-from agent.planning.frontier import Floor, Regions, frontier_cells, is_frontier
+from agent.planning.frontier import Floor, Regions, are_frontier, frontier_cells, is_frontier
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from tests.agent.planning.planning_references import dijkstra, drawn
 
@@ -60,9 +60,10 @@ def test_frontier_cells_are_free_reachable_and_beside_the_unknown_row_by_row(
 def test_is_frontier_agrees_for_each_cell(case: tuple[Grid, int, int]) -> None:
     grid, _, _ = case
     height, width = grid.shape
-    for cy in range(height):
-        for cx in range(width):
-            assert is_frontier(grid, cx, cy) == by_definition(grid, cx, cy)
+    cells = [(cx, cy) for cy in range(height) for cx in range(width)]
+    wanted = [by_definition(grid, *cell) for cell in cells]
+    assert [is_frontier(grid, *cell) for cell in cells] == wanted
+    assert are_frontier(grid, np.array(cells, np.int32)).tolist() == wanted
 
 
 def test_the_rim_of_the_grid_is_no_frontier_and_a_diagonal_neighbor_does_not_count() -> None:

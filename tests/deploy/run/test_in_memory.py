@@ -7,7 +7,7 @@ import weakref
 
 import pytest
 
-from deploy.run.in_memory import MemoryRun
+from deploy.run.in_memory import GARBAGE, MemoryRun
 from deploy.scenario import plan as plans
 from murmur import Scenario
 
@@ -39,6 +39,15 @@ def test_a_run_without_references_is_freed_at_once(
         assert [ref() for ref in gone] == [None, None, None]
     finally:
         gc.enable()
+
+
+def test_the_garbage_collector_runs_rarely_until_a_run_has_ended() -> None:
+    before = gc.get_threshold()
+    during: set[int] = set()
+    run = MemoryRun(plans.make(Scenario(robots=2, steps=3)))
+    run.complete(lambda _: during.add(gc.get_threshold()[0]))
+    assert during == {GARBAGE}
+    assert gc.get_threshold() == before
 
 
 def test_held_robots_decide_when_their_caller_lets_them_and_change_nothing() -> None:
