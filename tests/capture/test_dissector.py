@@ -219,7 +219,7 @@ def test_truncated_frames_are_no_error(tshark: Tshark, tmp_path: Path) -> None:
 @pytest.mark.parametrize("map_encoding", [name for name in EXACT if name != "none"])
 def test_sums_equal_those_of_the_ledger(tshark: Tshark, tmp_path: Path, map_encoding: str) -> None:
     settings = {"robots": 4, "map_encoding": map_encoding, "dissemination": "backoff", "strategy": "meier"}
-    plan = plans.make(parse(settings | {"bandwidth": 700, "range": "40%", "steps": 60}))
+    plan = plans.make(parse(settings | {"bandwidth": 400, "range": "40%", "steps": 60}))
     with run_directory.open_capture(tmp_path, plan) as file:
         ledger = MemoryRun(plan, file).complete().ledger()
     rows = tshark.fields(

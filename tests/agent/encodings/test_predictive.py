@@ -151,10 +151,20 @@ def test_fragments_and_the_order_of_maps_do_not_change_the_result(seed: int, ord
     assert (receiver.merge(unknown()) == np.max([author.own for author in authors], axis=0)).all()
 
 
+def test_the_first_scan_is_encoded_before_robots_in_range_are_known_but_not_the_second() -> None:
+    truth = world(0)
+    author, receiver = Explorer(0, 0), PredictiveEncoding(settings_of(1))
+    receiver.apply(0, b"".join(author.scan(truth, delivered=False)), **LATE)
+    assert (receiver.merge(unknown()) == author.own).all()
+    assert np.count_nonzero(author.own)
+    assert author.scan(truth, delivered=False) == []
+
+
 @given(seeds)
 def test_changes_that_wait_are_sent_in_one_update_later(seed: int) -> None:
     truth = world(seed)
     author, receiver = Explorer(0, seed), PredictiveEncoding(settings_of(1))
+    receiver.apply(0, b"".join(author.scan(truth)), **LATE)
     for _ in range(5):
         assert author.scan(truth, delivered=False) == []
     packets = author.scan(truth)
@@ -170,6 +180,7 @@ def test_a_small_budget_splits_changes_into_one_update_per_step(seed: int) -> No
         Explorer(0, seed, bandwidth=Budget(6)),
         PredictiveEncoding(settings_of(1, bandwidth=Budget(6))),
     )
+    receiver.apply(0, b"".join(author.scan(truth)), **LATE)
     for _ in range(5):
         assert author.scan(truth, delivered=False) == []
     packets = 0
@@ -207,6 +218,7 @@ def test_author_and_receivers_know_the_same_dependencies(seed: int, taken_back: 
 def test_a_full_update_is_encoded_again_only_after_news_of_teammates(budget: int, is_settled: bool) -> None:
     truth = world(0)
     author, other = (Explorer(robot, 0, bandwidth=Budget(budget)) for robot in range(2))
+    author.scan(truth)
     for _ in range(8):
         assert author.scan(truth, delivered=False) == []
     sent = author.scan(truth)
