@@ -90,4 +90,4 @@ class Layout:
                 f"n bytes of content, {least} to {most}" if self.has_length else f"{most} bytes of content"
             )
             size = f"{self.size + least} to {self.size + most}" if least < most else str(self.size + most)
-        return f"{self.packet:9} {self.kind:6} {size:7} {' '.join(groups)}"
+        return f"{self.packet:9} {self.kind:6} {size:8} {' '.join(groups)}"
