@@ -7,7 +7,7 @@ from functools import lru_cache
 from typing import TypeVar, cast, get_args
 
 from protocol.errors import ProtocolError
-from protocol.packet_layout import Layout
+from protocol.packet_layout import LENGTH, Layout
 from protocol.packets import (
     ALL_KINDS,
     DECLINED,
@@ -71,7 +71,7 @@ def encode(packets: Iterable[Packet]) -> bytes:
             content, layout = packet.data, _layout_for(packet, len(out))
         number = layout.fixed[1]
         for name, shift, mask, bias in layout.places:
-            value = getattr(packet, name) + bias
+            value = (len(content) if name == LENGTH else getattr(packet, name)) + bias
             if not 0 <= value <= mask:
                 reason = f"{name} {value - bias} is outside {-bias} to {mask - bias}"
                 raise ProtocolError(packet.name, len(out), reason)
@@ -89,10 +89,10 @@ def _layout_for(packet: Fragment | Update, offset: int) -> Layout:
         if layout.content is None or ("number" in dict(layout.fields)) != numbered:
             continue
         least, most = layout.content
-        if least <= packet.length <= most:
+        if least <= len(packet.data) <= most:
             return layout
         sizes += layout.content
-    reason = f"{packet.length} bytes of content are outside {min(sizes)} to {max(sizes)}"
+    reason = f"{len(packet.data)} bytes of content are outside {min(sizes)} to {max(sizes)}"
     raise ProtocolError(packet.name, offset, reason)
 
 
@@ -188,6 +188,7 @@ def _read(buffer: bytes, offset: int, size: int) -> AnyPacket:
 
 
 def _read_with_content(layout: Layout, packet: bytes) -> Fragment | Update:
+    """Read a whole packet that has content."""
     head, data = int.from_bytes(packet[: layout.size], "big"), packet[layout.size :]
     if layout.packet == Fragment.__name__:
         return Fragment(data)

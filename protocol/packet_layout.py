@@ -74,6 +74,11 @@ class Layout:
             places.append((name, shift, (1 << bits.width) - 1, bits.bias))
         return tuple(places)
 
+    @property
+    def shifts(self) -> tuple[int, ...]:
+        """The left shift of each field in the packet, read as one number; kernels write and read packets by them."""
+        return tuple(shift for _, shift, _, _ in self.places)
+
     def starts_with(self, byte: int) -> bool:
         """Whether packets of this layout can start with a byte."""
         known = min(len(self.code), 8)

@@ -306,11 +306,6 @@ class Fragment(Packet, frozen=True):
     name, size, code = "scan", 64, "11110001"
     data: bytes
 
-    @property
-    def length(self) -> int:
-        """Bytes of content."""
-        return len(self.data)
-
 
 class Update(Packet, frozen=True):
     """Fragment of a map update of the predictive encoding (`agent.predictive`).
@@ -322,11 +317,6 @@ class Update(Packet, frozen=True):
     name, size, code = "update", 65, "11110101"
     number: int | None
     data: bytes
-
-    @property
-    def length(self) -> int:
-        """Bytes of content."""
-        return len(self.data)
 
 
 LENGTH_HEAD = 2
@@ -357,13 +347,21 @@ def _declared(kind: type[Packet]) -> Layout:
     return Layout(kind.__name__, kind.name, kind.size, kind.code, declared)
 
 
-_LAYOUT = {kind: _declared(kind) for kind in get_args(AnyPacket) if kind not in (Fragment, Update)}
+_LAYOUT: dict[type[Packet], Layout] = {
+    kind: _declared(kind) for kind in get_args(AnyPacket) if kind not in (Fragment, Update)
+}
+
+
+def layout_of(kind: type[Packet]) -> Layout:
+    """Return the layout of a packet without content."""
+    return _LAYOUT[kind]
+
 
 _NUMBER = ("number", Bits(1, "u", "number of the update, modulo 2"))
 
 
 def _length(width: int, least: int = 0) -> tuple[str, Bits]:
-    """Return the field that gives the bytes of content, in so many bits."""
+    """Return the field of `width` bits that gives the bytes of content, minus `least`."""
     meaning = f"bytes of content, minus {least}" if least else "bytes of content"
     return LENGTH, Bits(width, "n", meaning, -least)
 
@@ -371,6 +369,7 @@ def _length(width: int, least: int = 0) -> tuple[str, Bits]:
 def _with_content(
     kind: type[Packet], code: str, fields: tuple[tuple[str, Bits], ...], least: int, most: int
 ) -> Layout:
+    """Return a layout with `least` to `most` bytes of content behind the fields."""
     head = (len(code) + sum(bits.width for _, bits in fields)) // 8
     return Layout(kind.__name__, kind.name, head, code, fields, (least, most))
 

@@ -34,10 +34,12 @@ from protocol.packets import (
     Change,
     Delete,
     Edit,
+    Emerge,
     Insert,
     Remove,
     Replace,
     Save,
+    layout_of,
 )
 
 _EDITS = [ALL_KINDS.index(kind.name) for kind in get_args(Edit)]
@@ -48,6 +50,13 @@ _INSERT, _REPLACE, _CHANGE, _SAVE = (int(kind.code, 2) for kind in (Insert, Repl
 """First bytes of packets."""
 _DELETE, _REMOVE = int(Delete.code, 2), int(Remove.code, 2)
 """The four bits with which packets start."""
+_INDEX_AT, _X_AT, _Y_AT, _SIDE_AT, _OCCUPIED_AT = layout_of(Insert).shifts
+_OBJECT_AT, _COUNT_AT, _INSIDE_AT = layout_of(Emerge).shifts
+(_DELETED_AT,) = layout_of(Delete).shifts
+(_REMOVED_AT,) = layout_of(Remove).shifts
+"""Left shifts of fields in packets."""
+_VERTEX_SPARE, _OBJECT_SPARE = ((1 << layout_of(kind).spare) - 1 for kind in (Insert, Emerge))
+"""Masks of the bits that must be zero."""
 
 SMALL = 3
 """An object with at most so many vertices is redrawn as a whole: each vertex can decide whether it is drawn at all."""
@@ -183,12 +192,19 @@ def _move_gap(vertices: Int32s, n: Int64s, to: int) -> None:
 
 
 @kernel
+def _number(data: Uint8s, at: int, size: int) -> int:
+    """Return `size` bytes as one number, most significant byte first."""
+    number = 0
+    for i in range(at, at + size):
+        number = number << 8 | int(data[i])
+    return number
+
+
+@kernel
 def _header(data: Uint8s, at: int) -> tuple[int, int, int]:
     """Return the object, count and inside flag of an `Emerge` or `Change`."""
-    packet = 0
-    for i in range(5):
-        packet = packet << 8 | int(data[at + i])
-    return packet >> 20 & 0xFFF, packet >> 7 & 0x1FFF, packet >> 6 & 1
+    packet = _number(data, at, 5)
+    return packet >> _OBJECT_AT & 0xFFF, packet >> _COUNT_AT & 0x1FFF, packet >> _INSIDE_AT & 1
 
 
 @kernel
@@ -224,7 +240,7 @@ def _apply(
             if n[_OPEN] < 0:
                 return _reject(n, at, _CLOSED, 0, 0, 0)
             if head >> 4 == _DELETE:
-                index = (int(data[at]) << 8 | int(data[at + 1])) & 0xFFF
+                index = _number(data, at, 2) >> _DELETED_AT & 0xFFF
                 if index >= length:
                     return _reject(n, at, _NO_INDEX, n[_OPEN], index, length - 1)
                 around[0] = around[3] = vertices[_place(n, index)]
@@ -234,12 +250,11 @@ def _apply(
                 n[_VERTICES] -= 1
                 at += 2
             else:
-                packet = 0
-                for i in range(6):
-                    packet = packet << 8 | int(data[at + i])
-                index, x, y = packet >> 28 & 0xFFF, packet >> 16 & 0xFFF, packet >> 4 & 0xFFF
+                packet = _number(data, at, 6)
+                index, x, y = packet >> _INDEX_AT & 0xFFF, packet >> _X_AT & 0xFFF, packet >> _Y_AT & 0xFFF
+                side, occupied = packet >> _SIDE_AT & 3, packet >> _OCCUPIED_AT & 1
                 is_new = head == _INSERT
-                if packet & 1:
+                if packet & _VERTEX_SPARE:
                     return _reject(n, at, _MALFORMED, 0, 0, 0)
                 if is_new and length == MAX_VERTICES:
                     return _reject(n, at, _FULL, n[_OPEN], length, 0)
@@ -247,7 +262,7 @@ def _apply(
                     return _reject(n, at, _NO_INDEX, n[_OPEN], index, length + is_new - 1)
                 if x > width + 1 or y > height + 1:
                     return _reject(n, at, _OUTSIDE, x - 1, y - 1, 0)
-                around[:] = np.int32(y << 15 | x << 3 | (packet >> 1 & 7))
+                around[:] = np.int32(y << 15 | x << 3 | side << 1 | occupied)
                 if length:
                     around[1] = vertices[_place(n, (index + length - 1) % length)]
                     around[2] = vertices[_place(n, (index if is_new else index + 1) % length)]
@@ -284,7 +299,7 @@ def _apply(
                 n[_BOXES] = _add_box_around(boxes, n[_BOXES], table, number)
             n[_OPEN], n[_VERTICES], n[_GAP] = -1, 0, 0
         if head >> 4 == _REMOVE:
-            number = (np.int64(data[at]) << 8 | data[at + 1]) & 0xFFF
+            number = _number(data, at, 2) >> _REMOVED_AT & 0xFFF
             if number >= len(table) or table[number, FIRST] < 0:
                 return _reject(n, at, _MISSING, number, 0, 0)
             n[_BOXES] = _add_box_around(boxes, n[_BOXES], table, number)
@@ -302,7 +317,7 @@ def _apply(
         else:
             number, count, is_inside = _header(data, at)
             known = table[number, FIRST] >= 0
-            if data[at + 4] & 0x3F:
+            if _number(data, at, 5) & _OBJECT_SPARE:
                 return _reject(n, at, _MALFORMED, 0, 0, 0)
             if known != (head == _CHANGE):
                 return _reject(n, at, _PRESENT if known else _MISSING, number, 0, 0)

@@ -19,16 +19,21 @@ from agent.outline.objects import Symbols, symbols
 from agent.outline.polygons import Polygons
 from protocol.arrays import Bools, Int32Rows, Int32s, Int64s, Uint8s
 from protocol.kernels import kernel
-from protocol.packets import MAX_OBJECTS, Change, Delete, Emerge, Insert, Remove, Replace, Save
+from protocol.packets import MAX_OBJECTS, Change, Delete, Emerge, Insert, Remove, Replace, Save, layout_of
 
 _INSERT, _DELETE, _EMERGE, _CHANGE, _REMOVE, _SAVE = (
     kind.size for kind in (Insert, Delete, Emerge, Change, Remove, Save)
 )
 """Bytes of packets."""
 _INSERT_CODE, _REPLACE_CODE, _DELETE_CODE, _EMERGE_CODE, _CHANGE_CODE, _REMOVE_CODE, _SAVE_CODE = (
-    int(kind.code, 2) for kind in (Insert, Replace, Delete, Emerge, Change, Remove, Save)
+    layout_of(kind).fixed[1] for kind in (Insert, Replace, Delete, Emerge, Change, Remove, Save)
 )
-"""Codes with which packets start."""
+"""Packets as numbers, with all fields 0."""
+_INDEX_AT, _X_AT, _Y_AT, _SIDE_AT, _OCCUPIED_AT = layout_of(Insert).shifts
+_OBJECT_AT, _COUNT_AT, _INSIDE_AT = layout_of(Emerge).shifts
+(_DELETED_AT,) = layout_of(Delete).shifts
+(_REMOVED_AT,) = layout_of(Remove).shifts
+"""Left shifts of fields in packets."""
 _RECREATED = _REMOVE + _EMERGE
 """Bytes, besides the vertices, of an object that is removed and created instead of changed."""
 _MAX_SAVING = 1 << 30
@@ -97,13 +102,14 @@ def _put(out: Uint8s, ends: Int32s, packets: int, packet: int, size: int) -> int
 def _vertex_packet(code: int, index: int, symbol: int) -> int:
     """Return an `Insert` or `Replace` packet as a number, without spare bits set."""
     x, y = symbol >> 3 & 0xFFF, symbol >> 15
-    return code << 40 | index << 28 | x << 16 | y << 4 | (symbol & 7) << 1
+    side, occupied = symbol >> 1 & 3, symbol & 1
+    return code | index << _INDEX_AT | x << _X_AT | y << _Y_AT | side << _SIDE_AT | occupied << _OCCUPIED_AT
 
 
 @kernel
 def _object_packet(code: int, number: int, count: int, inside: int) -> int:
     """Return an `Emerge` or `Change` packet as a number."""
-    return code << 32 | number << 20 | count << 7 | inside << 6
+    return code | number << _OBJECT_AT | count << _COUNT_AT | inside << _INSIDE_AT
 
 
 @kernel
@@ -208,7 +214,7 @@ def _script(
     packets = 0
     for n in old_number:
         if not is_taken[n]:
-            packets = _put(out, ends, packets, _REMOVE_CODE << 12 | n, _REMOVE)
+            packets = _put(out, ends, packets, _REMOVE_CODE | n << _REMOVED_AT, _REMOVE)
     is_changed = successor >= 0
     is_moved = np.zeros(new_objects, np.bool_)
     if scan_order:
@@ -237,7 +243,7 @@ def _script(
                 stays[i] = True
         for i in range(len(before) - 1, -1, -1):
             if not stays[i]:
-                packets = _put(out, ends, packets, _DELETE_CODE << 12 | i, _DELETE)
+                packets = _put(out, ends, packets, _DELETE_CODE | i << _DELETED_AT, _DELETE)
         for i in range(len(after)):
             symbol = after[i + begin if i + begin < len(after) else i + begin - len(after)]
             if source[i] < 0 or before[source[i]] != symbol:

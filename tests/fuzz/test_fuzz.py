@@ -50,6 +50,7 @@ from protocol.errors import ProtocolError
 from protocol.keys import Keys
 from protocol.message_codec import unpack
 from protocol.messages import ConnectionReport, Delivery, Missed, Record, RoundReport
+from protocol.packets import LAYOUTS
 from protocol.range_scans import Laser, range_scan_size
 from protocol.rights import RIGHTS, read
 from protocol.scans import fragments
@@ -237,28 +238,8 @@ READERS: dict[Callable[[bytes], None], type[Exception]] = {
     read_frame_list: ValueError,
 }
 
-KINDS = b"".join(
-    bytes([code])
-    for code in (
-        0xA0,
-        0xA1,
-        0xD0,
-        0xA2,
-        0xA3,
-        0xE0,
-        0xC0,
-        0xB0,
-        0xF0,
-        0xF1,
-        0xF2,
-        0x84,
-        0xA9,
-        0xF4,
-        0xF5,
-        0x60,
-        0x70,
-    )
-)
+KINDS = bytes(int(layout.code[:8].ljust(8, "0"), 2) for layout in LAYOUTS)
+"""A first byte of each kind of packet."""
 some_packets = st.lists(
     st.tuples(st.sampled_from(list(KINDS)), st.binary(min_size=1, max_size=8)), max_size=8
 ).map(lambda pieces: b"".join(bytes([code]) + rest for code, rest in pieces))
