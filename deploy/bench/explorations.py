@@ -48,9 +48,9 @@ def office(side_m: float | None = None) -> Map:
     return generators.make("office", width_m=side_m, height_m=side_m)
 
 
-def office_plan(**settings: Any) -> Plan:
-    """Plan a run of strategy ``meier`` in the office."""
-    return plans.make(Scenario(strategy="meier", **settings), office())
+def office_plan(strategy: str = "meier", **settings: Any) -> Plan:
+    """Plan a run of the strategy in the office."""
+    return plans.make(Scenario(strategy=strategy, **settings), office())
 
 
 def explore(plan: Plan) -> list[list[Moment]]:

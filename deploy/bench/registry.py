@@ -13,7 +13,7 @@ from deploy.bench.measurement import Measurement
 from deploy.bench.peers import peers
 from deploy.bench.relay import relay
 from deploy.bench.replanning import replanning
-from deploy.bench.scale import ROBOTS, scale
+from deploy.bench.scale import ROBOTS, STRATEGIES, scale
 from deploy.bench.swarm import swarm
 
 BENCHMARKS: dict[str, Callable[[], Iterator[Measurement]]] = {
@@ -31,7 +31,10 @@ ON_REQUEST = ("peers",)
 
 
 def run_benchmarks(
-    names: Sequence[str], report: Callable[[str], object], robots: Sequence[int] = ()
+    names: Sequence[str],
+    report: Callable[[str], object],
+    robots: Sequence[int] = (),
+    strategies: Sequence[str] = (),
 ) -> list[dict[str, Any]]:
     """Run benchmarks and report each measurement as soon as it is there.
 
@@ -43,6 +46,8 @@ def run_benchmarks(
         Called with each line of text.
     robots : sequence of int
         Team sizes for ``scale``; its defaults if empty.
+    strategies : sequence of str
+        Strategies for ``scale``; its default if empty.
 
     Raises
     ------
@@ -52,7 +57,7 @@ def run_benchmarks(
     unknown = [name for name in names if name not in BENCHMARKS]
     if unknown:
         raise ValueError(f"no benchmark is called {unknown[0]!r}; there are: {', '.join(BENCHMARKS)}")
-    known = BENCHMARKS | {"scale": partial(scale, robots or ROBOTS)}
+    known = BENCHMARKS | {"scale": partial(scale, robots or ROBOTS, strategies or STRATEGIES)}
     measurements = []
     for name in names or (name for name in BENCHMARKS if name not in ON_REQUEST):
         report(f"{name}:")

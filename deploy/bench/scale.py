@@ -10,6 +10,7 @@ import io
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from agent.strategies import registry
 from deploy.bench.explorations import office_plan
 from deploy.bench.measurement import Measurement
 from deploy.bench.observer import Observer
@@ -19,6 +20,7 @@ from deploy.run.in_memory import MemoryRun
 from protocol.packets import MAX_MAPS
 
 ROBOTS = (2, 4, 8, 16, 32, 64, 128, 256)
+STRATEGIES = ("meier",)
 MAX_PROCESSES = 64
 """Largest team that also runs as processes."""
 MAX_STEPS = 400
@@ -35,16 +37,29 @@ SPEED, WORK = "speed", "processor time per robot and step"
 MEMORY, TRANSMITTED = "memory per robot, proportional", "transmitted per step"
 
 
-def scale(robots: Sequence[int] = ROBOTS) -> Iterator[Measurement]:
-    """Measure the cost of a step for teams of these sizes, relative to the smallest team."""
+def scale(robots: Sequence[int] = ROBOTS, strategies: Sequence[str] = STRATEGIES) -> Iterator[Measurement]:
+    """Measure the cost of a step for teams of these sizes, relative to the smallest team.
+
+    Raises
+    ------
+    ValueError
+        A strategy is unknown.
+    """
+    for name in strategies:
+        registry.strategy(name)
+    for name in strategies:
+        yield from _team_sizes(robots, name)
+
+
+def _team_sizes(robots: Sequence[int], strategy: str) -> Iterator[Measurement]:
     smallest: dict[str, float] = {}
     for size in robots:
         maps = "polygons" if size <= MAX_MAPS else "targets"
         for content in (maps, "predictive"):
             observer = Observer()
-            plan = office_plan(robots=size, bus="memory", **SETTINGS, **CONTENTS[content])
+            plan = office_plan(strategy, robots=size, bus="memory", **SETTINGS, **CONTENTS[content])
             records = MemoryRun(plan, io.BytesIO()).complete(observer.observe, heed=_stop_after(observer))
-            name = f"{size} robots, {content}, memory"
+            name = f"{size} robots, {strategy}, {content}, memory"
             step_ms = observer.processor_ms_per_step
             work = step_ms / size
             reference = smallest.setdefault("polygons" if content == "targets" else content, work)
@@ -53,16 +68,16 @@ def scale(robots: Sequence[int] = ROBOTS) -> Iterator[Measurement]:
             transmitted = records.ledger()["bytes"][records.ledger()["carried"] == 1].sum()
             yield Measurement(f"{name}: {TRANSMITTED}", "bytes", transmitted / max(1, records.step))
         if size <= MAX_PROCESSES:
-            yield from _processes(size, maps)
+            yield from _processes(size, strategy, maps)
 
 
-def _processes(size: int, content: str) -> Iterator[Measurement]:
+def _processes(size: int, strategy: str, content: str) -> Iterator[Measurement]:
     observer = Observer()
-    plan = office_plan(robots=size, **SETTINGS, **CONTENTS[content])
+    plan = office_plan(strategy, robots=size, **SETTINGS, **CONTENTS[content])
     outcome = launch.run(plan, None, observer.observe, io.BytesIO(), heed=_stop_after(observer))
     if outcome.deaths:
         raise ConnectionError(f"the benchmark's swarm of {size} failed: {outcome.deaths}")
-    name = f"{size} robots, {content}, Zenoh"
+    name = f"{size} robots, {strategy}, {content}, Zenoh"
     yield Measurement(f"{name}: {SPEED}", "steps/s", observer.steps_per_s)
     if observer.memory_mb:
         yield Measurement(f"{name}: {MEMORY}", "MB", observer.memory_mb)

@@ -24,6 +24,8 @@ app = command_family()
 MAX_COMPILERS = 4
 """Processes that compile kernels at once, at most; each needs half a gigabyte."""
 
+LEAGUE_SEEDS = 3
+
 WITHOUT_LIBRARY = (
     "no library, so each process loads numba (130 MB, 1.7 s): with a C compiler, `murmur setup` builds it"
 )
@@ -124,9 +126,18 @@ def bench(
     ] = None,
     strategies: Annotated[
         list[str] | None,
-        typer.Option("--strategy", metavar="NAME", help="strategy to compare (default: all); repeatable"),
+        typer.Option(
+            "--strategy",
+            metavar="NAME",
+            help="strategy of strategies (default: all) and scale (default: meier); repeatable",
+        ),
     ] = None,
-    seeds: Annotated[int, typer.Option(min=1, max=MAX_RUNS, metavar="N", help="seeds per map and team")] = 3,
+    seeds: Annotated[
+        int | None,
+        typer.Option(
+            min=1, max=MAX_RUNS, metavar="N", help="seeds per map and team of strategies (default 3)"
+        ),
+    ] = None,
     settings: Annotated[
         list[str] | None,
         typer.Option(
@@ -147,13 +158,24 @@ def bench(
     """
     if names == ["strategies"]:
         values = named_values(settings or [], "set", "bandwidth=1000")
-        _league(maps, robots, seeds, strategies, values, picture, jobs, as_json=as_json)
+        _league(maps, robots, seeds or LEAGUE_SEEDS, strategies, values, picture, jobs, as_json=as_json)
         return
     from deploy.bench.registry import run_benchmarks  # noqa: PLC0415
 
-    if picture is not None:
-        raise ValueError(f"picture = {str(picture)!r}: only strategies draws a picture")
-    figures = run_benchmarks(names or [], (lambda _: None) if as_json else screen.print, robots or [])
+    inapplicable: dict[str, object] = {
+        "map": maps,
+        "seeds": seeds,
+        "set": settings,
+        "picture": picture,
+        "jobs": jobs,
+    }
+    if names and "scale" not in names:
+        inapplicable |= {"robots": robots, "strategy": strategies}
+    for option, value in inapplicable.items():
+        if value is not None:
+            raise ValueError(f"--{option} has no effect on {', '.join(names or ['these benchmarks'])}")
+    report = (lambda _: None) if as_json else screen.print
+    figures = run_benchmarks(names or [], report, robots or [], strategies or [])
     if as_json:
         print(json.dumps(figures, indent=2))
 

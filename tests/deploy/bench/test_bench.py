@@ -165,16 +165,45 @@ def test_the_requested_team_sizes_are_measured(monkeypatch: pytest.MonkeyPatch) 
     figures = run_benchmarks(["scale"], lines.append, [2, 66])
     names = [figure["name"] for figure in figures]
     for team in (
-        "2 robots, polygons",
-        "2 robots, predictive",
-        "66 robots, targets",
-        "66 robots, predictive",
+        "2 robots, meier, polygons",
+        "2 robots, meier, predictive",
+        "66 robots, meier, targets",
+        "66 robots, meier, predictive",
     ):
         for quantity in ("speed", "processor time per robot and step", "transmitted per step"):
             assert f"{team}, memory: {quantity}" in names
     work = {figure["name"]: figure for figure in figures if figure["unit"] == "ms"}
-    assert work["2 robots, polygons, memory: processor time per robot and step"]["ratio"] == 1.0
+    assert work["2 robots, meier, polygons, memory: processor time per robot and step"]["ratio"] == 1.0
     assert all(figure["value"] > 0 for figure in figures)
+
+
+def test_the_requested_strategies_are_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(scale.SETTINGS, "steps", 6)
+    monkeypatch.setattr(explorations, "SIDE_M", 15.0)
+    monkeypatch.setattr(scale, "MAX_PROCESSES", 0)
+    figures = run_benchmarks(["scale"], lambda _: None, [2], ["burgard", "repairmen"])
+    teams = {figure["name"].partition(" robots, ")[2].partition(",")[0] for figure in figures}
+    assert teams == {"burgard", "repairmen"}
+
+
+def test_an_unknown_strategy_is_refused_before_anything_runs() -> None:
+    with pytest.raises(ValueError, match="greddy"):
+        next(scale.scale([2], ["meier", "greddy"]))
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["kernels", "--robots", "3"], "--robots has no effect on kernels"),
+        (["relay", "swarm", "--strategy", "meier"], "--strategy has no effect on relay, swarm"),
+        (["scale", "--map", "em"], "--map has no effect on scale"),
+        (["--picture", "table.png"], "--picture has no effect on these benchmarks"),
+    ],
+)
+def test_options_without_effect_are_refused(words: list[str], message: str) -> None:
+    result = CliRunner().invoke(app, ["bench", *words])
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert result.stderr == f"murmur: {message}\n"
 
 
 # --- baselines ----------------------------------------------------------------------------------------
