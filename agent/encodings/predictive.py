@@ -16,13 +16,14 @@ one that has not been withdrawn. Teammates decode the remaining updates again.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from agent.encodings.base import NO_SENDER, Dependency
 from agent.encodings.received_grid import GridEncoding
+from agent.encodings.update_log import UpdateLog
 from agent.encodings.update_packets import UpdateLimits
 from agent.mapping.bound import Bound
 from agent.mapping.estimator import SETTLED
@@ -39,32 +40,13 @@ from agent.predictive.urgent_tile_author import UrgentTileAuthor
 from agent.settings import Settings
 from protocol.errors import ProtocolError
 from protocol.grid import Grid, ray_table
-from protocol.packet_codec import decode_kind, encode
-from protocol.packet_index import cache_short
+from protocol.packet_codec import encode
 from protocol.packets import UPDATE_NUMBERS, Update
 from protocol.range_scans import RangeScan
 from protocol.scans import Change, Scan
 
 PATIENCE = 8
 """Steps for which a robot waits until updates on which its own ones depend have arrived again."""
-
-
-@dataclass
-class _LogState:
-    """The updates of one log: fragments of the next one, and complete ones that have not been withdrawn."""
-
-    fragments: bytes = b""
-    messages: list[bytes] = field(default_factory=list)
-    """The complete updates; the last ones may await decoding. Of this robot's own log it is not used."""
-    ends: list[int] = field(default_factory=list)
-    """Packets up to the end of each complete update, from the beginning of the log."""
-    packets: int = 0
-    updates: int = 0
-    """Number of complete updates, with those withdrawn and those that withdraw them."""
-    error: str = ""
-    """Why an update could not be decoded; none behind it can be decoded then."""
-    refused: bytes = b""
-    """The last update that was refused because it could not be decoded."""
 
 
 class PredictiveEncoding(GridEncoding):
@@ -86,7 +68,7 @@ class PredictiveEncoding(GridEncoding):
         self._caches: dict[int, SharedDecoderCache] | None = None
         """Decoded updates by map ID, if the robots of this process share them."""
         self._last: DecodedUpdate | None = None
-        self._states = [_LogState() for _ in range(settings.maps)]
+        self._logs = [UpdateLog() for _ in range(settings.maps)]
         """By map ID."""
         self._bases_changed = 0
         """Steps since updates on which this robot's own ones may depend were dropped; 0: none, or all are there."""
@@ -169,7 +151,7 @@ class PredictiveEncoding(GridEncoding):
         The first scan is encoded at once, although the robot does not know yet who is in range.
         """
         author = self._author
-        is_first = not (author.has_changes or self._states[self.settings.own_map].packets)
+        is_first = not (author.has_changes or self._logs[self.settings.own_map].packets)
         author.add(scan, change)
         if not author.has_changes:
             return []
@@ -183,7 +165,7 @@ class PredictiveEncoding(GridEncoding):
     def _encode_pending(self, own: Grid) -> list[bytes]:
         """Encode updates up to the budget of a step; the rest stays pending."""
         map_id = self.settings.own_map
-        author, log, limits = self._author, self._states[map_id], self._limits
+        author, log, limits = self._author, self._logs[map_id], self._limits
         doubted = self.doubted
         maps = range(self.settings.maps) if doubted else ()
         author.stream.avoided = {each for each in maps if self.settings.author_of(each) in doubted}
@@ -222,7 +204,7 @@ class PredictiveEncoding(GridEncoding):
         map_id = self.settings.own_map
         self._author.retract()
         self._histories[map_id].pop()
-        log, dependencies = self._states[map_id], self._dependencies[map_id]
+        log, dependencies = self._logs[map_id], self._dependencies[map_id]
         log.packets -= self.retractable
         log.updates -= 1
         end = log.ends.pop()
@@ -239,7 +221,7 @@ class PredictiveEncoding(GridEncoding):
         """
         if not self._bases_changed:
             return []
-        map_id, log = self.settings.own_map, self._states[self.settings.own_map]
+        map_id, log = self.settings.own_map, self._logs[self.settings.own_map]
         updates = self._histories[map_id].between(0, len(self._histories[map_id]))
         valid = next((at for at, each in enumerate(updates) if not self._has_bases(each)), len(updates))
         if valid < len(updates) and self._bases_changed < PATIENCE:
@@ -279,49 +261,26 @@ class PredictiveEncoding(GridEncoding):
         With digests, an update that cannot be decoded is refused only once. If it arrives again, its author has
         probably received other entries of the maps on which it depends. It waits until the author withdraws it.
         """
-        log, history = self._states[map_id], self._histories[map_id]
+        log, history = self._logs[map_id], self._histories[map_id]
         if log.error and not self.settings.replication.digests:
             raise ProtocolError(Update.name, 0, log.error)
         self._step = step
-        packets = _updates(frame)
-        fragments, updates, withdrawn = log.fragments, log.updates, 0
-        new: list[tuple[bytes, int]] = []
-        for count, packet in enumerate(packets, log.packets + 1):
-            fragments += packet.data
-            if packet.number is None:
-                continue
-            if packet.number != updates % UPDATE_NUMBERS:
-                reason = f"update {packet.number}, expected {updates % UPDATE_NUMBERS}"
-                raise ProtocolError(Update.name, 0, reason)
-            updates += 1
-            if fragments:
-                new.append((fragments, count))
-            elif new:
-                new.pop()
-            else:
-                withdrawn += 1
-            fragments = b""
-        kept = len(log.messages) - withdrawn
-        if kept < 0:
-            raise ProtocolError(Update.name, 0, "withdraws an update of an empty log")
+        before, reading = log.read(b""), log.read(frame)
+        kept, withdraws = reading.kept, reading.kept < before.kept
         if kept <= len(history):
             log.error = ""
-        decodable = sender != NO_SENDER and len(history) == kept and not withdrawn
-        del log.messages[kept:], log.ends[kept:]
-        log.messages += [message for message, _ in new]
-        log.ends += [end for _, end in new]
-        if decodable:
+        log.take(reading)
+        if sender != NO_SENDER and len(history) == kept and not withdraws:
             try:
                 self._decode_next(map_id, step, sender)
             except ProtocolError as error:
                 message = log.messages[kept]
                 if not (self.settings.replication.digests and message == log.refused):
                     log.refused = message
-                    del log.messages[kept:], log.ends[kept:]
+                    log.take(before)
                     raise
                 log.error = error.reason
-        log.fragments, log.packets, log.updates = fragments, log.packets + len(packets), updates
-        if withdrawn and len(history) > kept:
+        if withdraws and len(history) > kept:
             self._decode_again()
         elif len(log.messages) > len(history) and not log.error:
             self._undecoded.add(map_id)
@@ -330,9 +289,8 @@ class PredictiveEncoding(GridEncoding):
 
     def forget_received(self) -> None:
         """Forget everything decoded from the logs of others."""
-        self._states = [
-            state if map_id == self.settings.own_map else _LogState()
-            for map_id, state in enumerate(self._states)
+        self._logs = [
+            log if map_id == self.settings.own_map else UpdateLog() for map_id, log in enumerate(self._logs)
         ]
         self._decode_again()
 
@@ -341,7 +299,7 @@ class PredictiveEncoding(GridEncoding):
         own = self.settings.own_map
         self._reachability.forget()
         super().forget_received()
-        for map_id, log in enumerate(self._states):
+        for map_id, log in enumerate(self._logs):
             if map_id != own:
                 self._histories[map_id] = History()
                 self._streams.pop(map_id, None)
@@ -363,14 +321,14 @@ class PredictiveEncoding(GridEncoding):
                     while self._decode_next(map_id, step, sender):
                         progress = True
                 except ProtocolError as error:
-                    self._states[map_id].error = error.reason
+                    self._logs[map_id].error = error.reason
                     self._undecoded.discard(map_id)
-                if len(self._histories[map_id]) == len(self._states[map_id].messages):
+                if len(self._histories[map_id]) == len(self._logs[map_id].messages):
                     self._undecoded.discard(map_id)
 
     def _decode_next(self, map_id: int, step: int, sender: int) -> bool:
         """Decode the next update of a log; return whether there was one, and its dependencies are there."""
-        messages, number = self._states[map_id].messages, len(self._histories[map_id])
+        messages, number = self._logs[map_id].messages, len(self._histories[map_id])
         update = self._decode(map_id, messages[number], step, sender) if number < len(messages) else None
         if update is not None:
             self._count_votes(update, map_id)
@@ -401,12 +359,12 @@ class PredictiveEncoding(GridEncoding):
         """
         if not update.bases:
             return
-        states = self._states
-        ends, number = states[map_id].ends, len(self._histories[map_id]) - 1
-        requires = tuple([(base.map_id, states[base.map_id].ends[base.end - 1]) for base in update.bases])
+        logs = self._logs
+        ends, number = logs[map_id].ends, len(self._histories[map_id]) - 1
+        requires = tuple([(base.map_id, logs[base.map_id].ends[base.end - 1]) for base in update.bases])
         first = ends[number - 1] if number else 0
         self._dependencies[map_id].append(Dependency(first, ends[number], requires))
-        if (self._own_map, states[self._own_map].packets) in requires:
+        if (self._own_map, logs[self._own_map].packets) in requires:
             self.retractable = 0
 
     def dependencies(self, map_id: int) -> Sequence[Dependency]:
@@ -423,9 +381,3 @@ class PredictiveEncoding(GridEncoding):
         self.votes.count(robot, update.places, update.states)
         if len(update.places):
             self.received_changed(update.box)
-
-
-@cache_short(512)
-def _updates(frame: bytes) -> tuple[Update, ...]:
-    """Read a frame of a log, which several robots of a process may receive."""
-    return tuple(decode_kind(frame, Update))

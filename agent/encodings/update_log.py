@@ -1,0 +1,83 @@
+"""Updates of the predictive encoding, reassembled from the packets of one log.
+
+An update has one or more packets; the last one has the update's number. An update without content withdraws the last
+one that has not been withdrawn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from protocol.errors import ProtocolError
+from protocol.packet_codec import decode_kind
+from protocol.packet_index import cache_short
+from protocol.packets import UPDATE_NUMBERS, Update
+
+
+class Reading(NamedTuple):
+    """What the next packets of a log change in it (`UpdateLog.read`)."""
+
+    kept: int
+    """How many of the complete updates remain; the last ones are withdrawn."""
+    new: list[tuple[bytes, int]]
+    """Updates that are complete now, each with the number of packets up to its end."""
+    fragments: bytes
+    packets: int
+    updates: int
+
+
+class UpdateLog:
+    """The updates of one log: the content of the next one so far, and complete ones that have not been withdrawn."""
+
+    def __init__(self) -> None:
+        self.messages: list[bytes] = []
+        """The complete updates; the last ones may await decoding. Of this robot's own log it is not used."""
+        self.ends: list[int] = []
+        """Packets up to the end of each complete update, from the beginning of the log."""
+        self.packets = 0
+        self.updates = 0
+        """Number of complete updates, with those withdrawn and those that withdraw them."""
+        self.error = ""
+        """Why an update could not be decoded; none behind it can be decoded then."""
+        self.refused = b""
+        """The last update that was refused because it could not be decoded."""
+        self._fragments = b""
+        """The content of the next update so far."""
+
+    def read(self, frame: bytes) -> Reading:
+        """Read the next packets without a change of this log; ProtocolError if they do not continue it."""
+        fragments, packets, updates = self._fragments, self.packets, self.updates
+        kept, new = len(self.messages), list[tuple[bytes, int]]()
+        for packet in _packets(frame):
+            packets += 1
+            fragments += packet.data
+            if packet.number is None:
+                continue
+            if packet.number != updates % UPDATE_NUMBERS:
+                reason = f"update {packet.number}, expected {updates % UPDATE_NUMBERS}"
+                raise ProtocolError(Update.name, 0, reason)
+            updates += 1
+            if fragments:
+                new.append((fragments, packets))
+            elif new:
+                new.pop()
+            elif kept:
+                kept -= 1
+            else:
+                raise ProtocolError(Update.name, 0, "withdraws an update of an empty log")
+            fragments = b""
+        return Reading(kept, new, fragments, packets, updates)
+
+    def take(self, reading: Reading) -> None:
+        """Change this log by packets that were read. The reading of no packets returns to the state before."""
+        del self.messages[reading.kept :], self.ends[reading.kept :]
+        self.messages += [message for message, _ in reading.new]
+        self.ends += [end for _, end in reading.new]
+        self._fragments, self.packets, self.updates = reading.fragments, reading.packets, reading.updates
+
+
+@cache_short(512)
+def _packets(frame: bytes) -> Sequence[Update]:
+    """Read a frame of a log, which several robots of a process may receive."""
+    return tuple(decode_kind(frame, Update))
