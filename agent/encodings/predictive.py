@@ -265,11 +265,11 @@ class PredictiveEncoding(GridEncoding):
         if log.error and not self.settings.replication.digests:
             raise ProtocolError(Update.name, 0, log.error)
         self._step = step
-        before, reading = log.read(b""), log.read(frame)
-        kept, withdraws = reading.kept, reading.kept < before.kept
+        reading = log.read(frame)
+        kept, withdraws = reading.kept, reading.kept < len(log.messages)
         if kept <= len(history):
             log.error = ""
-        log.take(reading)
+        before = log.take(reading)
         if sender != NO_SENDER and len(history) == kept and not withdraws:
             try:
                 self._decode_next(map_id, step, sender)

@@ -48,7 +48,8 @@ class UpdateLog:
     def read(self, frame: bytes) -> Reading:
         """Read the next packets without a change of this log; ProtocolError if they do not continue it."""
         fragments, packets, updates = self._fragments, self.packets, self.updates
-        kept, new = len(self.messages), list[tuple[bytes, int]]()
+        kept = len(self.messages)
+        new: list[tuple[bytes, int]] = []
         for packet in _packets(frame):
             packets += 1
             fragments += packet.data
@@ -69,12 +70,16 @@ class UpdateLog:
             fragments = b""
         return Reading(kept, new, fragments, packets, updates)
 
-    def take(self, reading: Reading) -> None:
-        """Change this log by packets that were read. The reading of no packets returns to the state before."""
-        del self.messages[reading.kept :], self.ends[reading.kept :]
-        self.messages += [message for message, _ in reading.new]
-        self.ends += [end for _, end in reading.new]
-        self._fragments, self.packets, self.updates = reading.fragments, reading.packets, reading.updates
+    def take(self, reading: Reading) -> Reading:
+        """Change this log by packets that were read; return the reading that undoes this if nothing was withdrawn."""
+        before = Reading(len(self.messages), [], self._fragments, self.packets, self.updates)
+        if reading.kept < before.kept:
+            del self.messages[reading.kept :], self.ends[reading.kept :]
+        for message, end in reading.new:
+            self.messages.append(message)
+            self.ends.append(end)
+        _, _, self._fragments, self.packets, self.updates = reading
+        return before
 
 
 @cache_short(512)
