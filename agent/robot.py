@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -18,13 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.announcements import Announcements
+from agent.completion import Completion
 from agent.encodings.base import MapEncoding
-from agent.encodings.catalog import check_entries, encoding_class, make_encoding
+from agent.encodings.catalog import check_entries, make_encoding
 from agent.mapping.mapper import WALL, cell_ahead, make_mapper
 from agent.outline.polygons import Polygons
 from agent.planning.noisy_grid import NoisyGrid, shortest_frontier
-from agent.planning.path_planner import PathPlanner
-from agent.planning.second_look import SecondLook
 from agent.replication.digests import INTERVAL
 from agent.replication.engine import make_replication
 from agent.replication.replica import Rejected
@@ -36,49 +35,13 @@ from protocol import packet_codec, packet_index
 from protocol.body import narrowest_opening
 from protocol.cell_bytes import cells_to_bytes, points_to_bytes
 from protocol.errors import ProtocolError
-from protocol.grid import OCCUPIED, Grid
+from protocol.grid import Grid
 from protocol.message_fields import MAX_WAY_CELLS
 from protocol.messages import Move, RoundReport, Sense
 from protocol.packets import SALTS, Held, LogDigest
 
-SURE_AFTER = 10
-"""Steps for which a map with assumptions must have nothing left to explore before a robot reports that it is done:
-by then teammates have sent more of areas that looked insignificant when they first saw them."""
-
-SURE_AFTER_NOISE = 3
-"""The same for maps of noisy lasers, where a false wall or a person may close a doorway for some steps. A robot does
-not wait if nothing would be left even if all walls were open of which it is not certain."""
-
-SURE_AFTER_NOISE_IN_TEAM = 1
-"""The same in a team: a second robot must agree (`worldsim.ending`)."""
-
-SURE_AFTER_LOG = 20
-"""Steps for which a robot that replays a log must have nothing to deliver: changes may wait until they are encoded."""
-
-VERIFY_STEPS = 3
-"""Steps in which the authors of forged entries, which receive them as well, send digests and true entries."""
-
-DELIVERY_STEPS = 5
-"""Most steps for which a robot that has nothing left waits until teammates in range hold the areas that it has found:
-its report may end the run, and they would lack them. If updates are long, it waits as long as two of them take."""
-
-
 ABOUT_LOGS = LogDigest, Held
 """Packets of a broadcast that concern logs; those before them concern the team."""
-
-
-def sure_after(settings: Settings) -> int:
-    """Return the steps for which a robot must find nothing left to explore before it reports that it is done.
-
-    Twice as many for maps with assumptions on a medium that may lose or delay frames.
-    """
-    if not strategy(settings.strategy).explores:
-        return SURE_AFTER_LOG
-    if not encoding_class(settings.encoding.name).infers_cells(settings):
-        if settings.laser is None:
-            return 0
-        return SURE_AFTER_NOISE_IN_TEAM if settings.robots > 1 else SURE_AFTER_NOISE
-    return 2 * SURE_AFTER if settings.replication.requires_acks else SURE_AFTER
 
 
 @dataclass(frozen=True)
@@ -125,11 +88,9 @@ class Robot:
         self._sense: Sense | None = None
         self._withheld: list[bytes] = []
         """Log entries that the strategy has not published yet."""
-        self._idle_steps = 0
-        self._sure_after = sure_after(settings)
-        self._second_look = None
-        if settings.people and not self.strategy.returns(settings.options):
-            self._second_look = SecondLook(settings)
+        self._completion = Completion(
+            settings, self._mapper, self._noisy_grid, self._encoding, self.replication
+        )
 
     def share(self, common: dict[str, Any]) -> None:
         """Share memory with the other robots of this process (`agent.encodings.base.MapEncoding.use_shared_cache`)."""
@@ -250,16 +211,13 @@ class Robot:
         """
         if situation is None:
             situation = self.assess()
-        decision = self.strategy.decide(situation)
-        decision = self._try_again(decision)
-        self._idle_steps = self._idle_steps + 1 if decision.explored else 0
-        decision = self._look_again(situation, decision)
+        decision = self._completion.review(self.strategy.decide(situation), situation)
         self._apply(decision)
         return Move(
             situation.step,
             cells_to_bytes(decision.path[:MAX_WAY_CELLS]),
             decision.heading,
-            decision.explored and self._idle_steps > self._waiting_steps(situation),
+            decision.explored and self._completion.is_certain(self.planning, situation),
             decision.look,
             decision.stalled,
             points_to_bytes(decision.points[:MAX_WAY_CELLS]),
@@ -279,26 +237,6 @@ class Robot:
         if self._noisy_grid is not None:
             self._noisy_grid.avoided.add(target, steps)
 
-    def _try_again(self, decision: Decision) -> Decision:
-        """Return a decision that does not end the run yet if the robot avoids targets for a while."""
-        if not decision.explored or self._noisy_grid is None or not self._noisy_grid.avoided.waits:
-            return decision
-        return replace(decision, explored=False, status="waiting to try targets again that it did not reach")
-
-    def _look_again(self, situation: Situation, decision: Decision) -> Decision:
-        """Return a decision that does not end the run yet if a person may stand before a frontier.
-
-        A robot to which teammates leave no target looks again as well.
-        """
-        if self._second_look is None:
-            return decision
-        is_idle = decision.explored or (decision.target is None and not len(decision.path))
-        self._second_look.note(situation.grid, is_idle=is_idle)
-        way = self._second_look.way(situation.grid, situation.here) if is_idle else None
-        if way is None:
-            return decision
-        return replace(decision, path=way, explored=False, status="looking again at a wall before a frontier")
-
     def _report_false_maps(self) -> None:
         """Report robots whose maps others contradict; with digests, only once their authors could disown entries."""
         doubted = self._encoding.doubted
@@ -309,30 +247,6 @@ class Robot:
         new = {peer for peer, steps in self._doubted_steps.items() if steps > wait} - self.disbelieved
         self.faults += [Fault(peer, doubted[peer], "false map") for peer in sorted(new)]
         self.disbelieved |= new
-
-    def _waiting_steps(self, situation: Situation) -> int:
-        """Return for how many steps nothing must have been left when it reports so."""
-        return self._doubting_steps(situation) + self._verifying_steps() + self._delivering_steps()
-
-    def _doubting_steps(self, situation: Situation) -> int:
-        """Return for how many steps it doubts that nothing is left: none if no doubtful wall can hide a frontier."""
-        if self._noisy_grid is None or self._sure_after > SURE_AFTER_NOISE:
-            return self._sure_after
-        doubtful = (self.own == OCCUPIED) & ~self.settled
-        grid = self._noisy_grid.clean_optimistic(self.planning, doubtful)
-        left = PathPlanner(grid, radius_cells=self.settings.body.radius_cells).frontier(*situation.here)
-        return self._sure_after if len(left) else 0
-
-    def _verifying_steps(self) -> int:
-        """Return for how many further steps it waits for digests, which may show that forwarded entries are forged."""
-        verifies = self.settings.replication.digests and self.replication.replica.has_forwarded()
-        return VERIFY_STEPS if verifies else 0
-
-    def _delivering_steps(self) -> int:
-        """Return for how many further steps it waits if teammates in range lack areas that it has found."""
-        in_range = bool(self._team.in_range)
-        has_news = in_range and self._encoding.has_news(delivered=self.replication.delivered())
-        return max(DELIVERY_STEPS, 2 * self._encoding.update_steps) if has_news else 0
 
     def _apply(self, decision: Decision) -> None:
         """Take over a decision, and prepare what teammates are sent of it."""

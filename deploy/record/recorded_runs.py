@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.robot import sure_after
+from agent.completion import sure_after
 from deploy.record.records import Records
 from deploy.scenario.plan import Plan
 from worldsim.recorded.world import Stretch

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.robot import sure_after
+from agent.completion import sure_after
 from deploy.record.map_code import map_code_figures
 from deploy.record.map_quality import (
     Figures,

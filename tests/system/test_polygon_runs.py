@@ -11,10 +11,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from agent.completion import SURE_AFTER
 from agent.encoding_options import THESIS_OPTIONS
 from agent.outline.claims import Drawing
 from agent.outline.merge import rendered
-from agent.robot import SURE_AFTER
 from deploy.record.records import Records
 from deploy.record.summary import summarize
 from deploy.run.in_memory import MemoryRun

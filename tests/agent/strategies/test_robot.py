@@ -9,7 +9,8 @@ import pytest
 from msgspec.structs import replace
 
 from agent.announcements import REPEAT_POSE
-from agent.robot import SURE_AFTER, SURE_AFTER_NOISE, SURE_AFTER_NOISE_IN_TEAM, Robot, sure_after
+from agent.completion import SURE_AFTER, SURE_AFTER_NOISE, SURE_AFTER_NOISE_IN_TEAM, sure_after
+from agent.robot import Robot
 from agent.strategies.base import Decision, Pose, Situation, Strategy
 from protocol import packet_codec, packets
 from protocol.grid import ray_table
