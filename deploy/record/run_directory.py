@@ -12,6 +12,7 @@ import errno
 import hashlib
 import json
 import os
+import shlex
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from itertools import count
@@ -110,7 +111,7 @@ def write_inputs(out: Path, plan: Plan) -> None:
     maps.save(plan.map, out / MAP)
     data = plan.scenario.model_dump(mode="json", exclude_none=True) | {"map": MAP, "map_options": {}}
     again = (
-        f"Repeat it: murmur replay {out}"
+        f"Repeat it: murmur replay {shlex.quote(str(out))}"
         if plan.has_truth
         else "It was in the field, and cannot be repeated."
     )
