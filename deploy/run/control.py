@@ -177,6 +177,8 @@ def _bandwidth(change: Change) -> int | Literal["unlimited"] | None:
 
 def why_unrepeatable(summary: dict[str, Any]) -> str:
     """Return why a run cannot be repeated: an event that its scenario does not contain; empty if it can."""
+    if summary.get("clock") == "field":
+        return "it was in the field"
     if summary["reason"] in CUT_SHORT:
         return f"it was {summary['reason']} at step {summary['steps']}"
     back = "; ".join(
