@@ -118,7 +118,8 @@ def write_inputs(out: Path, plan: Plan) -> None:
     text = f"# {plan.map.name}: all settings of this run. {again}\n"
     if plan.recording is not None:
         options = plan.scenario.recording
-        text += f"# Replayed: {', '.join(options.files)}; one of {options.every} scans.\n"
+        share = "all" if options.every == 1 else f"one of {options.every}"
+        text += f"# Replayed: {', '.join(options.files)}; {share} scans.\n"
         data["recording"] |= {"files": _write_scans(out, plan.recording), "every": 1, "topic": ""}
     text += parse(data).to_toml()
     write_whole(out / SCENARIO, lambda file: file.write(text.encode()))
