@@ -76,7 +76,9 @@ def team_context(settings: Settings) -> bytes:
     """Return a hash of the settings that all robots of a team must have in common (`agent.radios.sealing`).
 
     Encodings that send scans need equal lasers: a receiver cannot read scans of a laser that it does not know.
+    Exact scans are predicted from the hardware of their author and the limits of the medium.
     """
+    is_scan = issubclass(encoding_class(settings.encoding.name), ScanEncoding)
     common = (
         settings.robots,
         settings.incarnations,
@@ -86,7 +88,8 @@ def team_context(settings: Settings) -> bytes:
         settings.encoding,
         settings.replication.digests,
         settings.shares_tiles,
-        settings.laser if issubclass(encoding_class(settings.encoding.name), ScanEncoding) else None,
+        settings.laser if is_scan else None,
+        None if settings.shares_tiles else (settings.bodies, settings.beams, settings.medium),
     )
     return hashlib.sha256(msgspec.json.encode(common)).digest()[:8]
 

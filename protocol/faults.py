@@ -55,7 +55,7 @@ class FaultSchedule:
 def check(faults: Iterable[FaultEvent], robots: int) -> None:
     """Raise ValueError if a fault names an unknown robot or kind, or a robot that is gone by then."""
     gone: dict[int, str] = {}
-    last: dict[int, FaultEvent] = {}
+    last: dict[tuple[int, str], FaultEvent] = {}
     for fault in sorted(faults):
         where = f"fault at step {fault.step}: {fault.kind} of robot {fault.robot}"
         if not 0 <= fault.robot < robots:
@@ -64,12 +64,13 @@ def check(faults: Iterable[FaultEvent], robots: int) -> None:
             raise ValueError(f"{where}: kind must be one of {', '.join(KINDS)}")
         if fault.steps and fault.kind not in TEMPORARY:
             raise ValueError(f"{where}: steps = {fault.steps}, but only {', '.join(TEMPORARY)} are temporary")
-        if fault.kind in RADIO_KINDS:
-            continue
-        before = last.get(fault.robot)
+        affected = fault.robot, fault.kind if fault.kind in RADIO_KINDS else "body"
+        before = last.get(affected)
         if before is not None and before.step == fault.step:
             raise ValueError(f"{where}: it has {before.kind} in the same step")
-        last[fault.robot] = fault
+        last[affected] = fault
+        if fault.kind in RADIO_KINDS:
+            continue
         how = gone.get(fault.robot)
         if how == "death" or (how == "kill" and fault.kind != "restart"):
             raise ValueError(f"{where}: it is gone by then ({how})")

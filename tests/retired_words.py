@@ -26,6 +26,7 @@ RETIRED = {
     r"laboratory": "recorder",
     r"exchange (polygon|laser|grid|sight)|(polygon|laser|grid|sight) exchange": "map encoding",
     r"surprises?|surprising": "prediction errors",
+    r"\w*metres?": "meters",
     r"(was|were|is|are|been) (told|said|heard)": "sent, received, queued",
 }
 """Retired words, as regular expressions without regard to case, and their replacements."""

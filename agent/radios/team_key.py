@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import secrets
+import shlex
 import stat
 from pathlib import Path
 
@@ -54,7 +55,8 @@ def read_key(path: Path) -> bytes:
             raise KeyFileError(f"{path} belongs to another user (uid {status.st_uid}): chown it to this one")
         if status.st_mode & 0o077:
             mode = f"{status.st_mode & 0o777:03o}"
-            raise KeyFileError(f"{path} has mode {mode}, so other users may use the key: chmod 600 {path}")
+            change = f"chmod 600 {shlex.quote(str(path))}"
+            raise KeyFileError(f"{path} has mode {mode}, so other users may use the key: {change}")
         text = os.read(file, 4 * KEY_BYTES)
     finally:
         os.close(file)

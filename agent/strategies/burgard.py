@@ -5,7 +5,7 @@ burgard           Algorithm 1: repeatedly the best pair of robot and frontier ce
 burgard-optimal   Algorithm 2: randomized search of the assignment with the largest sum of U - beta V^2
 
 The paper replans when a robot reaches its target, or after a distance or a time since the last assignment:
-``replan = "at-goal"``, `after_metres`, `after_steps`. With ``costs = "weighted"`` the cost of a way is its length times
+``replan = "at-goal"``, `after_meters`, `after_steps`. With ``costs = "weighted"`` the cost of a way is its length times
 the occupancy of a smoothed map (section II-A). This takes several times as long as the length, the default.
 """
 
@@ -45,7 +45,7 @@ class Coordinated(BarringParts):
     beta: float = option(1.0, "weight of cost against utility", least=0)
     every: int = option(0, "replan in every step that is a multiple of this; 0: never", least=0)
     after_steps: int = option(0, "replan this many steps after the last assignment; 0: never", least=0)
-    after_metres: float = option(
+    after_meters: float = option(
         0.0, "replan when a member has driven this far since the last assignment; 0: never", least=0
     )
     sub_team: str = option("in-range", "the robots that decide together", SUB_TEAMS)
@@ -99,8 +99,8 @@ class CoordinatedStrategy(TeamStrategy):
         return super().select(situation, planner)
 
     def _has_driven(self, situation: Situation) -> bool:
-        """Whether a member has driven `after_metres` since the last assignment."""
-        most = self.options.after_metres / self.settings.resolution
+        """Whether a member has driven `after_meters` since the last assignment."""
+        most = self.options.after_meters / self.settings.resolution
         return bool(most) and any(
             situation.traveled.get(robot, 0.0) - self._traveled.get(robot, 0.0) >= most
             for robot in self.team(situation)

@@ -34,7 +34,7 @@ from protocol.grid import FINE
 STALL_STEPS = 60
 """A robot is stalled after this many steps without a change of its map or its place."""
 
-STALL_METRES = 1.0
+STALL_METERS = 1.0
 """Distance in meters that counts as a change of place; at most half of what the robot can drive in that time."""
 
 ESCAPES = ("real-sensors", "always", "never")
@@ -57,7 +57,7 @@ class FieldOptions:
     gain_robots: float = option(0.2, "k of the repulsion between robots (Eq. 2)", least=0)
     gain_obstacles: float = option(0.01, "k of the repulsion of obstacles (Eq. 2)", least=0)
     gain_frontier: float = option(1.0, "k of the attraction of the closest frontier point (Eq. 6)", least=0)
-    damping: float = option(1.5, "viscous damping, newtons for each metre a second", least=0)
+    damping: float = option(1.5, "viscous damping, newtons for each meter a second", least=0)
     teammates: str = option("still", "where teammates that repel a robot are during a step", TEAMMATES)
 
 
@@ -185,7 +185,7 @@ class FieldStrategy(Strategy):
 
     def _change_of_place(self, steps: int) -> float:
         """Return the distance in meters that counts as a change of place within some steps."""
-        return min(STALL_METRES, steps / 2 * self.settings.body.speed * self.settings.resolution)
+        return min(STALL_METERS, steps / 2 * self.settings.body.speed * self.settings.resolution)
 
     @abstractmethod
     def is_leader(self, situation: Situation) -> bool:

@@ -84,7 +84,7 @@ Stamped = tuple[str, int, Any]
 
 
 def ranges_of(readings: Readings, ray_table: RayTable, resolution: float) -> Any:
-    """Return a scan's readings in ROS' convention: metres, counterclockwise from +x (y up).
+    """Return a scan's readings in ROS' convention: meters, counterclockwise from +x (y up).
 
     A beam that hit no wall is infinite; a beam that was not sent is NaN. A wall lies at the center of its cell.
     """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -51,7 +52,7 @@ def export(
     if not mcap:
         raise ScenarioError("no format given; use --mcap")
     written = export_mcap(directory)
-    screen.print(f"{written}: for RViz and Foxglove, or ros2 bag play {written.parent}")
+    screen.print(f"{written}: for RViz and Foxglove, or ros2 bag play {shlex.quote(str(written.parent))}")
 
 
 @app.command()

@@ -29,7 +29,7 @@ app = command_family()
 LOG = "Log"
 NOT_PLAYED = (
     "map", "map_seed", "map_options.resolution", "start", "strategy", "speed", "finish", "laser.preset", "pose.preset",
-    "people.number", "step_s",
+    "people.number",
 )  # fmt: skip
 """Settings of which this command has no flag."""
 LOG_FLAGS = {

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import math
+import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -182,7 +183,7 @@ def _print_text(scenario: Scenario, swarm: Swarm, chosen: ServeSettings, files: 
         files.write(scenario, swarm, chosen)
         screen.print("\nStart their agents:")
         for namespace in chosen.namespaces:
-            screen.print(f"murmur robot {files.path(namespace)}")
+            screen.print(f"murmur robot {shlex.quote(str(files.path(namespace)))}")
     else:
         screen.print("\nSettings of their agents (--write-robots DIR writes whole files):")
         for robot, namespace in enumerate(chosen.namespaces):

@@ -12,6 +12,7 @@ import contextlib
 import fcntl
 import hashlib
 import os
+import shlex
 import tempfile
 import time
 from collections.abc import Iterator
@@ -46,7 +47,8 @@ def running(folder: Path) -> Iterator[Path]:
         raise ScenarioError(f"record.folder = {str(folder)!r}: {reason}; name a directory") from None
     with _locked(folder, tries=5) as is_free:  # `is_running` of another process holds the lock for a moment
         if not is_free:
-            raise ScenarioError(f"record.folder = {folder}: a robot runs there already; murmur stop {folder}")
+            stop_it = f"murmur stop {shlex.quote(str(folder))}"
+            raise ScenarioError(f"record.folder = {folder}: a robot runs there already; {stop_it}")
         entry = registry() / hashlib.sha256(os.fsencode(folder.resolve())).hexdigest()[:16]
         entry.write_text(f"{folder.resolve()}\n", encoding="utf-8")
         stop = folder / STOP

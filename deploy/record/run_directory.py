@@ -12,6 +12,7 @@ import errno
 import hashlib
 import json
 import os
+import shlex
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from itertools import count
@@ -110,14 +111,15 @@ def write_inputs(out: Path, plan: Plan) -> None:
     maps.save(plan.map, out / MAP)
     data = plan.scenario.model_dump(mode="json", exclude_none=True) | {"map": MAP, "map_options": {}}
     again = (
-        f"Repeat it: murmur replay {out}"
+        f"Repeat it: murmur replay {shlex.quote(str(out))}"
         if plan.has_truth
         else "It was in the field, and cannot be repeated."
     )
     text = f"# {plan.map.name}: all settings of this run. {again}\n"
     if plan.recording is not None:
         options = plan.scenario.recording
-        text += f"# Replayed: {', '.join(options.files)}; one of {options.every} scans.\n"
+        share = "all" if options.every == 1 else f"one of {options.every}"
+        text += f"# Replayed: {', '.join(options.files)}; {share} scans.\n"
         data["recording"] |= {"files": _write_scans(out, plan.recording), "every": 1, "topic": ""}
     text += parse(data).to_toml()
     write_whole(out / SCENARIO, lambda file: file.write(text.encode()))

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import multiprocessing
 import queue
+from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any, Literal
 
@@ -16,6 +18,7 @@ from deploy.scenario.errors import ScenarioError
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import Scenario
 from deploy.scenario.tables import ChangeTable, FaultTable
+from protocol import faults
 from protocol.messages import Change, FaultEvent
 from worldsim.pace import SLOWEST
 
@@ -133,20 +136,36 @@ def as_it_went(plan: Plan, records: Records) -> Plan:
         for event in records.fault_events
         if event.kind == "kill" and (event.step, event.robot) not in scheduled
     ]
-    planned = {(each.step, each.budget, each.range_mm) for each in plan.radio.changes}
-    changes = [
-        ChangeTable(
-            step=each.step,
-            bandwidth=_bandwidth(each),
-            range=None if each.range_mm is None else repr(each.range_mm / 1000),
-        )
-        for each in records.changes
-        if (each.step, each.budget, each.range_mm) not in planned
-    ]
-    if not kills and not changes:
-        return plan
-    update = {"fault": (*scenario.fault, *kills), "change": (*scenario.change, *changes)}
-    return replace(plan, scenario=scenario.model_copy(update=update))
+    update: dict[str, Any] = {}
+    if kills:
+        update["fault"] = _applied((*scenario.fault, *kills), scenario.robots)
+    if not set(records.changes) <= set(plan.radio.changes):
+        update["change"] = _merged((*scenario.change, *map(_table, records.changes)))
+    return replace(plan, scenario=scenario.model_copy(update=update)) if update else plan
+
+
+def _applied(tables: Iterable[FaultTable], robots: int) -> tuple[FaultTable, ...]:
+    """Return the faults by step, without those of robots that an earlier kill has removed."""
+    applied: list[FaultTable] = []
+    for table in sorted(tables, key=lambda table: table.event):
+        with suppress(ValueError):  # the robot is gone by then
+            faults.check([each.event for each in (*applied, table)], robots)
+            applied.append(table)
+    return tuple(applied)
+
+
+def _merged(changes: Iterable[ChangeTable]) -> tuple[ChangeTable, ...]:
+    """Merge the changes of each step into one table; of several values of a setting, the last one counts."""
+    merged: dict[int, dict[str, Any]] = {}
+    for each in changes:
+        merged.setdefault(each.step, {}).update(each.model_dump(exclude_none=True))
+    return tuple(ChangeTable(**merged[step]) for step in sorted(merged))
+
+
+def _table(change: Change) -> ChangeTable:
+    """The table ``[[change]]`` of a change that has occurred."""
+    range_m = None if change.range_mm is None else repr(change.range_mm / 1000)
+    return ChangeTable(step=change.step, bandwidth=_bandwidth(change), range=range_m)
 
 
 def _bandwidth(change: Change) -> int | Literal["unlimited"] | None:
@@ -158,6 +177,8 @@ def _bandwidth(change: Change) -> int | Literal["unlimited"] | None:
 
 def why_unrepeatable(summary: dict[str, Any]) -> str:
     """Return why a run cannot be repeated: an event that its scenario does not contain; empty if it can."""
+    if summary.get("clock") == "field":
+        return "it was in the field"
     if summary["reason"] in CUT_SHORT:
         return f"it was {summary['reason']} at step {summary['steps']}"
     back = "; ".join(

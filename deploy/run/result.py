@@ -51,7 +51,7 @@ class Result:
 
     @cached_property
     def steps(self) -> pl.DataFrame:
-        """One row per step and robot: its pose and state; metres in the map's frame (``steps.parquet``)."""
+        """One row per step and robot: its pose and state; meters in the map's frame (``steps.parquet``)."""
         return frame(run_directory.steps_table(self.plan, self.records))
 
     @cached_property

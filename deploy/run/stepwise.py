@@ -132,11 +132,17 @@ class Steps:
         raise StopIteration
 
     def kill(self, robot: int) -> None:
-        """Kill a robot at the start of the next step; ValueError if the robot does not exist."""
+        """Kill a robot at the start of the step after the next one, which the world has opened already.
+
+        Raises ValueError if the robot does not exist.
+        """
         self._run.ask(kill(self.plan.scenario, robot))
 
     def change(self, *, bandwidth: int | str | None = None, range: float | str | None = None) -> None:
-        """Change the radio at the start of the next step; values as in a scenario. ScenarioError if invalid."""
+        """Change the radio from the step after the next one on; values as in a scenario.
+
+        Raises ScenarioError if a value is invalid.
+        """
         self._run.ask(change(self.plan.scenario, self.plan.map.diagonal_m, bandwidth=bandwidth, range=range))
 
     def __enter__(self) -> Self:
@@ -208,7 +214,7 @@ def steps(scenario: Scenario | None = None, **settings: Any) -> Steps:
     ...         if step.explored > 0.5:
     ...             break
     >>> step
-    <step 20: 51.5 % explored, 2 robots, 130 bytes>
+    <step 33: 50.1 % explored, 2 robots, 22 bytes>
     """
     return Steps(scenario_of(scenario, {**settings, "bus": "memory"}))
 

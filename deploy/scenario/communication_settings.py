@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Annotated, Any, Self
 
 from pydantic import Field, field_validator, model_validator
@@ -60,6 +61,11 @@ class CommunicationSettings(Table):
         plugins.kinds()["radio.model"].find(self.radio.model)
         if not self.forward_maps and self.dissemination == "gossip":
             raise ValueError("forward_maps = false: dissemination = 'gossip' forwards all maps; omit one")
+        for key in ("bandwidth", "range"):
+            changed = Counter(each.step for each in self.change if getattr(each, key) is not None)
+            for step, number in changed.items():
+                if number > 1:
+                    raise ValueError(f"{number} tables [[change]] set {key} at step {step}; keep one of them")
         bandwidths = [self.bandwidth, *(change.bandwidth for change in self.change)]
         if self.radio.duty_cycle < 1 and WORD_FOR_UNLIMITED in bandwidths:
             raise ValueError(

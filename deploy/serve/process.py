@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from deploy.run.interrupt import signals_as_ctrl_c
+from deploy.run.interrupt import Interrupt
 from deploy.scenario.plan import Plan
 from deploy.serve.ros_robot import RosRobot
 from deploy.serve.swarm import Swarm, SwarmSettings
@@ -70,6 +70,8 @@ def serve(
 ) -> Swarm:
     """Serve robots until Ctrl-C; return them. `ready` is called when all nodes exist, `warn` for ignored messages.
 
+    Further signals do not interrupt the end: nodes that are not closed would keep the process alive.
+
     ConnectionError without a router, or if its address is in use; ValueError if the address is malformed.
     """
     began_ns = time.time_ns() - time.monotonic_ns()
@@ -79,7 +81,8 @@ def serve(
         return began_ns + time.monotonic_ns()
 
     swarm = Swarm(plan, settings.swarm, clock_ns())
-    with contextlib.ExitStack() as stack, contextlib.suppress(KeyboardInterrupt), signals_as_ctrl_c():
+    interrupt = Interrupt()
+    with interrupt.caught(), contextlib.ExitStack() as stack:
         if settings.own_router:
             stack.callback(open_router(settings.router).close)
         robots = []
@@ -92,7 +95,7 @@ def serve(
             node = stack.enter_context(_node(settings, "/"))
             clock = node.publisher("/clock", names.CLOCK, CLOCK_QOS), node.messages
         ready(swarm)
-        while True:
+        while not interrupt.came:
             now_ns = clock_ns()
             for each in robots:
                 each.receive(now_ns)

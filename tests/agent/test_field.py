@@ -14,6 +14,7 @@ from agent.radios.options import LinkOptions
 from agent.radios.sealing import KEY_BYTES, OVERHEAD, Sealer
 from agent.radios.session_file import SessionFileError
 from agent.settings import EncodingSettings, Settings
+from protocol.budget import Budget
 from protocol.messages import Move, Sense
 from protocol.nanoseconds import SECOND
 from protocol.range_scans import Laser
@@ -173,16 +174,27 @@ def test_the_files_are_released_if_the_body_cannot_stop(
 
 
 def test_frames_of_robots_with_other_maps_do_not_open(tmp_path: Path) -> None:
-    settings = PLAN.robot_settings[0]
+    settings, peer = (field_settings(PLAN.robot_settings[number], OPTIONS) for number in (0, 1))
     robot = field_robot(tmp_path, Alone(PLAN.make_world()))
     other = replace(settings, robot=1, width=settings.width + 1)
-    assert team_context(settings) == team_context(PLAN.robot_settings[1]) != team_context(other)
+    assert team_context(settings) == team_context(peer) != team_context(other)
     real = replace(settings.body, laser=Laser(4, 0, 49152, 8000))
     noisy = replace(settings, bodies=(real,) * settings.robots)
     assert team_context(noisy) != team_context(settings)
     robot.medium.receive(Sealer(KEY, 1, 1, team_context(other)).seal(b""), 0)
     robot.medium.receive(Sealer(KEY, 1, 1, team_context(settings)).seal(b""), 0)
     assert robot.medium.dropped == {"not authentic": 1}
+
+
+def test_teams_with_exact_lasers_need_equal_bandwidths_and_hardware() -> None:
+    settings = PLAN.robot_settings[0]
+    narrow = replace(settings, medium=replace(settings.medium, bandwidth=Budget(20)))
+    far = replace(settings.body, range_cells=2 * settings.body.range_cells)
+    mixed = replace(settings, bodies=(settings.body, far))
+    assert len({team_context(each) for each in (settings, narrow, mixed)}) == 3
+    real = replace(settings.body, laser=Laser(4, 0, 49152, 8000))
+    noisy = [replace(each, bodies=(real, real)) for each in (settings, narrow)]
+    assert team_context(noisy[0]) == team_context(noisy[1])
 
 
 def test_only_encodings_that_send_scans_need_equal_lasers() -> None:

@@ -33,13 +33,25 @@ class Served:
         return self.nodes.enter_context(node)
 
 
+def free_address() -> str:
+    """Return an address of loopback whose port is free."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
 @contextmanager
 def serving(*arguments: str) -> Iterator[Served]:
     """Run the command with these arguments, of which one is --json; at the end, it must exit without an error."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        address = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
-    command = [sys.executable, "-m", "deploy.commands.main", "serve-ros2", *arguments, "--listen", address]
+    command = [
+        sys.executable,
+        "-m",
+        "deploy.commands.main",
+        "serve-ros2",
+        *arguments,
+        "--listen",
+        free_address(),
+    ]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None

@@ -112,7 +112,7 @@ def test_burgard_replans_periodically_with_every() -> None:
 
 
 def test_burgard_replans_after_a_time_and_after_a_distance() -> None:
-    for options in ({"after_steps": 5}, {"after_metres": 0.7}):
+    for options in ({"after_steps": 5}, {"after_meters": 0.7}):
         team = make_strategy("burgard", options)
         assert team.decide(replace(robot_at(4), step=3)).target == (0, 1)
         soon = replace(robot_at(11), step=7, traveled={0: 6.0})

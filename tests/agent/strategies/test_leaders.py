@@ -45,7 +45,7 @@ def test_leaders_are_elected_over_a_scripted_sequence_of_meetings() -> None:
 
 
 def test_a_leader_is_sensed_within_rho_lead_and_radio_range() -> None:
-    # Cells of a metre, and rho_lead is 4 m: robot 1 becomes a leader itself if it senses none.
+    # Cells of a meter, and rho_lead is 4 m: robot 1 becomes a leader itself if it senses none.
     def leads(x: int, *, leading: bool = True, in_range: bool = True) -> bool:
         trooper = make_strategy("leaders", robot=1, resolution=1.0)
         near = {0: Pose(x, 1, leads=leading)}
@@ -142,7 +142,7 @@ def test_a_trooper_escapes_from_a_local_minimum_until_it_has_observed_the_fronti
 
 
 def test_a_slow_leader_that_drives_is_not_stalled() -> None:
-    # A hundredth of a metre a step, in cells of 0.1 m: in 60 steps it does not get away a metre.
+    # A hundredth of a meter a step, in cells of 0.1 m: in 60 steps it does not get away a meter.
     leader = make_strategy("leaders", {}, resolution=0.1, speed_cells=0.1)
     driven = [divmod(100 * step + 500, 1000) for step in range(1, 140)]
     steps = [

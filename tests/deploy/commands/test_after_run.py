@@ -54,6 +54,7 @@ def test_a_replay_lists_changed_settings_first(floor: str) -> None:
     [
         ({"reason": "interrupted"}, "it was interrupted at step 4"),
         ({"reason": "broken off"}, "it was broken off at step 4"),
+        ({"clock": "field", "lost": {"1": "its record is missing"}}, "it was in the field"),
         ({"lost": {"1": "its process ended"}}, "robot 1 was lost: its process ended, unexpectedly"),
     ],
 )

@@ -40,12 +40,20 @@ def test_json_output_has_the_figures_of_the_log(room: str) -> None:
     assert summary["over_budget_steps"] == 0
 
 
+def test_steps_of_a_run_by_the_wall_clock_have_a_duration(room: str) -> None:
+    result = murmur("play", room, "--step", "200ms", *MEMORY)
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert "step_s = 0.2: steps have a duration only with clock = 'wall'" in result.stderr
+    result = murmur("play", room, "--step", "200ms", "--clock", "wall", *MEMORY)
+    assert "with this clock, bus must be 'zenoh'" in result.stderr
+
+
 def test_a_run_is_replayed_and_reported_without_the_log(room: str) -> None:
     murmur("play", room, "--robots", "2", *MEMORY, "--out", "run")
     Path(room).unlink()
     written = tomllib.loads(Path("run/scenario.toml").read_text())
     assert written["recording"]["files"] == ["scans-0.npz"]
-    assert "# Replayed: room.log.gz; one of 1 scans." in Path("run/scenario.toml").read_text()
+    assert "# Replayed: room.log.gz; all scans." in Path("run/scenario.toml").read_text()
     result = murmur("replay", "run")
     assert result.stdout.startswith("Replay matches"), result.stderr
     assert murmur("report", "run").exit_code == 0

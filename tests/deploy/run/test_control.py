@@ -71,6 +71,25 @@ def test_controlled_run_repeats_from_its_scenario(more: dict[str, Any]) -> None:
     assert result.plan.scenario.change and result.plan.scenario.fault
 
 
+@pytest.mark.parametrize("later", ["kill", "death", "stop", "restart"])
+def test_requests_replace_scheduled_faults_and_changes_that_they_contradict(later: str) -> None:
+    scheduled = {
+        "change": [{"step": 12, "bandwidth": 300}],
+        "fault": [{"step": 30, "robot": 1, "kind": later}],
+        "steps": 35,
+    }
+    with steps(parse(SETTINGS | scheduled)) as run:
+        for step in run:
+            if step.number == 10:
+                run.change(bandwidth=50)
+                run.change(bandwidth=100, range=4)
+                run.kill(1)
+    written = parse(run.result.plan.scenario.model_dump())
+    assert [(each.step, each.bandwidth, each.range) for each in written.change] == [(12, 100, "4.0")]
+    assert [each.kind for each in written.fault] == (["kill", "restart"] if later == "restart" else ["kill"])
+    assert explore(written, keep=False).summary["digest"] == run.result.summary["digest"]
+
+
 @pytest.mark.parametrize("wider", ["unlimited", pytest.param(5000, marks=pytest.mark.long)])
 def test_robots_use_a_higher_bandwidth_and_none_is_lost(wider: str | int) -> None:
     change = [{"step": 20, "bandwidth": wider}]
@@ -134,6 +153,11 @@ def test_changes_in_a_scenario_are_validated() -> None:
         parse(SETTINGS | {"change": [{"step": 0, "bandwidth": 3}]})
     with pytest.raises(ScenarioError, match=r"must be tables, \[\[change\]\], of step, bandwidth, range"):
         parse(SETTINGS | {"change": 3})
+    with pytest.raises(
+        ScenarioError, match=r"2 tables \[\[change\]\] set bandwidth at step 4; keep one of them"
+    ):
+        parse(SETTINGS | {"change": [{"step": 4, "bandwidth": 3}, {"step": 4, "bandwidth": 30, "range": 2}]})
+    parse(SETTINGS | {"change": [{"step": 4, "bandwidth": 3}, {"step": 4, "range": 2}]})
     with pytest.raises(ScenarioError, match=r"a share of the bandwidth, which must be limited"):
         change = {"step": 4, "bandwidth": "unlimited"}
         parse(SETTINGS | {"radio": {"duty_cycle": 0.5}, "change": [change]})

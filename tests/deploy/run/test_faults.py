@@ -166,6 +166,7 @@ INVALID = [
     ([(5, 1, "kill"), (9, 1, "stop")], r"fault at step 9: stop of robot 1: it is gone by then \(kill\)"),
     ([(5, 1, "death"), (9, 1, "restart")], r"it is gone by then \(death\)"),
     ([(5, 1, "kill"), (5, 1, "restart")], r"it has kill in the same step"),
+    ([(5, 1, "mute"), (5, 1, "mute")], r"it has mute in the same step"),
     ([(5, 1, "kill", 4)], r"steps = 4, but only stop, mute, deaf are temporary"),
     ([(5, 1, "explode")], r"fault.0.kind = 'explode'"),
     ([(step, 1, "restart") for step in range(1, 100)], r"3 robots can start 85 times each, not 100 times"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import doctest
 import gc
 import threading
 
@@ -9,6 +10,7 @@ import numpy as np
 import polars
 import pytest
 
+from deploy.run import stepwise
 from deploy.scenario.errors import ScenarioError
 from murmur import Step, explore, steps
 from protocol.grid import FREE, UNKNOWN
@@ -45,6 +47,10 @@ def test_stepwise_run_equals_the_run_of_explore_and_its_records() -> None:
     assert run.result.summary["digest"] == result.summary["digest"]
     assert (run.result.maps["team"] == result.maps["team"]).all()
     assert list(run) == []
+
+
+def test_the_example_of_the_reference_prints_its_output() -> None:
+    assert doctest.testmod(stepwise) == (0, 2)
 
 
 def test_a_run_that_is_left_leaves_nothing() -> None:

@@ -218,7 +218,7 @@ def test_all_errors_are_reported_at_once() -> None:
         (12.3456789, 12.3456789),
     ],
 )
-def test_a_range_is_metres_or_a_share_of_the_diagonal(range_: object, wanted: float) -> None:
+def test_a_range_is_meters_or_a_share_of_the_diagonal(range_: object, wanted: float) -> None:
     assert parse({"range": range_}).range_m(50.0) == pytest.approx(wanted, abs=1e-12)
 
 
