@@ -25,6 +25,7 @@ from agent.encodings.base import NO_SENDER, Dependency
 from agent.encodings.received_grid import GridEncoding
 from agent.encodings.update_log import UpdateLog
 from agent.encodings.update_packets import UpdateLimits
+from agent.mapping.block_bound import BlockBound
 from agent.mapping.bound import Bound
 from agent.mapping.estimator import SETTLED
 from agent.predictive.author import Author
@@ -35,9 +36,10 @@ from agent.predictive.scan_stream import NarrowBand, ScanStream
 from agent.predictive.shared_decoder import CachedReader, SharedDecoderCache
 from agent.predictive.stream import Stream
 from agent.predictive.tile_author import TileAuthor
-from agent.predictive.tile_stream import TileStream
+from agent.predictive.tile_stream import BlockTileStream, TileStream
 from agent.predictive.urgent_tile_author import UrgentTileAuthor
 from agent.settings import Settings
+from protocol.body import narrowest_opening
 from protocol.errors import ProtocolError
 from protocol.grid import Grid, ray_table
 from protocol.packet_codec import encode
@@ -91,15 +93,21 @@ class PredictiveEncoding(GridEncoding):
         assert isinstance(stream, TileStream)
         settled = 1 if settings.laser is None else SETTLED
         patience = self._options.patience
-        bound = Bound(
-            settings.encoding.tolerance,
-            settled,
-            closes_gaps=patience == 1,
-            straightens=self._limits.is_narrow and patience == 1,
-        )
+        bound = Bound(settings.encoding.tolerance, settled, closes_gaps=patience == 1)
+        if isinstance(stream, BlockTileStream):
+            opening = max(
+                narrowest_opening(each.radius_cells, settings.resolution) for each in settings.bodies
+            )
+            bound = BlockBound(bound.tolerance, settled, opening=opening)
         if settings.medium.bandwidth.limit is not None and patience == 1:
             return (NarrowTileAuthor if self._limits.is_narrow else UrgentTileAuthor)(stream, bound)
         return TileAuthor(stream, bound, patience)
+
+    @property
+    def _shares_blocks(self) -> bool:
+        """Whether tiles have half resolution, on narrow media: all blocks lie within a tolerance of at least 1."""
+        options = self.settings.encoding
+        return self._limits.is_narrow and options.tolerance > 0 and options.predictive.patience == 1
 
     def _stream(self, map_id: int, histories: Sequence[History]) -> Stream:
         """Make the encoder or decoder of a log, at its beginning."""
@@ -107,7 +115,8 @@ class PredictiveEncoding(GridEncoding):
         grid = np.zeros((settings.height, settings.width), np.uint8)
         maps, team = settings.robots, self._options.base == "team"
         if settings.shares_tiles:
-            return TileStream(map_id, grid, histories, self._scratch, team=team, base_maps=maps)
+            kind = BlockTileStream if self._shares_blocks else TileStream
+            return kind(map_id, grid, histories, self._scratch, team=team, base_maps=maps)
         body = settings.bodies[settings.author_of(map_id)]
         beams, limits = ray_table(body.range_cells, settings.beams), self._limits
         narrow = NarrowBand(body.speed, int(limits.step_bytes)) if limits.is_narrow else None

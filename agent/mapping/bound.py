@@ -14,17 +14,21 @@ least a given absolute value. After an update
 The last two conditions save teammates useless ways: the fourth completes areas that the robot has seen once from afar,
 the fifth closes gaps that scans of other robots have left in walls. Single beams into unknown areas are not sent.
 
+Copies at half resolution (`agent.mapping.block_bound`) fulfill weaker conditions 4 and 5: receivers need not hold a
+state of a wall if a held wall lies directly before or behind it, and a free cell is exempt if the robot has seen a cell
+of its block free.
+
 With tolerance 0, receivers hold every known cell of the robot's own grid, settled or not.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from agent.mapping.blocks import BLOCK, is_covered
 from agent.mapping.estimator import Int8Grid
-from agent.mapping.straight_walls import fill_notches
 from protocol.arrays import Int64s
 from protocol.boxes import Box
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
@@ -57,8 +61,8 @@ class Bound:
     """Absolute log odds from which a cell is settled."""
     closes_gaps: bool = True
     """Whether the fifth condition counts; it serves robots that plan with the maps of others."""
-    straightens: bool = False
-    """Whether walls that receivers do not know yet are straightened (`agent.mapping.straight_walls`)."""
+    blocks: bool = field(default=False, init=False)
+    """Whether copies have half resolution (`agent.mapping.block_bound`)."""
 
     def tiles_near(self, box: Box) -> tuple[slice, slice]:
         """Return the rows and columns of tiles in which changes of the cells in a box may violate the bound.
@@ -90,14 +94,13 @@ class Bound:
         """
         settled = self.settled if self.tolerance else 0
         last = _CLOSE if self.closes_gaps else _FILL
-        straightens = self.straightens and self.tolerance > 0
         return int(
-            _apply(own, log_odds, settled, held, tiles, self.tolerance, last, straightens, target, changed)
+            _apply(own, log_odds, settled, held, tiles, self.tolerance, last, self.blocks, target, changed)
         )
 
 
 @kernel
-def _has_wall(grid: Grid, x: int, y: int, tolerance: int) -> bool:
+def has_wall(grid: Grid, x: int, y: int, tolerance: int) -> bool:
     """Whether there is a wall within the tolerance of a cell."""
     for row in range(max(0, y - tolerance), min(grid.shape[0], y + tolerance + 1)):
         for column in range(max(0, x - tolerance), min(grid.shape[1], x + tolerance + 1)):
@@ -107,7 +110,7 @@ def _has_wall(grid: Grid, x: int, y: int, tolerance: int) -> bool:
 
 
 @kernel
-def _shared(own: Grid, log_odds: Int8Grid, settled: int, x: int, y: int) -> int:
+def shared_state(own: Grid, log_odds: Int8Grid, settled: int, x: int, y: int) -> int:
     """Return the state that receivers shall hold of a cell that they do not know.
 
     A cell that is neither settled nor beside a wall is free if most cells around it are free, else unknown.
@@ -126,14 +129,16 @@ def _shared(own: Grid, log_odds: Int8Grid, settled: int, x: int, y: int) -> int:
 
 @kernel
 def _is_complete(
-    own: Grid, log_odds: Int8Grid, settled: int, held: Grid, box: Int64s, tolerance: int
+    own: Grid, log_odds: Int8Grid, settled: int, held: Grid, box: Int64s, tolerance: int, blocks: bool
 ) -> bool:
     """Whether receivers hold all cells of a tile that they shall know, or a wall beside them."""
     for y in range(box[1], box[3]):
         for x in range(box[0], box[2]):
             if held[y, x] == UNKNOWN:
-                state = _shared(own, log_odds, settled, x, y)
-                if state == OCCUPIED or (state == FREE and not _has_wall(held, x, y, tolerance)):
+                state = shared_state(own, log_odds, settled, x, y)
+                if blocks and state == OCCUPIED and is_covered(own, held, x, y):
+                    continue
+                if state == OCCUPIED or (state == FREE and not has_wall(held, x, y, tolerance)):
                     return False
     return True
 
@@ -143,14 +148,14 @@ def _must_change(phase: int, own: Grid, held: Grid, x: int, y: int, tolerance: i
     """Whether a cell whose own state is known, and differs from the held one, must take the own state in a phase."""
     state = own[y, x]
     if phase == _REMOVE:
-        return bool(state == FREE and held[y, x] == OCCUPIED and not _has_wall(own, x, y, tolerance))
+        return bool(state == FREE and held[y, x] == OCCUPIED and not has_wall(own, x, y, tolerance))
     if phase == _WALLS:
-        return bool(state == OCCUPIED and not _has_wall(held, x, y, tolerance))
-    return bool(state == FREE and held[y, x] == UNKNOWN and not _has_wall(held, x, y, tolerance))
+        return bool(state == OCCUPIED and not has_wall(held, x, y, tolerance))
+    return bool(state == FREE and held[y, x] == UNKNOWN and not has_wall(held, x, y, tolerance))
 
 
 @kernel
-def _borders_unknown(own: Grid, held: Grid, x: int, y: int) -> bool:
+def borders_unknown(own: Grid, held: Grid, x: int, y: int) -> bool:
     """Whether neither receivers nor the robot know a 4-neighbor of a cell."""
     height, width = own.shape
     for row, column in ((y, x - 1), (y, x + 1), (y - 1, x), (y + 1, x)):
@@ -160,13 +165,22 @@ def _borders_unknown(own: Grid, held: Grid, x: int, y: int) -> bool:
 
 
 @kernel
-def _close_frontier(own: Grid, target: Grid, box: Int64s, tolerance: int) -> bool:
+def _knows_free(own: Grid, x: int, y: int) -> bool:
+    """Whether the robot has seen a cell of the same block free."""
+    top, left = y - y % BLOCK, x - x % BLOCK
+    return bool((own[top : top + BLOCK, left : left + BLOCK] == FREE).any())
+
+
+@kernel
+def _close_frontier(own: Grid, target: Grid, box: Int64s, tolerance: int, blocks: bool) -> bool:
     """Turn the cells of a tile that violate the fifth condition into walls; return whether there are any."""
     closed = False
     for y in range(box[1], box[3]):
         for x in range(box[0], box[2]):
-            is_open = target[y, x] == FREE != own[y, x] and _has_wall(own, x, y, tolerance)
-            if is_open and _borders_unknown(own, target, x, y):
+            is_open = target[y, x] == FREE != own[y, x] and has_wall(own, x, y, tolerance)
+            if is_open and blocks and _knows_free(own, x, y):
+                continue
+            if is_open and borders_unknown(own, target, x, y):
                 target[y, x] = OCCUPIED
                 closed = True
     return closed
@@ -181,19 +195,20 @@ def _change_tile(
     target: Grid,
     box: Int64s,
     tolerance: int,
+    blocks: bool,
     was_changed: bool,
 ) -> bool:
     """Change the cells of a tile in a phase; return whether any has changed, now or before."""
     if phase == _FILL:
-        if not was_changed and _is_complete(own, log_odds, settled, target, box, tolerance):
+        if not was_changed and _is_complete(own, log_odds, settled, target, box, tolerance, blocks):
             return False
         for y in range(box[1], box[3]):
             for x in range(box[0], box[2]):
                 if target[y, x] == UNKNOWN:
-                    target[y, x] = _shared(own, log_odds, settled, x, y)
+                    target[y, x] = shared_state(own, log_odds, settled, x, y)
         return True
     if phase == _CLOSE:
-        return _close_frontier(own, target, box, tolerance) or was_changed
+        return _close_frontier(own, target, box, tolerance, blocks) or was_changed
     changed = was_changed
     for y in range(box[1], box[3]):
         for x in range(box[0], box[2]):
@@ -214,7 +229,7 @@ def _apply(
     tiles: Grid,
     tolerance: int,
     last: int,
-    straightens: bool,
+    blocks: bool,
     target: Grid,
     changed: Grid,
 ) -> int:
@@ -239,14 +254,7 @@ def _apply(
                 box[0], box[1] = tile_x * TILE, tile_y * TILE
                 box[2], box[3] = min(box[0] + TILE, width), min(box[1] + TILE, height)
                 before = changed[tile_y, tile_x] > 0
-                after = _change_tile(phase, own, log_odds, settled, target, box, tolerance, before)
+                after = _change_tile(phase, own, log_odds, settled, target, box, tolerance, blocks, before)
                 changed[tile_y, tile_x] = after
                 count += after and not before
-    if straightens:
-        for tile_y in range(top, bottom + 1):
-            for tile_x in range(left, right + 1):
-                if changed[tile_y, tile_x]:
-                    box[0], box[1] = tile_x * TILE, tile_y * TILE
-                    box[2], box[3] = min(box[0] + TILE, width), min(box[1] + TILE, height)
-                    fill_notches(own, held, target, box)
     return count

@@ -4,7 +4,8 @@
 the arithmetic coder. What an update contains depends on the laser:
 
 exact    scans, which receivers predict by ray casting: `contexts`, `scan_updates`, `scan_stream`
-noisy    tiles of the author's grid, within a bounded error (`agent.mapping.bound`): `mixer`, `tiles`, `tile_stream`
+noisy    tiles of the author's grid, within a bounded error (`agent.mapping.bound`): `mixer`, `tiles`, `block_tiles`,
+         `tile_stream`
 
 `author`, with `scan_author` and `tile_author`, decides when an update is encoded. `history` holds decoded updates, and
 `shared_decoder` decodes them once for all robots of a process.

@@ -1,6 +1,7 @@
 """Streams of maps of noisy lasers: an update codes the pose of the author, and changed tiles of its grid.
 
-Receivers hold a grid that fits the author's own one within a tolerance (`agent.mapping.bound`).
+Receivers hold a grid that fits the author's own one within a tolerance (`agent.mapping.bound`). On narrow media, tiles
+have half resolution (`BlockTileStream`).
 """
 
 from __future__ import annotations
@@ -10,13 +11,15 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.mapping.block_bound import BlockBound
 from agent.mapping.bound import TILE, Bound, tiles_of
 from agent.mapping.estimator import Int8Grid
-from agent.predictive import contexts
+from agent.predictive import block_tiles, contexts
+from agent.predictive.block_tiles import code_block_tiles
 from agent.predictive.coder import FAILED, Coder, code_bit, writer, written
 from agent.predictive.contexts import REST_MOST
 from agent.predictive.history import DecodedUpdate
-from agent.predictive.mixer import Model, mixing_coder
+from agent.predictive.mixer import MixingCoder, Model, mixing_coder
 from agent.predictive.scan_updates import REPORTED, code_pose
 from agent.predictive.stream import FIRST_BUFFER, Stream
 from agent.predictive.tiles import code_tiles, start_model
@@ -31,13 +34,18 @@ class TileStream(Stream):
 
     def __init__(self, map_id: int, grid: Grid, *args: Any, **options: Any) -> None:
         super().__init__(map_id, grid, *args, **options)
-        self._chances, self._ages, self._weights = start_model()
+        self._chances, self._ages, self._weights = self._start_model()
         self._last_box = np.zeros(4, np.int64)
         self.target = np.empty_like(grid)
         """The states that receivers shall hold in and around the tiles of the last call of `violations` or `encode`."""
         self._changed = np.zeros(tiles_of(*grid.shape), np.uint8)
         self.bases: list[Box] = []
         """Boxes of the other maps' updates on which the last encoded update was the first to depend."""
+
+    @staticmethod
+    def _start_model() -> Model:
+        """Return the initial model of the log."""
+        return start_model()
 
     @property
     def model(self) -> Model:
@@ -53,8 +61,12 @@ class TileStream(Stream):
 
     def violations(self, own: Grid, log_odds: Int8Grid, bound: Bound, tiles: Grid) -> NDArray[np.bool_]:
         """Return which of the marked tiles violate the bound; the parameters are those of `encode`."""
-        bound.apply(own, log_odds, self.grid, tiles, self.target, self._changed)
+        self._apply(own, log_odds, bound, tiles)
         return self._changed.astype(np.bool_)
+
+    def _apply(self, own: Grid, log_odds: Int8Grid, bound: Bound, tiles: Grid) -> int:
+        """Compute which tiles change, and the states that receivers shall hold; return the number of these tiles."""
+        return bound.apply(own, log_odds, self.grid, tiles, self.target, self._changed)
 
     def encode(
         self, own: Grid, log_odds: Int8Grid, bound: Bound, tiles: Grid, pose: tuple[int, int]
@@ -79,8 +91,8 @@ class TileStream(Stream):
         (message, update)
             None if all cells of the tiles fulfill the bound already; the stream is unchanged then.
         """
-        size, buffers = FIRST_BUFFER, (self.target, self._changed)
-        if not bound.apply(own, log_odds, self.grid, tiles, *buffers):
+        size = FIRST_BUFFER
+        if not self._apply(own, log_odds, bound, tiles):
             return None
         rows, columns = np.nonzero(tiles)
         near = (
@@ -95,7 +107,7 @@ class TileStream(Stream):
             coder = state, data, self._counts
             self.bases = [update.box for update in self._write_bases(coder, own, near)]
             code_pose(coder, self._motion, *pose)
-            has_tiles = bound.apply(own, log_odds, self.grid, tiles, *buffers) > 0
+            has_tiles = self._apply(own, log_odds, bound, tiles) > 0
             code_bit(coder, contexts.HAS_TILES, int(has_tiles), REST_MOST)
             update = self._code_tiles(coder, self.target, has_tiles=has_tiles)
             if not state[FAILED]:
@@ -125,7 +137,36 @@ class TileStream(Stream):
         changed = 0
         if has_tiles:
             model = mixing_coder(coder[0], coder[1], self.model)
-            changed = code_tiles(
-                model, self.grid, target, self._changed, self._last_box, REPORTED, self._scratch
-            )
+            changed = self._code_changes(model, target)
         return self._decoded(changed, changed)
+
+    def _code_changes(self, coder: MixingCoder, target: Grid) -> int:
+        """Encode or decode the changed tiles; return the number of changed cells."""
+        return int(
+            code_tiles(coder, self.grid, target, self._changed, self._last_box, REPORTED, self._scratch)
+        )
+
+
+class BlockTileStream(TileStream):
+    """Encoder and decoder of tiles at half resolution (`agent.predictive.block_tiles`)."""
+
+    def __init__(self, map_id: int, grid: Grid, *args: Any, **options: Any) -> None:
+        super().__init__(map_id, grid, *args, **options)
+        self._exact = np.zeros_like(self._changed)
+        """1 for changed tiles that have the resolution of cells."""
+
+    @staticmethod
+    def _start_model() -> Model:
+        return block_tiles.start_model()
+
+    def _apply(self, own: Grid, log_odds: Int8Grid, bound: Bound, tiles: Grid) -> int:
+        assert isinstance(bound, BlockBound)
+        return bound.apply_blocks(own, log_odds, self.grid, tiles, self.target, self._changed, self._exact)
+
+    def _read_content(self, coder: Coder) -> DecodedUpdate:
+        self._exact[:] = 0
+        return super()._read_content(coder)
+
+    def _code_changes(self, coder: MixingCoder, target: Grid) -> int:
+        buffers = self._changed, self._exact, self._last_box
+        return int(code_block_tiles(coder, self.grid, target, *buffers, REPORTED, self._scratch))

@@ -27,10 +27,10 @@ from protocol.kernels import kernel
 BOX_BITS = 9
 """Bits of an edge of the box, as a difference from the last one or from the opposite edge."""
 
-_CELL_CONTEXTS = 6561
+CELL_CONTEXTS = 6561
 """Contexts of a bit of a cell: 3^8. There are six of these blocks, by the state before and the question."""
 
-_TILES = 6 * _CELL_CONTEXTS
+_TILES = 6 * CELL_CONTEXTS
 _TILE_CONTEXTS = 512
 _BOX = _TILES + _TILE_CONTEXTS
 _BOX_CONTEXTS = 64
@@ -116,7 +116,7 @@ def _set_tile_contexts(buffer: Int64s, grid: Grid, changed: Grid, box: Int64s, x
 
 
 @kernel
-def _set_cell_contexts(buffer: Int64s, grid: Grid, x: int, y: int) -> int:
+def set_cell_contexts(buffer: Int64s, grid: Grid, x: int, y: int) -> int:
     """Set the contexts of a cell, without their block: its neighbors, 49 cells around it, and its place in the tile.
 
     Returns how many of its four nearest neighbors are known.
@@ -147,22 +147,83 @@ def _set_cell_contexts(buffer: Int64s, grid: Grid, x: int, y: int) -> int:
 
 
 @kernel
-def _code_cell(coder: MixingCoder, known: int, state: int, truth: int) -> int:
+def code_cell(
+    coder: MixingCoder, known: int, state: int, truth: int, first_context: int, first_set: int
+) -> int:
     """Encode or decode the state of a cell that is now `state`, with `known` known neighbors.
 
-    The contexts are set without their block.
+    The contexts are set without their block, which follows `first_context`; `first_set` is the first set of weights.
     """
     buffer = coder[5]
     block = 2 * state
-    weights = _CELL_SET + 6 * known + block
+    weights = first_set + 6 * known + block
     for index in range(INPUTS):
-        buffer[0, index] += block * _CELL_CONTEXTS
+        buffer[0, index] += first_context + block * CELL_CONTEXTS
     if not code_mixed(coder, weights, 1 if truth != state else 0):
         return state
     for index in range(INPUTS):
-        buffer[0, index] += _CELL_CONTEXTS
+        buffer[0, index] += CELL_CONTEXTS
     first, second = (FREE, OCCUPIED) if state == UNKNOWN else (3 - state, UNKNOWN)
     return first if code_mixed(coder, weights + 1, 1 if truth == first else 0) else second
+
+
+@kernel
+def code_cells(
+    coder: MixingCoder,
+    grid: Grid,
+    target: Grid,
+    tile_x: int,
+    tile_y: int,
+    flag: int,
+    changes: Cells,
+    count: int,
+) -> int:
+    """Encode or decode the cells of a changed tile; the other parameters are those of `code_tiles`.
+
+    Returns the number of changes so far, `count` of which there were before.
+    """
+    decodes, buffer = coder[0][DECODES], coder[5]
+    height, width = grid.shape
+    for y in range(tile_y * TILE, min(tile_y * TILE + TILE, height)):
+        for x in range(tile_x * TILE, min(tile_x * TILE + TILE, width)):
+            before = _state(grid, x, y)
+            truth = before if decodes else _state(target, x, y)
+            known = set_cell_contexts(buffer[0], grid, x, y)
+            now = code_cell(coder, known, before, truth, 0, _CELL_SET)
+            if now != before:
+                changes[count, 0], changes[count, 1] = y * width + x, grid[y, x]
+                count += 1
+                grid[y, x] = now | flag
+    return count
+
+
+@kernel
+def code_changed_box(coder: MixingCoder, changed: Grid, last: Int64s) -> Int64s:
+    """Encode or decode the first and last column and row of the box of changed tiles; `last` becomes this box.
+
+    The coder has failed if the box does not lie on the grid.
+    """
+    state = coder[0]
+    rows, columns = changed.shape
+    box = np.array([columns, rows, 0, 0])
+    if not state[DECODES]:
+        for y in range(rows):
+            for x in range(columns):
+                if changed[y, x]:
+                    box[0], box[1] = min(box[0], x), min(box[1], y)
+                    box[2], box[3] = max(box[2], x), max(box[3], y)
+    _code_box(coder, box, last)
+    if not (0 <= box[0] <= box[2] < columns and 0 <= box[1] <= box[3] < rows):
+        state[FAILED] = 1
+    return box
+
+
+@kernel
+def code_changed(coder: MixingCoder, grid: Grid, changed: Grid, box: Int64s, x: int, y: int) -> bool:
+    """Encode or decode whether a tile has changed; return it unless the coder has failed."""
+    _set_tile_contexts(coder[5][0], grid, changed, box, x, y)
+    changed[y, x] = code_mixed(coder, _TILE_SET, 1 if changed[y, x] else 0)
+    return bool(changed[y, x]) and not coder[0][FAILED]
 
 
 @kernel
@@ -188,37 +249,11 @@ def code_tiles(
 
     Returns the number of changed cells. The coder has failed if the box does not lie on the grid.
     """
-    state, buffer = coder[0], coder[5]
-    rows, columns = changed.shape
-    height, width = grid.shape
-    box = np.array([columns, rows, 0, 0])
-    if not state[DECODES]:
-        for y in range(rows):
-            for x in range(columns):
-                if changed[y, x]:
-                    box[0], box[1] = min(box[0], x), min(box[1], y)
-                    box[2], box[3] = max(box[2], x), max(box[3], y)
-    _code_box(coder, box, last)
-    count = 0
-    if not (0 <= box[0] <= box[2] < columns and 0 <= box[1] <= box[3] < rows):
-        state[FAILED] = 1
-        return count
+    count, box = 0, code_changed_box(coder, changed, last)
     for tile_y in range(box[1], box[3] + 1):
         for tile_x in range(box[0], box[2] + 1):
-            _set_tile_contexts(buffer[0], grid, changed, box, tile_x, tile_y)
-            changed[tile_y, tile_x] = code_mixed(coder, _TILE_SET, 1 if changed[tile_y, tile_x] else 0)
-            if state[FAILED]:
+            if coder[0][FAILED]:
                 return count
-            if not changed[tile_y, tile_x]:
-                continue
-            for y in range(tile_y * TILE, min(tile_y * TILE + TILE, height)):
-                for x in range(tile_x * TILE, min(tile_x * TILE + TILE, width)):
-                    before = _state(grid, x, y)
-                    truth = before if state[DECODES] else _state(target, x, y)
-                    known = _set_cell_contexts(buffer[0], grid, x, y)
-                    now = _code_cell(coder, known, before, truth)
-                    if now != before:
-                        changes[count, 0], changes[count, 1] = y * width + x, grid[y, x]
-                        count += 1
-                        grid[y, x] = now | flag
+            if code_changed(coder, grid, changed, box, tile_x, tile_y):
+                count = code_cells(coder, grid, target, tile_x, tile_y, flag, changes, count)
     return count

@@ -11,12 +11,15 @@ shipped as `agent.predictive.tiles.TABLE`; encoder and decoder must have the sam
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
 import numpy as np
 
 from agent.encodings.update_packets import FAIR_SHARE
+from agent.mapping.block_bound import BlockBound
 from agent.mapping.bound import Bound
 from agent.mapping.estimator import SETTLED
 from agent.mapping.mapper import make_mapper
@@ -24,7 +27,7 @@ from agent.predictive.history import History
 from agent.predictive.mixer import Model, new_model
 from agent.predictive.model_table import packed
 from agent.predictive.tile_author import TileAuthor
-from agent.predictive.tile_stream import TileStream
+from agent.predictive.tile_stream import BlockTileStream, TileStream
 from agent.predictive.tiles import CONTEXTS, SETS
 from agent.predictive.urgent_tile_author import UrgentTileAuthor
 from deploy.scenario.plan import Plan
@@ -39,11 +42,23 @@ SENSORS: tuple[dict[str, Any], ...] = (
     {"laser": {"preset": "utm-30lx"}, "pose": {"preset": "graph-slam"}},
     {"laser": {"preset": "rplidar-a1"}, "pose": {"preset": "particle-filter"}, "people": {"number": 3}},
 )
-AUTHORS = (TileAuthor, UrgentTileAuthor)
-"""With an unlimited, and with a limited budget."""
 
-TURNS = 3
-"""Steps from one update of a robot to the next with a limited budget: as in a team of eight with 60 bytes per step."""
+
+@dataclass(frozen=True)
+class Encoder:
+    """How the robots of an exploration encode their maps."""
+
+    author: type[TileAuthor]
+    """Decides when tiles are encoded."""
+    turns: int
+    """Steps from one update of a robot to the next."""
+    stream: type[TileStream] = TileStream
+    most: float = FAIR_SHARE
+    """Approximate limit of the bytes of an update."""
+
+
+ENCODERS = (Encoder(TileAuthor, 1), Encoder(UrgentTileAuthor, 3))
+"""With an unlimited, and with a limited budget, as in a team of eight with 60 bytes per step."""
 
 FIRST_SEED = 100
 """Seed of the first run. Experiments use the seeds below."""
@@ -57,22 +72,21 @@ LEAST_SEEN = 2
 """Contexts that have seen fewer bits in training are left out."""
 
 
-def train_on(
-    plan: Plan, senses: list[list[Sense]], make_author: type[TileAuthor], model: Model
-) -> tuple[Model, int]:
+def train_on(plan: Plan, senses: list[list[Sense]], encoder: Encoder, model: Model) -> tuple[Model, int]:
     """Encode an exploration with a model; return the model after the last update, and the bytes of all updates.
 
-    `senses` are the sensor messages of each robot, one per step. `make_author` decides when tiles are encoded.
+    `senses` are the sensor messages of each robot, one per step.
     """
     robots, shape = len(senses), plan.map.cells.shape
     histories, size = [History() for _ in senses], 0
     scratch = np.empty((2 * shape[0] * shape[1], 2), np.int32)
     mappers = [make_mapper(plan.robot_settings[robot]) for robot in range(robots)]
     received = np.full(shape, UNKNOWN, np.uint8)
+    bound = BlockBound if issubclass(encoder.stream, BlockTileStream) else Bound
     authors = [
-        make_author(
-            TileStream(robot, np.zeros(shape, np.uint8), histories, scratch, team=True),
-            Bound(plan.robot_settings[robot].encoding.tolerance, SETTLED),
+        encoder.author(
+            encoder.stream(robot, np.zeros(shape, np.uint8), histories, scratch, team=True),
+            bound(plan.robot_settings[robot].encoding.tolerance, SETTLED),
         )
         for robot in range(robots)
     ]
@@ -80,11 +94,11 @@ def train_on(
         for robot, (mapper, author) in enumerate(zip(mappers, authors, strict=True)):
             scan, change = mapper.add(senses[robot][step])
             author.add(scan, change)
-            is_turn = make_author is TileAuthor or (step + robot) % TURNS == 0
+            is_turn = (step + robot) % encoder.turns == 0
             if not (is_turn and author.is_due(mapper.states, mapper.log_odds, received)):
                 continue
             author.stream.model = model
-            encoded = author.encode(mapper.states, mapper.log_odds, FAIR_SHARE)
+            encoded = author.encode(mapper.states, mapper.log_odds, encoder.most)
             model = author.stream.model
             if encoded is not None:
                 author.stream.commit()
@@ -93,20 +107,19 @@ def train_on(
     return model, size
 
 
-def train() -> Model:
-    """Train the model."""
-    model = new_model(CONTEXTS, SETS)
+def train(model: Model, encoders: Sequence[Encoder]) -> Model:
+    """Train a model, and return it shortened; each exploration is encoded once by each encoder."""
     runs = list(product(MAPS, TEAMS, SENSORS))
     check_training_seeds(range(FIRST_SEED, FIRST_SEED + len(runs)))
     for number, (name, robots, sensors) in enumerate(runs):
         seed = FIRST_SEED + number
         plan, senses = explored(map=name, map_seed=seed, seed=seed, robots=robots, steps=STEPS, **sensors)
         sizes = []
-        for author in AUTHORS:
-            model, size = train_on(plan, senses, author, model)
+        for encoder in encoders:
+            model, size = train_on(plan, senses, encoder, model)
             sizes.append(size)
         print(f"{number + 1:3} of {len(runs)} {name}, {robots} robots, bytes {sizes}", flush=True)
-    return model
+    return shortened(model)
 
 
 def shortened(model: Model) -> Model:
@@ -121,4 +134,4 @@ def shortened(model: Model) -> Model:
 
 
 if __name__ == "__main__":
-    np.savez_compressed(sys.argv[1], **packed(shortened(train())))  # type: ignore[arg-type]
+    np.savez_compressed(sys.argv[1], **packed(train(new_model(CONTEXTS, SETS), ENCODERS)))  # type: ignore[arg-type]

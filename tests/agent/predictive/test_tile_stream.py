@@ -6,27 +6,30 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from agent.mapping.block_bound import BlockBound
 from agent.mapping.bound import Bound, tiles_of
 from agent.mapping.estimator import SETTLED
 from agent.predictive.history import History
 from agent.predictive.scan_updates import REPORTED, STATE
-from agent.predictive.tile_stream import TileStream
+from agent.predictive.tile_stream import BlockTileStream, TileStream
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from tests.agent.mapping.plain_bound import violations
 
 HEIGHT, WIDTH = 42, 37
 MAPS = 3
+BOUND = Bound(1, SETTLED)
 
 
 class Side:
     """All streams, as one robot holds them."""
 
-    def __init__(self, maps: int = MAPS, *, team: bool = True) -> None:
+    def __init__(self, maps: int = MAPS, *, team: bool = True, blocks: bool = False) -> None:
         self.histories = [History() for _ in range(maps)]
         scratch = np.empty((2 * HEIGHT * WIDTH, 2), np.int32)
         grids = np.zeros((maps, HEIGHT, WIDTH), np.uint8)
-        self.streams = [TileStream(n, grids[n], self.histories, scratch, team=team) for n in range(maps)]
+        kind = BlockTileStream if blocks else TileStream
+        self.streams = [kind(n, grids[n], self.histories, scratch, team=team) for n in range(maps)]
 
     def copy(self, map_id: int) -> Grid:
         """The states that this robot holds of a map."""
@@ -44,15 +47,14 @@ def disturb(random: np.random.Generator, own: Grid, log_odds: NDArray[np.int8]) 
     return x0, y0, x1, y1
 
 
-@pytest.mark.parametrize("tolerance", [0, 1, 2])
+@pytest.mark.parametrize(("tolerance", "blocks"), [(0, False), (1, False), (2, False), (1, True), (2, True)])
 @pytest.mark.parametrize("team", [True, False])
-@pytest.mark.parametrize("straightens", [False, True])
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", range(3))
 def test_the_bound_holds_at_every_receiver_after_every_update(
-    seed: int, straightens: bool, team: bool, tolerance: int
+    seed: int, team: bool, tolerance: int, blocks: bool
 ) -> None:
-    random, bound = np.random.default_rng(seed), Bound(tolerance, SETTLED, straightens=straightens)
-    authors = [Side(team=team) for _ in range(MAPS)]
+    random, bound = np.random.default_rng(seed), (BlockBound if blocks else Bound)(tolerance, SETTLED)
+    authors = [Side(team=team, blocks=blocks) for _ in range(MAPS)]
     own = np.zeros((MAPS, HEIGHT, WIDTH), np.uint8)
     log_odds = np.zeros((MAPS, HEIGHT, WIDTH), np.int8)
     tiles = np.zeros((MAPS, *tiles_of(HEIGHT, WIDTH)), np.uint8)
@@ -82,17 +84,19 @@ def test_the_bound_holds_at_every_receiver_after_every_update(
                     assert np.array_equal(authors[receiver].copy(map_id), author.copy(map_id))
                     assert authors[receiver].streams[map_id].pose == pose
         if not tiles[map_id].any():
-            assert violations(own[map_id], log_odds[map_id], author.copy(map_id), tolerance) == []
+            assert (
+                violations(own[map_id], log_odds[map_id], author.copy(map_id), tolerance, blocks=blocks) == []
+            )
     assert sent > 20
 
 
-def room(side: Side, map_id: int) -> tuple[bytes, Grid]:
+def room(side: Side, map_id: int, bound: Bound = BOUND) -> tuple[bytes, Grid]:
     """Encode a room with walls, and return the message and the grid."""
     own = np.zeros((HEIGHT, WIDTH), np.uint8)
     own[8:30, 8:30], own[[8, 29], 8:30] = FREE, OCCUPIED
     log_odds = np.array([0, -40, 40], np.int8)[own]
     tiles = np.ones(tiles_of(HEIGHT, WIDTH), np.uint8)
-    encoded = side.streams[map_id].encode(own, log_odds, Bound(1, SETTLED), tiles, (10, 10))
+    encoded = side.streams[map_id].encode(own, log_odds, bound, tiles, (10, 10))
     assert encoded is not None
     return encoded[0], own
 
@@ -128,10 +132,11 @@ def test_a_receiver_marks_the_cells_that_the_author_has_reported() -> None:
     assert np.array_equal(receiver.streams[0].grid & REPORTED != 0, own != UNKNOWN)
 
 
-def test_malformed_updates_are_refused_and_change_nothing() -> None:
+@pytest.mark.parametrize("bound", [BOUND, BlockBound(1, SETTLED)])
+def test_malformed_updates_are_refused_and_change_nothing(bound: Bound) -> None:
     random, refused = np.random.default_rng(2), 0
-    message, _ = room(Side(), 0)
-    side = Side(1, team=False)
+    message, _ = room(Side(blocks=bound.blocks), 0, bound)
+    side = Side(1, team=False, blocks=bound.blocks)
     for size in random.integers(0, 60, 200).tolist():
         damaged = bytearray(message[: len(message) // 2] + random.bytes(size))
         before = side.streams[0].grid.copy()
