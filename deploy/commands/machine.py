@@ -162,22 +162,23 @@ def bench(
         return
     from deploy.bench.registry import run_benchmarks  # noqa: PLC0415
 
-    inapplicable: dict[str, object] = {
-        "map": maps,
-        "seeds": seeds,
-        "set": settings,
-        "picture": picture,
-        "jobs": jobs,
-    }
-    if names and "scale" not in names:
-        inapplicable |= {"robots": robots, "strategy": strategies}
-    for option, value in inapplicable.items():
-        if value is not None:
-            raise ValueError(f"--{option} has no effect on {', '.join(names or ['these benchmarks'])}")
+    _refuse_options(
+        names or [],
+        scale={"robots": robots, "strategy": strategies},
+        league={"map": maps, "seeds": seeds, "set": settings, "picture": picture, "jobs": jobs},
+    )
     report = (lambda _: None) if as_json else screen.print
     figures = run_benchmarks(names or [], report, robots or [], strategies or [])
     if as_json:
         print(json.dumps(figures, indent=2))
+
+
+def _refuse_options(names: list[str], scale: dict[str, object], league: dict[str, object]) -> None:
+    """Raise ValueError if an option of ``scale`` or of the league table is given that has no effect on benchmarks."""
+    without_effect = league if not names or "scale" in names else league | scale
+    for option, value in without_effect.items():
+        if value is not None:
+            raise ValueError(f"--{option} has no effect on {', '.join(names or ['these benchmarks'])}")
 
 
 def _league(

@@ -75,12 +75,16 @@ def length(name: str, side_m: float, resolution: float, least_m: float) -> int:
     """Return the side of a world in cells; `name` is its parameter's. Raises MapError as `canvas` does."""
     if not 0 < resolution <= _COARSEST:
         raise MapError(f"resolution is {resolution}; it must be above 0 and at most {_COARSEST} m per cell")
-    if not side_m >= least_m:
-        raise MapError(f"{name} is {side_m} m; it must be at least {least_m:g} m")
-    if side_m > MAX_SIDE * resolution:
+    most_m = MAX_SIDE * resolution
+    if most_m < least_m:
         raise MapError(
-            f"{name} is {side_m} m; with cells of {resolution:g} m it must be at most {MAX_SIDE * resolution:g} m, "
-            f"{MAX_SIDE} cells; up to {_COARSEST} m per cell are allowed (resolution)"
+            f"{name} is {side_m} m; with cells of {resolution:g} m it could be at most {most_m:g} m, {MAX_SIDE} cells, "
+            f"but it must be at least {least_m:g} m: use larger cells, of up to {_COARSEST} m (resolution)"
+        )
+    if not least_m <= side_m <= most_m:
+        raise MapError(
+            f"{name} is {side_m} m; with cells of {resolution:g} m it must be at least {least_m:g} m and "
+            f"at most {most_m:g} m, {MAX_SIDE} cells"
         )
     return round(side_m / resolution)
 

@@ -145,7 +145,7 @@ EXPLORE = {
     "--map offise": "unknown map 'offise'; did you mean office? There are: unstructured, mixed, office,",
     "--map room.bmp": "unknown map 'room.bmp'; there are: unstructured, mixed, office,",
     "--map full": "map = 'full': is a directory; give the YAML file of a map in it",
-    "--map em --resolution 0.0001": "width_m is 21.0 m; with cells of 0.0001 m it must be at most 0.2048 m",
+    "--map em --resolution 0.0001": "width_m is 21.0 m; with cells of 0.0001 m it could be at most 0.2048 m",
     "--set polygons=3": "polygons = 3: must be a table",
     "--set map_options=3": "map_options = 3: must be a table",
     "--strategy own:": "strategy 'own:': must be package.module:Class",
