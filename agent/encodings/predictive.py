@@ -93,12 +93,13 @@ class PredictiveEncoding(GridEncoding):
         assert isinstance(stream, TileStream)
         settled = 1 if settings.laser is None else SETTLED
         patience = self._options.patience
-        bound = Bound(settings.encoding.tolerance, settled, closes_gaps=patience == 1)
+        tolerance = settings.encoding.tolerance
         if isinstance(stream, BlockTileStream):
-            opening = max(
-                narrowest_opening(each.radius_cells, settings.resolution) for each in settings.bodies
-            )
-            bound = BlockBound(bound.tolerance, settled, opening=opening)
+            radii = {body.radius_cells for body in settings.bodies}
+            openings = {narrowest_opening(radius, settings.resolution) for radius in radii}
+            bound: Bound = BlockBound(tolerance, settled, openings=tuple(sorted(openings)))
+        else:
+            bound = Bound(tolerance, settled, closes_gaps=patience == 1)
         if settings.medium.bandwidth.limit is not None and patience == 1:
             return (NarrowTileAuthor if self._limits.is_narrow else UrgentTileAuthor)(stream, bound)
         return TileAuthor(stream, bound, patience)

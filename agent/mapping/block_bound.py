@@ -38,8 +38,8 @@ class BlockBound(Bound):
     """The error that a copy at half resolution may have: conditions 4 and 5 are weaker; `tolerance` is at least 1."""
 
     blocks: bool = field(default=True, init=False)
-    opening: int = 2
-    """Width in cells of the narrowest passage that must stay open."""
+    openings: tuple[int, ...] = (2,)
+    """Widths in cells of the narrowest passages that must stay open, one for each radius of the team's robots."""
 
     def apply_blocks(
         self,
@@ -59,16 +59,18 @@ class BlockBound(Bound):
         exact[:] = 0
         if not self.apply(own, log_odds, held, tiles, target, changed):
             return 0
-        violating, corrected = changed.copy(), np.empty_like(changed)
+        violating, fails = changed.copy(), np.empty_like(changed)
         proposed = np.empty_like(held)
         while True:
             np.bitwise_and(held, 3, out=proposed)
             _propose(own, log_odds, self.settled, held, violating & (1 - exact), proposed)
-            self.apply(own, log_odds, proposed, tiles, target, corrected)
-            failed = violating & (1 - exact) & (corrected | _closing(own, target, violating, self.opening))
-            if not failed.any():
+            self.apply(own, log_odds, proposed, tiles, target, fails)
+            for opening in self.openings:
+                fails |= _closing(own, target, violating, opening)
+            fails &= violating & (1 - exact)
+            if not fails.any():
                 break
-            exact |= failed
+            exact |= fails
         _compare(held, target, tiles, changed)
         exact &= changed
         return int(np.count_nonzero(changed))
