@@ -1,7 +1,7 @@
 """Updates of the predictive encoding, reassembled from the packets of one log.
 
-An update has one or more packets; the last one has the update's number. An update without content withdraws the last
-one that has not been withdrawn.
+An update consists of one or more packets. The last of them holds the number of the update. An update without content
+withdraws the one before it; further ones withdraw earlier updates, one each.
 """
 
 from __future__ import annotations

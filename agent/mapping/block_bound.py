@@ -1,4 +1,4 @@
-"""Copies at half resolution within the bound: they take about 0.65 of the bytes.
+"""Copies at half resolution within the bound: they take fewer bytes.
 
 In a changed tile, each block of 2 by 2 cells has one state (`agent.mapping.blocks`). Noise moves walls by a cell, which
 changes few blocks. A block becomes

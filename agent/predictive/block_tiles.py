@@ -9,7 +9,6 @@ cells, in a grid of blocks.
 
 from __future__ import annotations
 
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +18,7 @@ from agent.mapping.bound import TILE
 from agent.predictive import tiles
 from agent.predictive.coder import DECODES, FAILED
 from agent.predictive.mixer import MixingCoder, Model, code_mixed, new_model
-from agent.predictive.model_table import unpacked
+from agent.predictive.model_table import shipped_model
 from agent.predictive.scan_updates import STATE
 from agent.predictive.tiles import (
     CELL_CONTEXTS,
@@ -56,14 +55,7 @@ TABLE = Path(__file__).with_name("block_tile_start.npz")
 
 def start_model() -> Model:
     """Return a copy of the initial model of every log."""
-    chances, ages, weights = _table()
-    return chances.copy(), ages.copy(), weights.copy()
-
-
-@cache
-def _table() -> Model:
-    with np.load(TABLE) as file:
-        return unpacked(file, CONTEXTS, SETS)
+    return shipped_model(TABLE, CONTEXTS, SETS)
 
 
 def untrained_model() -> Model:

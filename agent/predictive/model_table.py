@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -34,3 +36,15 @@ def unpacked(table: Mapping[str, NDArray[Any]], contexts: int, sets: int) -> Mod
     ages.reshape(-1)[table["places"]] = table["ages"]
     weights[:] = table["weights"]
     return chances, ages, weights
+
+
+def shipped_model(file: Path, contexts: int, sets: int) -> Model:
+    """Return a copy of the model in the table of a file, with this many contexts per input and sets of weights."""
+    chances, ages, weights = _loaded(file, contexts, sets)
+    return chances.copy(), ages.copy(), weights.copy()
+
+
+@cache
+def _loaded(file: Path, contexts: int, sets: int) -> Model:
+    with np.load(file) as table:
+        return unpacked(table, contexts, sets)

@@ -10,7 +10,6 @@ A cell of the grid is a byte: its state in the low two bits, and flags of the ca
 
 from __future__ import annotations
 
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +17,7 @@ import numpy as np
 from agent.mapping.bound import TILE
 from agent.predictive.coder import DECODES, FAILED
 from agent.predictive.mixer import INPUTS, MixingCoder, Model, code_mixed
-from agent.predictive.model_table import unpacked
+from agent.predictive.model_table import shipped_model
 from agent.predictive.scan_updates import STATE
 from protocol.arrays import Cells, Int64s
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
@@ -52,14 +51,7 @@ TABLE = Path(__file__).with_name("tile_start.npz")
 
 def start_model() -> Model:
     """Return a copy of the initial model of every log."""
-    chances, ages, weights = _table()
-    return chances.copy(), ages.copy(), weights.copy()
-
-
-@cache
-def _table() -> Model:
-    with np.load(TABLE) as file:
-        return unpacked(file, CONTEXTS, SETS)
+    return shipped_model(TABLE, CONTEXTS, SETS)
 
 
 @kernel

@@ -9,13 +9,12 @@ A cell of the grid is a byte: its state in the low two bits, and flags of the ca
 
 from __future__ import annotations
 
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 
 from agent.predictive.mixer import MixingCoder, Model, code_mixed, new_model
-from agent.predictive.model_table import unpacked
+from agent.predictive.model_table import shipped_model
 from protocol.grid import FREE, OCCUPIED, Grid
 from protocol.kernels import kernel
 
@@ -42,14 +41,7 @@ def no_model() -> Model:
 
 def start_model() -> Model:
     """Return a copy of the initial model of every log."""
-    chances, ages, weights = _table()
-    return chances.copy(), ages.copy(), weights.copy()
-
-
-@cache
-def _table() -> Model:
-    with np.load(TABLE) as file:
-        return unpacked(file, CONTEXTS, 1)
+    return shipped_model(TABLE, CONTEXTS, 1)
 
 
 @kernel

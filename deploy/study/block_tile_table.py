@@ -2,8 +2,8 @@
 
 ``python -m deploy.study.block_tile_table FILE.npz`` writes it to a file.
 
-The explorations are those of `deploy.study.tile_table`. Exact tiles are rare, so the model begins with what that
-one has learned of cells. The result is shipped as `agent.predictive.block_tiles.TABLE`.
+The explorations are those of `deploy.study.tile_table`. Exact tiles are rare, so training begins with that table's
+model of cells. The result is shipped as `agent.predictive.block_tiles.TABLE`.
 """
 
 from __future__ import annotations

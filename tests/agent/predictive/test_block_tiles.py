@@ -11,8 +11,8 @@ from agent.predictive import tiles
 from agent.predictive.block_tiles import CONTEXTS, SETS, code_block_tiles, start_model, untrained_model
 from agent.predictive.coder import check_end, reader, writer, written
 from agent.predictive.mixer import MixingCoder, Model, mixing_coder, new_model
-from protocol.errors import ProtocolError
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
+from tests.agent.predictive.junk import count_refused
 
 HEIGHT, WIDTH = 37, 51
 FLAG = 4
@@ -85,14 +85,7 @@ def test_receivers_read_what_authors_write(seed: int, share: float) -> None:
 
 
 def test_malformed_messages_are_refused_or_decoded_without_leaving_the_grid() -> None:
-    random = np.random.default_rng(1)
-    refused = 0
-    for size in random.integers(0, 60, 300).tolist():
-        try:
-            Log().decode(random.bytes(size))
-        except ProtocolError:
-            refused += 1
-    assert refused > 250
+    assert count_refused(lambda message: Log().decode(message)) > 250
 
 
 def drawn_room() -> Grid:
