@@ -67,7 +67,8 @@ class Robot:
         self._noisy_grid = None
         if settings.laser is not None:
             shortest = shortest_frontier(settings.bodies)
-            self._noisy_grid = NoisyGrid(settings.height, settings.width, narrow, shortest)
+            radius = settings.body.radius_cells
+            self._noisy_grid = NoisyGrid(settings.height, settings.width, narrow, shortest, radius)
         self._encoding = make_encoding(settings)
         self._encoding.use_log_odds(self._mapper.log_odds)
         self._team = TeamState(settings)
@@ -230,7 +231,7 @@ class Robot:
         self._noisy_grid.drive(sense.x, sense.y)
         if sense.blocked == WALL:
             self._noisy_grid.bump(*cell_ahead(sense, self.settings.body.radius_cells))
-        return self._noisy_grid.clean(self.planning)
+        return self._noisy_grid.explorable(self.planning, self.own)
 
     def avoid(self, target: Cell, steps: int) -> None:
         """Avoid a target that the robot could not reach for some steps; with exact lasers, this has no effect."""

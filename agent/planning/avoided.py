@@ -55,10 +55,14 @@ class AvoidedTargets:
         place.times += 1
 
     def draw(self, grid: Grid, here: Cell) -> None:
-        """Draw the avoided places on a grid, shape (h, w), in which the robot stands at `here`; a step passes."""
+        """Draw the avoided places on a grid, shape (h, w), in which the robot stands at `here`."""
         for place in self._places:
             if place.left > 0 or place.times >= MOST_TIMES:
                 self._draw(grid, place.cell, here)
+
+    def pass_step(self) -> None:
+        """Count a step of the time for which places are avoided."""
+        for place in self._places:
             place.left -= place.left > 0
 
     def _draw(self, grid: Grid, target: Cell, here: Cell) -> None:

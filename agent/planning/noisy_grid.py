@@ -7,8 +7,9 @@ ones counts as a wall if it does not lie in a square of as many cells without wa
 of a single cell count as walls, too, and those beside one that a few beams of a coarse laser can make.
 
 False walls can enclose a robot, which would then report that it has nothing left to explore. So the cells that it has
-driven over count as free, unless it bumped into something there later. Targets that a robot could not reach are drawn
-last (`agent.planning.avoided`).
+driven over count as free, unless it bumped into something there later. Poses have errors, so walls of teammates' maps
+may lie where the robot stands. If it reaches no frontier, the cells around it count as free that it has seen free
+itself. Targets that a robot could not reach are drawn last (`agent.planning.avoided`).
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 
 from agent.planning.avoided import AvoidedTargets
 from agent.planning.frontier import frontier_cells
+from agent.planning.path_planner import PathPlanner
 from protocol.arrays import Cells
 from protocol.body import Body
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
@@ -36,6 +38,8 @@ _UNKNOWN_SQUARE, _OPEN_SQUARE = 1, 2
 _NO_STATE = 255
 """Differs from all states of cells."""
 
+_NO_CELLS: Cells = np.empty((0, 2), np.int32)
+
 FEW_BEAMS = 3
 """Neighboring beams that may end behind a wall by errors; at the end of the range, they are some cells apart."""
 
@@ -47,13 +51,15 @@ class NoisyGrid:
     """The planning grid of one robot as its strategy sees it; all grids are uint8 arrays of shape (h, w).
 
     `narrow` is the width of the narrowest opening (`protocol.body.narrowest_opening`), `shortest` the number of cells
-    of the shortest frontier (`shortest_frontier`).
+    of the shortest frontier (`shortest_frontier`), `radius_cells` the radius of the robot.
     """
 
-    def __init__(self, height: int, width: int, narrow: int, shortest: int = 1) -> None:
+    def __init__(
+        self, height: int, width: int, narrow: int, shortest: int = 1, radius_cells: float = 0.0
+    ) -> None:
         self.avoided = AvoidedTargets(2 * narrow, narrow / 2)
         """Targets that the robot could not reach."""
-        self._narrow, self._shortest = narrow, shortest
+        self._narrow, self._shortest, self._radius = narrow, shortest, radius_cells
         self._trail = np.zeros((height, width), np.bool_)
         """The cells that the robot has driven over."""
         self._marks: Grid = np.zeros((height, width), np.uint8)
@@ -80,13 +86,24 @@ class NoisyGrid:
         if (x, y) != self._here and 0 <= y < len(self._trail) and 0 <= x < self._trail.shape[1]:
             self._trail[y, x] = False
 
+    def explorable(self, planning: Grid, own: Grid) -> Grid:
+        """Return the grid on which the strategy decides in this step; `own` is the self-explored grid.
+
+        It is the cleaned planning grid. Walls of teammates' maps around the robot are free in it if `own` has these
+        cells as free, the robot reaches no frontier otherwise, and it reaches one then.
+        """
+        found = self.clean(planning)
+        doubtful = self._doubtful_walls(planning, own)
+        if doubtful.any() and not self._reaches_frontier(found):
+            opened = self._without_avoided(self.clean_optimistic(planning, doubtful))
+            found = opened if self._reaches_frontier(opened) else found
+        self.avoided.pass_step()
+        return found
+
     def clean(self, planning: Grid) -> Grid:
         """Return a copy of a planning grid without misleading details."""
         self._update(planning)
-        found = self._without_specks(self._wide.copy())
-        if self._here is not None:
-            self.avoided.draw(found, self._here)
-        return found
+        return self._without_avoided(self._without_specks(self._wide.copy()))
 
     def clean_optimistic(self, planning: Grid, doubtful: NDArray[np.bool_]) -> Grid:
         """Return the same as if all doubtful walls, shape (h, w), were free; no target is avoided."""
@@ -113,6 +130,28 @@ class NoisyGrid:
         if self._shortest > 1:
             _close_specks(grid, frontier_cells(grid, grid == FREE), self._shortest, self._marks)
         return grid
+
+    def _without_avoided(self, grid: Grid) -> Grid:
+        """Draw the avoided targets; return the grid itself."""
+        if self._here is not None:
+            self.avoided.draw(grid, self._here)
+        return grid
+
+    def _doubtful_walls(self, planning: Grid, own: Grid) -> NDArray[np.bool_]:
+        """Return the walls of teammates' maps near the robot that its own map has as free, shape (h, w)."""
+        doubtful = np.zeros(planning.shape, np.bool_)
+        if self._here is not None:
+            rows, columns = (
+                slice(max(0, at - self._narrow), at + self._narrow + 1) for at in self._here[::-1]
+            )
+            near, seen = planning[rows, columns], own[rows, columns]
+            doubtful[rows, columns] = (near == OCCUPIED) & (seen == FREE)
+        return doubtful
+
+    def _reaches_frontier(self, grid: Grid) -> bool:
+        """Return whether the robot reaches a frontier cell on a cleaned grid."""
+        planner = PathPlanner(grid, radius_cells=self._radius)
+        return self._here is not None and planner.first_frontier(*self._here, _NO_CELLS, 0.0) is not None
 
 
 def shortest_frontier(bodies: Iterable[Body]) -> int:

@@ -123,7 +123,7 @@ class Team:
         """Explore until the first robot is done, for at most `steps` steps."""
         while self.step < steps and not any(move.explored for move in self.moves.values()):
             senses = self.world.advance(self.moves)
-            self._play(senses, self.world.cells)
+            self.play(senses, self.world.cells)
 
     def stand(self, cells: Mapping[int, Cell]) -> None:
         """Play one step with the robots in these cells."""
@@ -142,14 +142,15 @@ class Team:
             )
             for robot, (x, y) in cells.items()
         }
-        self._play(senses, cells)
+        self.play(senses, cells)
 
     def kill(self, robot: int) -> None:
         """Let a robot's process end."""
         self.world.remove(robot)
         self._network.radio.lost(robot)
 
-    def _play(self, senses: Mapping[int, Sense], cells: Mapping[int, Cell]) -> None:
+    def play(self, senses: Mapping[int, Sense], cells: Mapping[int, Cell]) -> None:
+        """Play one step with these readings of the robots, which stand in these cells."""
         self.step += 1
         for robot, sense in senses.items():
             self.members[robot].perceive(sense)

@@ -24,6 +24,7 @@ def steps_avoided(avoided: AvoidedTargets, most: int = 100) -> int:
     for step in range(most):
         grid = half_known()
         avoided.draw(grid, AWAY)
+        avoided.pass_step()
         if list(TARGET) in frontier_cells(grid, grid == FREE).tolist():
             return step
     return most

@@ -1,4 +1,4 @@
-"""Planning grids of noisy lasers: narrow gaps are no frontiers, and a robot is never enclosed on its own way."""
+"""Planning grids of noisy lasers: narrow gaps are no frontiers, and false walls do not enclose a robot."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from agent.planning.noisy_grid import LONGEST_SPECK, NoisyGrid, shortest_frontier
+from agent.planning.path_planner import PathPlanner
 from protocol.body import Body
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.range_scans import TURN, Laser
@@ -116,3 +117,56 @@ def test_the_optimistic_grid_shows_what_doubtful_walls_may_hide() -> None:
         optimistic = noisy.clean_optimistic(grid, doubtful)
         assert bool((optimistic[11, 6 : 6 + width] == FREE).all()) == is_frontier
     assert (grid[11] == OCCUPIED).all()
+
+
+HERE = 8, 5
+
+
+def beside_a_wall() -> tuple[Grid, Grid]:
+    """Return a planning grid and a self-explored grid, in which the robot stands beside a wall at `HERE`.
+
+    Its own map has the wall in column 7, and a frontier in column 19. A copy has the wall in columns 8 and 9.
+    """
+    own = np.full((11, 30), UNKNOWN, np.uint8)
+    own[:, 7], own[:, 8:20] = OCCUPIED, FREE
+    planning = own.copy()
+    planning[:, 8:10] = OCCUPIED
+    return planning, own
+
+
+def frontier_after(noisy: NoisyGrid, planning: Grid, own: Grid) -> list[list[int]]:
+    """Let the robot stand at `HERE`; return the frontier cells that it reaches."""
+    noisy.drive(*HERE)
+    return PathPlanner(noisy.explorable(planning, own)).frontier(*HERE).tolist()
+
+
+def test_walls_of_copies_do_not_enclose_a_robot_where_it_has_seen_free_cells() -> None:
+    planning, own = beside_a_wall()
+    assert frontier_after(NoisyGrid(11, 30, 3), planning, own) == [[19, row] for row in range(11)]
+
+
+@pytest.mark.parametrize("state", [OCCUPIED, UNKNOWN])
+def test_walls_of_copies_enclose_a_robot_that_has_not_seen_these_cells_free(state: int) -> None:
+    planning, own = beside_a_wall()
+    own[:, 9] = state
+    assert frontier_after(NoisyGrid(11, 30, 3), planning, own) == []
+
+
+def test_walls_of_copies_count_that_are_farther_away_than_the_width_of_an_opening() -> None:
+    planning, own = beside_a_wall()
+    planning[:, 8:11], planning[:, 11:13] = FREE, OCCUPIED
+    assert frontier_after(NoisyGrid(11, 30, 4), planning, own) == [[19, row] for row in range(11)]
+    assert frontier_after(NoisyGrid(11, 30, 3), planning, own) == []
+
+
+def test_walls_of_copies_count_as_long_as_the_robot_reaches_a_frontier() -> None:
+    planning, own = beside_a_wall()
+    own[4:7, 7] = planning[4:7, 7] = UNKNOWN
+    assert frontier_after(NoisyGrid(11, 30, 3), planning, own) == [list(HERE)]
+
+
+def test_avoided_targets_are_no_reason_to_doubt_walls_of_copies() -> None:
+    planning, own = beside_a_wall()
+    noisy = NoisyGrid(11, 30, 3)
+    noisy.avoided.add((19, 5), 2)
+    assert [len(frontier_after(noisy, planning, own)) for _ in range(3)] == [0, 0, 11]
