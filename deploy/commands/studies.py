@@ -299,18 +299,14 @@ def size_radios(
     common: dict[str, Any],
     style: Any,
 ) -> NoReturn:
-    """Find the smallest team for each radio, print the table, and end the command.
+    """Find the smallest team for each radio, print the table, and end the command."""
+    from deploy.commands import terminal  # noqa: PLC0415
+    from deploy.study import radio_sizing  # noqa: PLC0415
 
-    Progress begins before the libraries are loaded.
-    """
-    with counting(errors, "size", announce=True) as report, stopping(common["out"]):
-        from deploy.study import radio_sizing  # noqa: PLC0415
-
-        settings |= other_settings(texts, radio_sizing.size_radios, "radius=0.2", settings)
+    settings |= other_settings(texts, radio_sizing.size_radios, "radius=0.2", settings)
+    with stopping(common["out"]), counting(errors, "size") as report:
         done = radio_sizing.size_radios(map_, radios, progress=report, **common, **settings)
     report_failures(done.failures)
-    from deploy.commands import terminal  # noqa: PLC0415
-
     print_table(terminal.table(done.lines))
     for sentence in done.sentences:
         screen.print(sentence)

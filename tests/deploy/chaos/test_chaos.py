@@ -37,6 +37,10 @@ def test_a_case_follows_from_its_seed() -> None:
     assert any(each.byzantine for each in drawn)
     assert any(each.false_map for each in drawn)
     assert not any(each.false_map and each.scenario.map_encoding == "polygons" for each in drawn)
+    tolerant = [each for each in drawn if each.scenario.tolerance]
+    assert {each.scenario.map_encoding for each in tolerant} == {"predictive"}
+    assert any(each.scenario.bandwidth in NARROW_BANDWIDTHS for each in tolerant)
+    assert not any(each.false_map for each in tolerant)
     assert any(each.scenario.change for each in drawn)
     assert any(each.scenario.bandwidth in NARROW_BANDWIDTHS for each in drawn)
     assert any(each.heavy for each in drawn)
