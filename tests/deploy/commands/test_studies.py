@@ -92,6 +92,9 @@ def test_the_command_prints_the_table_and_writes_runs_means_and_pictures(tmp_pat
         (["--formats", "jpg"], "formats = 'jpg': must be some of pdf, svg, csv, tex"),
         (["--font", "Nope"], "font = 'Nope': is not installed; use serif, sans-serif, monospace"),
         (["--figure-width", "300"], "figure_width = 300: must be from 4 to 100"),
+        (["--plot", "a.png"], "plot = a.png: "),
+        (["--out", "a.parquet", "--table", "./a.parquet"], "table = a.parquet: is also the file of --out"),
+        (["--seeds", "2", "--set", "seed=[7]"], "--seeds and --set seed: give only one of them"),
         (["--plot", "a.gif"], "plot = a.gif: must end in .png or .pdf or .svg"),
     ],
 )
