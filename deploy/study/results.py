@@ -168,7 +168,9 @@ def read(file: Path) -> pl.DataFrame:
         try:
             frame = pl.read_parquet(file)
         except (pl.exceptions.PolarsError, pl.exceptions.PanicException):
-            raise ValueError(f"{file}: is damaged, or not a Parquet file; remove it, or name another") from None
+            raise ValueError(
+                f"{file}: is damaged, or not a Parquet file; remove it, or name another"
+            ) from None
     if not set(IDENTITY) <= set(frame.columns):
         raise ValueError(f"{file}: is not a table of runs; name a new file")
     return frame
