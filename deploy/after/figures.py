@@ -31,6 +31,8 @@ MOST_ROBOTS = 8
 MOST_CURVES = 10
 """Maximum number of robots with a curve each."""
 MOMENTS = 6
+LEAST_ROW = 0.75
+"""Inches of a row in the picture of maps over time at least: as high as the label beside it."""
 COMPARED = ("#20242a", "#d9730d", "#1f77b4", "#2ca02c")
 """Colors of compared runs."""
 RED = "#d62728"
@@ -58,7 +60,7 @@ def maps_over_time(archive: Archive) -> Figure:
     moments = _moments(archive.last_step)
     shape = archive.plan.map.height / archive.plan.map.width
     wide = max(1.45, 11 / len(robots)) if len(robots) > 3 else 3.2
-    size = wide * len(robots) + 0.4, (wide * shape + 0.1) * len(moments) + 0.7
+    size = wide * len(robots) + 0.4, (max(wide * shape, LEAST_ROW) + 0.1) * len(moments) + 0.7
     figure = Figure(figsize=size, layout="constrained")
     axes = np.atleast_2d(figure.subplots(len(moments), len(robots), squeeze=False))
     for row, step in enumerate(moments):
