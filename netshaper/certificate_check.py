@@ -36,7 +36,7 @@ def check(folder: Path, certificates: Mapping[str, Certificate], address: str) -
             raise ValueError(f"keys {path}: is not of the authority in {AUTHORITY}; {ANEW}") from None
         owner = certificate.subject.rfc4514_string().removeprefix("CN=")
         if owner != name:
-            raise ValueError(f"keys {path}: is the certificate of {owner or 'nobody'}; {ANEW}")
+            raise ValueError(f"keys {path}: is the certificate of {owner or 'no participant'}; {ANEW}")
         _check_dates(path, certificate)
         _check_key(folder / f"{name}.key", files.key, certificate)
     _check_address(folder / f"{names.RELAY}.pem", certificates[names.RELAY], address)
