@@ -55,7 +55,7 @@ def make(
     ValueError
         An address is neither an IP address nor a host name.
     """
-    known_as = x509.SubjectAlternativeName([_host(address) for address in addresses])
+    known_as = x509.SubjectAlternativeName([host_name(address) for address in addresses])
     signer = ec.generate_private_key(ec.SECP256R1())
     now = datetime.datetime.now(datetime.UTC)
 
@@ -160,7 +160,8 @@ def read(folder: Path, robots: int) -> dict[str, Certificate]:
     return {name: of(name) for name in (names.RELAY, *at_hub)} | routers
 
 
-def _host(address: str) -> x509.GeneralName:
+def host_name(address: str) -> x509.GeneralName:
+    """Return a host's name or IP address as certificates contain it; ValueError if it is neither."""
     try:
         return x509.IPAddress(ip_address(address.strip("[]")))
     except ValueError:

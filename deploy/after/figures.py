@@ -16,7 +16,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from deploy.after.archive import Archive
 from deploy.dashboard.shapes import outline_strips
@@ -31,12 +31,14 @@ MOST_ROBOTS = 8
 MOST_CURVES = 10
 """Maximum number of robots with a curve each."""
 MOMENTS = 6
+LEAST_ROW = 0.75
+"""Inches of a row in the picture of maps over time at least: as high as the label beside it."""
 COMPARED = ("#20242a", "#d9730d", "#1f77b4", "#2ca02c")
 """Colors of compared runs."""
 RED = "#d62728"
 
-Curves = dict[int, tuple[NDArray[Any], NDArray[Any]]]
-"""By robot: steps, and the values at them."""
+Curves = dict[int, NDArray[np.float64]]
+"""By robot: a value per step, from step 1; NaN where the robot has none."""
 
 
 def write_figures(archive: Archive, folder: Path) -> list[Path]:
@@ -58,7 +60,7 @@ def maps_over_time(archive: Archive) -> Figure:
     moments = _moments(archive.last_step)
     shape = archive.plan.map.height / archive.plan.map.width
     wide = max(1.45, 11 / len(robots)) if len(robots) > 3 else 3.2
-    size = wide * len(robots) + 0.4, (wide * shape + 0.1) * len(moments) + 0.7
+    size = wide * len(robots) + 0.4, (max(wide * shape, LEAST_ROW) + 0.1) * len(moments) + 0.7
     figure = Figure(figsize=size, layout="constrained")
     axes = np.atleast_2d(figure.subplots(len(moments), len(robots), squeeze=False))
     for row, step in enumerate(moments):
@@ -167,7 +169,7 @@ def draw_explored(panel: Axes, archive: Archive) -> None:
         changed = archive.maps.steps(robot)
         grids = [archive.maps.planning(robot, step) for step in changed]
         known = [100 * float((grid[reachable] == FREE).mean()) for grid in grids if grid is not None]
-        curves[robot] = np.array(changed), np.array(known)
+        curves[robot] = _per_lived_step(archive, robot, changed, known)
     _draw_curves(panel, curves, "on the map of")
     panel.set(title="Explored", ylabel="% of reachable area")
 
@@ -211,30 +213,46 @@ def _draw_waiting(panel: Axes, archive: Archive) -> Axes:
     panel.set(title="Queued", ylabel="bytes per step")
     packets = panel.twinx()
     rows = {robot: archive.of_robot(robot) for robot in range(archive.plan.scenario.robots)}
-    _draw_curves(packets, {robot: (own["step"], own["backlog"]) for robot, own in rows.items()}, "packets of")
+    backlogs = {
+        robot: _per_lived_step(archive, robot, own["step"], own["backlog"]) for robot, own in rows.items()
+    }
+    _draw_curves(packets, backlogs, "packets of")
     packets.set_ylabel("undelivered packets")
     return packets
 
 
 def _draw_curves(panel: Axes, curves: Curves, label: str) -> None:
     """Draw a curve per robot, or the distribution over many robots."""
+    table = np.stack(list(curves.values()))
+    every = np.arange(1, table.shape[1] + 1)
     if len(curves) <= MOST_CURVES:
-        for robot, (steps, values) in curves.items():
-            panel.plot(steps, values, color=robot_color(robot), linewidth=1.0, label=f"{label} robot {robot}")
+        for robot, values in curves.items():
+            panel.plot(every, values, color=robot_color(robot), linewidth=1.0, label=f"{label} robot {robot}")
         return
-    every = np.unique(np.concatenate([steps for steps, _ in curves.values()]))
-    table = np.full((len(curves), len(every)), np.nan)
-    for row, (steps, values) in zip(table, curves.values(), strict=True):
-        if len(steps):
-            row[:] = values[np.searchsorted(steps, every, "right").clip(1) - 1]
-            row[(every < steps[0]) | (every > steps[-1])] = np.nan
-    with np.errstate(all="ignore"):
-        low, lower, middle, upper, high = np.nanpercentile(table, [0, 25, 50, 75, 100], axis=0)
+    known = np.isfinite(table).any(axis=0)
+    shares = np.full((5, len(every)), np.nan)
+    shares[:, known] = np.nanpercentile(table[:, known], [0, 25, 50, 75, 100], axis=0)
+    low, lower, middle, upper, high = shares
     color = robot_color(1)
     every_robot = f"{label} all {len(curves)} robots"
     panel.fill_between(every, low, high, color=color, alpha=0.13, linewidth=0, label=every_robot)
     panel.fill_between(every, lower, upper, color=color, alpha=0.3, linewidth=0, label="middle half")
     panel.plot(every, middle, color=color, linewidth=1.4, label="median")
+
+
+def _per_lived_step(archive: Archive, robot: int, steps: ArrayLike, values: ArrayLike) -> NDArray[np.float64]:
+    """A robot's values at some steps, interpolated over each of its lives; NaN while it was dead.
+
+    After the last value of a life, the curve continues with it; before the first, there is none.
+    """
+    at, known = np.asarray(steps), np.asarray(values, np.float64)
+    lived = archive.of_robot(robot)["step"]
+    curve = np.full(archive.last_step + 1, np.nan)
+    for life in np.split(lived, np.flatnonzero(np.diff(lived) > 1) + 1):
+        within = np.isin(at, life)
+        if within.any():
+            curve[life] = np.interp(life, at[within], known[within], left=np.nan)
+    return curve[1:]
 
 
 def _per_step(ledger: dict[str, NDArray[Any]], rows: NDArray[np.bool_], last: int) -> NDArray[np.float64]:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import importlib.util
+import os
 import shlex
 import subprocess
 import tempfile
@@ -50,8 +52,8 @@ def write_movie(
     `suffix` is `MP4` or `GIF`. By default, `out` is ``movie.mp4`` in the first directory, with the names of the other
     directories. `progress` is called with the number of frames written, and that of all frames.
 
-    Raises MovieError if the package that writes films is not installed, or it fails; ScenarioError if a directory is
-    not a run directory.
+    Raises MovieError if the package that writes films is not installed, or it fails; OSError if the disk is full;
+    ScenarioError if a directory is not a run directory.
     """
     if importlib.util.find_spec("imageio_ffmpeg") is None:
         raise MovieError("films need the package imageio-ffmpeg: pip install 'murmur-robots[film]'")
@@ -114,8 +116,11 @@ def _encode(
                 process.wait()
             if failed:
                 output.seek(0)
-                last = output.read().decode(errors="replace").strip().splitlines()[-1:]
-                raise MovieError(f"{path}: ffmpeg failed: {''.join(last) or 'no output'}")
+                lines = output.read().decode(errors="replace").strip().splitlines() or ["no output"]
+                full = os.strerror(errno.ENOSPC)
+                if any(line.endswith(full) for line in lines):
+                    raise OSError(errno.ENOSPC, full, str(path))
+                raise MovieError(f"{path}: ffmpeg failed: {lines[-1]}")
         beside.replace(path)
     finally:
         beside.unlink(missing_ok=True)

@@ -18,7 +18,7 @@ KINDS = {
     "em": "a new object",
     "chg": "which object the next corners belong to",
     "rm": "an object removed",
-    "conn": "handshake of a connection",
+    "conn": "replication control: an offer, an answer, a log offset or digest, or a meeting",
     "targ": "a robot's target",
     "save": "end of an update",
     "scan": "part of a raw laser scan",

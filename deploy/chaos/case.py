@@ -19,6 +19,7 @@ import numpy as np
 from deploy.chaos.cut_connections import Cut
 from deploy.chaos.false_maps import LIES
 from deploy.scenario.scenario import Scenario, parse
+from deploy.scenario.tables import MAX_TOLERANCE
 from protocol.keyed_random import keyed_random
 
 CALM = 120
@@ -100,9 +101,13 @@ def case(seed: int) -> ChaosCase:
     if map_encoding == "predictive" and settings["dissemination"] == "gossip" and narrow.random() < 0.5:
         settings["bandwidth"] = int(narrow.choice(NARROW_BANDWIDTHS))
     settings["digests"] = bool(byzantine or flipped)
+    tolerant = keyed_random(seed, "tolerance")
+    if map_encoding == "predictive" and tolerant.random() < 0.5:
+        settings["tolerance"] = int(tolerant.integers(1, MAX_TOLERANCE + 1))
     lies = keyed_random(seed, "false map")
     false_map = (int(lies.integers(robots)), str(lies.choice(list(LIES))))
-    can_lie = robots > 2 and not byzantine and map_encoding != "polygons" and lies.random() < 0.3
+    is_exact = map_encoding != "polygons" and "tolerance" not in settings
+    can_lie = robots > 2 and not byzantine and is_exact and lies.random() < 0.3
     cuts, heavy = _connections(seed, robots)
     scenario = parse(settings)
     return ChaosCase(seed, scenario, byzantine, flipped, false_map if can_lie else None, heavy, cuts)

@@ -82,14 +82,12 @@ def sweep(
 
     if style.formats and not (plot or table):
         raise ValueError("formats: needs --plot FILE or --table FILE, the names of the files")
-    settings = named_values(set_ or [], "set", "seed=[0,1]")
-    if seeds is not None and test_seeds is not None:
-        raise ValueError("seeds and test_seeds: give only one of them")
-    if seeds is not None:
-        settings["seed"] = list(range(seeds))
-    if test_seeds is not None:
-        settings["seed"] = first_test_seeds(test_seeds)
+    if out is not None and table is not None and out.resolve() == table.resolve():
+        raise ValueError(f"table = {table}: is also the file of --out; name another file")
+    settings = _sweep_settings(set_ or [], seeds, test_seeds)
     read = experiments.read(experiment)
+    if plot is not None and not read.plots:
+        raise ValueError(f"plot = {plot}: {experiment} has no table [[plot]]; add one, or omit --plot")
     read = experiments.quickened(read) if quick else read
     read = experiments.override(experiments.choose(read, variant or []), settings)
     with Results(out) as results:
@@ -107,6 +105,24 @@ def sweep(
             file = plot.with_stem(f"{plot.stem}-{number + 1}") if number else plot
             style.save(done.plot(number, style), file)
         end_study(done.failures)
+
+
+def _sweep_settings(texts: list[str], seeds: int | None, test_seeds: int | None) -> dict[str, Any]:
+    """The settings of --set, --seeds, and --test-seeds; ValueError if several of them give seeds."""
+    settings = named_values(texts, "set", "seed=[0,1]")
+    given = {
+        "--seeds": seeds is not None,
+        "--test-seeds": test_seeds is not None,
+        "--set seed": "seed" in settings,
+    }
+    if sum(given.values()) > 1:
+        several = " and ".join(flag for flag, is_given in given.items() if is_given)
+        raise ValueError(f"{several}: give only one of them")
+    if seeds is not None:
+        settings["seed"] = list(range(seeds))
+    if test_seeds is not None:
+        settings["seed"] = first_test_seeds(test_seeds)
+    return settings
 
 
 @app.command(cls=GroupedCommand)
@@ -299,18 +315,14 @@ def size_radios(
     common: dict[str, Any],
     style: Any,
 ) -> NoReturn:
-    """Find the smallest team for each radio, print the table, and end the command.
+    """Find the smallest team for each radio, print the table, and end the command."""
+    from deploy.commands import terminal  # noqa: PLC0415
+    from deploy.study import radio_sizing  # noqa: PLC0415
 
-    Progress begins before the libraries are loaded.
-    """
-    with counting(errors, "size", announce=True) as report, stopping(common["out"]):
-        from deploy.study import radio_sizing  # noqa: PLC0415
-
-        settings |= other_settings(texts, radio_sizing.size_radios, "radius=0.2", settings)
+    settings |= other_settings(texts, radio_sizing.size_radios, "radius=0.2", settings)
+    with stopping(common["out"]), counting(errors, "size") as report:
         done = radio_sizing.size_radios(map_, radios, progress=report, **common, **settings)
     report_failures(done.failures)
-    from deploy.commands import terminal  # noqa: PLC0415
-
     print_table(terminal.table(done.lines))
     for sentence in done.sentences:
         screen.print(sentence)

@@ -32,9 +32,12 @@ def report_sweep(sweep: Any) -> None:
 
 @contextmanager
 def stopping(out: Path | None) -> Iterator[None]:
-    """On Ctrl-C, print how to continue."""
+    """On Ctrl-C, SIGTERM, or SIGHUP, print how to continue."""
+    from deploy.run.interrupt import signals_as_ctrl_c  # noqa: PLC0415  loads the recorder
+
     try:
-        yield
+        with signals_as_ctrl_c():
+            yield
     except KeyboardInterrupt:
         fail("stopped" + (f"; the same command continues from {out}" if out is not None else ""), 130)
 

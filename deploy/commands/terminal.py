@@ -20,8 +20,8 @@ from deploy.scenario.plan import Plan
 Watch = Callable[[Plan, Records], object]
 
 KIND_LABELS = {
-    "conn": "handshakes", "targ": "targets", "save": "ends of updates", "scan": "scans", "update": "map updates",
-    "pose": "poses", "sum": "checksums",
+    "conn": "replication control", "targ": "targets", "save": "ends of updates", "scan": "scans",
+    "update": "map updates", "pose": "poses", "sum": "checksums",
 }  # fmt: skip
 """Labels of packet kinds; edits of polygons (ins, rep, ...) keep the names of the thesis."""
 

@@ -68,11 +68,16 @@ def watch(directory: Path, window: Window) -> None:
 
     Returns when the run is over, or when the page is closed.
 
-    Raises ScenarioError if there is neither a run in progress nor a recording.
+    Raises ScenarioError if there is neither a run in progress nor a recording, or if a finished run is to be recorded.
     """
     live = read_live(directory)
     if live is None:
-        _show(recording_of(directory), window)
+        recording = recording_of(directory)
+        if window.mode == "file":
+            raise ScenarioError(
+                f"view-as = 'file': {recording} is complete; use 'native' or 'web' to view it"
+            )
+        _show(recording, window)
         return
     credential, port = live
     if port is not None:

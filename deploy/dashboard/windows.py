@@ -14,7 +14,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from deploy.dashboard.access import LOOPBACK, Access, local_network_address
 
@@ -25,6 +25,10 @@ MODES = ("auto", "native", "web", "file")
 """Types of viewer: a window, a web page, or recording only; ``auto`` is a window, or a page without a display."""
 PAGE_S = 10.0
 """Seconds in which the page must answer."""
+DISPLAY_S = 2.0
+"""Seconds in which a display must answer."""
+X11_PORT = 6000
+"""Port of display 0 of an X server; display 1 has the next one."""
 
 QUIET = {"CI": "true"}
 """Environment in which Rerun sends no statistics."""
@@ -58,7 +62,7 @@ class Window:
             raise WindowError(f"view-as = {mode!r}: must be one of {', '.join(MODES)}")
         binary()
         if mode == "native" and not has_display():
-            raise WindowError("view-as = 'native': no display; use 'web', or 'file' to record only")
+            raise WindowError("view-as = 'native': no display answers; use 'web', or 'file' to record only")
         self.mode = mode if mode != "auto" else "native" if has_display() and not share else "web"
         if share and self.mode != "web":
             raise WindowError(f"share: there is no page with view-as = {mode!r}; use --view-as web")
@@ -150,10 +154,37 @@ def binary() -> Path:
 
 
 def has_display() -> bool:
-    """Whether a window could be opened."""
+    """Whether a window could be opened: on Linux, whether the server of the display answers."""
     if sys.platform in ("win32", "darwin"):
         return True
-    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+    return _has_wayland(os.environ.get("WAYLAND_DISPLAY", "")) or _has_x11(os.environ.get("DISPLAY", ""))
+
+
+def _has_wayland(name: str) -> bool:
+    folder = Path(os.environ.get("XDG_RUNTIME_DIR", ""))
+    return bool(name) and _takes_connections(socket.AF_UNIX, str(folder / name))
+
+
+def _has_x11(name: str) -> bool:
+    """Whether the X server `name` answers, as ``:0``, ``unix:0.1``, or ``host:10``."""
+    host, _, number = name.rpartition(":")
+    number = number.partition(".")[0]
+    if not number.isdecimal():
+        return False
+    if host not in ("", "unix"):
+        return _takes_connections(socket.AF_INET, (host, X11_PORT + int(number)))
+    path = f"/tmp/.X11-unix/X{number}"
+    return any(_takes_connections(socket.AF_UNIX, place) for place in (path, f"\0{path}"))
+
+
+def _takes_connections(family: socket.AddressFamily, place: Any) -> bool:
+    with socket.socket(family, socket.SOCK_STREAM) as probe:
+        probe.settimeout(DISPLAY_S)
+        try:
+            probe.connect(place)
+        except (OSError, OverflowError):  # OverflowError: no such port
+            return False
+    return True
 
 
 def optimize(recording: Path) -> None:

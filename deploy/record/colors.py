@@ -43,7 +43,7 @@ GROUPS: dict[str, Group] = {
     "objects": Group("new and removed outlines", ("em", "chg", "rm"), (46, 112, 60)),
     "scans": Group("raw laser scans", ("scan",), (208, 148, 82)),
     "updates": Group("map updates", ("update",), (208, 148, 82)),
-    "handshakes": Group("handshakes", ("conn",), (184, 148, 184)),
+    "control": Group("replication control", ("conn",), (184, 148, 184)),
     "targets": Group("targets, poses", ("targ", "pose"), (176, 88, 140)),
     "saves": Group("ends of updates", ("save",), (148, 166, 100)),
     "sums": Group("checksums", ("sum",), (52, 178, 130)),

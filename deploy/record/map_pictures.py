@@ -121,7 +121,7 @@ def maps_figure(plan: Plan, records: Records, summary: dict[str, Any]) -> Figure
     top = 1 - 0.26 / figure.get_figheight()
     figure.suptitle(
         f"{plan.map.name}: {counted(summary['robots'], 'robot')}, {summary['map_encoding']}, {medium}; "
-        f"{summary['steps']} steps, {summary['bytes']['total'] / 1000:.0f} kB transmitted",
+        f"{counted(summary['steps'], 'step')}, {summary['bytes']['total'] / 1000:.0f} kB transmitted",
         y=top, va="center",
     )  # fmt: skip
     _draw_legend(figure, records, ERRORS if plan.has_truth else DIFFERENCES)

@@ -82,14 +82,24 @@ def create(out: Path | None, plan: Plan) -> Path:
     ------
     ScenarioError
         It is not free, or cannot be made.
+    OSError
+        The disk is full; the directory is free for another attempt.
     """
     check_free(out)
+    is_new = out is None or not out.exists()
     try:
         out = out or _next_free(plan)
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ScenarioError(f"out = {out or RUNS}: cannot be made: {error.strerror}") from None
-    write_inputs(out, plan)
+    try:
+        write_inputs(out, plan)
+    except OSError:
+        for file in out.iterdir():
+            file.unlink()
+        if is_new:
+            out.rmdir()
+        raise
     return out
 
 

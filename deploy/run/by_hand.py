@@ -58,10 +58,11 @@ def serve_netshaper(
     credentials = access.issue(run, endpoint, scenario.robots)
     certificate = None
     if keys is not None:
-        from netshaper import certificates  # noqa: PLC0415  not needed for passwords
+        from netshaper import certificate_check, certificates  # noqa: PLC0415  not needed for passwords
 
-        endpoint = endpoint.replace("tcp/", "tls/", 1)
         made = certificates.read(keys, scenario.robots)
+        certificate_check.check(keys, made, listen.rpartition(":")[0])
+        endpoint = endpoint.replace("tcp/", "tls/", 1)
         credentials, certificate = certificates.credentials(run, endpoint, made), made[names.RELAY]
     with closing(open_hub(run, endpoint, credentials, certificate)) as bus:
         _hand_out(credentials, folder)

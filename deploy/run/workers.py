@@ -44,7 +44,7 @@ class Workers(Protocol):
     ) -> Iterator[tuple[Case, Outcome | str]]:
         """Yield each case with its outcome as soon as it is known, or with an error text.
 
-        Ctrl-C, or closing the iterator, ends the runs in progress immediately.
+        KeyboardInterrupt, or closing the iterator, ends the runs in progress immediately.
         """
 
 
@@ -185,6 +185,8 @@ def _processes(jobs: int) -> Iterator[ProcessPoolExecutor]:
 
 
 def _begin() -> None:
-    """Ignore Ctrl-C, which the parent handles, and end with the parent."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """Ignore Ctrl-C and SIGHUP, which the parent handles, and end with SIGTERM and with the parent."""
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
     end_with_parent(grace_s=0.0)

@@ -167,8 +167,10 @@ def read(file: Path) -> pl.DataFrame:
         check_regular(file)
         try:
             frame = pl.read_parquet(file)
-        except pl.exceptions.PolarsError:
-            frame = pl.DataFrame()
+        except (pl.exceptions.PolarsError, pl.exceptions.PanicException):
+            raise ValueError(
+                f"{file}: is damaged, or not a Parquet file; remove it, or name another"
+            ) from None
     if not set(IDENTITY) <= set(frame.columns):
         raise ValueError(f"{file}: is not a table of runs; name a new file")
     return frame

@@ -93,8 +93,9 @@ class Sizing:
         building = short(self.sweep.experiment.base["map"])
         goal = str(self.requirements)
         if best := self.enough:
+            verb = "explores" if best.robots == 1 else "explore"
             return (
-                f"{best} explore {building} {goal}: in {best.time}, {best.met.n} of {best.met.n} runs (at least "
+                f"{best} {verb} {building} {goal}: in {best.time}, {best.met.n} of {best.met.n} runs (at least "
                 f"{100 * best.met.low:.0f} % of all runs, with 95 % confidence)."
             )
         best = min(self.options, key=lambda o: (-o.met.mean, not o.steps.n, o.steps.mean))

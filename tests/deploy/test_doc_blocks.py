@@ -324,6 +324,9 @@ def test_the_notebooks_run() -> None:
     all_of_them = nbformat.v4.new_notebook(cells=cells)  # type: ignore[no-untyped-call]
     os.environ.setdefault("PYTHONPATH", str(ROOT))
     nbclient.NotebookClient(all_of_them, timeout=300, kernel_name="python3").execute()
+    outputs = [output for cell in all_of_them.cells for output in cell.get("outputs", [])]
+    printed = "".join(output.get("text", "") for output in outputs)
+    assert re.search(r"RuntimeError: no target\n.*after <step \d+: .*> raised: no target", printed, re.DOTALL)
 
 
 def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:

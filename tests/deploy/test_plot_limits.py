@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from deploy.after import archive, figures
 from deploy.after.archive import Archive
@@ -64,3 +66,13 @@ def test_figures_of_a_run_show_all_points(run: Archive) -> None:
     for figure in drawn:
         assert_shows_all(figure)
         assert_text_fits(figure)
+
+
+def test_a_long_corridor_has_room_for_its_labels(tmp_path: Path) -> None:
+    cells = np.zeros((7, 400), np.uint8)
+    cells[1:-1, 1:-1] = 254
+    Image.fromarray(cells).save(tmp_path / "corridor.png")
+    settings = {"robots": 2, "steps": 30, "bus": "memory", "map": str(tmp_path / "corridor.png")}
+    explore(parse({**settings, "map_options": {"resolution": 0.1}}), out=tmp_path / "run")
+    figure = figures.maps_over_time(archive.read(tmp_path / "run"))
+    assert_text_fits(figure)

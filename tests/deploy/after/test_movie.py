@@ -192,3 +192,11 @@ def test_the_error_of_ffmpeg_is_quoted_and_no_file_remains(
     with pytest.raises(MovieError, match=r"film\.mp4: ffmpeg failed: .*"):
         write_movie([small_directory()], MP4, tmp_path / "film.mp4")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_full_disk_is_an_error_of_the_disk_and_no_film_remains(tmp_path: Path) -> None:
+    """ffmpeg writes to a device without space instead of the temporary file."""
+    (tmp_path / ".film.part.mp4").symlink_to("/dev/full")
+    done = CliRunner().invoke(app, ["movie", str(small_directory()), "--out", str(tmp_path / "film.mp4")])
+    assert (done.exit_code, list(tmp_path.iterdir())) == (3, [])
+    assert done.stderr.endswith(f"murmur: {tmp_path / 'film.mp4'}: No space left on device\n")

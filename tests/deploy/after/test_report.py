@@ -8,6 +8,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 from typing import ClassVar
 
+import numpy as np
 import pytest
 from matplotlib.axes import Axes
 from PIL import Image
@@ -248,6 +249,28 @@ def test_many_robots_share_a_median_and_few_have_a_curve_each(tmp_path: Path) ->
     ]  # fmt: skip
     wait = channel_load(archive.read(small_directory())).axes[2]
     assert words_of(wait)[1:] == [f"packets of robot {robot}" for robot in range(3)]
+
+
+@pytest.mark.parametrize("robots", [3, 11], ids=["curves", "distribution"])
+def test_curves_have_a_gap_while_a_robot_is_dead(tmp_path: Path, robots: int) -> None:
+    """In the distribution, a dead robot's last value no longer counts."""
+    killed = robots - 1
+    faults = [{"step": 6, "robot": killed, "kind": "kill"}, {"step": 16, "robot": killed, "kind": "restart"}]
+    settings = {"bus": "memory", "robots": robots, "steps": 20, "map": "leader-rooms", "bandwidth": 100}
+    explore(parse({**settings, "sensor_range": 2.5, "fault": faults}), out=tmp_path / "run")
+    run = archive.read(tmp_path / "run")
+    lived = np.isin(np.arange(1, run.last_step + 1), run.of_robot(killed)["step"])
+    assert lived.sum() == run.last_step - 10
+    (_, *maps), packets = (channel_load(run).axes[at].lines for at in (0, 3))
+    if robots == 3:
+        assert (np.isfinite(packets[killed].get_ydata()) == lived).all()
+        assert np.isnan(maps[killed].get_ydata()[~lived]).all()
+        assert maps[killed].get_ydata()[-1] > 0
+    else:
+        step = 10
+        (median,) = packets
+        alive = run.steps["backlog"][run.steps["step"] == step]
+        assert len(alive) == robots - 1 and median.get_ydata()[step - 1] == np.median(alive)
 
 
 def test_explored_area_and_load_share_their_time_axis() -> None:

@@ -24,8 +24,8 @@ from protocol.messages import OutgoingFrame, RobotFrames
 
 SMALL = [6, 11, 15, 75]
 """Seeds of small and short cases."""
-NARROW = 85
-"""Seed of a short case on a narrow medium."""
+NARROW = [155, 85]
+"""Seeds of short cases on a narrow medium, with exact maps and with a tolerance."""
 
 
 def test_a_case_follows_from_its_seed() -> None:
@@ -37,6 +37,9 @@ def test_a_case_follows_from_its_seed() -> None:
     assert any(each.byzantine for each in drawn)
     assert any(each.false_map for each in drawn)
     assert not any(each.false_map and each.scenario.map_encoding == "polygons" for each in drawn)
+    tolerant = [each for each in drawn if each.scenario.tolerance]
+    assert {each.scenario.map_encoding for each in tolerant} == {"predictive"}
+    assert not any(each.false_map for each in tolerant)
     assert any(each.scenario.change for each in drawn)
     assert any(each.scenario.bandwidth in NARROW_BANDWIDTHS for each in drawn)
     assert any(each.heavy for each in drawn)
@@ -45,7 +48,13 @@ def test_a_case_follows_from_its_seed() -> None:
         assert all(fault.step + fault.steps <= CALM for fault in each.scenario.fault)
 
 
-@pytest.mark.parametrize("seed", [*SMALL, NARROW])
+def test_cases_on_a_narrow_medium_have_exact_maps_or_a_tolerance() -> None:
+    exact, tolerant = (case(seed).scenario for seed in NARROW)
+    assert {exact.bandwidth, tolerant.bandwidth} <= set(NARROW_BANDWIDTHS)
+    assert exact.tolerance == 0 < tolerant.tolerance
+
+
+@pytest.mark.parametrize("seed", [*SMALL, *NARROW])
 def test_cases_pass_and_are_deterministic(seed: int) -> None:
     first, second = (
         run_case(case(seed), as_processes=bool(number) and seed == SMALL[0]) for number in range(2)

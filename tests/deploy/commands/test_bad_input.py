@@ -270,7 +270,7 @@ OTHERS = {
     "sweep lossy.toml --out runs.csv": "out = runs.csv: must end in .parquet",
     "chaos --out file": "out = file: is a file; name a directory for the scenarios of failing cases",
     "sweep lossy.toml --table x.txt": "table = x.txt: must end in .csv or .parquet",
-    "sweep kinds.toml --seeds 2 --test-seeds 2": "seeds and test_seeds: give only one of them",
+    "sweep kinds.toml --seeds 2 --test-seeds 2": "--seeds and --test-seeds: give only one of them",
     "tune repairmen --seeds 1000..1002": "seed 1000: is a test seed, on which nothing may be tuned; use training seeds",
     "tune repairmen --check-seeds 5,1003": "seed 1003: is a test seed",
     "tune repairmen --seeds x": "seeds = 'x': must be whole numbers of at most 100000, as 2..8 or 2,4,8",

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 
 import polars as pl
@@ -91,6 +92,9 @@ def test_the_command_prints_the_table_and_writes_runs_means_and_pictures(tmp_pat
         (["--formats", "jpg"], "formats = 'jpg': must be some of pdf, svg, csv, tex"),
         (["--font", "Nope"], "font = 'Nope': is not installed; use serif, sans-serif, monospace"),
         (["--figure-width", "300"], "figure_width = 300: must be from 4 to 100"),
+        (["--plot", "a.png"], "plot = a.png: "),
+        (["--out", "a.parquet", "--table", "./a.parquet"], "table = a.parquet: is also the file of --out"),
+        (["--seeds", "2", "--set", "seed=[7]"], "--seeds and --set seed: give only one of them"),
         (["--plot", "a.gif"], "plot = a.gif: must end in .png or .pdf or .svg"),
     ],
 )
@@ -171,10 +175,17 @@ def assert_none_is_left(group: int) -> None:
             time.sleep(0.1)
 
 
-def test_ctrl_c_stops_a_sweep_at_once_and_keeps_what_is_finished(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("number", "send"),
+    [(signal.SIGINT, os.killpg), (signal.SIGTERM, os.kill), (signal.SIGHUP, os.killpg)],
+    ids=["ctrl-c", "sigterm", "sighup"],
+)
+def test_a_signal_stops_a_sweep_at_once_and_keeps_what_is_finished(
+    tmp_path: Path, number: int, send: Callable[[int, int], None]
+) -> None:
     out = tmp_path / "all.parquet"
     sweeping = begun(tmp_path, out)
-    os.killpg(sweeping.pid, signal.SIGINT)
+    send(sweeping.pid, number)
     asked = time.monotonic()
     table, errors = sweeping.communicate(timeout=60)
     assert sweeping.returncode == 130 and time.monotonic() - asked < 30
@@ -270,11 +281,18 @@ def test_size_prints_a_line_per_radio_and_progress_from_the_beginning(tmp_path: 
     words += ["--sensor-range", "2.5", "--speed", "1.0", "--out", str(tmp_path / "size")]
     code, text, errors = command(*words, of="size")
     assert code == 0, errors
-    assert errors.splitlines()[:2] == ["size: begins", "size: 0 of 2"]
+    assert errors.splitlines()[0] == "size: 0 of 2"
     assert "legal limit" in text and "ETSI EN 300 220-2, 868.0 to 868.6 MHz" in text
     assert "Duty cycles keep the legal limit (lora-sf9)" in text
     assert (tmp_path / "size" / "radios.csv").exists()
     assert command(*words, "--deadline", "2", of="size")[0] == 1
+
+
+@pytest.mark.parametrize("words", [("--radio", "morse"), ("--radio", "wifi", "--map", "nowhere")])
+def test_an_error_of_size_is_all_that_it_prints(tmp_path: Path, words: tuple[str, ...]) -> None:
+    code, text, errors = command(*words, "--out", str(tmp_path / "size"), of="size")
+    assert (code, text, list(tmp_path.iterdir())) == (2, "", [])
+    assert words[-1] in errors and len(errors.splitlines()) == 1
 
 
 @pytest.mark.parametrize(

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import socket
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from deploy.commands.app import app
 from deploy.dashboard.process import RECORDING, ViewNode, ViewTask, free_name, watching
-from deploy.dashboard.windows import Window, WindowError, binary
+from deploy.dashboard.windows import Window, WindowError, binary, free_port
 from deploy.record.map_quality import true_walls_of
 from deploy.run.exploration import explore
 from deploy.run.in_memory import MemoryRun
@@ -241,6 +244,47 @@ def test_a_missing_display_or_package_is_named(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
     with pytest.raises(WindowError, match=r"pip install 'murmur-robots\[view\]'"):
         Window("file")
+
+
+def test_a_display_counts_if_its_server_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A terminal may keep the name of a display that has gone, for example after a new login."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setenv("WAYLAND_DISPLAY", "wayland-7")
+    monkeypatch.delenv("DISPLAY", raising=False)
+    with socket.socket(socket.AF_UNIX) as server:
+        server.bind(str(tmp_path / "wayland-7"))
+        assert Window("auto").mode == "web"
+        server.listen()
+        assert Window("auto").mode == "native"
+    monkeypatch.delenv("WAYLAND_DISPLAY")
+    free = next(number for number in range(70, 99) if not Path(f"/tmp/.X11-unix/X{number}").exists())
+    with socket.socket(socket.AF_UNIX) as server:
+        monkeypatch.setenv("DISPLAY", f":{free}.0")
+        assert Window("auto").mode == "web"
+        server.bind(f"\0/tmp/.X11-unix/X{free}")
+        server.listen()
+        assert Window("auto").mode == "native"
+    with socket.socket() as server:
+        port = next(port for port in range(6070, 6099) if free_port(port=port))
+        server.bind(("127.0.0.1", port))
+        monkeypatch.setenv("DISPLAY", f"127.0.0.1:{port - 6000}")
+        assert Window("auto").mode == "web"
+        server.listen()
+        assert Window("auto").mode == "native"
+
+
+@pytest.mark.parametrize("name", ["screen", ":", "127.0.0.1:x", "127.0.0.1:99999", "no-such-host.invalid:0"])
+def test_a_malformed_display_is_none(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.setenv("DISPLAY", name)
+    assert Window("auto").mode == "web"
+
+
+def test_a_finished_run_cannot_be_recorded(tmp_path: Path) -> None:
+    (tmp_path / RECORDING).touch()
+    done = CliRunner().invoke(app, ["watch", str(tmp_path), "--view-as", "file"])
+    assert (done.exit_code, done.stdout) == (2, "")
+    assert f"view-as = 'file': {tmp_path / RECORDING} is complete; use 'native' or 'web'" in done.stderr
 
 
 def test_a_run_with_a_viewer_needs_a_directory() -> None:

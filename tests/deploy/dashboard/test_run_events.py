@@ -115,7 +115,7 @@ def test_bytes_are_summed_by_traffic_type_and_link(events: RunEvents) -> None:
     assert events.traffic is not None
     assert {group: size for group, size in events.traffic.groups.items() if size} == {
         "vertices": 60,
-        "handshakes": 2,
+        "control": 2,
         "objects": 15,
         "targets": 3,
     }

@@ -67,9 +67,16 @@ def test_a_table_that_another_process_has_open_is_rejected(tmp_path: Path) -> No
 def test_a_file_that_is_no_table_is_rejected_and_not_changed(tmp_path: Path, content: bytes) -> None:
     file = tmp_path / "notes.txt"
     file.write_bytes(content)
-    with pytest.raises(ValueError, match="is not a table of runs; name a new file"):
+    with pytest.raises(ValueError, match="is damaged, or not a Parquet file; remove it, or name another"):
         Results(file)
     assert file.read_bytes() == content
+
+
+def test_another_table_is_rejected(tmp_path: Path) -> None:
+    file = tmp_path / "steps.parquet"
+    pl.DataFrame({"step": [1]}).write_parquet(file)
+    with pytest.raises(ValueError, match="is not a table of runs; name a new file"):
+        Results(file)
 
 
 def test_a_file_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
