@@ -1,10 +1,12 @@
-"""How updates of the predictive encoding are cut into packets, and how many bytes a step encodes.
+"""Cut updates of the predictive encoding into packets, and limit the bytes that a step encodes.
 
 Both depend on the budget of a step. A packet that does not fit into the rest of a budget leaves that rest unused, so
-packets are short: the budget holds `PACKETS_A_STEP` of them. If it is too small for a target and two of them, or narrow
-with updates of tiles, and all robots are always in range of each other, one packet fills it, except for the longest
-header that can name the packet's offset in its log (`FromEarly`, or `From` behind offset `EARLY`). Such packets need no
-header but after a restart, so a target fits there instead.
+packets are short: the budget holds `PACKETS_A_STEP` of them.
+
+On a very narrow medium, one packet fills the budget instead: if the budget cannot hold a target and two packets, or is
+narrow and updates contain tiles. This requires that all robots are always in range of each other. Room remains for the
+longest header that names a packet's offset in its log (`FromEarly`, or `From` behind offset `EARLY`). It is needed only
+after a restart, so in other steps a target fits there.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""From the world's messages to this robot's map.
+"""A robot's own grid, updated by the sensor readings of each step.
 
-Exact readings are drawn on the map. Scans of real lasers update an occupancy estimate. A map that the robot's own SLAM
+Exact readings are drawn on the grid. Scans of real lasers update an occupancy estimate. A map that the robot's own SLAM
 makes is copied.
 """
 

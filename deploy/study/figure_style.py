@@ -1,4 +1,4 @@
-"""Size, fonts and file formats of figures, so that papers can include them; and the fit of all text into a figure."""
+"""The style of figures and tables for papers: size, fonts, and file formats."""
 
 from __future__ import annotations
 
