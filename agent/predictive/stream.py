@@ -14,7 +14,7 @@ The content follows: scans of exact lasers (`agent.predictive.scan_stream`), or 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence, Set
+from collections.abc import Callable, Sequence, Set
 from typing import Any, ClassVar
 
 import numpy as np
@@ -22,15 +22,19 @@ from numpy.typing import NDArray
 
 from agent.predictive import contexts
 from agent.predictive.coder import (
+    FAILED,
     NUMBER,
     Coder,
     Counts,
     check_end,
     code_number,
     reader,
+    writer,
+    written,
 )
 from agent.predictive.contexts import BASES, REST_MOST
 from agent.predictive.history import Base, DecodedUpdate, History, key_of
+from agent.predictive.mixer import Model
 from agent.predictive.scan_updates import REPORTED, SCANS, STATE, Motion, X, Y, code_pose
 from protocol.arrays import Bools, Cells, Int32s, Int64s, Uint8s
 from protocol.boxes import NO_BOX, Box
@@ -65,8 +69,14 @@ class Stream(ABC):
         Initial counts of the contexts; default: the shipped table.
     """
 
-    state: ClassVar[tuple[str, ...]] = ("_counts", "_motion", "depends_on", "_bases_grew", "key")
+    state: ClassVar[tuple[str, ...]] = ("_counts", "_motion", "depends_on", "_bases_grew", "key", "model")
     """Attributes that an update changes, and that `rollback` restores; the grid is restored from `_overwritten`."""
+
+    model: Model
+    """The mixing model of the next update; empty if the stream does not mix predictions.
+
+    Author and receivers must hold the same one, so only training replaces it.
+    """
 
     is_narrow = False
     """Whether the medium is narrow. Then an update also depends on all that its bases depend on."""
@@ -156,8 +166,29 @@ class Stream(ABC):
         """Begin an update: save the state, and continue with copies."""
         now = vars(self)
         self._before = {name: now[name] for name in self.state}
-        now |= {name: each.copy() for name, each in self._before.items() if isinstance(each, np.ndarray)}
+        now |= {name: _copied(each) for name, each in self._before.items()}
         self._overwritten, self._bases = [], []
+
+    def _encode(self, write: Callable[[Coder], DecodedUpdate | None]) -> tuple[bytes, DecodedUpdate] | None:
+        """Encode an update: `write` codes it and applies it to the grid, again with more room until it fits.
+
+        Returns the message and the update. None if `write` returns None: the stream is unchanged then.
+        """
+        size, last = FIRST_BUFFER, (self._before, self._overwritten)
+        while True:
+            self._begin()
+            state, data = writer(size)
+            update = write((state, data, self._counts))
+            if not state[FAILED]:
+                break
+            self.rollback()
+            size *= 2
+        if update is None:
+            self.rollback()
+            self._before, self._overwritten = last
+            return None
+        message = written(state, data)
+        return message, self._add(update, message)
 
     def _add(self, update: DecodedUpdate, message: bytes) -> DecodedUpdate:
         """Append an update to the history, with its message, dependencies, scan cell and key."""
@@ -270,6 +301,13 @@ class Stream(ABC):
         states, reported, *box = _reports(self.grid, places, before)
         x0, y0, x1, y1 = box if changed else NO_BOX
         return DecodedUpdate(places, states, reported, (x0, y0, x1, y1))
+
+
+def _copied(value: Any) -> Any:
+    """Return a value, with copies of all arrays."""
+    if isinstance(value, tuple):
+        return tuple(map(_copied, value))
+    return value.copy() if isinstance(value, np.ndarray) else value
 
 
 @kernel
