@@ -9,7 +9,8 @@ from typing import Annotated, Any
 import typer
 
 from deploy.commands.console import errors, screen
-from deploy.commands.flags import JsonFlag, command_family, file_option, named_values
+from deploy.commands.flag_values import named_values
+from deploy.commands.flags import JsonFlag, command_family, file_option
 from deploy.scenario.tables import MAX_RUNS
 
 app = command_family()
