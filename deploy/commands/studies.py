@@ -189,7 +189,7 @@ def compare(
     """
     from deploy.study import comparison  # noqa: PLC0415
 
-    settings |= other_settings(set_ or [], comparison.compare, "radius=0.2", settings)
+    settings |= other_settings(set_ or [], comparison.compare, settings)
     choices = {"strategy": strategies, "map_encoding": map_encodings, "radio": radios}
     given = [(key, items(names)) for key, names in choices.items() if names is not None]
     if len(given) + bool(scenario) != 1:
@@ -270,7 +270,7 @@ def size(
         return
     from deploy.study import sizing  # noqa: PLC0415
 
-    settings |= other_settings(set_ or [], sizing.size, "radius=0.2", settings)
+    settings |= other_settings(set_ or [], sizing.size, settings)
     with stopping(common["out"]):
         done = sizing.size(
             map_,
@@ -300,7 +300,7 @@ def size_radios(
     with counting(errors, "size", announce=True) as report, stopping(common["out"]):
         from deploy.study import radio_sizing  # noqa: PLC0415
 
-        settings |= other_settings(texts, radio_sizing.size_radios, "radius=0.2", settings)
+        settings |= other_settings(texts, radio_sizing.size_radios, settings)
         done = radio_sizing.size_radios(map_, radios, progress=report, **common, **settings)
     report_failures(done.failures)
     from deploy.commands import terminal  # noqa: PLC0415

@@ -28,11 +28,9 @@ SetOption = Annotated[
 RetryFlag = Annotated[bool, typer.Option("--retry", help="repeat failed runs of the table")]
 
 
-def other_settings(
-    texts: list[str], study: Callable[..., Any], example: str, flags: dict[str, Any]
-) -> dict[str, Any]:
+def other_settings(texts: list[str], study: Callable[..., Any], flags: dict[str, Any]) -> dict[str, Any]:
     """The settings given with --set; ValueError if the command has a flag for one of them."""
-    settings = named_values(texts, "set", example)
+    settings = named_values(texts, "set", "radius=0.2")
     for name in settings:
         if name in (*inspect.signature(study).parameters, *flags, "seed"):
             raise ValueError(f"set = '{name}=...': use the flag of this command (--help)")
