@@ -94,11 +94,7 @@ class EstimatingMapper(Mapper):
     def add(self, sense: Sense) -> tuple[RangeScan, Change]:
         """Add the scan of a real laser."""
         scan = decode_range_scan(sense.range_scan, self._laser)
-        height, width = self.states.shape
-        if not (0 <= scan.x < width and 0 <= scan.y < height):
-            raise ProtocolError(
-                "range scan", 0, f"cell ({scan.x}, {scan.y}) is outside the {width} x {height} grid"
-            )
+        _check_inside("range scan", scan.x, scan.y, self.states)
         change = add_scan(self._estimator, scan, self._laser, self._resolution)
         if sense.blocked == WALL:
             change = change.joined(self._estimator.strike(*cell_ahead(sense, self._radius)))
@@ -119,14 +115,11 @@ class GivenMapper(Mapper):
 
     def add(self, sense: Sense) -> tuple[RangeScan, Change]:
         """Take the part of the map that the robot has sent, if any; the robot's own cell is free."""
-        height, width = self.states.shape
-        if not (0 <= sense.x < width and 0 <= sense.y < height):
-            reason = f"cell ({sense.x}, {sense.y}) is outside the {width} x {height} grid"
-            raise ProtocolError("map part", 0, reason)
+        _check_inside("map part", sense.x, sense.y, self.states)
         here = OwnMapPart((sense.x, sense.y, sense.x + 1, sense.y + 1), np.full((1, 1), FREE, np.uint8))
         change = UNCHANGED
         if sense.own_map:
-            change = self._apply(decode_own_map(sense.own_map, height, width), except_for=here.box)
+            change = self._apply(decode_own_map(sense.own_map, *self.states.shape), except_for=here.box)
         place = round((sense.x + 0.5) * UNIT), round((sense.y + 0.5) * UNIT)
         scan = RangeScan(place, sense.heading * TURN // 8, np.empty(0, np.uint16))
         return scan, change.joined(self._apply(here))
@@ -147,6 +140,13 @@ class GivenMapper(Mapper):
         log_odds[rows, columns] = np.where(states[rows, columns] == OCCUPIED, MOST, LEAST)
         box = x0 + columns.min(), y0 + rows.min(), x0 + columns.max() + 1, y0 + rows.max() + 1
         return Change(len(rows), (int(box[0]), int(box[1]), int(box[2]), int(box[3])))
+
+
+def _check_inside(what: str, x: int, y: int, grid: Grid) -> None:
+    """Raise ProtocolError if a cell lies outside a grid."""
+    height, width = grid.shape
+    if not (0 <= x < width and 0 <= y < height):
+        raise ProtocolError(what, 0, f"cell ({x}, {y}) is outside the {width} x {height} grid")
 
 
 def add_scan(estimator: Estimator, scan: RangeScan, laser: Laser, resolution: float) -> Change:
