@@ -50,7 +50,7 @@ _REACH = 4
 """Blocks around a tile that contexts of its blocks may read."""
 
 TABLE = Path(__file__).with_name("block_tile_start.npz")
-"""The shipped table: the initial model of every log, trained on generated maps (`deploy.study.block_tile_table`)."""
+"""The shipped table: the initial model of every log, trained on generated maps (`deploy.study.tile_table`)."""
 
 
 def start_model() -> Model:
