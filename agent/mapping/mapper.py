@@ -16,8 +16,7 @@ from agent.mapping.estimator import LEAST, MOST, SETTLED, Estimator, Int8Grid
 from agent.settings import Settings
 from protocol.boxes import NO_BOX, Box
 from protocol.cell_bytes import cells_from_bytes
-from protocol.errors import ProtocolError
-from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, ray_table
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, check_cell, ray_table
 from protocol.messages import Sense
 from protocol.own_map import OwnMapPart, decode_own_map
 from protocol.range_scans import (
@@ -94,7 +93,7 @@ class EstimatingMapper(Mapper):
     def add(self, sense: Sense) -> tuple[RangeScan, Change]:
         """Add the scan of a real laser."""
         scan = decode_range_scan(sense.range_scan, self._laser)
-        _check_inside("range scan", scan.x, scan.y, self.states)
+        check_cell("range scan", scan.x, scan.y, self.states)
         change = add_scan(self._estimator, scan, self._laser, self._resolution)
         if sense.blocked == WALL:
             change = change.joined(self._estimator.strike(*cell_ahead(sense, self._radius)))
@@ -115,7 +114,7 @@ class GivenMapper(Mapper):
 
     def add(self, sense: Sense) -> tuple[RangeScan, Change]:
         """Take the part of the map that the robot has sent, if any; the robot's own cell is free."""
-        _check_inside("map part", sense.x, sense.y, self.states)
+        check_cell("map part", sense.x, sense.y, self.states)
         here = OwnMapPart((sense.x, sense.y, sense.x + 1, sense.y + 1), np.full((1, 1), FREE, np.uint8))
         change = UNCHANGED
         if sense.own_map:
@@ -140,13 +139,6 @@ class GivenMapper(Mapper):
         log_odds[rows, columns] = np.where(states[rows, columns] == OCCUPIED, MOST, LEAST)
         box = x0 + columns.min(), y0 + rows.min(), x0 + columns.max() + 1, y0 + rows.max() + 1
         return Change(len(rows), (int(box[0]), int(box[1]), int(box[2]), int(box[3])))
-
-
-def _check_inside(what: str, x: int, y: int, grid: Grid) -> None:
-    """Raise ProtocolError if a cell lies outside a grid."""
-    height, width = grid.shape
-    if not (0 <= x < width and 0 <= y < height):
-        raise ProtocolError(what, 0, f"cell ({x}, {y}) is outside the {width} x {height} grid")
 
 
 def add_scan(estimator: Estimator, scan: RangeScan, laser: Laser, resolution: float) -> Change:

@@ -39,7 +39,7 @@ from agent.predictive.scan_updates import REPORTED, SCANS, STATE, Motion, X, Y, 
 from protocol.arrays import Bools, Cells, Int32s, Int64s, Uint8s
 from protocol.boxes import NO_BOX, Box
 from protocol.errors import ProtocolError
-from protocol.grid import UNKNOWN, Grid
+from protocol.grid import UNKNOWN, Grid, check_cell
 from protocol.kernels import kernel
 from protocol.packets import Update
 
@@ -273,11 +273,9 @@ class Stream(ABC):
 
     def _read_pose(self, coder: Coder) -> tuple[int, int]:
         """Decode the cell of a scan; ProtocolError if it lies outside the grid."""
-        height, width = self.grid.shape
         self._code_pose(coder, 0, 0)
         x, y = int(self._motion[X]), int(self._motion[Y])
-        if not (0 <= x < width and 0 <= y < height):
-            raise ProtocolError(Update.name, 0, f"cell ({x}, {y}) is outside the {width} x {height} grid")
+        check_cell(Update.name, x, y, self.grid)
         return x, y
 
     def _code_pose(self, coder: Coder, x: int, y: int) -> None:
