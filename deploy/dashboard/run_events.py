@@ -117,7 +117,7 @@ class RunEvents:
         self.seen = report.seen / report.reachable
         cell_mm = 1000 * self.plan.map.resolution
         here = set(self.positions)
-        poses = np.frombuffer(report.poses, "<i4").reshape(-1, 4).tolist()
+        poses = report.pose_rows.tolist()
         self.positions = {
             robot: to_world(self.plan.map, x / cell_mm, y / cell_mm) for robot, x, y, _ in poses
         }

@@ -137,7 +137,7 @@ def digest(records: Records, without: Collection[int] = ()) -> str:
     for name in rows.dtype.names or ():
         total.update(np.ascontiguousarray(rows[name]).astype("<i8").tobytes())
     for report in records.world:
-        poses = np.frombuffer(report.poses, "<i4").astype("<i8")
+        poses = report.pose_rows.astype("<i8")
         total.update(np.array([report.step], "<i8").tobytes() + poses.tobytes() + report.people)
     for grids in (records.own, records.planning):
         for robot, grid in sorted(grids.items()):
