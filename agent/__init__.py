@@ -1,6 +1,7 @@
-"""A robot: its control logic and its process, with map, outlines, teammates, plans.
+"""A robot: its settings, its control logic, and its process.
 
-It imports `protocol` only. Strategies build on `planning`, map encodings on `outline`, `predictive`, and `mapping`, and
-all of them on the settings. Start with `robot.py`, one pass of the thesis' Algorithm 10; `process.py` is the shell
-around it.
+It imports `protocol` only. Start with `robot.py`, one pass of the thesis' Algorithm 10. Its parts are packages:
+`mapping` draws scans on a grid, `encodings` turn the grid into log entries (with `outline` and `predictive`),
+`replication` copies logs to teammates, and `strategies` choose targets (with `planning`). `process.py` is the shell
+around it in a simulation, `field.py` in the field, with `radios` and `bodies`.
 """

@@ -39,18 +39,13 @@ def files_page() -> str:
     for file, columns in FILES.items():
         lines += ["", f"## {file}", "", "| column | type | meaning |", "|---|---|---|"]
         lines += [f"| `{column.name}` | {column.type} | {column.meaning} |" for column in columns]
-    lines += ["", "## summary.json", "", "| key | meaning |", "|---|---|"]
-    lines += [f"| {keys} | {meaning} |" for keys, meaning in SUMMARY.items()]
-    lines += ["", "[Recorded runs](../recorded.md) also have:", "", "| key | meaning |", "|---|---|"]
-    lines += [f"| {keys} | {meaning} |" for keys, meaning in RECORDED.items()]
-    lines += [
-        "",
-        "[Robots in the field](../field.md#records) also have:",
-        "",
-        "| key | meaning |",
-        "|---|---|",
-    ]
-    lines += [f"| {keys} | {meaning} |" for keys, meaning in FIELD.items()]
+    for title, keys in (
+        ("## summary.json", SUMMARY),
+        ("[Recorded runs](../recorded.md) also have:", RECORDED),
+        ("[Robots in the field](../field.md#records) also have:", FIELD),
+    ):
+        lines += ["", title, "", "| key | meaning |", "|---|---|"]
+        lines += [f"| {key} | {meaning} |" for key, meaning in keys.items()]
     return "\n".join(lines) + "\n"
 
 

@@ -194,11 +194,9 @@ def _save(figure: plt.Figure, path: Path) -> None:
     plt.close(figure)
 
 
-if __name__ == "__main__" and sys.argv[1:2] == ["gallery"]:
-    gallery(Path(sys.argv[2]))
-elif __name__ == "__main__" and sys.argv[1:2] == ["noisy"]:
-    noisy(Path(sys.argv[2]))
-elif __name__ == "__main__" and sys.argv[1:2] == ["maps"]:
-    kinds(Path(sys.argv[2]))
-elif __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent / "concepts")
+OTHERS = {"gallery": gallery, "noisy": noisy, "maps": kinds}
+"""Pictures of other pages, by the first word of the command."""
+
+if __name__ == "__main__":
+    first, *rest = sys.argv[1:] or [str(Path(__file__).parent / "concepts")]
+    OTHERS.get(first, main)(Path(*rest or [first]))

@@ -1,4 +1,4 @@
-"""Log of a step's frames: the ledger's rows and the capture are made of it."""
+"""Log of the frames of a step, from which the ledger's rows and the capture are made."""
 
 from __future__ import annotations
 

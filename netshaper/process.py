@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection
-from typing import TypeGuard
 
 from msgspec.structs import replace
 
@@ -177,24 +176,36 @@ class RelayNode:
             self._watched = came
             for other in sorted(self._present - {names.RECORDER}):
                 self._put(other, pack(Watched(came)))
-        elif came and names.is_robot(name) and names.number(name) in self.away:
-            self._reconnect(names.number(name))
-        elif came and names.is_robot(name) and self._begun and not self._may_return:
-            self._refuse(name)
         elif came:
-            if self._resend is not None and not self._begun:
-                self._resend(name)
-            self._present.add(name)
-            if self._watched and name != names.RECORDER:
-                self._put(name, pack(Watched(here=True)))
-            if names.is_robot(name):
-                self._configure(names.number(name))
-            if not self._begun and self._expected <= self._present:
-                self._begun = True
-                self._put(names.WORLD, pack(Begin()))
-            elif self._begun and names.is_robot(name):
-                self._come_back(names.number(name))
-        elif self.shutting_down or not (self._begun or name in (names.WORLD, names.RECORDER)):
+            self._join(name)
+        else:
+            self._leave(name)
+
+    def _join(self, name: str) -> None:
+        """Let a participant take part; refuse a robot that was lost and may not return."""
+        robot = names.number(name) if names.is_robot(name) else None
+        if robot in self.away:
+            self._reconnect(robot)
+            return
+        if robot is not None and self._begun and not self._may_return:
+            self._refuse(name)
+            return
+        if self._resend is not None and not self._begun:
+            self._resend(name)
+        self._present.add(name)
+        if self._watched and name != names.RECORDER:
+            self._put(name, pack(Watched(here=True)))
+        if robot is not None:
+            self._configure(robot)
+        if not self._begun and self._expected <= self._present:
+            self._begun = True
+            self._put(names.WORLD, pack(Begin()))
+        elif self._begun and robot is not None:
+            self._come_back(robot)
+
+    def _leave(self, name: str) -> None:
+        """End the run without world or recorder; continue without a robot, unless it may come back."""
+        if self.shutting_down or not (self._begun or name in (names.WORLD, names.RECORDER)):
             self._present.discard(name)
         elif name == names.WORLD:
             self._present.discard(name)
@@ -203,16 +214,11 @@ class RelayNode:
             self._present.discard(name)
             self.break_off("the recorder died")
             self._shut_down()
-        else:
-            self._leave(names.number(name))
-
-    def _leave(self, robot: int) -> None:
-        """Wait for a robot that has left the bus if it may come back, else continue without it."""
-        if self._resend is None or robot in self._ending:
-            self._ending.discard(robot)
-            self.give_up_on(robot, ENDED)
-        elif names.robot(robot) in self._present:
-            self.away.add(robot)
+        elif self._resend is None or names.number(name) in self._ending:
+            self._ending.discard(names.number(name))
+            self.give_up_on(names.number(name), ENDED)
+        elif name in self._present:
+            self.away.add(names.number(name))
 
     def _reconnect(self, robot: int) -> None:
         """Let a robot continue whose connection was cut: all ends send their last messages again."""
@@ -244,46 +250,52 @@ class RelayNode:
 
     def _take(self, sender: str, message: object, payload: bytes) -> None:
         """Take a message of a participant; ProtocolError if its frames are too long."""
-        if isinstance(message, RobotFrames):
-            self._submitted_bytes[sender] += len(payload)
-            if self._submitted_bytes[sender] > MAX_STEP_BYTES:
-                self.give_up_on(names.number(sender), TOO_MANY_BYTES.format(MAX_STEP_BYTES))
-                return
-            if len(payload) > self._radio.settings.max_frame_bytes:
-                self._check_lengths(message)
-            self._radio.submit(names.number(sender), message)
-            self._send_events()
-        elif isinstance(message, Positions):
-            self._protocol_errors.clear()
-            self._submitted_bytes.clear()
-            cells = dict(zip(message.robots, zip(message.x, message.y, strict=True), strict=True))
-            self._radio.begin(message.step, cells)
-            for change in self._radio.changed:
-                self._report(change)
-            self._radio.changed.clear()
-            self._send_events()
-        elif isinstance(message, Configure):
-            self._settings[message.robot] = payload
-            self._configure(message.robot)
-        elif isinstance(message, End):
-            self._end(message)
-        elif isinstance(message, Lost):
-            self.give_up_on(message.robot, message.cause)
-        elif isinstance(message, FaultEvent) and sender == names.WORLD:
-            self._ending.add(message.robot)
-        elif isinstance(message, Change) or self._is_radio_fault(message):
-            self._radio.change(message)
-        elif isinstance(message, Stop | FaultEvent):
-            self._put(names.WORLD, payload)
-        elif isinstance(message, RequestMaps) and names.robot(message.robot) in self._present:
-            self._put(names.robot(message.robot), payload)
-        elif isinstance(message, Shutdown):
-            self._shut_down()
+        match message:
+            case RobotFrames():
+                self._submit(sender, message, len(payload))
+            case Positions():
+                self._begin_step(message)
+            case Configure():
+                self._settings[message.robot] = payload
+                self._configure(message.robot)
+            case End():
+                self._end(message)
+            case Lost():
+                self.give_up_on(message.robot, message.cause)
+            case FaultEvent() if sender == names.WORLD:
+                self._ending.add(message.robot)
+            case Change():
+                self._radio.change(message)
+            case FaultEvent() if message.kind in RADIO_KINDS and message.robot < self._radio.settings.robots:
+                self._radio.change(message)
+            case Stop() | FaultEvent():
+                self._put(names.WORLD, payload)
+            case RequestMaps() if names.robot(message.robot) in self._present:
+                self._put(names.robot(message.robot), payload)
+            case Shutdown():
+                self._shut_down()
 
-    def _is_radio_fault(self, message: object) -> TypeGuard[FaultEvent]:
-        """Return whether a message requests a fault of a robot's radio; the world takes all other faults."""
-        known = self._radio.settings.robots
-        return isinstance(message, FaultEvent) and message.kind in RADIO_KINDS and message.robot < known
+    def _submit(self, sender: str, submitted: RobotFrames, size: int) -> None:
+        """Give a robot's frames to the radio; give up on a robot that sends too many bytes in a step."""
+        self._submitted_bytes[sender] += size
+        if self._submitted_bytes[sender] > MAX_STEP_BYTES:
+            self.give_up_on(names.number(sender), TOO_MANY_BYTES.format(MAX_STEP_BYTES))
+            return
+        if size > self._radio.settings.max_frame_bytes:
+            self._check_lengths(submitted)
+        self._radio.submit(names.number(sender), submitted)
+        self._send_events()
+
+    def _begin_step(self, positions: Positions) -> None:
+        """Begin a step of the radio, with the positions of all robots."""
+        self._protocol_errors.clear()
+        self._submitted_bytes.clear()
+        cells = dict(zip(positions.robots, zip(positions.x, positions.y, strict=True), strict=True))
+        self._radio.begin(positions.step, cells)
+        for change in self._radio.changed:
+            self._report(change)
+        self._radio.changed.clear()
+        self._send_events()
 
     def break_off(self, reason: str) -> None:
         """End the run because a process that it needs is gone."""

@@ -1,4 +1,4 @@
-"""Options with a least and a largest value: the annotation of a field has its `Range`; one form of message for all."""
+"""Bounds of numeric options: a dataclass field has a `Range` in its annotation, and one check covers all fields."""
 
 from __future__ import annotations
 

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.arrays import Int32Rows, Int32s, Int64Rows, Int64s
+from protocol.errors import ProtocolError
 from protocol.kernels import kernel
 
 UNKNOWN = 0
@@ -183,3 +184,10 @@ def _grow(
                 for column in range(max(0, x - side), min(width, x + side + 1)):
                     if out[row, column] == FREE:
                         out[row, column] = OCCUPIED
+
+
+def check_cell(what: str, x: int, y: int, grid: Grid) -> None:
+    """Raise ProtocolError, which names `what` was received, if a cell lies outside a grid."""
+    height, width = grid.shape
+    if not (0 <= x < width and 0 <= y < height):
+        raise ProtocolError(what, 0, f"cell ({x}, {y}) is outside the {width} x {height} grid")

@@ -1,4 +1,4 @@
-"""Write and read messages of the bus: msgpack, checked against the types of their fields (`protocol.messages`)."""
+"""Encode and decode messages of the bus: msgpack, checked against the types of their fields (`protocol.messages`)."""
 
 from __future__ import annotations
 

@@ -13,7 +13,9 @@ from __future__ import annotations
 from typing import Annotated
 
 import msgspec
+import numpy as np
 from msgspec import Meta
+from numpy.typing import NDArray
 
 from protocol.budget import Budget
 from protocol.message_fields import (
@@ -356,6 +358,11 @@ class WorldReport(Record, tag=14, frozen=True):
         if len(self.poses) % 16 or len(self.people) % 8:
             reason = f"{len(self.poses)} and {len(self.people)} bytes are not rows of four and of two int32"
             raise ValueError(reason)
+
+    @property
+    def pose_rows(self) -> NDArray[np.int32]:
+        """The rows of `poses`, shape (n, 4)."""
+        return np.frombuffer(self.poses, "<i4").reshape(-1, 4)
 
 
 class RobotStatus(Record, tag=15, frozen=True):

@@ -1,4 +1,4 @@
-"""Write and read the packets of the radio (`protocol.packets`)."""
+"""Encode and decode the packets of the radio (`protocol.packets`)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Temporary directories that do not stay: whoever makes the next one removes those of processes that were killed.
+"""Temporary directories that do not accumulate: to create one also removes those of processes that were killed.
 
 Each process holds a lock on its directories, which the system releases when the process ends for any reason.
 """

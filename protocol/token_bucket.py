@@ -1,6 +1,6 @@
-"""A token bucket (as in RFC 2697): how many bytes may be sent now, if so many more may be sent every second.
+"""A token bucket (as in RFC 2697), which limits the mean rate of sending, and the size of bursts.
 
-Radios in the field have one in real time (`agent.radios.pacing`), the simulated radio in time that it counts in steps
+Radios in the field refill it by a clock (`agent.radios.pacing`), the simulated radio by the steps of the run
 (`netshaper.airtime`).
 """
 

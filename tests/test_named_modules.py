@@ -1,4 +1,4 @@
-"""Docstrings name only files that exist."""
+"""Docstrings name only files that exist, and docs/architecture.md lists every module."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ ROOT = Path(__file__).parents[1]
 PACKAGES = ("agent", "deploy", "murmur", "netshaper", "protocol", "worldsim")
 FILE = re.compile(r"`([\w/]+\.py)`")
 MODULE = re.compile(rf"`((?:{'|'.join(PACKAGES)})(?:\.\w+)+)`")
+ROW = re.compile(r"\| `([\w/]+)/` \|[^|]*\|([^|]*)\|")
 
 
 def docstrings(path: Path) -> Iterator[str]:
@@ -45,3 +46,14 @@ def test_each_file_and_module_that_a_docstring_names_exists(package: str) -> Non
             )
         for name in MODULE.findall(text):
             assert exists(name), (path, name)
+
+
+def test_the_reading_order_has_each_module() -> None:
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    listed = {(folder, name) for folder, cell in ROW.findall(page) for name in re.findall(r"`(\w+)`", cell)}
+    assert listed == {
+        (path.parent.relative_to(ROOT).as_posix(), path.stem)
+        for package in PACKAGES
+        for path in (ROOT / package).rglob("*.py")
+        if path.stem != "__init__"
+    }

@@ -8,7 +8,7 @@ half a cell from its center to every side.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -182,3 +182,9 @@ def mark_near(taken: NDArray[np.uint8], cell: tuple[int, int], reach: float, bit
     here = taken[max(0, y - side) : y + side + 1, max(0, x - side) : x + side + 1]
     here |= near[cut_y : cut_y + here.shape[0], cut_x : cut_x + here.shape[1]] * np.uint8(bit)
     return here
+
+
+def clear(marked: Iterable[NDArray[np.uint8]]) -> None:
+    """Remove the marks from parts of a grid."""
+    for part in marked:
+        part[:] = 0

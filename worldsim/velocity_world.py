@@ -22,7 +22,7 @@ from protocol.range_scans import UNIT
 from protocol.scans import draw
 from protocol.transforms import Pose
 from worldsim.laser import HEADINGS, cast
-from worldsim.motion import NOT_BLOCKED, TAKEN_BY_ROBOT, Point, cell_of, glide, mark_near
+from worldsim.motion import NOT_BLOCKED, TAKEN_BY_ROBOT, Point, cell_of, clear, glide, mark_near
 from worldsim.people import People, PeopleSettings
 from worldsim.range_laser import NO_DISCS, RangeLaser
 from worldsim.world import WorldSettings, reachable_by_team
@@ -129,7 +129,7 @@ class VelocityWorld:
         ranges = self._lasers[robot].ranges(
             self._truth, self._taken.view(np.bool_), position, heading, random, discs
         )
-        self._clear(marked)
+        clear(marked)
         self._see(robot)
         return ranges
 
@@ -160,7 +160,7 @@ class VelocityWorld:
         if self._people is not None:
             marked += self._people.mark(self._taken, own)
         motion = glide(self.floors[robot], self._taken, start, [end], abs(way) + 1)
-        self._clear(marked)
+        clear(marked)
         self._points[robot] = motion.point
         return motion.blocked
 
@@ -171,11 +171,6 @@ class VelocityWorld:
         """Mark the cells nearer to a robot than its radius and `radius_cells`; return the changed part."""
         reach = self._settings.bodies[other].radius_cells + radius_cells
         return mark_near(self._taken, self.cell(other), reach, TAKEN_BY_ROBOT)
-
-    @staticmethod
-    def _clear(marked: list[NDArray[np.uint8]]) -> None:
-        for here in marked:
-            here[:] = 0
 
     def _discs(self, robots: list[int]) -> NDArray[np.float64]:
         """Return robots in the form of `worldsim.people.People.discs`, shape (n, 3)."""

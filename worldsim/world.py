@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -26,6 +26,7 @@ from worldsim.motion import (
     NOT_BLOCKED,
     TAKEN_BY_ROBOT,
     cell_of,
+    clear,
     drive,
     glide,
     heading_of,
@@ -113,7 +114,7 @@ class World(BaseWorld):
         floor = self.floors[self.settings.bodies[robot].radius_cells] == FREE
         marked = self._mark_others(robot, math.inf)
         rows, columns = np.nonzero(floor & self.reachable & (self._taken == 0))
-        _clear(marked)
+        clear(marked)
         if len(rows):
             nearest = int(np.argmin((columns - x) ** 2 + (rows - y) ** 2))
             self.cells[robot] = int(columns[nearest]), int(rows[nearest])
@@ -172,7 +173,7 @@ class World(BaseWorld):
         else:
             diagonal = 1.0 if self.settings.cell_steps else DIAGONAL
             result = drive(floor, self._taken, start, path, way, diagonal)
-        _clear(marked)
+        clear(marked)
         self._carry[robot] = result.carry
         self.driven[robot] += result.length
         if result.length:
@@ -281,12 +282,6 @@ class World(BaseWorld):
             active &= (beams - angle) % FULL_TURN < body.scanner_turn
         discs = NO_DISCS if self._people is None else self._people.discs
         return self._sensors.sense(robot, exact, self.truth, occupied, active, discs)
-
-
-def _clear(marked: Iterable[NDArray[np.uint8]]) -> None:
-    """Remove the marks from parts of a grid."""
-    for part in marked:
-        part[:] = 0
 
 
 @kernel

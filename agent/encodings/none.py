@@ -1,4 +1,4 @@
-"""No map exchange: each robot plans on its self-explored grid."""
+"""The `none` encoding: robots exchange no maps, and each plans on its own grid."""
 
 from __future__ import annotations
 

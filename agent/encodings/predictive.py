@@ -17,31 +17,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from agent.encodings.base import NO_SENDER, Dependency
+from agent.encodings.predictive_streams import make_author, make_stream
 from agent.encodings.received_grid import GridEncoding
 from agent.encodings.update_log import UpdateLog
 from agent.encodings.update_packets import UpdateLimits
-from agent.mapping.block_bound import BlockBound
-from agent.mapping.bound import Bound
-from agent.mapping.estimator import SETTLED
-from agent.predictive.author import Author
 from agent.predictive.history import DecodedUpdate, History
-from agent.predictive.narrow_tile_author import NarrowTileAuthor
-from agent.predictive.scan_author import ScanAuthor
-from agent.predictive.scan_stream import NarrowBand, ScanStream
 from agent.predictive.shared_decoder import CachedReader, SharedDecoderCache
 from agent.predictive.stream import Stream
-from agent.predictive.tile_author import TileAuthor
-from agent.predictive.tile_stream import BlockTileStream, TileStream
-from agent.predictive.urgent_tile_author import UrgentTileAuthor
 from agent.settings import Settings
-from protocol.body import narrowest_opening
 from protocol.errors import ProtocolError
-from protocol.grid import Grid, ray_table
+from protocol.grid import Grid
 from protocol.packet_codec import encode
 from protocol.packets import UPDATE_NUMBERS, Update
 from protocol.range_scans import RangeScan
@@ -58,13 +49,14 @@ class PredictiveEncoding(GridEncoding):
 
     def __init__(self, settings: Settings) -> None:
         super().__init__(settings)
-        self._options = settings.encoding.predictive
         self._own_map = settings.own_map
         self._limits = UpdateLimits.of(settings)
         self.update_steps = self._limits.full_steps
         self._histories = [History() for _ in range(settings.maps)]
-        self._scratch = np.empty((2 * settings.height * settings.width, 2), np.int32)
-        self._author = self._make_author()
+        scratch = np.empty((2 * settings.height * settings.width, 2), np.int32)
+        self._stream = partial(make_stream, settings, self._limits, scratch)
+        """Makes the encoder or decoder of a log, at its beginning."""
+        self._author = make_author(settings, self._limits, self._stream(settings.own_map, self._histories))
         self._streams: dict[int, Stream | CachedReader] = {settings.own_map: self._author.stream}
         """Encoder or decoder of each log of which an update exists."""
         self._caches: dict[int, SharedDecoderCache] | None = None
@@ -83,47 +75,6 @@ class PredictiveEncoding(GridEncoding):
     def use_shared_cache(self, cache: dict[str, Any]) -> None:
         """Share decoded updates with the robots of this process."""
         self._caches = cache.setdefault(self.name, {})
-
-    def _make_author(self) -> Author[Any]:
-        """Make the encoder of this robot's log, at its beginning."""
-        settings = self.settings
-        stream = self._stream(settings.own_map, self._histories)
-        if isinstance(stream, ScanStream):
-            return ScanAuthor(stream, self._limits.wait_steps, ranks=self._limits.fills > 0)
-        assert isinstance(stream, TileStream)
-        settled = 1 if settings.laser is None else SETTLED
-        patience = self._options.patience
-        tolerance = settings.encoding.tolerance
-        if isinstance(stream, BlockTileStream):
-            radii = {body.radius_cells for body in settings.bodies}
-            openings = {narrowest_opening(radius, settings.resolution) for radius in radii}
-            bound: Bound = BlockBound(tolerance, settled, openings=tuple(sorted(openings)))
-        else:
-            bound = Bound(tolerance, settled, closes_gaps=patience == 1)
-        if settings.medium.bandwidth.limit is not None and patience == 1:
-            return (NarrowTileAuthor if self._limits.is_narrow else UrgentTileAuthor)(stream, bound)
-        return TileAuthor(stream, bound, patience)
-
-    @property
-    def _shares_blocks(self) -> bool:
-        """Whether tiles have half resolution, on narrow media: all blocks lie within a tolerance of at least 1."""
-        options = self.settings.encoding
-        return self._limits.is_narrow and options.tolerance > 0 and options.predictive.patience == 1
-
-    def _stream(self, map_id: int, histories: Sequence[History]) -> Stream:
-        """Make the encoder or decoder of a log, at its beginning."""
-        settings = self.settings
-        grid = np.zeros((settings.height, settings.width), np.uint8)
-        maps, team = settings.robots, self._options.base == "team"
-        if settings.shares_tiles:
-            kind = BlockTileStream if self._shares_blocks else TileStream
-            return kind(map_id, grid, histories, self._scratch, team=team, base_maps=maps)
-        body = settings.bodies[settings.author_of(map_id)]
-        beams, limits = ray_table(body.range_cells, settings.beams), self._limits
-        narrow = NarrowBand(body.speed, int(limits.step_bytes)) if limits.is_narrow else None
-        return ScanStream(
-            map_id, grid, beams, histories, self._scratch, team=team, base_maps=maps, narrow=narrow
-        )
 
     def _decoder(self, map_id: int) -> Stream | CachedReader:
         """Return the decoder of a log; make it for the first update."""

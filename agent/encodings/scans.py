@@ -14,8 +14,7 @@ from agent.settings import Settings
 from protocol import packets
 from protocol.arrays import Int32Rows, Int32s, Uint8s, Uint16s
 from protocol.boxes import Box
-from protocol.errors import ProtocolError
-from protocol.grid import FREE, OCCUPIED, Grid, ray_table
+from protocol.grid import FREE, OCCUPIED, Grid, check_cell, ray_table
 from protocol.kernels import kernel
 from protocol.range_scans import (
     Laser,
@@ -86,10 +85,7 @@ class ScanEncoding(GridEncoding):
 
     def _read(self, map_id: int, data: bytes) -> Scan | RangeScan:
         scan = self._format.decode(map_id, data)
-        height, width = self.received.shape
-        if not (0 <= scan.x < width and 0 <= scan.y < height):
-            reason = f"cell ({scan.x}, {scan.y}) is outside the {width} x {height} grid"
-            raise ProtocolError("scan", 0, reason)
+        check_cell("scan", scan.x, scan.y, self.received)
         return scan
 
 

@@ -1,10 +1,12 @@
-"""How updates of the predictive encoding are cut into packets, and how many bytes a step encodes.
+"""Cut updates of the predictive encoding into packets, and limit the bytes that a step encodes.
 
 Both depend on the budget of a step. A packet that does not fit into the rest of a budget leaves that rest unused, so
-packets are short: the budget holds `PACKETS_A_STEP` of them. If it is too small for a target and two of them, or narrow
-with updates of tiles, and all robots are always in range of each other, one packet fills it, except for the longest
-header that can name the packet's offset in its log (`FromEarly`, or `From` behind offset `EARLY`). Such packets need no
-header but after a restart, so a target fits there instead.
+packets are short: the budget holds `PACKETS_A_STEP` of them.
+
+On a very narrow medium, one packet fills the budget instead: if the budget cannot hold a target and two packets, or is
+narrow and updates contain tiles. This requires that all robots are always in range of each other. Room remains for the
+longest header that names a packet's offset in its log (`FromEarly`, or `From` behind offset `EARLY`). It is needed only
+after a restart, so in other steps a target fits there.
 """
 
 from __future__ import annotations
@@ -87,28 +89,29 @@ class UpdateLimits:
     @classmethod
     def of(cls, settings: Settings) -> UpdateLimits:
         """Derive the limits from the team's budget and the frame size."""
-        size, step_bytes, wait_steps = UPDATE_DATA, math.inf, 1
-        fills, full_steps, is_narrow = 0, 1, False
-        medium = settings.medium
-        if (bandwidth := medium.bandwidth.limit) is not None:
-            size = content_in(bandwidth // PACKETS_A_STEP)
-            hear_all = medium.reach_cells > math.hypot(settings.width, settings.height) - 1
-            step_bytes = max(bandwidth, 1)
-            is_narrow = bandwidth < (NARROW if hear_all or settings.shares_tiles else NARROW_APART)
-            scarcity = FAIR_SHARE * settings.robots / max(bandwidth, 1)
-            wait_steps = min(max(math.ceil(scarcity), 1), ENOUGH_STEPS)
-            is_filled = bandwidth < (NARROW if settings.shares_tiles else Target.size + 2 * SHORTEST)
-            fills = bandwidth if is_filled and hear_all and not settings.replication.requires_acks else 0
-        if medium.frame_bytes is not None:
-            size = min(size, content_in(medium.frame_bytes))
-            fills = min(fills, medium.frame_bytes)
-        size = min(max(size, UPDATE_PART), UPDATE_DATA)
+        medium, has_tiles = settings.medium, settings.shares_tiles
+        bandwidth, frame_bytes = medium.bandwidth.limit, medium.frame_bytes
+        size = UPDATE_DATA
+        if bandwidth is not None:
+            size = min(size, content_in(bandwidth // PACKETS_A_STEP))
+        if frame_bytes is not None:
+            size = min(size, content_in(frame_bytes))
+        size = max(size, UPDATE_PART)
+        fragment_bytes = size if has_tiles and size >= LONG_FRAGMENT else UPDATE_PART
+        if bandwidth is None:
+            return cls(size, fragment_bytes, step_bytes=math.inf, wait_steps=1)
+        hear_all = medium.reach_cells > math.hypot(settings.width, settings.height) - 1
+        fills, full_steps, step_bytes = 0, 1, max(bandwidth, 1)
+        is_filled = bandwidth < (NARROW if has_tiles else Target.size + 2 * SHORTEST)
+        if is_filled and hear_all and not settings.replication.requires_acks:
+            fills = bandwidth if frame_bytes is None else min(bandwidth, frame_bytes)
+        is_narrow = bandwidth < (NARROW if hear_all or has_tiles else NARROW_APART)
         if is_narrow:
             content = max(size, content_in(fills - FromEarly.size)) if fills else step_bytes
-            full_steps = FULL_TILE_STEPS if settings.shares_tiles else FULL_STEPS
+            full_steps = FULL_TILE_STEPS if has_tiles else FULL_STEPS
             step_bytes = full_steps * content
-        splits_long = settings.shares_tiles and size >= LONG_FRAGMENT
-        fragment_bytes = size if splits_long else UPDATE_PART
+        scarcity = FAIR_SHARE * settings.robots / max(bandwidth, 1)
+        wait_steps = min(max(math.ceil(scarcity), 1), ENOUGH_STEPS)
         return cls(size, fragment_bytes, step_bytes, wait_steps, fills, full_steps, is_narrow)
 
     def packets(self, message: bytes, number: int, offset: int) -> list[bytes]:

@@ -1,17 +1,17 @@
-"""Contradict false maps by what other robots report.
+"""Votes of robots about each cell, by which false maps are noticed.
 
 A cell is a wall if any robot reports a wall, unless two others report it as free. Maps of exact encodings contradict
 neither each other nor this robot's own sight, as long as all robots are honest. So a robot is *doubted*, and its
 reports do not count any more, if
 
-- this robot sees `MANY` of its cells otherwise; or
-- at least two others report `MANY` of its cells otherwise, each of which fewer robots contradict.
+- this robot sees `MANY` of its cells in another state; or
+- at least two others report `MANY` of its cells in another state, and each of these is contradicted by fewer robots.
 
 Maps of noisy lasers, and copies within a tolerance, differ although all robots are honest: then no robot is doubted.
 With noisy lasers, this robot's own grid is one report among equals (`Votes.unite`): its own pose may be the wrong one.
 
-All maps of a robot, one per incarnation, count as one voter. A doubt ends only with the votes: if entries turn out not
-to be their author's, all logs are decoded and counted again.
+All maps of a robot, one per incarnation, count as one voter. Doubts last until all votes are counted again, after
+entries turned out not to be their author's.
 """
 
 from __future__ import annotations
@@ -96,9 +96,9 @@ class Votes:
 
     def reported(self) -> Grid:
         """Return the map of all reports that count, shape (h, w): a cell is a wall if any robot reports one."""
-        grid = np.empty_like(self.received)
-        _unite(self._voters, self._believed, grid.reshape(-1))
-        return grid
+        free, walls = (self._voters & self._believed).T != 0
+        grid = np.where(walls, OCCUPIED, np.where(free, FREE, UNKNOWN)).astype(np.uint8)
+        return grid.reshape(self.received.shape)
 
     def _outvoted(self, opposed: NDArray[np.bool_]) -> int | None:
         """Return a robot that two or more others contradict, each of which fewer contradict; None if there is none."""
@@ -155,14 +155,6 @@ def _resolve_all(voters: Int64Rows, believed: int, received: Uint8s) -> None:
     """Resolve all cells again."""
     for place in range(len(received)):
         received[place] = _resolve(voters[place, 0] & believed, voters[place, 1] & believed)
-
-
-@kernel
-def _unite(voters: Int64Rows, believed: int, reported: Uint8s) -> None:
-    """Write the state of each cell by all reports; walls take precedence."""
-    for place in range(len(reported)):
-        free, walls = voters[place, 0] & believed, voters[place, 1] & believed
-        reported[place] = OCCUPIED if walls else FREE if free else UNKNOWN
 
 
 @kernel

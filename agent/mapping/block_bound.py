@@ -1,13 +1,13 @@
-"""Copies at half resolution within the bound: they take fewer bytes.
+"""The bounded error of copies at half resolution, which take fewer bytes.
 
 In a changed tile, each block of 2 by 2 cells has one state (`agent.mapping.blocks`). Noise moves walls by a cell, which
 changes few blocks. A block becomes
 
 - a wall if the robot knows a wall in it that no wall of the copy covers yet,
-- else free if it has a free cell that receivers shall know, or `LEAST_FREE` free cells,
-- and a wall instead of free if it would be a gap that violates the fifth condition of `agent.mapping.bound`.
+- else free if it has `LEAST_FREE` free cells, or one that condition 3 or 4 of `agent.mapping.bound` requires,
+- and a wall instead of free if it would be a gap that violates condition 5.
 
-Blocks of these states fulfill the bound almost always. A tile that violates it, or whose thicker walls close a passage
+These states fulfill the bound almost always. A tile in which they violate it, or close a passage
 (`agent.mapping.passages`), gets the resolution of cells: it is *exact*.
 """
 

@@ -1,7 +1,7 @@
 """Blocks of 2 by 2 cells, the unit of copies at half resolution (`agent.mapping.block_bound`).
 
-All cells of a block have Chebyshev distance 1 from each other. So a block that is a wall in the copy stands for a wall
-in any of its cells, with any tolerance of at least 1.
+The cells of a block are at most one cell apart (Chebyshev distance). So with a tolerance of 1 or more, a block that is
+a wall may stand for a wall in any one of its cells.
 """
 
 from __future__ import annotations

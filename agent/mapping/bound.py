@@ -1,24 +1,24 @@
-"""The bounded error of a shared map: change as little as a tolerance allows of the grid that receivers hold.
+"""The bounded error of a copy: change as few cells of it as the tolerance allows.
 
-Distances are Chebyshev distances in cells. A cell is settled if the robot is certain of its state: its log odds have at
-least a given absolute value. After an update
+The *copy* is the grid that receivers hold of the robot's own grid. A cell is *settled* if the robot is certain of its
+state: its log odds have at least a given absolute value. Distances are Chebyshev distances in cells. After an update
 
-1. every settled wall has a held wall within the tolerance,
-2. every held wall on a cell that is settled as free has a wall of the robot's own grid within the tolerance,
-3. every settled free cell is held as free, or has a held wall within the tolerance,
-4. receivers hold a state of every known wall. They also hold one of every free cell beside a wall, and of every cell
-   whose surroundings are mostly free, or a wall within the tolerance of it,
-5. receivers hold no free cell beside an unknown one where the robot has found a wall within the tolerance, settled or
-   not, unless it has seen the cell free.
+1. every settled wall has a wall of the copy within the tolerance,
+2. every wall of the copy on a cell that is settled as free has a wall of the own grid within the tolerance,
+3. every settled free cell is free in the copy, or a wall of the copy lies within the tolerance,
+4. every known wall is known in the copy. So is every free cell beside a wall, and every cell whose surroundings are
+   mostly free, unless a wall of the copy lies within the tolerance,
+5. no cell of the copy is free beside an unknown one if the robot has found a wall within the tolerance, settled or not,
+   except where the robot has seen the cell free.
 
 The last two conditions save teammates useless ways: the fourth completes areas that the robot has seen once from afar,
 the fifth closes gaps that scans of other robots have left in walls. Single beams into unknown areas are not sent.
 
-Copies at half resolution (`agent.mapping.block_bound`) fulfill weaker conditions 4 and 5: receivers need not hold a
-state of a wall if a held wall lies directly before or behind it, and a free cell is exempt if the robot has seen a cell
-of its block free.
+For copies at half resolution (`agent.mapping.block_bound`), conditions 4 and 5 are weaker: a wall need not be known if
+a wall of the copy lies directly before or behind it, and a free cell is exempt if the robot has seen a cell of its
+block free.
 
-With tolerance 0, receivers hold every known cell of the robot's own grid, settled or not.
+With tolerance 0, every known cell of the own grid is equal in the copy, settled or not.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""From the world's messages to this robot's map.
+"""A robot's own grid, updated by the sensor readings of each step.
 
-Exact readings are drawn on the map. Scans of real lasers update an occupancy estimate. A map that the robot's own SLAM
+Exact readings are drawn on the grid. Scans of real lasers update an occupancy estimate. A map that the robot's own SLAM
 makes is copied.
 """
 
@@ -16,8 +16,7 @@ from agent.mapping.estimator import LEAST, MOST, SETTLED, Estimator, Int8Grid
 from agent.settings import Settings
 from protocol.boxes import NO_BOX, Box
 from protocol.cell_bytes import cells_from_bytes
-from protocol.errors import ProtocolError
-from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, ray_table
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, check_cell, ray_table
 from protocol.messages import Sense
 from protocol.own_map import OwnMapPart, decode_own_map
 from protocol.range_scans import (
@@ -94,11 +93,7 @@ class EstimatingMapper(Mapper):
     def add(self, sense: Sense) -> tuple[RangeScan, Change]:
         """Add the scan of a real laser."""
         scan = decode_range_scan(sense.range_scan, self._laser)
-        height, width = self.states.shape
-        if not (0 <= scan.x < width and 0 <= scan.y < height):
-            raise ProtocolError(
-                "range scan", 0, f"cell ({scan.x}, {scan.y}) is outside the {width} x {height} grid"
-            )
+        check_cell("range scan", scan.x, scan.y, self.states)
         change = add_scan(self._estimator, scan, self._laser, self._resolution)
         if sense.blocked == WALL:
             change = change.joined(self._estimator.strike(*cell_ahead(sense, self._radius)))
@@ -119,14 +114,11 @@ class GivenMapper(Mapper):
 
     def add(self, sense: Sense) -> tuple[RangeScan, Change]:
         """Take the part of the map that the robot has sent, if any; the robot's own cell is free."""
-        height, width = self.states.shape
-        if not (0 <= sense.x < width and 0 <= sense.y < height):
-            reason = f"cell ({sense.x}, {sense.y}) is outside the {width} x {height} grid"
-            raise ProtocolError("map part", 0, reason)
+        check_cell("map part", sense.x, sense.y, self.states)
         here = OwnMapPart((sense.x, sense.y, sense.x + 1, sense.y + 1), np.full((1, 1), FREE, np.uint8))
         change = UNCHANGED
         if sense.own_map:
-            change = self._apply(decode_own_map(sense.own_map, height, width), except_for=here.box)
+            change = self._apply(decode_own_map(sense.own_map, *self.states.shape), except_for=here.box)
         place = round((sense.x + 0.5) * UNIT), round((sense.y + 0.5) * UNIT)
         scan = RangeScan(place, sense.heading * TURN // 8, np.empty(0, np.uint16))
         return scan, change.joined(self._apply(here))

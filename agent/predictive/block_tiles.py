@@ -1,10 +1,10 @@
 """Code changes of a grid as tiles at half resolution (for maps of noisy lasers on narrow media).
 
-The box of changed tiles and the tiles in it follow as in `agent.predictive.tiles`. In a changed tile, a bit tells
-whether it is exact. An exact tile has the resolution of cells, and is coded as there. In any other tile, one bit per
-block of 2 by 2 cells says whether the state of the block has changed (`agent.mapping.blocks`), and another which of the
-two other states it has now. All cells of a changed block get its state. Blocks have contexts of their own: those of
-cells, in a grid of blocks.
+The box of changed tiles, and the bit of each tile in it, are coded as in `agent.predictive.tiles`. In a changed tile,
+one more bit says whether it is exact. An exact tile has the resolution of cells, and is coded as there. In any other
+tile, one bit per block of 2 by 2 cells says whether the state of the block has changed (`agent.mapping.blocks`), and
+another which of the two other states it has now. All cells of a changed block get its state. The contexts of a block
+are like those of a cell, but have counts of their own: its neighbors are blocks.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ _REACH = 4
 """Blocks around a tile that contexts of its blocks may read."""
 
 TABLE = Path(__file__).with_name("block_tile_start.npz")
-"""The shipped table: the initial model of every log, trained on generated maps (`deploy.study.block_tile_table`)."""
+"""The shipped table: the initial model of every log, trained on generated maps (`deploy.study.tile_table`)."""
 
 
 def start_model() -> Model:

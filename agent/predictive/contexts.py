@@ -102,6 +102,14 @@ def start(*, narrow: bool = False) -> Counts:
 
 
 @kernel
+def cell_state(grid: Grid, x: int, y: int) -> int:
+    """Return the state of a cell, unknown outside the grid; the flags of the cell are left out."""
+    if 0 <= y < grid.shape[0] and 0 <= x < grid.shape[1]:
+        return int(np.int64(grid[y, x]) & 3)
+    return UNKNOWN
+
+
+@kernel
 def neighbors(grid: Grid, x: int, y: int) -> int:
     """Return the context of cell (x, y): the states of its eight neighbors, row by row, as a number in base 3.
 

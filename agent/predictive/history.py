@@ -1,7 +1,7 @@
 """The decoded updates of a map, in the order of its log.
 
-Each update has a key, a hash of all messages on which its content depends. Two decoders whose last updates have equal
-keys are in the same state, so they can share it (`agent.predictive.shared_decoder`).
+Each update has a key, a hash of all messages on which its content depends. Decoders whose last updates have equal keys
+are in the same state, so robots can share one decoder (`agent.predictive.shared_decoder`).
 """
 
 from __future__ import annotations

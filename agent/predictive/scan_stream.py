@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.predictive import contexts
-from agent.predictive.coder import AHEAD, DECODES, FAILED, PLACE, Coder, code_bit, writer, written
+from agent.predictive.coder import AHEAD, DECODES, FAILED, PLACE, Coder, code_bit
 from agent.predictive.contexts import REST_MOST
 from agent.predictive.history import DecodedUpdate
-from agent.predictive.mixer import MixingCoder, Model, mixing_coder
+from agent.predictive.mixer import MixingCoder, mixing_coder
 from agent.predictive.pose_model import code_predicted_pose, start_factors
 from agent.predictive.scan_updates import (
     MAX_SCANS,
@@ -29,13 +29,11 @@ from agent.predictive.scan_updates import (
     find_differences,
     find_new_cells,
 )
-from agent.predictive.stream import FIRST_BUFFER, Stream
+from agent.predictive.stream import Stream
 from agent.predictive.wall_model import no_model, start_model
-from protocol.arrays import Int32s, Uint8s
 from protocol.boxes import NO_BOX, Box, bounding_box
 from protocol.errors import ProtocolError
 from protocol.grid import UNKNOWN, Grid, RayTable
-from protocol.kernels import kernel
 from protocol.packets import Update
 
 NO_LIMIT = 1 << 40
@@ -66,9 +64,7 @@ class ScanStream(Stream):
     With `narrow`, walls, poses, and ends of updates are coded by better predictions, which take more time.
     """
 
-    state: ClassVar[tuple[str, ...]] = (
-        *Stream.state, "_unreported", "_chances", "_ages", "_weights", "is_cut",
-    )  # fmt: skip
+    state: ClassVar[tuple[str, ...]] = (*Stream.state, "_unreported", "is_cut")
 
     def __init__(
         self,
@@ -81,7 +77,7 @@ class ScanStream(Stream):
     ) -> None:
         options.setdefault("counts", contexts.start(narrow=narrow is not None))
         super().__init__(map_id, grid, *args, **options)
-        self._chances, self._ages, self._weights = start_model() if narrow else no_model()
+        self.model = start_model() if narrow else no_model()
         self._narrow = narrow
         self.is_narrow = narrow is not None
         self.is_cut = False
@@ -93,18 +89,6 @@ class ScanStream(Stream):
         """Cells around a robot, in each direction, that a scan may change."""
         self._unreported = NO_BOX
         """Box in which the author's self-explored grid may differ from the reported one, after an incomplete update."""
-
-    @property
-    def model(self) -> Model:
-        """The model of walls that codes the next update; empty if the stream does not mix predictions.
-
-        Author and receivers must hold the same one, so only training replaces it.
-        """
-        return self._chances, self._ages, self._weights
-
-    @model.setter
-    def model(self, model: Model) -> None:
-        self._chances, self._ages, self._weights = model
 
     def encode(
         self, own: Grid, poses: Sequence[tuple[int, int]], box: Box, *, most: float = math.inf
@@ -128,21 +112,15 @@ class ScanStream(Stream):
             decoded grid equals `own`; else it holds what these scans show. The next update needs the other poses.
             None if nothing is left to report; the stream is unchanged then.
         """
-        size, last = FIRST_BUFFER, (self._before, self._overwritten)
-        while True:
-            self._begin()
-            state, data = writer(size)
-            update, scans = self._write((state, data, self._counts), own, poses, box, most)
-            if state[FAILED]:
-                self.rollback()
-                size *= 2
-                continue
-            if update is None:
-                self.rollback()
-                self._before, self._overwritten = last
-                return None
-            message = written(state, data)
-            return message, self._add(update, message), scans
+        scans = 0
+
+        def write(coder: Coder) -> DecodedUpdate | None:
+            nonlocal scans
+            update, scans = self._write(coder, own, poses, box, most)
+            return update
+
+        encoded = self._encode(write)
+        return None if encoded is None else (*encoded, scans)
 
     def _write(
         self, coder: Coder, own: Grid, poses: Sequence[tuple[int, int]], box: Box, most: float
@@ -257,11 +235,7 @@ class ScanStream(Stream):
         near = bounding_box(
             [box, *((x - reach, y - reach, x + reach + 1, y + reach + 1) for x, y in centers)]
         )
-        return [
-            update.box
-            for update in self._write_bases(coder, own, near)
-            if _contradicts(own.reshape(-1), update.places, update.states)
-        ]
+        return [update.box for update in self._write_bases(coder, own, near) if _contradicts(own, update)]
 
 
 def _place(coder: Coder) -> int:
@@ -279,11 +253,7 @@ def _places(grid: Grid, own: Grid, box: Box) -> NDArray[np.int32]:
     return found[:count]
 
 
-@kernel
-def _contradicts(own: Uint8s, places: Int32s, states: Uint8s) -> bool:
+def _contradicts(own: Grid, update: DecodedUpdate) -> bool:
     """Whether an update reports a cell with another state than the self-explored grid has."""
-    for index in range(len(places)):
-        truth = own[places[index]]
-        if truth != UNKNOWN and truth != states[index]:
-            return True
-    return False
+    truth = own.reshape(-1)[update.places]
+    return bool(((truth != UNKNOWN) & (truth != update.states)).any())

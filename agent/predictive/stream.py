@@ -14,7 +14,7 @@ The content follows: scans of exact lasers (`agent.predictive.scan_stream`), or 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence, Set
+from collections.abc import Callable, Sequence, Set
 from typing import Any, ClassVar
 
 import numpy as np
@@ -22,20 +22,24 @@ from numpy.typing import NDArray
 
 from agent.predictive import contexts
 from agent.predictive.coder import (
+    FAILED,
     NUMBER,
     Coder,
     Counts,
     check_end,
     code_number,
     reader,
+    writer,
+    written,
 )
 from agent.predictive.contexts import BASES, REST_MOST
 from agent.predictive.history import Base, DecodedUpdate, History, key_of
+from agent.predictive.mixer import Model
 from agent.predictive.scan_updates import REPORTED, SCANS, STATE, Motion, X, Y, code_pose
 from protocol.arrays import Bools, Cells, Int32s, Int64s, Uint8s
 from protocol.boxes import NO_BOX, Box
 from protocol.errors import ProtocolError
-from protocol.grid import UNKNOWN, Grid
+from protocol.grid import UNKNOWN, Grid, check_cell
 from protocol.kernels import kernel
 from protocol.packets import Update
 
@@ -65,8 +69,14 @@ class Stream(ABC):
         Initial counts of the contexts; default: the shipped table.
     """
 
-    state: ClassVar[tuple[str, ...]] = ("_counts", "_motion", "depends_on", "_bases_grew", "key")
+    state: ClassVar[tuple[str, ...]] = ("_counts", "_motion", "depends_on", "_bases_grew", "key", "model")
     """Attributes that an update changes, and that `rollback` restores; the grid is restored from `_overwritten`."""
+
+    model: Model
+    """The mixing model of the next update; empty if the stream does not mix predictions.
+
+    Author and receivers must hold the same one, so only training replaces it.
+    """
 
     is_narrow = False
     """Whether the medium is narrow. Then an update also depends on all that its bases depend on."""
@@ -147,8 +157,11 @@ class Stream(ABC):
         """Restore the state before the last update; the caller removes the update from the history."""
         assert self._before is not None
         vars(self).update(self._before)
+        cells = self.grid.reshape(-1)
         for places, states in reversed(self._overwritten):
-            _restore(self.grid.reshape(-1), places, states)
+            cells[places[::-1]] = states[
+                ::-1
+            ]  # of a cell that was written twice, the first value is written last
         self._overwritten = []
         self._before = None
 
@@ -156,8 +169,29 @@ class Stream(ABC):
         """Begin an update: save the state, and continue with copies."""
         now = vars(self)
         self._before = {name: now[name] for name in self.state}
-        now |= {name: each.copy() for name, each in self._before.items() if isinstance(each, np.ndarray)}
+        now |= {name: _copied(each) for name, each in self._before.items()}
         self._overwritten, self._bases = [], []
+
+    def _encode(self, write: Callable[[Coder], DecodedUpdate | None]) -> tuple[bytes, DecodedUpdate] | None:
+        """Encode an update: `write` codes it and applies it to the grid, again with more room until it fits.
+
+        Returns the message and the update. None if `write` returns None: the stream is unchanged then.
+        """
+        size, last = FIRST_BUFFER, (self._before, self._overwritten)
+        while True:
+            self._begin()
+            state, data = writer(size)
+            update = write((state, data, self._counts))
+            if not state[FAILED]:
+                break
+            self.rollback()
+            size *= 2
+        if update is None:
+            self.rollback()
+            self._before, self._overwritten = last
+            return None
+        message = written(state, data)
+        return message, self._add(update, message)
 
     def _add(self, update: DecodedUpdate, message: bytes) -> DecodedUpdate:
         """Append an update to the history, with its message, dependencies, scan cell and key."""
@@ -239,11 +273,9 @@ class Stream(ABC):
 
     def _read_pose(self, coder: Coder) -> tuple[int, int]:
         """Decode the cell of a scan; ProtocolError if it lies outside the grid."""
-        height, width = self.grid.shape
         self._code_pose(coder, 0, 0)
         x, y = int(self._motion[X]), int(self._motion[Y])
-        if not (0 <= x < width and 0 <= y < height):
-            raise ProtocolError(Update.name, 0, f"cell ({x}, {y}) is outside the {width} x {height} grid")
+        check_cell(Update.name, x, y, self.grid)
         return x, y
 
     def _code_pose(self, coder: Coder, x: int, y: int) -> None:
@@ -252,8 +284,9 @@ class Stream(ABC):
 
     def _overlay(self, update: DecodedUpdate) -> None:
         """Apply an update of another map to all cells that the author itself has not reported."""
-        before = np.empty(len(update.places), np.uint8)
-        _overlay(self.grid.reshape(-1), update.places, update.states, before)
+        cells = self.grid.reshape(-1)
+        before = cells[update.places]
+        cells[update.places] = np.where(before & REPORTED, before, update.states)
         self._overwritten.append((update.places, before))
 
     def _decoded(self, changed: int, by_scans: int) -> DecodedUpdate:
@@ -270,6 +303,13 @@ class Stream(ABC):
         states, reported, *box = _reports(self.grid, places, before)
         x0, y0, x1, y1 = box if changed else NO_BOX
         return DecodedUpdate(places, states, reported, (x0, y0, x1, y1))
+
+
+def _copied(value: Any) -> Any:
+    """Return a value, with copies of all arrays."""
+    if isinstance(value, tuple):
+        return tuple(map(_copied, value))
+    return value.copy() if isinstance(value, np.ndarray) else value
 
 
 @kernel
@@ -322,20 +362,3 @@ def _saves_cells(grid: Grid, own: Grid, places: Int32s, x0: int, y0: int, x1: in
         if inside and own[y, x] != UNKNOWN and grid[y, x] & STATE == UNKNOWN:
             return True
     return False
-
-
-@kernel
-def _overlay(grid: Uint8s, places: Int32s, states: Uint8s, before: Uint8s) -> None:
-    """Write states to the cells that the author has not reported; save the previous values in `before`."""
-    for index in range(len(places)):
-        place = places[index]
-        before[index] = grid[place]
-        if not grid[place] & REPORTED:
-            grid[place] = states[index]
-
-
-@kernel
-def _restore(grid: Uint8s, places: Int32s, states: Uint8s) -> None:
-    """Write states to cells, the last one first."""
-    for index in range(len(places) - 1, -1, -1):
-        grid[places[index]] = states[index]

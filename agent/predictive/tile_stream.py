@@ -16,12 +16,12 @@ from agent.mapping.bound import TILE, Bound, tiles_of
 from agent.mapping.estimator import Int8Grid
 from agent.predictive import block_tiles, contexts
 from agent.predictive.block_tiles import code_block_tiles
-from agent.predictive.coder import FAILED, Coder, code_bit, writer, written
+from agent.predictive.coder import Coder, code_bit
 from agent.predictive.contexts import REST_MOST
 from agent.predictive.history import DecodedUpdate
-from agent.predictive.mixer import MixingCoder, Model, mixing_coder
+from agent.predictive.mixer import MixingCoder, mixing_coder
 from agent.predictive.scan_updates import REPORTED, code_pose
-from agent.predictive.stream import FIRST_BUFFER, Stream
+from agent.predictive.stream import Stream
 from agent.predictive.tiles import code_tiles, start_model
 from protocol.boxes import Box
 from protocol.grid import Grid
@@ -30,34 +30,19 @@ from protocol.grid import Grid
 class TileStream(Stream):
     """Encoder and decoder of tiles."""
 
-    state: ClassVar[tuple[str, ...]] = (*Stream.state, "_chances", "_ages", "_weights", "_last_box")
+    state: ClassVar[tuple[str, ...]] = (*Stream.state, "_last_box")
+
+    _start_model = staticmethod(start_model)
 
     def __init__(self, map_id: int, grid: Grid, *args: Any, **options: Any) -> None:
         super().__init__(map_id, grid, *args, **options)
-        self._chances, self._ages, self._weights = self._start_model()
+        self.model = self._start_model()
         self._last_box = np.zeros(4, np.int64)
         self.target = np.empty_like(grid)
         """The states that receivers shall hold in and around the tiles of the last call of `violations` or `encode`."""
         self._changed = np.zeros(tiles_of(*grid.shape), np.uint8)
         self.bases: list[Box] = []
         """Boxes of the other maps' updates on which the last encoded update was the first to depend."""
-
-    @staticmethod
-    def _start_model() -> Model:
-        """Return the initial model of the log."""
-        return start_model()
-
-    @property
-    def model(self) -> Model:
-        """The model that codes the next update.
-
-        Author and receivers must hold the same one, so only training replaces it.
-        """
-        return self._chances, self._ages, self._weights
-
-    @model.setter
-    def model(self, model: Model) -> None:
-        self._chances, self._ages, self._weights = model
 
     def violations(self, own: Grid, log_odds: Int8Grid, bound: Bound, tiles: Grid) -> NDArray[np.bool_]:
         """Return which of the marked tiles violate the bound; the parameters are those of `encode`."""
@@ -91,7 +76,6 @@ class TileStream(Stream):
         (message, update)
             None if all cells of the tiles fulfill the bound already; the stream is unchanged then.
         """
-        size = FIRST_BUFFER
         if not self._apply(own, log_odds, bound, tiles):
             return None
         rows, columns = np.nonzero(tiles)
@@ -101,20 +85,15 @@ class TileStream(Stream):
             TILE * (int(columns.max()) + 1),
             TILE * (int(rows.max()) + 1),
         )
-        while True:
-            self._begin()
-            state, data = writer(size)
-            coder = state, data, self._counts
+
+        def write(coder: Coder) -> DecodedUpdate:
             self.bases = [update.box for update in self._write_bases(coder, own, near)]
             code_pose(coder, self._motion, *pose)
             has_tiles = self._apply(own, log_odds, bound, tiles) > 0
             code_bit(coder, contexts.HAS_TILES, int(has_tiles), REST_MOST)
-            update = self._code_tiles(coder, self.target, has_tiles=has_tiles)
-            if not state[FAILED]:
-                message = written(state, data)
-                return message, self._add(update, message)
-            self.rollback()
-            size *= 2
+            return self._code_tiles(coder, self.target, has_tiles=has_tiles)
+
+        return self._encode(write)
 
     def size(self, own: Grid, log_odds: Int8Grid, bound: Bound, tiles: Grid, pose: tuple[int, int]) -> int:
         """Return the bytes of the update that `encode` would return, 0 for None; the stream is unchanged."""
@@ -150,14 +129,12 @@ class TileStream(Stream):
 class BlockTileStream(TileStream):
     """Encoder and decoder of tiles at half resolution (`agent.predictive.block_tiles`)."""
 
+    _start_model = staticmethod(block_tiles.start_model)
+
     def __init__(self, map_id: int, grid: Grid, *args: Any, **options: Any) -> None:
         super().__init__(map_id, grid, *args, **options)
         self._exact = np.zeros_like(self._changed)
         """1 for changed tiles that have the resolution of cells."""
-
-    @staticmethod
-    def _start_model() -> Model:
-        return block_tiles.start_model()
 
     def _apply(self, own: Grid, log_odds: Int8Grid, bound: Bound, tiles: Grid) -> int:
         assert isinstance(bound, BlockBound)

@@ -1,8 +1,8 @@
 """The value of a tile for the planning of teammates, and its approximate bytes.
 
 Teammates plan with the maps that they have received. A tile with cells that are new to them saves them a drive there.
-So does one that closes a frontier of theirs: scans from afar leave gaps in walls, which later scans close. A tile that
-only moves walls by a cell hardly changes their plans, and takes as many bytes.
+So does a tile that closes one of their frontiers: scans from afar leave gaps in walls, which later scans close. A tile
+that only moves walls by a cell hardly changes their plans, but takes as many bytes.
 """
 
 from __future__ import annotations

@@ -16,9 +16,9 @@ import numpy as np
 
 from agent.mapping.bound import TILE
 from agent.predictive.coder import DECODES, FAILED
+from agent.predictive.contexts import cell_state
 from agent.predictive.mixer import INPUTS, MixingCoder, Model, code_mixed
 from agent.predictive.model_table import shipped_model
-from agent.predictive.scan_updates import STATE
 from protocol.arrays import Cells, Int64s
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.kernels import kernel
@@ -55,14 +55,6 @@ def start_model() -> Model:
 
 
 @kernel
-def _state(grid: Grid, x: int, y: int) -> int:
-    """Return the state of a cell, unknown outside the grid."""
-    if 0 <= y < grid.shape[0] and 0 <= x < grid.shape[1]:
-        return int(np.int64(grid[y, x]) & STATE)
-    return UNKNOWN
-
-
-@kernel
 def _code_edge(coder: MixingCoder, edge: int, value: int) -> int:
     """Encode or decode a number of `BOX_BITS` bits, the highest first."""
     buffer = coder[5]
@@ -91,7 +83,7 @@ def _set_tile_contexts(buffer: Int64s, grid: Grid, changed: Grid, box: Int64s, x
     known = walls = 0
     for row in range(y * TILE, y * TILE + TILE):
         for column in range(x * TILE, x * TILE + TILE):
-            state = _state(grid, column, row)
+            state = cell_state(grid, column, row)
             known += state != UNKNOWN
             walls += state == OCCUPIED
     left = np.int64(changed[y, x - 1]) if x > box[0] else _OUTSIDE
@@ -113,20 +105,20 @@ def set_cell_contexts(buffer: Int64s, grid: Grid, x: int, y: int) -> int:
 
     Returns how many of its four nearest neighbors are known.
     """
-    west, north = _state(grid, x - 1, y), _state(grid, x, y - 1)
-    east, south = _state(grid, x + 1, y), _state(grid, x, y + 1)
-    north_west, north_east = _state(grid, x - 1, y - 1), _state(grid, x + 1, y - 1)
-    south_west, south_east = _state(grid, x - 1, y + 1), _state(grid, x + 1, y + 1)
-    west_2, north_2 = _state(grid, x - 2, y), _state(grid, x, y - 2)
-    east_2, south_2 = _state(grid, x + 2, y), _state(grid, x, y + 2)
+    west, north = cell_state(grid, x - 1, y), cell_state(grid, x, y - 1)
+    east, south = cell_state(grid, x + 1, y), cell_state(grid, x, y + 1)
+    north_west, north_east = cell_state(grid, x - 1, y - 1), cell_state(grid, x + 1, y - 1)
+    south_west, south_east = cell_state(grid, x - 1, y + 1), cell_state(grid, x + 1, y + 1)
+    west_2, north_2 = cell_state(grid, x - 2, y), cell_state(grid, x, y - 2)
+    east_2, south_2 = cell_state(grid, x + 2, y), cell_state(grid, x, y + 2)
     before = ((west * 3 + north) * 3 + north_west) * 3 + north_east
     behind = ((east * 3 + south) * 3 + south_east) * 3 + south_west
-    above = ((west_2 * 3 + north_2) * 3 + _state(grid, x + 1, y - 2)) * 3 + _state(grid, x - 1, y - 2)
-    aside = ((west * 3 + north) * 3 + _state(grid, x - 2, y - 1)) * 3 + _state(grid, x + 2, y - 1)
+    above = ((west_2 * 3 + north_2) * 3 + cell_state(grid, x + 1, y - 2)) * 3 + cell_state(grid, x - 1, y - 2)
+    aside = ((west * 3 + north) * 3 + cell_state(grid, x - 2, y - 1)) * 3 + cell_state(grid, x + 2, y - 1)
     free = walls = 0
     for row in range(y - 3, y + 4):
         for column in range(x - 3, x + 4):
-            state = _state(grid, column, row)
+            state = cell_state(grid, column, row)
             free += state == FREE
             walls += state == OCCUPIED
     buffer[0] = before * 81 + behind
@@ -178,8 +170,8 @@ def code_cells(
     height, width = grid.shape
     for y in range(tile_y * TILE, min(tile_y * TILE + TILE, height)):
         for x in range(tile_x * TILE, min(tile_x * TILE + TILE, width)):
-            before = _state(grid, x, y)
-            truth = before if decodes else _state(target, x, y)
+            before = cell_state(grid, x, y)
+            truth = before if decodes else cell_state(target, x, y)
             known = set_cell_contexts(buffer[0], grid, x, y)
             now = code_cell(coder, known, before, truth, 0, _CELL_SET)
             if now != before:

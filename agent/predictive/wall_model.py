@@ -11,8 +11,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
+from agent.predictive.contexts import cell_state
 from agent.predictive.mixer import MixingCoder, Model, code_mixed, new_model
 from agent.predictive.model_table import shipped_model
 from protocol.grid import FREE, OCCUPIED, Grid
@@ -45,19 +44,11 @@ def start_model() -> Model:
 
 
 @kernel
-def _state(grid: Grid, x: int, y: int) -> int:
-    """Return the state of a cell, unknown outside the grid."""
-    if 0 <= y < grid.shape[0] and 0 <= x < grid.shape[1]:
-        return int(np.int64(grid[y, x]) & 3)
-    return 0
-
-
-@kernel
 def _nearest_wall(grid: Grid, x: int, y: int, dx: int, dy: int) -> tuple[int, int]:
     """Return the distance of the nearest wall in a direction, 0 if none is within `FAR`, and the walls within it."""
     nearest = walls = 0
     for distance in range(1, FAR + 1):
-        if _state(grid, x + dx * distance, y + dy * distance) == OCCUPIED:
+        if cell_state(grid, x + dx * distance, y + dy * distance) == OCCUPIED:
             walls += 1
             if nearest == 0:
                 nearest = distance
@@ -86,12 +77,14 @@ def _rank(number: int) -> int:
 @kernel
 def code_wall(coder: MixingCoder, grid: Grid, x: int, y: int, wall: int) -> int:
     """Encode or decode whether cell (x, y) is a wall; return it."""
-    west, north = _state(grid, x - 1, y), _state(grid, x, y - 1)
-    east, south = _state(grid, x + 1, y), _state(grid, x, y + 1)
-    north_west, north_east = _state(grid, x - 1, y - 1), _state(grid, x + 1, y - 1)
-    south_west, south_east = _state(grid, x - 1, y + 1), _state(grid, x + 1, y + 1)
-    behind = ((_state(grid, x + 2, y) * 3 + _state(grid, x, y + 2)) * 3 + _state(grid, x, y - 2)) * 3
-    behind += _state(grid, x - 2, y)
+    west, north = cell_state(grid, x - 1, y), cell_state(grid, x, y - 1)
+    east, south = cell_state(grid, x + 1, y), cell_state(grid, x, y + 1)
+    north_west, north_east = cell_state(grid, x - 1, y - 1), cell_state(grid, x + 1, y - 1)
+    south_west, south_east = cell_state(grid, x - 1, y + 1), cell_state(grid, x + 1, y + 1)
+    behind = (
+        (cell_state(grid, x + 2, y) * 3 + cell_state(grid, x, y + 2)) * 3 + cell_state(grid, x, y - 2)
+    ) * 3
+    behind += cell_state(grid, x - 2, y)
     around = (((north_west * 3 + north) * 3 + north_east) * 3 + west) * 3 + east
     around = ((around * 3 + south_west) * 3 + south) * 3 + south_east
     cross = ((south * 3 + north) * 3 + east) * 3 + west
@@ -103,7 +96,7 @@ def code_wall(coder: MixingCoder, grid: Grid, x: int, y: int, wall: int) -> int:
     free = walls = 0
     for row in range(y - NEAR, y + NEAR + 1):
         for column in range(x - NEAR, x + NEAR + 1):
-            state = _state(grid, column, row)
+            state = cell_state(grid, column, row)
             free += state == FREE
             walls += state == OCCUPIED
     contexts = coder[5]

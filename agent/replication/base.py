@@ -1,4 +1,4 @@
-"""The interface of replication: frames in, frames out, rejections as events. It does no I/O and reads no clock.
+"""The interface of replication: frames in, frames and rejections out. It does no I/O and reads no clock.
 
 A round begins with `open_round`, which returns frames. On a perfect medium, `answer` and `send_data` continue a
 handshake. `close_round` takes the report of the medium: which bytes were on the air, and which frames arrived. Entries

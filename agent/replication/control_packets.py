@@ -1,8 +1,8 @@
 """Control packets of replication: offers and answers of handshakes, and packets that name log offsets.
 
-An answer leaves out the fields that it shares with the offer. It names the offset within a block of 4096 entries;
-before that the block, if it differs from the offered one; and before that the round of 64 blocks, if it is not the
-first. So no length is ambiguous.
+An offer names the block of 4096 entries in which the receiver's log is expected to end. An answer is the log's length
+in one to three packets: the offset within a block; in front of it the block, unless it is the offered one; and in front
+of both, in logs of 64 blocks or more, how many times 64 blocks precede.
 
 Other packets (`From`, `Held`) come in three lengths. The shorter ones name small offsets whole. The longest one names
 an offset modulo `GOSSIP_WINDOW`; the receiver takes the value nearest to its own log length, as TCP does with truncated

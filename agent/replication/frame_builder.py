@@ -1,8 +1,7 @@
 """A frame under construction: it respects the byte budget and keeps a handler for each part.
 
 The relay carries a prefix of whole packets and reports its length. `FrameBuilder.sent` then runs the handlers of all
-parts that were on the air, so each part updates the tables that it concerns. aioquic's packet builder keeps delivery
-handlers in the same way.
+parts that were on the air, so each part updates the tables that it concerns.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Policies of unicast dissemination: which log ranges to offer to which peer in a round.
 
-A policy is a function of the peer table, the log lengths and the round. Plug-ins (`protocol.plugins`) are further
-policies.
+A policy chooses by the peer table, the lengths of this robot's logs, and the rounds so far. Plug-ins
+(`protocol.plugins`) are further policies.
 """
 
 from __future__ import annotations

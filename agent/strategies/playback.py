@@ -1,4 +1,4 @@
-"""The strategy of robots that replay a log: they neither plan nor announce anything, so that only maps are sent."""
+"""The strategy of robots that replay a log: they neither plan nor broadcast targets, so only maps are sent."""
 
 from __future__ import annotations
 

@@ -28,6 +28,7 @@ from agent.planning.utility import in_sight
 from agent.planning.yielding import MOBILE, YieldBehavior
 from agent.settings import Settings
 from agent.strategies.base import Cell, Decision, Situation, Strategy
+from agent.strategies.homing import Homing
 from agent.strategies.options import option
 from protocol.arrays import Cells
 
@@ -45,13 +46,6 @@ SCANNING = ("always", "at-target")
 
 SHARING = ("always", "at-target")
 """When map changes are sent. ``at-target``: when a target is reached or replaced."""
-
-MIN_BERTH_M = 0.3
-"""Least length in meters that a robot takes up in a queue at the depot."""
-
-HOME_AFTER = 10
-"""A robot counts as home after teammates have stopped it this often near its depot, or after this many steps without a
-way home."""
 
 MAX_CACHED_RESULTS = 256
 """Capacity of the cache of path searches and other results that the robots of a process share."""
@@ -120,8 +114,7 @@ class TargetStrategy(Strategy):
         self._route = Route()
         self._goal: Cell | None = None
         self._yielding = YieldBehavior(settings.seed, settings.robot, settings.body.range_cells)
-        self._blocked_near_home = 0
-        self._cut_off = 0
+        self._homing = Homing(settings)
         self._scanner_steps = 0
         self._at: Cell | None = None
         self._scans = True
@@ -310,29 +303,16 @@ class TargetStrategy(Strategy):
     def _comes_home(self, situation: Situation, planner: PathPlanner) -> bool:
         """Whether the robot has no target and counts as home (`MISSIONS`)."""
         if self.target is not None or self.options.mission == "open":
-            self._blocked_near_home = self._cut_off = 0
+            self._homing.reset()
             return False
-        if situation.blocked == "robot" and self._is_near_home(situation, planner):
-            self._blocked_near_home += 1
-        self._cut_off = self._cut_off + 1 if self._is_cut_off(situation, planner) else 0
-        return situation.here == situation.home or max(self._blocked_near_home, self._cut_off) >= HOME_AFTER
-
-    def _is_cut_off(self, situation: Situation, planner: PathPlanner) -> bool:
-        """Whether the robot stays because its map shows no way home."""
-        return not len(self._route.cells) and planner.path(situation.here, situation.home) is None
-
-    def _is_near_home(self, situation: Situation, planner: PathPlanner) -> bool:
-        """Whether the way home is at most twice as long as a queue of all robots."""
-        berth = max(1.0, 2 * self.settings.body.radius_cells, MIN_BERTH_M / self.settings.resolution)
-        way = planner.path(situation.here, situation.home)
-        return way is not None and len(way) <= 2 * self.settings.robots * berth
+        return self._homing.is_home(situation, planner, self._route)
 
     def _status(self, here: Cell, left: bool) -> str:
         if self._yielding.waited:
             return "waiting: a teammate is in the way"
         if self.target is None and len(self._route.cells):
             return "driving home"
-        if self._cut_off:
+        if self._homing.cut_off:
             return "idle: the map shows no way home"
         if not left:
             return "idle: no reachable frontier on the planning grid"

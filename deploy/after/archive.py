@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from deploy.record import run_directory
 from deploy.record.columns import FILES
+from deploy.record.ledger_figures import budgets
 from deploy.record.map_history import MAP_CHANGES, OUTLINES, MapHistory
-from deploy.record.summary import budgets
 from deploy.scenario.errors import ScenarioError
 from deploy.scenario.plan import Plan
 from netshaper import capture, pcapng

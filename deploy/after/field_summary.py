@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from deploy.after.field_run import FieldStart
+from deploy.record.ledger_figures import per_kind, undelivered
 from deploy.record.map_code import map_code_figures
 from deploy.record.map_quality import Figures, TrueWalls, robot_figures, team_figures
 from deploy.record.records import Records
-from deploy.record.summary import digest, median_work, per_kind, tolerance, undelivered
+from deploy.record.summary import digest, median_work, tolerance
 from deploy.record.team_effort import longest_path_m
 from deploy.record.versions import versions
 from deploy.scenario.plan import Plan

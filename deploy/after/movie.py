@@ -55,14 +55,7 @@ def write_movie(
     Raises MovieError if the package that writes films is not installed, or it fails; OSError if the disk is full;
     ScenarioError if a directory is not a run directory.
     """
-    if importlib.util.find_spec("imageio_ffmpeg") is None:
-        raise MovieError("films need the package imageio-ffmpeg: pip install 'murmur-robots[film]'")
-    if not 0.1 <= rate <= 120:
-        raise MovieError(f"rate = {rate:g}: must be 0.1 to 120 steps per second")
-    if out is not None and out.suffix not in ("", suffix):
-        raise MovieError(f"out = {out}: must end in {suffix}; --mp4 and --gif choose the format")
-    if out is not None and not out.parent.is_dir():
-        raise MovieError(f"out = {out}: no such folder: {out.parent}")
+    _check(suffix, out, rate)
     path = out or directories[0] / "-".join(["movie", *(each.name for each in directories[1:])])
     path = path if path.suffix == suffix else path.with_name(path.name + suffix)
     archives = [read(each) for each in directories]
@@ -90,6 +83,18 @@ def write_movie(
             options = ["-i", str(palette), *AS_GIF]
         _encode(path, pictures(), first.size, rate / every, options)
     return path
+
+
+def _check(suffix: str, out: Path | None, rate: float) -> None:
+    """Raise MovieError if no film can be made of these arguments, or without a package."""
+    if importlib.util.find_spec("imageio_ffmpeg") is None:
+        raise MovieError("films need the package imageio-ffmpeg: pip install 'murmur-robots[film]'")
+    if not 0.1 <= rate <= 120:
+        raise MovieError(f"rate = {rate:g}: must be 0.1 to 120 steps per second")
+    if out is not None and out.suffix not in ("", suffix):
+        raise MovieError(f"out = {out}: must end in {suffix}; --mp4 and --gif choose the format")
+    if out is not None and not out.parent.is_dir():
+        raise MovieError(f"out = {out}: no such folder: {out.parent}")
 
 
 def _encode(

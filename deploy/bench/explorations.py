@@ -8,14 +8,15 @@ from typing import Any
 
 import numpy as np
 
+from agent.mapping.mapper import ExactMapper
+from agent.settings import Settings
 from deploy.run.recording_bus import record_senses
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import Scenario
-from protocol.cell_bytes import cells_from_bytes
-from protocol.grid import FREE, UNKNOWN, Grid, RayTable, ray_table
+from protocol.grid import Grid, RayTable, ray_table
 from protocol.messages import Sense
-from protocol.scans import Change, Scan, draw
+from protocol.scans import Change, Scan
 from worldsim import generators
 from worldsim.maps import Map
 
@@ -55,18 +56,16 @@ def office_plan(strategy: str = "meier", **settings: Any) -> Plan:
 
 def explore(plan: Plan) -> list[list[Moment]]:
     """Run the plan in memory; return the moments of each robot."""
-    return [list(_moments(plan, senses)) for senses in record_senses(plan)]
+    return [
+        list(_moments(plan.robot_settings[robot], senses)) for robot, senses in enumerate(record_senses(plan))
+    ]
 
 
-def _moments(plan: Plan, senses: Sequence[Sense]) -> Iterator[Moment]:
-    laser = beams(plan)
-    grid = np.full(plan.map.cells.shape, UNKNOWN, np.uint8)
+def _moments(settings: Settings, senses: Sequence[Sense]) -> Iterator[Moment]:
+    mapper = ExactMapper(settings)
     for sense in senses:
-        driven = cells_from_bytes(sense.driven)
-        grid[driven[:, 1], driven[:, 0]] = FREE
-        scan = Scan(sense.x, sense.y, np.frombuffer(sense.readings, np.uint16).copy())
-        change = draw(grid, laser, scan.x, scan.y, scan.readings)
-        yield Moment(grid.copy(), scan, change)
+        scan, change = mapper.add(sense)
+        yield Moment(mapper.states.copy(), scan, change)
 
 
 def beams(plan: Plan) -> RayTable:

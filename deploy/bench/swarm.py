@@ -10,7 +10,7 @@ import numpy as np
 from deploy.bench.explorations import office_plan
 from deploy.bench.measurement import Measurement, compare
 from deploy.bench.observer import Observer
-from deploy.record.records import Records
+from deploy.record.summary import median_work
 from deploy.run import launch
 from deploy.run.in_memory import MemoryRun
 
@@ -44,13 +44,8 @@ def swarm() -> Iterator[Measurement]:
         references = [run.steps_per_s for run in in_one]
         yield Measurement(f"{name}: {IN_MEMORY}", "steps/s", float(np.median(references)))
         yield compare(name, "steps/s", [run.steps_per_s for run in runs], IN_MEMORY, references)
-        yield Measurement(f"{name}: work per robot and step", "ms", _median_work_ms(records))
+        yield Measurement(f"{name}: work per robot and step", "ms", (median_work(records) or 0.0) / 1000)
         start = float(np.median([run.first_step_s for run in runs]))
         yield Measurement(f"{name}: start to first step", "s", start)
         if memory := float(np.median([run.memory_mb for run in runs])):
             yield Measurement(f"{name}: memory per robot, proportional", "MB", memory)
-
-
-def _median_work_ms(records: Records) -> float:
-    """Median computing time per robot and step in milliseconds, from a run in one process."""
-    return float(np.median([m.work_us for reports in records.statuses for m in reports])) / 1000

@@ -110,9 +110,7 @@ class FlippingBus:
         draw = keyed_random(self._seed, "flip", self._robot, self._count)
         if draw.random() >= FLIPPED:
             return frame
-        flipped = bytearray(frame)
-        flipped[int(draw.integers(len(flipped)))] ^= 1 << int(draw.integers(8))
-        return bytes(flipped)
+        return _flipped(draw, frame, 1)
 
 
 class HeavyBus:
@@ -164,24 +162,31 @@ class ByzantineBus:
         return sent
 
     def _replacement(self, draw: np.random.Generator, frame: bytes) -> bytes:
-        kind = int(draw.integers(7))
-        if kind == 0:
-            return bytes(draw.bytes(int(draw.integers(1, 80))))
-        if kind == 1:
-            flipped = bytearray(frame)
-            for _ in range(int(draw.integers(1, 4))):
-                flipped[int(draw.integers(len(flipped)))] ^= 1 << int(draw.integers(8))
-            return bytes(flipped)
-        if kind == 2:
-            return frame[: int(draw.integers(len(frame) + 1))]
-        if kind == 5:
-            return packet_codec.encode([_packet(draw) for _ in range(int(draw.integers(1, 4)))])
-        if kind == 6:
-            begin = packet_codec.encode([FromEarly(int(draw.integers(6)), int(draw.integers(EARLY)))])
-            return begin + packet_codec.encode(
-                [Update(int(draw.integers(UPDATE_NUMBERS)), bytes(draw.bytes(20)))]
-            )
-        return 2 * frame[:30] if kind == 3 else self._last
+        match int(draw.integers(7)):
+            case 0:
+                return bytes(draw.bytes(int(draw.integers(1, 80))))
+            case 1:
+                return _flipped(draw, frame, int(draw.integers(1, 4)))
+            case 2:
+                return frame[: int(draw.integers(len(frame) + 1))]
+            case 3:
+                return 2 * frame[:30]
+            case 4:
+                return self._last
+            case 5:
+                return packet_codec.encode([_packet(draw) for _ in range(int(draw.integers(1, 4)))])
+            case _:
+                begin = FromEarly(int(draw.integers(6)), int(draw.integers(EARLY)))
+                update = Update(int(draw.integers(UPDATE_NUMBERS)), bytes(draw.bytes(20)))
+                return packet_codec.encode([begin]) + packet_codec.encode([update])
+
+
+def _flipped(draw: np.random.Generator, frame: bytes, bits: int) -> bytes:
+    """The frame with some flipped bits."""
+    flipped = bytearray(frame)
+    for _ in range(bits):
+        flipped[int(draw.integers(len(flipped)))] ^= 1 << int(draw.integers(8))
+    return bytes(flipped)
 
 
 def _packet(draw: np.random.Generator) -> packets.Packet:

@@ -52,7 +52,7 @@ COMMANDS = {
     "keys": Entry("keys", "Create certificates for the participants of a run."),
     "serve-ros2": Entry("serve", "Serve simulated robots that look like ROS 2 robots over Zenoh."),
     "run": Entry("by_hand", "Start one process of a run by hand."),
-    "bench": Entry("machine", "Benchmark this machine: ratios to references of the same run."),
+    "bench": Entry("bench", "Benchmark this machine: ratios to references of the same run."),
     "setup": Entry("machine", "Compile the kernels for this machine, once."),
     "doctor": Entry("machine", "Check that this installation works."),
 }

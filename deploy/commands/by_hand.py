@@ -9,7 +9,8 @@ from typing import Annotated
 import typer
 
 from deploy.commands.console import errors, progress, report_result, screen
-from deploy.commands.flags import JsonFlag, OutOption, ViewAs, command_family, named_values, subcommands
+from deploy.commands.flag_values import named_values
+from deploy.commands.flags import JsonFlag, OutOption, ViewAs, command_family, subcommands
 from deploy.scenario.scenario import load
 
 app = command_family()

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from deploy.commands.console import errors, progress, report_result
+from deploy.commands.flag_values import named_values
 from deploy.commands.flags import (
     RADIO,
     ROBOTS,
@@ -23,7 +24,6 @@ from deploy.commands.flags import (
     SpeedOption,
     ViewAs,
     command_family,
-    named_values,
     option,
     switch,
     view_flags,

@@ -1,13 +1,11 @@
-"""Flags that several commands share, the help that groups them, and the parsing of values."""
+"""Flags that several commands share, and the help that groups them."""
 
 from __future__ import annotations
 
 import functools
 import inspect
-import json
 import re
 import sys
-import tomllib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -16,9 +14,9 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from deploy.commands.console import fail
+from deploy.commands.flag_values import items
 from deploy.commands.viewing import Viewing
 from deploy.run.exit_codes import BAD_INPUT
-from protocol.errors import shown
 
 Command = Callable[..., None]
 Flag = tuple[str, Any, Any]
@@ -210,62 +208,3 @@ class GroupedCommand(TyperCommand):
         for group, records in groups.items():
             with formatter.section(group):
                 formatter.write_dl(records)
-
-
-def items(text: str) -> list[str]:
-    """The items of a comma-separated list."""
-    return [item.strip() for item in text.split(",") if item.strip()]
-
-
-def position(text: str, flag: str = "start") -> tuple[float, float]:
-    """Parse a position, X,Y in meters; ValueError if it is malformed."""
-    try:
-        x, y = (float(part) for part in text.split(","))
-    except ValueError:
-        raise ValueError(f"{flag} = {text!r}: must be two numbers in meters, as 3.5,12") from None
-    return x, y
-
-
-def duration_s(text: str) -> float:
-    """Parse a duration, as 200ms or 1.5s, in seconds; ValueError if it is malformed."""
-    parts = re.fullmatch(r"([0-9]*\.?[0-9]+) ?(ms|s)", text.strip())
-    if parts is None:
-        raise ValueError(f"step = {text!r}: must be a duration, as 200ms or 1.5s")
-    return float(parts[1]) / 1000 if parts[2] == "ms" else float(parts[1])
-
-
-def named_values(texts: list[str], flag: str, example: str) -> dict[str, Any]:
-    """Parse NAME=VALUE texts of a flag; ValueError if a text is malformed.
-
-    Values are read as JSON, lists and tables also as TOML, and all others as text.
-    """
-    values: dict[str, Any] = {}
-    for text in texts:
-        name, sign, value = text.partition("=")
-        if not sign or not name:
-            raise ValueError(f"{flag} = {text!r}: must be NAME=VALUE, as {example}")
-        if name in values:
-            raise ValueError(f"{flag} = {text!r}: {name} is given twice")
-        try:
-            values[name] = json.loads(value)
-        except RecursionError:
-            raise ValueError(f"{flag} = '{name}=...': nested too deeply") from None
-        except ValueError:
-            is_nested = value.lstrip()[:1] in {"[", "{"}
-            values[name] = _toml_value(value, f"{flag} = '{name}=...'") if is_nested else value
-    return values
-
-
-def _toml_value(text: str, where: str) -> Any:
-    """Read a list or table in TOML; ValueError if it is malformed, with `where` it stands."""
-    try:
-        read = tomllib.loads(f"value = {text}")
-    except RecursionError:
-        raise ValueError(f"{where}: nested too deeply") from None
-    except tomllib.TOMLDecodeError as error:
-        raise ValueError(
-            f"{where}: {shown(text)} is no list or table, neither in TOML nor in JSON: {error}"
-        ) from None
-    if len(read) > 1:
-        raise ValueError(f"{where}: {shown(text)} has more than one value")
-    return read["value"]

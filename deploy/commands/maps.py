@@ -9,7 +9,8 @@ import typer
 from rich.text import Text
 
 from deploy.commands.console import screen
-from deploy.commands.flags import command_family, file_option, named_values, subcommands
+from deploy.commands.flag_values import named_values
+from deploy.commands.flags import command_family, file_option, subcommands
 
 app = command_family()
 

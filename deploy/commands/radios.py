@@ -9,7 +9,8 @@ import typer
 from rich.text import Text
 
 from deploy.commands.console import screen
-from deploy.commands.flags import command_family, file_option, position, subcommands
+from deploy.commands.flag_values import position
+from deploy.commands.flags import command_family, file_option, subcommands
 from protocol.presets import PRESETS
 
 app = command_family()

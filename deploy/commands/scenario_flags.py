@@ -6,19 +6,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from deploy.commands.flags import (
-    RADIO,
-    ROBOTS,
-    RUN,
-    WORLD,
-    Command,
-    Flag,
-    duration_s,
-    named_values,
-    option,
-    position,
-    with_flags,
-)
+from deploy.commands.flag_values import duration_s, named_values, position
+from deploy.commands.flags import RADIO, ROBOTS, RUN, WORLD, Command, Flag, option, with_flags
 from protocol.presets import PRESETS
 from worldsim.sensor_options import LASERS, POSES
 

@@ -3,19 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, Any
 
 import typer
 
 from deploy.commands.console import errors, screen
-from deploy.commands.flags import (
-    GroupedCommand,
-    command_family,
-    figure_flags,
-    file_option,
-    items,
-    named_values,
-)
+from deploy.commands.flag_values import items, named_values, whole_numbers
+from deploy.commands.flags import GroupedCommand, command_family, figure_flags, file_option
 from deploy.commands.scenario_flags import setting_flags
 from deploy.commands.study_flags import (
     JobsOption,
@@ -24,7 +18,6 @@ from deploy.commands.study_flags import (
     SeedsOption,
     SetOption,
     other_settings,
-    whole_numbers,
 )
 from deploy.commands.study_output import end_study, print_table, report_failures, report_sweep, stopping
 from deploy.scenario.tables import MAX_RUNS
@@ -212,7 +205,7 @@ def compare(
     """
     from deploy.study import comparison  # noqa: PLC0415
 
-    settings |= other_settings(set_ or [], comparison.compare, "radius=0.2", settings)
+    settings |= other_settings(set_ or [], comparison.compare, settings)
     choices = {"strategy": strategies, "map_encoding": map_encodings, "radio": radios}
     given = [(key, items(names)) for key, names in choices.items() if names is not None]
     if len(given) + bool(scenario) != 1:
@@ -290,9 +283,10 @@ def size(
         if bandwidth is not None or range_ is not None:
             raise ValueError(f"radio = {radio!r}: sets bandwidth and range; omit --bandwidth and --range")
         size_radios(map_, items(radio), out, set_ or [], settings, common, style)
+        return
     from deploy.study import sizing  # noqa: PLC0415
 
-    settings |= other_settings(set_ or [], sizing.size, "radius=0.2", settings)
+    settings |= other_settings(set_ or [], sizing.size, settings)
     with stopping(common["out"]):
         done = sizing.size(
             map_,
@@ -314,12 +308,12 @@ def size_radios(
     settings: dict[str, Any],
     common: dict[str, Any],
     style: Any,
-) -> NoReturn:
-    """Find the smallest team for each radio, print the table, and end the command."""
+) -> None:
+    """Find the smallest team for each radio, and print the table."""
     from deploy.commands import terminal  # noqa: PLC0415
     from deploy.study import radio_sizing  # noqa: PLC0415
 
-    settings |= other_settings(texts, radio_sizing.size_radios, "radius=0.2", settings)
+    settings |= other_settings(texts, radio_sizing.size_radios, settings)
     with stopping(common["out"]), counting(errors, "size") as report:
         done = radio_sizing.size_radios(map_, radios, progress=report, **common, **settings)
     report_failures(done.failures)

@@ -8,8 +8,9 @@ from typing import Annotated
 import typer
 
 from deploy.commands.console import errors, screen
-from deploy.commands.flags import command_family, items, named_values
-from deploy.commands.study_flags import JobsOption, SchedulerOption, SetOption, whole_numbers
+from deploy.commands.flag_values import items, named_values, whole_numbers
+from deploy.commands.flags import command_family
+from deploy.commands.study_flags import JobsOption, SchedulerOption, SetOption
 from deploy.commands.study_output import print_table, stopping
 from deploy.scenario.tables import MAX_RUNS
 from deploy.study.progress import counting

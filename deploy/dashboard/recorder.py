@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from deploy.dashboard.run_events import Event, RunEvents, explain, shows_range
+from deploy.dashboard.help_text import explain, shows_range
+from deploy.dashboard.run_events import Event, RunEvents
 from deploy.dashboard.shapes import (
     arrow,
     axes,

@@ -10,8 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from protocol import keys as names
 from protocol.messages import (
     Change,
@@ -122,7 +120,7 @@ class StepOrder:
         """Note which reports of a step are there."""
         here = self._open[step]
         if isinstance(report, WorldReport):
-            robots = np.frombuffer(report.poses, "<i4").reshape(-1, 4)[:, 0].tolist()
+            robots = report.pose_rows[:, 0].tolist()
             here.missing = set(map(names.robot, robots))
             self._newest = max(self._newest, step)
             self._lost -= here.missing

@@ -33,28 +33,20 @@ CANCEL_S = 1.0
 class Ros2Robot:
     """The node of one robot, and its body.
 
-    `clock` returns nanoseconds that never go back, `wall_clock` nanoseconds since 1970.
-
     Raises
     ------
     ValueError
         No router answers, or a name in the settings is wrong.
     """
 
-    def __init__(
-        self,
-        settings: RobotSettings,
-        clock: Callable[[], int] = time.monotonic_ns,
-        wall_clock: Callable[[], int] = time.time_ns,
-    ) -> None:
+    def __init__(self, settings: RobotSettings) -> None:
         names = settings.ros2
         self._settings, self._names = settings, names
-        self._clock, self._wall_clock = clock, wall_clock
         self._grid = map_frame(settings)
         self._map_pose = map_pose(names)
         self._body = make_body(settings)
         self._tracker = GoalTracker(round(settings.patience_s * SECOND))
-        self._scanned: tuple[int | None, int] = (None, clock())
+        self._scanned: tuple[int | None, int] = (None, time.monotonic_ns())
         """Time stamp of the last known pose, and when it arrived."""
         self._sent = 0
         """When the goal was sent."""
@@ -104,10 +96,10 @@ class Ros2Robot:
 
     def spin(self, timeout_s: float = 0.0) -> None:
         """Take what has arrived; without readings for too long, stop the robot."""
-        self._node.spin(self._wall_clock(), timeout_s)
+        self._node.spin(time.time_ns(), timeout_s)
         self._body.take_newest()
         if (stamp := self._body.stamp_ns) != self._scanned[0]:
-            self._scanned = stamp, self._clock()
+            self._scanned = stamp, time.monotonic_ns()
         elif self._is_silent():
             self.stop()
 
@@ -123,7 +115,7 @@ class Ros2Robot:
         """Send the goal of a move if it has changed, or cancel it."""
         goal = None if self._is_silent() or self._lacks_map() else self._body.goal(move, target)
         changed = self._tracker.change(goal)
-        now = self._clock()
+        now = time.monotonic_ns()
         if goal is None:
             if changed:
                 self._halt()
@@ -131,7 +123,7 @@ class Ros2Robot:
             self._goals.is_idle and not self._goals.aborted and now - self._sent > REPEAT_S * SECOND
         ):
             assert self._tracker.goal is not None
-            if self._goals.send(self._tracker.goal, self._stamp(), self._wall_clock()):
+            if self._goals.send(self._tracker.goal, self._stamp(), time.time_ns()):
                 self._sent = now
 
     def stop(self) -> None:
@@ -145,7 +137,7 @@ class Ros2Robot:
         if self._goals.aborted:
             self._goals.aborted = False
             self._tracker.fail()
-        return here is not None and self._tracker.is_stuck(here, self._clock())
+        return here is not None and self._tracker.is_stuck(here, time.monotonic_ns())
 
     # --- what it publishes
 
@@ -154,7 +146,7 @@ class Ros2Robot:
         if self._shown is not None and np.array_equal(self._shown, robot.planning):
             return
         self._shown = robot.planning.copy()
-        now = self._wall_clock()
+        now = time.time_ns()
         message = occupancy_grid(
             self._node.messages, self._shown, self._grid, self._map_pose, self._names.map_frame, self._stamp()
         )
@@ -166,30 +158,30 @@ class Ros2Robot:
         message = marker_array(
             self._node.messages, shown, self._grid, self._map_pose, self._names.map_frame, self._stamp()
         )
-        self._markers.publish(message, self._wall_clock())
+        self._markers.publish(message, time.time_ns())
 
     def publish_status(self, status: Mapping[str, Any]) -> None:
         """Publish a status as JSON."""
         message = self._node.messages.new(STRING, data=json.dumps(status))
-        self._status.publish(message, self._wall_clock())
+        self._status.publish(message, time.time_ns())
 
     def close(self) -> None:
         """Let the robot stand still, and close the node."""
         self.stop()
-        end = self._clock() + round(CANCEL_S * SECOND)
-        while not self._goals.is_idle and self._clock() < end:
+        end = time.monotonic_ns() + round(CANCEL_S * SECOND)
+        while not self._goals.is_idle and time.monotonic_ns() < end:
             self.spin(0.05)
         self._node.close()
 
     def _halt(self) -> None:
-        self._goals.stop(self._body.base(self._names.base_frame), self._stamp(), self._wall_clock())
+        self._goals.stop(self._body.base(self._names.base_frame), self._stamp(), time.time_ns())
 
     def _stamp(self) -> int:
         """Return the time of the last pose: so all stamps are of the robot's clock, which may be a simulator's."""
-        return self._body.stamp_ns or self._wall_clock()
+        return self._body.stamp_ns or time.time_ns()
 
     def _is_silent(self) -> bool:
-        return self._clock() - self._scanned[1] > self._settings.dead_man_s * SECOND
+        return time.monotonic_ns() - self._scanned[1] > self._settings.dead_man_s * SECOND
 
     def _lacks_map(self) -> bool:
         return bool(self._names.map) and not self._body.has_map

@@ -188,7 +188,7 @@ def _paths(plan: Plan, records: Records) -> Iterator[tuple[int, NDArray[np.int64
     """For each robot its steps and positions, shape (n, 2), in meters in the map's frame."""
     if not records.world:
         return
-    poses = [np.frombuffer(report.poses, "<i4").reshape(-1, 4) for report in records.world]
+    poses = [report.pose_rows for report in records.world]
     steps = np.repeat([report.step for report in records.world], [len(of_step) for of_step in poses])
     track = np.concatenate(poses)
     cell, (left, bottom, _) = plan.map.resolution, plan.map.origin

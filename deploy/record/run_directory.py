@@ -282,7 +282,7 @@ def steps_table(plan: Plan, records: Records) -> Any:
     statuses = {(r, report.step): report for r, reports in enumerate(records.statuses) for report in reports}
     columns: dict[str, list[Any]] = {column.name: [] for column in STEP_COLUMNS}
     for report in records.world:
-        for robot, x_mm, y_mm, heading in np.frombuffer(report.poses, "<i4").reshape(-1, 4).tolist():
+        for robot, x_mm, y_mm, heading in report.pose_rows.tolist():
             x, y = to_world(plan.map, x_mm / 1000 / cell, y_mm / 1000 / cell)
             row: dict[str, Any] = {
                 "step": report.step, "robot": robot, "x": x, "y": y, "heading": heading / 10,

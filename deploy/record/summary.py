@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-import math
-from collections.abc import Collection, Iterable
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.completion import sure_after
+from deploy.record.ledger_figures import budgets, duty_cycle, over_budget, per_kind, undelivered
 from deploy.record.map_code import map_code_figures
 from deploy.record.map_quality import (
     Figures,
@@ -34,12 +33,10 @@ from deploy.record.team_effort import (
 )
 from deploy.record.versions import versions
 from deploy.scenario.plan import Plan
-from netshaper.airtime import HOUR_S, Saving
-from netshaper.ledger import CAUSES, sort_rows
-from protocol.budget import Budget
+from netshaper.airtime import HOUR_S
+from netshaper.ledger import sort_rows
 from protocol.grid import FREE, OCCUPIED, Grid
-from protocol.messages import Change, End
-from protocol.packets import ALL_KINDS
+from protocol.messages import End
 
 POLYGONS = "polygons"
 """The map encoding that approximates maps."""
@@ -102,7 +99,7 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "packets": per_kind(ledger, "packets"),
         **recorded_figures(plan, records, steps, sizes["total"]),
         **_approximation_error(records, first, int(reachable.sum()), scenario.map_encoding),
-        "over_budget_steps": _over_budget(ledger, allowed, plan.radio.saving, each=scenario.radio.reuse),
+        "over_budget_steps": over_budget(ledger, allowed, plan.radio.saving, each=scenario.radio.reuse),
         "duty_cycle": duty_cycle(ledger, allowed, HOUR_S * plan.radio.saving.steps),
         "undelivered": undelivered(ledger),
         "lost": {str(robot): cause for robot, cause in sorted(records.lost.items())},
@@ -140,7 +137,7 @@ def digest(records: Records, without: Collection[int] = ()) -> str:
     for name in rows.dtype.names or ():
         total.update(np.ascontiguousarray(rows[name]).astype("<i8").tobytes())
     for report in records.world:
-        poses = np.frombuffer(report.poses, "<i4").astype("<i8")
+        poses = report.pose_rows.astype("<i8")
         total.update(np.array([report.step], "<i8").tobytes() + poses.tobytes() + report.people)
     for grids in (records.own, records.planning):
         for robot, grid in sorted(grids.items()):
@@ -203,14 +200,6 @@ def _overlaps(records: Records, reachable: Mask, refuted: Collection[int]) -> di
     }
 
 
-def per_kind(ledger: NDArray[np.void], name: str) -> dict[str, int]:
-    """The sum of a column over the transmitted rows by packet type, and in total."""
-    rows = ledger[ledger["carried"] == 1]
-    sums = np.bincount(rows["kind"], rows[name], len(ALL_KINDS)).astype(int).tolist()
-    present = set(rows["kind"].tolist())
-    return {kind: sums[n] for n, kind in enumerate(ALL_KINDS) if n in present} | {"total": sum(sums)}
-
-
 def _approximation_error(
     records: Records, robot: int, cells: int, map_encoding: str
 ) -> dict[str, float | None]:
@@ -242,86 +231,6 @@ def _known_at(plan: Plan, records: Records, steps: int, *, finished: bool) -> in
     if records.known_at is None or (not records.known_at and not finished):
         return None
     return records.known_at or _explored_at(plan, steps)
-
-
-def _over_budget(
-    ledger: NDArray[np.void], allowed: NDArray[np.float64], saving: Saving, *, each: bool
-) -> int:
-    """Count the steps that exceeded their budget and what was saved before; there must be none.
-
-    If each neighborhood has a budget (`each`), count the steps in which one robot exceeded it.
-    """
-    if not len(ledger):
-        return 0
-    sent = _sums(ledger["step"], ledger["sender"] * each, ledger["bytes"] * ledger["carried"], len(allowed))
-    over, left = 0, np.full(sent.shape[1], np.inf)
-    for budget, of_step in zip(allowed.tolist(), sent, strict=True):
-        capacity = max(saving.steps * budget, saving.least) if budget else 0.0
-        left = np.minimum(left + budget, capacity)
-        over += bool((of_step > left).any())
-        left = np.maximum(left - of_step, 0.0)
-    return over
-
-
-def duty_cycle(ledger: NDArray[np.void], allowed: NDArray[np.float64], hour: int) -> float | None:
-    """Return the largest share of an hour in which a robot sent, by the budget of each step, from 0 on.
-
-    Frames take their bytes' share of the budget; an hour has `hour` steps. None if there is no budget.
-    """
-    rows = ledger[ledger["carried"] == 1]
-    if not np.isfinite(allowed).all():
-        return None
-    used = _sums(rows["step"], rows["sender"], rows["bytes"] / allowed[rows["step"]], len(allowed)).cumsum(
-        axis=0
-    )
-    used[hour:] -= used[:-hour].copy()
-    return float(used.max(initial=0.0) / hour)
-
-
-def _sums(
-    step: NDArray[np.integer], group: NDArray[np.integer], values: NDArray[Any], steps: int
-) -> NDArray[np.float64]:
-    """Return the sums of values by step and group, shape (steps, groups), with one group at least."""
-    groups = int(group.max(initial=0)) + 1
-    flat = step.astype(np.int64) * groups + group
-    sums: NDArray[Any] = np.bincount(flat, values, steps * groups)
-    return sums.reshape(steps, groups)
-
-
-def budgets(budget: Budget, changes: Iterable[Change], steps: int) -> NDArray[np.float64]:
-    """The budget of each step from 0 on, infinite where there is none."""
-    allowed = np.full(steps, math.inf if budget.limit is None else float(budget.limit))
-    for change in changes:
-        if change.budget is not None:
-            limit = change.budget.limit
-            allowed[change.step :] = math.inf if limit is None else limit
-    return allowed
-
-
-def undelivered(ledger: NDArray[np.void]) -> dict[str, int]:
-    """Count the frames that were not delivered completely, by cause."""
-    cut = ledger[ledger["cause"] > 0]
-    fields = ("step", "round", "connection", "frame", "sender", "receiver", "map", "cause")
-    frames = np.array([cut[name] for name in fields], np.int64)
-    connected = cut["connection"] >= 0
-    # Frames without a connection end where the order of the rows breaks: within a frame kinds ascend.
-    starts = _differs(frames)
-    starts[1:] |= cut["kind"][1:] <= cut["kind"][:-1]
-    sorted_frames = frames[:, connected]
-    sorted_frames = sorted_frames[:, np.lexsort(sorted_frames)]
-    causes = np.concatenate([sorted_frames[-1, _differs(sorted_frames)], cut["cause"][starts & ~connected]])
-    return {
-        cause: int((causes == number).sum())
-        for number, cause in enumerate(CAUSES)
-        if cause and (causes == number).any()
-    }
-
-
-def _differs(columns: NDArray[np.int64]) -> Mask:
-    """Whether each column differs from the one before."""
-    differs = np.ones(columns.shape[1], np.bool_)
-    differs[1:] = (columns[:, 1:] != columns[:, :-1]).any(axis=0)
-    return differs
 
 
 def median_work(records: Records) -> float | None:

@@ -56,7 +56,7 @@ class Result:
 
     @cached_property
     def ledger(self) -> pl.DataFrame:
-        """One row per frame and packet kind (``ledger.parquet``, columns in docs/protocol.md)."""
+        """One row per frame and packet kind (``ledger.parquet``; docs/protocol.md, The ledger)."""
         return frame(run_directory.ledger_table(self.records.ledger()))
 
     def to_pandas(self) -> dict[str, pd.DataFrame]:
@@ -136,13 +136,12 @@ def conclude(plan: Plan, outcome: launch.Outcome, directory: Path | None, wall_s
     """Summarize a run and write its results; the scenario of the result contains the events of the run."""
     summary = summarize(plan, outcome.records, wall_s)
     done = as_it_went(plan, outcome.records)
-    if directory is not None and done is not plan:
-        run_directory.write_inputs(directory, done)
-    plan = done
     if directory is not None:
-        run_directory.write_results(directory, plan, outcome.records, summary, outcome.failures)
+        if done is not plan:
+            run_directory.write_inputs(directory, done)
+        run_directory.write_results(directory, done, outcome.records, summary, outcome.failures)
     code = _exit_code(outcome, summary)
-    return Result(summary, code, directory, outcome.records, outcome.deaths, plan, outcome.view_fault)
+    return Result(summary, code, directory, outcome.records, outcome.deaths, done, outcome.view_fault)
 
 
 def _exit_code(outcome: launch.Outcome, summary: dict[str, Any]) -> int:

@@ -169,7 +169,7 @@ class Steps:
         records, resolution = self._run.records, self.plan.map.resolution
         report = next(each for each in reversed(records.world) if each.step == number)
         robots = {}
-        for index, x_mm, y_mm, heading in np.frombuffer(report.poses, "<i4").reshape(-1, 4).tolist():
+        for index, x_mm, y_mm, heading in report.pose_rows.tolist():
             robot = self._run.agents[index].robot
             if robot is None:
                 continue

@@ -1,8 +1,8 @@
 """A plain planner, in the place of nav2: a shortest path on the true map, along which a robot turns and drives.
 
-A robot that others block waits, then plans a way around those that it sees. If there is none, and it is in the way of a
-robot with a lower number, it backs off until it is no longer in the way, and waits there (`deploy.serve.giving_way`).
-If the robot with the lower number cannot pass either, that one backs off. A robot gives up after some attempts.
+A robot that others block waits, then plans a way around those that it sees. If there is none, and it blocks a robot
+with a lower number, it backs off until that robot can pass, and waits there (`deploy.serve.giving_way`). If the robot
+with the lower number cannot pass either, that robot backs off. A robot gives up after some attempts.
 """
 
 from __future__ import annotations

@@ -253,7 +253,7 @@ def _rendezvous(plan: Plan, records: Records) -> NDArray[np.bool_]:
     rendezvous = np.zeros(records.step, np.bool_)
     before: set[tuple[int, int]] | None = None
     for number, report in enumerate(records.world):
-        poses = np.frombuffer(report.poses, "<i4").reshape(-1, 4)
+        poses = report.pose_rows
         apart = np.hypot(*(poses[:, None, 1:3] - poses[None, :, 1:3]).transpose(2, 0, 1)) / 1000
         ones, others = np.nonzero(apart <= plan.range_m)
         names = poses[:, 0].tolist()

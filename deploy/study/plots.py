@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal
 
 import numpy as np
 
-from deploy.study import figure_style, labels
+from deploy.study import figure_layout, labels
 from deploy.study.figure_style import DEFAULT, FigureStyle
 from deploy.study.measures import SERIES
 from deploy.study.results import Results, Row
@@ -124,7 +124,7 @@ def draw(plot: Plot, rows: Sequence[Row], results: Results, style: FigureStyle =
         }
         is_needed = len(entries) > 1 and plot.lines != plot.panels
         legend = partial(_legend, canvas, entries, plot.lines) if is_needed else None
-        figure_style.fit(canvas, axes, legend, len(entries))
+        figure_layout.fit(canvas, axes, legend, len(entries))
     return canvas
 
 
@@ -171,7 +171,7 @@ def _lines(panel: Axes, plot: Plot, rows: Sequence[Row], lines: Sequence[Any], _
     numbers = [number for level in levels if (number := _number(level)) is not None]
     is_axis = len(numbers) == len(levels) and numbers == sorted(numbers)
     places = np.array(numbers if is_axis else range(len(levels)), float)
-    is_log = is_axis and figure_style.spread(numbers)
+    is_log = is_axis and figure_layout.spread(numbers)
     shown = np.log(places) if is_log else places
     nudge = 0.02 * np.ptp(shown) if len(shown) else 0.0
     for n, line in enumerate(lines):

@@ -76,6 +76,7 @@ class Sizing:
     options : list of Option
         By robots, bandwidth and range, ascending.
     requirements : Requirements
+        What runs had to meet.
     """
 
     sweep: Sweep

@@ -34,6 +34,7 @@ class Sweep(StudyRuns):
     Attributes
     ----------
     experiment : Experiment
+        What was run, with the layout of its table and plots.
     """
 
     experiment: Experiment

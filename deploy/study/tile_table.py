@@ -1,11 +1,13 @@
-"""Train the initial model of the predictive encoding's tiles on generated maps.
+"""Train the initial models of the predictive encoding's tiles on generated maps.
 
-``python -m deploy.study.tile_table FILE.npz`` writes it to a file.
+``python -m deploy.study.tile_table cells FILE.npz`` writes the model of tiles of cells to a file,
+``python -m deploy.study.tile_table blocks FILE.npz`` that of tiles at half resolution.
 
 The program runs explorations with noisy lasers, lets each robot map its scans again, and encodes these maps as the
 predictive encoding does. A model passes from update to update, of all robots and runs. At the end it forgets how often
-each context has occurred beyond `OLDEST_START`, so that a robot's own map soon outweighs the training. The result is
-shipped as `agent.predictive.tiles.TABLE`; encoder and decoder must have the same table.
+each context has occurred beyond `OLDEST_START`, so that a robot's own map soon outweighs the training. Exact tiles are
+rare on narrow media, so the training of blocks begins with the shipped model of cells. The results are shipped as
+`agent.predictive.tiles.TABLE` and `agent.predictive.block_tiles.TABLE`; encoder and decoder must have the same tables.
 """
 
 from __future__ import annotations
@@ -23,9 +25,11 @@ from agent.mapping.block_bound import BlockBound
 from agent.mapping.bound import Bound
 from agent.mapping.estimator import SETTLED
 from agent.mapping.mapper import make_mapper
+from agent.predictive.block_tiles import untrained_model
 from agent.predictive.history import History
 from agent.predictive.mixer import Model, new_model
 from agent.predictive.model_table import packed
+from agent.predictive.narrow_tile_author import NarrowTileAuthor
 from agent.predictive.tile_author import TileAuthor
 from agent.predictive.tile_stream import BlockTileStream, TileStream
 from agent.predictive.tiles import CONTEXTS, SETS
@@ -57,8 +61,15 @@ class Encoder:
     """Approximate limit of the bytes of an update."""
 
 
-ENCODERS = (Encoder(TileAuthor, 1), Encoder(UrgentTileAuthor, 3))
-"""With an unlimited, and with a limited budget, as in a team of eight with 60 bytes per step."""
+ENCODERS = {
+    "cells": (Encoder(TileAuthor, 1), Encoder(UrgentTileAuthor, 3)),
+    "blocks": (
+        Encoder(NarrowTileAuthor, 16, BlockTileStream, 40),
+        Encoder(NarrowTileAuthor, 16, BlockTileStream, 80),
+    ),
+}
+"""Of cells: with an unlimited, and with a limited budget, as in a team of eight with 60 bytes per step. Of blocks: as
+in a team of eight with 15 to 40 bytes per step."""
 
 FIRST_SEED = 100
 """Seed of the first run. Experiments use the seeds below."""
@@ -134,4 +145,6 @@ def shortened(model: Model) -> Model:
 
 
 if __name__ == "__main__":
-    np.savez_compressed(sys.argv[1], **packed(train(new_model(CONTEXTS, SETS), ENCODERS)))  # type: ignore[arg-type]
+    unit, file = sys.argv[1:]
+    untrained = untrained_model() if unit == "blocks" else new_model(CONTEXTS, SETS)
+    np.savez_compressed(file, **packed(train(untrained, ENCODERS[unit])))  # type: ignore[arg-type]

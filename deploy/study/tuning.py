@@ -16,9 +16,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import count
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -247,27 +246,24 @@ class _Tuner:
         search = self._search
         (baseline,) = self._steps([self._defaults], search.seeds)
         best = self._keep(self._defaults, baseline, baseline)
-        step, improved = STEP, False
-        for name in self._names():
-            if name is None:
-                step, improved = step if improved else math.sqrt(step), False
-                continue
-            if len(self._trials) >= search.evaluations or step < LEAST_STEP:
-                break
-            candidates = self._candidates(best.weights, name, step)
-            steps = self._steps(candidates, search.seeds)
-            trials = [self._keep(*each, baseline) for each in zip(candidates, steps, strict=True)]
-            found = min((best, *trials), key=lambda trial: trial.score)
-            improved, best = improved or found is not best, found
+        step, rounds = STEP, 0
+        while step >= LEAST_STEP and len(self._trials) < search.evaluations:
+            before = best
+            for name in self._order(rounds):
+                candidates = self._candidates(best.weights, name, step)
+                steps = self._steps(candidates, search.seeds)
+                trials = [self._keep(*each, baseline) for each in zip(candidates, steps, strict=True)]
+                best = min((best, *trials), key=lambda trial: trial.score)
+            if best is before:
+                step = math.sqrt(step)
+            rounds += 1
         return Tuning(search, self._trials, best, self._check(best))
 
-    def _names(self) -> Iterator[str | None]:
-        """Yield the weights in the order of the search; None after each round."""
+    def _order(self, number: int) -> list[str]:
+        """Return the weights in the order in which round `number` visits them."""
         names = [name for name in self._defaults if name in (self._search.only or self._defaults)]
-        for number in count():
-            random = keyed_random(self._search.search_seed, "tune", number)
-            yield from (names[at] for at in random.permutation(len(names)).tolist())
-            yield None
+        random = keyed_random(self._search.search_seed, "tune", number)
+        return [names[at] for at in random.permutation(len(names)).tolist()]
 
     def _candidates(self, weights: Weights, name: str, step: float) -> list[Weights]:
         """Return weights with a larger and a smaller value of one, without those that were tried before."""

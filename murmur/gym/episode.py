@@ -128,7 +128,7 @@ class Episode:
 
     def places(self) -> dict[int, tuple[float, float]]:
         """Return the true position (x, y) of each robot in the world, in cells."""
-        poses = np.frombuffer(self._run.records.world[-1].poses, "<i4").reshape(-1, 4)
+        poses = self._run.records.world[-1].pose_rows
         cell_mm = 1000 * self.plan.map.resolution
         return {robot: (x / cell_mm, y / cell_mm) for robot, x, y, _ in poses.tolist()}
 

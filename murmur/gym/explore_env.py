@@ -13,7 +13,7 @@ from murmur.gym.episodes import Episodes
 from murmur.gym.goal_env import GoalEnv
 from murmur.gym.observation import Observation, goal, observation_space
 from murmur.gym.picture import RENDER_MODES
-from murmur.gym.rewards import Reward, discovery, first_info, info
+from murmur.gym.rewards import Reward, discovery, info
 
 
 class ExploreEnv(GoalEnv, gym.Env[Observation, np.int64]):
@@ -82,7 +82,7 @@ class ExploreEnv(GoalEnv, gym.Env[Observation, np.int64]):
         """
         super().reset(seed=seed)
         episode = self._start(seed, self.np_random, options)
-        return self._seen_by(self.robot), first_info(episode)
+        return self._seen_by(self.robot), info(episode, episode.begun)
 
     def step(self, action: np.int64 | int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Choose a goal, and run until the next choice; RuntimeError before the first reset."""

@@ -29,8 +29,3 @@ def info(episode: Episode, progress: Progress) -> dict[str, Any]:
         "sent_bytes": progress.sent_bytes,
         "seed": episode.plan.scenario.seed,
     }
-
-
-def first_info(episode: Episode) -> dict[str, Any]:
-    """Return the same at the start of an episode."""
-    return info(episode, episode.begun)

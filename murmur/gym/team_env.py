@@ -15,7 +15,7 @@ from murmur.gym.episodes import Episodes
 from murmur.gym.goal_env import GoalEnv
 from murmur.gym.observation import Observation, goal, observation_space
 from murmur.gym.picture import RENDER_MODES
-from murmur.gym.rewards import Reward, discovery, first_info, info
+from murmur.gym.rewards import Reward, discovery, info
 from protocol import keys as names
 
 Infos = dict[str, dict[str, Any]]
@@ -91,7 +91,7 @@ class TeamEnv(GoalEnv, ParallelEnv[str, Observation, np.int64]):  # type: ignore
             self._random = np.random.default_rng(seed)
         episode = self._start(seed, self._random, options)
         self.agents = [names.robot(number) for number in episode.active]
-        return self._observe(self.agents), {agent: first_info(episode) for agent in self.agents}
+        return self._observe(self.agents), {agent: info(episode, episode.begun) for agent in self.agents}
 
     def step(
         self, actions: Mapping[str, np.int64 | int]

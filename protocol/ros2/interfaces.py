@@ -1,4 +1,4 @@
-"""Services and actions as types: `rosbags` has only messages, so that these are derived as ROS derives them.
+"""Types of services and actions: `rosbags` knows only messages, so this module derives them as ROS does.
 
 A service consists of a request and a response. An action consists of goal, result, and feedback, of which ROS makes two
 services and a feedback message. The hash of a service is that of a type with request, response, and event.

@@ -1,6 +1,6 @@
-"""Logs as a run directory holds them: the scans that were replayed, in one NumPy archive per log.
+"""Logs in a run directory: the scans that were replayed, in one NumPy archive per log.
 
-A run directory repeats a run without the original logs. Poses and ranges are those that the run used, to the bit.
+With them, a run can be repeated without the original logs. Poses and ranges are those that the run used, to the bit.
 """
 
 from __future__ import annotations

@@ -11,8 +11,8 @@ import pytest
 from agent.planning.path_planner import PathPlanner
 from agent.strategies.base import Cell, Pose, Situation
 from agent.strategies.burgard import Nearest
+from agent.strategies.homing import HOME_AFTER
 from agent.strategies.registry import strategy
-from agent.strategies.targets import HOME_AFTER
 from agent.strategies.team import PLAN_ALONE_AFTER
 from protocol.body import Body
 from protocol.grid import FREE, UNKNOWN, Grid

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deploy.dashboard.run_events import RunEvents, explain
+from deploy.dashboard.help_text import explain
+from deploy.dashboard.run_events import RunEvents
 from deploy.scenario.plan import make
 from deploy.scenario.scenario import parse
 from netshaper.ledger import CAUSES, KIND_NUMBER, LINK, ROW

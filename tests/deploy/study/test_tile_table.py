@@ -5,7 +5,6 @@ from __future__ import annotations
 from agent.predictive import block_tiles, tiles
 from agent.predictive.mixer import new_model
 from deploy.run.recording_bus import record_senses
-from deploy.study import block_tile_table
 from deploy.study.tile_table import ENCODERS, LEAST_SEEN, OLDEST_START, SENSORS, shortened, train_on
 from tests.system.team import small_plan
 
@@ -16,9 +15,9 @@ def test_a_model_learns_from_an_exploration() -> None:
     cells = tiles.CONTEXTS, tiles.SETS
     blocks = block_tiles.CONTEXTS, block_tiles.SETS
     for encoder, sizes in (
-        (ENCODERS[0], cells),
-        (ENCODERS[1], cells),
-        (block_tile_table.ENCODERS[0], blocks),
+        (ENCODERS["cells"][0], cells),
+        (ENCODERS["cells"][1], cells),
+        (ENCODERS["blocks"][0], blocks),
     ):
         model, first = train_on(plan, senses, encoder, new_model(*sizes))
         assert first > 100
