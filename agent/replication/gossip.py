@@ -199,8 +199,9 @@ class Gossip(Replication):
         """A peer that broadcasts a map of a new incarnation of its own lost its state."""
         for control in frame.controls:
             if isinstance(control, From) and self.peers.restarted(peer, control.map):
-                for part in (self._acks, self._reports, self._cursors, self._neighbors, self._meetings):
+                for part in (self._acks, self._reports, self._cursors, self._neighbors):
                     part.restarted(peer)
+                self._meetings.on(peer, "restarted")
 
     def _read_reports(self, peer: int, frame: ParsedFrame) -> None:
         """Note a peer's range and its log lengths; reject the peer's entries if it sends other control packets."""
@@ -217,7 +218,7 @@ class Gossip(Replication):
                     if dropped and number == self.peers.own and self._acks.reliable:
                         self.own_log.request_digest(length)
                     self._acks.report_received(peer, number, length, self.replica.step)
-                    self._meetings.reported(peer)
+                    self._meetings.on(peer, "reported")
                 case LogDigest():
                     pass
                 case From(number, _) if number < len(logs):

@@ -7,6 +7,7 @@ have passed, this robot does not send it old entries: it may hold them already.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -15,9 +16,31 @@ from agent.replication.peers import Mask
 GREETING = 1
 """Steps after a peer's arrival for which this robot waits for its report."""
 
+Event = Literal["arrived", "reported", "timed out", "informed", "restarted", "left"]
+
+
+class _Facts(NamedTuple):
+    """What an event changes in the meeting with a peer; None: nothing."""
+
+    owes: bool | None = None
+    """Whether this robot owes the peer reports."""
+    awaits: bool | None = None
+    """Whether it waits for a report of the peer."""
+
+
+TRANSITIONS: dict[Event, _Facts] = {
+    "arrived": _Facts(owes=True, awaits=True),
+    "reported": _Facts(awaits=False),
+    "timed out": _Facts(awaits=False),
+    "informed": _Facts(owes=False),
+    "restarted": _Facts(owes=True),
+    "left": _Facts(owes=False, awaits=False),
+}
+"""The events of a meeting. *Informed*: the owed reports were on the air. *Restarted*: the peer lost its state."""
+
 
 class Meetings:
-    """The reports that this robot and robots that came into its range must exchange (docs/replication.md, Meetings).
+    """The reports that this robot and robots that came into its range must exchange, by `TRANSITIONS`.
 
     `settled`: all start at the same time with empty logs; else everyone in range must report first.
     """
@@ -31,26 +54,22 @@ class Meetings:
         self._awaited: set[int] = set()
         """Peers whose report it waits for."""
 
+    def on(self, peer: int, event: Event) -> None:
+        """Follow the transition table."""
+        for peers, fact in zip((self._owed, self._awaited), TRANSITIONS[event], strict=True):
+            if fact is not None:
+                (peers.add if fact else peers.discard)(peer)
+
     def begin_step(self, step: int, in_range: Iterable[int]) -> None:
         """Note which peers have left the range and which have come; after `GREETING` steps, await no report."""
         before, self._in_range = self._in_range, set(in_range)
-        left, arrived = before - self._in_range, self._in_range - before
-        self._arrived |= dict.fromkeys(arrived, step)
-        self._owed = self._owed - left | arrived
-        awaited = self._awaited - left | arrived
-        self._awaited = {peer for peer in awaited if step <= self._arrived[peer] + GREETING}
-
-    def reported(self, peer: int) -> None:
-        """Note that a peer's report arrived."""
-        self._awaited.discard(peer)
-
-    def restarted(self, peer: int) -> None:
-        """Note that a peer lost its state."""
-        self._owed.add(peer)
-
-    def informed(self, peers: Iterable[int]) -> None:
-        """Note that the reports that this robot owed to peers were on the air."""
-        self._owed.difference_update(peers)
+        for peer in before - self._in_range:
+            self.on(peer, "left")
+        for peer in self._in_range - before:
+            self.on(peer, "arrived")
+            self._arrived[peer] = step
+        for peer in [each for each in self._awaited if step > self._arrived[each] + GREETING]:
+            self.on(peer, "timed out")
 
     def owed(self) -> list[int]:
         """Return the peers to which this robot owes reports, ascending."""
@@ -59,6 +78,11 @@ class Meetings:
     def known(self, in_range: Iterable[int]) -> list[int]:
         """Return the peers in range whose report is not awaited."""
         return [peer for peer in in_range if peer not in self._awaited]
+
+    def informed(self, peers: Iterable[int]) -> None:
+        """Note that the reports that this robot owed to peers were on the air."""
+        for peer in peers:
+            self.on(peer, "informed")
 
 
 class Neighbors:

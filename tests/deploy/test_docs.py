@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import get_args
@@ -24,10 +24,9 @@ from agent.outline.simplify import refine
 from agent.predictive.scan_updates import MAX_SCANS
 from agent.predictive.tile_author import ENOUGH_TILES, INTERVAL, LONGEST_WAIT, QUIET_STEPS
 from agent.predictive.urgent_tile_author import FEW_QUIET_STEPS
-from agent.replication import handshakes
+from agent.replication import handshakes, neighbors
 from agent.replication.base import Replication
 from agent.replication.engine import DISSEMINATIONS
-from agent.replication.neighbors import GREETING, Meetings
 from agent.settings import EncodingSettings, ReplicationSettings, Settings
 from deploy.record.columns import SUMMARY
 from deploy.run.exploration import explore
@@ -268,44 +267,16 @@ def test_the_rooms_of_the_worked_example_are_drawn() -> None:
     assert HALL.strip("\n") in text
 
 
-def test_the_transition_table_is_that_by_which_the_code_runs() -> None:
+def test_the_transition_tables_are_those_by_which_the_code_runs() -> None:
     connections = {
         (state, event, after) for _, state, event, after, _ in rows("replication.md", "Handshakes")
     }
     assert connections == {(*before, after) for before, after in handshakes.TRANSITIONS.items()}
-
-
-def after(event: str, *, owes: bool, awaits: bool) -> tuple[bool, bool]:
-    """Whether a robot owes a peer reports, and whether it awaits a report, after an event of their meeting."""
-    meetings = Meetings(2, settled=False)
-    meetings.begin_step(1, [1])
-    if not owes:
-        meetings.informed([1])
-    if not awaits:
-        meetings.reported(1)
-    if event in ("left", "arrived"):
-        meetings.begin_step(2, [])
-    events: dict[str, Callable[[], None]] = {
-        "arrived": lambda: meetings.begin_step(3, [1]),
-        "reported": lambda: meetings.reported(1),
-        "timed out": lambda: meetings.begin_step(2 + GREETING, [1]),
-        "informed": lambda: meetings.informed([1]),
-        "restarted": lambda: meetings.restarted(1),
-        "left": lambda: None,
+    facts = {True: "yes", False: "no", None: ""}
+    events = {
+        event: tuple(facts[fact] for fact in changed) for event, changed in neighbors.TRANSITIONS.items()
     }
-    events[event]()
-    return meetings.owed() == [1], meetings.known([1]) == []
-
-
-@pytest.mark.parametrize("owes", [False, True])
-@pytest.mark.parametrize("awaits", [False, True])
-def test_meetings_follow_their_table(owes: bool, awaits: bool) -> None:
-    facts = {"yes": True, "no": False}
-    table = rows("replication.md", "Meetings")
-    assert len(table) == 6
-    for event, then_owes, then_awaits in table:
-        expected = facts.get(then_owes, owes), facts.get(then_awaits, awaits)
-        assert after(event, owes=owes, awaits=awaits) == expected, event
+    assert {event: (owes, awaits) for event, owes, awaits in rows("replication.md", "Meetings")} == events
 
 
 def test_disseminations_are_all_described() -> None:
