@@ -53,10 +53,12 @@ class BlockBound(Bound):
     ) -> int:
         """Compute the states that receivers shall hold as `apply` does, at half resolution.
 
-        `exact`, uint8 of shape (tile rows, tile columns), receives 1 for changed tiles that have the resolution of
-        cells, else 0.
+        `target` receives the states of the whole grid: passages lead through cells around the marked tiles. `exact`,
+        uint8 of shape (tile rows, tile columns), receives 1 for changed tiles that have the resolution of cells, else
+        0.
         """
         exact[:] = 0
+        np.bitwise_and(held, 3, out=target)
         if not self.apply(own, log_odds, held, tiles, target, changed):
             return 0
         violating, fails = changed.copy(), np.empty_like(changed)

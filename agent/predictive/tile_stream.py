@@ -38,7 +38,7 @@ class TileStream(Stream):
         super().__init__(map_id, grid, *args, **options)
         self.model = self._start_model()
         self._last_box = np.zeros(4, np.int64)
-        self.target = np.empty_like(grid)
+        self.target = np.zeros_like(grid)
         """The states that receivers shall hold in and around the tiles of the last call of `violations` or `encode`."""
         self._changed = np.zeros(tiles_of(*grid.shape), np.uint8)
         self.bases: list[Box] = []

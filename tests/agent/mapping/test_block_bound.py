@@ -126,3 +126,24 @@ def test_the_bound_holds_and_blocks_of_other_tiles_change_as_a_whole(
     assert (is_uniform | remains)[whole].all()
     unchanged = np.kron(changed, np.ones((8, 8), np.uint8)) == 0
     assert (target[unchanged] == held[unchanged]).all()
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.floats(0.02, 0.3))
+def test_the_states_of_the_whole_grid_are_written_for_any_marked_tiles(seed: int, walls: float) -> None:
+    random = np.random.default_rng(seed)
+    states = np.array([UNKNOWN, FREE, OCCUPIED], np.uint8)
+    own = random.choice(states, (SIDE, SIDE), p=[0.1, 0.9 - walls, walls])
+    held = np.where(random.random((SIDE, SIDE)) < 0.5, own, UNKNOWN).astype(np.uint8)
+    log_odds = (np.array([0, -40, 40])[own]).astype(np.int8)
+    tiles = (random.random(tiles_of(SIDE, SIDE)) < 0.4).astype(np.uint8)
+    outcomes = []
+    for before in states:
+        results = np.full_like(own, before), np.full_like(tiles, before), np.full_like(tiles, before)
+        BlockBound(1, SETTLED, openings=(2, 3)).apply_blocks(own, log_odds, held, tiles, *results)
+        outcomes.append(results)
+    for others in outcomes[1:]:
+        for result, other in zip(outcomes[0], others, strict=True):
+            assert (result == other).all()
+    outside = np.kron(tiles, np.ones((8, 8), np.uint8)) == 0
+    assert (outcomes[0][0][outside] == held[outside]).all()
