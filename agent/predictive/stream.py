@@ -159,9 +159,8 @@ class Stream(ABC):
         vars(self).update(self._before)
         cells = self.grid.reshape(-1)
         for places, states in reversed(self._overwritten):
-            cells[places[::-1]] = states[
-                ::-1
-            ]  # of a cell that was written twice, the first value is written last
+            # in reverse order: of a cell that was written twice, the first value is written last
+            cells[places[::-1]] = states[::-1]
         self._overwritten = []
         self._before = None
 
