@@ -90,6 +90,7 @@ class Kernel:
         self.was_compiled = not dispatcher.stats.cache_hits
         self.cache = dispatcher.stats.cache_path or ""
         vars(self)["dispatcher"] = dispatcher  # before the callers are compiled
+        _installed[id(dispatcher)] = self  # modules of callers may hold it, not the library's function
         if not self.is_loaded:
             self._install(dispatcher)
         if self.was_compiled:

@@ -123,6 +123,11 @@ from protocol.kernels import kernel
 @kernel
 def thrice_shifted(number: int) -> int:
     return 3 * shifted(number)
+
+
+@kernel
+def never_called(number: int) -> int:
+    return 5 * shifted(number)
 """
 
 

@@ -107,8 +107,10 @@ def test_a_changed_constant_or_body_is_compiled_again_with_its_callers_only(copy
 
 def test_a_kernel_that_is_not_in_the_library_can_call_one_that_is(copy: Path) -> None:
     (copy / "plug_in.py").write_text(checks.PLUG_IN)
-    code = "import parts, plug_in; print(parts.shifted(1), plug_in.thrice_shifted(1), parts.twice_shifted(1))"
-    assert run(copy, code) == "11 33 22\n"
+    code = "import parts, plug_in; from protocol.kernels import all_kernels; "
+    code += "print(parts.shifted(1), plug_in.thrice_shifted(1), parts.twice_shifted(1)); "
+    code += "print(all(each.digest for each in all_kernels()))"
+    assert run(copy, code) == "11 33 22\nTrue\n"
 
 
 def test_a_library_that_is_damaged_or_of_another_environment_is_not_used(tmp_path: Path) -> None:
