@@ -96,9 +96,9 @@ class Votes:
 
     def reported(self) -> Grid:
         """Return the map of all reports that count, shape (h, w): a cell is a wall if any robot reports one."""
-        free, walls = (self._voters & self._believed).T != 0
-        grid = np.where(walls, OCCUPIED, np.where(free, FREE, UNKNOWN)).astype(np.uint8)
-        return grid.reshape(self.received.shape)
+        grid = np.empty_like(self.received)
+        _unite(self._voters, self._believed, grid.reshape(-1))
+        return grid
 
     def _outvoted(self, opposed: NDArray[np.bool_]) -> int | None:
         """Return a robot that two or more others contradict, each of which fewer contradict; None if there is none."""
@@ -155,6 +155,14 @@ def _resolve_all(voters: Int64Rows, believed: int, received: Uint8s) -> None:
     """Resolve all cells again."""
     for place in range(len(received)):
         received[place] = _resolve(voters[place, 0] & believed, voters[place, 1] & believed)
+
+
+@kernel
+def _unite(voters: Int64Rows, believed: int, reported: Uint8s) -> None:
+    """Write the state of each cell by all reports; walls take precedence."""
+    for place in range(len(reported)):
+        free, walls = voters[place, 0] & believed, voters[place, 1] & believed
+        reported[place] = OCCUPIED if walls else FREE if free else UNKNOWN
 
 
 @kernel

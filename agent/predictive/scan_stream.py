@@ -31,9 +31,11 @@ from agent.predictive.scan_updates import (
 )
 from agent.predictive.stream import Stream
 from agent.predictive.wall_model import no_model, start_model
+from protocol.arrays import Int32s, Uint8s
 from protocol.boxes import NO_BOX, Box, bounding_box
 from protocol.errors import ProtocolError
 from protocol.grid import UNKNOWN, Grid, RayTable
+from protocol.kernels import kernel
 from protocol.packets import Update
 
 NO_LIMIT = 1 << 40
@@ -235,7 +237,11 @@ class ScanStream(Stream):
         near = bounding_box(
             [box, *((x - reach, y - reach, x + reach + 1, y + reach + 1) for x, y in centers)]
         )
-        return [update.box for update in self._write_bases(coder, own, near) if _contradicts(own, update)]
+        return [
+            update.box
+            for update in self._write_bases(coder, own, near)
+            if _contradicts(own.reshape(-1), update.places, update.states)
+        ]
 
 
 def _place(coder: Coder) -> int:
@@ -253,7 +259,11 @@ def _places(grid: Grid, own: Grid, box: Box) -> NDArray[np.int32]:
     return found[:count]
 
 
-def _contradicts(own: Grid, update: DecodedUpdate) -> bool:
+@kernel
+def _contradicts(own: Uint8s, places: Int32s, states: Uint8s) -> bool:
     """Whether an update reports a cell with another state than the self-explored grid has."""
-    truth = own.reshape(-1)[update.places]
-    return bool(((truth != UNKNOWN) & (truth != update.states)).any())
+    for index in range(len(places)):
+        truth = own[places[index]]
+        if truth != UNKNOWN and truth != states[index]:
+            return True
+    return False

@@ -157,10 +157,8 @@ class Stream(ABC):
         """Restore the state before the last update; the caller removes the update from the history."""
         assert self._before is not None
         vars(self).update(self._before)
-        cells = self.grid.reshape(-1)
         for places, states in reversed(self._overwritten):
-            # in reverse order: of a cell that was written twice, the first value is written last
-            cells[places[::-1]] = states[::-1]
+            _restore(self.grid.reshape(-1), places, states)
         self._overwritten = []
         self._before = None
 
@@ -283,9 +281,8 @@ class Stream(ABC):
 
     def _overlay(self, update: DecodedUpdate) -> None:
         """Apply an update of another map to all cells that the author itself has not reported."""
-        cells = self.grid.reshape(-1)
-        before = cells[update.places]
-        cells[update.places] = np.where(before & REPORTED, before, update.states)
+        before = np.empty(len(update.places), np.uint8)
+        _overlay(self.grid.reshape(-1), update.places, update.states, before)
         self._overwritten.append((update.places, before))
 
     def _decoded(self, changed: int, by_scans: int) -> DecodedUpdate:
@@ -361,3 +358,20 @@ def _saves_cells(grid: Grid, own: Grid, places: Int32s, x0: int, y0: int, x1: in
         if inside and own[y, x] != UNKNOWN and grid[y, x] & STATE == UNKNOWN:
             return True
     return False
+
+
+@kernel
+def _overlay(grid: Uint8s, places: Int32s, states: Uint8s, before: Uint8s) -> None:
+    """Write states to the cells that the author has not reported; save the previous values in `before`."""
+    for index in range(len(places)):
+        place = places[index]
+        before[index] = grid[place]
+        if not grid[place] & REPORTED:
+            grid[place] = states[index]
+
+
+@kernel
+def _restore(grid: Uint8s, places: Int32s, states: Uint8s) -> None:
+    """Write states to cells, the last one first."""
+    for index in range(len(places) - 1, -1, -1):
+        grid[places[index]] = states[index]

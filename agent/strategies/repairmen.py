@@ -266,7 +266,7 @@ class Repairmen(TeamStrategy):
     def table(self, situation: Situation, goals: Cells, planner: PathPlanner) -> Table:
         """Return the costs of all robots and goals; ways between goals come from the same search."""
         team = self.team(situation)
-        radii = {self.settings.bodies[robot].radius_cells for robot in team}
+        radii = () if self._alike else {self.settings.bodies[robot].radius_cells for robot in team}
         if len(radii) > 1:
             _, self._between = planner.of_radius(min(radii)).costs_among(goals[:0], goals)
             return super().table(situation, goals, planner)
@@ -387,9 +387,15 @@ def _representatives(grid: Grid, frontier: Cells, range_cells: float, robots: in
     return cells[stays], lengths[stays]
 
 
+@kernel
 def _to_neighborhoods(costs: FloatRows, near: float) -> FloatRows:
     """Return the costs of ways to goals up to their neighborhoods of radius `near`, plus a share of the rest."""
-    return np.maximum(costs - near, REMAINS * costs)
+    shorter = np.empty(costs.shape)
+    for row in range(len(costs)):
+        for goal in range(costs.shape[1]):
+            cost = costs[row, goal]
+            shorter[row, goal] = max(cost - near, REMAINS * cost)
+    return shorter
 
 
 @kernel

@@ -61,6 +61,8 @@ class TeamStrategy(TargetStrategy):
         super().__init__(options, settings)
         self._spent: set[tuple[int, Cell]] = set()
         self._waited = 0
+        self._alike = len({body.radius_cells for body in settings.bodies}) == 1
+        """Whether all robots have the same radius."""
 
     @abstractmethod
     def assign(self, table: Table, situation: Situation, planner: PathPlanner) -> Assignment:
@@ -132,6 +134,8 @@ class TeamStrategy(TargetStrategy):
     def frontier(self, situation: Situation, planner: PathPlanner) -> Cells:
         """Return the frontier cells that this robot, or with mixed radii any member, can reach."""
         team = self.team(situation)
+        if self._alike:
+            return super().frontier(situation, planner)
         radii = {robot: self.settings.bodies[robot].radius_cells for robot in team}
         if len(set(radii.values())) == 1:
             return super().frontier(situation, planner)
