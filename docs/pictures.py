@@ -198,5 +198,6 @@ OTHERS = {"gallery": gallery, "noisy": noisy, "maps": kinds}
 """Pictures of other pages, by the first word of the command."""
 
 if __name__ == "__main__":
-    first, *rest = sys.argv[1:] or [str(Path(__file__).parent / "concepts")]
-    OTHERS.get(first, main)(Path(*rest or [first]))
+    arguments = sys.argv[1:] or [str(Path(__file__).parent / "concepts")]
+    draw = OTHERS.get(arguments[0], main)
+    draw(Path(arguments[-1]))

@@ -32,7 +32,7 @@ class UpdateLog:
 
     def __init__(self) -> None:
         self.messages: list[bytes] = []
-        """The complete updates; the last ones may await decoding. Of this robot's own log it is not used."""
+        """The complete updates; the last ones may await decoding. Not used for this robot's own log."""
         self.ends: list[int] = []
         """Packets up to the end of each complete update, from the beginning of the log."""
         self.packets = 0

@@ -8,8 +8,8 @@ of a single cell count as walls, too, and those beside one that a few beams of a
 
 False walls can enclose a robot, which would then report that it has nothing left to explore. So the cells that it has
 driven over count as free, unless it bumped into something there later. Poses have errors, so walls of teammates' maps
-may lie where the robot stands. If it reaches no frontier, the cells around it count as free that it has seen free
-itself. Targets that a robot could not reach are drawn last (`agent.planning.avoided`).
+may lie where the robot stands. If it reaches no frontier, cells around it that its own scans show as free count as
+free. Targets that a robot could not reach are drawn last (`agent.planning.avoided`).
 """
 
 from __future__ import annotations

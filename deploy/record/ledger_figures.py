@@ -25,9 +25,9 @@ def per_kind(ledger: NDArray[np.void], name: str) -> dict[str, int]:
 
 
 def over_budget(ledger: NDArray[np.void], allowed: NDArray[np.float64], saving: Saving, *, each: bool) -> int:
-    """Count the steps that exceeded their budget and what was saved before; there must be none.
+    """Count the steps with more bytes than their budget and the bytes saved from earlier steps; there must be none.
 
-    If each neighborhood has a budget (`each`), count the steps in which one robot exceeded it.
+    If each neighborhood has a budget (`each`), count the steps in which any robot sent more than that.
     """
     if not len(ledger):
         return 0

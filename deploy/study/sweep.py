@@ -34,7 +34,7 @@ class Sweep(StudyRuns):
     Attributes
     ----------
     experiment : Experiment
-        What was run, with the layout of its table and plots.
+        The experiment that was run; it also defines the table and the plots.
     """
 
     experiment: Experiment
