@@ -105,7 +105,9 @@ def test_light_commands_import_no_compiler(words: tuple[str, ...], allowed: set[
 
 @pytest.mark.parametrize("module", ["typer", "rich", "pydantic", "numpy"])
 def test_ctrl_c_during_an_import_ends_the_command_without_a_traceback(tmp_path: Path, module: str) -> None:
-    (tmp_path / f"{module}.py").write_text("import time; print('importing', flush=True); time.sleep(60)")
+    # Short sleeps: Python handles a signal that arrives just before a sleep only after it.
+    lines = ("import time", "print('importing', flush=True)", "for _ in range(6000):", "    time.sleep(0.01)")
+    (tmp_path / f"{module}.py").write_text("\n".join(lines))
     with subprocess.Popen(
         [sys.executable, "-m", "deploy.commands.main", "explore", "--steps", "1"],
         env=os.environ | {"PYTHONPATH": f"{tmp_path}:{Path(__file__).parents[3]}"},
