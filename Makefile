@@ -39,9 +39,9 @@ test: $(VENV)/dev.stamp check
 	$(BIN)/python -m pytest -n 4 --dist loadfile --no-loadscope-reorder \
 	-o faulthandler_timeout=540 --timeout 600 --timeout-method thread --max-worker-restart 2
 
-# All but the tests of commands, reports, studies, captures and swarms of processes.
+# All but the slow tests and those of commands, reports, studies, captures and swarms of processes.
 quick: $(VENV)/dev.stamp
-	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder $(QUICK)
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m 'not long and not slow' $(QUICK)
 
 check: $(VENV)/dev.stamp
 	$(BIN)/ruff format --check .

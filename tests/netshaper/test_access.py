@@ -24,6 +24,8 @@ from protocol.bus import Bus, Message
 from protocol.keys import Keys
 from protocol.zenoh_bus import Credential, insert, join, plain_config
 
+pytestmark = pytest.mark.slow
+
 KEYS = Keys("guarded")
 RELAY, WORLD, RECORDER = names.RELAY, names.WORLD, names.RECORDER
 ROUTER = names.router("rack")

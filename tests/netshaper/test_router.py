@@ -111,6 +111,7 @@ def test_a_rogue_with_a_router_s_certificate_represents_only_the_router_s_robots
         rogue.close()  # type: ignore[no-untyped-call]
 
 
+@pytest.mark.slow
 def test_robots_reach_the_hub_through_a_router_and_both_detect_its_loss(routed: Routed) -> None:
     router = Router(routed.credentials[ROUTER], routed.endpoint, routed.passwords)
     with closing(join(routed.passwords["r0"])) as robot:

@@ -243,6 +243,7 @@ def test_a_closed_end_neither_sends_nor_receives(rendezvous: Rendezvous) -> None
         assert [rendezvous.receive(RELAY).payload, rendezvous.receive(RELAY).payload] == [b"before", b"0"]
 
 
+@pytest.mark.slow
 def test_after_the_hub_leaves_its_last_messages_arrive_and_then_the_bus_is_closed(
     rendezvous: Rendezvous,
 ) -> None:
@@ -259,6 +260,7 @@ def test_after_the_hub_leaves_its_last_messages_arrive_and_then_the_bus_is_close
     assert received == [b"%d" % n for n in range(500)]
 
 
+@pytest.mark.slow
 def test_a_waiting_end_detects_the_loss_of_the_hub(rendezvous: Rendezvous) -> None:
     rendezvous[RELAY].close()
     began = time.monotonic()

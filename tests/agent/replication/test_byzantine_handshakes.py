@@ -65,6 +65,7 @@ def make_byzantine(network: Network, robot: int, seed: int) -> None:
     overrides.close_round = lambda _report: []
 
 
+@pytest.mark.slow
 @settings(max_examples=max(8, settings().max_examples // 4))
 @given(st.integers(3, 5), policies, seeds)
 def test_a_byzantine_robot_neither_spoils_a_log_nor_keeps_others_from_theirs(

@@ -71,6 +71,7 @@ def distrusted(network: Network) -> set[int]:
     return set[int]().union(*(engine.replica.distrusted for engine in network.engines))
 
 
+@pytest.mark.slow
 @given(st.integers(3, 5), variants, seeds, st.sampled_from((None, 100, 300)))
 def test_forged_entries_are_dropped_and_replaced_once_the_author_is_in_range(
     robots: int, variant: tuple[str, bool], seed: int, budget: int | None
@@ -88,6 +89,7 @@ def test_forged_entries_are_dropped_and_replaced_once_the_author_is_in_range(
     assert distrusted(network) <= {FORGER}
 
 
+@pytest.mark.slow
 @given(variants, seeds)
 def test_a_forger_that_never_stops_is_distrusted_and_the_others_share_their_logs(
     variant: tuple[str, bool], seed: int
@@ -157,6 +159,7 @@ def test_an_author_reports_a_forgery_of_its_log_and_sends_a_digest(name: str, ac
     assert len(engine.logs[0]) == 3, "its own log is its own"
 
 
+@pytest.mark.slow
 @given(st.integers(2, 5), variants, seeds)
 def test_digests_cost_a_byte_per_step_and_change_nothing_else(
     robots: int, variant: tuple[str, bool], seed: int
@@ -198,6 +201,7 @@ def test_entries_are_verified_within_a_turn_of_all_robots(name: str, acks: bool)
         assert not engine.replica.has_forwarded()
 
 
+@pytest.mark.slow
 @settings(max_examples=15)
 @given(st.sampled_from([each for each in VARIANTS if each[1]]), seeds, st.sampled_from((0.1, 0.3)))
 def test_on_a_lossy_medium_late_digests_and_entries_are_not_taken_for_forgeries(

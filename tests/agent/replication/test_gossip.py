@@ -81,6 +81,7 @@ def test_robots_in_range_of_each_other_send_each_entry_once_and_nothing_else(rob
     assert network.carried == size
 
 
+@pytest.mark.slow
 @given(st.integers(2, 5), seeds, st.integers(15, 60))
 def test_a_narrow_medium_cuts_between_entries_and_no_entry_is_sent_twice(
     robots: int, seed: int, budget: int
@@ -285,6 +286,7 @@ def test_once_robots_were_apart_serving_a_peer_that_holds_more_has_priority() ->
     assert priorities[0] == priorities[1] + known // HELD_PER_PRIORITY < MAX_PRIORITY
 
 
+@pytest.mark.slow
 def test_offsets_modulo_the_window_mean_the_value_nearest_to_the_receiver_s_log() -> None:
     each = engine(1, 2)
     for _ in range(16):

@@ -22,6 +22,8 @@ from protocol.memory_bus import MemoryHub
 from protocol.message_codec import pack, unpack
 from protocol.messages import OutgoingFrame, RobotFrames
 
+pytestmark = pytest.mark.slow
+
 SMALL = [6, 11, 15, 75]
 """Seeds of small and short cases."""
 NARROW = [155, 85]

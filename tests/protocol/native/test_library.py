@@ -25,7 +25,7 @@ except BuildError as error:
     print("failed:", error)
 """
 
-pytestmark = pytest.mark.skipif(not HAS_COMPILER, reason="no C compiler")
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(not HAS_COMPILER, reason="no C compiler")]
 
 
 @pytest.fixture(scope="module")
