@@ -317,24 +317,39 @@ class _Plan:
 
         `missed` are the needed cells that the direct path between those two does not see.
         """
-        width = self._building.floor.shape[1]
         detours: Field = np.sum([self._building.field(cell) for cell in (ends[0], *ends[2:])], axis=0)
         current = detours[ends[1][1], ends[1][0]]
-        y, x = divmod(int(missed[0]), width)
-        reach = int(self._building.range_cells)
-        x0, y0 = max(0, x - reach), max(0, y - reach)
-        there = detours[y0 : y + reach + 1, x0 : x + reach + 1]
+        x0, y0, near = self._near(missed)
+        there = detours[y0 : y0 + near.shape[0], x0 : x0 + near.shape[1]]
+        better = np.flatnonzero(near & (there < current - 1e-9))
+        is_missed = self._flags(missed)
         tried = 0
-        for place in np.argsort(there, axis=None, kind="stable"):
+        for place in better[np.argsort(there.ravel()[better], kind="stable")]:
             dy, dx = divmod(int(place), there.shape[1])
             cell = x0 + dx, y0 + dy
-            if not there[dy, dx] < current - 1e-9 or tried == TRIES:
-                break
-            if not len(np.setdiff1d(missed, self._building.seen(cell), assume_unique=True)):
+            if np.count_nonzero(is_missed[self._building.seen(cell)]) == len(missed):
                 tried += 1
                 if not len(self._unseen(needed, (ends[0], cell, *ends[2:]))):
                     return cell
+            if tried == TRIES:
+                break
         return ends[1]
+
+    def _near(self, cells: Indices) -> tuple[int, int, NDArray[np.bool_]]:
+        """Where a robot may see all of these cells: the corner x0, y0 of a box, and a flag per cell of the box.
+
+        A flag means that up to eight of the outermost cells are in range; walls are ignored.
+        """
+        height, width = self._building.floor.shape
+        ys, xs = np.divmod(cells, width)
+        reach = int(self._building.range_cells)
+        x0, y0 = max(0, int(xs[0]) - reach), max(0, int(ys[0]) - reach)
+        y, x = np.ogrid[y0 : min(height, ys[0] + reach + 1), x0 : min(width, xs[0] + reach + 1)]
+        near = np.ones(np.broadcast_shapes(y.shape, x.shape), np.bool_)
+        for direction in (xs, ys, xs + ys, xs - ys):
+            for at in (np.argmin(direction), np.argmax(direction)):
+                near &= (x - xs[at]) ** 2 + (y - ys[at]) ** 2 <= (reach + 2) ** 2
+        return x0, y0, near
 
     def _scan_positions(self, stops: Sequence[Cell]) -> list[Cell]:
         """Where a robot scans on its path from the first stop to the last."""
@@ -342,11 +357,19 @@ class _Plan:
 
     def _unseen(self, cells: Indices, stops: Sequence[Cell]) -> Indices:
         """The cells that are not seen on the path from stop to stop."""
+        is_unseen = self._flags(cells)
         for cell in self._scan_positions(stops)[::-1]:
             if not len(cells):
                 break
-            cells = np.setdiff1d(cells, self._building.seen(cell), assume_unique=True)
+            is_unseen[self._building.seen(cell)] = False
+            cells = cells[is_unseen[cells]]
         return cells
+
+    def _flags(self, cells: Indices) -> NDArray[np.bool_]:
+        """A flag per cell of the flattened map, set for these cells."""
+        flags = np.zeros(self._building.floor.size, np.bool_)
+        flags[cells] = True
+        return flags
 
     def _count(self, counts: NDArray[np.int64], stops: Sequence[Cell], change: int) -> None:
         """Change the count of each cell by the number of scans between the stops that see it."""
