@@ -27,7 +27,8 @@ KEYS = Keys("routed")
 RELAY, WORLD = names.RELAY, names.WORLD
 ROUTER = names.router("rack")
 BLOCK = zenoh.CongestionControl.BLOCK
-SOON_S = 5.0
+SOON_S = 30.0
+"""Longest wait for a message that must arrive. On a busy machine, a connection takes seconds."""
 
 
 class Routed:

@@ -20,8 +20,8 @@ from protocol.zenoh_bus import join
 
 KEYS = Keys("contract")
 RELAY, WORLD, RECORDER, R0, R1 = names.RELAY, names.WORLD, names.RECORDER, "r0", "r1"
-SOON_S = 5.0
-"""Maximum time until a message arrives."""
+SOON_S = 30.0
+"""Longest wait for a message that must arrive. On a busy machine, a connection takes seconds."""
 LOSS_S = 60.0
 """Maximum time until a robot detects that the hub is gone; usually 4.25 s, as it may only have lost its connection."""
 
