@@ -20,7 +20,6 @@ from protocol.nanoseconds import SECOND
 from protocol.ros2.graph import Graph
 from protocol.ros2.interfaces import NAVIGATE_TO_POSE
 from protocol.ros2.messages import DISTROS, POSE_STAMPED, Messages
-from protocol.ros2.node import Ros2Node
 from protocol.ros2.tokens import EndpointToken, Kind
 
 LEAST_HZ = 1.0
@@ -207,16 +206,16 @@ class RobotDoctor:
 
     def goals(self) -> str:
         """Check that something takes goals."""
-        listener, names = self._connected(), self._names
-        if names.navigate_to_pose:
-            service = listener.qualified(f"{names.navigate_to_pose}/_action/send_goal")
-            found = self._graph.of_topic(service, Kind.SERVER)
-            if any(_fits(each, f"{NAVIGATE_TO_POSE}_SendGoal", listener.node) for each in found):
-                return f"over the action {names.navigate_to_pose}, to {found[0].node.full_name}"
-        if names.goal_pose:
-            found = self._graph.of_topic(listener.qualified(names.goal_pose), Kind.SUBSCRIPTION)
-            if any(_fits(each, POSE_STAMPED, listener.node) for each in found):
-                return f"over {names.goal_pose}, to {found[0].node.full_name}"
+        names = self._names
+        service = f"{names.navigate_to_pose}/_action/send_goal"
+        if names.navigate_to_pose and (
+            servers := self._fitting(service, Kind.SERVER, f"{NAVIGATE_TO_POSE}_SendGoal")
+        ):
+            return f"over the action {names.navigate_to_pose}, to {servers[0].node.full_name}"
+        if names.goal_pose and (
+            subscriptions := self._fitting(names.goal_pose, Kind.SUBSCRIPTION, POSE_STAMPED)
+        ):
+            return f"over {names.goal_pose}, to {subscriptions[0].node.full_name}"
         tried = " or ".join(each for each in (names.navigate_to_pose, names.goal_pose) if each)
         raise Trouble(
             f"no node takes goals over {tried}", "start nav2, or set ros2.navigate_to_pose or ros2.goal_pose"
@@ -229,8 +228,9 @@ class RobotDoctor:
         if others:
             problem = f"{heard.topic} has messages of type {others[0]}, not {heard.type_name}"
             return Trouble(problem, f"set ros2.{name} to another topic")
-        if any(not _fits(each, heard.type_name, self._connected().node) for each in publishers):
-            found = publishers[0].data_key.type_hash
+        fitting = self._fitting(heard.topic, Kind.PUBLISHER, heard.type_name)
+        if others := [each.data_key.type_hash for each in publishers if each not in fitting]:
+            found = others[0]
             right = [each for each in DISTROS if Messages(each).type_hash(heard.type_name) == found]
             problem = f"{heard.topic} has another definition of {heard.type_name} than {self._names.distro}"
             return Trouble(problem, f'set ros2.distro = "{right[0]}"' if right else DISTRO)
@@ -248,12 +248,14 @@ class RobotDoctor:
             f"nothing publishes {heard.topic}", f"start the node that publishes it{ABSENT.get(name, '')}"
         )
 
+    def _fitting(self, name: str, kind: Kind, type_name: str) -> list[EndpointToken]:
+        """Return the endpoints of a topic or service that have this distribution's definition of its type."""
+        listener = self._connected()
+        type_hash = listener.node.messages.type_hash(type_name)
+        found = self._graph.of_topic(listener.qualified(name), kind)
+        return [each for each in found if each.data_key.type_hash == type_hash]
+
     def _connected(self) -> Listener:
         if self._listener is None:
             raise SkippedError("no router answers")
         return self._listener
-
-
-def _fits(endpoint: EndpointToken, type_name: str, node: Ros2Node) -> bool:
-    """Return whether an endpoint has the definition of a type that this distribution has."""
-    return endpoint.data_key.type_hash == node.messages.type_hash(type_name)
