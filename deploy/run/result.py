@@ -62,7 +62,7 @@ class Result:
     def to_pandas(self) -> dict[str, pd.DataFrame]:
         """Return the tables as pandas frames: ``"steps"`` and ``"ledger"``, with the columns of the parquet files.
 
-        Raises ImportError if pandas is not installed.
+        Raises MissingPackageError, an ImportError, if pandas is not installed.
         """
         return to_pandas(steps=self.steps, ledger=self.ledger)
 

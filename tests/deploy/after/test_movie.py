@@ -18,6 +18,7 @@ from deploy.after.movie import MP4, MovieError, write_movie
 from deploy.commands.app import app
 from deploy.record.colors import GREY, PAPER, SIGNAL, Color, mix, robot_color
 from protocol.grid import FREE, UNKNOWN
+from protocol.packages import MissingPackageError
 from tests.deploy.small_run import small_directory
 
 ffmpeg = pytest.importorskip(
@@ -181,7 +182,7 @@ def test_invalid_requests_for_films_are_refused(arguments: list[str], message: s
 
 def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
-    with pytest.raises(MovieError, match=r"pip install 'murmur-robots\[film\]'"):
+    with pytest.raises(MissingPackageError, match=r"pip install 'murmur-robots\[film\]'"):
         write_movie([Path()], MP4)
 
 
