@@ -11,14 +11,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deploy.after.capture import opened
 from deploy.record import run_directory
 from deploy.record.columns import FILES
 from deploy.record.ledger_figures import budgets
 from deploy.record.map_history import MAP_CHANGES, OUTLINES, MapHistory
 from deploy.scenario.errors import ScenarioError
 from deploy.scenario.plan import Plan
-from netshaper import capture, pcapng
+from netshaper import capture
 from netshaper.ledger import EVERYONE
+from netshaper.pcapng import CaptureError
 from netshaper.topology import links
 from worldsim.maps import Map
 
@@ -69,10 +71,10 @@ class Archive:
         """
         found: defaultdict[int, set[tuple[int, int]]] = defaultdict(set)
         try:
-            with (self.directory / run_directory.CAPTURE).open("rb") as file:
-                for frame in capture.read(pcapng.Reader(file)):
+            with opened(self.directory) as reader:
+                for frame in capture.read(reader):
                     found[frame.step].update((frame.sender, robot) for robot in frame.receivers)
-        except (OSError, pcapng.CaptureError):
+        except CaptureError:
             rows = self.ledger["carried"].astype(bool) & (self.ledger["receiver"] != EVERYONE)
             columns = (self.ledger[name][rows].tolist() for name in ("step", "sender", "receiver"))
             for step, sender, receiver in zip(*columns, strict=True):
