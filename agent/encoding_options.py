@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
-from protocol.bounds import check_bounds
+from protocol.bounds import Range, check_ranges
 
 MAX_USE = 100
 """Largest `medium_use`."""
@@ -101,10 +101,10 @@ class PredictiveOptions:
     base: Literal["team", "own"] = "team"
     """The map from which a robot predicts its scans. ``team``: its own updates and all that it has received. ``own``:
     its own updates; each log can then be decoded alone, and takes up to three times the bytes."""
-    patience: int = 1
+    patience: Annotated[int, Range(1, MAX_PATIENCE)] = 1
     """Factor of the times for which changed tiles of noisy maps wait (`agent.predictive.tile_author`). The larger, the
     later teammates receive changes, and the fewer bytes these take. In recorded runs, where no robot plans with the
     maps of others, the default is 2."""
 
     def __post_init__(self) -> None:
-        check_bounds(self, "patience", 1, MAX_PATIENCE)
+        check_ranges(self)
