@@ -22,7 +22,7 @@ from netshaper import capture
 from netshaper.ledger import EVERYONE
 from netshaper.pcapng import CaptureError
 from netshaper.topology import links
-from worldsim.maps import Map
+from worldsim.maps import to_cell
 
 Table = dict[str, NDArray[Any]]
 """Columns by name."""
@@ -85,9 +85,9 @@ class Archive:
         """Pairs of robots that receive each other in a step, by the radio's model (lower number first)."""
         world, rows = self.plan.map, self.rows_of(step)
         cells = {
-            int(robot): (int(column), int(row))
+            int(robot): (round(column), round(row))
             for robot, x, y in zip(rows["robot"], rows["x"], rows["y"], strict=True)
-            for column, row in [cell_of(world, x, y)]
+            for column, row in [to_cell(world, x, y)]
         }
         settings = replace(self.plan.radio, range_cells=self.range_m(step) / world.resolution)
         near = links(settings, step, cells)
@@ -116,12 +116,6 @@ class Archive:
         """The rows of `steps` of one robot, in the order of steps."""
         rows = self.steps["robot"] == robot
         return {name: column[rows] for name, column in self.steps.items()}
-
-
-def cell_of(world: Map, x: float, y: float) -> tuple[float, float]:
-    """A position in meters of the map's frame, in cells from the upper left corner."""
-    left, bottom, _ = world.origin
-    return (x - left) / world.resolution, world.height - (y - bottom) / world.resolution
 
 
 def read(directory: Path) -> Archive:
