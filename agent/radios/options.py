@@ -144,7 +144,7 @@ class LinkOptions:
         airtime = self.airtime(self.longest)
         backoff = BACKOFF_FRAMES * airtime
         return Pacer(
-            TokenBucket(self.rate, max(self.longest, self.rate), self.longest, now),
+            TokenBucket(self.rate, max(self.longest, self.rate), now),
             DutyCycle(round(self.duty_cycle * ALWAYS), airtime, backoff + airtime, now),
             self.airtime,
             self.longest,
