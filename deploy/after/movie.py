@@ -56,7 +56,7 @@ def write_movie(
     ffmpeg fails; OSError if the disk is full; ScenarioError if a directory is not a run directory.
     """
     _check(suffix, out, rate)
-    path = out or directories[0] / "-".join(["movie", *(each.name for each in directories[1:])])
+    path = out or directories[0] / "-".join(["movie", *(each.resolve().name for each in directories[1:])])
     path = path if path.suffix == suffix else path.with_name(path.name + suffix)
     archives = [read(each) for each in directories]
     width = round((SMALL if len(archives) > 1 or suffix == GIF else 1.0) * WIDTH)

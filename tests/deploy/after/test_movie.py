@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from functools import cache
 from itertools import combinations
 from pathlib import Path
@@ -143,6 +144,16 @@ def test_a_film_has_a_picture_for_each_step(runs: int, tmp_path: Path) -> None:
     if runs == 1:
         assert np.abs(shown - np.asarray(frames().at(1))).mean() < 3
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_film_of_two_runs_has_the_name_of_the_second_also_if_that_is_the_current_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, second = tmp_path / "first", tmp_path / "second"
+    for copy in (first, second):
+        shutil.copytree(small_directory(), copy)
+    monkeypatch.chdir(second)
+    assert write_movie([first, Path()], MP4, rate=120) == first / "movie-second.mp4"
 
 
 def test_the_command_writes_a_gif_and_prints_its_name(tmp_path: Path) -> None:
