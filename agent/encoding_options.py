@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
-from protocol.bounds import check_bounds
+from protocol.bounds import Range, check_ranges
 
 MAX_USE = 100
 """Largest `medium_use`."""
@@ -30,7 +30,7 @@ class PolygonOptions:
     """Share u of the medium that the splitting frequency plans with (Eq. 5.5). It also replaces the factor p of Eq.
     5.6, since only the product of the two counts."""
     bytes_per_split: float = 0.0
-    """Mean bytes d that a split causes; 0: measured during the run."""
+    """Mean bytes d that a split causes (Eq. 5.5); 0: measured during the run."""
     splits_per_step: float = 0.0
     """Splits s per step, also for a single robot and for an unlimited budget; 0: from Eq. 5.5."""
     lazy: bool = True
@@ -40,8 +40,8 @@ class PolygonOptions:
     mixed_first: bool = True
     """Refine edges of mixed occupancy before all others: such edges draw teammates to walls that are known."""
     value_function: ValueFunction = "segment-distance"
-    """Value of the edge that is refined first. The thesis names ``height`` and ``width`` besides the segment distance
-    (4.3.1). ``area`` approximates what its Eq. 6.1 counts."""
+    """Value of the edge that is refined first: ``segment-distance`` (Algorithm 6), ``height``, ``width``, or ``area``.
+    The thesis names ``height`` and ``width``, too (4.3.1). ``area`` approximates what its Eq. 6.1 counts."""
     free_inside_edges: bool = False
     """Draw inside edges that are labeled free. They mark cells free that no robot has seen."""
     unknown_pairs: bool = False
@@ -50,9 +50,9 @@ class PolygonOptions:
     wide_walls: bool = True
     """Treat unknown cells beside the wall of a teammate in range as wall: coarse walls run beside the true ones."""
     wide_seen_walls: bool = True
-    """Do so also beside walls that the robot has seen itself. Without it no small opening is taken for a wall, so maps
-    are complete, but robots visit unknown specks in walls, which takes some steps more. Scenarios with `repairmen` turn
-    it off by default."""
+    """Treat them so also beside walls that the robot has seen itself; false by default with `repairmen` and other
+    strategies that set `looks_from_afar`. Without it no small opening is taken for a wall, so maps are complete, but
+    robots visit unknown specks in walls, which takes some steps more."""
     close_slivers: bool = True
     """Treat unknown slivers between free cells of teammates as free: coarse areas meet there."""
     keep_walls: bool = False
@@ -62,11 +62,11 @@ class PolygonOptions:
     """Send a `chg` packet also for each object whose place in scan order changes, as where objects are numbered anew in
     each step (Algorithm 3). Otherwise objects keep their numbers, and it costs nothing."""
     moving_starts: bool = False
-    """Start the vertex list of each object where Algorithm 3 starts to extract the object. A start that moves costs
-    `del` and `ins` packets. Otherwise lists start where packets are fewest."""
+    """Start the vertex list of each object where Algorithm 3 starts it: a start that moves costs `del` and `ins`
+    packets. Otherwise lists start where packets are fewest."""
     exact_error: bool = False
-    """Measure in each step also the error of an exact approximation. Eq. 6.1 minus this value is the error due to
-    coarseness. It changes no result, and takes a third of a robot's time."""
+    """Measure in each step also the error of an exact approximation (`approximation_error_net`). Eq. 6.1 minus this
+    value is the error due to coarseness. It changes no result, and takes a third of a robot's time."""
 
     def __post_init__(self) -> None:
         if not 0 < self.medium_use <= MAX_USE:
@@ -99,12 +99,12 @@ class PredictiveOptions:
     __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
 
     base: Literal["team", "own"] = "team"
-    """The map from which a robot predicts its scans. ``team``: its own updates and all that it has received. ``own``:
-    its own updates; each log can then be decoded alone, and takes up to three times the bytes."""
-    patience: int = 1
-    """Factor of the times for which changed tiles of noisy maps wait (`agent.predictive.tile_author`). The larger, the
-    later teammates receive changes, and the fewer bytes these take. In recorded runs, where no robot plans with the
-    maps of others, the default is 2."""
+    """Logs from which a robot predicts its scans: ``team``, its own and all that it has received; ``own``, its own.
+    With ``own``, each log can be decoded alone, and takes up to three times the bytes."""
+    patience: Annotated[int, Range(1, MAX_PATIENCE)] = 1
+    """Factor of the times for which changed tiles of noisy maps wait; 2 by default in recorded runs. The larger, the
+    later teammates receive changes, and the fewer bytes these take (`agent.predictive.tile_author`). In recorded runs,
+    no robot plans with the maps of others."""
 
     def __post_init__(self) -> None:
-        check_bounds(self, "patience", 1, MAX_PATIENCE)
+        check_ranges(self)

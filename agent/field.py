@@ -202,7 +202,7 @@ class FieldRobot:
     def end_step(self) -> None:
         """Merge what arrived, decide, and let the body move; without readings, let it stand still."""
         if self.sense is not None:
-            self.robot.replication.ended = self.medium.ended()
+            self.robot.replication.ended = self.medium.neighbors.ended()
             for event in self.medium.end_step():
                 respond(self.robot, event, self._report)
             self.move = self.robot.decide()

@@ -10,6 +10,11 @@ import math
 
 from protocol.nanoseconds import SECOND
 
+JUMP_M = 0.5
+"""Distance in meters by which a pose may jump: SLAM corrects it."""
+SETTLE_NS = 2 * SECOND
+"""Nanoseconds without a jump after which poses are accepted again."""
+
 
 class PoseGuard:
     """Accepts the poses of one body.
@@ -17,33 +22,31 @@ class PoseGuard:
     Parameters
     ----------
     speed : float
-        Cells per second that the body drives at most.
+        Largest speed of the body, per second; in meters or cells, as all positions.
     slack : float
-        Cells by which any two poses may differ in addition.
+        Distance by which any two poses may differ in addition.
     settle : int
         Nanoseconds without a jump after which poses are accepted again.
     """
 
-    def __init__(self, speed: float, slack: float, settle: int) -> None:
-        self.jumps = 0
-        """Jumps so far."""
+    def __init__(self, speed: float, slack: float, settle: int = SETTLE_NS) -> None:
+        self.has_jumped = False
+        """Whether a pose has jumped, and poses have not settled since."""
         self._speed = speed
         self._slack = slack
         self._settle = settle
         self._last: tuple[float, float, int] | None = None
         """Position and time of the last pose."""
-        self._accepts_at: int | None = None
-        """When poses are accepted again; None: they are."""
+        self._settled_at = 0
+        """Time from which poses are accepted again after the last jump."""
 
     def accept(self, x: float, y: float, now: int) -> bool:
-        """Take a position in cells at a time in nanoseconds; return whether it can be relied on."""
+        """Take a position at a time in nanoseconds; return whether it can be relied on."""
         if self._last is not None:
             before_x, before_y, then = self._last
             reach = self._speed * max(0, now - then) / SECOND + self._slack
             if math.hypot(x - before_x, y - before_y) > reach:
-                self.jumps += 1
-                self._accepts_at = now + self._settle
+                self._settled_at = now + self._settle
         self._last = x, y, now
-        if self._accepts_at is not None and now >= self._accepts_at:
-            self._accepts_at = None
-        return self._accepts_at is None
+        self.has_jumped = now < self._settled_at
+        return not self.has_jumped

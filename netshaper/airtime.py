@@ -157,7 +157,7 @@ class Airtime:
 
     def _bucket(self, rate: int) -> TokenBucket | None:
         """Return a bucket of `rate` bytes per step; None if that is 0."""
-        return TokenBucket(rate, self._saving.capacity(rate), 0, self._now) if rate else None
+        return TokenBucket(rate, self._saving.capacity(rate), self._now) if rate else None
 
     def set_budget(self, budget: Budget) -> None:
         """Change the budget from the next step on; the airtime of duty cycles stays."""

@@ -49,27 +49,18 @@ class Partition:
 
 @dataclass(frozen=True)
 class PathLossOptions:
-    """Options of links that distance and walls weaken (model ``log-distance``).
-
-    Attributes
-    ----------
-    exponent : float
-        Growth of the loss by the logarithm of the distance: ``10 exponent`` dB per decade.
-    db_per_meter : float
-        Growth of the loss by the distance.
-    db_per_wall : float
-        Loss per wall.
-    shadowing_db : float
-        Standard deviation of the shadowing.
-    shadowing_m : float
-        Side of the squares in which the shadowing is the same.
-    """
+    """Options of links that distance and walls weaken (model ``log-distance``)."""
 
     exponent: Annotated[float, Range(0.1, 10)] = 2.0
+    """Log-distance: path loss exponent; the loss grows by ten times this number of dB per decade of distance."""
     db_per_meter: Annotated[float, Range(0, 1000)] = 0.0
+    """Log-distance: loss per meter, dB."""
     db_per_wall: Annotated[float, Range(0, 1000)] = 6.9
+    """Log-distance: loss per wall, dB."""
     shadowing_db: Annotated[float, Range(0, 100)] = 0.0
+    """Log-distance: standard deviation of shadowing, dB."""
     shadowing_m: Annotated[float, Range(0.01, MOST)] = 5.0
+    """Log-distance: side of the squares with constant shadowing, meters."""
 
     def __post_init__(self) -> None:
         check_ranges(self)
@@ -77,37 +68,28 @@ class PathLossOptions:
 
 @dataclass(frozen=True)
 class RadioOptions(PathLossOptions, ChannelOptions):
-    """Options of the radio; docs/radios.md names the sources of their numbers.
-
-    Attributes
-    ----------
-    preset : str
-        The radio whose figures apply where the scenario gives none (`protocol.presets`).
-    frame_bytes : int
-        Maximum bytes of packets in a frame; longer frames are split. 0: no limit.
-    model : str
-        Links within the communication range: ``disc``, all; ``line-of-sight``, links without a wall; ``log-distance``,
-        links whose path loss is at most that of an open link as long as the range; or a plug-in
-        (`netshaper.radio_models`).
-    send_bytes, receive_bytes : int
-        Bytes per step that a robot can send, and receive; 0: no limit of its own.
-    duty_cycle : float
-        Share of the time in which a robot may send, over an hour.
-    reuse : bool
-        Whether each neighborhood (a robot and all in its range) has the bandwidth; else the team has it.
-    partition : list of Partition
-    """
+    """Options of the radio; docs/radios.md names the sources of their numbers."""
 
     __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
 
     preset: str = ""
+    """Radio by name, for values that the scenario does not give (`protocol.presets`)."""
     frame_bytes: Annotated[int, Range(0, 65535)] = 0
+    """Bytes of packets per frame; longer frames are split; 0: no limit."""
     model: str = "disc"
+    """Links within the communication range: ``disc``, all; ``line-of-sight``, those without a wall; ``log-distance``,
+    those whose path loss is at most that of an open link as long as the range; or a plug-in. See
+    `netshaper.radio_models`."""
     send_bytes: Annotated[int, Range(0, 2**31 - 1)] = 0
+    """Bytes per step that a robot can send; 0: no limit of its own."""
     receive_bytes: Annotated[int, Range(0, 2**31 - 1)] = 0
+    """Bytes per step that a robot can receive; 0: no limit of its own."""
     duty_cycle: Annotated[float, Range(0, 1)] = 1.0
+    """Share of each hour in which a robot may send; 1: no limit."""
     reuse: bool = False
+    """Spatial reuse: each neighborhood, a robot and all in its range, has the bandwidth, instead of the team."""
     partition: tuple[Partition, ...] = ()
+    """Steps in which groups of robots are out of each other's range."""
 
     def __post_init__(self) -> None:
         ChannelOptions.__post_init__(self)

@@ -10,36 +10,32 @@ from protocol.nanoseconds import SECOND
 
 
 class TokenBucket:
-    """Bytes that may be sent: `rate` more per second, and `capacity` at most; full at first.
+    """Tokens, as bytes that may be sent: `rate` more in each `period` of nanoseconds, and `capacity` at most.
 
-    Raises
-    ------
-    ValueError
-        The rate is not positive, or the bucket does not hold a frame of `frame_bytes`.
+    The bucket is full at the time `now`, or with `starts_empty` empty.
     """
 
-    def __init__(self, rate: int, capacity: int, frame_bytes: int, now: int) -> None:
-        if rate < 1:
-            raise ValueError(f"{rate} bytes per second: must be 1 or more")
-        if capacity < frame_bytes:
-            raise ValueError(f"a bucket of {capacity} bytes never holds a frame of {frame_bytes} bytes")
+    def __init__(
+        self, rate: int, capacity: int, now: int, period: int = SECOND, *, starts_empty: bool = False
+    ) -> None:
         self._rate = rate
-        self._capacity = capacity * SECOND
-        self._credit = self._capacity
-        """Bytes times `SECOND`: an integer at every nanosecond."""
+        self._period = period
+        self._capacity = capacity * period
+        self._credit = 0 if starts_empty else self._capacity
+        """Tokens times `_period`: an integer at every nanosecond."""
         self._now = now
 
     def room(self, now: int) -> int:
-        """Return how many bytes may be sent now."""
+        """Return how many tokens there are now."""
         self._credit = min(self._credit + self._rate * max(0, now - self._now), self._capacity)
         self._now = max(now, self._now)
         return self.left
 
     @property
     def left(self) -> int:
-        """How many bytes could be sent at the last call of `room`, without those taken since."""
-        return max(0, self._credit // SECOND)
+        """How many tokens there were at the last call of `room`, without those taken since."""
+        return max(0, self._credit // self._period)
 
     def take(self, size: int) -> None:
-        """Take bytes out of the bucket, as it was at the last call of `room`."""
-        self._credit -= size * SECOND
+        """Take tokens out of the bucket, as it was at the last call of `room`."""
+        self._credit -= size * self._period

@@ -22,6 +22,7 @@ from PIL import Image, UnidentifiedImageError
 from protocol.errors import shown
 from protocol.files import read_file
 from protocol.grid import FREE, MAX_SIDE, OCCUPIED, UNKNOWN, Grid
+from protocol.map_frame import MapFrame
 from worldsim.atomic_files import write_whole
 from worldsim.map_error import MapError
 
@@ -82,6 +83,11 @@ class Map:
     def width(self) -> int:
         """Number of cells from left to right."""
         return int(self.cells.shape[1])
+
+    @property
+    def frame(self) -> MapFrame:
+        """Where the grid lies in the world's frame."""
+        return MapFrame(self.width, self.height, self.resolution, *self.origin[:2])
 
     @property
     def height(self) -> int:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.bodies.own_map import OwnMap
+from agent.pose_guard import JUMP_M, PoseGuard
 from protocol.cell_bytes import cells_from_bytes, points_from_bytes
 from protocol.grid import FINE
 from protocol.map_frame import MapFrame
@@ -30,10 +31,6 @@ REMEMBERED_NS = 10 * SECOND
 """Age up to which transforms are kept, relative to the last known pose."""
 UNUSED_NS = 60 * SECOND
 """Age up to which transforms are kept while no pose is known, relative to the last transform."""
-SETTLE_NS = 2 * SECOND
-"""Time for which poses must be plausible again after a jump."""
-JUMP_M = 0.5
-"""Distance that a pose may jump: SLAM corrects it."""
 
 
 @dataclass(frozen=True)
@@ -70,8 +67,7 @@ class Ros2Body(ABC):
         """The sensor's last plausible position in the team's grid, in 1 / `UNIT` cell."""
         self._heading = 0
         """Its heading there, in 1 / `TURN`."""
-        self._settled_ns = 0
-        """Time from which poses are used again after a jump."""
+        self._guard = PoseGuard(settings.speed, JUMP_M)
         self._map: OwnMap | None = None
 
     @property
@@ -82,7 +78,7 @@ class Ros2Body(ABC):
     @property
     def has_jumped(self) -> bool:
         """Whether the pose has jumped, and has not settled since."""
-        return self._pose is not None and self._pose[0] < self._settled_ns
+        return self._guard.has_jumped
 
     @property
     def has_map(self) -> bool:
@@ -184,7 +180,9 @@ class Ros2Body(ABC):
     def _accept(self, stamp: int, pose: Pose, what: str) -> bool:
         """Take a new pose of the sensor, called `what`; return whether it is plausible, and lies on the grid."""
         self._transforms.forget(stamp - REMEMBERED_NS)
-        if not self._is_plausible(stamp, pose):
+        self._pose = stamp, pose
+        if not self._guard.accept(pose.x, pose.y, stamp):
+            self.problem = "the pose has jumped; waiting until it settles"
             return False
         team_pose = self._settings.map_pose.then(pose)
         place = self._grid.place(team_pose)
@@ -203,19 +201,6 @@ class Ros2Body(ABC):
         self.problem = f"no transforms (tf) from {root!r} to {what} {frame!r}; only {known}"
         if top in self._refused:
             self.problem = f"frame {top!r}: {self._refused[top]}"
-
-    def _is_plausible(self, stamp: int, pose: Pose) -> bool:
-        """Return whether a pose is plausible: neither it nor one of the last `SETTLE_NS` has jumped."""
-        before, self._pose = self._pose, (stamp, pose)
-        if before is not None:
-            elapsed_s = max(0, stamp - before[0]) / SECOND
-            jump = math.dist(before[1][:2], pose[:2])
-            if jump > self._settings.speed * elapsed_s + JUMP_M:
-                self._settled_ns = stamp + SETTLE_NS
-        if stamp < self._settled_ns:
-            self.problem = "the pose has jumped; waiting until it settles"
-            return False
-        return True
 
 
 def frame_name(name: str) -> str:

@@ -25,6 +25,8 @@ from agent.outline.objects import (
     Symbol,
     Symbols,
     Table,
+    bounds,
+    cell_of,
 )
 from agent.outline.polygons import SIDE_X, SIDE_Y
 from agent.outline.raster import Edges, draw, fill
@@ -153,8 +155,8 @@ _CHUNK = 16
 @kernel
 def _place(symbol: Symbol) -> tuple[int, int]:
     """Return the position of a vertex, in quarters of a cell."""
-    side = symbol >> 1 & 3
-    return ((symbol >> 3 & 0xFFF) - 1) * 4 + SIDE_X[side], ((symbol >> 15) - 1) * 4 + SIDE_Y[side]
+    (x, y), side = cell_of(symbol), symbol >> 1 & 3
+    return 4 * x + SIDE_X[side], 4 * y + SIDE_Y[side]
 
 
 @kernel
@@ -162,15 +164,10 @@ def _measure(vertices: Symbols, chunks: Boxes) -> None:
     """Write the bounding boxes of the edges of each chunk of an object, with a margin of one cell."""
     for begin in range(0, len(vertices), _CHUNK):
         end = begin + _CHUNK
-        after = vertices[end if end < len(vertices) else 0]  # end of the last edge
-        x0 = x1 = after >> 3 & 0xFFF
-        y0 = y1 = after >> 15
-        for symbol in vertices[begin:end]:
-            x, y = symbol >> 3 & 0xFFF, symbol >> 15
-            x0, x1 = min(x0, x), max(x1, x)
-            y0, y1 = min(y0, y), max(y1, y)
+        x0, y0, x1, y1 = bounds(vertices[begin:end])
+        x, y = cell_of(vertices[end if end < len(vertices) else 0])  # end of the last edge
         box = chunks[begin // _CHUNK]
-        box[0], box[1], box[2], box[3] = x0 - 2, y0 - 2, x1 + 1, y1 + 1
+        box[0], box[1], box[2], box[3] = min(x0, x - 1), min(y0, y - 1), max(x1, x + 2), max(y1, y + 2)
 
 
 @kernel

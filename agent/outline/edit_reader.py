@@ -21,6 +21,7 @@ from agent.outline.objects import (
     Objects,
     Symbols,
     Table,
+    bounds,
     enter,
 )
 from protocol.arrays import Int32s, Int64s, ReadOnlyUint8s, Uint8s
@@ -159,18 +160,6 @@ def _reject(n: Int64s, at: int, reason: int, one: int, two: int, three: int) -> 
     return False
 
 
-@kernel
-def _add_box_of(boxes: Boxes, count: int, symbols: Int32s) -> int:
-    """Add the bounding box of vertices with a margin of one cell; return the number of boxes."""
-    x0 = y0 = 1 << 20
-    x1 = y1 = -1
-    for symbol in symbols:
-        x, y = (symbol >> 3 & 0xFFF) - 1, (symbol >> 15) - 1
-        x0, x1 = min(x0, x), max(x1, x)
-        y0, y1 = min(y0, y), max(y1, y)
-    return add_box(boxes, count, x0 - 1, y0 - 1, x1 + 2, y1 + 2)
-
-
 _CAPACITY = MAX_VERTICES + 1
 
 
@@ -275,7 +264,7 @@ def _apply(
                 vertices[_place(n, index)] = around[0]
                 at += 6
             if table[n[_OPEN], FIRST] >= 0:
-                n[_BOXES] = _add_box_of(boxes, n[_BOXES], around)
+                n[_BOXES] = add_box(boxes, n[_BOXES], *bounds(around))
             n[_EDITED] = 1
             continue
 

@@ -73,6 +73,24 @@ def _pack(x: Int16s, y: Int16s, side: Uint8s, occupied: Uint8s) -> Symbols:
 
 
 @kernel
+def cell_of(symbol: Symbol) -> tuple[int, int]:
+    """Return the cell (x, y) of a vertex."""
+    return (symbol >> 3 & 0xFFF) - 1, (symbol >> 15) - 1
+
+
+@kernel
+def bounds(vertices: Symbols) -> tuple[int, int, int, int]:
+    """Return the bounding box (x0, y0, x1, y1) of vertices, at least one, with a margin of one cell."""
+    x0 = y0 = 1 << 20
+    x1 = y1 = -1
+    for symbol in vertices:
+        x, y = cell_of(symbol)
+        x0, x1 = min(x0, x), max(x1, x)
+        y0, y1 = min(y0, y), max(y1, y)
+    return x0 - 1, y0 - 1, x1 + 2, y1 + 2
+
+
+@kernel
 def unpack(vertices: Symbols) -> tuple[Int16s, Int16s, Uint8s, Uint8s]:
     """Return x, y, side and occupancy of packed vertices."""
     n = len(vertices)
@@ -80,8 +98,7 @@ def unpack(vertices: Symbols) -> tuple[Int16s, Int16s, Uint8s, Uint8s]:
     side, occupied = np.empty(n, np.uint8), np.empty(n, np.uint8)
     for i in range(n):
         symbol = vertices[i]
-        x[i] = (symbol >> 3 & 0xFFF) - 1
-        y[i] = (symbol >> 15) - 1
+        x[i], y[i] = cell_of(symbol)
         side[i] = symbol >> 1 & 3
         occupied[i] = symbol & 1
     return x, y, side, occupied
@@ -114,12 +131,6 @@ def _unpack(table: Table, pool: Symbols) -> tuple[Int32s, Int16s, Int16s, Uint8s
 @kernel
 def enter(table: Table, number: int, pool: Symbols, first: int, length: int, inside: bool) -> None:
     """Write the row of an object whose vertices, at least one, are in ``pool[first : first + length]``."""
-    x0 = y0 = 1 << 20
-    x1 = y1 = -1
-    for i in range(first, first + length):
-        x, y = (pool[i] >> 3 & 0xFFF) - 1, (pool[i] >> 15) - 1
-        x0, x1 = min(x0, x), max(x1, x)
-        y0, y1 = min(y0, y), max(y1, y)
     row = table[number]
     row[FIRST], row[LENGTH], row[INSIDE] = first, length, inside
-    row[LEFT], row[TOP], row[RIGHT], row[BOTTOM] = x0 - 1, y0 - 1, x1 + 2, y1 + 2
+    row[LEFT], row[TOP], row[RIGHT], row[BOTTOM] = bounds(pool[first : first + length])

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from agent.radios.pacing import ALWAYS, DutyCycle, Pacer
 from agent.radios.peer_medium import FRAME_OVERHEAD, WORTHWHILE, Timing
 from agent.radios.serial_modem import BAUD_RATES, SerialModem
 from agent.radios.transport import Transport
 from agent.radios.udp import GROUP, MAX_DATAGRAM, PORT, UdpRadio
-from protocol.bounds import check_bounds
+from protocol.bounds import Range, check_bounds, check_ranges
 from protocol.nanoseconds import SECOND
 from protocol.presets import preset
 from protocol.token_bucket import TokenBucket
@@ -28,8 +28,8 @@ MAX_FRAME = 4096
 MAX_RATE = 1 << 30
 """Maximum bytes per second."""
 
-MAX_DURATION_S = 7 * 24 * 3600
-"""Longest duration of an option, in seconds: a week."""
+Duration = Annotated[float, Range(0, 7 * 24 * 3600, "(a week)")]
+"""An option in seconds."""
 
 MIN_HELLO_S, HELLOS = 8.0, 4
 """Minimum of the default `hello_s`, in seconds, and the default `neighbor_timeout_s` as a multiple of `hello_s`."""
@@ -73,13 +73,13 @@ class LinkOptions:
     preset: str = ""
     bytes_per_s: int = 0
     frame_bytes: int = 0
-    duty_cycle: float = 1.0
-    neighbor_timeout_s: float = 0.0
-    hello_s: float = 0.0
-    interval_s: float = 3.0
+    duty_cycle: Annotated[float, Range(1 / ALWAYS, 1, "(no limit)")] = 1.0
+    neighbor_timeout_s: Duration = 0.0
+    hello_s: Duration = 0.0
+    interval_s: Duration = 3.0
     interface: str = ""
     address: str = GROUP
-    udp_port: int = PORT
+    udp_port: Annotated[int, Range(1, 65535)] = PORT
     serial_port: str = ""
     baud: int = 57600
 
@@ -96,8 +96,7 @@ class LinkOptions:
             raise ValueError("a serial modem needs a preset, or bytes_per_s and frame_bytes")
         if self.baud not in BAUD_RATES:
             raise ValueError(f"baud = {self.baud}: must be one of {', '.join(map(str, BAUD_RATES))}")
-        check_bounds(self, "duty_cycle", 1 / ALWAYS, 1, "(no limit)")
-        check_bounds(self, "udp_port", 1, 65535)
+        check_ranges(self)
         if not 0 <= self.bytes_per_s <= MAX_RATE:
             raise ValueError(
                 f"bytes_per_s = {self.bytes_per_s}: must be 1 to {MAX_RATE}, or 0 for the preset's"
@@ -105,8 +104,6 @@ class LinkOptions:
         most = MAX_DATAGRAM if self.medium == "udp" else MAX_FRAME
         if self.frame_bytes:
             check_bounds(self, "frame_bytes", MIN_FRAME, most)
-        for name in ("interval_s", "hello_s", "neighbor_timeout_s"):
-            check_bounds(self, name, 0, MAX_DURATION_S, "(a week)")
         self.timing()
         self.pacer(seed=0, robot=0, now=0)
 
@@ -147,7 +144,7 @@ class LinkOptions:
         airtime = self.airtime(self.longest)
         backoff = BACKOFF_FRAMES * airtime
         return Pacer(
-            TokenBucket(self.rate, max(self.longest, self.rate), self.longest, now),
+            TokenBucket(self.rate, max(self.longest, self.rate), now),
             DutyCycle(round(self.duty_cycle * ALWAYS), airtime, backoff + airtime, now),
             self.airtime,
             self.longest,

@@ -46,7 +46,7 @@ class DutyCycle:
     Raises
     ------
     ValueError
-        The share is outside 1 to `ALWAYS`, or an hour has no room for the longest frame.
+        The share is outside 1 to `ALWAYS`, or an hour has no room for more than the longest frame.
     """
 
     def __init__(self, share: int, longest: int, delay: int, now: int) -> None:
@@ -54,29 +54,19 @@ class DutyCycle:
             raise ValueError(f"duty cycle of {share} parts per million: must be 1 to {ALWAYS}")
         most = HOUR * share // ALWAYS
         capacity = max(most // AT_ONCE, longest)
-        if capacity > most:
+        if capacity >= most:  # the bucket, empty at first, would never fill
             allowed = f"{most / SECOND:.3g} s of airtime per hour"
             raise ValueError(f"a duty cycle of {allowed} has no room for a frame of {longest / SECOND:.3g} s")
         self._unlimited = share == ALWAYS
-        self._span = HOUR + delay
-        """Nanoseconds in which `_flow` nanoseconds of airtime flow in."""
-        self._flow = most - capacity
-        self._capacity = capacity * self._span
-        self._credit = 0
-        """Airtime times `_span`: an integer at every nanosecond."""
-        self._now = now
+        self._bucket = TokenBucket(most - capacity, capacity, now, HOUR + delay, starts_empty=True)
 
     def room(self, now: int) -> int:
         """Return the airtime, in nanoseconds, that is left now."""
-        if self._unlimited:
-            return HOUR
-        self._credit = min(self._credit + self._flow * max(0, now - self._now), self._capacity)
-        self._now = max(now, self._now)
-        return max(0, self._credit // self._span)
+        return HOUR if self._unlimited else self._bucket.room(now)
 
     def take(self, airtime: int) -> None:
         """Take airtime out of the bucket, as it was at the last call of `room`."""
-        self._credit -= airtime * self._span
+        self._bucket.take(airtime)
 
 
 class Pacer:

@@ -26,6 +26,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from msgspec.structs import replace
+
 from agent.radios.neighbors import Neighbors
 from agent.radios.pacing import Pacer
 from agent.radios.sealing import OVERHEAD, Opener, Sealer
@@ -138,7 +140,8 @@ class PeerMedium:
         self._opener = opener
         self._pacer = pacer
         self._timing = timing
-        self._neighbors = Neighbors(timing.neighbor_timeout)
+        self.neighbors = Neighbors(timing.neighbor_timeout)
+        """Which teammates are in range, and which have ended."""
         self._accepted = accepted
         self._step = 0
         self._space = 0
@@ -155,18 +158,6 @@ class PeerMedium:
         """Received frames that were dropped, by reason (`agent.radios.sealing.Reason`)."""
         return {str(reason): count for reason, count in self._opener.dropped.items()}
 
-    def neighbors(self, now: int) -> list[int]:
-        """Return the teammates in range, in ascending order."""
-        return self._neighbors.current(now)
-
-    def last_received(self, robot: int) -> int | None:
-        """Return when a frame of a teammate arrived last, in nanoseconds; None if none did."""
-        return self._neighbors.last(robot)
-
-    def ended(self) -> frozenset[int]:
-        """Return the teammates that have said farewell, and have not started again."""
-        return self._neighbors.ended()
-
     # --- the robot's side
 
     def begin_step(self, step: int, now: int) -> Open:
@@ -176,7 +167,7 @@ class PeerMedium:
         waits = self._due or self._silence(now) < self._timing.interval
         room = 0 if waits else self._pacer.room(now)
         self._space = room - FRAME_OVERHEAD if room >= self._worthwhile else 0
-        return Open(step, 0, self._neighbors.current(now), Budget(self._space))
+        return Open(step, 0, self.neighbors.current(now), Budget(self._space))
 
     def submit(self, frames: RobotFrames, now: int) -> None:
         """Take a robot's answer to `begin_step`, and schedule its frame; ValueError if it does not gossip."""
@@ -192,14 +183,16 @@ class PeerMedium:
             gossip = _fitting(frame.payload, self._space - len(broadcast))
             sent.append(SendReport(position, len(gossip)))
         self._sent = RoundReport(self._step, 0, [], sent, [], broadcast_sent=bool(broadcast))
-        if broadcast or gossip or self._is_hello_due(now):
-            self._schedule(broadcast, gossip, now)
+        if broadcast or gossip:
+            self._schedule(bytes([len(broadcast)]) + broadcast + gossip, broadcast, gossip, now)
+        elif self._is_hello_due(now):
+            self._schedule(b"", b"", b"", now)
 
     def say_farewell(self, now: int) -> bool:
         """Schedule a frame that tells teammates that this robot has ended; return False if it may not send one yet."""
         if self._due or self._pacer.room(now) < OVERHEAD + len(FAREWELL):
             return False
-        self._seal(FAREWELL, b"", b"", now)
+        self._schedule(FAREWELL, b"", b"", now)
         return True
 
     def end_step(self) -> list[MediumEvent]:
@@ -207,10 +200,9 @@ class PeerMedium:
         received, self._received = self._received, []
         broadcasts = [Delivery(each.sender, each.broadcast) for each in received if each.broadcast]
         gossip = [Delivery(each.sender, each.gossip) for each in received if each.gossip]
-        step, sent = self._step, self._sent
+        step = self._step
         events: list[MediumEvent] = [Broadcasts(step, broadcasts)] if broadcasts else []
-        report = RoundReport(step, 0, [], sent.sent, gossip, sent.broadcast_sent)
-        return [*events, report, Close(step)]
+        return [*events, replace(self._sent, deliveries=gossip), Close(step)]
 
     # --- the transport's side
 
@@ -233,9 +225,9 @@ class PeerMedium:
         sender, session, counter, payload = opened
         self._accepted(sender, self._opener.highest(sender))
         if payload == FAREWELL:
-            self._neighbors.farewell(sender, session)
+            self.neighbors.farewell(sender, session)
         else:
-            self._neighbors.received(sender, session, now)
+            self.neighbors.received(sender, session, now)
         end = LENGTH_FIELD + payload[0] if payload else 0
         if end > len(payload):
             self._opener.dropped["malformed"] += 1
@@ -259,12 +251,7 @@ class PeerMedium:
         """Return the time since this robot's last frame."""
         return self._timing.hello if self._last_sent is None else now - self._last_sent
 
-    def _schedule(self, broadcast: bytes, gossip: bytes, now: int) -> None:
-        """Schedule a frame of packets, or a hello if there are none."""
-        packets = bytes([len(broadcast)]) + broadcast + gossip
-        self._seal(packets if len(packets) > LENGTH_FIELD else b"", broadcast, gossip, now)
-
-    def _seal(self, payload: bytes, broadcast: bytes, gossip: bytes, now: int) -> None:
+    def _schedule(self, payload: bytes, broadcast: bytes, gossip: bytes, now: int) -> None:
         """Seal a frame, and put it into the queue."""
         session, counter = self._sealer.session, self._sealer.counter
         sealed = self._sealer.seal(payload)

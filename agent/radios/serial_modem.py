@@ -43,7 +43,7 @@ class SerialModem:
     def __init__(self, port: Path, baud: int, longest: int) -> None:
         if baud not in BAUD_RATES:
             raise TransportError(f"baud = {baud}: must be one of {', '.join(map(str, BAUD_RATES))}")
-        self.longest = longest
+        self._longest = longest
         self._path, self._baud = port, baud
         self._reader = LineReader(longest)
         self._arrived: list[bytes] = []
@@ -66,7 +66,7 @@ class SerialModem:
         if self._port < 0 and not self._closed:
             with contextlib.suppress(TransportError):
                 self._port = self._open()
-        if len(frame) > self.longest or not self._flush():
+        if len(frame) > self._longest or not self._flush():
             return False
         self._unsent = line(frame)
         self._flush()

@@ -17,9 +17,6 @@ class TransportError(ValueError):
 class Transport(Protocol):
     """Where sealed frames go."""
 
-    longest: int
-    """Bytes of the longest frame."""
-
     def send(self, frame: bytes) -> bool:
         """Send a frame to all in range; return False if it could not be sent, which counts as a loss."""
 

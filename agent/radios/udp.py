@@ -49,7 +49,7 @@ class UdpRadio:
     def __init__(
         self, interface: str, address: str = GROUP, port: int = PORT, longest: int = MAX_DATAGRAM
     ) -> None:
-        self.longest = min(longest, MAX_DATAGRAM)
+        self._longest = min(longest, MAX_DATAGRAM)
         self._destination = address, port
         self._sent: deque[bytes] = deque(maxlen=_ECHOES)
         try:
@@ -71,7 +71,7 @@ class UdpRadio:
 
     def send(self, frame: bytes) -> bool:
         """Send a frame; return False if it is too long, or the interface is down."""
-        if len(frame) > self.longest:
+        if len(frame) > self._longest:
             return False
         try:
             self._socket.sendto(frame, self._destination)
@@ -85,7 +85,7 @@ class UdpRadio:
         frames: list[bytes] = []
         for _ in range(MAX_PER_CALL):
             try:
-                frame = self._socket.recv(self.longest + 1)
+                frame = self._socket.recv(self._longest + 1)
             except OSError:  # nothing is left, or the interface is down
                 break
             if frame in self._sent:

@@ -11,16 +11,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deploy.after.capture import opened
 from deploy.record import run_directory
 from deploy.record.columns import FILES
 from deploy.record.ledger_figures import budgets
 from deploy.record.map_history import MAP_CHANGES, OUTLINES, MapHistory
 from deploy.scenario.errors import ScenarioError
 from deploy.scenario.plan import Plan
-from netshaper import capture, pcapng
+from netshaper import capture
 from netshaper.ledger import EVERYONE
+from netshaper.pcapng import CaptureError
 from netshaper.topology import links
-from worldsim.maps import Map
+from worldsim.maps import to_cell
 
 Table = dict[str, NDArray[Any]]
 """Columns by name."""
@@ -69,10 +71,10 @@ class Archive:
         """
         found: defaultdict[int, set[tuple[int, int]]] = defaultdict(set)
         try:
-            with (self.directory / run_directory.CAPTURE).open("rb") as file:
-                for frame in capture.read(pcapng.Reader(file)):
+            with opened(self.directory) as reader:
+                for frame in capture.read(reader):
                     found[frame.step].update((frame.sender, robot) for robot in frame.receivers)
-        except (OSError, pcapng.CaptureError):
+        except CaptureError:
             rows = self.ledger["carried"].astype(bool) & (self.ledger["receiver"] != EVERYONE)
             columns = (self.ledger[name][rows].tolist() for name in ("step", "sender", "receiver"))
             for step, sender, receiver in zip(*columns, strict=True):
@@ -83,9 +85,9 @@ class Archive:
         """Pairs of robots that receive each other in a step, by the radio's model (lower number first)."""
         world, rows = self.plan.map, self.rows_of(step)
         cells = {
-            int(robot): (int(column), int(row))
+            int(robot): (round(column), round(row))
             for robot, x, y in zip(rows["robot"], rows["x"], rows["y"], strict=True)
-            for column, row in [cell_of(world, x, y)]
+            for column, row in [to_cell(world, x, y)]
         }
         settings = replace(self.plan.radio, range_cells=self.range_m(step) / world.resolution)
         near = links(settings, step, cells)
@@ -114,12 +116,6 @@ class Archive:
         """The rows of `steps` of one robot, in the order of steps."""
         rows = self.steps["robot"] == robot
         return {name: column[rows] for name, column in self.steps.items()}
-
-
-def cell_of(world: Map, x: float, y: float) -> tuple[float, float]:
-    """A position in meters of the map's frame, in cells from the upper left corner."""
-    left, bottom, _ = world.origin
-    return (x - left) / world.resolution, world.height - (y - bottom) / world.resolution
 
 
 def read(directory: Path) -> Archive:

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from agent.bodies.team_map import occupancy
+from agent.bodies.team_map import occupancy_grid
 from deploy.after.archive import Archive, Table
 from deploy.after.recast_scans import Lasers, Rescan
-from deploy.dashboard.shapes import corner
+from deploy.dashboard.shapes import outline_strips
 from deploy.record.colors import GROUPS, robot_color
 from netshaper.ledger import FRAMES
 from protocol.grid import Grid, RayTable
@@ -21,14 +22,12 @@ from protocol.ros2.interfaces import fields_of
 from protocol.ros2.messages import (
     LASER_SCAN,
     MARKERS,
-    OCCUPANCY_GRID,
     ODOMETRY,
     POINT,
     Messages,
 )
 from protocol.scans import HIT, NONE, Readings
 from protocol.transforms import Pose
-from worldsim.maps import Map
 
 EDGE_WIDTH_M = 0.05
 MAP_FRAME = "map"
@@ -244,32 +243,18 @@ class BagMessages:
         )
 
     def _grid(self, step: int, grid: Grid) -> Any:
-        world: Map = self._archive.plan.map
-        message = self.ros.new(
-            OCCUPANCY_GRID, header=self.ros.header(MAP_FRAME, step * SECOND), data=occupancy(grid)
-        )
-        message.info.resolution, message.info.width, message.info.height = (
-            world.resolution,
-            world.width,
-            world.height,
-        )
-        message.info.origin = self.ros.pose(*world.origin[:2], 0.0)
-        return message
+        where = self._archive.plan.map.frame
+        return occupancy_grid(self.ros, grid, where, HERE, MAP_FRAME, step * SECOND)
 
     def _markers(self, step: int, outlines: Outlines) -> Any:
         """One marker per map: its edges, walls in full color, edges to unknown cells in a pale one."""
-        rows = np.frombuffer(outlines.vertices, "<i2").reshape(-1, 4)
-        world = self._archive.plan.map
-        places = (np.array(corner(world)) + (rows[:, 1:3] / 4 + 0.5) * world.resolution) * (1, -1)
-        starts = np.flatnonzero(np.diff(rows[:, 0], prepend=-1))
-        following = np.arange(1, len(rows) + 1)
-        following[np.append(starts[1:], len(rows)).astype(int) - 1] = starts
+        strips = outline_strips(self._archive.plan.map, outlines.vertices)
+        edges = [edge for strip in strips for edge in pairwise((strip * (1, -1)).tolist())]
+        walls = np.frombuffer(outlines.vertices, "<i2").reshape(-1, 4)[:, 3] & 1
         red, green, blue = (part / 255 for part in robot_color(outlines.map_id))
         wall, open_ = (self.ros[COLOR](r=red, g=green, b=blue, a=alpha) for alpha in (1.0, 0.4))
-        points, colors = [], []
-        for here, there in enumerate(following):
-            points += [self.ros[POINT](x=x, y=y, z=0.0) for x, y in (places[here], places[there])]
-            colors += 2 * [wall if rows[here, 3] & 1 else open_]
+        points = [self.ros[POINT](x=x, y=y, z=0.0) for edge in edges for x, y in edge]
+        colors = [wall if is_wall else open_ for is_wall in walls for _ in range(2)]
         kind = self.ros[MARKER]
         marker = self.ros.new(
             MARKER,

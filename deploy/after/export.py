@@ -20,7 +20,6 @@ maps, polygons, and static transforms are transient local: a viewer that joins l
 
 from __future__ import annotations
 
-import importlib.util
 import shutil
 import tempfile
 from pathlib import Path
@@ -28,6 +27,7 @@ from typing import Any
 
 from deploy.after.archive import read
 from protocol.nanoseconds import SECOND
+from protocol.packages import require
 
 BAG = "rosbag"
 
@@ -41,18 +41,13 @@ FOREVER = divmod(2**63 - 1, SECOND)
 """Seconds and nanoseconds of an infinite duration."""
 
 
-class ExportError(ValueError):
-    """A package needed for the export is missing."""
-
-
 def export_mcap(directory: Path) -> Path:
     """Write a run directory's bag, ``rosbag/`` in it; return the MCAP file.
 
-    Raises ExportError if the package that writes it is not installed; ScenarioError if it is not a run directory, or a
-    table is missing.
+    Raises MissingPackageError if the package that writes it is not installed; ScenarioError if it is not a run
+    directory, or a table is missing.
     """
-    if importlib.util.find_spec("rosbags") is None:
-        raise ExportError("an export needs the package rosbags: pip install 'murmur-robots[mcap]'")
+    require("rosbags", "mcap", "an export needs")
     from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer  # noqa: PLC0415
 
     from deploy.after.bag_messages import BagMessages  # noqa: PLC0415

@@ -97,7 +97,7 @@ def assemble(
     records = Records(settings.robots, _history(starts, timeline))
     records.rows = [rows[step] for step in sorted(rows)]
     _take_maps(records, starts, timeline.steps)
-    plan = _plan(starts, timeline, records.team_map(()) if records.own else None)
+    plan = _plan(starts, timeline, records.team_map() if records.own else None)
     _take_steps(records, plan, starts, timeline)
     for before, after in pairwise(starts):
         if before.robot == after.robot and after.record.steps:

@@ -9,12 +9,9 @@ from typing import Any
 import numpy as np
 
 from deploy.after.field_run import FieldStart
-from deploy.record.ledger_figures import per_kind, undelivered
-from deploy.record.map_code import map_code_figures
-from deploy.record.map_quality import Figures, TrueWalls, robot_figures, team_figures
+from deploy.record.map_quality import WALL_FIGURES, Figures, TrueWalls, robot_figures
 from deploy.record.records import Records
-from deploy.record.summary import digest, median_work, tolerance
-from deploy.record.team_effort import longest_path_m
+from deploy.record.summary import common_figures, tolerance
 from deploy.record.versions import versions
 from deploy.scenario.plan import Plan
 from protocol.grid import FREE, OCCUPIED
@@ -42,49 +39,24 @@ def summarize_field(plan: Plan, records: Records, starts: Sequence[FieldStart]) 
     for each in starts:
         if each.record.steps:
             late[each.robot] += each.record.steps[-1].late_steps
-    ledger = records.ledger()
-    sizes = per_kind(ledger, "bytes")
     figures = _figures(plan, records)
-    held = [each["team_map_held"] for each in figures.values()]
-    known = [share for share in held if share is not None]
+    held = [share for each in figures.values() if (share := each["team_map_held"]) is not None]
     return {
         "finished": finished,
         "reason": reason,
         "steps": records.step,
         "first_robot": first if first >= 0 else None,
         **dict.fromkeys(NEEDS_TRUTH),
-        **team_figures(figures, first),
-        "team_map_held": fmean(known) if known else None,
-        "worst_team_map_held": min(known, default=None),
-        "robot_maps": {str(robot): each for robot, each in figures.items()},
+        **common_figures(plan, records, figures, first),
+        "team_map_held": fmean(held) if held else None,
+        "worst_team_map_held": min(held, default=None),
         "refuted_maps": [],
-        "longest_path": longest_path_m(records.world[-1] if records.world else None),
-        "path_length": [mm / 1000 for mm in records.world[-1].driven] if records.world else [],
-        "robots": scenario.robots,
-        "seed": scenario.seed,
-        "map": plan.map.name,
         "bus": "field",
-        "strategy": scenario.strategy,
-        "map_encoding": scenario.map_encoding,
-        "bandwidth": scenario.bandwidth,
-        "clock": scenario.clock,
-        "step_s": scenario.step_s,
         "missed_steps": sum(late),
         "missed_steps_by_robot": late,
         "missed_phases": 0,
-        "tolerance": tolerance(plan),
-        "bytes": sizes,
-        **map_code_figures(records.planning.get(first), sizes["total"]),
-        "packets": per_kind(ledger, "packets"),
-        "undelivered": undelivered(ledger),
-        "lost": {str(robot): cause for robot, cause in sorted(records.lost.items())},
-        "returned": [list(each) for each in records.returned],
-        "reconnected": [],
-        "protocol_errors": 0,
-        "digest": digest(records),
         "wall_s": round(records.step * scenario.step_s, 3),
         "steps_per_s": round(1 / scenario.step_s, 1),
-        "work_us_median": median_work(records),
         "versions": starts[0].record.setup.versions or versions(),
     }
 
@@ -106,6 +78,6 @@ def _figures(plan: Plan, records: Records) -> dict[int, Figures]:
     walls = {robot: records.settled[robot] & (records.own[robot] == OCCUPIED) for robot in whole}
     figures = robot_figures(whole, records.shared, walls, TrueWalls(nothing, nothing), tolerance(plan))
     for robot, grid in sorted(records.planning.items()):
-        of_robot = figures.setdefault(robot, dict.fromkeys(next(iter(figures.values()), {})))
+        of_robot = figures.setdefault(robot, dict.fromkeys(WALL_FIGURES))
         of_robot["team_map_held"] = float((grid[plan.reachable] == FREE).mean())
     return dict(sorted(figures.items()))

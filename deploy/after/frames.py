@@ -18,12 +18,13 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from deploy.after.archive import Archive, cell_of
+from deploy.after.archive import Archive
 from deploy.after.figures import draw_explored, draw_load
 from deploy.after.frame_legend import draw_axes, draw_legend, font
 from deploy.record.colors import CELLS, GREY, IN_RANGE, INK, PAPER, SIGNAL, mix, robot_color
 from deploy.record.map_pictures import counted
 from protocol.grid import FREE, UNKNOWN, Grid
+from worldsim.maps import to_cell
 
 WIDTH = 1280
 MARGIN, LABEL, HEAD = 14, 20, 40
@@ -212,7 +213,8 @@ class Frames:
 
     def _cell(self, x: float, y: float) -> Place:
         """A position in cells from the upper left corner."""
-        return cell_of(self._archive.plan.map, x, y)
+        column, row = to_cell(self._archive.plan.map, x, y)
+        return column + 0.5, row + 0.5
 
     @cached_property
     def _tracks(self) -> dict[int, dict[str, NDArray[Any]]]:

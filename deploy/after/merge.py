@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -100,6 +101,8 @@ def merge(folders: Sequence[Path | str], out: Path | str, *, view: bool = False)
     out = Path(out)
     run_directory.check_free(out)
     recordings = [read_recording(each) for folder in folders for each in starts_in(Path(folder))]
+    if not recordings:
+        raise ValueError("folders is empty: name the record directory of at least one robot")
     offsets, error = align(recordings)
     frames = join(recordings, offsets)
     starts = [FieldStart(each.record, offset) for each, offset in zip(recordings, offsets, strict=True)]
@@ -173,14 +176,19 @@ def align(recordings: Sequence[Recording]) -> tuple[list[int], int]:
 
     The first recording's clock is the common one. Clocks of robots that exchanged no frames agree by the time of day.
     """
+
+    @cache
+    def difference(one: int, other: int) -> tuple[int, int] | None:
+        return _clock_difference(recordings[one], recordings[other])
+
     offsets, bounds = {0: 0}, {0: 0}
     while len(offsets) < len(recordings):
         missing = [at for at in range(len(recordings)) if at not in offsets]
         pairs = [
-            (bounds[known] + difference[1], other, offset - difference[0])
+            (bounds[known] + apart[1], other, offset - apart[0])
             for known, offset in offsets.items()
             for other in missing
-            if (difference := _clock_difference(recordings[known], recordings[other])) is not None
+            if (apart := difference(known, other)) is not None
         ]
         if not pairs:
             utc = recordings[0].record.setup.utc_ns

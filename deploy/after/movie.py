@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import importlib.util
 import os
 import shlex
 import subprocess
@@ -17,6 +16,7 @@ from PIL import Image
 
 from deploy.after.archive import read
 from deploy.after.frames import WIDTH, Frames, side_by_side
+from protocol.packages import require
 from protocol.temporary import temporary_folder
 
 SMALL = 0.75
@@ -28,7 +28,7 @@ MOST_GIF_FRAMES = 400
 
 
 class MovieError(ValueError):
-    """A package needed for films is missing, or ffmpeg fails."""
+    """The arguments do not fit a film, or ffmpeg fails."""
 
 
 MP4, GIF = ".mp4", ".gif"
@@ -52,11 +52,11 @@ def write_movie(
     `suffix` is `MP4` or `GIF`. By default, `out` is ``movie.mp4`` in the first directory, with the names of the other
     directories. `progress` is called with the number of frames written, and that of all frames.
 
-    Raises MovieError if the package that writes films is not installed, or it fails; OSError if the disk is full;
-    ScenarioError if a directory is not a run directory.
+    Raises MissingPackageError if the package that writes films is not installed; MovieError if an argument is wrong, or
+    ffmpeg fails; OSError if the disk is full; ScenarioError if a directory is not a run directory.
     """
     _check(suffix, out, rate)
-    path = out or directories[0] / "-".join(["movie", *(each.name for each in directories[1:])])
+    path = out or directories[0] / "-".join(["movie", *(each.resolve().name for each in directories[1:])])
     path = path if path.suffix == suffix else path.with_name(path.name + suffix)
     archives = [read(each) for each in directories]
     width = round((SMALL if len(archives) > 1 or suffix == GIF else 1.0) * WIDTH)
@@ -86,9 +86,8 @@ def write_movie(
 
 
 def _check(suffix: str, out: Path | None, rate: float) -> None:
-    """Raise MovieError if no film can be made of these arguments, or without a package."""
-    if importlib.util.find_spec("imageio_ffmpeg") is None:
-        raise MovieError("films need the package imageio-ffmpeg: pip install 'murmur-robots[film]'")
+    """Raise MovieError if no film can be made of these arguments, MissingPackageError without a package."""
+    require("imageio_ffmpeg", "film", "films need")
     if not 0.1 <= rate <= 120:
         raise MovieError(f"rate = {rate:g}: must be 0.1 to 120 steps per second")
     if out is not None and out.suffix not in ("", suffix):

@@ -15,7 +15,6 @@ from rich.text import Text
 
 from deploy.commands.console import errors, fail, screen
 from deploy.commands.flags import command_family
-from deploy.run.exit_codes import BAD_INPUT
 
 app = command_family()
 
@@ -83,10 +82,8 @@ def _robot_is_well(file: Path) -> bool:
     from deploy.field.robot_file import load_robot  # noqa: PLC0415
 
     settings = load_robot(file)
-    try:
-        from deploy.field.doctor import RobotDoctor, SkippedError, Trouble  # noqa: PLC0415
-    except ModuleNotFoundError as error:
-        fail(str(error), BAD_INPUT)
+    from deploy.field.doctor import RobotDoctor, SkippedError, Trouble  # noqa: PLC0415
+
     doctor, is_well = RobotDoctor(settings), True
     with contextlib.closing(doctor):
         for name, check in doctor.checks():

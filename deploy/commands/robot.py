@@ -50,10 +50,8 @@ def robot(
         screen.print(f"{file}: robot {settings.settings.robot} of {settings.settings.robots}, no errors")
         screen.print(f"the robot's part of the team's map comes from {source(settings.settings)}")
         return
-    try:
-        from deploy.field.mission import explore  # noqa: PLC0415
-    except ModuleNotFoundError as error:
-        fail(str(error), BAD_INPUT)
+    from deploy.field.mission import explore  # noqa: PLC0415
+
     ending = explore(settings, screen.print)
     if ending.records is not None:
         screen.print(f"{ending.steps} steps; records in {ending.records}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import math
 import shlex
@@ -86,7 +85,6 @@ def serve_ros2(
         raise ValueError(f"listen = {listen!r}: --router starts no router; remove one of them")
     if not MIN_RATE <= rate <= MAX_RATE:
         raise ValueError(f"rate = {rate:g}: must be {MIN_RATE:g} to {MAX_RATE:g} Hz")
-    _check_packages()
     from deploy.scenario.plan import make  # noqa: PLC0415
     from deploy.serve.process import ServeSettings, serve  # noqa: PLC0415
     from deploy.serve.swarm import SwarmSettings  # noqa: PLC0415
@@ -108,13 +106,6 @@ def serve_ros2(
         print(json.dumps({"coverage": swarm.world.coverage, "seconds": swarm.time_ns / SECOND}), flush=True)
     else:
         screen.print(f"The robots have seen {swarm.world.coverage:.1%} of what they can reach.")
-
-
-def _check_packages() -> None:
-    """Raise ValueError if a package is missing."""
-    for package in ("rosbags", "xxhash"):
-        if importlib.util.find_spec(package) is None:
-            raise ValueError(f"serve-ros2 needs the package {package}: pip install 'murmur-robots[ros2]'")
 
 
 def _agent_files(

@@ -13,14 +13,13 @@ from functools import partial
 from agent.bodies.ros2 import frame_name
 from agent.radios.team_key import KeyFileError, read_key
 from deploy.field.connection import make_body, map_pose
-from deploy.field.listener import ENOUGH_MESSAGES, LISTEN_S, Heard, Listener
+from deploy.field.listener import ENOUGH_MESSAGES, LISTEN_S, Listener, ReceivedTopic
 from deploy.field.robot_file import RobotFile
 from deploy.field.robot_plan import map_frame
 from protocol.nanoseconds import SECOND
 from protocol.ros2.graph import Graph
 from protocol.ros2.interfaces import NAVIGATE_TO_POSE
 from protocol.ros2.messages import DISTROS, POSE_STAMPED, Messages
-from protocol.ros2.node import Ros2Node
 from protocol.ros2.tokens import EndpointToken, Kind
 
 LEAST_HZ = 1.0
@@ -150,25 +149,27 @@ class RobotDoctor:
     def topic(self, name: str) -> str:
         """Check that messages arrive on a topic, and how often."""
         listener = self._connected()
-        heard = listener.heard[name]
-        if rejected := listener.node.rejected.get(heard.topic):
-            raise Trouble(f"malformed messages on {heard.topic}: {rejected}", DISTRO)
-        if not heard.arrived:
-            if name == "tf_static" and not self._graph.of_topic(heard.topic, Kind.PUBLISHER):
-                return f"nothing on {heard.topic}; needed only if a frame on the way to the sensor is fixed"
-            raise self._missing(name, heard)
-        if name in ("scan", "tf") and len(heard.arrived) >= ENOUGH_MESSAGES and heard.rate < LEAST_HZ:
+        received = listener.received[name]
+        if rejected := listener.node.rejected.get(received.topic):
+            raise Trouble(f"malformed messages on {received.topic}: {rejected}", DISTRO)
+        if not received.arrived:
+            if name == "tf_static" and not self._graph.of_topic(received.topic, Kind.PUBLISHER):
+                return (
+                    f"nothing on {received.topic}; needed only if a frame on the way to the sensor is fixed"
+                )
+            raise self._missing(name, received)
+        if name in ("scan", "tf") and len(received.arrived) >= ENOUGH_MESSAGES and received.rate < LEAST_HZ:
             raise Trouble(
-                f"{heard.topic} has {heard.rate:.1f} messages per second",
+                f"{received.topic} has {received.rate:.1f} messages per second",
                 f"send {LEAST_HZ:g} or more per second, or increase dead_man_s",
             )
-        if name == "map" and (frame := frame_name(heard.frame)) != self._names.map_frame:
+        if name == "map" and (frame := frame_name(received.frame)) != self._names.map_frame:
             raise Trouble(
-                f"{heard.topic} is in frame {frame!r}, not {self._names.map_frame!r}",
+                f"{received.topic} is in frame {frame!r}, not {self._names.map_frame!r}",
                 f'set ros2.map_frame = "{frame}"',
             )
-        rate = f", {heard.rate:.1f} per second" if name in ("scan", "tf") and heard.rate else ""
-        return f"{len(heard.arrived)} messages on {heard.topic}{rate}"
+        rate = f", {received.rate:.1f} per second" if name in ("scan", "tf") and received.rate else ""
+        return f"{len(received.arrived)} messages on {received.topic}{rate}"
 
     def frames(self) -> str:
         """Check that transforms connect the sensor to the map frame, and that the robot is on the grid."""
@@ -185,75 +186,82 @@ class RobotDoctor:
     def clocks(self) -> str:
         """Check that stamps advance, and that those of scans and transforms are of one clock."""
         listener = self._connected()
-        heard = listener.heard["scan" if self._names.scan else "tf"]
-        if len(heard.stamps) < 2:
-            raise SkippedError(f"too few messages on {heard.topic}")
-        elapsed = (heard.stamps[-1] - heard.stamps[0]) / SECOND
-        real = heard.arrived[-1] - heard.arrived[0]
+        received = listener.received["scan" if self._names.scan else "tf"]
+        if len(received.stamps) < 2:
+            raise SkippedError(f"too few messages on {received.topic}")
+        elapsed = (received.stamps[-1] - received.stamps[0]) / SECOND
+        real = received.arrived[-1] - received.arrived[0]
         if elapsed <= 0.1 * real:
             raise Trouble(
-                f"stamps of {heard.topic} advance by {elapsed:.2f} s in {real:.2f} s",
+                f"stamps of {received.topic} advance by {elapsed:.2f} s in {real:.2f} s",
                 "let the simulation run, or the driver set the stamps of its messages",
             )
-        transforms = listener.heard["tf"].stamps
-        apart = (heard.stamps[-1] - max(transforms)) / SECOND if transforms else 0.0
+        transforms = listener.received["tf"].stamps
+        apart = (received.stamps[-1] - max(transforms)) / SECOND if transforms else 0.0
         order = "after" if apart > 0 else "before"
         if abs(apart) > APART_S:
-            raise Trouble(f"stamps of {heard.topic} are {abs(apart):.1f} s {order} those of tf", CLOCKS)
-        if heard.stamps[-1] < SIMULATED_S * SECOND:
+            raise Trouble(f"stamps of {received.topic} are {abs(apart):.1f} s {order} those of tf", CLOCKS)
+        if received.stamps[-1] < SIMULATED_S * SECOND:
             return f"simulated time, {elapsed / real:.2f} s per second"
-        age = time.time() - heard.stamps[-1] / SECOND
-        return f"stamps of {heard.topic} are {age:.1f} s old by the clock of this computer, which may differ"
+        age = time.time() - received.stamps[-1] / SECOND
+        return (
+            f"stamps of {received.topic} are {age:.1f} s old by the clock of this computer, which may differ"
+        )
 
     def goals(self) -> str:
         """Check that something takes goals."""
-        listener, names = self._connected(), self._names
-        if names.navigate_to_pose:
-            service = listener.qualified(f"{names.navigate_to_pose}/_action/send_goal")
-            found = self._graph.of_topic(service, Kind.SERVER)
-            if any(_fits(each, f"{NAVIGATE_TO_POSE}_SendGoal", listener.node) for each in found):
-                return f"over the action {names.navigate_to_pose}, to {found[0].node.full_name}"
-        if names.goal_pose:
-            found = self._graph.of_topic(listener.qualified(names.goal_pose), Kind.SUBSCRIPTION)
-            if any(_fits(each, POSE_STAMPED, listener.node) for each in found):
-                return f"over {names.goal_pose}, to {found[0].node.full_name}"
+        names = self._names
+        service = f"{names.navigate_to_pose}/_action/send_goal"
+        if names.navigate_to_pose and (
+            servers := self._fitting(service, Kind.SERVER, f"{NAVIGATE_TO_POSE}_SendGoal")
+        ):
+            return f"over the action {names.navigate_to_pose}, to {servers[0].node.full_name}"
+        if names.goal_pose and (
+            subscriptions := self._fitting(names.goal_pose, Kind.SUBSCRIPTION, POSE_STAMPED)
+        ):
+            return f"over {names.goal_pose}, to {subscriptions[0].node.full_name}"
         tried = " or ".join(each for each in (names.navigate_to_pose, names.goal_pose) if each)
         raise Trouble(
             f"no node takes goals over {tried}", "start nav2, or set ros2.navigate_to_pose or ros2.goal_pose"
         )
 
-    def _missing(self, name: str, heard: Heard) -> Trouble:
+    def _missing(self, name: str, received: ReceivedTopic) -> Trouble:
         """Return why no message arrives on a topic, as far as the graph shows it."""
-        publishers = self._graph.of_topic(heard.topic, Kind.PUBLISHER)
-        others = [each.data_key.type for each in publishers if each.data_key.type != heard.type_name]
+        publishers = self._graph.of_topic(received.topic, Kind.PUBLISHER)
+        others = [each.data_key.type for each in publishers if each.data_key.type != received.type_name]
         if others:
-            problem = f"{heard.topic} has messages of type {others[0]}, not {heard.type_name}"
+            problem = f"{received.topic} has messages of type {others[0]}, not {received.type_name}"
             return Trouble(problem, f"set ros2.{name} to another topic")
-        if any(not _fits(each, heard.type_name, self._connected().node) for each in publishers):
-            found = publishers[0].data_key.type_hash
-            right = [each for each in DISTROS if Messages(each).type_hash(heard.type_name) == found]
-            problem = f"{heard.topic} has another definition of {heard.type_name} than {self._names.distro}"
+        fitting = self._fitting(received.topic, Kind.PUBLISHER, received.type_name)
+        if others := [each.data_key.type_hash for each in publishers if each not in fitting]:
+            found = others[0]
+            right = [each for each in DISTROS if Messages(each).type_hash(received.type_name) == found]
+            problem = (
+                f"{received.topic} has another definition of {received.type_name} than {self._names.distro}"
+            )
             return Trouble(problem, f'set ros2.distro = "{right[0]}"' if right else DISTRO)
         if publishers:
             sender = publishers[0].node.full_name
-            problem = f"{sender} publishes {heard.topic}, but no message has arrived in {LISTEN_S:g} s"
+            problem = f"{sender} publishes {received.topic}, but no message has arrived in {LISTEN_S:g} s"
             return Trouble(problem, "check that this node works, for example that its sensor is switched on")
         all_topics = self._graph.names(Kind.PUBLISHER).items()
-        similar = [topic for topic, types in all_topics if heard.type_name in types]
+        similar = [topic for topic, types in all_topics if received.type_name in types]
         if similar:
             return Trouble(
-                f"nothing publishes {heard.topic}", f"set ros2.{name} to one of: {', '.join(similar)}"
+                f"nothing publishes {received.topic}", f"set ros2.{name} to one of: {', '.join(similar)}"
             )
         return Trouble(
-            f"nothing publishes {heard.topic}", f"start the node that publishes it{ABSENT.get(name, '')}"
+            f"nothing publishes {received.topic}", f"start the node that publishes it{ABSENT.get(name, '')}"
         )
+
+    def _fitting(self, name: str, kind: Kind, type_name: str) -> list[EndpointToken]:
+        """Return the endpoints of a topic or service that have this distribution's definition of its type."""
+        listener = self._connected()
+        type_hash = listener.node.messages.type_hash(type_name)
+        found = self._graph.of_topic(listener.qualified(name), kind)
+        return [each for each in found if each.data_key.type_hash == type_hash]
 
     def _connected(self) -> Listener:
         if self._listener is None:
             raise SkippedError("no router answers")
         return self._listener
-
-
-def _fits(endpoint: EndpointToken, type_name: str, node: Ros2Node) -> bool:
-    """Return whether an endpoint has the definition of a type that this distribution has."""
-    return endpoint.data_key.type_hash == node.messages.type_hash(type_name)

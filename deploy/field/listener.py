@@ -21,7 +21,7 @@ ENOUGH_MESSAGES = 4
 
 
 @dataclass
-class Heard:
+class ReceivedTopic:
     """The messages of a topic so far: when they arrived, in seconds, and their stamps in nanoseconds."""
 
     topic: str
@@ -49,11 +49,11 @@ class Listener:
 
     def __init__(self, names: Ros2Table, body: Ros2Body) -> None:
         self.node = open_node(names, "_doctor")
-        self.heard: dict[str, Heard] = {}
+        self.received: dict[str, ReceivedTopic] = {}
         """By name in the settings: tf_static, tf, map, scan."""
         self._names, self._body = names, body
         for source in sources(names, body):
-            self._hear(*source)
+            self._subscribe(*source)
 
     def qualified(self, name: str) -> str:
         """Return the full name of a topic or service."""
@@ -65,24 +65,24 @@ class Listener:
         while (waited := time.monotonic() - begin) < LISTEN_S:
             self.node.spin(time.time_ns(), 0.02)
             self._body.take_newest()
-            if waited > ENOUGH_S and all(map(self._is_enough, self.heard)) and not self._body.problem:
+            if waited > ENOUGH_S and all(map(self._is_enough, self.received)) and not self._body.problem:
                 break
 
     def _is_enough(self, name: str) -> bool:
         least = {"tf_static": 0, "map": 1}.get(name, ENOUGH_MESSAGES)
-        return len(self.heard[name].arrived) >= least
+        return len(self.received[name].arrived) >= least
 
-    def _hear(self, name: str, type_name: str, qos: Qos, take: Callable[[Any], None]) -> None:
+    def _subscribe(self, name: str, type_name: str, qos: Qos, take: Callable[[Any], None]) -> None:
         topic = getattr(self._names, name)
-        heard = self.heard[name] = Heard(self.qualified(topic), type_name)
+        received = self.received[name] = ReceivedTopic(self.qualified(topic), type_name)
 
         def note(message: Any, _: object) -> None:
             headers = (
                 [each.header for each in message.transforms] if type_name == TRANSFORMS else [message.header]
             )
-            heard.arrived.append(time.monotonic())
-            heard.stamps += [nanoseconds(each.stamp) for each in headers]
-            heard.frame = headers[-1].frame_id if headers else heard.frame
+            received.arrived.append(time.monotonic())
+            received.stamps += [nanoseconds(each.stamp) for each in headers]
+            received.frame = headers[-1].frame_id if headers else received.frame
             take(message)
 
         self.node.subscription(topic, type_name, qos, note)

@@ -208,7 +208,7 @@ class Mission:
         explored = field.move is not None and field.move.explored
         self._explored_steps = self._explored_steps + 1 if explored else 0
         self._ros.measures = self._explored_steps * self._settings.step_s < FREEZE * self._settings.finish_s
-        neighbors = field.medium.neighbors(time.monotonic_ns())
+        neighbors = field.medium.neighbors.current(time.monotonic_ns())
         self._known_in_range |= dict.fromkeys(neighbors, robot.known_cells)
         is_done = explored and self._lacking() <= self._absent() and not receives
         self._done_steps = self._done_steps + 1 if is_done else 0
@@ -239,13 +239,14 @@ class Mission:
 
     def _absent(self) -> set[int]:
         """Return the teammates that have not been received for `absent_s`, and are not waited for."""
-        medium, since = self._field.medium, time.monotonic_ns() - round(self._settings.absent_s * SECOND)
-        return {robot for robot in self._teammates if (medium.last_received(robot) or self._began) <= since}
+        since = time.monotonic_ns() - round(self._settings.absent_s * SECOND)
+        last = self._field.medium.neighbors.last
+        return {robot for robot in self._teammates if (last(robot) or self._began) <= since}
 
     @property
     def _teammates(self) -> list[int]:
         """The teammates that have not said that they have ended."""
-        gone = {self._settings.robot, *self._field.medium.ended()}
+        gone = {self._settings.robot, *self._field.medium.neighbors.ended()}
         return [robot for robot in range(self._settings.robots) if robot not in gone]
 
     def _explored(self) -> str:
@@ -290,8 +291,8 @@ class Mission:
             "explored": field.move is not None and field.move.explored,
             "known_cells": robot.known_cells,
             "target": robot.target,
-            "neighbors": medium.neighbors(time.monotonic_ns()),
-            "ended": sorted(medium.ended()),
+            "neighbors": medium.neighbors.current(time.monotonic_ns()),
+            "ended": sorted(medium.neighbors.ended()),
             "undelivered": robot.replication.undelivered(),
             "dropped": medium.dropped,
             "unsent": field.unsent,

@@ -6,7 +6,7 @@ import time
 
 from msgspec.structs import replace
 
-from agent.pose_guard import PoseGuard
+from agent.pose_guard import JUMP_M, PoseGuard
 from agent.replication.policies import GOSSIP
 from agent.settings import MediumSettings, ReplicationSettings, Settings
 from deploy.field.robot_file import RobotSettings
@@ -17,10 +17,6 @@ from protocol.map_frame import MapFrame
 from protocol.nanoseconds import SECOND
 from protocol.range_scans import TURN, Laser
 
-JUMP_M = 0.5
-"""Distance that any two poses may differ in addition to what the robot drives: SLAM corrects it."""
-SETTLE_S = 2
-"""Seconds without a jump after which poses count again."""
 BEAMS = 360
 """Beams per full turn, which only exact lasers use."""
 
@@ -87,4 +83,4 @@ def pose_guard(settings: RobotSettings) -> PoseGuard:
     """Return the check of the robot's poses; within a step, the time of its scans is not known exactly."""
     cell = settings.grid.resolution
     slack = (JUMP_M + settings.speed * settings.step_s) / cell
-    return PoseGuard(settings.speed / cell, slack, SETTLE_S * SECOND)
+    return PoseGuard(settings.speed / cell, slack)

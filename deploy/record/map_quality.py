@@ -116,6 +116,12 @@ def walls_held(
     return held
 
 
+WALL_FIGURES = (
+    "wall_precision", "wall_recall", "wall_f1", "walls_within_tolerance", "worst_walls_within_tolerance",
+)  # fmt: skip
+"""Figures of a robot that `robot_figures` returns."""
+
+
 def robot_figures(
     planning: Mapping[int, Grid],
     shared: Mapping[int, Grid],
@@ -132,13 +138,8 @@ def robot_figures(
     figures: dict[int, Figures] = {}
     for robot, grid in planning.items():
         score, shares = true_walls.score(grid), list(held[robot].values())
-        figures[robot] = {
-            "wall_precision": score.precision,
-            "wall_recall": score.recall,
-            "wall_f1": score.f1,
-            "walls_within_tolerance": _mean(shares),
-            "worst_walls_within_tolerance": min(shares, default=None),
-        }
+        values = score.precision, score.recall, score.f1, _mean(shares), min(shares, default=None)
+        figures[robot] = dict(zip(WALL_FIGURES, values, strict=True))
     return figures
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import importlib.util
 from typing import TYPE_CHECKING
+
+from protocol.packages import require
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -13,8 +14,7 @@ if TYPE_CHECKING:
 def to_pandas(**tables: pl.DataFrame) -> dict[str, pd.DataFrame]:
     """Return the same tables, by name, as pandas frames; empty values are NaN.
 
-    Raises ImportError if pandas is not installed.
+    Raises MissingPackageError, an ImportError, if pandas is not installed.
     """
-    if importlib.util.find_spec("pandas") is None:
-        raise ImportError("to_pandas needs the package pandas: pip install 'murmur-robots[pandas]'")
+    require("pandas", "pandas", "to_pandas needs")
     return {name: table.to_pandas() for name, table in tables.items()}

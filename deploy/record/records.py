@@ -121,7 +121,7 @@ class Records:
         ended = {event.kind for event in self.fault_events} & {"kill", "restart"}
         return not (self.lost or self.returned or ended)
 
-    def team_map(self, without: Collection[int]) -> Grid:
+    def team_map(self, without: Collection[int] = ()) -> Grid:
         """Return the union of the robots' own grids, without those of some robots."""
         grids = [grid for robot, grid in self.own.items() if robot not in without]
         return np.maximum.reduce(grids) if grids else np.zeros_like(next(iter(self.own.values())))

@@ -57,11 +57,14 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
     planning = {robot: grid for robot, grid in sorted(records.planning.items()) if robot not in refuted}
     claimed = {robot: float((grid[reachable] == FREE).mean()) for robot, grid in planning.items()}
     accuracy = {robot: min(share, records.explored) for robot, share in claimed.items()}
-    figures = _robot_figures(plan, records, planning, reachable)
+    walls = _robot_figures(plan, records, planning, reachable)
+    figures: dict[int, Figures] = {
+        robot: {"map_accuracy": accuracy[robot], **each} for robot, each in walls.items()
+    }
     first = end.first if done and end is not None else min(records.planning, default=-1)
     steps = end.step if end is not None and end.step >= 0 else records.step
     allowed = budgets(plan.radio.budget, records.changes, int(ledger["step"].max(initial=0)) + 1)
-    sizes = per_kind(ledger, "bytes")
+    common = common_figures(plan, records, figures, first)
     return {
         "finished": finished,
         "reason": _reason(end, finished=finished),
@@ -72,45 +75,57 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "coverage": records.explored,
         **first_mean_worst("", "map_accuracy", accuracy, first),
         **first_mean_worst("claimed_", "map_accuracy", claimed, first),
-        **team_figures(figures, first),
-        "robot_maps": {
-            str(robot): {"map_accuracy": accuracy[robot]} | each for robot, each in figures.items()
-        },
         **_progress(records),
         **_overlaps(records, reachable, refuted),
         "refuted_maps": refuted,
-        "path_length": [mm / 1000 for mm in records.world[-1].driven] if records.world else [],
-        "robots": scenario.robots,
-        "seed": scenario.seed,
-        "map": plan.map.name,
+        **common,
         "bus": scenario.bus,
-        "strategy": scenario.strategy,
-        "map_encoding": scenario.map_encoding,
-        "bandwidth": scenario.bandwidth,
         "range_m": plan.range_m,
         "finish": "all" if plan.world.ends_with_all else "first",
-        "clock": scenario.clock,
-        "step_s": scenario.step_s,
         **figures_of_missed(records.missed, scenario.robots),
-        "tolerance": tolerance(plan),
-        "bytes": sizes,
         "raw_scan_bytes": raw_scan_bytes(steps, scenario.robots),
-        **map_code_figures(records.planning.get(first), sizes["total"]),
-        "packets": per_kind(ledger, "packets"),
-        **recorded_figures(plan, records, steps, sizes["total"]),
+        **recorded_figures(plan, records, steps, common["bytes"]["total"]),
         **_approximation_error(records, first, int(reachable.sum()), scenario.map_encoding),
         "over_budget_steps": over_budget(ledger, allowed, plan.radio.saving, each=scenario.radio.reuse),
         "duty_cycle": duty_cycle(ledger, allowed, HOUR_S * plan.radio.saving.steps),
+        "wall_s": round(wall_s, 3),
+        "steps_per_s": round(records.step / wall_s, 1) if wall_s else None,
+        "versions": versions(),
+    }
+
+
+def common_figures(plan: Plan, records: Records, figures: dict[int, Figures], first: int) -> dict[str, Any]:
+    """Return the keys of the summary that robots in the field have as well: they need neither true map nor relay.
+
+    `figures` compare each robot's map; `first` is the number of the first robot, -1 if there is none.
+    """
+    scenario, ledger = plan.scenario, records.ledger()
+    sizes = per_kind(ledger, "bytes")
+    last = records.world[-1] if records.world else None
+    return {
+        **team_figures(figures, first),
+        "robot_maps": {str(robot): each for robot, each in figures.items()},
+        "longest_path": longest_path_m(last),
+        "path_length": [mm / 1000 for mm in last.driven] if last is not None else [],
+        "robots": scenario.robots,
+        "seed": scenario.seed,
+        "map": plan.map.name,
+        "strategy": scenario.strategy,
+        "map_encoding": scenario.map_encoding,
+        "bandwidth": scenario.bandwidth,
+        "clock": scenario.clock,
+        "step_s": scenario.step_s,
+        "tolerance": tolerance(plan),
+        "bytes": sizes,
+        **map_code_figures(records.planning.get(first), sizes["total"]),
+        "packets": per_kind(ledger, "packets"),
         "undelivered": undelivered(ledger),
         "lost": {str(robot): cause for robot, cause in sorted(records.lost.items())},
         "returned": [list(each) for each in records.returned],
         "reconnected": [list(each) for each in records.reconnected],
         "protocol_errors": records.protocol_errors.total,
         "digest": digest(records),
-        "wall_s": round(wall_s, 3),
-        "steps_per_s": round(records.step / wall_s, 1) if wall_s else None,
         "work_us_median": median_work(records),
-        "versions": versions(),
     }
 
 
@@ -176,12 +191,10 @@ def _robot_figures(
 
 
 def _progress(records: Records) -> dict[str, float | None]:
-    """Return when the team had seen shares of the area, and the longest paths of a robot."""
+    """Return when the team had seen shares of the area, and the longest paths of a robot until then."""
     found = {f"t{percent}": report_at(records.world, percent / 100) for percent in (50, 90, 95, 99)}
-    last = records.world[-1] if records.world else None
     return {
         **{key: None if report is None else report.step for key, report in found.items()},
-        "longest_path": longest_path_m(last),
         "longest_path_95": longest_path_m(found["t95"]),
         "longest_path_99": longest_path_m(found["t99"]),
     }

@@ -1,6 +1,7 @@
 """Processes of a run that the user starts one by one, in several terminals or on several hosts.
 
-See docs/several-terminals.md.
+See docs/several-terminals.md. Next to the credentials is the scenario of the netshaper, with which the other processes
+compare theirs.
 """
 
 from __future__ import annotations
@@ -37,8 +38,6 @@ from protocol.bus import BusClosed
 from protocol.keys import Keys
 from protocol.zenoh_bus import Credential, join
 
-SCENARIO = "scenario.toml"
-"""File next to the credentials: the scenario of the netshaper, which the other processes compare with theirs."""
 STANDARD_INPUT = Path("-")
 
 
@@ -66,7 +65,7 @@ def serve_netshaper(
         credentials, certificate = certificates.credentials(run, endpoint, made), made[names.RELAY]
     with closing(open_hub(run, endpoint, credentials, certificate)) as bus:
         _hand_out(credentials, folder)
-        (folder / SCENARIO).write_text(scenario.to_toml(), encoding="utf-8")
+        (folder / run_directory.SCENARIO).write_text(scenario.to_toml(), encoding="utf-8")
         notify(f"run {run} at {endpoint}; credentials in {folder}: {', '.join(credentials)}")
         relay(bus, run, plan.radio, scenario.reply_timeout_s, notify=notify)
 
@@ -150,7 +149,7 @@ def serve_robot(credential: Path) -> None:
         read = Credential.parse(sys.stdin.read(), "credential on standard input")
     else:
         read = Credential.read(credential)
-        beside = credential.parent / SCENARIO
+        beside = credential.parent / run_directory.SCENARIO
         if beside.exists():
             load(beside, {})  # before it joins: are its plug-ins here?
     names.number(read.name)
@@ -211,7 +210,7 @@ def _load_kernels() -> None:
 
 def _check_same(scenario: Scenario, credential: Path) -> None:
     """Raise ScenarioError if a scenario differs from the netshaper's next to the credential; paths may differ."""
-    beside = credential.parent / SCENARIO
+    beside = credential.parent / run_directory.SCENARIO
     if not beside.exists():
         return
     theirs, ours = (each.model_dump(exclude={"bus"}) for each in (load(beside, {}), scenario))

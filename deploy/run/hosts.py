@@ -9,23 +9,15 @@ import re
 from pathlib import Path
 from typing import Annotated, Any, Self
 
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    ConfigDict,
-    Field,
-    ValidationError,
-    field_validator,
-    model_validator,
-)
+from pydantic import AfterValidator, Field, ValidationError, field_validator, model_validator
 
 from deploy.scenario.errors import ScenarioError, explained
+from deploy.scenario.tables import Table, Whole
 from deploy.scenario.toml_files import read_toml
 from protocol.grid import MAX_ROBOTS
 
 MOST_PORT = 65535
 
-Whole = Annotated[int, Field(strict=True)]
 Truth = Annotated[bool, Field(strict=True)]
 Port = Annotated[int, Field(strict=True, ge=1, le=MOST_PORT)]
 
@@ -66,11 +58,7 @@ Address = Annotated[
 ]
 
 
-class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class Host(_Table):
+class Host(Table):
     """Another host, and the robots that run there."""
 
     name: Name = Field(description="its name in messages and logs")
@@ -101,7 +89,7 @@ class Host(_Table):
         return self.ssh or self.name
 
 
-class Hosts(_Table):
+class Hosts(Table):
     """The hub's address, and the other hosts. All other robots run on this host."""
 
     address: Address = Field(description="name or IP address by which the other hosts reach this one")

@@ -10,8 +10,6 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from deploy.record import run_directory
 from deploy.record.pandas_tables import to_pandas
 from deploy.record.records import Records
@@ -62,7 +60,7 @@ class Result:
     def to_pandas(self) -> dict[str, pd.DataFrame]:
         """Return the tables as pandas frames: ``"steps"`` and ``"ledger"``, with the columns of the parquet files.
 
-        Raises ImportError if pandas is not installed.
+        Raises MissingPackageError, an ImportError, if pandas is not installed.
         """
         return to_pandas(steps=self.steps, ledger=self.ledger)
 
@@ -75,7 +73,7 @@ class Result:
         """
         named: dict[str | int, Grid] = {"truth": self.plan.map.cells} if self.plan.has_truth else {}
         if self.records.own:
-            named["team"] = np.maximum.reduce([grid for _, grid in sorted(self.records.own.items())])
+            named["team"] = self.records.team_map()
         return named | dict(sorted(self.records.planning.items()))
 
     def plot(self) -> Figure:

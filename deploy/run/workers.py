@@ -20,6 +20,7 @@ from concurrent.futures.process import BrokenProcessPool
 from typing import Any, Protocol, TypeVar
 
 from deploy.run.parent_watchdog import end_with_parent
+from protocol.packages import require
 
 
 class Keyed(Protocol):
@@ -98,18 +99,15 @@ class LocalPool:
 class Cluster:
     """The workers of a Dask cluster, whose scheduler is at `address`; their number may change.
 
-    Raises ValueError if no scheduler answers there, or dask.distributed is not installed.
+    Raises ValueError if no scheduler answers there, MissingPackageError if dask.distributed is not installed.
     """
 
     REPLY_TIMEOUT_S = 20
 
     def __init__(self, address: str) -> None:
-        try:
-            from distributed import Client  # noqa: PLC0415  an extra, and slow to import
-        except ImportError:
-            raise ValueError(
-                "scheduler: dask.distributed is not installed; pip install 'murmur-robots[cluster]'"
-            ) from None
+        require("distributed", "cluster", "a scheduler needs")
+        from distributed import Client  # noqa: PLC0415  an extra, and slow to import
+
         if not re.fullmatch(r"\w+://.+|\S+:[0-9]+", address):
             raise ValueError(f"scheduler = {address!r}: must be its address, as tcp://10.0.0.1:8786")
         try:

@@ -14,7 +14,6 @@ from deploy.scenario.plan import Plan
 from deploy.serve.giving_way import Others, Way
 from deploy.serve.navigator import Navigator
 from deploy.serve.robot import SimulatedRobot
-from protocol.map_frame import MapFrame
 from protocol.nanoseconds import SECOND
 from protocol.range_scans import MAX_REACH_M
 from protocol.transforms import Pose
@@ -47,8 +46,7 @@ class Swarm:
         scenario, world_map = plan.scenario, plan.map
         self.step_ns = round(SECOND / settings.rate)
         self._start_ns, self._skipped_ns = start_ns, 0
-        x, y, _ = world_map.origin
-        frame = MapFrame(world_map.width, world_map.height, world_map.resolution, x, y)
+        frame = world_map.frame
         sensors = tuple(_sensors(plan, robot) for robot in range(scenario.robots))
         headings = [robot % 4 * math.pi / 2 for robot in range(scenario.robots)]
         step_s = self.step_ns / SECOND

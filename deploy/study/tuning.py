@@ -88,6 +88,8 @@ class Search:
     settings: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        if not self.seeds:
+            raise ValueError("seeds is empty: the search needs at least one")
         check_training_seeds([*self.seeds, *self.check_seeds])
         if both := sorted({*self.seeds} & {*self.check_seeds}):
             raise ValueError(f"check_seeds: {both[0]} is a seed of the search as well; choose other seeds")
@@ -153,7 +155,7 @@ class Tuning:
     best : Trial
         The trial with the least score.
     check : Trial or None
-        The best weights on the check seeds; None if the default weights are the best.
+        The best weights on the check seeds; None if the default weights are the best, or there are no check seeds.
     """
 
     search: Search
@@ -189,13 +191,13 @@ class Tuning:
     @property
     def sentence(self) -> str:
         """The result on the check seeds as a sentence."""
-        if self.check is None:
+        if not self.best.number:
             return f"No weights were better than the defaults in {len(self.trials)} trials."
+        found = f"Trial {self.best.number} takes {self.best.score:.3f} of the default weights' steps in the search"
+        if self.check is None:
+            return f"{found}; there were no check seeds."
         spread, seeds = self.check.spread, ", ".join(map(str, self.search.check_seeds))
-        return (
-            f"Trial {self.best.number} takes {self.best.score:.3f} of the default weights' steps in the search, and "
-            f"{spread.mean:.3f} ± {spread.half:.3f} on the check seeds {seeds}."
-        )
+        return f"{found}, and {spread.mean:.3f} ± {spread.half:.3f} on the check seeds {seeds}."
 
     @property
     def record(self) -> str:

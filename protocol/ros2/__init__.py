@@ -5,9 +5,7 @@ messages. `node` offers topics, services (`services`), and actions (`actions`); 
 The package needs the extra ``ros2``; nothing else in Murmur imports it unless a setting requests ROS.
 """
 
-from importlib.util import find_spec
+from protocol.packages import require
 
-if find_spec("rosbags") is None:
-    raise ModuleNotFoundError(
-        "ROS 2 needs the package rosbags: pip install 'murmur-robots[ros2]'", name="rosbags"
-    )
+for _package in ("rosbags", "xxhash"):
+    require(_package, "ros2", "ROS 2 needs")

@@ -148,14 +148,15 @@ class ActionServer:
         request.reply(goal.response if goal is not None else self._messages.new(unknown), now_ns)
 
     def _cancel(self, request: Request, now_ns: int) -> None:
-        """Cancel one goal, or with the id zero all goals; those accepted until a time if there is one."""
+        """Cancel the goal with an id, and all goals accepted until a time; without id and time, all goals."""
         info = request.message.goal_info
-        goal_id = _id(info.goal_id)
-        until_ns = nanoseconds(info.stamp)
-        if any(goal_id):
-            chosen = [self._goals[goal_id]] if goal_id in self._goals else []
-        else:
-            chosen = [each for each in self._goals.values() if not until_ns or each.accepted_ns <= until_ns]
+        goal_id, until_ns = _id(info.goal_id), nanoseconds(info.stamp)
+        cancels_all = not any(goal_id) and not until_ns
+        chosen = [
+            each
+            for each in self._goals.values()
+            if cancels_all or each.id == goal_id or (until_ns and each.accepted_ns <= until_ns)
+        ]
         running = [each for each in chosen if not each.status.is_end]
         canceling = [each for each in running if self._on_cancel(each)]
         if running:

@@ -75,15 +75,13 @@ class Ros2Node:
     def action_server(self, name: str, type_name: str, on_goal: OnGoal, on_cancel: OnCancel) -> ActionServer:
         """Declare a server of an action."""
         server = ActionServer(self._link, name, type_name, on_goal, on_cancel)
-        for endpoint in server.endpoints:
-            self._added(endpoint)
+        self._endpoints += server.endpoints
         return server
 
     def action_client(self, name: str, type_name: str) -> ActionClient:
         """Declare a client of an action."""
         client = ActionClient(self._link, name, type_name)
-        for endpoint in client.endpoints:
-            self._added(endpoint)
+        self._endpoints += client.endpoints
         return client
 
     def spin(self, now_ns: int, timeout_s: float = 0.0) -> int:
@@ -93,14 +91,16 @@ class Ros2Node:
         """
         self._link.wake.wait(timeout_s)
         self._link.wake.clear()
-        receivers = [each for each in self._endpoints if isinstance(each, Receiver)]
-        return sum(each.take(now_ns) for each in receivers)
+        return sum(each.take(now_ns) for each in self._receivers)
 
     @property
     def rejected(self) -> dict[str, str]:
         """The last malformed message of each topic and service that had one: name to error, with the number of them."""
-        receivers = [each for each in self._endpoints if isinstance(each, Receiver)]
-        return {each.name: f"{each.rejected}: {each.last_error}" for each in receivers if each.rejected}
+        return {each.name: f"{each.rejected}: {each.last_error}" for each in self._receivers if each.rejected}
+
+    @property
+    def _receivers(self) -> list[Receiver]:
+        return [each for each in self._endpoints if isinstance(each, Receiver)]
 
     def graph(self) -> Graph:
         """Return all nodes, topics, and services of the domain that are visible now."""

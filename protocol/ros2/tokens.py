@@ -11,12 +11,7 @@ import re
 from dataclasses import dataclass
 from enum import StrEnum
 
-try:
-    import xxhash
-except ModuleNotFoundError:
-    raise ModuleNotFoundError(
-        "ROS 2 needs the package xxhash: pip install 'murmur-robots[ros2]'", name="xxhash"
-    ) from None
+import xxhash
 
 from protocol.errors import ProtocolError, shown
 from protocol.ros2.names import (

@@ -74,7 +74,7 @@ def test_every_captured_packet_is_shown_by_name_and_field(run: Result) -> None:
 def test_filters_leave_out_exactly_the_frames_that_do_not_match(run: Result, kind: str) -> None:
     frames = as_json(run.directory)["frames"]
     by_robot = as_json(run.directory, "--robot", 2)["frames"]
-    assert by_robot == [f for f in frames if 2 in (f["sender"], f["receiver"], *f["hearers"])]
+    assert by_robot == [f for f in frames if 2 in (f["sender"], f["receiver"], *f["receivers"])]
     assert as_json(run.directory, "--step", "3-7")["frames"] == [f for f in frames if 3 <= f["step"] <= 7]
     assert as_json(run.directory, "--step", 5)["frames"] == [f for f in frames if f["step"] == 5]
     assert as_json(run.directory, "--refused")["frames"] == [f for f in frames if f["verdict"] != "carried"]

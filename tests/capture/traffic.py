@@ -147,7 +147,7 @@ class CapturedFrame:
     size: int
     carried: int
     known: bytes
-    hearers: tuple[int, ...]
+    receivers: tuple[int, ...]
 
     def is_payload(self, payload: bytes) -> bool:
         """Whether these are the bytes of this frame."""
@@ -213,7 +213,7 @@ def relayed_to(sent: list[CapturedFrame], robot: int) -> list[tuple[str, bytes]]
             name = f"r{frame.sender}"
             if FRAMES[phase] in ("offer", "answer") and frame.receiver == robot:
                 result.append((name, frame.known))
-            elif robot in frame.hearers and frame.carried and frame.receiver in (robot, EVERYONE):
+            elif robot in frame.receivers and frame.carried and frame.receiver in (robot, EVERYONE):
                 result.append((name, frame.known[: frame.carried]))
     return result
 

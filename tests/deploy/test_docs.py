@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
-from dataclasses import asdict
 from pathlib import Path
 from typing import get_args
 
@@ -13,7 +12,6 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from agent.encoding_options import THESIS_OPTIONS, PolygonOptions
 from agent.encodings.catalog import ENCODINGS
 from agent.encodings.predictive import PredictiveEncoding
 from agent.outline.approximation import approximation, repair
@@ -360,11 +358,6 @@ def test_settings_are_listed_with_default_and_meaning() -> None:
     listed = [tuple(row) for row in rows("settings.md", "Settings and defaults")]
     wanted = [(name, default, meaning.replace("`", "")) for name, default, meaning in code_tables.settings()]
     assert listed == wanted, "run python -m docs.code_tables"
-    thesis, defaults = asdict(THESIS_OPTIONS), asdict(PolygonOptions())
-    meanings = {name: meaning for name, _, meaning in listed}
-    for name in thesis:
-        if thesis[name] != defaults[name]:
-            assert f"thesis: {code_tables.plain(thesis[name])}" in meanings[f"polygons.{name}"]
     for choice in (*ENCODINGS, *get_args(Scenario.model_fields["bus"].annotation)):
         assert f"`{choice}`" in (DOCS / "settings.md").read_text(encoding="utf-8")
 

@@ -7,7 +7,6 @@ says where the laser is on the robot, it is where the odometry is.
 
 from __future__ import annotations
 
-import importlib.util
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ import numpy as np
 
 from protocol.errors import there_are
 from protocol.metric_scans import BeamAngles, millimeters
+from protocol.packages import require
 from protocol.transforms import Pose, TransformBuffer, pose_of
 from worldsim.recorded.log import LogError, RecordedLog
 
@@ -70,10 +70,10 @@ class _Content:
 def read(path: Path, every: int, topic: str) -> RecordedLog:
     """Read each of `every` scans of a bag from `topic`, or from the only topic that has scans if it is empty.
 
-    Raises LogError if the bag is damaged, its scans do not fit together, or it lacks scans or poses.
+    Raises LogError if the bag is damaged, its scans do not fit together, or it lacks scans or poses;
+    MissingPackageError if the package that reads bags is not installed.
     """
-    if importlib.util.find_spec("rosbags") is None:
-        raise LogError(f"{path}: bags need the package rosbags: pip install 'murmur-robots[mcap]'")
+    require("rosbags", "mcap", "bags need")
     from rosbags.highlevel import AnyReader  # noqa: PLC0415  optional, and slow to import
     from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
 

@@ -15,8 +15,9 @@ pytest.importorskip("xxhash", reason="xxhash is not installed: pip install 'murm
 
 from agent.bodies.map_body import MapBody
 from agent.bodies.own_map import OwnMap
-from agent.bodies.ros2 import SETTLE_NS, BodySettings
+from agent.bodies.ros2 import BodySettings
 from agent.mapping.mapper import GivenMapper
+from agent.pose_guard import SETTLE_NS
 from agent.settings import EncodingSettings, ReplicationSettings, Settings
 from protocol.body import Body
 from protocol.errors import ProtocolError

@@ -13,10 +13,11 @@ from hypothesis import strategies as st
 pytest.importorskip("rosbags", reason="rosbags is not installed: pip install 'murmur-robots[ros2]'")
 pytest.importorskip("xxhash", reason="xxhash is not installed: pip install 'murmur-robots[ros2]'")
 
-from agent.bodies.ros2 import SETTLE_NS, BodySettings
+from agent.bodies.ros2 import BodySettings
 from agent.bodies.scan_body import ScanBody
 from agent.bodies.team_map import occupancy_grid
 from agent.mapping.mapper import EstimatingMapper
+from agent.pose_guard import SETTLE_NS
 from agent.settings import EncodingSettings, ReplicationSettings, Settings
 from protocol.body import Body
 from protocol.cell_bytes import cells_to_bytes, points_to_bytes

@@ -32,7 +32,6 @@ class Wire:
     """A transport that keeps all frames that it sends."""
 
     def __init__(self, transport: Transport) -> None:
-        self.longest = transport.longest
         self.sent: list[bytes] = []
         self.receive, self.fileno, self.close = transport.receive, transport.fileno, transport.close
         self._transport = transport

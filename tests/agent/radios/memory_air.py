@@ -61,14 +61,14 @@ class MemoryTransport:
     """One robot's end of the air."""
 
     def __init__(self, air: MemoryAir, number: int, longest: int) -> None:
-        self.longest = longest
+        self._longest = longest
         self._air = air
         self._number = number
         self._coming: list[tuple[int, tuple[int, int], bytes]] = []
 
     def send(self, frame: bytes) -> bool:
         """Send a frame; return False if it is too long."""
-        if len(frame) > self.longest:
+        if len(frame) > self._longest:
             return False
         self._air.carry(self._number, frame)
         return True

@@ -232,18 +232,18 @@ def test_a_robot_that_said_farewell_is_out_of_range_until_it_starts_again() -> N
     sender, receiver = medium(0), medium(1)
     late, usual = (step(sender, number, POSE)[1][0] for number in (1, 5))
     receiver.receive(usual, 6 * SECOND)
-    assert (receiver.neighbors(6 * SECOND), receiver.ended()) == ([0], frozenset())
+    assert (receiver.neighbors.current(6 * SECOND), receiver.neighbors.ended()) == ([0], frozenset())
     receiver.receive(farewell(sender, 9 * SECOND), 9 * SECOND)
-    assert (receiver.neighbors(9 * SECOND), receiver.ended()) == ([], {0})
+    assert (receiver.neighbors.current(9 * SECOND), receiver.neighbors.ended()) == ([], {0})
     receiver.end_step()
     receiver.receive(late, 10 * SECOND)
-    assert (receiver.neighbors(10 * SECOND), receiver.ended()) == ([], {0}), (
+    assert (receiver.neighbors.current(10 * SECOND), receiver.neighbors.ended()) == ([], {0}), (
         "an earlier frame, which came late"
     )
     assert receiver.end_step()[0] == Broadcasts(0, [Delivery(0, POSE)])
     again = Sealer(KEY, 0, 2)
     receiver.receive(again.seal(b""), 11 * SECOND)
-    assert (receiver.neighbors(11 * SECOND), receiver.ended()) == ([0], frozenset())
+    assert (receiver.neighbors.current(11 * SECOND), receiver.neighbors.ended()) == ([0], frozenset())
 
 
 def test_a_farewell_waits_for_the_budget() -> None:

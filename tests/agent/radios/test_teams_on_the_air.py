@@ -77,7 +77,6 @@ class Attacked:
     """A transport near attackers, which repeat and damage all frames that arrive, and send their own."""
 
     def __init__(self, transport: Transport, number: int) -> None:
-        self.longest = transport.longest
         self._transport = transport
         self._recorded: list[bytes] = []
         self._stranger = Sealer(bytes(KEY_BYTES), 1 - number % 2, 9)
@@ -223,13 +222,13 @@ def test_nothing_is_undelivered_to_a_robot_that_has_ended_until_it_starts_again(
     exchange_all(team, 200)
     first, last = team.robots
     assert first.replication.undelivered() == last.replication.undelivered() == 0
-    assert team.members[0].medium.ended() == {1}
+    assert team.members[0].medium.neighbors.ended() == {1}
     own = first.replication.peers.own
     assert first.replication.peers.acked[1, own] < len(first.replication.own_log)
     assert_maps_agree(team)
     team.restart(1)
     team.stand(20)
-    assert team.members[0].medium.ended() == frozenset()
+    assert team.members[0].medium.neighbors.ended() == frozenset()
     exchange_all(team, 200)
     assert first.replication.peers.acked[1, own] == len(first.replication.own_log)
     assert_maps_agree(team)

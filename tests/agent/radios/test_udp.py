@@ -115,8 +115,7 @@ class Lossy:
     """A transport that loses a tenth of the frames that arrive."""
 
     def __init__(self, transport: Transport, number: int) -> None:
-        self.longest, self.send = transport.longest, transport.send
-        self.fileno, self.close = transport.fileno, transport.close
+        self.send, self.fileno, self.close = transport.send, transport.fileno, transport.close
         self._transport, self._number, self._frames = transport, number, 0
 
     def receive(self) -> list[bytes]:

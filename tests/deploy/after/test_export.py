@@ -19,13 +19,14 @@ pytest.importorskip(
 from agent.bodies.team_map import occupancy
 from deploy.after import archive
 from deploy.after.bag_messages import ranges_of
-from deploy.after.export import ExportError, export_mcap
+from deploy.after.export import export_mcap
 from deploy.after.recast_scans import Lasers
 from deploy.record.colors import GROUPS
 from deploy.run.in_memory import MemoryRun
 from protocol.grid import ray_table
 from protocol.message_codec import unpack
 from protocol.messages import Sense
+from protocol.packages import MissingPackageError
 from protocol.scans import HIT, NONE
 from protocol.transforms import Pose
 from tests.deploy.small_run import small_directory, small_plan
@@ -365,5 +366,5 @@ def test_ranges_turn_with_y_up_and_readings_out_of_range_are_infinite() -> None:
 
 def test_an_export_names_the_missing_package(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
-    with pytest.raises(ExportError, match=r"pip install 'murmur-robots\[mcap\]'"):
+    with pytest.raises(MissingPackageError, match=r"pip install 'murmur-robots\[mcap\]'"):
         export_mcap(Path())

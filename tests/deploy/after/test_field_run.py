@@ -171,6 +171,19 @@ def test_a_robot_that_ends_early_keeps_the_distance_that_it_drove(mission: Missi
     assert result.summary["path_length"][0] == own["driven"].max() > 1
 
 
+def test_robots_that_were_all_killed_have_a_run_without_figures_of_walls(
+    mission: Mission, tmp_path: Path
+) -> None:
+    summary = merge([mission.folder / "r2"], tmp_path / "team").summary
+    assert summary["lost"] == {
+        "0": "its record is missing", "1": "its record is missing", "2": "its record breaks off"
+    }  # fmt: skip
+    figures = summary["robot_maps"]["2"]
+    assert figures.pop("team_map_held") == summary["team_map_held"] > 0.9
+    assert set(figures.values()) == {None}
+    assert summary["claimed_mean_wall_f1"] is None
+
+
 def test_a_record_cannot_be_run_again(archive: Archive) -> None:
     for name in ("replay", "explore"):
         path = archive.directory if name == "replay" else archive.directory / "scenario.toml"

@@ -171,4 +171,6 @@ def test_damaged_recordings_are_named_and_nothing_is_written(folder: Path, tmp_p
     (apart[0] / FRAMES).write_text("\n".join([lines[0], ",".join(first), *lines[2:], ""]))
     with pytest.raises(ValueError, match="seconds apart: one of the clocks was set"):
         merge(apart, tmp_path / "team")
+    with pytest.raises(ValueError, match="folders is empty: name the record directory of at least one robot"):
+        merge([], tmp_path / "team")
     assert not (tmp_path / "team").exists()

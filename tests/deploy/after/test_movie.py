@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from functools import cache
 from itertools import combinations
 from pathlib import Path
@@ -18,6 +19,7 @@ from deploy.after.movie import MP4, MovieError, write_movie
 from deploy.commands.app import app
 from deploy.record.colors import GREY, PAPER, SIGNAL, Color, mix, robot_color
 from protocol.grid import FREE, UNKNOWN
+from protocol.packages import MissingPackageError
 from tests.deploy.small_run import small_directory
 
 ffmpeg = pytest.importorskip(
@@ -144,6 +146,16 @@ def test_a_film_has_a_picture_for_each_step(runs: int, tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
+def test_a_film_of_two_runs_has_the_name_of_the_second_also_if_that_is_the_current_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, second = tmp_path / "first", tmp_path / "second"
+    for copy in (first, second):
+        shutil.copytree(small_directory(), copy)
+    monkeypatch.chdir(second)
+    assert write_movie([first, Path()], MP4, rate=120) == first / "movie-second.mp4"
+
+
 def test_the_command_writes_a_gif_and_prints_its_name(tmp_path: Path) -> None:
     out = tmp_path / "film.gif"
     done = CliRunner().invoke(app, ["movie", str(small_directory()), "--gif", "--out", str(out)])
@@ -181,7 +193,7 @@ def test_invalid_requests_for_films_are_refused(arguments: list[str], message: s
 
 def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
-    with pytest.raises(MovieError, match=r"pip install 'murmur-robots\[film\]'"):
+    with pytest.raises(MissingPackageError, match=r"pip install 'murmur-robots\[film\]'"):
         write_movie([Path()], MP4)
 
 

@@ -11,6 +11,9 @@ import pytest
 
 from agent.radios.team_key import create_key
 from deploy.field import connection, listener
+from protocol.ros2.messages import LASER_SCAN, POSE_STAMPED
+from protocol.ros2.node import Ros2Node
+from protocol.ros2.qos import DEFAULT, SENSOR
 from protocol.transforms import Pose
 from tests.agent.bodies.ros_house import house
 from tests.deploy.commands.office_floor import murmur
@@ -172,6 +175,20 @@ def test_clocks_that_differ_or_stand_still_are_found(
     assert code == 1
     assert findings["clocks"].startswith("failed ")
     assert finding in findings["clocks"]
+
+
+def test_nodes_of_another_distribution_do_not_hide_the_one_that_fits(
+    play: Any, router: str, tmp_path: Path
+) -> None:
+    play().sends_scans = False
+    with ExitStack() as stack:
+        for number in range(4):
+            other = stack.enter_context(Ros2Node(f"other{number}", "r0", distro="humble", router=router))
+            other.subscription("goal_pose", POSE_STAMPED, DEFAULT, lambda *_: None)
+            other.publisher("scan", LASER_SCAN, SENSOR)
+        _, findings = examine(tmp_path, router, {"navigate_to_pose": ""})
+    assert findings["goals"] == "ok over goal_pose, to /r0/house_robot"
+    assert findings["scan"].endswith('[fix: set ros2.distro = "humble"]')
 
 
 def test_a_wrong_settings_file_ends_with_code_2(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -100,6 +101,15 @@ def test_runs_that_do_not_finish_count_with_the_maximum_number_of_steps() -> Non
     assert done.sentence == "No weights were better than the defaults in 5 trials."
 
 
+def test_without_check_seeds_the_sentence_has_the_score_of_the_search(done: Tuning) -> None:
+    found = replace(done, best=done.trials[1], check=None)
+    score = f"{done.trials[1].score:.3f}"
+    sentence = (
+        f"Trial 1 takes {score} of the default weights' steps in the search; there were no check seeds."
+    )
+    assert found.sentence == sentence
+
+
 def test_the_record_of_a_search_has_its_weights_maps_and_seeds(done: Tuning) -> None:
     record = tomllib.loads(done.record)
     assert record["weights"] == done.best.weights
@@ -109,6 +119,7 @@ def test_the_record_of_a_search_has_its_weights_maps_and_seeds(done: Tuning) -> 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
+        ({"seeds": []}, "seeds is empty: the search needs at least one"),
         ({"seeds": [3, 1000]}, "seed 1000: is a test seed, on which nothing may be tuned"),
         ({"check_seeds": [1234]}, "seed 1234: is a test seed"),
         ({"check_seeds": [1, 2]}, "check_seeds: 1 is a seed of the search as well"),

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
 import pytest
 
 from protocol.ros2.actions import ActionClient, ClientGoal, ServerGoal, Status
@@ -142,13 +143,14 @@ def test_a_goal_without_a_server_ends_as_aborted(node: OpenNode) -> None:
     assert ended[0].status is Status.ABORTED
 
 
-def ask(navigation: Navigation, service: str, type_name: str) -> Any:
-    """Send an empty request to a service of the action; return the response."""
+def ask(navigation: Navigation, service: str, type_name: str, **fields: Any) -> Any:
+    """Send a request with these fields to a service of the action; return the response."""
     murmur = navigation.murmur
     client = murmur.client(f"navigate_to_pose/_action/{service}", type_name)
     spin_until(lambda: client.is_available)
     responses: list[Any] = []
-    client.call(murmur.messages.new(f"{type_name}_Request"), 7, lambda each, _: responses.append(each))
+    request = murmur.messages.new(f"{type_name}_Request", **fields)
+    client.call(request, 7, lambda each, _: responses.append(each))
     navigation.until(lambda: responses)
     return responses[0]
 
@@ -167,6 +169,25 @@ def test_a_request_to_cancel_without_an_id_cancels_all_running_goals(navigation:
     canceled = {bytes(bytearray(each.goal_id.uuid)) for each in response.goals_canceling}
     assert canceled == {goal.id for goal in sent[1:]}
     navigation.until(lambda: [goal.status for goal in sent[1:]] == [Status.CANCELING] * 2)
+
+
+def test_a_request_to_cancel_with_id_and_time_cancels_this_goal_and_all_accepted_until_then(
+    navigation: Navigation,
+) -> None:
+    sent = [navigation.send(float(number)) for number in range(3)]
+    navigation.until(lambda: len(navigation.goals) == 3 and all(each.waiting for each in navigation.goals))
+    for goal, accepted_ns in zip(navigation.goals, (100, 200, 300), strict=True):
+        goal.accepted_ns = accepted_ns
+    last, messages = navigation.goals[2], navigation.murmur.messages
+    info = messages.new(
+        "action_msgs/msg/GoalInfo",
+        goal_id=messages["unique_identifier_msgs/msg/UUID"](uuid=np.frombuffer(last.id, np.uint8)),
+        stamp=messages.time(100),
+    )
+    response = ask(navigation, "cancel_goal", CANCEL_GOAL, goal_info=info)
+    assert response.return_code == 0
+    navigation.until(lambda: {goal.status for goal in (sent[0], sent[2])} == {Status.CANCELING})
+    assert sent[1].status is Status.ACCEPTED
 
 
 def test_a_request_to_cancel_all_goals_succeeds_without_any(navigation: Navigation) -> None:

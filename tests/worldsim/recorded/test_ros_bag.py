@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from protocol.packages import MissingPackageError
 from protocol.range_scans import NO_MEASUREMENT, NOTHING
 from tests.worldsim.recorded.made_logs import FULL_CIRCLE, Bag, distances, drive
 from worldsim.recorded.log import LogError
@@ -179,7 +180,7 @@ def test_a_bag_needs_the_package_that_reads_it(tmp_path: Path, monkeypatch: pyte
     with Bag(place(tmp_path), "mcap") as bag:
         write_scans(bag)
     monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
-    with pytest.raises(LogError, match=r"pip install 'murmur-robots\[mcap\]'"):
+    with pytest.raises(MissingPackageError, match=r"pip install 'murmur-robots\[mcap\]'"):
         read(place(tmp_path))
 
 
