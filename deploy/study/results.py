@@ -18,6 +18,7 @@ from typing import Any, Self
 
 import polars as pl
 
+from deploy.study import checked_parquet
 from protocol.files import check_regular
 from worldsim.atomic_files import DISK_ERRORS, write_whole
 
@@ -139,7 +140,8 @@ class Results:
         if self._file is not None:
             began = time.monotonic()
             with _named(self._file):
-                _write(self._file, self.frame.write_parquet)
+                data = checked_parquet.serialize(self.frame)
+                write_whole(self._file, lambda opened: opened.write(data))
             self._is_behind = False
             self._written = time.monotonic()
             self._took = self._written - began
@@ -166,10 +168,11 @@ def read(file: Path) -> pl.DataFrame:
             return pl.DataFrame(schema=dict.fromkeys(IDENTITY, pl.String))
         check_regular(file)
         try:
-            frame = pl.read_parquet(file)
-        except (pl.exceptions.PolarsError, pl.exceptions.PanicException):
+            frame = checked_parquet.parse(file.read_bytes())
+        except checked_parquet.DamagedError:
             raise ValueError(
-                f"{file}: is damaged, or not a Parquet file; remove it, or name another"
+                f"{file}: is damaged, changed by another program, or not a Parquet file; "
+                "restore a copy, remove it, or name another"
             ) from None
     if not set(IDENTITY) <= set(frame.columns):
         raise ValueError(f"{file}: is not a table of runs; name a new file")

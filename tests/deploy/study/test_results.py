@@ -67,7 +67,9 @@ def test_a_table_that_another_process_has_open_is_rejected(tmp_path: Path) -> No
 def test_a_file_that_is_no_table_is_rejected_and_not_changed(tmp_path: Path, content: bytes) -> None:
     file = tmp_path / "notes.txt"
     file.write_bytes(content)
-    with pytest.raises(ValueError, match="is damaged, or not a Parquet file; remove it, or name another"):
+    with pytest.raises(
+        ValueError, match="is damaged, changed by another program, or not a Parquet file; restore"
+    ):
         Results(file)
     assert file.read_bytes() == content
 
