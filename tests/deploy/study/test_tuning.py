@@ -115,6 +115,8 @@ def test_the_record_of_a_search_has_its_weights_maps_and_seeds(done: Tuning) -> 
         ({"only": ["gamma"]}, "meier has no weight 'gamma'; there are: occ_max, beta"),
         ({"settings": {"map_seed": 1000}}, "map_seed = 1000: is chosen by the search; remove it"),
         ({"settings": {"options.beta": 2.0}}, r"options\.beta = 2\.0: is chosen by the search; remove it"),
+        ({"maps": []}, r"maps = \[\]: is an empty list; give at least one value"),
+        ({"seeds": []}, r"seeds = \[\]: is an empty list; give at least one value"),
         ({"strategy": "nope"}, "no strategy is called 'nope'"),
         ({"strategy": "nearest"}, "nearest has no numeric options to search"),
     ],
