@@ -112,12 +112,25 @@ class Results:
         if self._added:
             fresh = pl.DataFrame(list(self._added.values()), infer_schema_length=None)
             old = self._frame.filter(~pl.col(KEY).is_in(list(self._added)))
-            whole = pl.concat([old, fresh], how="diagonal_relaxed")
+            whole = self._joined(old, fresh)
             first = [name for name in ORDER if name in whole.columns]
             others = sorted(set(whole.columns) - {*IDENTITY, *first})
             self._frame = whole.select(*IDENTITY, *first, *others).sort([*first, KEY], nulls_last=True)
             self._added.clear()
         return self._frame
+
+    def _joined(self, old: pl.DataFrame, fresh: pl.DataFrame) -> pl.DataFrame:
+        """All rows; ValueError if a column has types that do not fit, as in tables of some earlier versions."""
+        try:
+            return pl.concat([old, fresh], how="diagonal_relaxed")
+        except pl.exceptions.SchemaError:
+            for name in fresh.columns:
+                if name in old.columns and old.schema[name].is_nested() != fresh.schema[name].is_nested():
+                    raise ValueError(
+                        f"{self._file}: column {name} has values of the type {old.schema[name]}, but new runs have "
+                        f"{fresh.schema[name]}; it is a table of another version: name a new file"
+                    ) from None
+            raise
 
     def rows(self, keys: Iterable[str]) -> dict[str, Row]:
         """The existing runs among some keys, without their series."""
@@ -174,7 +187,7 @@ def read(file: Path) -> pl.DataFrame:
                 f"{file}: is damaged, changed by another program, or not a Parquet file; "
                 "restore a copy, remove it, or name another"
             ) from None
-    if not set(IDENTITY) <= set(frame.columns):
+    if any(frame.schema.get(name) not in (pl.String, pl.Null) for name in IDENTITY):
         raise ValueError(f"{file}: is not a table of runs; name a new file")
     return frame
 

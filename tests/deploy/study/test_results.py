@@ -81,6 +81,22 @@ def test_another_table_is_rejected(tmp_path: Path) -> None:
         Results(file)
 
 
+def test_a_table_with_other_types_is_refused_and_not_changed(tmp_path: Path) -> None:
+    file = tmp_path / "old.parquet"
+    old = pl.DataFrame([row("a", 0)], schema_overrides={"error": pl.String})
+    old.with_columns(key=1).write_parquet(file)
+    with pytest.raises(ValueError, match="is not a table of runs; name a new file"):
+        Results(file)
+    old.with_columns(explored=1.0).write_parquet(file)
+    before = file.read_bytes()
+    message = (
+        r"column explored has values of the type Float64, but new runs have List\(Float64\); .* new file"
+    )
+    with pytest.raises(ValueError, match=message), Results(file) as table:
+        table.add(row("b", 1))
+    assert file.read_bytes() == before
+
+
 def test_a_file_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
     for file in (tmp_path / "missing" / "a.parquet", tmp_path):
         with pytest.raises(ValueError, match=r"name a (new )?file"):
