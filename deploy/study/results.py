@@ -52,7 +52,7 @@ class Results:
     Parameters
     ----------
     file : Path, optional
-        The file of the table; without one, the table is only in memory.
+        The file of the table, or a link to it; without one, the table is only in memory.
 
     Raises
     ------
@@ -61,6 +61,7 @@ class Results:
     """
 
     def __init__(self, file: Path | None) -> None:
+        file = file.resolve() if file is not None and file.is_symlink() else file
         self._file = file
         self._added: dict[str, Row] = {}
         self._is_behind = False

@@ -75,6 +75,10 @@ def test_the_command_prints_the_table_and_writes_runs_means_and_pictures(tmp_pat
     ("words", "output"),
     [
         (["--out", "/nonexist/a.parquet"], "/nonexist/a.parquet: no such folder: /nonexist"),
+        (
+            ["--table", "/proc/sys/a.csv"],
+            "table = /proc/sys/a.csv: nothing can be written in /proc/sys; name",
+        ),
         (["--set", "map=nope"], "unknown map 'nope'"),
         (
             ["--set", "seed=0", "--set", "seed=1"],

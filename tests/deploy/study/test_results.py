@@ -63,6 +63,16 @@ def test_a_table_that_another_process_has_open_is_rejected(tmp_path: Path) -> No
         pass
 
 
+def test_a_link_to_a_table_is_the_table(tmp_path: Path) -> None:
+    file, link = tmp_path / "a.parquet", tmp_path / "link.parquet"
+    link.symlink_to(file)
+    with Results(file), pytest.raises(ValueError, match="another process is adding runs"):
+        Results(link)
+    with Results(link) as table:
+        table.add(row("a", 0))
+    assert link.is_symlink() and len(pl.read_parquet(file)) == 1
+
+
 @pytest.mark.parametrize("content", [b"", b"notes", b"PAR1 and no more"])
 def test_a_file_that_is_no_table_is_rejected_and_not_changed(tmp_path: Path, content: bytes) -> None:
     file = tmp_path / "notes.txt"
