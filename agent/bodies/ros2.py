@@ -30,6 +30,8 @@ REMEMBERED_NS = 10 * SECOND
 """Age up to which transforms are kept, relative to the last known pose."""
 UNUSED_NS = 60 * SECOND
 """Age up to which transforms are kept while no pose is known, relative to the last transform."""
+BACK_NS = 10 * SECOND
+"""Time by which the stamps of a frame's transforms must go back to show that the clock was set back."""
 SETTLE_NS = 2 * SECOND
 """Time for which poses must be plausible again after a jump."""
 JUMP_M = 0.5
@@ -131,6 +133,7 @@ class Ros2Body(ABC):
                 self._refused[child] = str(error)
                 continue
             stamp = nanoseconds(each.header.stamp)
+            self._transforms.forget_after(child, stamp + BACK_NS)
             self._transforms.add(parent, child, stamp, pose, is_static=is_static)
             if not is_static:
                 self._transforms.forget(stamp - UNUSED_NS)
@@ -212,6 +215,7 @@ class Ros2Body(ABC):
             jump = math.dist(before[1][:2], pose[:2])
             if jump > self._settings.speed * elapsed_s + JUMP_M:
                 self._settled_ns = stamp + SETTLE_NS
+        self._settled_ns = min(self._settled_ns, stamp + SETTLE_NS)  # less only if the clock was set back
         if stamp < self._settled_ns:
             self.problem = "the pose has jumped; waiting until it settles"
             return False
