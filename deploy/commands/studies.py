@@ -206,12 +206,11 @@ def compare(
     from deploy.study import comparison  # noqa: PLC0415
 
     settings |= other_settings(set_ or [], comparison.compare, settings)
-    choices = {"strategy": strategies, "map_encoding": map_encodings, "radio": radios}
-    given = [
-        (key, names(text, f"{key.replace('_', '-')}s", ()))
-        for key, text in choices.items()
-        if text is not None
-    ]
+    choices = [
+        ("strategy", "strategies", strategies), ("map_encoding", "map-encodings", map_encodings),
+        ("radio", "radios", radios),
+    ]  # fmt: skip
+    given = [(key, names(text, flag, ())) for key, flag, text in choices if text is not None]
     if len(given) + bool(scenario) != 1:
         raise ValueError("give either scenario files, --strategies, --map-encodings or --radios")
     if twice := [key for key, _ in given if key in settings]:
