@@ -60,6 +60,8 @@ class Credential:
     ----------
     robots : tuple of str
         Of a router (`netshaper.router`): the names of the robots that join through it.
+    code : str
+        Digest of the relay's code, for processes that are started by hand; empty: not to be compared.
     """
 
     run: str
@@ -68,6 +70,7 @@ class Credential:
     password: str = ""
     certificate: Certificate | None = None
     robots: tuple[str, ...] = ()
+    code: str = ""
 
     def write(self, path: Path) -> None:
         """Write a JSON file that only its owner can read."""
