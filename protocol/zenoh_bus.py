@@ -16,6 +16,7 @@ import threading
 import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -321,10 +322,29 @@ def open_connected(config: zenoh.Config, credential: Credential) -> zenoh.Sessio
         return zenoh.open(config)
     except zenoh.ZError:
         shown = "password" if credential.certificate is None else "certificate"
+        cause = f"no hub answers, or the {shown} is not valid for its run ({credential.run})"
+        if credential.certificate is not None:
+            cause = _invalid_now(credential.certificate) or cause
         raise ConnectionError(
-            f"{credential.name}: cannot join at {credential.hub} within {CONNECT_S:g} s: no hub answers, "
-            f"or the {shown} is not valid for its run ({credential.run})"
+            f"{credential.name}: cannot join at {credential.hub} within {CONNECT_S:g} s: {cause}"
         ) from None
+
+
+def _invalid_now(certificate: Certificate) -> str:
+    """Return why a certificate is not valid by the clock of this host; empty if it is, or is damaged."""
+    from cryptography import x509  # noqa: PLC0415  needed only for this message
+
+    try:
+        read = x509.load_pem_x509_certificate(certificate.certificate.encode())
+    except ValueError:
+        return ""
+    now, first, last = datetime.now(UTC), read.not_valid_before_utc, read.not_valid_after_utc
+    if first <= now < last:
+        return ""
+    return (
+        f"its certificate is valid from {first:%Y-%m-%d} to {last:%Y-%m-%d}, and the clock of this host shows "
+        f"{now:%Y-%m-%d}; set the clock, or make new certificates"
+    )
 
 
 def plain_config(mode: str) -> zenoh.Config:
