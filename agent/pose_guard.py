@@ -47,6 +47,7 @@ class PoseGuard:
             reach = self._speed * max(0, now - then) / SECOND + self._slack
             if math.hypot(x - before_x, y - before_y) > reach:
                 self._settled_at = now + self._settle
+        self._settled_at = min(self._settled_at, now + self._settle)  # less only if the clock was set back
         self._last = x, y, now
         self.has_jumped = now < self._settled_at
         return not self.has_jumped

@@ -1,8 +1,8 @@
 """Access control of the hub: the messages that each participant may send and receive, with one credential each.
 
 Credentials are new for each run. A robot may put messages only under its own name, and receives only messages for it.
-It sees only the subscriptions of relay, world, recorder and viewer, so it cannot find another robot and bypass the
-relay. `protocol.rights` has the table of senders and receivers.
+It sees only the subscriptions of relay, world, recorder, viewer, and of its own name, so it cannot find another robot
+and bypass the relay. `protocol.rights` has the table of senders and receivers.
 
 Robots may join through a router (`netshaper.router`). The router applies the same rules to each of them, and the hub
 gives the router the union of their rights.
@@ -77,11 +77,11 @@ def _rules_of(keys: Keys, name: str, everyone: list[str]) -> list[dict[str, Any]
         "receive": ("put", "egress", [inbox]),
         "subscribe": ("declare_subscriber", "ingress", [inbox]),
         "presence": ("liveliness_token", "ingress", [keys.alive(name)]),
-        # A client sends messages only to subscriptions that it knows.
+        # A client sends messages only to subscriptions that it knows. By its own, it finds another process of its name.
         "discover": (
             "declare_subscriber",
             "egress",
-            [keys.inbox(other) for other in rights.receivers(name, everyone)],
+            [keys.inbox(other) for other in (*rights.receivers(name, everyone), name)],
         ),
     }
     return [

@@ -47,11 +47,12 @@ def millimeters(
     """Convert ranges from meters to the form of `protocol.range_scans`.
 
     Ranges of at least `nothing` meters show that a beam met nothing. Those below `least`, not above zero, or not a
-    number are no measurements. With `reverse`, the last beam becomes the first.
+    number are no measurements; a `least` that is not a number excludes none. With `reverse`, the last beam becomes the
+    first.
     """
     meters = np.asarray(ranges, np.float64)[::-1] if reverse else np.asarray(ranges, np.float64)
     with np.errstate(invalid="ignore"):
-        measured = (meters >= least) & (meters > 0)
+        measured = ~(meters < least) & (meters > 0)
         met = measured & (meters < min(nothing, NOTHING / 1000))
     found = np.where(measured, NOTHING, NO_MEASUREMENT).astype(np.uint16)
     found[met] = np.maximum(np.rint(1000 * meters[met]), 1).astype(np.uint16)

@@ -94,6 +94,15 @@ class TransformBuffer:
             if not edge.is_static and first > 0:
                 del edge.stamps[:first], edge.poses[:first]
 
+    def forget_after(self, child: str, stamp: float) -> None:
+        """Forget poses of a frame at later times, which are wrong if the clock of their sender was set back."""
+        edge = self._edges.get(child)
+        if edge is None or edge.is_static:
+            return
+        edge.sort()
+        end = bisect_right(edge.stamps, stamp)
+        del edge.stamps[end:], edge.poses[end:]
+
     def ancestors(self, frame: str) -> list[str]:
         """Return a frame, its parent, and so on up to the root."""
         found = [frame]

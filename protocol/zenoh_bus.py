@@ -8,12 +8,15 @@ that a client detects the loss of its hub, and one whenever a wait times out.
 from __future__ import annotations
 
 import base64
+import contextlib
 import json
 import os
 import re
 import threading
 import time
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -58,6 +61,8 @@ class Credential:
     ----------
     robots : tuple of str
         Of a router (`netshaper.router`): the names of the robots that join through it.
+    code : str
+        Digest of the relay's code, for processes that are started by hand; empty: not to be compared.
     """
 
     run: str
@@ -66,6 +71,7 @@ class Credential:
     password: str = ""
     certificate: Certificate | None = None
     robots: tuple[str, ...] = ()
+    code: str = ""
 
     def write(self, path: Path) -> None:
         """Write a JSON file that only its owner can read."""
@@ -239,15 +245,45 @@ def join(credential: Credential) -> ZenohBus:
     Raises
     ------
     ConnectionError
-        The hub does not answer, or refuses the credential.
+        The hub does not answer, or refuses the credential, or another process has joined with it.
     """
     session, keys = open_connected(plain_config("client"), credential), Keys(credential.run)
-    if credential.name != names.VIEW and not _reaches_relay(session, keys.control_tx(credential.name)):
+    if credential.name != names.VIEW and (problem := _obstacle(session, keys, credential)):
         session.close()  # type: ignore[no-untyped-call]
-        raise ConnectionError(
-            f"{credential.name}: timed out: no relay at {credential.hub} within {CONNECT_S:g} s"
-        )
+        raise ConnectionError(f"{credential.name}: {problem}")
     return ZenohBus(session, keys, credential.name)
+
+
+def _obstacle(session: zenoh.Session, keys: Keys, credential: Credential) -> str:
+    """Wait until the relay can be reached, and no other process has this name; return what is in the way, or nothing.
+
+    The hub answers in order, so what it knows of this name arrives before what it knows of the relay. It notices
+    within `CONNECT_S` that a process of this name has died.
+    """
+    with _publisher(session, keys.control(credential.name, names.RELAY)) as own:
+        if not _reaches_relay(session, keys.control_tx(credential.name)):
+            return f"timed out: no relay at {credential.hub} within {CONNECT_S:g} s"
+        if not _matches(own, wanted=False):
+            return f"another process has joined as {credential.name}; start each participant once"
+    return ""
+
+
+@contextlib.contextmanager
+def _publisher(session: zenoh.Session, key: str) -> Iterator[Any]:
+    """Declare a publisher: only for a declared key does a session know its subscribers."""
+    publisher: Any = session.declare_publisher(key)
+    try:
+        yield publisher
+    finally:
+        publisher.undeclare()
+
+
+def _matches(publisher: Any, *, wanted: bool) -> bool:
+    """Wait until a publisher has a subscriber, or has none; return whether that is so."""
+    deadline = time.monotonic() + CONNECT_S
+    while (found := bool(publisher.matching_status.matching)) != wanted and time.monotonic() < deadline:
+        time.sleep(POLL_S)
+    return found == wanted
 
 
 def _reaches_relay(session: zenoh.Session, key: str) -> bool:
@@ -259,12 +295,8 @@ def _reaches_relay(session: zenoh.Session, key: str) -> bool:
     route. The relay's subscription arrives here over one direction. The robot's liveliness token, which is declared
     afterwards, goes back over the other: when the relay sees it, both routes exist.
     """
-    deadline = time.monotonic() + CONNECT_S
-    publisher: Any = session.declare_publisher(key)
-    while not (matches := bool(publisher.matching_status.matching)) and time.monotonic() < deadline:
-        time.sleep(POLL_S)
-    publisher.undeclare()
-    return matches
+    with _publisher(session, key) as publisher:
+        return _matches(publisher, wanted=True)
 
 
 def open_connected(config: zenoh.Config, credential: Credential) -> zenoh.Session:
@@ -290,10 +322,29 @@ def open_connected(config: zenoh.Config, credential: Credential) -> zenoh.Sessio
         return zenoh.open(config)
     except zenoh.ZError:
         shown = "password" if credential.certificate is None else "certificate"
+        cause = f"no hub answers, or the {shown} is not valid for its run ({credential.run})"
+        if credential.certificate is not None:
+            cause = _invalid_now(credential.certificate) or cause
         raise ConnectionError(
-            f"{credential.name}: cannot join at {credential.hub} within {CONNECT_S:g} s: no hub answers, "
-            f"or the {shown} is not valid for its run ({credential.run})"
+            f"{credential.name}: cannot join at {credential.hub} within {CONNECT_S:g} s: {cause}"
         ) from None
+
+
+def _invalid_now(certificate: Certificate) -> str:
+    """Return why a certificate is not valid by the clock of this host; empty if it is, or is damaged."""
+    from cryptography import x509  # noqa: PLC0415  needed only for this message
+
+    try:
+        read = x509.load_pem_x509_certificate(certificate.certificate.encode())
+    except ValueError:
+        return ""
+    now, first, last = datetime.now(UTC), read.not_valid_before_utc, read.not_valid_after_utc
+    if first <= now < last:
+        return ""
+    return (
+        f"its certificate is valid from {first:%Y-%m-%d} to {last:%Y-%m-%d}, and the clock of this host shows "
+        f"{now:%Y-%m-%d}; set the clock, or make new certificates"
+    )
 
 
 def plain_config(mode: str) -> zenoh.Config:

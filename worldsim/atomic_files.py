@@ -25,7 +25,8 @@ def write_whole(path: Path, write: Callable[[BinaryIO], object]) -> None:
                 write(file)
             beside.replace(path)
     finally:
-        beside.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # where nothing can be written, nothing can be removed
+            beside.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager

@@ -57,7 +57,7 @@ class MapBody(Ros2Body):
             self._note_missing(frame, "the robot's base")
             return
         newest = self._transforms.newest(frame, root)
-        if newest is None or (self._pose is not None and newest <= self._pose[0]):
+        if newest is None or (self._pose is not None and newest == self._pose[0]):
             return
         pose = self._transforms.pose(frame, root, newest)
         if pose is not None and self._accept(int(newest), pose, "the robot"):

@@ -31,6 +31,8 @@ REMEMBERED_NS = 10 * SECOND
 """Age up to which transforms are kept, relative to the last known pose."""
 UNUSED_NS = 60 * SECOND
 """Age up to which transforms are kept while no pose is known, relative to the last transform."""
+BACK_NS = 10 * SECOND
+"""Time by which the stamps of a frame's transforms must go back to show that the clock was set back."""
 
 
 @dataclass(frozen=True)
@@ -127,6 +129,7 @@ class Ros2Body(ABC):
                 self._refused[child] = str(error)
                 continue
             stamp = nanoseconds(each.header.stamp)
+            self._transforms.forget_after(child, stamp + BACK_NS)
             self._transforms.add(parent, child, stamp, pose, is_static=is_static)
             if not is_static:
                 self._transforms.forget(stamp - UNUSED_NS)

@@ -2,8 +2,8 @@
 
 maps over time     planning maps, and the outlines that each robot sends (Figure A.2)
 approximation      one robot's own map and its approximation over time (Figure 4.8)
-channel load       explored area over time; transmitted bytes, bytes over the budget and undelivered packets (Figures
-                   6.17, 6.18)
+channel load       explored area over time; transmitted bytes, bytes over the budget and undelivered log entries
+                   (Figures 6.17, 6.18)
 """
 
 from __future__ import annotations
@@ -205,20 +205,20 @@ def draw_load(panel: Axes, archive: Archive) -> None:
 
 
 def _draw_waiting(panel: Axes, archive: Archive) -> Axes:
-    """Draw bytes over the budget, and each robot's undelivered packets on a second axis, which is returned."""
+    """Draw bytes over the budget, and each robot's undelivered log entries on a second axis, which is returned."""
     last = archive.last_step
     cut = _per_step(archive.ledger, archive.ledger["cause"] == "budget", last)
     steps = np.arange(1, last + 1)
     panel.fill_between(steps, cut, step="mid", color="#c9ccd1", label="bytes over the step's budget")
     panel.set(title="Queued", ylabel="bytes per step")
-    packets = panel.twinx()
+    entries = panel.twinx()
     rows = {robot: archive.of_robot(robot) for robot in range(archive.plan.scenario.robots)}
     backlogs = {
         robot: _per_lived_step(archive, robot, own["step"], own["backlog"]) for robot, own in rows.items()
     }
-    _draw_curves(packets, backlogs, "packets of")
-    packets.set_ylabel("undelivered packets")
-    return packets
+    _draw_curves(entries, backlogs, "log entries of")
+    entries.set_ylabel("undelivered log entries")
+    return entries
 
 
 def _draw_curves(panel: Axes, curves: Curves, label: str) -> None:

@@ -18,6 +18,7 @@ from deploy.after.archive import read
 from deploy.after.frames import WIDTH, Frames, side_by_side
 from protocol.packages import require
 from protocol.temporary import temporary_folder
+from worldsim.atomic_files import naming
 
 SMALL = 0.75
 """Width of each run's picture / `frames.WIDTH`, for two runs side by side or a GIF."""
@@ -103,7 +104,8 @@ def _encode(
     from imageio_ffmpeg import get_ffmpeg_exe  # noqa: PLC0415  the package may be missing
 
     beside = path.with_name(f".{path.stem}.part{path.suffix}")
-    beside.touch()  # raises OSError with the file's name if the folder is not writable
+    with naming(path):
+        beside.touch()  # raises OSError if the folder is not writable
     source = shlex.split(f"-f rawvideo -pix_fmt rgb24 -s {size[0]}x{size[1]} -r {rate:g} -i -")
     command = [get_ffmpeg_exe(), "-y", "-v", "error", *source, *options, str(beside)]
     try:

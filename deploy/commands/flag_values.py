@@ -12,8 +12,18 @@ from protocol.errors import shown
 
 
 def items(text: str) -> list[str]:
-    """The items of a comma-separated list."""
+    """The items of a comma-separated list, which may be empty."""
     return [item.strip() for item in text.split(",") if item.strip()]
+
+
+def names(text: str | None, flag: str, default: Sequence[str]) -> list[str]:
+    """The items of a flag, or its default without the flag; ValueError if the flag names none."""
+    if text is None:
+        return list(default)
+    found = items(text)
+    if not found:
+        raise ValueError(f"{flag} = {text!r}: is empty; give values separated by commas, or omit --{flag}")
+    return found
 
 
 def whole_numbers(text: str, flag: str, most: int) -> list[int]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import os
 import re
 import sys
 from collections.abc import Callable, Sequence
@@ -107,6 +108,8 @@ def file_option(metavar: str, help: str) -> Any:
             fail(f"{flag.name} = {path}: must end in {' or '.join(suffixes)}", BAD_INPUT)
         if path is not None and not path.parent.is_dir():
             fail(f"{flag.name} = {path}: no such folder: {path.parent}", BAD_INPUT)
+        if path is not None and not os.access(path.parent, os.W_OK):
+            fail(f"{flag.name} = {path}: nothing can be written in {path.parent}; name another", BAD_INPUT)
         return path
 
     return typer.Option(metavar=metavar, callback=check, help=help)

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from deploy.commands.console import errors, screen
-from deploy.commands.flag_values import items, named_values, whole_numbers
+from deploy.commands.flag_values import named_values, names, whole_numbers
 from deploy.commands.flags import GroupedCommand, command_family, figure_flags, file_option
 from deploy.commands.scenario_flags import setting_flags
 from deploy.commands.study_flags import (
@@ -28,7 +28,7 @@ from worldsim.generators.seeds import first_test_seeds
 
 app = command_family()
 
-BANDWIDTHS, RANGES = "100,1000,10000", "30%,100%"
+BANDWIDTHS, RANGES = ("100", "1000", "10000"), ("30%", "100%")
 """Bandwidths and ranges that `murmur size` tries by default."""
 
 
@@ -206,13 +206,16 @@ def compare(
     from deploy.study import comparison  # noqa: PLC0415
 
     settings |= other_settings(set_ or [], comparison.compare, settings)
-    choices = {"strategy": strategies, "map_encoding": map_encodings, "radio": radios}
-    given = [(key, items(names)) for key, names in choices.items() if names is not None]
+    choices = [
+        ("strategy", "strategies", strategies), ("map_encoding", "map-encodings", map_encodings),
+        ("radio", "radios", radios),
+    ]  # fmt: skip
+    given = [(key, names(text, flag, ())) for key, flag, text in choices if text is not None]
     if len(given) + bool(scenario) != 1:
         raise ValueError("give either scenario files, --strategies, --map-encodings or --radios")
     if twice := [key for key, _ in given if key in settings]:
         raise ValueError(f"{twice[0]} = {settings[twice[0]]!r}: is compared; remove this flag")
-    compared: Any = [{key: name} for key, names in given for name in names] or scenario or []
+    compared: Any = [{key: name} for key, values in given for name in values] or scenario or []
     if map_:
         settings["map"] = map_ if len(map_) > 1 else map_[0]
     runs = out / "runs.parquet"
@@ -241,12 +244,12 @@ def size(
     bandwidth: Annotated[
         str | None,
         typer.Option(
-            metavar="BYTES,...", help=f"bandwidths to try, in bytes per step (default {BANDWIDTHS})"
+            metavar="BYTES,...", help=f"bandwidths to try, in bytes per step (default {','.join(BANDWIDTHS)})"
         ),
     ] = None,
     range_: Annotated[
         str | None,
-        typer.Option("--range", metavar="METERS|P%,...", help=f"ranges to try (default {RANGES})"),
+        typer.Option("--range", metavar="METERS|P%,...", help=f"ranges to try (default {','.join(RANGES)})"),
     ] = None,
     deadline: Annotated[
         int | None, typer.Option(min=1, metavar="STEPS", help="an exploration may take so long")
@@ -282,7 +285,7 @@ def size(
     if radio is not None:
         if bandwidth is not None or range_ is not None:
             raise ValueError(f"radio = {radio!r}: sets bandwidth and range; omit --bandwidth and --range")
-        size_radios(map_, items(radio), out, set_ or [], settings, common, style)
+        size_radios(map_, names(radio, "radio", ()), out, set_ or [], settings, common, style)
         return
     from deploy.study import sizing  # noqa: PLC0415
 
@@ -290,8 +293,11 @@ def size(
     with stopping(common["out"]):
         done = sizing.size(
             map_,
-            bandwidth=[int(item) if item.isdecimal() else item for item in items(bandwidth or BANDWIDTHS)],
-            range=items(range_ or RANGES), **common, **settings,
+            bandwidth=[
+                int(item) if item.isdecimal() else item
+                for item in names(bandwidth, "bandwidth", BANDWIDTHS)
+            ],
+            range=names(range_, "range", RANGES), **common, **settings,
         )  # fmt: skip
     report_sweep(done.sweep)
     screen.print(done.sentence)

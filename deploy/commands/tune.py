@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from deploy.commands.console import errors, screen
-from deploy.commands.flag_values import items, named_values, whole_numbers
+from deploy.commands.flag_values import named_values, names, whole_numbers
 from deploy.commands.flags import command_family
 from deploy.commands.study_flags import JobsOption, SchedulerOption, SetOption
 from deploy.commands.study_output import print_table, stopping
@@ -61,11 +61,11 @@ def tune(
 
     search = tuning.Search(
         strategy=strategy,
-        maps=items(maps) if maps is not None else tuning.MAPS,
+        maps=names(maps, "maps", tuning.MAPS),
         seeds=whole_numbers(seeds, "seeds", MAX_RUNS),
         check_seeds=whole_numbers(check_seeds, "check_seeds", MAX_RUNS),
         evaluations=evaluations,
-        only=items(weights) if weights is not None else (),
+        only=names(weights, "weights", ()),
         search_seed=search_seed,
         settings=named_values(set_ or [], "set", "robots=6"),
     )

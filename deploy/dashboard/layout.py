@@ -98,7 +98,7 @@ def _series(plan: Plan) -> list[rrb.View | rrb.Container]:
         _curves(origin, name, axis_y=rrb.ScalarAxis(range=(-7, 107)))
         for origin, name in (("/explored", "Explored [%]"), ("/walls", "Walls [%]"))
     ]
-    waiting: rrb.View | rrb.Container = _curves("/backlog", "Undelivered [packets]")
+    waiting: rrb.View | rrb.Container = _curves("/backlog", "Undelivered [log entries]")
     if plan.scenario.clock != "barrier":
         waiting = rrb.Vertical(waiting, _curves("/missed", "Missed [steps]"))
     return [

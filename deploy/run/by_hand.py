@@ -13,6 +13,7 @@ import sys
 import time
 from collections.abc import Callable, Mapping
 from contextlib import closing
+from dataclasses import replace
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ from deploy.run.hosts import MOST_PORT
 from deploy.run.interrupt import Interrupt
 from deploy.run.launch import Outcome, attend
 from deploy.run.processes import WorldTask, relay, serve_agent, serve_world
+from deploy.run.remote_agents import code_digest
 from deploy.run.result import Result, conclude
 from deploy.scenario import plan as plans
 from deploy.scenario.errors import ScenarioError
@@ -72,7 +74,7 @@ def serve_netshaper(
 
 def serve_routing(credential: Path, listen: str, folder: Path, notify: Callable[[str], object]) -> None:
     """Write credentials for a router's robots into `folder`, then serve as the router until the hub is gone."""
-    read = Credential.read(credential)
+    read = _read(credential)
     if not read.robots:
         raise ScenarioError(
             f"credential {credential} is that of {read.name}; a router's is needed here, "
@@ -95,8 +97,9 @@ def _check_new(folder: Path) -> None:
 
 def _hand_out(credentials: Mapping[str, Credential], folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
+    code = code_digest()
     for name, credential in credentials.items():
-        credential.write(folder / f"{name}.json")
+        replace(credential, code=code).write(folder / f"{name}.json")
 
 
 def _endpoint(listen: str) -> str:
@@ -147,8 +150,9 @@ def serve_robot(credential: Path) -> None:
     """Serve as the robot that the credential names; ``-`` is standard input."""
     if credential == STANDARD_INPUT:
         read = Credential.parse(sys.stdin.read(), "credential on standard input")
+        _check_code(read, "credential on standard input")
     else:
-        read = Credential.read(credential)
+        read = _read(credential)
         beside = credential.parent / run_directory.SCENARIO
         if beside.exists():
             load(beside, {})  # before it joins: are its plug-ins here?
@@ -229,7 +233,23 @@ def _without_folders(key: str, value: Any) -> Any:
 
 
 def _credential(path: Path, name: str) -> Credential:
-    read = Credential.read(path)
+    read = _read(path)
     if read.name != name:
         raise ScenarioError(f"credential {path} is that of {read.name}; {name}.json is needed here")
     return read
+
+
+def _read(path: Path) -> Credential:
+    read = Credential.read(path)
+    _check_code(read, f"credential {path}")
+    return read
+
+
+def _check_code(read: Credential, where: str) -> None:
+    """Raise ScenarioError if the relay runs other code: messages could be misread, or the digest differ."""
+    here = code_digest()
+    if read.code not in ("", here):
+        raise ScenarioError(
+            f"{where}: its relay runs other code of Murmur ({read.code}; here {here}): "
+            "install the same version on all hosts"
+        )

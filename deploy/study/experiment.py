@@ -201,7 +201,7 @@ def choose(experiment: Experiment, names: Sequence[str]) -> Experiment:
     """The experiment with only the named variants (default: all); ScenarioError for an unknown name."""
     for name in names:
         if name not in experiment.variants:
-            known = ", ".join(experiment.variants)
+            known = ", ".join(map(repr, experiment.variants))
             raise ScenarioError(f"{experiment.where}: no variant is called {name!r}; there are: {known}")
     chosen = {
         name: keys for name, keys in experiment.variants.items() if name in (names or experiment.variants)
@@ -279,7 +279,7 @@ def first_seeds(number: Any, least: int = 1) -> list[int]:
 def _check_values(key: str, values: Any) -> None:
     """Raise ValueError unless `values` is a list of different values, at least one."""
     if not values:
-        raise ValueError(f"{key} = {shown(values)}: must be a list of values, as [3, 5]")
+        raise ValueError(f"{key} = {shown(values)}: is an empty list; give at least one value")
     name = key.rpartition(".")[2].rpartition(" ")[2]
     seen: set[Any] = set()
     for value in values:

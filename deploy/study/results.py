@@ -18,6 +18,7 @@ from typing import Any, Self
 
 import polars as pl
 
+from deploy.study import checked_parquet
 from protocol.files import check_regular
 from worldsim.atomic_files import DISK_ERRORS, write_whole
 
@@ -51,7 +52,7 @@ class Results:
     Parameters
     ----------
     file : Path, optional
-        The file of the table; without one, the table is only in memory.
+        The file of the table, or a link to it; without one, the table is only in memory.
 
     Raises
     ------
@@ -60,6 +61,7 @@ class Results:
     """
 
     def __init__(self, file: Path | None) -> None:
+        file = file.resolve() if file is not None and file.is_symlink() else file
         self._file = file
         self._added: dict[str, Row] = {}
         self._is_behind = False
@@ -111,12 +113,25 @@ class Results:
         if self._added:
             fresh = pl.DataFrame(list(self._added.values()), infer_schema_length=None)
             old = self._frame.filter(~pl.col(KEY).is_in(list(self._added)))
-            whole = pl.concat([old, fresh], how="diagonal_relaxed")
+            whole = self._joined(old, fresh)
             first = [name for name in ORDER if name in whole.columns]
             others = sorted(set(whole.columns) - {*IDENTITY, *first})
             self._frame = whole.select(*IDENTITY, *first, *others).sort([*first, KEY], nulls_last=True)
             self._added.clear()
         return self._frame
+
+    def _joined(self, old: pl.DataFrame, fresh: pl.DataFrame) -> pl.DataFrame:
+        """All rows; ValueError if a column has types that do not fit, as in tables of some earlier versions."""
+        try:
+            return pl.concat([old, fresh], how="diagonal_relaxed")
+        except pl.exceptions.SchemaError:
+            for name in fresh.columns:
+                if name in old.columns and old.schema[name].is_nested() != fresh.schema[name].is_nested():
+                    raise ValueError(
+                        f"{self._file}: column {name} has values of the type {old.schema[name]}, but new runs have "
+                        f"{fresh.schema[name]}; it is a table of another version: name a new file"
+                    ) from None
+            raise
 
     def rows(self, keys: Iterable[str]) -> dict[str, Row]:
         """The existing runs among some keys, without their series."""
@@ -139,7 +154,8 @@ class Results:
         if self._file is not None:
             began = time.monotonic()
             with _named(self._file):
-                _write(self._file, self.frame.write_parquet)
+                data = checked_parquet.serialize(self.frame)
+                write_whole(self._file, lambda opened: opened.write(data))
             self._is_behind = False
             self._written = time.monotonic()
             self._took = self._written - began
@@ -166,12 +182,13 @@ def read(file: Path) -> pl.DataFrame:
             return pl.DataFrame(schema=dict.fromkeys(IDENTITY, pl.String))
         check_regular(file)
         try:
-            frame = pl.read_parquet(file)
-        except (pl.exceptions.PolarsError, pl.exceptions.PanicException):
+            frame = checked_parquet.parse(file.read_bytes())
+        except checked_parquet.DamagedError:
             raise ValueError(
-                f"{file}: is damaged, or not a Parquet file; remove it, or name another"
+                f"{file}: is damaged, changed by another program, or not a Parquet file; "
+                "restore a copy, remove it, or name another"
             ) from None
-    if not set(IDENTITY) <= set(frame.columns):
+    if any(frame.schema.get(name) not in (pl.String, pl.Null) for name in IDENTITY):
         raise ValueError(f"{file}: is not a table of runs; name a new file")
     return frame
 

@@ -88,8 +88,9 @@ class Search:
     settings: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if not self.seeds:
-            raise ValueError("seeds is empty: the search needs at least one")
+        for name, values in (("maps", self.maps), ("seeds", self.seeds)):
+            if not values:
+                raise ValueError(f"{name} = {values!r}: is an empty list; give at least one value")
         check_training_seeds([*self.seeds, *self.check_seeds])
         if both := sorted({*self.seeds} & {*self.check_seeds}):
             raise ValueError(f"check_seeds: {both[0]} is a seed of the search as well; choose other seeds")

@@ -383,6 +383,21 @@ def test_a_password_of_another_robot_is_refused_with_the_reason(
         join(absent)
 
 
+@pytest.mark.parametrize("name", ["r0", WORLD])
+def test_a_second_process_of_a_name_is_refused_until_the_first_has_left(
+    guarded: Guarded, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr("protocol.zenoh_bus.CONNECT_S", 0.5)
+        with pytest.raises(ConnectionError, match=f"^{name}: another process has joined as {name}; start "):
+            join(guarded.credentials[name])
+    guarded.legitimate_traffic()
+    guarded.ends[name].close()
+    assert guarded.receive(RELAY) == Message(KEYS.presence(name), b"0")
+    with closing(join(guarded.credentials[name])):
+        assert guarded.receive(RELAY) == Message(KEYS.presence(name), b"1")
+
+
 def test_two_hubs_cannot_share_an_endpoint(guarded: Guarded) -> None:
     with pytest.raises(ConnectionError, match=r"cannot listen at \S+: Address already in use$"):
         open_hub("other", guarded.endpoint, access.issue("other", guarded.endpoint, 1))

@@ -145,6 +145,12 @@ def test_a_refused_client_gets_possible_reasons(
         ConnectionError, match=r"r1: cannot join at tls/127.* the certificate is not valid for"
     ):
         join(Credential(KEYS.run, "r1", certified.endpoint, certificate=stranger))
+    expired = certificates.make(2, ["127.0.0.1"], days=0)["r1"]
+    with pytest.raises(
+        ConnectionError,
+        match=r"is valid from 20\S+ to 20\S+, and the clock of this host shows 20\S+; set the clock",
+    ):
+        join(Credential(KEYS.run, "r1", certified.endpoint, certificate=expired))
 
 
 @pytest.mark.parametrize(

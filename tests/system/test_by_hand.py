@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import re
@@ -14,11 +15,12 @@ import time
 import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from deploy.run.by_hand import serve_netshaper, serve_recorder, serve_worldsim
+from deploy.run.by_hand import STANDARD_INPUT, serve_netshaper, serve_recorder, serve_robot, serve_worldsim
 from deploy.scenario.errors import ScenarioError
 from deploy.scenario.scenario import parse
 from netshaper import access
@@ -150,6 +152,24 @@ def test_a_scenario_that_differs_from_the_relay_s_is_rejected_by_setting(tmp_pat
     ):
         serve_recorder(ours, tmp_path / "recorder.json", tmp_path / "run", None)
     assert not (tmp_path / "run").exists()
+
+
+def test_a_credential_of_a_relay_with_other_code_is_rejected(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, credential in access.issue("run", "tcp/127.0.0.1:1", robots=2).items():
+        replace(credential, code="0123456789abcdef").write(tmp_path / f"{name}.json")
+    scenario = parse(tomllib.loads(SCENARIO))
+    message = (
+        r"relay runs other code of Murmur \(0123456789abcdef; here [0-9a-f]{16}\): install the same version"
+    )
+    with pytest.raises(ScenarioError, match=message):
+        serve_worldsim(scenario, tmp_path / "world.json")
+    with pytest.raises(ScenarioError, match=message):
+        serve_robot(tmp_path / "r0.json")
+    monkeypatch.setattr("sys.stdin", io.StringIO((tmp_path / "r0.json").read_text()))
+    with pytest.raises(ScenarioError, match=f"^credential on standard input: its {message}"):
+        serve_robot(STANDARD_INPUT)
 
 
 def test_a_relay_that_cannot_listen_leaves_no_credentials(tmp_path: Path) -> None:

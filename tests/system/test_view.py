@@ -28,7 +28,7 @@ pytest.importorskip("rerun", reason="Rerun is not installed: pip install 'murmur
 
 VIEWS = [
     "True map [m]", "Help", "Transmitted [B/step]", "By type [%]", "Explored [%]", "Walls [%]",
-    "Undelivered [packets]", "Events",
+    "Undelivered [log entries]", "Events",
 ]  # fmt: skip
 
 

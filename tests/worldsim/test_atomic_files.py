@@ -39,6 +39,15 @@ def test_error_names_the_file_which_stays_unchanged(tmp_path: Path, before: byte
     assert [each.read_bytes() for each in tmp_path.iterdir()] == ([] if before is None else [before])
 
 
+def test_error_names_the_file_where_its_temporary_name_can_neither_be_written_nor_removed(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / ("a" * 255)  # the longest name; the temporary one is longer
+    with pytest.raises(OSError, match="File name too long") as caught:
+        write_whole(path, lambda file: file.write(b"x"))
+    assert caught.value.filename == str(path)
+
+
 def test_error_for_a_missing_directory_names_the_file(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=r"nowhere/a\.txt"):
         write_whole(tmp_path / "nowhere" / "a.txt", lambda file: file.write(b"x"))

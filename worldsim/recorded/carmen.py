@@ -2,8 +2,8 @@
 
 A line `FLASER n r_1 ... r_n x y theta odom_x odom_y odom_theta time host time` is a scan: ranges in meters, then the
 pose, the raw odometry, and the time. Beams are evenly spaced from -90 to +90 degrees of the heading, counterclockwise;
-with an even number of beams the last angle is left out. Ranges near 81 m, the maximum of the lasers of that time, mean
-that nothing came back.
+with an even number of beams the last angle is left out. Ranges near 81 m, the maximum of the lasers of that time, and
+infinite ones mean that nothing came back. Ranges of 0 and NaN are no measurements.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.files import open_file
+from protocol.message_fields import MAX_BEAMS
 from protocol.metric_scans import BeamAngles, millimeters
 from worldsim.recorded.log import LogError, RecordedLog
 
@@ -27,6 +28,11 @@ SCAN = b"FLASER"
 
 NOTHING_M = 80.0
 """Ranges from here on mean that nothing came back."""
+
+FORM = "after FLASER must stand the number of beams, a range each, x, y, and heading"
+
+LARGEST_POSE = 1e9
+"""Maximum of meters and radians in a pose."""
 
 LONGEST_LINE = 1 << 17
 """Bytes of a line; longer ones are no text of CARMEN."""
@@ -84,15 +90,22 @@ def _scan(
     fields: list[bytes], path: Path, line: int
 ) -> tuple[NDArray[np.float64], tuple[float, ...], float | None, int]:
     """Return ranges, pose, time (None: unknown), and number of a line."""
+    where = f"{path}, line {line}: damaged FLASER line"
     try:
         beams = int(fields[1])
         values = np.array([float(each) for each in fields[2 : beams + 5]])
         stamp = float(fields[beams + 8]) if len(fields) > beams + 8 else None
     except (IndexError, ValueError) as error:
-        raise LogError(f"{path}, line {line}: damaged FLASER line: {error}") from None
-    if beams < 2 or len(values) != beams + 3:
-        raise LogError(f"{path}, line {line}: damaged FLASER line: expected {beams} ranges and a pose")
-    if not np.isfinite(values).all() or values[:beams].min() < 0:
-        raise LogError(f"{path}, line {line}: damaged FLASER line: a range or pose is not a valid number")
-    x, y, heading = values[beams:].tolist()
-    return values[:beams], (x, y, heading), stamp, line
+        raise LogError(f"{where}: {error}; {FORM}") from None
+    if not 2 <= beams <= MAX_BEAMS:
+        raise LogError(f"{where}: {beams} beams; a scan must have 2 to {MAX_BEAMS}")
+    if len(values) != beams + 3:
+        raise LogError(f"{where}: {len(values)} numbers instead of {beams} ranges and a pose")
+    ranges, pose = values[:beams], values[beams:]
+    if (ranges < 0).any():
+        beam = int(np.flatnonzero(ranges < 0)[0])
+        raise LogError(f"{where}: range {beam + 1} is {ranges[beam]:g}; ranges are 0 or more")
+    if not (np.abs(pose) <= LARGEST_POSE).all():
+        x, y, heading = pose.tolist()
+        raise LogError(f"{where}: x = {x:g}, y = {y:g}, heading = {heading:g} is not a pose")
+    return ranges, tuple(pose.tolist()), stamp, line

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from protocol.range_scans import NO_MEASUREMENT
 from worldsim.recorded import carmen, ros_bag, scan_file
 from worldsim.recorded.log import LogError, RecordedLog
 
@@ -16,8 +17,19 @@ FORMATS = (
 def read(path: Path, every: int = 1, topic: str = "") -> RecordedLog:
     """Read each of `every` scans of a log; `topic` is the topic of the laser in a bag.
 
-    Raises LogError if the log is missing, of an unknown format, or damaged, or lacks scans or poses.
+    Raises LogError if the log is missing, of an unknown format, or damaged, or lacks scans, measurements, or poses.
     """
+    log = _read(path, every, topic)
+    if (log.ranges == NO_MEASUREMENT).all():
+        raise LogError(
+            f"{path}: no beam of its {log.scans} scans measured anything: each range is 0, below the minimum of the "
+            "laser, or not a number"
+        )
+    return log
+
+
+def _read(path: Path, every: int, topic: str) -> RecordedLog:
+    """Read a log by the format that its name shows."""
     try:
         if not path.exists():
             raise LogError(f"{path}: no such log; was it moved or renamed?")

@@ -84,10 +84,19 @@ def read(path: Path, every: int, topic: str) -> RecordedLog:
     except LogError:
         raise
     except Exception as error:  # rosbags raises errors of many types for damaged bags
-        raise LogError(f"{path}: not a readable bag: {str(error) or type(error).__name__}") from None
+        cause = " ".join(str(error).split()) or type(error).__name__
+        raise LogError(f"{path}: not a readable bag: {cause}{_repair(path)}") from None
     if not content.scans:
         raise LogError(f"{path}: no laser scans on {topic}")
     return _log(path, content)
+
+
+def _repair(path: Path) -> str:
+    """Return how to repair a bag whose recorder was killed; empty if no tool is known."""
+    files = [path] if path.is_file() else sorted(path.iterdir())
+    if any(file.suffix == ".mcap" for file in files):
+        return "; mcap recover (https://mcap.dev) repairs files that were cut off"
+    return "; rosbag reindex repairs bags that were cut off" if path.suffix == ".bag" else ""
 
 
 def _scan_topic(path: Path, connections: list[Any], topic: str) -> str:
@@ -196,21 +205,21 @@ def _fixed_frame(transforms: TransformBuffer, laser: str) -> str:
 
 def _angles(path: Path, scans: list[tuple[float, Any]]) -> tuple[BeamAngles, bool]:
     """Return the angles of all scans, and whether their beams run counterclockwise; LogError if they change."""
-    first: tuple[int, float, float] | None = None
-    for number, (_, each) in enumerate(scans, 1):
-        here = len(each.ranges), float(each.angle_min), float(each.angle_increment)
-        first = first or here
+    first, *_ = found = [
+        (len(each.ranges), float(each.angle_min), float(each.angle_increment)) for _, each in scans
+    ]
+    try:
+        angles = BeamAngles.of(*first)
+    except ValueError as error:
+        raise LogError(f"{path}: {error}") from None
+    for number, here in enumerate(found, 1):
         is_same = here[0] == first[0] and np.allclose(here[1:], first[1:], rtol=0, atol=1e-4)
         if not is_same:
             raise LogError(
                 f"{path}: scan {number} has {_described(here)}, after scans of {_described(first)}: "
                 "the laser must stay the same"
             )
-    assert first is not None
-    try:
-        return BeamAngles.of(*first), first[2] > 0
-    except ValueError as error:
-        raise LogError(f"{path}: {error}") from None
+    return angles, first[2] > 0
 
 
 def _described(beams: tuple[int, float, float]) -> str:

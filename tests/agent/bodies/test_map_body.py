@@ -113,6 +113,15 @@ def test_a_robot_without_scans_takes_over_what_its_map_shows_within_reach() -> N
     assert given_mapper.settled().sum() == len(known)
 
 
+def test_a_clock_that_is_set_back_does_not_stop_the_robot() -> None:
+    body = robot()
+    body.add_map(own_map(np.zeros((60, 60), int), Pose(-3.0, -3.0, 0.0)))
+    stand(body, AT_ORIGIN, 3600 * SECOND)
+    assert sensed(body).x == 20
+    stand(body, Pose(0.5, 0.0, 0.0), 0)
+    assert sensed(body).x == 25
+
+
 def test_what_was_within_reach_remains_so() -> None:
     body, given_mapper = robot(), mapper()
     for second in range(3):

@@ -220,6 +220,25 @@ def test_a_robot_whose_pose_jumps_measures_nothing_until_it_settles() -> None:
     assert NO_MEASUREMENT not in settled.ranges.tolist()
 
 
+def test_a_clock_that_is_set_back_does_not_stop_the_robot_or_move_its_scans() -> None:
+    """Poses of the time before would be mixed with those of scans after, or a jump would settle an hour later."""
+    hour = 3600 * SECOND
+    body = robot()
+    scan_at(body, AT_ORIGIN, hour)
+    body.sense(1)
+    scan_at(body, Pose(3.0, 0.0, 0.0), hour + SECOND // 2)
+    body.sense(1)
+    assert "has jumped" in body.problem
+    for second in range(4):
+        scan_at(body, Pose(3.0 - 0.1 * second, 0.0, 0.0), second * SECOND)
+        body.sense(2)
+    assert body.problem == ""
+    body.add_scan(laser_scan([9.0] * 4, 3 * SECOND + SECOND // 2))
+    assert set(scan_of(body, body.sense(3)).ranges.tolist()) == {NO_MEASUREMENT}, "no later pose is known yet"
+    stand(body, Pose(2.6, 0.0, 0.0), 4 * SECOND)
+    assert scan_of(body, body.sense(4)).place == pytest.approx((46.5 * UNIT, 50 * UNIT), abs=1)
+
+
 def test_a_goal_is_the_end_of_the_path_in_the_robots_map_and_looks_along_it() -> None:
     body = robot(map_pose=Pose(3.0, 1.0, math.pi / 2))
     scan_at(body, AT_ORIGIN)  # at the corner of cell (50, 40)

@@ -245,10 +245,10 @@ def test_many_robots_share_a_median_and_few_have_a_curve_each(tmp_path: Path) ->
     explore(crowd, out=tmp_path / "run")
     wait = channel_load(archive.read(tmp_path / "run")).axes[2]
     assert words_of(wait) == [
-        "bytes over the step's budget", "packets of all 11 robots", "middle half", "median",
+        "bytes over the step's budget", "log entries of all 11 robots", "middle half", "median",
     ]  # fmt: skip
     wait = channel_load(archive.read(small_directory())).axes[2]
-    assert words_of(wait)[1:] == [f"packets of robot {robot}" for robot in range(3)]
+    assert words_of(wait)[1:] == [f"log entries of robot {robot}" for robot in range(3)]
 
 
 @pytest.mark.parametrize("robots", [3, 11], ids=["curves", "distribution"])

@@ -259,7 +259,7 @@ OTHERS = {
     "new strategy numpy": "name = 'numpy': would hide the Python module of this name",
     "compare --strategies meier,meier": "two of the scenarios are the same: strategy = meier",
     "compare --strategies meier,": "there is nothing to compare: give at least two scenarios",
-    "compare --strategies ,": "there is nothing to compare: give at least two scenarios",
+    "compare --strategies ,": "strategies = ',': is empty; give values separated by commas, or omit --strategies",
     "compare --strategies meier,nope": "no strategy is called 'nope'",
     "compare --strategies meier,nearest --map room.yaml --out file": "file: cannot be created (File exists)",
     "size --set robots=3": "set = 'robots=...': use the flag of this command",

@@ -75,6 +75,10 @@ def test_the_command_prints_the_table_and_writes_runs_means_and_pictures(tmp_pat
     ("words", "output"),
     [
         (["--out", "/nonexist/a.parquet"], "/nonexist/a.parquet: no such folder: /nonexist"),
+        (
+            ["--table", "/proc/sys/a.csv"],
+            "table = /proc/sys/a.csv: nothing can be written in /proc/sys; name",
+        ),
         (["--set", "map=nope"], "unknown map 'nope'"),
         (
             ["--set", "seed=0", "--set", "seed=1"],
@@ -317,6 +321,11 @@ def test_an_error_of_size_is_all_that_it_prints(tmp_path: Path, words: tuple[str
         ),
         (["compare", "--radios", "zigbee,zigby"], "no radio preset is called 'zigby'; did you mean zigbee"),
         (["sweep", "lossy.toml", "--set", 'radio.preset=["zigbee","zigby"]'], "'zigby'; did you mean zigbee"),
+        (["size", "--radio", ""], "radio = '': is empty; give values separated by commas, or omit --radio"),
+        (["size", "--bandwidth", ","], "bandwidth = ',': is empty"),
+        (["size", "--range", ""], "range = '': is empty"),
+        (["compare", "--map-encodings", ""], "map-encodings = '': is empty"),
+        (["sweep", "lossy.toml", "--variant", "all"], "no variant is called 'all'; there are: 'default', "),
         (["reproduce", "X9"], "no claim is called 'X9'"),
         (["sweep", "lossy.toml", "--scheduler", "nowhere"], "scheduler = 'nowhere'"),
     ],

@@ -22,7 +22,7 @@ def test_variants_may_be_chosen(tmp_path: Path) -> None:
         "scans"
     }
     assert experiments.choose(experiment, []) == experiment
-    with pytest.raises(ScenarioError, match="no variant is called 'scan'; there are: polygons, scans"):
+    with pytest.raises(ScenarioError, match="no variant is called 'scan'; there are: 'polygons', 'scans'"):
         experiments.choose(experiment, ["scan"])
     text = EXPERIMENT.replace('"bytes.total"', '"bytes.total relative to scans"')
     with pytest.raises(ScenarioError, match="needs 'scans' for"):
@@ -134,7 +134,7 @@ def test_an_unknown_experiment_is_rejected_with_the_known_ones() -> None:
             "variant 'a' sets map_seed, which the grid sets",
         ),
         ("[base]\n[table]\ninterval = 3\n", "table.interval = 3: must be true or false"),
-        ("[grid]\nseed = []\n", "grid.seed = []: must be a list of values"),
+        ("[grid]\nseed = []\n", "grid.seed = []: is an empty list; give at least one value"),
         ("[grid]\nseed = [0, 1, 0]\n", "contains 0 twice"),
         ("variant = []\n", "variant = []: must have at least one entry"),
         ("variant = 3\n", "variant = 3: must be a list"),

@@ -60,7 +60,7 @@ def test_radios_without_a_sufficient_team_and_without_their_duty_cycle_are_named
     [
         (["zigbee", "zigby"], "no radio preset is called 'zigby'; did you mean zigbee"),
         (["zigbee", "zigbee"], "contains 'zigbee' twice"),
-        ([], "must be a list of values"),
+        ([], "radio = .*: is an empty list; give at least one value"),
     ],
 )
 def test_invalid_lists_of_radios_are_refused(radios: list[str], message: str) -> None:

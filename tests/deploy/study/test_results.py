@@ -63,11 +63,23 @@ def test_a_table_that_another_process_has_open_is_rejected(tmp_path: Path) -> No
         pass
 
 
+def test_a_link_to_a_table_is_the_table(tmp_path: Path) -> None:
+    file, link = tmp_path / "a.parquet", tmp_path / "link.parquet"
+    link.symlink_to(file)
+    with Results(file), pytest.raises(ValueError, match="another process is adding runs"):
+        Results(link)
+    with Results(link) as table:
+        table.add(row("a", 0))
+    assert link.is_symlink() and len(pl.read_parquet(file)) == 1
+
+
 @pytest.mark.parametrize("content", [b"", b"notes", b"PAR1 and no more"])
 def test_a_file_that_is_no_table_is_rejected_and_not_changed(tmp_path: Path, content: bytes) -> None:
     file = tmp_path / "notes.txt"
     file.write_bytes(content)
-    with pytest.raises(ValueError, match="is damaged, or not a Parquet file; remove it, or name another"):
+    with pytest.raises(
+        ValueError, match="is damaged, changed by another program, or not a Parquet file; restore"
+    ):
         Results(file)
     assert file.read_bytes() == content
 
@@ -77,6 +89,22 @@ def test_another_table_is_rejected(tmp_path: Path) -> None:
     pl.DataFrame({"step": [1]}).write_parquet(file)
     with pytest.raises(ValueError, match="is not a table of runs; name a new file"):
         Results(file)
+
+
+def test_a_table_with_other_types_is_refused_and_not_changed(tmp_path: Path) -> None:
+    file = tmp_path / "old.parquet"
+    old = pl.DataFrame([row("a", 0)], schema_overrides={"error": pl.String})
+    old.with_columns(key=1).write_parquet(file)
+    with pytest.raises(ValueError, match="is not a table of runs; name a new file"):
+        Results(file)
+    old.with_columns(explored=1.0).write_parquet(file)
+    before = file.read_bytes()
+    message = (
+        r"column explored has values of the type Float64, but new runs have List\(Float64\); .* new file"
+    )
+    with pytest.raises(ValueError, match=message), Results(file) as table:
+        table.add(row("b", 1))
+    assert file.read_bytes() == before
 
 
 def test_a_file_that_cannot_be_written_is_refused(tmp_path: Path) -> None:

@@ -149,7 +149,7 @@ def test_dotted_keys_of_the_grid_set_one_key_of_a_table(tmp_path: Path) -> None:
     [
         ({"robots": [1, 0]}, "robots = 0, seed = 0, variant = polygons): robots = 0: "),
         ({"seed": None}, "seed = None: must be a whole number"),
-        ({"seed": []}, "seed = []: must be a list of values"),
+        ({"seed": []}, "seed = []: is an empty list; give at least one value"),
         ({"variant": 3}, "--variant NAME chooses"),
         ({"robtos": 3}, "robtos: unknown setting"),
         ({"map": "nope"}, "variant = polygons): unknown map 'nope'"),

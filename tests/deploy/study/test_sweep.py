@@ -44,7 +44,7 @@ def test_numbers_and_lists_of_numpy_and_polars_are_those_of_python(tmp_path: Pat
     [
         ({"bandwidth": 100}, r"bandwidth = 100: must be a list of values, as \[100\]"),
         ({"range": "30%"}, r"range = '30%': must be a list of values, as \['30%'\]"),
-        ({"robots": []}, r"robots = \[\]: must be a list of values"),
+        ({"robots": []}, r"robots = \[\]: is an empty list; give at least one value"),
         ({"seeds": 0}, "seeds = 0: must be a whole number from 1 to 100000"),
         ({"seeds": 2.5}, r"seeds = 2\.5: must be a whole number"),
         ({"deadline": -1}, "deadline = -1: must be a number of steps, at least 1"),

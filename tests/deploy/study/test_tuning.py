@@ -119,13 +119,14 @@ def test_the_record_of_a_search_has_its_weights_maps_and_seeds(done: Tuning) -> 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"seeds": []}, "seeds is empty: the search needs at least one"),
         ({"seeds": [3, 1000]}, "seed 1000: is a test seed, on which nothing may be tuned"),
         ({"check_seeds": [1234]}, "seed 1234: is a test seed"),
         ({"check_seeds": [1, 2]}, "check_seeds: 1 is a seed of the search as well"),
         ({"only": ["gamma"]}, "meier has no weight 'gamma'; there are: occ_max, beta"),
         ({"settings": {"map_seed": 1000}}, "map_seed = 1000: is chosen by the search; remove it"),
         ({"settings": {"options.beta": 2.0}}, r"options\.beta = 2\.0: is chosen by the search; remove it"),
+        ({"maps": []}, r"maps = \[\]: is an empty list; give at least one value"),
+        ({"seeds": []}, r"seeds = \[\]: is an empty list; give at least one value"),
         ({"strategy": "nope"}, "no strategy is called 'nope'"),
         ({"strategy": "nearest"}, "nearest has no numeric options to search"),
     ],

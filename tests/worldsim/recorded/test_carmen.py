@@ -36,10 +36,12 @@ def test_an_even_number_of_beams_leaves_out_the_last_angle(
     assert abs(angles.first + angles.span + last * TURN / 360) <= 1
 
 
-def test_readings_near_the_maximum_met_nothing_and_zeros_are_no_measurements(tmp_path: Path) -> None:
+def test_readings_near_the_maximum_met_nothing_and_zeros_and_nan_are_no_measurements(tmp_path: Path) -> None:
     file = tmp_path / "a.log"
     file.write_text(flaser((0, 0, 0), [1.5, 81.83, 80.0, 79.0, 0.0]))
     assert read(file).ranges[0].tolist() == [NO_MEASUREMENT, NOTHING, NOTHING, NOTHING, 1500]
+    file.write_text(flaser((0, 0, 0), [1.5, math.nan, math.inf]))
+    assert read(file).ranges[0].tolist() == [NOTHING, NO_MEASUREMENT, 1500]
 
 
 def test_every_takes_each_kth_scan(tmp_path: Path) -> None:
@@ -59,11 +61,19 @@ GOOD = flaser((0, 0, 0), [1.0, 2.0, 3.0])
     ("text", "error"),
     [
         ("ODOM 0 0 0\n", "no laser scans: it has no FLASER lines"),
-        (GOOD + "FLASER 3 1.0 2.0\n", "line 2: damaged FLASER line: expected 3 ranges and a pose"),
-        (GOOD + "\n" + GOOD.replace("2.000", "2.x"), "line 3: damaged FLASER line: could not convert"),
-        (GOOD.replace("2.000", "nan"), "line 1: damaged FLASER line: a range or pose is not a valid number"),
-        (GOOD.replace("2.000", "-2.0"), "line 1: damaged FLASER line: a range or pose is not a valid number"),
-        ("FLASER\n", "line 1: damaged FLASER line"),
+        (
+            GOOD + "FLASER 3 1.0 2.0\n",
+            "line 2: damaged FLASER line: 2 numbers instead of 3 ranges and a pose",
+        ),
+        (
+            GOOD + "\n" + GOOD.replace("2.000", "2.x"),
+            "line 3: damaged FLASER line: could not convert .*; after",
+        ),
+        (GOOD.replace("2.000", "-2.0"), "line 1: damaged FLASER line: range 2 is -2; ranges are 0 or more"),
+        (flaser((0, math.nan, 0), [1.0, 2.0]), "x = 0, y = nan, heading = 0 is not a pose"),
+        (flaser((0, 0, 1e300), [1.0, 2.0]), "heading = 1e\\+300 is not a pose"),
+        (flaser((0, 0, 0), [1.0] * 3601), "line 1: .*: 3601 beams; a scan must have 2 to 3600"),
+        ("FLASER\n", "line 1: damaged FLASER line: .*; after FLASER must stand the number of beams"),
         (GOOD + flaser((0, 0, 0), [1.0, 2.0]), "line 2: a scan of 2 beams, after scans of 3"),
     ],
 )

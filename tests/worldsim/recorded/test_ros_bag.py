@@ -103,6 +103,13 @@ def test_readings_out_of_limits_are_read_as_ros_defines_them(tmp_path: Path) -> 
     assert read(place(tmp_path)).ranges[0].tolist() == wanted[::-1]
 
 
+def test_limits_that_are_not_numbers_are_none(tmp_path: Path) -> None:
+    with Bag(place(tmp_path), "mcap") as bag:
+        bag.scan(1.0, [1.0, 0.0, np.nan, 60.0], least=math.nan, most=math.nan)
+        bag.transform(1.0, "map", "laser", (0.0, 0.0, 0.0))
+    assert read(place(tmp_path)).ranges[0].tolist() == [60000, NO_MEASUREMENT, NO_MEASUREMENT, 1000]
+
+
 def test_beams_of_a_laser_that_runs_clockwise_stay_in_their_order(tmp_path: Path) -> None:
     with Bag(place(tmp_path), "mcap") as bag:
         bag.scan(1.0, [1.0, 2.0, 3.0], first=1.0, increment=-1.0)
@@ -153,6 +160,18 @@ def test_an_error_names_what_a_bag_lacks(tmp_path: Path) -> None:
         write_scans(bag)
         for topic in ("/left", "/right"):
             bag.odometry(1.0, (0.0, 0.0, 0.0), topic=topic)
+    with Bag(tmp_path / "no_angles", "mcap") as bag:
+        bag.scan(1.0, np.ones(10), first=math.nan)
+        bag.transform(1.0, "map", "laser", (0.0, 0.0, 0.0))
+    with Bag(tmp_path / "blind", "mcap") as bag:
+        bag.scan(1.0, np.full(10, 0.05))
+        bag.transform(1.0, "map", "laser", (0.0, 0.0, 0.0))
+    with Bag(tmp_path / "cut", "mcap") as bag:
+        write_scans(bag)
+    whole = (tmp_path / "cut" / "cut.mcap").read_bytes()
+    (tmp_path / "cut" / "cut.mcap").write_bytes(whole[: len(whole) // 2])
+    (tmp_path / "no_yaml").mkdir()
+    (tmp_path / "no_yaml" / "metadata.yaml").write_text("x: [")
     (tmp_path / "damaged.mcap").write_bytes(b"\x89MCAP0\r\n" + bytes(100))
     for name, error in (
         ("no_scans", "no laser scans .sensor_msgs/msg/LaserScan.; it has nav_msgs/msg/Odometry"),
@@ -161,6 +180,10 @@ def test_an_error_names_what_a_bag_lacks(tmp_path: Path) -> None:
         ("other_beams", "scan 2 has 11 beams from .*, after scans of 10 beams"),
         ("tilted", "frame 'laser': it is tilted or upside down"),
         ("odometries", "no transforms .*, and several odometries: /left, /right"),
+        ("no_angles", "beams from nan rad, 0.0349066 rad apart, are not those of a laser"),
+        ("blind", "no beam of its 1 scans measured anything"),
+        ("cut", "not a readable bag: .*; mcap recover .* repairs files that were cut off"),
+        ("no_yaml", "not a readable bag: [^\n]*$"),
         ("damaged.mcap", "not a readable bag"),
     ):
         with pytest.raises(LogError, match=f"{name}: {error}"):
