@@ -131,7 +131,7 @@ def _derived_flags(without: tuple[str, ...]) -> list[Flag]:
             has_default = info.default is not None and info.default_factory is None
             text = f"{info.description}" + (f" (default {info.default})" if has_default else "")
             flags.append(
-                (name, Annotated[kind | None, option(metavar, text, group, f"--{_dashed(name)}")], None)
+                (name, Annotated[kind | None, option(metavar, text, group, name=f"--{_dashed(name)}")], None)
             )
     return flags
 
@@ -144,6 +144,9 @@ def _dashed(name: str) -> str:
 SetOption = Annotated[
     list[str] | None,
     option(
-        "KEY=VALUE", "any other setting, as radio.loss=0.1 or polygons.lazy=false; repeatable", RUN, "--set"
+        "KEY=VALUE",
+        "any other setting, as radio.loss=0.1 or polygons.lazy=false; repeatable",
+        RUN,
+        name="--set",
     ),
 ]

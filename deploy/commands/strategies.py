@@ -7,14 +7,13 @@ from dataclasses import asdict
 from itertools import groupby
 from typing import Annotated, Any
 
-import typer
 from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
 from agent.strategies.catalog import COMBINING, Entry, catalog, entry
 from deploy.commands.console import screen
-from deploy.commands.flags import command_family, preformatted
+from deploy.commands.flags import argument, command_family, preformatted, switch
 from deploy.scenario.scenario import Scenario
 
 app = command_family()
@@ -28,10 +27,9 @@ WIDTH = 100
 )
 def strategies(
     name: Annotated[
-        str | None,
-        typer.Argument(metavar="NAME", help="the strategy to show, or a class package.module:Class"),
+        str | None, argument("NAME", "the strategy to show, or a class package.module:Class")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="print all data as JSON")] = False,
+    as_json: Annotated[bool, switch("--json", "print all data as JSON")] = False,
 ) -> None:
     """List the exploration strategies, or show one with all its options."""
     entries = catalog() if name is None else [entry(name)]
