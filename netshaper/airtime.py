@@ -109,19 +109,9 @@ class Airtime:
     spatial reuse a byte counts only in the sender's neighborhood, and no neighborhood exceeds the budget. Each budget
     is a token bucket that a step refills.
 
-    Parameters
-    ----------
-    budget : Budget
-        Bytes per step.
-    robots : int
-    reuse : bool
-        Whether each neighborhood has the budget; else the team has it.
-    send, receive : sequence of int
-        Bytes per step that each robot can send and receive; 0: no limit.
-    duty_cycle : float
-        Share of each hour in which a robot may send; 1: no limit.
-    saving : Saving
-        Budgets that are not used up.
+    `reuse`: whether each neighborhood has the `budget`, in bytes per step; else the team has it. `send`, `receive`:
+    bytes per step that each robot can send and receive; 0: no limit. `duty_cycle`: share of each hour in which a robot
+    may send; 1: no limit. `saving`: budgets that are not used up.
     """
 
     def __init__(
@@ -222,24 +212,10 @@ class Airtime:
 
 
 def cut_into_frames(index: PacketIndex, room: Budget, frame_limit: Budget, tail: int) -> list[int]:
-    """Cut packets into frames for the air.
+    """Cut packets into frames for the air, within the remaining budget `room`, each with `tail` bytes at its end.
 
-    Parameters
-    ----------
-    index : PacketIndex
-        The packets.
-    room : Budget
-        Remaining budget.
-    frame_limit : Budget
-        Maximum bytes of one frame.
-    tail : int
-        Bytes of each frame after its packets.
-
-    Returns
-    -------
-    list of int
-        For each frame, in order, the number of the packet after its last one. Packets after the last frame did not
-        fit.
+    Returns for each frame, in order, the number of the packet after its last one. Packets after the last frame did not
+    fit.
     """
     stops: list[int] = []
     first = 0

@@ -141,13 +141,7 @@ def _parts(content: Content) -> list[bytes]:
 
 
 def read(reader: pcapng.Reader) -> Iterator[Captured]:
-    """Read the packets of a capture.
-
-    Raises
-    ------
-    CaptureError
-        The file or one of its packets has another format.
-    """
+    """Read the packets of a capture; CaptureError if the file or one of its packets has another format."""
     for packet in reader:
         if reader.link_type != LINK_TYPE:
             raise CaptureError(

@@ -18,34 +18,26 @@ Probability = Annotated[float, Range(0, 1)]
 
 @dataclass(frozen=True)
 class ChannelOptions:
-    """Loss, delay, duplication, and damage of frames.
-
-    Attributes
-    ----------
-    loss : float
-        Probability that a frame is lost to a robot in range.
-    burst_loss, burst_every, burst_steps : float
-        Bursts (Gilbert and Elliott): the probability of loss in a burst, the mean number of steps between bursts of one
-        link, 0 for none, and the mean number of steps of a burst.
-    delay, jitter : int
-        Number of steps after which a frame arrives, and the maximum of further steps that are drawn for each frame.
-    duplication : float
-        Probability that a frame arrives twice.
-    bit_errors : float
-        Probability of each bit to be flipped. Frames then end with a checksum.
-    checksums : bool
-        Whether frames end with a checksum in any case.
-    """
+    """Loss, delay, duplication, and damage of frames. Bursts are those of Gilbert and Elliott."""
 
     loss: Probability = 0.0
+    """Probability that a frame is lost to a robot in range."""
     burst_loss: Probability = 1.0
+    """The same in a burst."""
     burst_every: Annotated[float, Range(0, MOST)] = 0.0
+    """Mean number of steps between bursts of one link; 0: no bursts."""
     burst_steps: Annotated[float, Range(1, MOST)] = 5.0
+    """Mean number of steps of a burst."""
     delay: Annotated[int, Range(0, MAX_STEPS)] = 0
+    """Number of steps after which a frame arrives."""
     jitter: Annotated[int, Range(0, MAX_STEPS)] = 0
+    """Maximum of further steps that are drawn for each frame."""
     duplication: Probability = 0.0
+    """Probability that a frame arrives twice."""
     bit_errors: Probability = 0.0
+    """Probability of each bit to be flipped. Frames then end with a checksum."""
     checksums: bool = False
+    """Whether frames end with a checksum in any case."""
 
     def __post_init__(self) -> None:
         check_ranges(self)

@@ -11,14 +11,7 @@ STEP = 1_000_000_000
 class DutyCycle:
     """The airtime of a robot within the last hour.
 
-    A robot may use its whole share at once; each transmission then counts for an hour.
-
-    Parameters
-    ----------
-    share : float
-        Share of the hour in which the robot may send.
-    hour : int
-        Steps of an hour.
+    A robot may use its whole `share` of an hour at once; each transmission then counts for an hour, of `hour` steps.
     """
 
     def __init__(self, share: float, hour: int) -> None:

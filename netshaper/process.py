@@ -56,22 +56,10 @@ DISCONNECTED = "its process ended, or its connection was cut and not restored"
 class RelayNode:
     """The relay of one run; `done` once all participants have received `Shutdown` and have left.
 
-    Parameters
-    ----------
-    captures : bool
-        Whether to report the frames themselves as well as the ledger.
-    resend : callable, optional
-        Sends the last messages to a robot again. With it, the relay waits for a robot that has left the bus, until
-        `give_up_on` is called: only its connection may have been cut. Without it, such a robot is lost at once.
-    may_return : bool
-        Whether a lost robot may take part again, as a new incarnation.
-    clock : PhaseClock, optional
-        Ends phases of the medium; by default, they wait for all robots.
-
-    Attributes
-    ----------
-    away : set of int
-        Robots whose connections were cut and are not restored yet.
+    `captures`: whether to report the frames themselves as well as the ledger. `resend` sends the last messages to a
+    robot again. With it, the relay waits for a robot that has left the bus, until `give_up_on` is called: only its
+    connection may have been cut. Without it, such a robot is lost at once. `may_return`: whether a lost robot may take
+    part again, as a new incarnation. `clock` ends phases of the medium; by default, they wait for all robots.
     """
 
     def __init__(
@@ -87,6 +75,7 @@ class RelayNode:
     ) -> None:
         self.done = False
         self.away: set[int] = set()
+        """Robots whose connections were cut and are not restored yet."""
         self._resend = resend
         self._may_return = may_return
         self._ending: set[int] = set()

@@ -17,21 +17,14 @@ LOG_DISTANCE = "log-distance"
 
 @dataclass(frozen=True)
 class Partition:
-    """Steps in which groups of robots do not receive each other.
-
-    Attributes
-    ----------
-    first, last : int
-        The steps from and to which it holds, both included.
-    groups : lists of robots
-        Robots receive only those of their own group; robots without a group form one more group.
-    """
+    """The steps from `first` to `last`, both included, in which groups of robots do not receive each other."""
 
     __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
 
     first: int
     last: int
     groups: tuple[tuple[int, ...], ...]
+    """Robots receive only those of their own group; robots without a group form one more group."""
 
     def __post_init__(self) -> None:
         if not 1 <= self.first <= self.last:
@@ -49,27 +42,18 @@ class Partition:
 
 @dataclass(frozen=True)
 class PathLossOptions:
-    """Options of links that distance and walls weaken (model ``log-distance``).
-
-    Attributes
-    ----------
-    exponent : float
-        Growth of the loss by the logarithm of the distance: ``10 exponent`` dB per decade.
-    db_per_meter : float
-        Growth of the loss by the distance.
-    db_per_wall : float
-        Loss per wall.
-    shadowing_db : float
-        Standard deviation of the shadowing.
-    shadowing_m : float
-        Side of the squares in which the shadowing is the same.
-    """
+    """Options of links that distance and walls weaken (model ``log-distance``)."""
 
     exponent: Annotated[float, Range(0.1, 10)] = 2.0
+    """Growth of the loss by the logarithm of the distance: ``10 exponent`` dB per decade."""
     db_per_meter: Annotated[float, Range(0, 1000)] = 0.0
+    """Growth of the loss by the distance."""
     db_per_wall: Annotated[float, Range(0, 1000)] = 6.9
+    """Loss per wall."""
     shadowing_db: Annotated[float, Range(0, 100)] = 0.0
+    """Standard deviation of the shadowing."""
     shadowing_m: Annotated[float, Range(0.01, MOST)] = 5.0
+    """Side of the squares in which the shadowing is the same."""
 
     def __post_init__(self) -> None:
         check_ranges(self)
@@ -77,36 +61,26 @@ class PathLossOptions:
 
 @dataclass(frozen=True)
 class RadioOptions(PathLossOptions, ChannelOptions):
-    """Options of the radio; docs/radios.md names the sources of their numbers.
-
-    Attributes
-    ----------
-    preset : str
-        The radio whose figures apply where the scenario gives none (`protocol.presets`).
-    frame_bytes : int
-        Maximum bytes of packets in a frame; longer frames are split. 0: no limit.
-    model : str
-        Links within the communication range: ``disc``, all; ``line-of-sight``, links without a wall; ``log-distance``,
-        links whose path loss is at most that of an open link as long as the range; or a plug-in
-        (`netshaper.radio_models`).
-    send_bytes, receive_bytes : int
-        Bytes per step that a robot can send, and receive; 0: no limit of its own.
-    duty_cycle : float
-        Share of the time in which a robot may send, over an hour.
-    reuse : bool
-        Whether each neighborhood (a robot and all in its range) has the bandwidth; else the team has it.
-    partition : list of Partition
-    """
+    """Options of the radio; docs/radios.md names the sources of their numbers."""
 
     __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
 
     preset: str = ""
+    """The radio whose figures apply where the scenario gives none (`protocol.presets`)."""
     frame_bytes: Annotated[int, Range(0, 65535)] = 0
+    """Maximum bytes of packets in a frame; longer frames are split. 0: no limit."""
     model: str = "disc"
+    """Links within the communication range: ``disc``, all; ``line-of-sight``, links without a wall; ``log-distance``,
+    links whose path loss is at most that of an open link as long as the range; or a plug-in (`netshaper.radio_models`).
+    """
     send_bytes: Annotated[int, Range(0, 2**31 - 1)] = 0
+    """Bytes per step that a robot can send; 0: no limit of its own."""
     receive_bytes: Annotated[int, Range(0, 2**31 - 1)] = 0
+    """Bytes per step that a robot can receive; 0: no limit of its own."""
     duty_cycle: Annotated[float, Range(0, 1)] = 1.0
+    """Share of the time in which a robot may send, over an hour."""
     reuse: bool = False
+    """Whether each neighborhood (a robot and all in its range) has the bandwidth; else the team has it."""
     partition: tuple[Partition, ...] = ()
 
     def __post_init__(self) -> None:

@@ -15,39 +15,30 @@ Share = Annotated[float, Range(0, 1)]
 
 @dataclass(frozen=True)
 class LaserOptions:
-    """The robots' laser scanners. Without any error they are exact, and a scan consists of whole cells.
-
-    Attributes
-    ----------
-    preset : str
-        The laser whose figures apply where the scenario gives none (`LASERS`); ``ideal`` has no errors.
-    range_error_m, range_error_share : float
-        Standard deviation of a range, in meters and as a share of the range; they add up.
-    short, missing : float
-        Probability of a beam to end early at something that passes by, and to have no return (glass, black surfaces).
-    mixed : float
-        Probability of a beam beside an edge to measure a range between the two surfaces.
-    min_range_m, max_range_m : float
-        Nearer walls have no measurement; farther ones are not seen, and robots map no farther. ``max_range_m = 0``: no
-        limit of the laser.
-    beams : int
-        Beams over the field of view; 0: as many as ``beams`` of the scenario has there.
-    rate : float
-        Scans per step, at most 1: a robot maps one scan at the end of its motion. At 0.2, it scans every fifth step.
-    """
+    """The robots' laser scanners. Without any error they are exact, and a scan consists of whole cells."""
 
     __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
 
     preset: str = IDEAL
+    """The laser whose figures apply where the scenario gives none (`LASERS`); ``ideal`` has no errors."""
     range_error_m: Annotated[float, Range(0, 1, "m")] = 0.0
+    """Standard deviation of a range, in meters."""
     range_error_share: Share = 0.0
+    """The same as a share of the range; both add up."""
     short: Share = 0.0
+    """Probability of a beam to end early at something that passes by."""
     missing: Share = 0.0
+    """Probability of a beam to have no return (glass, black surfaces)."""
     mixed: Share = 0.0
+    """Probability of a beam beside an edge to measure a range between the two surfaces."""
     min_range_m: Annotated[float, Range(0, 10, "m")] = 0.0
+    """Nearer walls have no measurement."""
     max_range_m: Annotated[float, Range(0, MAX_REACH_M, "m")] = 0.0
+    """Farther walls are not seen, and robots map no farther; 0: no limit of the laser."""
     beams: Annotated[int, Range(0, 1440)] = 0
+    """Beams over the field of view; 0: as many as ``beams`` of the scenario has there."""
     rate: Annotated[float, Range(0.01, 1, "scans per step")] = 1.0
+    """Scans per step, at most 1: a robot maps one scan at the end of its motion. At 0.2, it scans every fifth step."""
 
     def __post_init__(self) -> None:
         check_ranges(self)
@@ -69,19 +60,17 @@ class LaserOptions:
 class PoseOptions:
     """The errors that localization leaves: bounded and slowly varying, different for each robot.
 
-    Attributes
-    ----------
-    preset : str
-        The method whose figures apply where the scenario gives none (`POSES`); ``exact`` has no errors.
-    position_error_m, heading_error_deg : float
-        Standard deviation of each coordinate in meters, and of the heading in degrees. No error exceeds three of them.
+    No error exceeds three standard deviations.
     """
 
     __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
 
     preset: str = EXACT
+    """The method whose figures apply where the scenario gives none (`POSES`); ``exact`` has no errors."""
     position_error_m: Annotated[float, Range(0, 1, "m")] = 0.0
+    """Standard deviation of each coordinate, in meters."""
     heading_error_deg: Annotated[float, Range(0, 10, "degrees")] = 0.0
+    """Standard deviation of the heading, in degrees."""
 
     def __post_init__(self) -> None:
         check_ranges(self)

@@ -132,27 +132,11 @@ class Records:
 
 
 class RecorderNode:
-    """The recorder's end of the bus.
+    """The recorder's end of the bus; `done` once all results have arrived.
 
     The recorder accepts from each participant only reports about itself; any other message is a protocol error.
-
-    Parameters
-    ----------
-    robots : int
-        Number of robots.
-    shape : (int, int)
-        Height and width of the run's map.
-    capture : binary file, optional
-        Receives the frames of each step, which are not kept in memory.
-    on_fault : callable
-        Called with each fault event, so that the launcher can kill and restart processes.
-
-    Attributes
-    ----------
-    done : bool
-        Whether all results have arrived.
-    records : Records
-        The results so far.
+    `shape` is height and width of the run's map. `capture` receives the frames of each step, which are not kept in
+    memory. `on_fault` is called with each fault event, so that the launcher can kill and restart processes.
     """
 
     def __init__(
