@@ -137,8 +137,9 @@ class RelayNode:
                 self._fault(sender, str(error))
         while missed := self._clock.missed(self._radio.phase):
             self._continue_without(missed)
-        if self._radio.protocol_errors:
-            self._report_protocol_errors()
+        for robot, reason in self._radio.protocol_errors:
+            self._fault(names.robot(robot), reason)
+        self._radio.protocol_errors.clear()
         self.done = self.shutting_down and not self._present
 
     def give_up_on(self, robot: int, cause: str) -> None:
@@ -328,11 +329,6 @@ class RelayNode:
     def _put(self, name: str, payload: bytes) -> None:
         """Send a packed message to a participant on the control plane."""
         self._bus.put(self._keys.control(name, names.RELAY), payload)
-
-    def _report_protocol_errors(self) -> None:
-        for robot, reason in self._radio.protocol_errors:
-            self._fault(names.robot(robot), reason)
-        self._radio.protocol_errors.clear()
 
     def _fault(self, name: str, reason: str) -> None:
         """Report a protocol error; give up on a robot that causes too many in a step."""

@@ -91,11 +91,6 @@ def subcommands(family: typer.Typer, name: str, help: str) -> typer.Typer:
     return parent
 
 
-def preformatted(text: str) -> str:
-    """Text whose line breaks help keeps."""
-    return text.replace("\n\n", "\n\n\b\n")
-
-
 def file_option(metavar: str, help: str) -> Any:
     """Return a flag for a file in an existing directory; `metavar`, as ``FILE.csv|.parquet``, has the suffixes."""
     suffixes = re.findall(r"\.\w+", metavar)

@@ -13,18 +13,21 @@ from rich.text import Text
 
 from agent.strategies.catalog import COMBINING, Entry, catalog, entry
 from deploy.commands.console import screen
-from deploy.commands.flags import argument, command_family, preformatted, switch
+from deploy.commands.flags import argument, command_family, switch
 from deploy.scenario.scenario import Scenario
 
 app = command_family()
+
+HELP = f"List the exploration strategies, or show one with all its options.\n\n{COMBINING}".replace(
+    "\n\n", "\n\n\b\n"
+)
+"""The help text; click keeps the line breaks of paragraphs after ``\\b``."""
 
 WIDTH = 100
 """Maximum width of the output in columns."""
 
 
-@app.command(
-    help=f"List the exploration strategies, or show one with all its options.\n\n\b\n{preformatted(COMBINING)}"
-)
+@app.command(help=HELP)
 def strategies(
     name: Annotated[
         str | None, argument("NAME", "the strategy to show, or a class package.module:Class")

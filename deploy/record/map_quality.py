@@ -133,9 +133,7 @@ def robot_figures(
     for robot, grid in planning.items():
         score, shares = true_walls.score(grid), list(held[robot].values())
         figures[robot] = {
-            "wall_precision": score.precision,
-            "wall_recall": score.recall,
-            "wall_f1": score.f1,
+            **{f"wall_{name}": value for name, value in score._asdict().items()},
             "walls_within_tolerance": _mean(shares),
             "worst_walls_within_tolerance": min(shares, default=None),
         }

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from agent.settings import Settings
 from deploy.record.map_collection import MapCollection
 from deploy.record.map_history import MapHistory
-from deploy.record.protocol_errors import ProtocolErrors
 from netshaper.ledger import ROW
 from netshaper.process import ENDED
 from protocol import keys as names
@@ -48,8 +47,26 @@ from protocol.rights import MAX_PROTOCOL_ERRORS, TOO_MANY_BYTES, TOO_MANY_ERRORS
 
 NO_MAPS = "it did not send its maps"
 """Cause of the loss of a robot that does not answer a request for its maps."""
+MAX_TEXTS = 1000
+"""Number of protocol errors of each sender of which the text is kept."""
 MIN_STEP_BYTES, BYTES_PER_CELL = 1 << 22, 10
 """Bytes that a robot may report in a step: these, and these for each cell, since it may report each cell twice."""
+
+
+@dataclass
+class ProtocolErrors:
+    """Protocol errors by sender."""
+
+    texts: list[str] = field(default_factory=list)
+    """Sender and text of the first `MAX_TEXTS` errors of each sender, in the order of arrival."""
+    counts: Counter[str] = field(default_factory=Counter)
+    """Number of errors of each sender."""
+
+    def add(self, sender: str, text: str) -> None:
+        """Record an error of a sender."""
+        self.counts[sender] += 1
+        if self.counts[sender] <= MAX_TEXTS:
+            self.texts.append(f"{sender}: {text}")
 
 
 @dataclass(repr=False)

@@ -105,7 +105,7 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "lost": {str(robot): cause for robot, cause in sorted(records.lost.items())},
         "returned": [list(each) for each in records.returned],
         "reconnected": [list(each) for each in records.reconnected],
-        "protocol_errors": records.protocol_errors.total,
+        "protocol_errors": records.protocol_errors.counts.total(),
         "digest": digest(records),
         "wall_s": round(wall_s, 3),
         "steps_per_s": round(records.step / wall_s, 1) if wall_s else None,
