@@ -57,11 +57,8 @@ NARROW = 64
 KEPT = 64
 """Bytes stored of a frame that was not carried."""
 
-MAX_PACKET = 262_144
-"""Bytes of the longest packet that Wireshark reads."""
-
 PART = 200_000
-"""Maximum bytes of a frame in one packet."""
+"""Maximum bytes of a frame in one packet; Wireshark reads packets of at most 262,144 bytes."""
 
 VERDICTS = ("carried", *CAUSES[1:])
 

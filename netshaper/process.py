@@ -277,7 +277,6 @@ class RelayNode:
         self._send_events()
 
     def _begin_step(self, positions: Positions) -> None:
-        """Begin a step of the radio, with the positions of all robots."""
         self._protocol_errors.clear()
         self._submitted_bytes.clear()
         cells = dict(zip(positions.robots, zip(positions.x, positions.y, strict=True), strict=True))
@@ -298,7 +297,6 @@ class RelayNode:
         self._report(end)
 
     def _shut_down(self) -> None:
-        """Send `Shutdown` to all participants."""
         for name in sorted(self._present | ({names.VIEW} if self._watched else set())):
             self._put(name, pack(Shutdown()))
         self.shutting_down = True

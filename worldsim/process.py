@@ -253,7 +253,6 @@ class WorldNode:
             self._bus.put(self._keys.control(names.VIEW, names.WORLD), payload)
 
     def _world_report(self) -> WorldReport:
-        """Return the true state of this step."""
         world = self._world
         poses = np.array(
             [
@@ -269,13 +268,11 @@ class WorldNode:
         )
 
     def _millimeters(self, robot: int) -> tuple[int, int]:
-        """Return a robot's position in millimeters."""
         (x, y), (offset_x, offset_y) = self._world.cells[robot], self._world.offsets[robot]
         scale = self._cell_mm / FINE
         return round((x * FINE + offset_x) * scale), round((y * FINE + offset_y) * scale)
 
     def _end(self, end: End) -> None:
-        """End the run."""
         self._barrier.running = False
         self._bus.put(self._keys.control_tx(names.WORLD), pack(end))
 

@@ -125,7 +125,6 @@ def _wait(seconds: float, process: subprocess.Popen[bytes]) -> None:
 
 
 def _processor_s(pid: int) -> float:
-    """Return the processor time of a process in seconds."""
     fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 

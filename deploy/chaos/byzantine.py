@@ -182,7 +182,6 @@ class ByzantineBus:
 
 
 def _flipped(draw: np.random.Generator, frame: bytes, bits: int) -> bytes:
-    """The frame with some flipped bits."""
     flipped = bytearray(frame)
     for _ in range(bits):
         flipped[int(draw.integers(len(flipped)))] ^= 1 << int(draw.integers(8))

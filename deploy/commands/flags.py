@@ -74,7 +74,6 @@ def with_flags(command: Command, flags: Sequence[Flag], name: str, make: Callabl
 
 
 def _parameters(function: Callable[..., Any]) -> list[Flag]:
-    """Return the parameters of a function as flags."""
     parameters = inspect.signature(function, eval_str=True).parameters.values()
     return [(each.name, each.annotation, each.default) for each in parameters]
 

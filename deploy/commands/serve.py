@@ -109,7 +109,6 @@ def serve_ros2(
 
 
 def _check_packages() -> None:
-    """Raise ValueError if a package is missing."""
     for package in ("rosbags", "xxhash"):
         if importlib.util.find_spec(package) is None:
             raise ValueError(f"serve-ros2 needs the package {package}: pip install 'murmur-robots[ros2]'")

@@ -90,7 +90,6 @@ def _page(entry: Entry, called: str) -> RenderableType:
 
 
 def _as_json(entries: list[Entry]) -> dict[str, Any]:
-    """All data of strategies, by name, for JSON."""
     return {
         entry.name: {
             "summary": entry.summary,

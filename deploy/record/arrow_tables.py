@@ -39,7 +39,6 @@ def write_table(path: Path, table: Any, compression: str = "snappy") -> None:
 
 
 def _array(values: Values, kind: Any) -> Any:
-    """Return an Arrow array of a type."""
     import pyarrow as pa  # noqa: PLC0415
 
     known: Any = None

@@ -226,7 +226,6 @@ class RecorderNode:
             self.shut_down()
 
     def _request(self, robot: int, part: int) -> None:
-        """Request a part of a robot's maps."""
         end = self.records.end
         step = self.records.step if end is None or end.step < 0 else end.step
         self._send(RequestMaps(robot, step, part))

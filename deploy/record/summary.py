@@ -23,14 +23,7 @@ from deploy.record.map_quality import (
 from deploy.record.missed_phases import figures as figures_of_missed
 from deploy.record.recorded_runs import recorded_figures
 from deploy.record.records import Records
-from deploy.record.team_effort import (
-    longest_path_m,
-    overlap,
-    overlap_sum,
-    report_at,
-    seen_by_each,
-    seen_std,
-)
+from deploy.record.team_effort import longest_path_m, overlaps, report_at
 from deploy.record.versions import versions
 from deploy.scenario.plan import Plan
 from netshaper.airtime import HOUR_S
@@ -191,13 +184,7 @@ def _overlaps(records: Records, reachable: Mask, refuted: Collection[int]) -> di
     """Return how much several robots have seen; None for all if a grid is missing or false."""
     if refuted or not records.own or not records.has_all_grids:
         return dict.fromkeys(("overlap", "overlap_sum", "seen_std"))
-    own = records.own.values()
-    seen = seen_by_each(own, reachable)
-    return {
-        "overlap": overlap(seen),
-        "overlap_sum": overlap_sum(seen),
-        "seen_std": seen_std(own, reachable),
-    }
+    return {**overlaps(records.own.values(), reachable)}
 
 
 def _approximation_error(

@@ -91,7 +91,6 @@ def read(path: Path, every: int, topic: str) -> RecordedLog:
 
 
 def _scan_topic(path: Path, connections: list[Any], topic: str) -> str:
-    """Return the topic to read scans from."""
     topics: list[str] = sorted({each.topic for each in connections if each.msgtype == SCAN})
     if not topics:
         kinds = sorted({each.msgtype for each in connections})
