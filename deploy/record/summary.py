@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,6 @@ from deploy.record.map_quality import (
     true_walls_of,
 )
 from deploy.record.missed_phases import figures as figures_of_missed
-from deploy.record.recorded_runs import recorded_figures
 from deploy.record.records import Records
 from deploy.record.team_effort import longest_path_m, overlaps, report_at
 from deploy.record.versions import versions
@@ -30,6 +29,7 @@ from netshaper.airtime import HOUR_S
 from netshaper.ledger import sort_rows
 from protocol.grid import FREE, OCCUPIED, Grid
 from protocol.messages import End
+from worldsim.recorded.world import Stretch
 
 POLYGONS = "polygons"
 """The map encoding that approximates maps."""
@@ -90,7 +90,7 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "raw_scan_bytes": raw_scan_bytes(steps, scenario.robots),
         **map_code_figures(records.planning.get(first), sizes["total"]),
         "packets": per_kind(ledger, "packets"),
-        **recorded_figures(plan, records, steps, sizes["total"]),
+        **_recorded_figures(plan, records, steps, sizes["total"]),
         **_approximation_error(records, first, int(reachable.sum()), scenario.map_encoding),
         "over_budget_steps": over_budget(ledger, allowed, plan.radio.saving, each=scenario.radio.reuse),
         "duty_cycle": duty_cycle(ledger, allowed, HOUR_S * plan.radio.saving.steps),
@@ -185,6 +185,43 @@ def _overlaps(records: Records, reachable: Mask, refuted: Collection[int]) -> di
     if refuted or not records.own or not records.has_all_grids:
         return dict.fromkeys(("overlap", "overlap_sum", "seen_std"))
     return {**overlaps(records.own.values(), reachable)}
+
+
+def _recorded_figures(plan: Plan, records: Records, steps: int, transmitted: int) -> dict[str, Any]:
+    """Return the keys that only the summary of a recorded run has (`deploy.record.columns.RECORDED`).
+
+    `transmitted` are the bytes that the team sent in all `steps`.
+    """
+    recording = plan.recording
+    if recording is None:
+        return {}
+    with_scans = plan.scenario.robots - plan.scenario.recording.listeners
+    scans = _replayed(recording.stretches[:with_scans], records)
+    last_scan = max(int(each.steps[-1]) for each in recording.stretches)
+    end = records.end
+    finished = end is not None and end.first >= 0
+    delivered = steps - sure_after(plan.robot_settings[0]) - 1 if finished else steps
+    return {
+        "logs": list(plan.scenario.recording.files),
+        "scans": scans,
+        "bytes_per_scan": round(transmitted / scans, 2) if scans else None,
+        "steps_after_scans": max(0, delivered - last_scan),
+        "backlog_after_scans": _backlog(records, last_scan),
+        "backlog": _backlog(records, steps),
+    }
+
+
+def _replayed(stretches: Sequence[Stretch], records: Records) -> int:
+    """Count the scans that the first robots, those with scans, took before they ended."""
+    return sum(
+        int(np.isin(stretch.steps, [status.step for status in statuses]).sum())
+        for stretch, statuses in zip(stretches, records.statuses, strict=False)
+    )
+
+
+def _backlog(records: Records, step: int) -> int:
+    """Return the log entries that teammates lack at the end of a step, summed over all pairs of robots."""
+    return sum(status.backlog for statuses in records.statuses for status in statuses if status.step == step)
 
 
 def _approximation_error(
