@@ -49,7 +49,6 @@ class PathLossOptions:
     db_per_meter: Annotated[float, Range(0, 1000)] = 0.0
     """Growth of the loss by the distance."""
     db_per_wall: Annotated[float, Range(0, 1000)] = 6.9
-    """Loss per wall."""
     shadowing_db: Annotated[float, Range(0, 100)] = 0.0
     """Standard deviation of the shadowing."""
     shadowing_m: Annotated[float, Range(0.01, MOST)] = 5.0

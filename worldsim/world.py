@@ -40,7 +40,6 @@ class WorldSettings:
     beams: int = 360
     """Laser beams per full turn."""
     seed: int = 0
-    """Seed of all random draws of the world."""
     interference_cells: float = 0.0
     """Robots closer to each other than this hinder each other; 0: never."""
     faults: tuple[FaultEvent, ...] = ()

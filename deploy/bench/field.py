@@ -25,7 +25,6 @@ from agent.radios.team_key import create_key
 from deploy.bench.measurement import Measurement
 
 SIDES_M = (20, 50)
-"""Sides of the measured offices."""
 ROBOTS = 2
 STEP_S = 0.2
 WARM_UP_S = 15.0

@@ -32,7 +32,6 @@ class OwnFlag:
     name: str
     """Name of the flag, with underscores."""
     kind: Any
-    """Type of its value."""
     option: Any
     """Its help, as `deploy.commands.flags.option` returns it."""
     parse: Callable[[Any], Any] = lambda value: value

@@ -39,7 +39,6 @@ class ProtocolErrors:
     texts: list[str] = field(default_factory=list)
     """Sender and text of the first `MAX_TEXTS` errors of each sender, in the order of arrival."""
     counts: Counter[str] = field(default_factory=Counter)
-    """Number of errors of each sender."""
 
     def add(self, sender: str, text: str) -> None:
         """Record an error of a sender."""
@@ -53,7 +52,6 @@ class Records:
     """All data reported during a run so far."""
 
     robots: int
-    """Number of robots."""
     maps: MapHistory
     """The robots' maps over time, if the run records them."""
     world: list[messages.WorldReport] = field(default_factory=list)

@@ -26,7 +26,6 @@ class Named(NamedTuple):
     plugins: Plugins[Any]
     """All parts of its kind."""
     name: str
-    """Its name."""
 
 
 @cache
