@@ -6,12 +6,11 @@ than half of the recent airtime sends after all others.
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
 
-from netshaper.duty_cycle import DutyCycle
 from protocol.budget import UNLIMITED, Budget
 from protocol.nanoseconds import SECOND
 from protocol.packet_index import PacketIndex
@@ -86,6 +85,40 @@ class Shares:
 HOUR_S = 3600
 """Seconds over which a duty cycle holds."""
 
+WHOLE_STEP = 1_000_000_000
+"""Airtime of a whole step, in the units of `DutyCycle`."""
+
+
+class DutyCycle:
+    """The airtime of a robot within the last hour, at most a share of the hour (ETSI EN 300 220).
+
+    A robot may use its whole `share` of an hour at once; each transmission then counts for an hour, of `hour` steps.
+    """
+
+    def __init__(self, share: float, hour: int) -> None:
+        self._hour = hour
+        self._step = 0
+        self._left = round(share * hour * WHOLE_STEP)
+        """Airtime that the robot may still use."""
+        self._used: deque[tuple[int, int]] = deque()
+        """The step and the airtime of each transmission of the last hour."""
+
+    def next_step(self) -> None:
+        """Begin a step, and forget transmissions that are an hour old."""
+        self._step += 1
+        while self._used and self._used[0][0] <= self._step - self._hour:
+            self._left += self._used.popleft()[1]
+
+    def room(self, bandwidth: int) -> int:
+        """Return how many bytes the robot may send, at a rate of so many bytes per step."""
+        return max(0, self._left * bandwidth // WHOLE_STEP)
+
+    def take(self, size: int, bandwidth: int) -> None:
+        """Count the airtime of `size` bytes, at a rate of so many bytes per step."""
+        airtime = -(-size * WHOLE_STEP // bandwidth)
+        self._left -= airtime
+        self._used.append((self._step, airtime))
+
 
 @dataclass(frozen=True)
 class Saving:
@@ -109,19 +142,9 @@ class Airtime:
     spatial reuse a byte counts only in the sender's neighborhood, and no neighborhood exceeds the budget. Each budget
     is a token bucket that a step refills.
 
-    Parameters
-    ----------
-    budget : Budget
-        Bytes per step.
-    robots : int
-    reuse : bool
-        Whether each neighborhood has the budget; else the team has it.
-    send, receive : sequence of int
-        Bytes per step that each robot can send and receive; 0: no limit.
-    duty_cycle : float
-        Share of each hour in which a robot may send; 1: no limit.
-    saving : Saving
-        Budgets that are not used up.
+    `reuse`: whether each neighborhood has the `budget`, in bytes per step; else the team has it. `send`, `receive`:
+    bytes per step that each robot can send and receive; 0: no limit. `duty_cycle`: share of each hour in which a robot
+    may send; 1: no limit. `saving`: budgets that are not used up.
     """
 
     def __init__(
@@ -222,24 +245,10 @@ class Airtime:
 
 
 def cut_into_frames(index: PacketIndex, room: Budget, frame_limit: Budget, tail: int) -> list[int]:
-    """Cut packets into frames for the air.
+    """Cut packets into frames for the air, within the remaining budget `room`, each with `tail` bytes at its end.
 
-    Parameters
-    ----------
-    index : PacketIndex
-        The packets.
-    room : Budget
-        Remaining budget.
-    frame_limit : Budget
-        Maximum bytes of one frame.
-    tail : int
-        Bytes of each frame after its packets.
-
-    Returns
-    -------
-    list of int
-        For each frame, in order, the number of the packet after its last one. Packets after the last frame did not
-        fit.
+    Returns for each frame, in order, the number of the packet after its last one. Packets after the last frame did not
+    fit.
     """
     stops: list[int] = []
     first = 0

@@ -57,11 +57,8 @@ NARROW = 64
 KEPT = 64
 """Bytes stored of a frame that was not carried."""
 
-MAX_PACKET = 262_144
-"""Bytes of the longest packet that Wireshark reads."""
-
 PART = 200_000
-"""Maximum bytes of a frame in one packet."""
+"""Maximum bytes of a frame in one packet; Wireshark reads packets of at most 262,144 bytes."""
 
 VERDICTS = ("carried", *CAUSES[1:])
 
@@ -141,13 +138,7 @@ def _parts(content: Content) -> list[bytes]:
 
 
 def read(reader: pcapng.Reader) -> Iterator[Captured]:
-    """Read the packets of a capture.
-
-    Raises
-    ------
-    CaptureError
-        The file or one of its packets has another format.
-    """
+    """Read the packets of a capture; CaptureError if the file or one of its packets has another format."""
     for packet in reader:
         if reader.link_type != LINK_TYPE:
             raise CaptureError(

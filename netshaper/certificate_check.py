@@ -20,11 +20,8 @@ ANEW = "create all files anew with murmur keys"
 def check(folder: Path, certificates: Mapping[str, Certificate], address: str) -> None:
     """Check certificates that were read from `folder`, for a hub at a name or IP address.
 
-    Raises
-    ------
-    ValueError
-        A certificate is damaged, expired, that of another participant, or of another authority; its key is another
-        one; or that of the relay is not valid for the address. The message names the file.
+    Raises ValueError that names the file if a certificate is damaged, expired, that of another participant, or of
+    another authority; if its key is another one; or if that of the relay is not valid for the address.
     """
     authority = _load(folder / AUTHORITY, certificates[names.RELAY].authority)
     for name, files in certificates.items():

@@ -37,23 +37,11 @@ def make(
     days: int = DAYS,
     routers: Mapping[str, Sequence[str]] | None = None,
 ) -> dict[str, Certificate]:
-    """Make certificates for the relay and all clients of a run, by name.
+    """Make certificates for the relay and all clients of a run, by name, which are valid for some `days`.
 
-    Parameters
-    ----------
-    robots : int
-        Number of robots of the run.
-    addresses : sequence of str
-        Names or IP addresses of the hub; participants refuse a hub whose certificate has another address.
-    days : int
-        Validity of the certificates.
-    routers : mapping of str to sequence of str, optional
-        The names of the robots that join through each router, by router name.
-
-    Raises
-    ------
-    ValueError
-        An address is neither an IP address nor a host name.
+    `addresses` are names or IP addresses of the hub; participants refuse a hub whose certificate has another address.
+    `routers` has the names of the robots that join through each router, by router name. Raises ValueError if an address
+    is neither an IP address nor a host name.
     """
     known_as = x509.SubjectAlternativeName([host_name(address) for address in addresses])
     signer = ec.generate_private_key(ec.SECP256R1())
@@ -112,10 +100,7 @@ def _robots_of(name: str, certificate: Certificate) -> tuple[str, ...]:
 def write(certificates: Mapping[str, Certificate], folder: Path) -> list[Path]:
     """Write ``authority.pem``, and ``NAME.pem`` and ``NAME.key`` of each participant; only their owner can read keys.
 
-    Raises
-    ------
-    FileExistsError
-        A file with one of these names already exists.
+    Raises FileExistsError if a file with one of these names already exists.
     """
     folder.mkdir(parents=True, exist_ok=True, mode=0o700)
     texts = {AUTHORITY: (0o644, next(iter(certificates.values())).authority)}
@@ -132,10 +117,7 @@ def write(certificates: Mapping[str, Certificate], folder: Path) -> list[Path]:
 def read(folder: Path, robots: int) -> dict[str, Certificate]:
     """Read the output of `write` for relay and all clients; robots behind a router have no files.
 
-    Raises
-    ------
-    ValueError
-        A file is missing or not PEM; the message names it.
+    Raises ValueError that names the file if one is missing or not PEM.
     """
 
     def text(name: str) -> str:

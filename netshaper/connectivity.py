@@ -86,14 +86,8 @@ def margin_db(
     """Return how much stronger frames are than at the end of an open link as long as the range, in dB.
 
     The loss over d meters is ``10 exponent log10(d) + db_per_meter d`` dB, which is the site-general model of ITU-R
-    P.1238 with N = 10 exponent; each wall on the line adds to it, as in COST 231's multi-wall model.
-
-    Parameters
-    ----------
-    away : float64 array
-        Distances in cells.
-    loss_db : float64 array
-        Losses by walls and shadowing, of the same shape.
+    P.1238 with N = 10 exponent; each wall on the line adds to it, as in COST 231's multi-wall model. `away` are
+    distances in cells, `loss_db` the losses by walls and shadowing, of the same shape.
     """
     near = np.maximum(away, 1e-9)
     reach = max(range_cells, 1e-9)

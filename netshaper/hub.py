@@ -32,10 +32,7 @@ def open_hub(
     At ``tcp/HOST:PORT`` clients authenticate with passwords. At ``tls/HOST:PORT`` the hub shows its own `certificate`;
     clients need a certificate of the same authority with a participant's name as common name.
 
-    Raises
-    ------
-    ConnectionError
-        The hub cannot listen at this address.
+    Raises ConnectionError if the hub cannot listen at this address.
     """
     keys = Keys(run)
     config = listening(endpoint, MAX_MESSAGE_BYTES)

@@ -59,18 +59,14 @@ def sort_rows(rows: NDArray[np.void]) -> NDArray[np.void]:
     return rows[np.lexsort([rows[name] for name in reversed(ROW.names or ())])]
 
 
-def balance(rows: NDArray[np.void]) -> dict[int, tuple[int, int, int, int]]:
+def balance(rows: NDArray[np.void]) -> dict[int, tuple[int, ...]]:
     """Return for each step the bytes (sent, carried, cut, received by unicast receivers).
 
     The medium conserves bytes: sent = carried + cut, and each unicast byte that is carried is received once.
     """
-    result: dict[int, tuple[int, int, int, int]] = {}
-    for step in np.unique(rows["step"]):
-        these = rows[rows["step"] == step]
-        sent = int(these["bytes"].sum())
-        carried = int(these["bytes"][these["carried"] == 1].sum())
-        cut = int(these["bytes"][these["carried"] == 0].sum())
-        unicast = (these["receiver"] != EVERYONE) & (these["carried"] == 1)
-        received = int((these["bytes"] * these["received_by"])[unicast].sum())
-        result[int(step)] = (sent, carried, cut, received)
-    return result
+    steps, place = np.unique(rows["step"], return_inverse=True)
+    size, carried = rows["bytes"].astype(np.int64), rows["carried"] == 1
+    received = size * rows["received_by"] * (carried & (rows["receiver"] != EVERYONE))
+    columns = size, size * carried, size * ~carried, received
+    sums = [np.bincount(place, column, len(steps)).astype(int).tolist() for column in columns]
+    return dict(zip(steps.tolist(), zip(*sums, strict=True), strict=True))

@@ -154,7 +154,6 @@ class Medium:
         return [content.part(first, stop) for first, stop in zip(starts, stops, strict=True)], rest
 
     def _transmit(self, frame: Frame, pieces: Sequence[Content], receivers: Sequence[int]) -> None:
-        """Put the pieces of a frame on the air."""
         if self._tail:
             payloads = [with_checksum(piece.payload) for piece in pieces]
             pieces = [replace(frame.content, payload=each, packets=index_of(each)) for each in payloads]

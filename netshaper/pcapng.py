@@ -66,10 +66,7 @@ def packet(time_us: int, data: bytes, missing: int, options: bytes) -> tuple[byt
 class Reader:
     """Iterator over the packets of a file whose beginning `head` wrote.
 
-    Raises
-    ------
-    CaptureError
-        While iterating: the file has another format, or a block is malformed.
+    Iterating raises CaptureError if the file has another format, or a block is malformed.
     """
 
     def __init__(self, file: BinaryIO) -> None:

@@ -15,36 +15,13 @@ from netshaper.phase_clock import PhaseClock
 from netshaper.radio import Radio
 from netshaper.settings import RadioSettings
 from protocol import keys as names
-from protocol import rights
+from protocol import messages, rights
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
 from protocol.faults import RADIO_KINDS
 from protocol.keys import Keys
 from protocol.message_codec import pack
 from protocol.message_fields import MAX_NAME, clip
-from protocol.messages import (
-    Back,
-    Begin,
-    Change,
-    Close,
-    Configure,
-    End,
-    ErrorReport,
-    FaultEvent,
-    Lost,
-    MediumEvent,
-    Missed,
-    Positions,
-    RadioReport,
-    Reconnected,
-    Record,
-    RelayUpdate,
-    RequestMaps,
-    RobotFrames,
-    Shutdown,
-    Stop,
-    Watched,
-)
 from protocol.rights import MAX_PROTOCOL_ERRORS, MAX_STEP_BYTES, TOO_MANY_BYTES, TOO_MANY_ERRORS
 
 ENDED = "its process ended"
@@ -56,22 +33,10 @@ DISCONNECTED = "its process ended, or its connection was cut and not restored"
 class RelayNode:
     """The relay of one run; `done` once all participants have received `Shutdown` and have left.
 
-    Parameters
-    ----------
-    captures : bool
-        Whether to report the frames themselves as well as the ledger.
-    resend : callable, optional
-        Sends the last messages to a robot again. With it, the relay waits for a robot that has left the bus, until
-        `give_up_on` is called: only its connection may have been cut. Without it, such a robot is lost at once.
-    may_return : bool
-        Whether a lost robot may take part again, as a new incarnation.
-    clock : PhaseClock, optional
-        Ends phases of the medium; by default, they wait for all robots.
-
-    Attributes
-    ----------
-    away : set of int
-        Robots whose connections were cut and are not restored yet.
+    `captures`: whether to report the frames themselves as well as the ledger. `resend` sends the last messages to a
+    robot again. With it, the relay waits for a robot that has left the bus, until `give_up_on` is called: only its
+    connection may have been cut. Without it, such a robot is lost at once. `may_return`: whether a lost robot may take
+    part again, as a new incarnation. `clock` ends phases of the medium; by default, they wait for all robots.
     """
 
     def __init__(
@@ -87,6 +52,7 @@ class RelayNode:
     ) -> None:
         self.done = False
         self.away: set[int] = set()
+        """Robots whose connections were cut and are not restored yet."""
         self._resend = resend
         self._may_return = may_return
         self._ending: set[int] = set()
@@ -148,8 +114,9 @@ class RelayNode:
                 self._fault(sender, str(error))
         while missed := self._clock.missed(self._radio.phase):
             self._continue_without(missed)
-        if self._radio.protocol_errors:
-            self._report_protocol_errors()
+        for robot, reason in self._radio.protocol_errors:
+            self._fault(names.robot(robot), reason)
+        self._radio.protocol_errors.clear()
         self.done = self.shutting_down and not self._present
 
     def give_up_on(self, robot: int, cause: str) -> None:
@@ -158,15 +125,15 @@ class RelayNode:
         self.away.discard(robot)
         if name in self._present:
             self._present.discard(name)
-            self._report(Lost(robot, cause))
-            self._put(names.WORLD, pack(Lost(robot, cause)))
+            self._report(messages.Lost(robot, cause))
+            self._put(names.WORLD, pack(messages.Lost(robot, cause)))
             self._radio.lost(robot)
             self._send_events()
 
     def _continue_without(self, robots: Collection[int]) -> None:
         """Continue the step without robots that miss this phase of the medium."""
         step, number, phase = self._radio.phase
-        self._report(Missed(step, phase, number, list(robots)))
+        self._report(messages.Missed(step, phase, number, list(robots)))
         self._radio.skip(robots)
         self._send_events()
 
@@ -175,7 +142,7 @@ class RelayNode:
         if name == names.VIEW:
             self._watched = came
             for other in sorted(self._present - {names.RECORDER}):
-                self._put(other, pack(Watched(came)))
+                self._put(other, pack(messages.Watched(came)))
         elif came:
             self._join(name)
         else:
@@ -194,12 +161,12 @@ class RelayNode:
             self._resend(name)
         self._present.add(name)
         if self._watched and name != names.RECORDER:
-            self._put(name, pack(Watched(here=True)))
+            self._put(name, pack(messages.Watched(here=True)))
         if robot is not None:
             self._configure(robot)
         if not self._begun and self._expected <= self._present:
             self._begun = True
-            self._put(names.WORLD, pack(Begin()))
+            self._put(names.WORLD, pack(messages.Begin()))
         elif self._begun and robot is not None:
             self._come_back(robot)
 
@@ -226,14 +193,14 @@ class RelayNode:
         self.away.discard(robot)
         if self._resend is not None:
             self._resend(name)
-        restored = Reconnected(robot)
+        restored = messages.Reconnected(robot)
         for other in (name, names.WORLD):
             self._put(other, pack(restored))
         self._report(restored)
 
     def _refuse(self, name: str) -> None:
         """Shut a robot down that was lost: without another incarnation, it cannot take part again."""
-        self._put(name, pack(Shutdown()))
+        self._put(name, pack(messages.Shutdown()))
         self._fault(name, "joined again after it was lost; it may not start again in this run")
 
     def _configure(self, robot: int) -> None:
@@ -245,37 +212,39 @@ class RelayNode:
     def _come_back(self, robot: int) -> None:
         """Let a robot that was lost take part again from the next step on."""
         self._radio.back(robot)
-        self._report(Back(robot))
-        self._put(names.WORLD, pack(Back(robot)))
+        self._report(messages.Back(robot))
+        self._put(names.WORLD, pack(messages.Back(robot)))
 
     def _take(self, sender: str, message: object, payload: bytes) -> None:
         """Take a message of a participant; ProtocolError if its frames are too long."""
         match message:
-            case RobotFrames():
+            case messages.RobotFrames():
                 self._submit(sender, message, len(payload))
-            case Positions():
+            case messages.Positions():
                 self._begin_step(message)
-            case Configure():
+            case messages.Configure():
                 self._settings[message.robot] = payload
                 self._configure(message.robot)
-            case End():
+            case messages.End():
                 self._end(message)
-            case Lost():
+            case messages.Lost():
                 self.give_up_on(message.robot, message.cause)
-            case FaultEvent() if sender == names.WORLD:
+            case messages.FaultEvent() if sender == names.WORLD:
                 self._ending.add(message.robot)
-            case Change():
+            case messages.Change():
                 self._radio.change(message)
-            case FaultEvent() if message.kind in RADIO_KINDS and message.robot < self._radio.settings.robots:
+            case messages.FaultEvent() if (
+                message.kind in RADIO_KINDS and message.robot < self._radio.settings.robots
+            ):
                 self._radio.change(message)
-            case Stop() | FaultEvent():
+            case messages.Stop() | messages.FaultEvent():
                 self._put(names.WORLD, payload)
-            case RequestMaps() if names.robot(message.robot) in self._present:
+            case messages.RequestMaps() if names.robot(message.robot) in self._present:
                 self._put(names.robot(message.robot), payload)
-            case Shutdown():
+            case messages.Shutdown():
                 self._shut_down()
 
-    def _submit(self, sender: str, submitted: RobotFrames, size: int) -> None:
+    def _submit(self, sender: str, submitted: messages.RobotFrames, size: int) -> None:
         """Give a robot's frames to the radio; give up on a robot that sends too many bytes in a step."""
         self._submitted_bytes[sender] += size
         if self._submitted_bytes[sender] > MAX_STEP_BYTES:
@@ -286,8 +255,7 @@ class RelayNode:
         self._radio.submit(names.number(sender), submitted)
         self._send_events()
 
-    def _begin_step(self, positions: Positions) -> None:
-        """Begin a step of the radio, with the positions of all robots."""
+    def _begin_step(self, positions: messages.Positions) -> None:
         self._protocol_errors.clear()
         self._submitted_bytes.clear()
         cells = dict(zip(positions.robots, zip(positions.x, positions.y, strict=True), strict=True))
@@ -300,20 +268,19 @@ class RelayNode:
     def break_off(self, reason: str) -> None:
         """End the run because a process that it needs is gone."""
         if not self._ended:
-            self._end(End(-1, reason, -1))
+            self._end(messages.End(-1, reason, -1))
 
-    def _end(self, end: End) -> None:
+    def _end(self, end: messages.End) -> None:
         """Send the end of the run to the recorder, which then requests the robots' maps."""
         self._ended = True
         self._report(end)
 
     def _shut_down(self) -> None:
-        """Send `Shutdown` to all participants."""
         for name in sorted(self._present | ({names.VIEW} if self._watched else set())):
-            self._put(name, pack(Shutdown()))
+            self._put(name, pack(messages.Shutdown()))
         self.shutting_down = True
 
-    def _check_lengths(self, submitted: RobotFrames) -> None:
+    def _check_lengths(self, submitted: messages.RobotFrames) -> None:
         """Raise ProtocolError if a frame is longer than any frame that could be carried."""
         longest = max([len(submitted.broadcast), *[len(frame.payload) for frame in submitted.frames]])
         most = self._radio.settings.max_frame_bytes
@@ -325,41 +292,36 @@ class RelayNode:
         """Send robots their events, in one message each, and report the step if it has ended."""
         if not self._radio.events and not self._radio.accounts:
             return
-        events: defaultdict[int, list[MediumEvent]] = defaultdict(list)
+        events: defaultdict[int, list[messages.MediumEvent]] = defaultdict(list)
         for robot, event in self._radio.events:
             events[robot].append(event)
         self._radio.events.clear()
         for robot in sorted(events):
-            self._bus.put(self._keys_to_robots[robot], pack(RelayUpdate(events[robot])))
+            self._bus.put(self._keys_to_robots[robot], pack(messages.RelayUpdate(events[robot])))
         accounts, self._radio.accounts = self._radio.accounts, []
         for account in accounts:
-            self._put(names.WORLD, pack(Close(account.step)))
+            self._put(names.WORLD, pack(messages.Close(account.step)))
             self._report(account.report(captures=self._captures, links=self._watched))
 
     def _put(self, name: str, payload: bytes) -> None:
         """Send a packed message to a participant on the control plane."""
         self._bus.put(self._keys.control(name, names.RELAY), payload)
 
-    def _report_protocol_errors(self) -> None:
-        for robot, reason in self._radio.protocol_errors:
-            self._fault(names.robot(robot), reason)
-        self._radio.protocol_errors.clear()
-
     def _fault(self, name: str, reason: str) -> None:
         """Report a protocol error; give up on a robot that causes too many in a step."""
         self._protocol_errors[name] += 1
         if self._protocol_errors[name] <= MAX_PROTOCOL_ERRORS:
-            self._report(ErrorReport(name[:MAX_NAME], clip(reason)))
+            self._report(messages.ErrorReport(name[:MAX_NAME], clip(reason)))
         elif names.is_robot(name):
             self.give_up_on(names.number(name), TOO_MANY_ERRORS)
 
-    def _report(self, message: Record) -> None:
+    def _report(self, message: messages.Record) -> None:
         """Send a message to the recorder, and to the viewer if there is one.
 
         Only the recorder gets the frames of a step, and only the viewer its links.
         """
         recorded = shown = message
-        if isinstance(message, RadioReport):
+        if isinstance(message, messages.RadioReport):
             recorded, shown = replace(message, links=b""), replace(message, frames=b"")
         self._put(names.RECORDER, pack(recorded))
         if self._watched:

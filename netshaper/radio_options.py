@@ -17,21 +17,14 @@ LOG_DISTANCE = "log-distance"
 
 @dataclass(frozen=True)
 class Partition:
-    """Steps in which groups of robots do not receive each other.
-
-    Attributes
-    ----------
-    first, last : int
-        The steps from and to which it holds, both included.
-    groups : lists of robots
-        Robots receive only those of their own group; robots without a group form one more group.
-    """
+    """The steps from `first` to `last`, both included, in which groups of robots do not receive each other."""
 
     __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
 
     first: int
     last: int
     groups: tuple[tuple[int, ...], ...]
+    """Robots receive only those of their own group; robots without a group form one more group."""
 
     def __post_init__(self) -> None:
         if not 1 <= self.first <= self.last:

@@ -22,19 +22,9 @@ CHECK_S, MAX_MISSES = 0.25, 2
 class Router:
     """One host's router, connected to the hub.
 
-    Parameters
-    ----------
-    credential : Credential
-        The router's credential for the hub; it names the robots.
-    endpoint : str
-        Address at which the router listens for its robots.
-    credentials : mapping of str to Credential
-        The robots' credentials for the router, by name.
-
-    Raises
-    ------
-    ConnectionError
-        The hub does not answer or refuses the credential, or the endpoint is in use.
+    Its own `credential` for the hub names the robots. It listens at the address `endpoint` for them; `credentials` are
+    theirs for the router, by name. Raises ConnectionError if the hub does not answer or refuses the credential, or the
+    endpoint is in use.
     """
 
     def __init__(self, credential: Credential, endpoint: str, credentials: Mapping[str, Credential]) -> None:

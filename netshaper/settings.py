@@ -24,52 +24,35 @@ EXTRA_PER_MAP = Held.size + Offer.size + Passed.size + Target.size
 
 @dataclass(frozen=True, eq=False)
 class RadioSettings:
-    """Settings of a run's radio.
-
-    Attributes
-    ----------
-    robots : int
-    seed : int
-    range_cells : float
-        Communication range in cells; infinite if all robots receive each other.
-    budget : Budget
-        Bytes per step that the team shares.
-    rounds : int
-        Rounds per step (R).
-    gossip : bool
-        Whether maps are broadcast; else robots offer them to each other.
-    incarnations : int
-        Maximum number of starts of a robot. Each incarnation has a map of its own.
-    options : RadioOptions
-    cell_m : float
-        Side of a cell in meters.
-    walls : grid or None
-        The world's cells, if links depend on them.
-    send, receive : tuple of int
-        Bytes per step that each robot can send and receive, 0 for no limit; empty if no robot has a limit.
-    changes : tuple of Change
-        Scheduled changes of budget and range.
-    faults : tuple of FaultEvent
-        Scheduled faults of radios (`protocol.faults.RADIO_KINDS`).
-    step_ns : int or None
-        Duration of a step by the wall clock, in nanoseconds; None: phases wait for all robots.
-    """
+    """Settings of a run's radio."""
 
     robots: int
     seed: int
     range_cells: float
+    """Communication range in cells; infinite if all robots receive each other."""
     budget: Budget = UNLIMITED
+    """Bytes per step that the team shares."""
     rounds: int = 2
+    """Rounds per step (R)."""
     gossip: bool = False
+    """Whether maps are broadcast; else robots offer them to each other."""
     incarnations: int = 1
+    """Maximum number of starts of a robot. Each incarnation has a map of its own."""
     options: RadioOptions = field(default_factory=RadioOptions)
     cell_m: float = 1.0
+    """Side of a cell in meters."""
     walls: Grid | None = None
+    """The world's cells, if links depend on them."""
     send: tuple[int, ...] = ()
+    """Bytes per step that each robot can send, 0 for no limit; empty if no robot has a limit."""
     receive: tuple[int, ...] = ()
+    """Bytes per step that each robot can receive, in the same form."""
     changes: tuple[Change, ...] = ()
+    """Scheduled changes of budget and range."""
     faults: tuple[FaultEvent, ...] = ()
+    """Scheduled faults of radios (`protocol.faults.RADIO_KINDS`)."""
     step_ns: int | None = None
+    """Duration of a step by the wall clock, in nanoseconds; None: phases wait for all robots."""
 
     @property
     def maps(self) -> int:

@@ -95,11 +95,11 @@ class WallClock(StepClock):
 
     def is_late(self, robot: int, step: int) -> bool:
         """Return whether a robot has missed the step of this move; it has finished this step now."""
-        owed = self._owed.get(robot, [])
-        if step not in owed:
-            return False
-        self._keep(robot, [each for each in owed if each > step])
-        return True
+        owed = self._owed.pop(robot, [])
+        later = [each for each in owed if each > step] if step in owed else owed
+        if later:
+            self._owed[robot] = later
+        return step in owed
 
     def is_over(self, moved: int, active: int) -> bool:
         """Return whether the time of the step is over."""
@@ -115,13 +115,7 @@ class WallClock(StepClock):
 
     def forget(self, robot: int) -> None:
         """Expect no late moves of a robot."""
-        self._keep(robot, [])
-
-    def _keep(self, robot: int, owed: list[int]) -> None:
-        if owed:
-            self._owed[robot] = owed
-        else:
-            self._owed.pop(robot, None)
+        self._owed.pop(robot, None)
 
 
 class RecordedClock(StepClock):

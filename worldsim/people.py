@@ -53,25 +53,10 @@ class _Person:
 
 
 class People:
-    """All people; draws are keyed by seed, person, and step.
+    """All people; draws are keyed by the run's seed, person, and step.
 
-    Parameters
-    ----------
-    truth : uint8 array, shape (h, w)
-        The true map.
-    reachable : bool array, shape (h, w)
-        The cells in which people may be.
-    taken : bool array, shape (h, w)
-        Cells too close to a robot to start there.
-    settings : PeopleSettings
-        Number, speed, and radius.
-    seed : int
-        Seed of the run.
-
-    Raises
-    ------
-    ValueError
-        There are fewer free cells than people.
+    `truth` (uint8) is the true map, `reachable` (bool) the cells in which people may be, and `taken` (bool) those too
+    close to a robot to start there; all have shape (h, w). Raises ValueError if there are fewer free cells than people.
     """
 
     def __init__(

@@ -19,22 +19,6 @@ from protocol.grid import FINE
 from protocol.keys import Keys
 from protocol.message_codec import pack
 from protocol.message_fields import MAX_NAME, clip
-from protocol.messages import (
-    Back,
-    Begin,
-    Close,
-    End,
-    FaultEvent,
-    Lost,
-    Move,
-    Positions,
-    Reconnected,
-    Record,
-    Shutdown,
-    Stop,
-    Watched,
-    WorldReport,
-)
 from protocol.rights import MAX_PROTOCOL_ERRORS, TOO_MANY_ERRORS
 from worldsim.barrier import Barrier
 from worldsim.base import BaseWorld
@@ -85,7 +69,7 @@ class WorldNode:
         """Process one message from the bus."""
         try:
             content = rights.read(*message)
-            if isinstance(content, Move):
+            if isinstance(content, messages.Move):
                 self._barrier.take_move(names.number(names.parts(message.key)[3]), content)
             else:
                 self._take_note(content)
@@ -113,7 +97,7 @@ class WorldNode:
 
     def give_up_on(self, robot: int, cause: str) -> None:
         """Continue without a robot; the relay removes it from the run."""
-        self._bus.put(self._keys.control_tx(names.WORLD), pack(Lost(robot, cause)))
+        self._bus.put(self._keys.control_tx(names.WORLD), pack(messages.Lost(robot, cause)))
         if self._restarts.give_up_on(robot):
             if self._restarts.awaited:
                 self._start_awaited()
@@ -122,27 +106,27 @@ class WorldNode:
 
     def _take_note(self, note: object) -> None:
         """Process a message of the relay."""
-        if isinstance(note, Begin):
+        if isinstance(note, messages.Begin):
             self._barrier.running = True
             self._open_step({})
-        elif isinstance(note, Lost):
+        elif isinstance(note, messages.Lost):
             self._take_loss(note.robot)
-        elif isinstance(note, Close):
+        elif isinstance(note, messages.Close):
             self._barrier.medium_closed = note.step == self._world.step
-        elif isinstance(note, Back):
+        elif isinstance(note, messages.Back):
             self._restarts.note_return(note.robot)
             self._start_awaited()
-        elif isinstance(note, Reconnected):
+        elif isinstance(note, messages.Reconnected):
             self._resend(names.robot(note.robot))
-        elif isinstance(note, FaultEvent):
+        elif isinstance(note, messages.FaultEvent):
             self._schedule(note)
-        elif isinstance(note, Stop):
+        elif isinstance(note, messages.Stop):
             self._ending.stop_reason = note.reason
             if self._barrier.running and self._restarts.awaited:
-                self._end(End(self._world.step, note.reason, -1))
-        elif isinstance(note, Watched):
+                self._end(messages.End(self._world.step, note.reason, -1))
+        elif isinstance(note, messages.Watched):
             self._has_viewer = note.here
-        elif isinstance(note, Shutdown):
+        elif isinstance(note, messages.Shutdown):
             self.done = True
 
     def _end_steps(self) -> None:
@@ -163,7 +147,7 @@ class WorldNode:
         else:
             self._open_step(moves)
 
-    def _open_step(self, moves: Mapping[int, Move]) -> None:
+    def _open_step(self, moves: Mapping[int, messages.Move]) -> None:
         """Apply the faults of the next step; open it unless restarts hold it."""
         self._wait()
         self._protocol_errors.clear()
@@ -175,7 +159,7 @@ class WorldNode:
         else:
             self._advance()
 
-    def _schedule(self, event: FaultEvent) -> None:
+    def _schedule(self, event: messages.FaultEvent) -> None:
         """Schedule a fault that was requested during the run; one without a step occurs in the next."""
         known = event.kind in KINDS and event.robot < len(self._body_keys)
         if not known:
@@ -185,22 +169,22 @@ class WorldNode:
             self._report(messages.ErrorReport(names.RECORDER, reason))
         else:
             step = max(event.step, self._world.step + 1)
-            self._world.faults.add(FaultEvent(step, event.robot, event.kind, event.steps))
+            self._world.faults.add(messages.FaultEvent(step, event.robot, event.kind, event.steps))
 
-    def _apply(self, fault: FaultEvent) -> None:
+    def _apply(self, fault: messages.FaultEvent) -> None:
         """Apply a due fault and report it; only a restart applies to a robot that is gone."""
         robot, here = fault.robot, fault.robot in self._world.cells
         step = self._world.step + 1
         if fault.kind == "restart":
             self._restarts.request(robot)
         if here and fault.kind in ("kill", "restart"):
-            killed = FaultEvent(step, robot, "kill")
+            killed = messages.FaultEvent(step, robot, "kill")
             self._report(killed)
             self._bus.put(self._keys.control_tx(names.WORLD), pack(killed))
             self._send(robot, killed)
             self._barrier.remove(robot)
         elif here and fault.kind != "restart":
-            self._report(FaultEvent(step, robot, fault.kind, fault.steps))
+            self._report(messages.FaultEvent(step, robot, fault.kind, fault.steps))
         if here and fault.kind == "death":
             self._barrier.remove(robot)
 
@@ -209,13 +193,13 @@ class WorldNode:
         unexpected = robot in self._world.cells or robot in self._restarts.rejoined
         self._barrier.remove(robot)
         if self._restarts.note_end(robot, unexpected=unexpected):
-            self._report(FaultEvent(self._world.step, robot, "restart"))
+            self._report(messages.FaultEvent(self._world.step, robot, "restart"))
         self._start_awaited()
 
     def _start_awaited(self) -> None:
         """Ask the launcher to restart awaited robots whose processes have ended; continue once all have rejoined."""
         for robot in self._restarts.take_startable():
-            self._report(FaultEvent(self._world.step + 1, robot, "restart"))
+            self._report(messages.FaultEvent(self._world.step + 1, robot, "restart"))
         if self._barrier.running and self._restarts.complete():
             self._advance()
 
@@ -225,7 +209,7 @@ class WorldNode:
         senses = world.move_robots(self._barrier.begin_step())
         robots = world.active_robots()
         x, y = ([world.cells[robot][axis] for robot in robots] for axis in range(2))
-        positions = Positions(world.step, robots, x, y)
+        positions = messages.Positions(world.step, robots, x, y)
         self._bus.put(self._keys.control_tx(names.WORLD), pack(positions))
         for robot, sense in senses:
             self._send(robot, sense)
@@ -245,15 +229,14 @@ class WorldNode:
         elif self._protocol_errors[sender] == MAX_PROTOCOL_ERRORS + 1 and names.is_robot(sender):
             self.give_up_on(names.number(sender), TOO_MANY_ERRORS)
 
-    def _report(self, message: Record) -> None:
+    def _report(self, message: messages.Record) -> None:
         """Send a message to the recorder, and to the viewer if there is one."""
         payload = pack(message)
         self._bus.put(self._keys.control(names.RECORDER, names.WORLD), payload)
         if self._has_viewer:
             self._bus.put(self._keys.control(names.VIEW, names.WORLD), payload)
 
-    def _world_report(self) -> WorldReport:
-        """Return the true state of this step."""
+    def _world_report(self) -> messages.WorldReport:
         world = self._world
         poses = np.array(
             [
@@ -264,20 +247,18 @@ class WorldNode:
         ).reshape(-1, 4)
         driven = [round(cells * self._cell_mm) for cells in world.driven]
         people = np.rint(np.array(world.people).reshape(-1, 2) * self._cell_mm).astype("<i4").tobytes()
-        return WorldReport(
+        return messages.WorldReport(
             world.step, poses.tobytes(), driven, world.seen_cells, world.reachable_cells, people
         )
 
     def _millimeters(self, robot: int) -> tuple[int, int]:
-        """Return a robot's position in millimeters."""
         (x, y), (offset_x, offset_y) = self._world.cells[robot], self._world.offsets[robot]
         scale = self._cell_mm / FINE
         return round((x * FINE + offset_x) * scale), round((y * FINE + offset_y) * scale)
 
-    def _end(self, end: End) -> None:
-        """End the run."""
+    def _end(self, end: messages.End) -> None:
         self._barrier.running = False
         self._bus.put(self._keys.control_tx(names.WORLD), pack(end))
 
-    def _send(self, robot: int, message: Record) -> None:
+    def _send(self, robot: int, message: messages.Record) -> None:
         self._bus.put(self._body_keys[robot], pack(message))

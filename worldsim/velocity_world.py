@@ -39,22 +39,12 @@ STOP = Velocity(0.0, 0.0)
 
 
 class VelocityWorld:
-    """All robots and people.
+    """All robots and people on the true map, uint8 of shape (h, w), whose cells are solid if they are not free.
 
-    Parameters
-    ----------
-    truth : uint8 array, shape (h, w)
-        The true map; cells that are not free are solid.
-    frame : MapFrame
-        Where the map lies.
-    settings : WorldSettings
-        Bodies, start cells, seed, sensors (which must be given), and people, whose speed is in cells per second.
-    headings : sequence of float
-        Heading of each robot at the start, in radians.
-    step_s : float
-        Seconds of a step.
-    sees_robots : bool
-        Whether lasers measure the distance to other robots. If not, beams that meet one have no measurement.
+    `frame` tells where the map lies. Of `settings`, bodies, start cells, seed, sensors (which must be given), and
+    people count, whose speed is in cells per second. `headings` are those of the robots at the start, in radians, and a
+    step lasts `step_s` seconds. `sees_robots`: whether lasers measure the distance to other robots; if not, beams that
+    meet one have no measurement.
     """
 
     def __init__(

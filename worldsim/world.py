@@ -18,21 +18,9 @@ from protocol.kernels import kernel
 from protocol.keyed_random import keyed_random
 from protocol.messages import FaultEvent, Move, Sense
 from protocol.scans import NONE, draw
+from worldsim import motion
 from worldsim.base import BaseWorld
 from worldsim.laser import FULL_TURN, HEADINGS, cast
-from worldsim.motion import (
-    DIAGONAL,
-    INTERFERENCE,
-    NOT_BLOCKED,
-    TAKEN_BY_ROBOT,
-    cell_of,
-    clear,
-    drive,
-    glide,
-    heading_of,
-    mark_near,
-    swept,
-)
 from worldsim.people import People, PeopleSettings
 from worldsim.range_laser import NO_DISCS
 from worldsim.sensors import Sensors, SensorSettings
@@ -52,7 +40,6 @@ class WorldSettings:
     beams: int = 360
     """Laser beams per full turn."""
     seed: int = 0
-    """Seed of all random draws of the world."""
     interference_cells: float = 0.0
     """Robots closer to each other than this hinder each other; 0: never."""
     faults: tuple[FaultEvent, ...] = ()
@@ -114,7 +101,7 @@ class World(BaseWorld):
         floor = self.floors[self.settings.bodies[robot].radius_cells] == FREE
         marked = self._mark_others(robot, math.inf)
         rows, columns = np.nonzero(floor & self.reachable & (self._taken == 0))
-        clear(marked)
+        motion.clear(marked)
         if len(rows):
             nearest = int(np.argmin((columns - x) ** 2 + (rows - y) ** 2))
             self.cells[robot] = int(columns[nearest]), int(rows[nearest])
@@ -136,7 +123,7 @@ class World(BaseWorld):
         blocked: dict[int, str] = {}
         before = dict(self.cells)
         for robot in self.active_robots():
-            entered[robot], blocked[robot] = [], NOT_BLOCKED
+            entered[robot], blocked[robot] = [], motion.NOT_BLOCKED
             move = moves.get(robot)
             if move is not None:
                 entered[robot], blocked[robot] = self._move(robot, move, before)
@@ -163,28 +150,28 @@ class World(BaseWorld):
             points = self._sensors.true_points(robot, self.step - 1, path, points)
         self.headings[robot] = move.heading % HEADINGS
         if (path or points) and self._hindered(robot, before):
-            return [], INTERFERENCE
+            return [], motion.INTERFERENCE
         body, start, offset = self.settings.bodies[robot], self.cells[robot], self.offsets[robot]
         floor, way = self.floors[body.radius_cells], body.speed + self._carry[robot]
-        marked = self._mark_others(robot, way, [cell_of(point) for point in points] or path)
+        marked = self._mark_others(robot, way, [motion.cell_of(point) for point in points] or path)
         if points:
             point = start[0] * FINE + offset[0], start[1] * FINE + offset[1]
-            result = glide(floor, self._taken, point, points, way)
+            result = motion.glide(floor, self._taken, point, points, way)
         else:
-            diagonal = 1.0 if self.settings.cell_steps else DIAGONAL
-            result = drive(floor, self._taken, start, path, way, diagonal)
-        clear(marked)
+            diagonal = 1.0 if self.settings.cell_steps else motion.DIAGONAL
+            result = motion.drive(floor, self._taken, start, path, way, diagonal)
+        motion.clear(marked)
         self._carry[robot] = result.carry
         self.driven[robot] += result.length
         if result.length:
-            x, y = self.cells[robot] = cell_of(result.point)
+            x, y = self.cells[robot] = motion.cell_of(result.point)
             self.offsets[robot] = result.point[0] - x * FINE, result.point[1] - y * FINE
         # Robots with real sensors face the wall that stops them, and mark it. Others see it once they turn toward it.
         faces_wall = self._sensors is not None and result.bump != (0, 0)
         direction = result.bump if faces_wall else result.direction
         if direction != (0, 0):
-            self.headings[robot] = heading_of(*direction)
-        return swept(start, result.cells), result.blocked
+            self.headings[robot] = motion.heading_of(*direction)
+        return motion.swept(start, result.cells), result.blocked
 
     def _mark_others(
         self, robot: int, way: float, path: Sequence[tuple[int, int]] | None = None
@@ -210,7 +197,7 @@ class World(BaseWorld):
         marked = []
         for other, cell in others if self.settings.robots_collide else ():
             reach = own + self.settings.bodies[other].radius_cells
-            marked.append(mark_near(self._taken, cell, reach, TAKEN_BY_ROBOT))
+            marked.append(motion.mark_near(self._taken, cell, reach, motion.TAKEN_BY_ROBOT))
         if self._people is not None:
             marked += self._people.mark(self._taken, own)
         return marked
@@ -225,7 +212,7 @@ class World(BaseWorld):
         near = np.zeros(self.truth.shape, np.uint8)
         for robot, cell in self.cells.items():
             reach = radius_cells + self.settings.bodies[robot].radius_cells
-            mark_near(near, cell, reach, TAKEN_BY_ROBOT)
+            motion.mark_near(near, cell, reach, motion.TAKEN_BY_ROBOT)
         return near.view(np.bool_)
 
     def _hindered(self, robot: int, before: Mapping[int, tuple[int, int]]) -> bool:

@@ -24,7 +24,6 @@ from agent.radios.team_key import create_key
 from deploy.bench.measurement import Measurement
 
 SIDES_M = (20, 50)
-"""Sides of the measured offices."""
 ROBOTS = 2
 STEP_S = 0.2
 WARM_UP_S = 15.0
@@ -123,7 +122,6 @@ def _wait(seconds: float, process: subprocess.Popen[bytes]) -> None:
 
 
 def _processor_s(pid: int) -> float:
-    """Return the processor time of a process in seconds."""
     fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 

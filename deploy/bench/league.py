@@ -60,23 +60,8 @@ def tasks(
 ) -> list[Task]:
     """The units of work: the offline plans of each map, and each strategy in each scenario.
 
-    Parameters
-    ----------
-    maps : sequence of str
-        Names of shipped maps, or files.
-    robots : sequence of int
-        Team sizes.
-    seeds : int
-        Number of seeds, from 0.
-    names : sequence of str
-        Names of strategies; all if empty.
-    settings : dict
-        Scenario settings of all runs, on top of `DEFAULTS`.
-
-    Raises
-    ------
-    ValueError
-        A name or a setting is invalid.
+    `robots` are the team sizes, `seeds` the number of seeds, from 0, and `names` the strategies: all if empty.
+    `settings` are settings of all scenarios, on top of `DEFAULTS`. Raises ValueError if a name or a setting is invalid.
     """
     competing = [*names] or sorted(strategies())
     for name in competing:

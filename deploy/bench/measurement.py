@@ -18,28 +18,18 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class Measurement:
-    """One measured value.
-
-    Attributes
-    ----------
-    name, unit : str
-        The quantity and its unit.
-    value : float
-        Median over repetitions.
-    baseline : str
-        The quantity that it is compared with; empty without a comparison.
-    ratio : float or None
-        Median of value / baseline.
-    interval : (float, float) or None
-        95 % bootstrap interval of the median ratio.
-    """
+    """One measured value."""
 
     name: str
     unit: str
     value: float
+    """Median over repetitions."""
     baseline: str = ""
+    """The quantity that it is compared with; empty without a comparison."""
     ratio: float | None = None
+    """Median of value / baseline."""
     interval: tuple[float, float] | None = None
+    """95 % bootstrap interval of the median ratio."""
 
     def line(self) -> str:
         """Format the measurement as one line of text."""

@@ -20,19 +20,13 @@ class Sample(NamedTuple):
 
 
 class Observer:
-    """Samples a run; pass `observe` to the functions that run a plan.
-
-    Attributes
-    ----------
-    samples : list of Sample
-        The samples since the first step.
-    memory_mb : float
-        Median memory of the robots' processes at the first step; 0 without processes.
-    """
+    """Samples a run; pass `observe` to the functions that run a plan."""
 
     def __init__(self) -> None:
         self.samples: list[Sample] = []
+        """The samples since the first step."""
         self.memory_mb = 0.0
+        """Median memory of the robots' processes at the first step; 0 without processes."""
         self._began = time.perf_counter()
 
     def observe(self, records: Records) -> None:

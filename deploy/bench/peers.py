@@ -24,26 +24,16 @@ from deploy.study.tables import VARIANT, key_of, metric_value
 
 @dataclass(frozen=True)
 class Peer:
-    """A simulator or paper, and how it measures a team.
-
-    Attributes
-    ----------
-    name : str
-    experiment : str
-        File name of the shipped experiment with its rules.
-    metrics : tuple of str
-        Metrics of runs.
-    baseline : str
-        The variant with which all others are compared.
-    settings : dict
-        Values that replace those of the experiment's grid and base.
-    """
+    """A simulator or paper, and how it measures a team."""
 
     name: str
     experiment: str
+    """File name of the shipped experiment with its rules."""
     metrics: tuple[str, ...]
     baseline: str = "nearest"
+    """The variant with which all others are compared."""
     settings: Mapping[str, Any] = field(default_factory=dict)
+    """Values that replace those of the experiment's grid and base."""
 
 
 PEERS = (
@@ -59,12 +49,7 @@ PEERS = (
 def peers(chosen: Sequence[Peer] = PEERS) -> Iterator[Measurement]:
     """Run the reduced experiment of each peer, and measure each of its variants.
 
-    Raises
-    ------
-    ConnectionError
-        A run failed.
-    RunFailed
-        All runs of a peer failed.
+    Raises ConnectionError if a run failed, RunFailed if all runs of a peer did.
     """
     for peer in chosen:
         experiment = experiments.quickened(experiments.read(Path(peer.experiment)))

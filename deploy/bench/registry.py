@@ -36,23 +36,10 @@ def run_benchmarks(
     robots: Sequence[int] = (),
     strategies: Sequence[str] = (),
 ) -> list[dict[str, Any]]:
-    """Run benchmarks and report each measurement as soon as it is there.
+    """Run benchmarks, all but those `ON_REQUEST` if `names` is empty; `report` each line as soon as it is there.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Benchmarks to run; all but those `ON_REQUEST` if empty.
-    report : callable
-        Called with each line of text.
-    robots : sequence of int
-        Team sizes for ``scale``; its defaults if empty.
-    strategies : sequence of str
-        Strategies for ``scale``; its default if empty.
-
-    Raises
-    ------
-    ValueError
-        A name is unknown.
+    `robots` and `strategies` replace the defaults of ``scale`` if they are not empty. Raises ValueError if a name is
+    unknown.
     """
     unknown = [name for name in names if name not in BENCHMARKS]
     if unknown:

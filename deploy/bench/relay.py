@@ -31,7 +31,6 @@ CASES: tuple[dict[str, Any], ...] = (
     {"robots": 8, "map_encoding": "scans", "bandwidth": "unlimited"},
     {"robots": 32, "map_encoding": "polygons", "bandwidth": 1000},
 )
-"""Settings of the measured teams."""
 
 
 def relay() -> Iterator[Measurement]:

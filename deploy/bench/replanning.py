@@ -54,20 +54,14 @@ def replanning() -> Iterator[Measurement]:
 
 
 class DecisionTimer:
-    """Measures the processor time of decisions in which a robot chooses a target.
-
-    Attributes
-    ----------
-    spent_ms : list of float
-        Milliseconds of each such decision.
-    last : (grid, cell)
-        Planning grid and robot cell of the last one.
-    """
+    """Measures the processor time of decisions in which a robot chooses a target."""
 
     last: tuple[Grid, tuple[int, int]]
+    """Planning grid and robot cell of the last one."""
 
     def __init__(self) -> None:
         self.spent_ms: list[float] = []
+        """Milliseconds of each such decision."""
         self._replans = False
 
     @contextmanager

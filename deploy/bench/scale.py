@@ -38,13 +38,7 @@ MEMORY, TRANSMITTED = "memory per robot, proportional", "transmitted per step"
 
 
 def scale(robots: Sequence[int] = ROBOTS, strategies: Sequence[str] = STRATEGIES) -> Iterator[Measurement]:
-    """Measure the cost of a step for teams of these sizes, relative to the smallest team.
-
-    Raises
-    ------
-    ValueError
-        A strategy is unknown.
-    """
+    """Measure the cost of a step for teams of these sizes, relative to the smallest; ValueError: unknown strategy."""
     for name in strategies:
         registry.strategy(name)
     for name in strategies:

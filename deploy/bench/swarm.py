@@ -25,7 +25,6 @@ CASES: tuple[dict[str, Any], ...] = (
     {"map_encoding": "polygons", "bandwidth": 1000},
     {"map_encoding": "predictive", "bandwidth": "unlimited"},
 )
-"""Settings of the measured swarms."""
 
 
 def swarm() -> Iterator[Measurement]:

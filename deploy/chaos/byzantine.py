@@ -22,24 +22,6 @@ from protocol.keyed_random import keyed_random
 from protocol.keys import Keys
 from protocol.message_codec import pack, unpack
 from protocol.messages import RelayUpdate, RoundReport
-from protocol.packets import (
-    DECLINED,
-    EARLY,
-    UPDATE_NUMBERS,
-    Answer,
-    Block,
-    From,
-    FromEarly,
-    Gone,
-    Held,
-    Near,
-    Offer,
-    Pose,
-    Remove,
-    Save,
-    Target,
-    Update,
-)
 
 REPLACED = 0.25
 """Probability that a frame is replaced."""
@@ -176,13 +158,12 @@ class ByzantineBus:
             case 5:
                 return packet_codec.encode([_packet(draw) for _ in range(int(draw.integers(1, 4)))])
             case _:
-                begin = FromEarly(int(draw.integers(6)), int(draw.integers(EARLY)))
-                update = Update(int(draw.integers(UPDATE_NUMBERS)), bytes(draw.bytes(20)))
+                begin = packets.FromEarly(int(draw.integers(6)), int(draw.integers(packets.EARLY)))
+                update = packets.Update(int(draw.integers(packets.UPDATE_NUMBERS)), bytes(draw.bytes(20)))
                 return packet_codec.encode([begin]) + packet_codec.encode([update])
 
 
 def _flipped(draw: np.random.Generator, frame: bytes, bits: int) -> bytes:
-    """The frame with some flipped bits."""
     flipped = bytearray(frame)
     for _ in range(bits):
         flipped[int(draw.integers(len(flipped)))] ^= 1 << int(draw.integers(8))
@@ -194,8 +175,9 @@ def _packet(draw: np.random.Generator) -> packets.Packet:
     number, index = int(draw.integers(64)), int(draw.integers(4096))
     small = int(draw.integers(6))
     types: list[packets.Packet] = [
-        Offer(small, number), Answer(index), Block(number), Block(DECLINED), From(small, index), Held(small, index),
-        Near(small), Gone(small), Pose(index % 2048, small, small % 2), Save(), Remove(index),
-        Target(index % 2048, number),
+        packets.Offer(small, number), packets.Answer(index), packets.Block(number), packets.Block(packets.DECLINED),
+        packets.From(small, index), packets.Held(small, index), packets.Near(small), packets.Gone(small),
+        packets.Pose(index % 2048, small, small % 2), packets.Save(), packets.Remove(index),
+        packets.Target(index % 2048, number),
     ]  # fmt: skip
     return types[int(draw.integers(len(types)))]

@@ -50,7 +50,6 @@ def _encoding_of(lie: str, encoding: Any) -> type[MapEncoding]:
     class FalseEncoding(encoding):  # type: ignore[misc]
         name = f"false-{lie}-{encoding.name}"
         _false: Grid | None = None
-        """The false grid."""
 
         def encode_changes(self, own: Grid, scan: Scan, change: Change, *, delivered: bool) -> list[bytes]:
             """Encode the changes of the false grid; the cells around the robot are true."""

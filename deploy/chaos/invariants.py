@@ -42,26 +42,15 @@ class InvariantError(AssertionError):
 class InvariantChecker:
     """Checks a run robot by robot while it goes on.
 
-    Parameters
-    ----------
-    plan : Plan
-    byzantine : tuple of int
-        Robots without any guarantee.
-    damaged : bool
-        Whether robots may receive damaged frames.
-    lying : int, optional
-        A robot whose map is false.
-
-    Attributes
-    ----------
-    known : float
-        Share of the reachable free cells that the living robots know at the end.
+    There are no guarantees for robots in `byzantine`. `lying` is a robot whose map is false. `damaged`: whether robots
+    may receive damaged frames.
     """
 
     def __init__(
         self, plan: Plan, byzantine: tuple[int, ...], lying: int | None = None, *, damaged: bool = False
     ) -> None:
         self.known = 0.0
+        """Share of the reachable free cells that the living robots know at the end."""
         self._plan = plan
         self._byzantine = byzantine
         self._lying = lying
@@ -74,13 +63,7 @@ class InvariantChecker:
         self._lengths: dict[int, list[int]] = {}
 
     def check(self, step: int, robot: Robot) -> None:
-        """Check a robot once per step, at the end of the step.
-
-        Raises
-        ------
-        InvariantError
-            An invariant is violated.
-        """
+        """Check a robot once per step, at the end of the step; InvariantError if an invariant is violated."""
         number = robot.settings.robot
         previous, last = self._checked.get(number, (None, -1))
         if number in self._byzantine or (previous is robot and last == step):

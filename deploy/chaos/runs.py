@@ -25,27 +25,19 @@ AS_PROCESSES_EVERY = 10
 
 @dataclass(frozen=True)
 class Verdict:
-    """The result of a case.
-
-    Attributes
-    ----------
-    failure : str
-        The violated invariant or the error; empty if all invariants hold.
-    wall_s : float
-        Duration of the run in memory.
-    known : float
-        Share of the reachable cells that the living robots know at the end.
-    as_processes : bool
-        Whether the case was repeated as processes.
-    """
+    """The result of a case."""
 
     case: ChaosCase
     failure: str
+    """The violated invariant or the error; empty if all invariants hold."""
     digest: str = ""
     steps: int = 0
     wall_s: float = 0.0
+    """Duration of the run in memory."""
     known: float = 0.0
+    """Share of the reachable cells that the living robots know at the end."""
     as_processes: bool = False
+    """Whether the case was repeated as processes."""
 
     @property
     def line(self) -> str:

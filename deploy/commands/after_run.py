@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from deploy.commands.console import errors, explain_difference, progress, report_deaths, screen
-from deploy.commands.flags import JsonFlag, command_family
+from deploy.commands.flags import JsonFlag, argument, command_family, option, switch
 from deploy.run.exit_codes import BROKEN_OFF
 from deploy.scenario import plugins
 from deploy.scenario.errors import ScenarioError
@@ -22,9 +22,7 @@ app = command_family()
 
 @app.command()
 def report(
-    directories: Annotated[
-        list[Path], typer.Argument(metavar="DIR [OTHER]", help="a run directory, or two to compare")
-    ],
+    directories: Annotated[list[Path], argument("DIR [OTHER]", "a run directory, or two to compare")],
 ) -> None:
     """Write an HTML page of a run, with pictures and a slider; or compare two runs.
 
@@ -41,10 +39,8 @@ def report(
 
 @app.command()
 def export(
-    directory: Annotated[Path, typer.Argument(metavar="DIR", help="a run directory")],
-    mcap: Annotated[
-        bool, typer.Option("--mcap", help="a ROS 2 bag in MCAP, for RViz, Foxglove and ROS tools")
-    ] = False,
+    directory: Annotated[Path, argument("DIR", "a run directory")],
+    mcap: Annotated[bool, switch("--mcap", "a ROS 2 bag in MCAP, for RViz, Foxglove and ROS tools")] = False,
 ) -> None:
     """Export poses, scans, maps, outlines and radio traffic of a run to formats of other programs."""
     from deploy.after.export import export_mcap  # noqa: PLC0415
@@ -58,14 +54,12 @@ def export(
 @app.command()
 def movie(
     directories: Annotated[
-        list[Path], typer.Argument(metavar="DIR [OTHER]", help="a run directory, or two to show side by side")
+        list[Path], argument("DIR [OTHER]", "a run directory, or two to show side by side")
     ],
-    mp4: Annotated[bool, typer.Option("--mp4", help="write an MP4 (default)")] = False,
-    gif: Annotated[bool, typer.Option("--gif", help="write a GIF")] = False,
-    rate: Annotated[float, typer.Option(metavar="STEPS_PER_S", help="speed of the film")] = 10.0,
-    out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="the file (default: movie.mp4 or .gif in DIR)")
-    ] = None,
+    mp4: Annotated[bool, switch("--mp4", "write an MP4 (default)")] = False,
+    gif: Annotated[bool, switch("--gif", "write a GIF")] = False,
+    rate: Annotated[float, option("STEPS_PER_S", "speed of the film")] = 10.0,
+    out: Annotated[Path | None, option("FILE", "the file (default: movie.mp4 or .gif in DIR)")] = None,
 ) -> None:
     """Film a run, step by step, or two side by side.
 
@@ -85,13 +79,10 @@ def movie(
 
 @app.command()
 def replay(
-    directory: Annotated[Path, typer.Argument(metavar="DIR", help="a run directory")],
-    bus: Annotated[
-        str | None, typer.Option(help="bus to use (default: the run's own)", metavar="zenoh|memory")
-    ] = None,
+    directory: Annotated[Path, argument("DIR", "a run directory")],
+    bus: Annotated[str | None, option("zenoh|memory", "bus to use (default: the run's own)")] = None,
     trust: Annotated[
-        bool,
-        typer.Option("--trust", help="run a strategy or map encoding that is not of an installed package"),
+        bool, switch("--trust", "run a strategy or map encoding that is not of an installed package")
     ] = False,
     as_json: JsonFlag = False,
 ) -> None:
@@ -149,29 +140,18 @@ def _confirm_local_code(directory: Path, scenario: Scenario) -> None:
 
 @app.command("capture")
 def show_capture(
-    directory: Annotated[
-        Path | None, typer.Argument(metavar="DIR", help="a run directory, or its radio.pcapng")
-    ] = None,
-    robot: Annotated[
-        int | None, typer.Option(min=0, metavar="N", help="only frames that this robot sent or received")
-    ] = None,
+    directory: Annotated[Path | None, argument("DIR", "a run directory, or its radio.pcapng")] = None,
+    robot: Annotated[int | None, option("N", "only frames that this robot sent or received", min=0)] = None,
     kind: Annotated[
-        str | None, typer.Option(metavar="KIND", help="only frames with packets of this kind, such as update")
+        str | None, option("KIND", "only frames with packets of this kind, such as update")
     ] = None,
-    step: Annotated[str | None, typer.Option(metavar="S|S-T", help="only these steps")] = None,
-    refused: Annotated[bool, typer.Option("--refused", help="only refused or lost frames")] = False,
-    packets: Annotated[
-        bool, typer.Option("--packets", help="list every packet with its bytes and fields")
-    ] = False,
+    step: Annotated[str | None, option("S|S-T", "only these steps")] = None,
+    refused: Annotated[bool, switch("--refused", "only refused or lost frames")] = False,
+    packets: Annotated[bool, switch("--packets", "list every packet with its bytes and fields")] = False,
     install_dissector: Annotated[
-        bool,
-        typer.Option(
-            "--install-dissector", help="install the Wireshark and tshark dissector of radio.pcapng"
-        ),
+        bool, switch("--install-dissector", "install the Wireshark and tshark dissector of radio.pcapng")
     ] = False,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="print JSON: all frames with their packets")
-    ] = False,
+    as_json: Annotated[bool, switch("--json", "print JSON: all frames with their packets")] = False,
 ) -> None:
     """Show the radio traffic of a run, frame by frame, with the verdict on each frame.
 
@@ -200,15 +180,10 @@ def show_capture(
 @app.command()
 def merge(
     directories: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="DIR...", help="the record directory of each robot, or those of single starts in it"
-        ),
+        list[Path], argument("DIR...", "the record directory of each robot, or those of single starts in it")
     ],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="the new run directory")],
-    view: Annotated[
-        bool, typer.Option("--view", help="also write the recording that murmur watch shows")
-    ] = False,
+    out: Annotated[Path, option("DIR", "the new run directory")],
+    view: Annotated[bool, switch("--view", "also write the recording that murmur watch shows")] = False,
 ) -> None:
     """Join what robots in the field recorded into one run directory, on one clock.
 

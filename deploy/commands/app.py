@@ -15,7 +15,6 @@ from typer.core import TyperGroup
 from protocol.numba_import import check_compiler
 
 PACKAGE = "murmur-robots"
-"""The distribution's name."""
 
 
 class Entry(NamedTuple):

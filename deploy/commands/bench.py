@@ -6,11 +6,9 @@ import json
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
 from deploy.commands.console import errors, screen
 from deploy.commands.flag_values import named_values
-from deploy.commands.flags import JsonFlag, command_family, file_option
+from deploy.commands.flags import JsonFlag, argument, command_family, file_option, option
 from deploy.scenario.tables import MAX_RUNS
 
 app = command_family()
@@ -22,43 +20,37 @@ LEAGUE_SEEDS = 3
 def bench(
     names: Annotated[
         list[str] | None,
-        typer.Argument(
-            metavar="NAME",
-            help="kernels, swarm, replanning, relay, scale, field; default: all of these. "
+        argument(
+            "NAME",
+            "kernels, swarm, replanning, relay, scale, field; default: all of these. "
             "Or strategies: the league table; or peers: the rules of other simulators",
         ),
     ] = None,
     robots: Annotated[
-        list[int] | None,
-        typer.Option(min=1, max=256, metavar="N", help="team size for scale and strategies; repeatable"),
+        list[int] | None, option("N", "team size for scale and strategies; repeatable", min=1, max=256)
     ] = None,
     maps: Annotated[
         list[str] | None,
-        typer.Option("--map", metavar="FILE|NAME", help="a map for strategies (default office); repeatable"),
+        option("FILE|NAME", "a map for strategies (default office); repeatable", name="--map"),
     ] = None,
     strategies: Annotated[
         list[str] | None,
-        typer.Option(
-            "--strategy",
-            metavar="NAME",
-            help="strategy of strategies (default: all) and scale (default: meier); repeatable",
+        option(
+            "NAME",
+            "strategy of strategies (default: all) and scale (default: meier); repeatable",
+            name="--strategy",
         ),
     ] = None,
     seeds: Annotated[
-        int | None,
-        typer.Option(
-            min=1, max=MAX_RUNS, metavar="N", help="seeds per map and team of strategies (default 3)"
-        ),
+        int | None, option("N", "seeds per map and team of strategies (default 3)", min=1, max=MAX_RUNS)
     ] = None,
     settings: Annotated[
         list[str] | None,
-        typer.Option(
-            "--set", metavar="KEY=VALUE", help="a setting of all scenarios for strategies; repeatable"
-        ),
+        option("KEY=VALUE", "a setting of all scenarios for strategies; repeatable", name="--set"),
     ] = None,
     picture: Annotated[Path | None, file_option("FILE.png", "draw the league table")] = None,
     jobs: Annotated[
-        int | None, typer.Option(min=1, metavar="N", help="processes for strategies (default: one per core)")
+        int | None, option("N", "processes for strategies (default: one per core)", min=1)
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:
@@ -88,9 +80,9 @@ def bench(
 def _refuse_options(names: list[str], scale: dict[str, object], league: dict[str, object]) -> None:
     """Raise ValueError if an option of ``scale`` or of the league table is given that has no effect on benchmarks."""
     without_effect = league if not names or "scale" in names else league | scale
-    for option, value in without_effect.items():
+    for flag, value in without_effect.items():
         if value is not None:
-            raise ValueError(f"--{option} has no effect on {', '.join(names or ['these benchmarks'])}")
+            raise ValueError(f"--{flag} has no effect on {', '.join(names or ['these benchmarks'])}")
 
 
 def _league(

@@ -10,28 +10,26 @@ import typer
 
 from deploy.commands.console import errors, progress, report_result, screen
 from deploy.commands.flag_values import named_values
-from deploy.commands.flags import JsonFlag, OutOption, ViewAs, command_family, subcommands
+from deploy.commands.flags import JsonFlag, OutOption, ViewAs, argument, command_family, option, subcommands
 from deploy.scenario.scenario import load
 
 app = command_family()
 run_app = subcommands(app, "run", "Start one process of a run by hand (see docs/several-terminals.md).")
 
 ScenarioOfRun = Annotated[
-    Path | None,
-    typer.Argument(metavar="SCENARIO.toml", help="the scenario file, the same for all processes of a run"),
+    Path | None, argument("SCENARIO.toml", "the scenario file, the same for all processes of a run")
 ]
 
 
 @run_app.command("netshaper")
 def run_netshaper(
     scenario: ScenarioOfRun = None,
-    listen: Annotated[str, typer.Option(metavar="HOST:PORT", help="address of the hub")] = "127.0.0.1:7447",
+    listen: Annotated[str, option("HOST:PORT", "address of the hub")] = "127.0.0.1:7447",
     credentials: Annotated[
-        Path, typer.Option(metavar="DIR", help="new directory for the credential files, one per participant")
+        Path, option("DIR", "new directory for the credential files, one per participant")
     ] = Path("credentials"),
     keys: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="certificates of murmur keys: mutual TLS instead of passwords"),
+        Path | None, option("DIR", "certificates of murmur keys: mutual TLS instead of passwords")
     ] = None,
 ) -> None:
     """Start the radio relay and hub, which all other processes join; it writes their credentials."""
@@ -42,9 +40,7 @@ def run_netshaper(
 
 @run_app.command("worldsim")
 def run_worldsim(
-    credential: Annotated[
-        Path, typer.Option(metavar="FILE", help="world.json of the netshaper's credentials")
-    ],
+    credential: Annotated[Path, option("FILE", "world.json of the netshaper's credentials")],
     scenario: ScenarioOfRun = None,
 ) -> None:
     """Start the world simulator, with the map and the clock; the run begins when all processes have joined."""
@@ -55,9 +51,7 @@ def run_worldsim(
 
 @run_app.command("agent")
 def run_agent(
-    credential: Annotated[
-        Path, typer.Option(metavar="FILE", help="rN.json of the netshaper's credentials; -: standard input")
-    ],
+    credential: Annotated[Path, option("FILE", "rN.json of the netshaper's credentials; -: standard input")],
 ) -> None:
     """Start one robot; it receives its settings over the bus."""
     from deploy.run.by_hand import serve_robot  # noqa: PLC0415
@@ -67,9 +61,7 @@ def run_agent(
 
 @run_app.command("agents")
 def run_agents(
-    plugin: Annotated[
-        list[str] | None, typer.Option(metavar="SETTING=NAME", help="a plug-in that the robots need")
-    ] = None,
+    plugin: Annotated[list[str] | None, option("SETTING=NAME", "a plug-in that the robots need")] = None,
 ) -> None:
     """Start robots for `murmur explore --hosts` on another host; it uses standard input and output."""
     from deploy.run.remote_agents import serve  # noqa: PLC0415
@@ -79,14 +71,10 @@ def run_agents(
 
 @run_app.command("router")
 def run_router(
-    credential: Annotated[
-        Path, typer.Option(metavar="FILE", help="router@NAME.json of the netshaper's credentials")
-    ],
-    listen: Annotated[
-        str, typer.Option(metavar="HOST:PORT", help="address of the router")
-    ] = "127.0.0.1:7448",
+    credential: Annotated[Path, option("FILE", "router@NAME.json of the netshaper's credentials")],
+    listen: Annotated[str, option("HOST:PORT", "address of the router")] = "127.0.0.1:7448",
     credentials: Annotated[
-        Path, typer.Option(metavar="DIR", help="new directory for the credential files of its robots")
+        Path, option("DIR", "new directory for the credential files of its robots")
     ] = Path("routed"),
 ) -> None:
     """Start a router, whose robots share one connection to the hub (docs/hosts.md)."""
@@ -97,11 +85,9 @@ def run_router(
 
 @run_app.command("view")
 def run_view(
-    credential: Annotated[
-        Path, typer.Option(metavar="FILE", help="view.json of the netshaper's credentials")
-    ],
+    credential: Annotated[Path, option("FILE", "view.json of the netshaper's credentials")],
     scenario: ScenarioOfRun = None,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="directory for the recording")] = Path(),
+    out: Annotated[Path, option("DIR", "directory for the recording")] = Path(),
     view_as: ViewAs = "auto",
 ) -> None:
     """Start a viewer; it may join and leave at any time."""
@@ -114,9 +100,7 @@ def run_view(
 
 @run_app.command("recorder")
 def run_recorder(
-    credential: Annotated[
-        Path, typer.Option(metavar="FILE", help="recorder.json of the netshaper's credentials")
-    ],
+    credential: Annotated[Path, option("FILE", "recorder.json of the netshaper's credentials")],
     scenario: ScenarioOfRun = None,
     out: OutOption = None,
     as_json: JsonFlag = False,

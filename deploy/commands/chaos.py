@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from deploy.commands.console import errors, screen
-from deploy.commands.flags import command_family
+from deploy.commands.flags import command_family, option, switch
 
 if TYPE_CHECKING:
     from deploy.chaos.runs import Verdict
@@ -18,15 +18,13 @@ app = command_family()
 
 @app.command()
 def chaos(
-    runs: Annotated[int, typer.Option(min=1, metavar="N", help="number of runs")] = 100,
-    seed: Annotated[int, typer.Option(min=0, metavar="S", help="seed of the first run")] = 0,
+    runs: Annotated[int, option("N", "number of runs", min=1)] = 100,
+    seed: Annotated[int, option("S", "seed of the first run", min=0)] = 0,
     shrink: Annotated[
-        bool, typer.Option("--shrink/--no-shrink", help="reduce failing cases to the faults they need")
+        bool, switch("--shrink/--no-shrink", "reduce failing cases to the faults they need")
     ] = True,
-    out: Annotated[
-        Path, typer.Option(metavar="DIR", help="directory for the scenarios of failing cases")
-    ] = Path(),
-    verbose: Annotated[bool, typer.Option("--verbose", help="print a line per run")] = False,
+    out: Annotated[Path, option("DIR", "directory for the scenarios of failing cases")] = Path(),
+    verbose: Annotated[bool, switch("--verbose", "print a line per run")] = False,
 ) -> None:
     """Run swarms of real code under kills, restarts, stops, radio faults and byzantine robots, drawn from seeds.
 

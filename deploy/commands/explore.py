@@ -23,6 +23,7 @@ from deploy.commands.flags import (
     ShareFlag,
     SpeedOption,
     ViewAs,
+    argument,
     command_family,
     option,
     switch,
@@ -48,7 +49,7 @@ def explore(
             "NAME=VALUE",
             "an option of the strategy (murmur strategies NAME lists them); repeatable",
             ROBOTS,
-            "--option",
+            name="--option",
         ),
     ] = None,
     thesis: Annotated[
@@ -86,7 +87,7 @@ def explore(
 
 @app.command()
 def watch(
-    directory: Annotated[Path, typer.Argument(metavar="DIR", help="a run directory")],
+    directory: Annotated[Path, argument("DIR", "a run directory")],
     view_as: ViewAs = "auto",
     share: ShareFlag = False,
 ) -> None:

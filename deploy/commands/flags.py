@@ -27,44 +27,36 @@ WORLD, ROBOTS, RADIO, RUN, VIEW, FIGURES = "World", "Robots", "Radio", "Run", "V
 """Groups of flags in the help of a command."""
 
 
-def option(metavar: str, help: str, group: str, *names: str) -> Any:
-    """Return a flag with a value."""
-    return typer.Option(*names, metavar=metavar, help=help, rich_help_panel=group)
+def argument(metavar: str, help: str) -> Any:
+    """Return a value without a flag."""
+    return typer.Argument(metavar=metavar, help=help)
 
 
-def switch(name: str, help: str, group: str) -> Any:
+def option(
+    metavar: str,
+    help: str,
+    group: str | None = None,
+    *,
+    name: str = "",
+    min: float | None = None,
+    max: float | None = None,
+) -> Any:
+    """Return a flag with a value, at least `min` and at most `max`; `name` is that of the parameter by default."""
+    names = (name,) if name else ()
+    return typer.Option(*names, metavar=metavar, help=help, rich_help_panel=group, min=min, max=max)
+
+
+def switch(name: str, help: str, group: str | None = None) -> Any:
     """Return a flag without a value."""
     return typer.Option(name, help=help, rich_help_panel=group)
 
 
-def figure_flags(command: Command) -> Command:
-    """Give a command the flags of figures and tables; it receives them as a `FigureStyle`, the parameter `style`."""
-
-    def style(formats: str, figure_width: float | None, font: str | None, font_size: float) -> Any:
-        from deploy.study.figure_style import FigureStyle  # noqa: PLC0415  slow to import
-
-        return FigureStyle(tuple(items(formats)), figure_width, font, font_size)
-
-    return with_flags(command, FIGURE_FLAGS, "style", style)
-
-
-def view_flags(command: Command) -> Command:
-    """Give a command of one run the flags of its view; it receives them as a `Viewing`, the parameter `viewing`."""
-
-    def viewing(view: bool, view_as: str | None, **page: bool) -> Viewing:
-        mode = "web" if any(page.values()) else "auto" if view else None
-        return Viewing(view_as or mode, page["share"], page["wait_for_viewer"], page["keep_serving"])
-
-    return with_flags(command, VIEW_FLAGS, "viewing", viewing)
-
-
 def with_flags(command: Command, flags: Sequence[Flag], name: str, make: Callable[..., Any]) -> Command:
-    """Give a command flags (name, annotation, default) whose values it receives as one parameter, made by `make`.
+    """Give a command flags whose values it receives as one parameter, made by `make`.
 
     Its own flags follow them; its first parameter, the argument, precedes them.
     """
-    own = inspect.signature(command, eval_str=True).parameters
-    first, *rest = [(each.name, each.annotation, each.default) for each in own.values() if each.name != name]
+    first, *rest = [each for each in _parameters(command) if each[0] != name]
     every = [first, *flags, *rest]
 
     @functools.wraps(command)
@@ -82,6 +74,11 @@ def with_flags(command: Command, flags: Sequence[Flag], name: str, make: Callabl
     return called
 
 
+def _parameters(function: Callable[..., Any]) -> list[Flag]:
+    parameters = inspect.signature(function, eval_str=True).parameters.values()
+    return [(each.name, each.annotation, each.default) for each in parameters]
+
+
 def command_family() -> typer.Typer:
     """The commands of one module, for `deploy.commands.app` to find by name."""
     return typer.Typer(rich_markup_mode=None)
@@ -92,11 +89,6 @@ def subcommands(family: typer.Typer, name: str, help: str) -> typer.Typer:
     parent = typer.Typer(cls=Subcommands, no_args_is_help=True, rich_markup_mode=None, help=help)
     family.add_typer(parent, name=name)
     return parent
-
-
-def preformatted(text: str) -> str:
-    """Text whose line breaks help keeps."""
-    return text.replace("\n\n", "\n\n\b\n")
 
 
 def file_option(metavar: str, help: str) -> Any:
@@ -121,70 +113,59 @@ ShareFlag = Annotated[
 ]
 SpeedOption = Annotated[float | None, option("STEPS_PER_S", "maximum speed, for viewing", VIEW)]
 PicturesFlag = Annotated[bool, switch("--pictures", "draw the maps over time and the channel load", VIEW)]
-ScenarioFile = Annotated[
-    Path | None, typer.Argument(metavar="SCENARIO.toml", help="a scenario file; flags override it")
-]
+ScenarioFile = Annotated[Path | None, argument("SCENARIO.toml", "a scenario file; flags override it")]
 OutOption = Annotated[
-    Path | None, typer.Option("--out", metavar="DIR", help="run directory (default: a new one under runs/)")
+    Path | None, option("DIR", "run directory (default: a new one under runs/)", name="--out")
 ]
-JsonFlag = Annotated[bool, typer.Option("--json", help="print the results as JSON and nothing else")]
+JsonFlag = Annotated[bool, switch("--json", "print the results as JSON and nothing else")]
 ViewAs = Annotated[
-    str,
-    typer.Option(
-        metavar="native|web|file", help="type of viewer (default: a window, or a web page without a display)"
-    ),
+    str, option("native|web|file", "type of viewer (default: a window, or a web page without a display)")
 ]
-VIEW_FLAGS = (
-    (
-        "view",
-        Annotated[bool, switch("--view", "view the run live, in a window or on a web page", VIEW)],
-        False,
-    ),
-    (
-        "view_as",
-        Annotated[
-            str | None, option("native|web|file", "type of viewer; file: only record", VIEW, "--view-as")
-        ],
-        None,
-    ),
-    ("share", ShareFlag, False),
-    (
-        "wait_for_viewer",
-        Annotated[
-            bool, switch("--wait-for-viewer", "start when a viewer has opened the page, not before", VIEW)
-        ],
-        False,
-    ),
-    (
-        "keep_serving",
-        Annotated[
-            bool,
-            switch(
-                "--keep-serving", "keep the page open after the run until Ctrl-C; default at a terminal", VIEW
-            ),
-        ],
-        False,
-    ),
-)
-"""The flags of commands that run one scenario."""
-FIGURE_FLAGS = (
-    (
-        "formats",
-        Annotated[
-            str,
-            option("pdf,svg,csv,tex", "also write figures as PDF or SVG, tables as CSV or LaTeX", FIGURES),
-        ],
-        "",
-    ),
-    (
-        "figure_width",
-        Annotated[float | None, option("CM", "width of each figure (default: 11 cm per panel)", FIGURES)],
-        None,
-    ),
-    ("font", Annotated[str | None, option("NAME", "font of figures, as serif or Arial", FIGURES)], None),
-    ("font_size", Annotated[float, option("POINTS", "size of all text in figures", FIGURES)], 10.0),
-)
-"""The flags of all commands that write figures and tables."""
+
+
+def view_flags(command: Command) -> Command:
+    """Give a command of one run the flags of its view; it receives them as a `Viewing`, the parameter `viewing`."""
+    return with_flags(command, _parameters(_viewing), "viewing", _viewing)
+
+
+def _viewing(
+    view: Annotated[bool, switch("--view", "view the run live, in a window or on a web page", VIEW)] = False,
+    view_as: Annotated[
+        str | None, option("native|web|file", "type of viewer; file: only record", VIEW)
+    ] = None,
+    share: ShareFlag = False,
+    wait_for_viewer: Annotated[
+        bool, switch("--wait-for-viewer", "start when a viewer has opened the page, not before", VIEW)
+    ] = False,
+    keep_serving: Annotated[
+        bool,
+        switch(
+            "--keep-serving", "keep the page open after the run until Ctrl-C; default at a terminal", VIEW
+        ),
+    ] = False,
+) -> Viewing:
+    mode = "web" if share or wait_for_viewer or keep_serving else "auto" if view else None
+    return Viewing(view_as or mode, share, wait_for_viewer, keep_serving)
+
+
+def figure_flags(command: Command) -> Command:
+    """Give a command the flags of figures and tables; it receives them as a `FigureStyle`, the parameter `style`."""
+    return with_flags(command, _parameters(_figure_style), "style", _figure_style)
+
+
+def _figure_style(
+    formats: Annotated[
+        str, option("pdf,svg,csv,tex", "also write figures as PDF or SVG, tables as CSV or LaTeX", FIGURES)
+    ] = "",
+    figure_width: Annotated[
+        float | None, option("CM", "width of each figure (default: 11 cm per panel)", FIGURES)
+    ] = None,
+    font: Annotated[str | None, option("NAME", "font of figures, as serif or Arial", FIGURES)] = None,
+    font_size: Annotated[float, option("POINTS", "size of all text in figures", FIGURES)] = 10.0,
+) -> Any:
+    from deploy.study.figure_style import FigureStyle  # noqa: PLC0415  slow to import
+
+    return FigureStyle(tuple(items(formats)), figure_width, font, font_size)
 
 
 class Subcommands(TyperGroup):

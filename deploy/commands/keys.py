@@ -6,10 +6,8 @@ import re
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from deploy.commands.console import screen
-from deploy.commands.flags import command_family
+from deploy.commands.flags import argument, command_family, option
 from deploy.scenario.errors import ScenarioError
 from protocol import keys as names
 from protocol.grid import MAX_ROBOTS
@@ -19,25 +17,18 @@ app = command_family()
 
 @app.command()
 def keys(
-    directory: Annotated[
-        Path, typer.Argument(metavar="DIR", help="output folder; existing files are kept")
-    ] = Path("keys"),
-    robots: Annotated[int, typer.Option(metavar="N", min=1, max=MAX_ROBOTS, help="number of robots")] = 3,
+    directory: Annotated[Path, argument("DIR", "output folder; existing files are kept")] = Path("keys"),
+    robots: Annotated[int, option("N", "number of robots", min=1, max=MAX_ROBOTS)] = 3,
     address: Annotated[
-        list[str] | None,
-        typer.Option(metavar="HOST", help="address of the hub; repeatable (default 127.0.0.1)"),
+        list[str] | None, option("HOST", "address of the hub; repeatable (default 127.0.0.1)")
     ] = None,
     router: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="NAME=0,1,...",
-            help="robots that join through router NAME (murmur run router); repeatable",
-        ),
+        option("NAME=0,1,...", "robots that join through router NAME (murmur run router); repeatable"),
     ] = None,
-    days: Annotated[int, typer.Option(metavar="N", min=1, max=3650, help="days until they expire")] = 30,
+    days: Annotated[int, option("N", "days until they expire", min=1, max=3650)] = 30,
     team_key: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="create only this file: the key of a team in the field"),
+        Path | None, option("FILE", "create only this file: the key of a team in the field")
     ] = None,
 ) -> None:
     """Create a certificate authority for a run, and a certificate and private key for each participant.

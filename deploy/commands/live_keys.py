@@ -13,10 +13,8 @@ from deploy.run.control import Control
 from deploy.run.live_commands import LiveCommands
 
 HELP = "space pause, s step, + - speed, k kill, b bandwidth, r range"
-ASKING = {"k": "kill robot", "b": "bandwidth", "r": "range"}
-"""Keys that ask for a value, which ends with Enter."""
-COMMANDS = {"k": "kill", "b": "bandwidth", "r": "range"}
-"""The commands of these keys."""
+ASKING = {"k": ("kill robot", "kill"), "b": ("bandwidth", "bandwidth"), "r": ("range", "range")}
+"""Keys that ask for a value, which ends with Enter: the question, and the command."""
 PAUSED = "paused: space continues, s steps"
 
 
@@ -45,7 +43,7 @@ class Keys:
             self.message = self._commands.perform("faster" if key == "+" else "slower")
         elif key in ASKING:
             self._asked, self._typed = key, ""
-            self.message = f"{ASKING[key]}: "
+            self.message = f"{ASKING[key][0]}: "
 
     def _type(self, key: str) -> None:
         if key in "\r\n":
@@ -55,11 +53,11 @@ class Keys:
             self._asked, self.message = "", HELP
         else:
             self._typed = self._typed[:-1] if key in "\x7f\b" else self._typed + key
-            self.message = f"{ASKING[self._asked]}: {self._typed}"
+            self.message = f"{ASKING[self._asked][0]}: {self._typed}"
 
     def _do(self, asked: str, value: str) -> str:
         try:
-            return self._commands.perform(COMMANDS[asked], value)
+            return self._commands.perform(ASKING[asked][1], value)
         except ValueError as error:
             return str(error)
 

@@ -14,7 +14,7 @@ import typer
 from rich.text import Text
 
 from deploy.commands.console import errors, fail, screen
-from deploy.commands.flags import command_family
+from deploy.commands.flags import command_family, option
 
 app = command_family()
 
@@ -55,9 +55,7 @@ def setup() -> None:
 def doctor(
     ros2: Annotated[
         Path | None,
-        typer.Option(
-            metavar="ROBOT.toml", help="check the ROS 2 nodes of the robot with this settings file instead"
-        ),
+        option("ROBOT.toml", "check the ROS 2 nodes of the robot with this settings file instead"),
     ] = None,
 ) -> None:
     """Check that this installation works: versions, compiled kernels, a small swarm on each bus.

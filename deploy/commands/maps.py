@@ -5,20 +5,18 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
 from rich.text import Text
 
 from deploy.commands.console import screen
 from deploy.commands.flag_values import named_values
-from deploy.commands.flags import command_family, file_option, subcommands
+from deploy.commands.flags import argument, command_family, file_option, option, subcommands
 
 app = command_family()
 
 OptionFlag = Annotated[
-    list[str] | None,
-    typer.Option(metavar="NAME=VALUE", help="as width_m=60, height_m=40 or clutter=5; repeatable"),
+    list[str] | None, option("NAME=VALUE", "as width_m=60, height_m=40 or clutter=5; repeatable")
 ]
-ResolutionFlag = Annotated[float | None, typer.Option(metavar="M", help="meters per cell")]
+ResolutionFlag = Annotated[float | None, option("M", "meters per cell")]
 maps_app = subcommands(app, "map", "List, make and show maps.")
 
 
@@ -35,11 +33,11 @@ def map_list() -> None:
 
 @maps_app.command("make")
 def map_make(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="a name from `murmur map list`")],
-    seed: Annotated[int, typer.Option(min=0, metavar="S", help="seed of the generator")] = 0,
+    name: Annotated[str, argument("NAME", "a name from `murmur map list`")],
+    seed: Annotated[int, option("S", "seed of the generator", min=0)] = 0,
     option: OptionFlag = None,
     resolution: ResolutionFlag = None,
-    out: Annotated[Path | None, typer.Option(metavar="FILE.yaml", help="default: NAME.yaml here")] = None,
+    out: Annotated[Path | None, option("FILE.yaml", "default: NAME.yaml here")] = None,
 ) -> None:
     """Make a map and write it in the format of ROS map_server: a YAML file and its picture."""
     from worldsim import generators, maps  # noqa: PLC0415
@@ -53,8 +51,8 @@ def map_make(
 
 @maps_app.command("show")
 def map_show(
-    file: Annotated[str, typer.Argument(metavar="FILE|NAME", help="a map file, or a generator's name")],
-    seed: Annotated[int, typer.Option(min=0, metavar="S", help="the generator's seed")] = 0,
+    file: Annotated[str, argument("FILE|NAME", "a map file, or a generator's name")],
+    seed: Annotated[int, option("S", "the generator's seed", min=0)] = 0,
     option: OptionFlag = None,
     resolution: ResolutionFlag = None,
     png: Annotated[Path | None, file_option("FILE.png", "draw the map with axes in meters")] = None,

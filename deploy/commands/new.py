@@ -10,16 +10,14 @@ from pathlib import Path
 from string import Template
 from typing import Annotated
 
-import typer
-
 from deploy.commands.console import screen
-from deploy.commands.flags import command_family, subcommands
+from deploy.commands.flags import argument, command_family, subcommands
 from deploy.scenario.plugins import kinds
 
 app = command_family()
 new_app = subcommands(app, "new", "Write a template of new code, with its test.")
 
-NameArgument = Annotated[str, typer.Argument(metavar="NAME", help="its name, as farthest or my-way")]
+NameArgument = Annotated[str, argument("NAME", "its name, as farthest or my-way")]
 
 
 @new_app.command("strategy")

@@ -15,6 +15,7 @@ from deploy.commands.flags import (
     OutOption,
     PicturesFlag,
     SpeedOption,
+    argument,
     command_family,
     option,
     view_flags,
@@ -63,10 +64,7 @@ LOG_FLAGS = {
 @view_flags
 def play(
     logs: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="LOG...", help="a log for the whole team, or one per robot (docs/recorded.md)"
-        ),
+        list[Path], argument("LOG...", "a log for the whole team, or one per robot (docs/recorded.md)")
     ],
     rate: SpeedOption = None,
     pictures: PicturesFlag = False,

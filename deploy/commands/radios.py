@@ -5,12 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
 from rich.text import Text
 
 from deploy.commands.console import screen
 from deploy.commands.flag_values import position
-from deploy.commands.flags import command_family, file_option, subcommands
+from deploy.commands.flags import argument, command_family, file_option, option, subcommands
 from protocol.presets import PRESETS
 
 app = command_family()
@@ -36,12 +35,10 @@ def radio_list() -> None:
 
 @radio_app.command("coverage")
 def radio_coverage(
-    names: Annotated[str, typer.Argument(metavar="NAME,...", help="radio presets, a panel each")],
-    map_: Annotated[str, typer.Option("--map", metavar="FILE|NAME", help="the building")] = "office",
-    map_seed: Annotated[int, typer.Option(min=0, metavar="S", help="the generator's seed")] = 0,
-    at: Annotated[
-        str | None, typer.Option(metavar="X,Y", help="the place in meters (default: where robots start)")
-    ] = None,
+    names: Annotated[str, argument("NAME,...", "radio presets, a panel each")],
+    map_: Annotated[str, option("FILE|NAME", "the building", name="--map")] = "office",
+    map_seed: Annotated[int, option("S", "the generator's seed", min=0)] = 0,
+    at: Annotated[str | None, option("X,Y", "the place in meters (default: where robots start)")] = None,
     out: Annotated[Path, file_option("FILE.png", "the picture")] = Path("coverage.png"),
 ) -> None:
     """Draw where robots receive one that stands in one place, with each of some radio presets."""

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from deploy.commands.console import fail, screen
-from deploy.commands.flags import command_family
+from deploy.commands.flags import argument, command_family, switch
 from deploy.run.exit_codes import BAD_INPUT, BROKEN_OFF
 
 app = command_family()
@@ -20,13 +20,9 @@ STOP_S = 30.0
 
 @app.command()
 def robot(
-    file: Annotated[
-        Path | None, typer.Argument(metavar="ROBOT.toml", help="settings file of this robot")
-    ] = None,
-    example: Annotated[
-        bool, typer.Option("--example", help="print a commented settings file, and exit")
-    ] = False,
-    check: Annotated[bool, typer.Option("--check", help="check the settings and the key, and exit")] = False,
+    file: Annotated[Path | None, argument("ROBOT.toml", "settings file of this robot")] = None,
+    example: Annotated[bool, switch("--example", "print a commented settings file, and exit")] = False,
+    check: Annotated[bool, switch("--check", "check the settings and the key, and exit")] = False,
 ) -> None:
     """Run one robot of a team in the field: its sensors and motors over ROS 2, its radio without a relay.
 
@@ -62,10 +58,9 @@ def robot(
 @app.command()
 def stop(
     folders: Annotated[
-        list[Path] | None,
-        typer.Argument(metavar="DIR...", help="record directories of robots that run on this host"),
+        list[Path] | None, argument("DIR...", "record directories of robots that run on this host")
     ] = None,
-    every: Annotated[bool, typer.Option("--all", help="stop all robots of this user on this host")] = False,
+    every: Annotated[bool, switch("--all", "stop all robots of this user on this host")] = False,
 ) -> None:
     """Stop robots in the field that run on this host: they stand still, write their records, and end.
 

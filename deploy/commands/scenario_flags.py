@@ -32,7 +32,6 @@ class OwnFlag:
     name: str
     """Name of the flag, with underscores."""
     kind: Any
-    """Type of its value."""
     option: Any
     """Its help, as `deploy.commands.flags.option` returns it."""
     parse: Callable[[Any], Any] = lambda value: value
@@ -131,7 +130,7 @@ def _derived_flags(without: tuple[str, ...]) -> list[Flag]:
             has_default = info.default is not None and info.default_factory is None
             text = f"{info.description}" + (f" (default {info.default})" if has_default else "")
             flags.append(
-                (name, Annotated[kind | None, option(metavar, text, group, f"--{_dashed(name)}")], None)
+                (name, Annotated[kind | None, option(metavar, text, group, name=f"--{_dashed(name)}")], None)
             )
     return flags
 
@@ -144,6 +143,9 @@ def _dashed(name: str) -> str:
 SetOption = Annotated[
     list[str] | None,
     option(
-        "KEY=VALUE", "any other setting, as radio.loss=0.1 or polygons.lazy=false; repeatable", RUN, "--set"
+        "KEY=VALUE",
+        "any other setting, as radio.loss=0.1 or polygons.lazy=false; repeatable",
+        RUN,
+        name="--set",
     ),
 ]

@@ -9,8 +9,6 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from deploy.commands.console import errors, screen
 from deploy.commands.flags import ROBOTS, GroupedCommand, command_family, option, switch
 from deploy.commands.scenario_flags import OwnFlag, run_flags
@@ -70,7 +68,7 @@ def serve_ros2(
         str | None, option("NAME", "with --write-robots: of the agents' radio (default lo)", ROS)
     ] = None,
     as_json: Annotated[
-        bool, typer.Option("--json", help="print the robots, and at the end the coverage, as lines of JSON")
+        bool, switch("--json", "print the robots, and at the end the coverage, as lines of JSON")
     ] = False,
     *,
     settings: dict[str, Any],

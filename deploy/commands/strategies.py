@@ -7,31 +7,32 @@ from dataclasses import asdict
 from itertools import groupby
 from typing import Annotated, Any
 
-import typer
 from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
 from agent.strategies.catalog import COMBINING, Entry, catalog, entry
 from deploy.commands.console import screen
-from deploy.commands.flags import command_family, preformatted
+from deploy.commands.flags import argument, command_family, switch
 from deploy.scenario.scenario import Scenario
 
 app = command_family()
+
+HELP = f"List the exploration strategies, or show one with all its options.\n\n{COMBINING}".replace(
+    "\n\n", "\n\n\b\n"
+)
+"""The help text; click keeps the line breaks of paragraphs after ``\\b``."""
 
 WIDTH = 100
 """Maximum width of the output in columns."""
 
 
-@app.command(
-    help=f"List the exploration strategies, or show one with all its options.\n\n\b\n{preformatted(COMBINING)}"
-)
+@app.command(help=HELP)
 def strategies(
     name: Annotated[
-        str | None,
-        typer.Argument(metavar="NAME", help="the strategy to show, or a class package.module:Class"),
+        str | None, argument("NAME", "the strategy to show, or a class package.module:Class")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="print all data as JSON")] = False,
+    as_json: Annotated[bool, switch("--json", "print all data as JSON")] = False,
 ) -> None:
     """List the exploration strategies, or show one with all its options."""
     entries = catalog() if name is None else [entry(name)]
@@ -89,7 +90,6 @@ def _page(entry: Entry, called: str) -> RenderableType:
 
 
 def _as_json(entries: list[Entry]) -> dict[str, Any]:
-    """All data of strategies, by name, for JSON."""
     return {
         entry.name: {
             "summary": entry.summary,

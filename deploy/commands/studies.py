@@ -5,11 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
 from deploy.commands.console import errors, screen
 from deploy.commands.flag_values import named_values, names, whole_numbers
-from deploy.commands.flags import GroupedCommand, command_family, figure_flags, file_option
+from deploy.commands.flags import (
+    GroupedCommand,
+    argument,
+    command_family,
+    figure_flags,
+    file_option,
+    option,
+    switch,
+)
 from deploy.commands.scenario_flags import setting_flags
 from deploy.commands.study_flags import (
     JobsOption,
@@ -35,21 +41,16 @@ BANDWIDTHS, RANGES = ("100", "1000", "10000"), ("30%", "100%")
 @app.command(cls=GroupedCommand)
 @figure_flags
 def sweep(
-    experiment: Annotated[
-        Path, typer.Argument(metavar="EXPERIMENT.toml", help="the experiment's file (docs/experiments.md)")
-    ],
+    experiment: Annotated[Path, argument("EXPERIMENT.toml", "the experiment's file (docs/experiments.md)")],
     jobs: JobsOption = None,
     scheduler: SchedulerOption = None,
     set_: SetOption = None,
     seeds: SeedsOption = None,
     test_seeds: Annotated[
-        int | None,
-        typer.Option(min=1, max=MAX_RUNS, metavar="N", help="run N test seeds, from 1000 on (docs/maps.md)"),
+        int | None, option("N", "run N test seeds, from 1000 on (docs/maps.md)", min=1, max=MAX_RUNS)
     ] = None,
-    variant: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help="run only this variant; repeatable")
-    ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="apply the [quick] section of the file")] = False,
+    variant: Annotated[list[str] | None, option("NAME", "run only this variant; repeatable")] = None,
+    quick: Annotated[bool, switch("--quick", "apply the [quick] section of the file")] = False,
     out: Annotated[
         Path | None, file_option("FILE.parquet", "the table of runs; existing runs are reused")
     ] = None,
@@ -121,18 +122,13 @@ def _sweep_settings(texts: list[str], seeds: int | None, test_seeds: int | None)
 @app.command(cls=GroupedCommand)
 @figure_flags
 def reproduce(
-    claim: Annotated[
-        list[str] | None, typer.Argument(metavar="CLAIM...", help="as B1 M4 (default: all 24)")
-    ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="fewer seeds and smaller grids")] = False,
+    claim: Annotated[list[str] | None, argument("CLAIM...", "as B1 M4 (default: all 24)")] = None,
+    quick: Annotated[bool, switch("--quick", "fewer seeds and smaller grids")] = False,
     seeds: SeedsOption = None,
     jobs: JobsOption = None,
     scheduler: SchedulerOption = None,
     out: Annotated[
-        Path,
-        typer.Option(
-            metavar="STEM", help="output: STEM.md, STEM.html, and folder STEM with pictures and tables"
-        ),
+        Path, option("STEM", "output: STEM.md, STEM.html, and folder STEM with pictures and tables")
     ] = Path("reproduction"),
     retry: RetryFlag = False,
     *,
@@ -172,29 +168,17 @@ def reproduce(
 @setting_flags("map", "seed", "bus")
 @figure_flags
 def compare(
-    scenario: Annotated[
-        list[Path] | None, typer.Argument(metavar="A.toml B.toml ...", help="scenarios to compare")
-    ] = None,
-    strategies: Annotated[str | None, typer.Option(metavar="A,B,...", help="strategies to compare")] = None,
-    map_encodings: Annotated[
-        str | None, typer.Option(metavar="A,B,...", help="map encodings to compare")
-    ] = None,
-    radios: Annotated[str | None, typer.Option(metavar="A,B,...", help="radio presets to compare")] = None,
-    map_: Annotated[
-        list[str] | None, typer.Option("--map", metavar="FILE|NAME", help="on this map; repeatable")
-    ] = None,
-    seeds: Annotated[
-        int, typer.Option(min=2, max=MAX_RUNS, metavar="N", help="run the seeds 0 to N - 1")
-    ] = 10,
-    metric: Annotated[
-        str, typer.Option(metavar="NAME", help="what is compared (docs/experiments.md)")
-    ] = "steps",
+    scenario: Annotated[list[Path] | None, argument("A.toml B.toml ...", "scenarios to compare")] = None,
+    strategies: Annotated[str | None, option("A,B,...", "strategies to compare")] = None,
+    map_encodings: Annotated[str | None, option("A,B,...", "map encodings to compare")] = None,
+    radios: Annotated[str | None, option("A,B,...", "radio presets to compare")] = None,
+    map_: Annotated[list[str] | None, option("FILE|NAME", "on this map; repeatable", name="--map")] = None,
+    seeds: Annotated[int, option("N", "run the seeds 0 to N - 1", min=2, max=MAX_RUNS)] = 10,
+    metric: Annotated[str, option("NAME", "what is compared (docs/experiments.md)")] = "steps",
     set_: SetOption = None,
     jobs: JobsOption = None,
     scheduler: SchedulerOption = None,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="folder for pictures, means and runs")] = Path(
-        "comparison"
-    ),
+    out: Annotated[Path, option("DIR", "folder for pictures, means and runs")] = Path("comparison"),
     *,
     settings: dict[str, Any],
     style: Any,
@@ -235,40 +219,28 @@ def compare(
 @setting_flags("map", "robots", "range", "bandwidth", "finish", "seed", "bus")
 @figure_flags
 def size(
-    map_: Annotated[str, typer.Option("--map", metavar="FILE|NAME", help="the building")] = "office",
-    robots: Annotated[str, typer.Option(metavar="2..8|2,4", help="numbers of robots to try")] = "2..8",
+    map_: Annotated[str, option("FILE|NAME", "the building", name="--map")] = "office",
+    robots: Annotated[str, option("2..8|2,4", "numbers of robots to try")] = "2..8",
     radio: Annotated[
-        str | None,
-        typer.Option(metavar="NAME,...", help=f"radio presets to try, for a team each: {', '.join(PRESETS)}"),
+        str | None, option("NAME,...", f"radio presets to try, for a team each: {', '.join(PRESETS)}")
     ] = None,
     bandwidth: Annotated[
         str | None,
-        typer.Option(
-            metavar="BYTES,...", help=f"bandwidths to try, in bytes per step (default {','.join(BANDWIDTHS)})"
-        ),
+        option("BYTES,...", f"bandwidths to try, in bytes per step (default {','.join(BANDWIDTHS)})"),
     ] = None,
     range_: Annotated[
-        str | None,
-        typer.Option("--range", metavar="METERS|P%,...", help=f"ranges to try (default {','.join(RANGES)})"),
+        str | None, option("METERS|P%,...", f"ranges to try (default {','.join(RANGES)})", name="--range")
     ] = None,
-    deadline: Annotated[
-        int | None, typer.Option(min=1, metavar="STEPS", help="an exploration may take so long")
-    ] = None,
+    deadline: Annotated[int | None, option("STEPS", "an exploration may take so long", min=1)] = None,
     min_map_accuracy: Annotated[
-        float, typer.Option(min=0, max=1, metavar="SHARE", help="of the building that a map must have right")
+        float, option("SHARE", "of the building that a map must have right", min=0, max=1)
     ] = 0.95,
-    finish: Annotated[
-        str, typer.Option(metavar="all|first", help="robots that must finish with such a map")
-    ] = "all",
-    seeds: Annotated[
-        int, typer.Option(min=1, max=MAX_RUNS, metavar="N", help="runs of each combination")
-    ] = 5,
+    finish: Annotated[str, option("all|first", "robots that must finish with such a map")] = "all",
+    seeds: Annotated[int, option("N", "runs of each combination", min=1, max=MAX_RUNS)] = 5,
     set_: SetOption = None,
     jobs: JobsOption = None,
     scheduler: SchedulerOption = None,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="folder for curves, the table and runs")] = Path(
-        "size"
-    ),
+    out: Annotated[Path, option("DIR", "folder for curves, the table and runs")] = Path("size"),
     *,
     settings: dict[str, Any],
     style: Any,

@@ -6,26 +6,20 @@ import inspect
 from collections.abc import Callable
 from typing import Annotated, Any
 
-import typer
-
 from deploy.commands.flag_values import named_values
+from deploy.commands.flags import option, switch
 from deploy.scenario.tables import MAX_RUNS
 
-JobsOption = Annotated[int | None, typer.Option(min=1, metavar="N", help="processes (default: one per core)")]
+JobsOption = Annotated[int | None, option("N", "processes (default: one per core)", min=1)]
 SchedulerOption = Annotated[
-    str | None,
-    typer.Option(metavar="ADDRESS", help="run on the workers of a Dask scheduler, as tcp://10.0.0.1:8786"),
+    str | None, option("ADDRESS", "run on the workers of a Dask scheduler, as tcp://10.0.0.1:8786")
 ]
-SeedsOption = Annotated[
-    int | None, typer.Option(min=1, max=MAX_RUNS, metavar="N", help="run the seeds 0 to N - 1")
-]
+SeedsOption = Annotated[int | None, option("N", "run the seeds 0 to N - 1", min=1, max=MAX_RUNS)]
 SetOption = Annotated[
     list[str] | None,
-    typer.Option(
-        "--set", metavar="KEY=VALUE", help="a setting of all runs, or a list of its values; repeatable"
-    ),
+    option("KEY=VALUE", "a setting of all runs, or a list of its values; repeatable", name="--set"),
 ]
-RetryFlag = Annotated[bool, typer.Option("--retry", help="repeat failed runs of the table")]
+RetryFlag = Annotated[bool, switch("--retry", "repeat failed runs of the table")]
 
 
 def other_settings(texts: list[str], study: Callable[..., Any], flags: dict[str, Any]) -> dict[str, Any]:

@@ -27,8 +27,6 @@ KIND_LABELS = {
 
 
 class _ProgressWithMessage(Progress):
-    """A progress line with a message below it."""
-
     def __init__(self, message: Callable[[], str], *columns: ProgressColumn, **options: Any) -> None:
         self._message = message
         super().__init__(*columns, **options)
@@ -158,7 +156,6 @@ def _accuracy_line(summary: dict[str, Any]) -> list[str]:
 
 
 def _missed_line(summary: dict[str, Any]) -> str:
-    """The steps that robots missed by the wall clock."""
     by_robot = {robot: steps for robot, steps in enumerate(summary["missed_steps_by_robot"]) if steps}
     steps = ", ".join(f"robot {robot}: {steps}" for robot, steps in by_robot.items())
     return (

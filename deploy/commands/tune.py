@@ -5,11 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from deploy.commands.console import errors, screen
 from deploy.commands.flag_values import named_values, names, whole_numbers
-from deploy.commands.flags import command_family
+from deploy.commands.flags import argument, command_family, option
 from deploy.commands.study_flags import JobsOption, SchedulerOption, SetOption
 from deploy.commands.study_output import print_table, stopping
 from deploy.scenario.tables import MAX_RUNS
@@ -23,30 +21,21 @@ RUNS, TRIALS, RECORD = "runs.parquet", "trials.csv", "weights.toml"
 
 @app.command()
 def tune(
-    strategy: Annotated[
-        str, typer.Argument(metavar="STRATEGY", help="a name from `murmur strategies`")
-    ] = "repairmen",
+    strategy: Annotated[str, argument("STRATEGY", "a name from `murmur strategies`")] = "repairmen",
     maps: Annotated[
-        str | None,
-        typer.Option(metavar="A,B,...", help="generators or map files (default: one generator per kind)"),
+        str | None, option("A,B,...", "generators or map files (default: one generator per kind)")
     ] = None,
-    seeds: Annotated[str, typer.Option(metavar="0..4|0,3", help="training seeds of the search")] = "0..2",
-    check_seeds: Annotated[
-        str, typer.Option(metavar="5..9|5,7", help="training seeds on which the result is checked")
-    ] = "3..5",
+    seeds: Annotated[str, option("0..4|0,3", "training seeds of the search")] = "0..2",
+    check_seeds: Annotated[str, option("5..9|5,7", "training seeds on which the result is checked")] = "3..5",
     evaluations: Annotated[
-        int, typer.Option(min=1, max=10_000, metavar="N", help="weights to try, the default ones included")
+        int, option("N", "weights to try, the default ones included", min=1, max=10_000)
     ] = 20,
-    weights: Annotated[
-        str | None, typer.Option(metavar="A,B,...", help="options to search (default: all weights)")
-    ] = None,
-    search_seed: Annotated[int, typer.Option(min=0, metavar="S", help="seed of the search's order")] = 0,
+    weights: Annotated[str | None, option("A,B,...", "options to search (default: all weights)")] = None,
+    search_seed: Annotated[int, option("S", "seed of the search's order", min=0)] = 0,
     set_: SetOption = None,
     jobs: JobsOption = None,
     scheduler: SchedulerOption = None,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="folder for runs, trials and weights")] = Path(
-        "tune"
-    ),
+    out: Annotated[Path, option("DIR", "folder for runs, trials and weights")] = Path("tune"),
 ) -> None:
     """Search for the weights of a strategy by runs on training seeds; the same command continues.
 

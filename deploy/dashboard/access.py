@@ -30,7 +30,6 @@ class Access:
     """The rights to a page at an address; each page has new tokens of 128 random bits."""
 
     address: str = LOOPBACK
-    """The address at which the page is served."""
     watch: str = field(default_factory=_token)
     """The token to watch."""
     control: str = field(default_factory=_token)

@@ -20,7 +20,6 @@ OUTLINES = "Pale outlines: received from teammates."
 
 
 def _sensor_ranges(plan: Plan) -> str:
-    """Return the robots' sensor ranges in meters, as text."""
     ranges = [body.range_cells * plan.map.resolution for body in plan.world.bodies]
     least, most = min(ranges), max(ranges)
     return f"{most:g}" if least == most else f"{least:g} to {most:g}"

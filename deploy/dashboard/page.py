@@ -19,7 +19,6 @@ from deploy.dashboard.forwarding import MAX_REQUEST, READ_STREAM, forward
 
 VIEWER = "/viewer/"
 MOST_VIEWERS = 64
-"""Maximum number of viewers at a time."""
 IDLE_S = 60.0
 """Seconds after which a connection that does not take or send anything is closed."""
 

@@ -36,7 +36,6 @@ class ViewTask:
     """The task of a viewer."""
 
     plan: Plan
-    """The plan derived from the run's scenario."""
     directory: Path
     """The run directory, for the recording."""
     port: int | None = None

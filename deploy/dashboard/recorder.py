@@ -250,7 +250,6 @@ class Recorder:
         self._log("world/targets", marks)
 
     def _draw_traffic(self) -> None:
-        """Draw the traffic of the step, in total and by type."""
         events = self.events
         traffic = events.traffic
         assert traffic is not None

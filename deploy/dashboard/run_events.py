@@ -73,7 +73,7 @@ class RunEvents:
     in_range: set[tuple[int, int]] = field(default_factory=set)
     """Pairs of robots that receive each other in this step, by the radio's model (lower number first)."""
     traffic: StepTraffic | None = None
-    bytes: dict[str, int] = field(default_factory=dict)
+    bytes: Counter[str] = field(default_factory=Counter)
     """Bytes carried so far, by packet kind."""
     idle: set[int] = field(default_factory=set)
     budget: Budget = UNLIMITED
@@ -144,36 +144,28 @@ class RunEvents:
     def _radio(self, report: RadioReport) -> list[Event]:
         rows = np.frombuffer(report.rows, ROW)
         carried = rows[rows["carried"] == 1]
-        for kind, number in KIND_NUMBER.items():
-            size = int(carried["bytes"][carried["kind"] == number].sum())
-            if size:
-                self.bytes[kind] = self.bytes.get(kind, 0) + size
-        groups = {
-            name: int(
-                carried["bytes"][np.isin(carried["kind"], [KIND_NUMBER[kind] for kind in group.kinds])].sum()
-            )
-            for name, group in GROUPS.items()
+        sizes = {
+            kind: int(carried["bytes"][carried["kind"] == number].sum())
+            for kind, number in KIND_NUMBER.items()
         }
+        self.bytes += Counter(sizes)
+        groups = {name: sum(sizes[kind] for kind in group.kinds) for name, group in GROUPS.items()}
         cut = int(rows["bytes"][rows["cause"] == BUDGET].sum())
         self.traffic = StepTraffic(groups, _link_bytes(report.links))
         events = _emergences(report.step, carried)
-        full = cut > 0
-        if full != self._full and not self.budget.unlimited:
-            self._full = full
-            if full:
+        if bool(cut) != self._full and not self.budget.unlimited:
+            self._full = bool(cut)
+            if cut:
                 events.append(Event(report.step, f"channel full: {cut} B not sent", 1))
         return events
 
     def _status(self, robot: int, report: RobotStatus) -> list[Event]:
         self.backlog[robot] = report.backlog
         events = []
-        target = None
-        if report.target_x >= 0:
-            target = to_world(self.plan.map, report.target_x, report.target_y)
-        if target is None:
+        if report.target_x < 0:
             self.targets.pop(robot, None)
         else:
-            self.targets[robot] = target
+            target = self.targets[robot] = to_world(self.plan.map, report.target_x, report.target_y)
             logged = self._logged_targets.get(robot)
             if logged is None or math.dist(logged, target) > NEAR * self._range_m(robot):
                 self._logged_targets[robot] = target

@@ -20,14 +20,9 @@ Values = NDArray[Any] | Sequence[Any]
 
 
 def table(columns: Mapping[str, Values], described: Sequence[Column]) -> Any:
-    """Return a `pyarrow.Table`.
+    """Return a `pyarrow.Table` with the `described` columns, in their order.
 
-    Parameters
-    ----------
-    columns : mapping from name to values
-        Numpy arrays of numbers or booleans, or lists in which None stands for null; all of equal length.
-    described : sequence of Column
-        Names and types, in the order of the table.
+    Values are numpy arrays of numbers or booleans, or lists in which None stands for null; all of equal length.
     """
     import pyarrow as pa  # noqa: PLC0415  a tenth of a second
 
@@ -44,7 +39,6 @@ def write_table(path: Path, table: Any, compression: str = "snappy") -> None:
 
 
 def _array(values: Values, kind: Any) -> Any:
-    """Return an Arrow array of a type."""
     import pyarrow as pa  # noqa: PLC0415
 
     known: Any = None

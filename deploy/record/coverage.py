@@ -35,11 +35,6 @@ def coverage(plan: Plan) -> Margins:
     return margin_db(away, loss, plan.radio.range_cells, plan.map.resolution, options)
 
 
-def share_covered(plan: Plan, margins: Margins) -> float:
-    """Return the share of the free cells with a margin of 0 or more."""
-    return float((margins[plan.map.cells == FREE] >= 0).mean())
-
-
 def draw_coverage(path: Path, plans: Mapping[str, Plan]) -> dict[str, float]:
     """Draw the coverage of radios on one map, a panel each; return the covered share of the free cells of each."""
     first = next(iter(plans.values())).map
@@ -50,7 +45,7 @@ def draw_coverage(path: Path, plans: Mapping[str, Plan]) -> dict[str, float]:
     panels = figure.subplots(1, len(plans), squeeze=False)[0]
     for axes, (name, plan) in zip(panels, plans.items(), strict=True):
         margins = coverage(plan)
-        shares[name] = share_covered(plan, margins)
+        shares[name] = float((margins[plan.map.cells == FREE] >= 0).mean())
         show_grid(axes, plan.map, plan.map.cells)
         shown = np.ma.masked_where((plan.map.cells == OCCUPIED) | (margins < 0), np.minimum(margins, 999))
         extent = axes.get_images()[0].get_extent()

@@ -36,13 +36,7 @@ def map_code_figures(grid: Grid | None, sent: int) -> dict[str, float | None]:
 
 
 def map_code_bytes(grid: Grid) -> float:
-    """Return the length in bytes of the context code of a grid.
-
-    Parameters
-    ----------
-    grid : uint8 array, shape (h, w)
-        States of cells. Cells outside count as unknown.
-    """
+    """Return the length in bytes of the context code of a grid, uint8 of shape (h, w); cells outside are unknown."""
     height, width = grid.shape
     around = np.pad(grid.astype(np.int64), _REACH)
     context = np.zeros(grid.shape, np.int64)

@@ -21,16 +21,11 @@ IN_TURN = 4
 
 
 class MapCollection:
-    """The parts that have arrived of maps of `shape` (h, w).
-
-    Attributes
-    ----------
-    parts_received : int
-        Number of parts that have arrived, of all robots.
-    """
+    """The parts that have arrived of maps of `shape` (h, w)."""
 
     def __init__(self, shape: tuple[int, int]) -> None:
         self.parts_received = 0
+        """Number of parts that have arrived, of all robots."""
         self._shape = shape
         self._cells = shape[0] * shape[1]
         self._parts: dict[int, list[NDArray[np.uint8]]] = {}
@@ -53,10 +48,7 @@ class MapCollection:
     def take(self, robot: int, part: MapPart) -> FinalMaps | None:
         """Take a requested part; after the last one, return the robot's maps.
 
-        Raises
-        ------
-        ProtocolError
-            The part was not requested, or is malformed.
+        Raises ProtocolError if the part was not requested, or is malformed.
         """
         parts = self._parts.get(robot)
         if parts is None or part.part != len(parts):

@@ -10,35 +10,18 @@ from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 IRRELEVANT, RIGHT, WALL, FALSE_WALL, UNSEEN, WRONG_FREE = range(6)
 """Unknown and unreachable; correctly free; correctly not free; and the three errors."""
 
-ERRORS = {
-    FALSE_WALL: "false wall",
-    UNSEEN: "unknown",
-    WRONG_FREE: "false floor",
-}
+ERRORS = {FALSE_WALL: "false wall", UNSEEN: "unknown", WRONG_FREE: "false floor"}
 """Text of the errors."""
 
-DIFFERENCES = {
-    FALSE_WALL: "wall, free for the team",
-    UNSEEN: "unknown",
-    WRONG_FREE: "free, not for the team",
-}
+DIFFERENCES = {FALSE_WALL: "wall, free for the team", UNSEEN: "unknown", WRONG_FREE: "free, not for the team"}
 """Text of the same differences if the true map is unknown, and the team's map replaces it."""
 
 
 def compare(grid: Grid, truth: Grid, reachable: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Classify each cell of a map.
+    """Classify each cell of a robot's map, from `IRRELEVANT` to `WRONG_FREE`; all arrays have shape (h, w).
 
-    Parameters
-    ----------
-    grid, truth : uint8 arrays, shape (h, w)
-        A robot's map, and the true one, of unknown, free and occupied cells.
-    reachable : bool array, shape (h, w)
-        Free cells that can be explored; unknown cells are errors only there.
-
-    Returns
-    -------
-    uint8 array, shape (h, w)
-        `IRRELEVANT`, `RIGHT`, `WALL`, `FALSE_WALL`, `UNSEEN` or `WRONG_FREE`.
+    `grid` and `truth` have unknown, free and occupied cells. `reachable` are the free cells that can be explored;
+    unknown cells are errors only there.
     """
     floor = truth == FREE
     found = np.full(grid.shape, IRRELEVANT, np.uint8)

@@ -253,15 +253,12 @@ def _show_errors(axes: Axes, plan: Plan, errors: NDArray[np.uint8]) -> None:
 
 def _show(axes: Axes, cells: NDArray[np.uint8], palette: ListedColormap, world_map: Map) -> None:
     """Show cells in the colors of a palette; they are colored before they are enlarged, which is faster."""
+    cell, (left, bottom, _) = world_map.resolution, world_map.origin
+    extent = left, left + cell * world_map.width, bottom, bottom + cell * world_map.height
     axes.imshow(
-        cells, cmap=palette, vmin=0, vmax=palette.N - 1, extent=_extent(world_map), interpolation="nearest",
+        cells, cmap=palette, vmin=0, vmax=palette.N - 1, extent=extent, interpolation="nearest",
         interpolation_stage="rgba",
     )  # fmt: skip
-
-
-def _extent(world_map: Map) -> tuple[float, float, float, float]:
-    cell, (left, bottom, _) = world_map.resolution, world_map.origin
-    return left, left + cell * world_map.width, bottom, bottom + cell * world_map.height
 
 
 def counted(number: int, noun: str) -> str:

@@ -13,43 +13,38 @@ from numpy.typing import NDArray
 from agent.settings import Settings
 from deploy.record.map_collection import MapCollection
 from deploy.record.map_history import MapHistory
-from deploy.record.protocol_errors import ProtocolErrors
 from netshaper.ledger import ROW
 from netshaper.process import ENDED
 from protocol import keys as names
-from protocol import rights
+from protocol import messages, rights
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
 from protocol.grid import Grid
 from protocol.keys import Keys
 from protocol.message_codec import pack
-from protocol.messages import (
-    Back,
-    Change,
-    Configure,
-    End,
-    ErrorReport,
-    FaultEvent,
-    Lost,
-    MapChanges,
-    MapPart,
-    Missed,
-    Outlines,
-    RadioReport,
-    Reconnected,
-    Record,
-    RequestMaps,
-    RobotStatus,
-    Shutdown,
-    Stop,
-    WorldReport,
-)
 from protocol.rights import MAX_PROTOCOL_ERRORS, TOO_MANY_BYTES, TOO_MANY_ERRORS
 
 NO_MAPS = "it did not send its maps"
 """Cause of the loss of a robot that does not answer a request for its maps."""
+MAX_TEXTS = 1000
+"""Number of protocol errors of each sender of which the text is kept."""
 MIN_STEP_BYTES, BYTES_PER_CELL = 1 << 22, 10
 """Bytes that a robot may report in a step: these, and these for each cell, since it may report each cell twice."""
+
+
+@dataclass
+class ProtocolErrors:
+    """Protocol errors by sender."""
+
+    texts: list[str] = field(default_factory=list)
+    """Sender and text of the first `MAX_TEXTS` errors of each sender, in the order of arrival."""
+    counts: Counter[str] = field(default_factory=Counter)
+
+    def add(self, sender: str, text: str) -> None:
+        """Record an error of a sender."""
+        self.counts[sender] += 1
+        if self.counts[sender] <= MAX_TEXTS:
+            self.texts.append(f"{sender}: {text}")
 
 
 @dataclass(repr=False)
@@ -57,12 +52,11 @@ class Records:
     """All data reported during a run so far."""
 
     robots: int
-    """Number of robots."""
     maps: MapHistory
     """The robots' maps over time, if the run records them."""
-    world: list[WorldReport] = field(default_factory=list)
+    world: list[messages.WorldReport] = field(default_factory=list)
     """One report per step."""
-    statuses: list[list[RobotStatus]] = field(default_factory=list)
+    statuses: list[list[messages.RobotStatus]] = field(default_factory=list)
     """The reports of each robot, by its number."""
     rows: list[bytes] = field(default_factory=list)
     """The rows of the ledger (`netshaper.ledger.ROW`), step by step."""
@@ -76,9 +70,9 @@ class Records:
     """The cells of their self-explored grids of which they are certain."""
     lost: dict[int, str] = field(default_factory=dict)
     """The cause of each unexpected failure, by robot."""
-    fault_events: list[FaultEvent] = field(default_factory=list)
+    fault_events: list[messages.FaultEvent] = field(default_factory=list)
     """The faults that have occurred, except for restarts of lost robots."""
-    changes: list[Change] = field(default_factory=list)
+    changes: list[messages.Change] = field(default_factory=list)
     """The changes of the radio that have occurred."""
     killed: set[int] = field(default_factory=set)
     """Robots that a fault event killed and none restarted."""
@@ -86,10 +80,10 @@ class Records:
     """Step and robot of each return after an unexpected failure."""
     reconnected: list[tuple[int, int]] = field(default_factory=list)
     """Step and robot of each connection that was cut and restored."""
-    missed: list[Missed] = field(default_factory=list)
+    missed: list[messages.Missed] = field(default_factory=list)
     """Phases of steps that robots missed by the wall clock; with the scenario, they repeat the run."""
     protocol_errors: ProtocolErrors = field(default_factory=ProtocolErrors)
-    end: End | None = None
+    end: messages.End | None = None
     """How the run ended; None as long as it has not."""
     carried: int = 0
     """Number of bytes transmitted in the last step."""
@@ -132,27 +126,11 @@ class Records:
 
 
 class RecorderNode:
-    """The recorder's end of the bus.
+    """The recorder's end of the bus; `done` once all results have arrived.
 
     The recorder accepts from each participant only reports about itself; any other message is a protocol error.
-
-    Parameters
-    ----------
-    robots : int
-        Number of robots.
-    shape : (int, int)
-        Height and width of the run's map.
-    capture : binary file, optional
-        Receives the frames of each step, which are not kept in memory.
-    on_fault : callable
-        Called with each fault event, so that the launcher can kill and restart processes.
-
-    Attributes
-    ----------
-    done : bool
-        Whether all results have arrived.
-    records : Records
-        The results so far.
+    `shape` is height and width of the run's map. `capture` receives the frames of each step, which are not kept in
+    memory. `on_fault` is called with each fault event, so that the launcher can kill and restart processes.
     """
 
     def __init__(
@@ -162,7 +140,7 @@ class RecorderNode:
         robots: int,
         shape: tuple[int, int],
         capture: BinaryIO | None = None,
-        on_fault: Callable[[FaultEvent], object] = lambda _: None,
+        on_fault: Callable[[messages.FaultEvent], object] = lambda _: None,
     ) -> None:
         self.done = False
         self.records = Records(robots, MapHistory(shape))
@@ -182,7 +160,7 @@ class RecorderNode:
     def configure(self, settings: Mapping[int, Settings]) -> None:
         """Send each robot its settings by way of the relay; once, when this recorder has joined."""
         for robot, task in settings.items():
-            self._send(Configure(robot, task.encode()))
+            self._send(messages.Configure(robot, task.encode()))
 
     def handle(self, message: Message) -> None:
         """Take one message from the bus."""
@@ -204,7 +182,7 @@ class RecorderNode:
             return False
         cause = TOO_MANY_BYTES.format(self._max_step_bytes)
         self.records.lost[names.number(sender)] = cause
-        self._send(Lost(names.number(sender), cause))
+        self._send(messages.Lost(names.number(sender), cause))
         return True
 
     @property
@@ -225,57 +203,56 @@ class RecorderNode:
             self.shut_down()
 
     def _request(self, robot: int, part: int) -> None:
-        """Request a part of a robot's maps."""
         end = self.records.end
         step = self.records.step if end is None or end.step < 0 else end.step
-        self._send(RequestMaps(robot, step, part))
+        self._send(messages.RequestMaps(robot, step, part))
 
     def _record_protocol_error(self, sender: str, text: str) -> None:
         """Record a protocol error; a robot that exceeds `MAX_PROTOCOL_ERRORS` in a step counts as lost."""
         self.records.protocol_errors.add(sender, text)
         self._protocol_errors[sender] += 1
         if self._protocol_errors[sender] == MAX_PROTOCOL_ERRORS + 1 and names.is_robot(sender):
-            self._send(Lost(names.number(sender), TOO_MANY_ERRORS))
+            self._send(messages.Lost(names.number(sender), TOO_MANY_ERRORS))
 
     def _record(self, sender: str, message: object) -> None:
         """Record a message that its sender may send; ProtocolError if its content is invalid."""
         records = self.records
         match message:
-            case WorldReport():
+            case messages.WorldReport():
                 records.world.append(message)
                 self._protocol_errors.clear()
                 self._received_bytes.clear()
-            case RadioReport():
+            case messages.RadioReport():
                 self._record_radio(message)
-            case RobotStatus():
+            case messages.RobotStatus():
                 self._record_status(self._number(sender), message)
-            case Lost(robot=robot):
+            case messages.Lost(robot=robot):
                 if robot not in records.killed:
                     records.lost[robot] = message.cause
-            case Back(robot=robot):
+            case messages.Back(robot=robot):
                 if records.lost.pop(robot, None) is not None:
                     records.returned.append((records.step, robot))
-            case Reconnected(robot=robot):
+            case messages.Reconnected(robot=robot):
                 records.reconnected.append((records.step, robot))
-            case Missed():
+            case messages.Missed():
                 records.missed.append(message)
-            case FaultEvent():
+            case messages.FaultEvent():
                 self._record_fault_event(message)
-            case Change():
+            case messages.Change():
                 records.changes.append(message)
-            case ErrorReport():
+            case messages.ErrorReport():
                 reported_by_core = sender in (names.RELAY, names.WORLD)
                 records.protocol_errors.add(
                     message.participant if reported_by_core else sender, message.reason
                 )
-            case End():
+            case messages.End():
                 records.end = message
-            case MapPart():
+            case messages.MapPart():
                 self._record_part(self._number(sender), message)
-            case MapChanges() | Outlines():
+            case messages.MapChanges() | messages.Outlines():
                 self._record_map_changes(self._number(sender), message)
 
-    def _record_radio(self, report: RadioReport) -> None:
+    def _record_radio(self, report: messages.RadioReport) -> None:
         if len(report.rows) % ROW.itemsize:
             raise ProtocolError("RadioReport", 0, f"{len(report.rows)} bytes are not whole ledger rows")
         self.records.rows.append(report.rows)
@@ -283,7 +260,7 @@ class RecorderNode:
         if self._capture is not None:
             self._capture.write(report.frames)
 
-    def _record_status(self, robot: int, status: RobotStatus) -> None:
+    def _record_status(self, robot: int, status: messages.RobotStatus) -> None:
         """Record a robot's status; at most one per step is valid."""
         statuses = self.records.statuses[robot]
         first, last = (statuses[-1].step if statuses else 0) + 1, self.records.step + 1
@@ -291,7 +268,7 @@ class RecorderNode:
             raise ProtocolError("RobotStatus", 0, f"step {status.step} is not within {first} to {last}")
         statuses.append(status)
 
-    def _record_part(self, robot: int, part: MapPart) -> None:
+    def _record_part(self, robot: int, part: messages.MapPart) -> None:
         """Record a part of a robot's maps, and request the next one."""
         final, records = self._collection.take(robot, part), self.records
         if final is None:
@@ -300,7 +277,7 @@ class RecorderNode:
             records.own[robot], records.planning[robot] = final.own, final.planning
             records.shared[robot], records.settled[robot] = final.shared, final.settled
 
-    def _record_map_changes(self, robot: int, changes: MapChanges | Outlines) -> None:
+    def _record_map_changes(self, robot: int, changes: messages.MapChanges | messages.Outlines) -> None:
         """Record changes of a robot's maps, of a step that has begun."""
         if changes.step > self.records.step + 1:
             name = type(changes).__name__
@@ -314,7 +291,7 @@ class RecorderNode:
             raise ProtocolError("message", 0, f"there is no robot {number}")
         return number
 
-    def _record_fault_event(self, event: FaultEvent) -> None:
+    def _record_fault_event(self, event: messages.FaultEvent) -> None:
         """Record a fault event; the restart of a lost robot is a recovery, not a fault."""
         records, robot = self.records, event.robot
         if event.kind == "death":
@@ -349,22 +326,22 @@ class RecorderNode:
             self.records.lost[robot] = NO_MAPS
         self._collect()
 
-    def request(self, event: FaultEvent | Change) -> None:
+    def request(self, event: messages.FaultEvent | messages.Change) -> None:
         """Request a fault or a change of the radio that is not in the scenario, for the next step."""
         self._send(event)
 
     def stop(self, reason: str) -> None:
         """Request that the world ends the run after this step."""
-        self._send(Stop(reason))
+        self._send(messages.Stop(reason))
 
     def report_end(self, robot: int) -> None:
         """Report to the relay that the process of a robot has ended, so that it does not wait for the robot."""
-        self._send(Lost(robot, ENDED))
+        self._send(messages.Lost(robot, ENDED))
 
     def shut_down(self) -> None:
         """Notify all participants that all results are recorded and that they can shut down."""
         self.done = True
-        self._send(Shutdown())
+        self._send(messages.Shutdown())
 
-    def _send(self, message: Record) -> None:
+    def _send(self, message: messages.Record) -> None:
         self._bus.put(self._keys.control_tx(names.RECORDER), pack(message))

@@ -78,12 +78,8 @@ def check_free(out: Path | None) -> None:
 def create(out: Path | None, plan: Plan) -> Path:
     """Make the directory of a new run; without a name, a new one under ``runs``.
 
-    Raises
-    ------
-    ScenarioError
-        It is not free, or cannot be made.
-    OSError
-        The disk is full; the directory is free for another attempt.
+    Raises ScenarioError if it is not free, or cannot be made; OSError if the disk is full: then it is free for another
+    attempt.
     """
     check_free(out)
     is_new = out is None or not out.exists()

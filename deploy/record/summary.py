@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
@@ -21,22 +21,15 @@ from deploy.record.map_quality import (
     true_walls_of,
 )
 from deploy.record.missed_phases import figures as figures_of_missed
-from deploy.record.recorded_runs import recorded_figures
 from deploy.record.records import Records
-from deploy.record.team_effort import (
-    longest_path_m,
-    overlap,
-    overlap_sum,
-    report_at,
-    seen_by_each,
-    seen_std,
-)
+from deploy.record.team_effort import longest_path_m, overlaps, report_at
 from deploy.record.versions import versions
 from deploy.scenario.plan import Plan
 from netshaper.airtime import HOUR_S
 from netshaper.ledger import sort_rows
 from protocol.grid import FREE, OCCUPIED, Grid
 from protocol.messages import End
+from worldsim.recorded.world import Stretch
 
 POLYGONS = "polygons"
 """The map encoding that approximates maps."""
@@ -84,7 +77,7 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "finish": "all" if plan.world.ends_with_all else "first",
         **figures_of_missed(records.missed, scenario.robots),
         "raw_scan_bytes": raw_scan_bytes(steps, scenario.robots),
-        **recorded_figures(plan, records, steps, common["bytes"]["total"]),
+        **_recorded_figures(plan, records, steps, common["bytes"]["total"]),
         **_approximation_error(records, first, int(reachable.sum()), scenario.map_encoding),
         "over_budget_steps": over_budget(ledger, allowed, plan.radio.saving, each=scenario.radio.reuse),
         "duty_cycle": duty_cycle(ledger, allowed, HOUR_S * plan.radio.saving.steps),
@@ -123,7 +116,7 @@ def common_figures(plan: Plan, records: Records, figures: dict[int, Figures], fi
         "lost": {str(robot): cause for robot, cause in sorted(records.lost.items())},
         "returned": [list(each) for each in records.returned],
         "reconnected": [list(each) for each in records.reconnected],
-        "protocol_errors": records.protocol_errors.total,
+        "protocol_errors": records.protocol_errors.counts.total(),
         "digest": digest(records),
         "work_us_median": median_work(records),
     }
@@ -204,13 +197,44 @@ def _overlaps(records: Records, reachable: Mask, refuted: Collection[int]) -> di
     """Return how much several robots have seen; None for all if a grid is missing or false."""
     if refuted or not records.own or not records.has_all_grids:
         return dict.fromkeys(("overlap", "overlap_sum", "seen_std"))
-    own = records.own.values()
-    seen = seen_by_each(own, reachable)
+    return {**overlaps(records.own.values(), reachable)}
+
+
+def _recorded_figures(plan: Plan, records: Records, steps: int, transmitted: int) -> dict[str, Any]:
+    """Return the keys that only the summary of a recorded run has (`deploy.record.columns.RECORDED`).
+
+    `transmitted` are the bytes that the team sent in all `steps`.
+    """
+    recording = plan.recording
+    if recording is None:
+        return {}
+    with_scans = plan.scenario.robots - plan.scenario.recording.listeners
+    scans = _replayed(recording.stretches[:with_scans], records)
+    last_scan = max(int(each.steps[-1]) for each in recording.stretches)
+    end = records.end
+    finished = end is not None and end.first >= 0
+    delivered = steps - sure_after(plan.robot_settings[0]) - 1 if finished else steps
     return {
-        "overlap": overlap(seen),
-        "overlap_sum": overlap_sum(seen),
-        "seen_std": seen_std(own, reachable),
+        "logs": list(plan.scenario.recording.files),
+        "scans": scans,
+        "bytes_per_scan": round(transmitted / scans, 2) if scans else None,
+        "steps_after_scans": max(0, delivered - last_scan),
+        "backlog_after_scans": _backlog(records, last_scan),
+        "backlog": _backlog(records, steps),
     }
+
+
+def _replayed(stretches: Sequence[Stretch], records: Records) -> int:
+    """Count the scans that the first robots, those with scans, took before they ended."""
+    return sum(
+        int(np.isin(stretch.steps, [status.step for status in statuses]).sum())
+        for stretch, statuses in zip(stretches, records.statuses, strict=False)
+    )
+
+
+def _backlog(records: Records, step: int) -> int:
+    """Return the log entries that teammates lack at the end of a step, summed over all pairs of robots."""
+    return sum(status.backlog for statuses in records.statuses for status in statuses if status.step == step)
 
 
 def _approximation_error(

@@ -25,28 +25,18 @@ def longest_path_m(report: WorldReport | None) -> float | None:
     return max(report.driven) / 1000 if report is not None else None
 
 
-def seen_by_each(own: Collection[Grid], reachable: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Count, for each cell, the robots that have seen it as free, from their self-explored grids.
+def overlaps(own: Collection[Grid], reachable: NDArray[np.bool_]) -> dict[str, float]:
+    """Return how much of the reachable cells several robots have seen, from their self-explored grids.
 
-    Cells that are not reachable have 0. Shape and axes are those of `reachable`.
+    `overlap`: share of the cells seen by the team that several robots have seen. `overlap_sum`: cells that each robot
+    has seen, summed over robots, over those that the team has seen, minus 1. `seen_std`: standard deviation, over
+    robots, of the share of the reachable cells that each has seen.
     """
-    seen = np.zeros(reachable.shape, np.int64)
-    for grid in own:
-        seen += (grid == FREE) & reachable
-    return seen
-
-
-def overlap(seen: NDArray[np.int64]) -> float:
-    """Return the share of the seen cells that several robots have seen; `seen` as of `seen_by_each`."""
-    return float((seen > 1).sum() / (seen > 0).sum())
-
-
-def overlap_sum(seen: NDArray[np.int64]) -> float:
-    """Return the cells that each robot has seen, summed over robots, over those that the team has seen, minus 1."""
-    return float(seen.sum() / (seen > 0).sum() - 1.0)
-
-
-def seen_std(own: Collection[Grid], reachable: NDArray[np.bool_]) -> float:
-    """Return the standard deviation, over robots, of the share of the reachable cells that each has seen itself."""
-    shares = [((grid == FREE) & reachable).sum() / reachable.sum() for grid in own]
-    return float(np.std(shares))
+    seen = [(grid == FREE) & reachable for grid in own]
+    times = np.sum(seen, axis=0)
+    by_team = (times > 0).sum()
+    return {
+        "overlap": float((times > 1).sum() / by_team),
+        "overlap_sum": float(times.sum() / by_team - 1.0),
+        "seen_std": float(np.std([of_robot.sum() / reachable.sum() for of_robot in seen])),
+    }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from deploy.scenario.errors import ScenarioError
@@ -25,7 +26,6 @@ class Named(NamedTuple):
     plugins: Plugins[Any]
     """All parts of its kind."""
     name: str
-    """Its name."""
 
 
 @cache
@@ -70,16 +70,9 @@ def _plain(setting: str, value: Any) -> Any:
 
 def named(scenario: Scenario) -> Iterator[Named]:
     """Yield all parts that a scenario names."""
-    values = {
-        "strategy": scenario.strategy,
-        "map_encoding": scenario.map_encoding,
-        "dissemination": scenario.dissemination,
-        "radio.model": scenario.radio.model,
-        "radio.preset": scenario.radio.preset,
-    }
-    for setting, name in values.items():
-        if name:
-            yield Named(setting, kinds()[setting], name)
+    for setting, plugins in kinds().items():
+        if name := attrgetter(setting)(scenario):
+            yield Named(setting, plugins, name)
 
 
 def on_robots(scenario: Scenario) -> dict[str, str]:

@@ -71,20 +71,11 @@ class TeamSettings(Table):
         return self
 
     def body_of(self, number: int) -> Hardware:
-        """Return the hardware of one robot."""
+        """Return the hardware of one robot: its own where a table gives it, else that of the team."""
         own = next((entry for entry in self.robot if entry.robot == number), RobotOverride(robot=number))
-        return Hardware(
-            robot=number,
-            sensor_range=own.sensor_range or self.sensor_range,
-            field_of_view=own.field_of_view or self.field_of_view,
-            speed=own.speed or self.speed,
-            send_bytes=own.send_bytes or 0,
-            receive_bytes=own.receive_bytes or 0,
-            radius=self.radius if own.radius is None else own.radius,
-            scanner_turn=self.scanner_turn if own.scanner_turn is None else own.scanner_turn,
-            laser=own.laser or self.laser,
-            pose=own.pose or self.pose,
-        )
+        team = {"send_bytes": 0, "receive_bytes": 0} | dict(self)
+        values = {name: team[name] if value is None else value for name, value in own}
+        return Hardware(**values)
 
 
 def has_errors(given: Mapping[str, Any]) -> bool:

@@ -157,7 +157,7 @@ def test_a_forbidden_message_is_a_fault_with_its_sender_s_name_and_changes_nothi
     assert records.end is not None
     assert records.end.step == STEPS
     assert records.lost == {}
-    assert records.protocol_errors.total > 100
+    assert records.protocol_errors.counts.total() > 100
     assert {fault.split(":")[0] for fault in records.protocol_errors.texts} <= {rogue, "r0", "r2"}
     reason = f"{rogue} may {'send no message' if rogue == names.VIEW else 'not send it'} here"
     assert any(fault.startswith(f"{rogue}: ") and reason in fault for fault in records.protocol_errors.texts)
@@ -174,7 +174,7 @@ def test_over_zenoh_a_forbidden_message_changes_nothing(tmp_path: Path, rogue: s
     records = outcome.records
     assert digest(records) == honest_digest()
     assert records.lost == {}
-    assert records.protocol_errors.total > 100
+    assert records.protocol_errors.counts.total() > 100
     assert {fault.split(":")[0] for fault in records.protocol_errors.texts} <= {rogue, "r0", "r2"}
     assert any(f"{rogue} may not send it here" in fault for fault in records.protocol_errors.texts)
 
@@ -231,7 +231,7 @@ def test_noise_on_the_radio_in_every_phase_stops_no_robot(map_encoding: str, dis
     assert records.end is not None
     assert records.end.step == STEPS
     assert records.lost.keys() <= {1}
-    assert records.protocol_errors.total > 100
+    assert records.protocol_errors.counts.total() > 100
     for robot in (0, 2):
         known = records.own[robot] != UNKNOWN
         assert known.sum() > 100

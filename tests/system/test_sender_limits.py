@@ -78,7 +78,7 @@ def test_long_messages_over_zenoh_are_faults_of_their_sender_and_change_nothing(
     sizes = {names.WORLD: 8 * [4 * MB], names.RECORDER: [16 * MB], "radio": [16 * MB]}
     records = play(tmp_path, sizes).records
     assert records.lost == {}
-    assert records.protocol_errors.total == 10
+    assert records.protocol_errors.counts.total() == 10
     assert all(error.startswith("r1: ") for error in records.protocol_errors.texts)
     assert digest(records) == digest(MemoryRun(small_plan(robots=3, steps=STEPS)).complete())
 
@@ -173,7 +173,7 @@ def test_the_errors_of_one_robot_do_not_crowd_out_those_of_others() -> None:
         recording.send("r1", ErrorReport("r1", "noise"))
     recording.send("r2", ErrorReport("r2", "a real error"))
     records = recording.recorder.records
-    assert records.protocol_errors.total == 3001
+    assert records.protocol_errors.counts.total() == 3001
     assert "r2: a real error" in records.protocol_errors.texts
     assert len(records.protocol_errors.texts) <= 1001
 
@@ -190,10 +190,10 @@ def test_a_robot_that_reports_too_much_in_a_step_is_lost_and_ignored() -> None:
     (loss,) = recording.lost()
     assert loss.robot == 1
     assert "bytes in a step" in loss.cause
-    count = recording.recorder.records.protocol_errors.total
+    count = recording.recorder.records.protocol_errors.counts.total()
     recording.send("r1", ErrorReport("r1", "again"))
     recording.send("r2", MapChanges(1, bytes(4), b"\x01"))
-    assert recording.recorder.records.protocol_errors.total == count
+    assert recording.recorder.records.protocol_errors.counts.total() == count
     assert recording.recorder.records.maps.steps(2) == [1]
 
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 FIRST_TEST_SEED = 1000
-"""The smallest test seed."""
 
 
 def is_test_seed(seed: int) -> bool:

@@ -19,7 +19,6 @@ class RecordedLog:
     """The scans of one robot's log, in the order of time."""
 
     name: str
-    """The name of the log, for results."""
     angles: BeamAngles
     poses: NDArray[np.float64]
     """Poses of the laser, shape (scans, 3): x and y in meters, y up; heading in radians, counterclockwise."""

@@ -100,7 +100,6 @@ def _repair(path: Path) -> str:
 
 
 def _scan_topic(path: Path, connections: list[Any], topic: str) -> str:
-    """Return the topic to read scans from."""
     topics: list[str] = sorted({each.topic for each in connections if each.msgtype == SCAN})
     if not topics:
         kinds = sorted({each.msgtype for each in connections})

@@ -5,14 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from deploy.record.team_effort import (
-    longest_path_m,
-    overlap,
-    overlap_sum,
-    report_at,
-    seen_by_each,
-    seen_std,
-)
+from deploy.record.team_effort import longest_path_m, overlaps, report_at
 from protocol.grid import FREE, OCCUPIED, UNKNOWN
 from protocol.messages import WorldReport
 
@@ -50,17 +43,15 @@ def test_overlaps_count_the_reachable_free_cells_that_each_robot_has_seen() -> N
         np.array([[UNKNOWN, FREE, FREE, OCCUPIED, UNKNOWN, FREE]], np.uint8),
         np.array([[UNKNOWN, FREE, UNKNOWN, UNKNOWN, UNKNOWN, UNKNOWN]], np.uint8),
     ]
-    seen = seen_by_each(own, reachable)
-    assert seen.tolist() == [[1, 3, 2, 1, 0, 0]]
-    assert overlap(seen) == 2 / 4
-    assert overlap_sum(seen) == (4 + 2 + 1) / 4 - 1
+    found = overlaps(own, reachable)
+    assert found["overlap"] == 2 / 4
+    assert found["overlap_sum"] == (4 + 2 + 1) / 4 - 1
     shares = [4 / 5, 2 / 5, 1 / 5]
     mean = sum(shares) / 3
-    assert seen_std(own, reachable) == pytest.approx((sum((each - mean) ** 2 for each in shares) / 3) ** 0.5)
+    assert found["seen_std"] == pytest.approx((sum((each - mean) ** 2 for each in shares) / 3) ** 0.5)
 
 
 def test_a_robot_alone_overlaps_with_nobody() -> None:
     own = [np.array([[FREE, FREE, UNKNOWN]], np.uint8)]
     reachable = np.ones((1, 3), np.bool_)
-    seen = seen_by_each(own, reachable)
-    assert (overlap(seen), overlap_sum(seen), seen_std(own, reachable)) == (0.0, 0.0, 0.0)
+    assert overlaps(own, reachable) == {"overlap": 0.0, "overlap_sum": 0.0, "seen_std": 0.0}
