@@ -72,17 +72,16 @@ def router_rules(keys: Keys, robots: Sequence[str]) -> dict[str, Any]:
 
 def _rules_of(keys: Keys, name: str, everyone: list[str]) -> list[dict[str, Any]]:
     inbox = keys.inbox(name)
+    seen = rights.receivers(name, everyone)
+    if name != names.VIEW:
+        seen = [*seen, name]  # to find another process of its name
     allowed = {
         "put": ("put", "ingress", rights.may_put(keys, name)),
         "receive": ("put", "egress", [inbox]),
         "subscribe": ("declare_subscriber", "ingress", [inbox]),
         "presence": ("liveliness_token", "ingress", [keys.alive(name)]),
-        # A client sends messages only to subscriptions that it knows. By its own, it finds another process of its name.
-        "discover": (
-            "declare_subscriber",
-            "egress",
-            [keys.inbox(other) for other in (*rights.receivers(name, everyone), name)],
-        ),
+        # A client sends messages only to subscriptions that it knows.
+        "discover": ("declare_subscriber", "egress", [keys.inbox(other) for other in seen]),
     }
     return [
         {

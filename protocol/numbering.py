@@ -50,6 +50,8 @@ class Incoming:
     """The numbers of the messages that one end receives under one key."""
 
     def __init__(self) -> None:
+        self.first = 0
+        """Number of the first message that was received."""
         self._session: int | None = None
         self._next = 0
 
@@ -65,6 +67,8 @@ class Incoming:
         if session != self._session:
             if self._session is not None and number:
                 return None
+            if self._session is None:
+                self.first = number
             self._session, self._next = session, number
         if number != self._next:
             return None

@@ -143,6 +143,11 @@ class ZenohBus:
         self._ticker = threading.Thread(target=self._tick, name=f"{name}-ticks", daemon=True)
         self._ticker.start()
 
+    @property
+    def misses_messages(self) -> bool:
+        """Whether an earlier process of this name has received messages that this one lacks."""
+        return any(incoming.first for incoming in self._incoming.values())
+
     def put(self, key: str, payload: bytes) -> None:
         """Send `payload` to the participant whose inbox contains `key`; wait while the network is congested.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import shlex
 import sys
 from pathlib import Path
@@ -137,8 +138,11 @@ def _namespaces(names: str | None, robots: int) -> tuple[str, ...]:
     if len(set(found)) != robots or len(found) != robots:
         raise ValueError(f"names = {names!r}: give {robots} different names, one per robot, or --robots")
     for name in found:
-        if "/" in name or not name:
-            raise ValueError(f"names = {names!r}: a namespace is one name without slash, as r0")
+        if re.fullmatch("[A-Za-z_][A-Za-z0-9_]*", name) is None:
+            raise ValueError(
+                f"names = {names!r}: {name!r} is not a namespace, as r0: "
+                "letters, digits, and underscores, no digit first"
+            )
     return found
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -26,6 +27,7 @@ from deploy.scenario.toml_files import read_toml
 from protocol.grid import MAX_ROBOTS, MAX_SIDE
 from protocol.packets import MAX_GOSSIP_MAPS
 from protocol.range_scans import MAX_REACH_M
+from protocol.ros2.names import check_node, qualified
 
 EXAMPLE = Path(__file__).with_name("robot.toml")
 """The commented settings file that `murmur robot --example` prints."""
@@ -61,6 +63,11 @@ class GridTable(Table):
                     f"{name}: is {cells} cells of {self.resolution:g} m; must be 3 to {MAX_SIDE}"
                 )
         return self
+
+
+OPTIONAL_TOPICS = ("scan", "map", "goal_pose", "navigate_to_pose")
+TOPICS = (*OPTIONAL_TOPICS, "tf", "tf_static", "team_map", "status", "markers")
+"""Settings that are names of topics, or of an action; the optional ones may be empty."""
 
 
 class Ros2Table(Table):
@@ -107,6 +114,30 @@ class Ros2Table(Table):
             raise ValueError(
                 "goal_pose and navigate_to_pose are both empty, so that the robot cannot be driven"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _has_valid_names(self) -> Self:
+        if not re.fullmatch(r"[a-z0-9-]+/\S+:[0-9]+", self.router):
+            raise ValueError(f"router = {self.router!r}: must be as tcp/localhost:7447")
+        for name in ("map_frame", "base_frame"):
+            if not (frame := getattr(self, name)) or frame.startswith("/"):
+                raise ValueError(f"{name} = {frame!r}: must be the name of a frame, without a slash in front")
+        check_node(self.node, self.namespace or "/")
+        uses: dict[str, str] = {}
+        for name in TOPICS:
+            topic = getattr(self, name)
+            if not topic and name in OPTIONAL_TOPICS:
+                continue
+            try:
+                full = qualified(topic, self.namespace or "/", self.node)
+            except ValueError as error:
+                raise ValueError(f"{name}: {error}") from None
+            if full in uses:
+                raise ValueError(
+                    f"{name} = {topic!r}: is the topic of {uses[full]} as well; each needs its own"
+                )
+            uses[full] = name
         return self
 
 

@@ -216,14 +216,18 @@ def schedule_as_batch() -> None:
 
 
 def serve_agent(credential: Credential, journal: Path | None = None, wrap: Wrap | None = None) -> None:
-    """Serve as one robot of a run; with a `journal` it can be restarted."""
+    """Serve as one robot of a run; with a `journal` it can be restarted.
+
+    ConnectionError if the bus cannot be joined, or if an earlier process of this robot has begun without a journal.
+    """
     number = names.number(credential.name)
     try:
         kept = Journal.open(journal) if journal is not None else None
         schedule_as_batch()
         joined = _joined(credential)
         bus = _wrapped(joined, credential, wrap)
-        _serve_robot(bus, AgentNode(bus, Keys(credential.run), number, kept, resend=joined.resend))
+        node = AgentNode(bus, Keys(credential.run), number, kept, resend=joined.resend)
+        _serve_robot(bus, node, lambda: kept is None and joined.misses_messages)
     except (JournalError, OSError) as error:
         if isinstance(error, ConnectionError):
             raise
@@ -247,10 +251,16 @@ def _wrapped(bus: ZenohBus, credential: Credential, wrap: Wrap | None) -> Bus:
     return bus if wrap is None else wrap(credential.name, bus)
 
 
-def _serve_robot(bus: Bus, node: AgentNode) -> None:
+def _serve_robot(bus: Bus, node: AgentNode, is_second: Callable[[], bool]) -> None:
+    """Process messages until the robot is done; ConnectionError once this is found to be its second process."""
     with closing(bus):
         while not node.done:
             message = bus.receive()
+            if is_second():
+                raise ConnectionError(
+                    "an earlier process of this robot has begun the run, and its maps are lost: "
+                    "a robot that is started by hand cannot start again"
+                )
             if message is not None:
                 node.handle(message)
         if node.killed:

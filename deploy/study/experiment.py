@@ -142,8 +142,9 @@ def _checked(path: Path, file: ExperimentFile) -> Experiment:
         raise ValueError(f"measure = {file.measure!r}: {there_are(MEASURES, file.measure)}")
     grid, base = file.grid, _with_scenario(path, file.scenario, file.base)
     if file.seeds is not None:
-        if "seed" in grid:
-            raise ValueError("seeds and grid.seed: set only one of them")
+        for where, given in (("grid", grid), ("base", file.base)):
+            if "seed" in given:
+                raise ValueError(f"seeds and {where}.seed: set only one of them")
         grid["seed"] = list(range(file.seeds))
     for key, values in grid.items():
         _check_values(f"grid.{key}", values)

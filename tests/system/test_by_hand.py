@@ -136,6 +136,27 @@ def test_ctrl_c_in_each_terminal_has_the_documented_effect(tmp_path: Path) -> No
     assert (tmp_path / "by-hand" / "maps.png").exists()
 
 
+def test_a_robot_that_is_started_again_ends_and_counts_as_lost(tmp_path: Path) -> None:
+    """Within three seconds, the relay takes the new process for the old one, whose connection was restored."""
+    address = free_address()
+    netshaper, worldsim, r0, r1, recorder = [command.replace(ADDRESS, address) for command in COMMANDS[:-1]]
+    with terminals(tmp_path) as running:
+        (tmp_path / "hand.toml").write_text(SCENARIO + "speed = 0.005\n")  # not over before the robot ends
+        for command in (netshaper, worldsim, r0, r1, recorder):
+            running[command] = start(command, tmp_path)
+            wait_for(tmp_path / "credentials" / "scenario.toml", running[netshaper])
+        wait_for(tmp_path / "by-hand" / "radio.pcapng", running[recorder], size=10_000)
+        running[r1].kill()
+        running["again"] = start(r1, tmp_path)
+        _, problem = running["again"].communicate(timeout=PATIENCE_S)
+        assert running["again"].returncode == 3
+        assert "an earlier process of this robot has begun the run" in problem
+        running[recorder].send_signal(signal.SIGINT)
+        _, faults = running[recorder].communicate(timeout=PATIENCE_S)
+        assert running[recorder].returncode == 3
+        assert "robot 1 was lost" in faults and "malformed message" not in faults
+
+
 def test_a_scenario_that_differs_from_the_relay_s_is_rejected_by_setting(tmp_path: Path) -> None:
     credential = access.issue("run", "tcp/127.0.0.1:1", robots=2)
     for name in ("world", "recorder"):

@@ -15,8 +15,8 @@ from tests.deploy.commands.office_floor import murmur
     [
         ("--names a,b", "names = 'a,b': give 3 different names, one per robot"),
         ("--names a,b,a", "names = 'a,b,a': give 3 different names"),
-        ("--names a,b,c/d", "a namespace is one name without slash"),
-        ("--names a,b,3", "'murmur_simulator' in namespace '3' is not a name of ROS"),
+        ("--names a,b,c/d", "names = 'a,b,c/d': 'c/d' is not a namespace, as r0"),
+        ("--names a,b,3", "names = 'a,b,3': '3' is not a namespace, as r0"),
         ("--domain 300", "domain 300 is not from 0 to 232"),
         ("--distro iron", "distro = 'iron': there are: humble, jazzy"),
         ("--rate 0", "rate = 0: must be 1 to 100 Hz"),

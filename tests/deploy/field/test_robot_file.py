@@ -70,6 +70,27 @@ from tests.deploy.field.robot_processes import settings, write
             {"ros2": {"map_pose": [0.0, 0.0, 0.0], "scan": "", "map": ""}},
             "scan and map are both empty, so that the robot has no readings",
         ),
+        *(
+            ({"ros2": {"map_pose": [0.0, 0.0, 0.0], **names}}, message)
+            for names, message in (
+                (
+                    {"scan": "l\u00e4ser"},
+                    "scan: 'l\u00e4ser' in namespace '/' is not a name of ROS: parts between",
+                ),
+                ({"tf": ""}, "tf: '' in namespace '/' is not a name of ROS"),
+                ({"namespace": "r 1"}, "'murmur' in namespace 'r 1' is not a name of ROS"),
+                ({"node": "1"}, "'1' is not the name of a node"),
+                ({"router": "localhost"}, "router = 'localhost': must be as tcp/localhost:7447"),
+                (
+                    {"map_frame": "/map"},
+                    "map_frame = '/map': must be the name of a frame, without a slash in",
+                ),
+                (
+                    {"namespace": "r1", "team_map": "/r1/map"},
+                    "team_map = '/r1/map': is the topic of map as well",
+                ),
+            )
+        ),
         (
             {"map_encoding": "scans", "ros2": {"map_pose": [0.0, 0.0, 0.0], "scan": ""}},
             "ros2.scan = \"\": map_encoding = 'scans' sends laser scans; choose another encoding",

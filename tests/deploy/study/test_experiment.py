@@ -134,6 +134,8 @@ def test_an_unknown_experiment_is_rejected_with_the_known_ones() -> None:
             "variant 'a' sets map_seed, which the grid sets",
         ),
         ("[base]\n[table]\ninterval = 3\n", "table.interval = 3: must be true or false"),
+        ("seeds = 2\n[grid]\nseed = [3]\n", "seeds and grid.seed: set only one of them"),
+        ("seeds = 2\n[base]\nseed = 3\n", "seeds and base.seed: set only one of them"),
         ("[grid]\nseed = []\n", "grid.seed = []: is an empty list; give at least one value"),
         ("[grid]\nseed = [0, 1, 0]\n", "contains 0 twice"),
         ("variant = []\n", "variant = []: must have at least one entry"),
