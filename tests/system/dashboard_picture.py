@@ -18,6 +18,9 @@ from tests.system.headless import settled_picture, viewer
 BAR = 37
 """Rows of the viewer's own title bar, which is left out."""
 
+STEP = 55
+"""The step that is shown, in the middle of the run."""
+
 
 def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
@@ -28,7 +31,7 @@ def main() -> None:
             window=Window("file"),
         )
         with viewer(run / RECORDING) as client:
-            picture = Image.open(io.BytesIO(settled_picture(client, 90))).convert("RGB")
+            picture = Image.open(io.BytesIO(settled_picture(client, STEP))).convert("RGB")
     picture = picture.crop((0, BAR, picture.width, picture.height))
     picture.quantize(256, dither=Image.Dither.NONE).save(sys.argv[1], optimize=True)
 
