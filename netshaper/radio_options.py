@@ -13,7 +13,7 @@ MIN_FRAME = 16
 LOG_DISTANCE = "log-distance"
 """The model of links that walls weaken."""
 
-MAX_STEPS = 10_000
+MAX_DELAY = 10_000
 """Maximum delay of a frame in steps."""
 
 MOST = 1e6
@@ -59,9 +59,9 @@ class ChannelOptions:
     """Mean number of steps between bursts of one link; 0: no bursts."""
     burst_steps: Annotated[float, Range(1, MOST)] = 5.0
     """Mean number of steps of a burst."""
-    delay: Annotated[int, Range(0, MAX_STEPS)] = 0
+    delay: Annotated[int, Range(0, MAX_DELAY)] = 0
     """Number of steps after which a frame arrives."""
-    jitter: Annotated[int, Range(0, MAX_STEPS)] = 0
+    jitter: Annotated[int, Range(0, MAX_DELAY)] = 0
     """Maximum of further steps that are drawn for each frame."""
     duplication: Probability = 0.0
     """Probability that a frame arrives twice."""
