@@ -153,14 +153,12 @@ def reproduce(
         command = ["murmur reproduce", *(claim or []), *(["--quick"] if quick else [])]
         command += [f"--seeds {seeds}"] if seeds is not None else []
         pages = reproduction.write(done, out, " ".join(command), style)
-    for part in (part for each in done.claims for part in each.parts):
+    parts = [part for each in done.claims for part in each.parts]
+    for part in parts:
         report_failures(part.failures)
     print_table(reproduction.overview(done))
     screen.print(f"Results: {', '.join(map(str, pages))}" + (" (quick)" if quick else ""))
-    failures = {
-        cause: count for each in done.claims for part in each.parts for cause, count in part.failures.items()
-    }
-    end_study(failures, 0 if done.all_hold else 1)
+    end_study([cause for part in parts for cause in part.failures], 0 if done.all_hold else 1)
 
 
 @app.command(cls=GroupedCommand)

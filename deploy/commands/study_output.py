@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn
@@ -46,8 +46,8 @@ def stopping(out: Path | None) -> Iterator[None]:
         fail("stopped" + (f"; the same command continues from {out}" if out is not None else ""), 130)
 
 
-def end_study(failures: dict[str, int], code: int = 0) -> NoReturn:
-    """End the command with a code for its result, or with `BROKEN_OFF` if runs have failed."""
+def end_study(failures: Collection[str], code: int = 0) -> NoReturn:
+    """End the command with a code for its result, or with `BROKEN_OFF` if runs have failed for some cause."""
     raise typer.Exit(BROKEN_OFF if failures else code)
 
 
