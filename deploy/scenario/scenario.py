@@ -60,10 +60,7 @@ NOT_RECORDED_REASON = (
 class Scenario(RunSettings, CommunicationSettings, ControlSettings, TeamSettings, BuildingSettings):
     """All settings of a run, with their defaults. One step is one second.
 
-    Raises
-    ------
-    ScenarioError
-        Keys or values are wrong; the message lists all of them.
+    Raises ScenarioError if keys or values are wrong; the message lists all of them.
     """
 
     def __init__(self, **settings: Any) -> None:
