@@ -37,7 +37,7 @@ def make(
     days: int = DAYS,
     routers: Mapping[str, Sequence[str]] | None = None,
 ) -> dict[str, Certificate]:
-    """Make certificates for the relay and all clients of a run, by name, which are valid for some `days`.
+    """Make certificates for the relay and all clients of a run, by name; they are valid for `days` days.
 
     `addresses` are names or IP addresses of the hub; participants refuse a hub whose certificate has another address.
     `routers` has the names of the robots that join through each router, by router name. Raises ValueError if an address

@@ -26,12 +26,12 @@ class RadioModel(ABC):
 
     @abstractmethod
     def links(self, settings: RadioSettings, step: int, places: Places) -> Links:
-        """Return which robots receive each other in a step, from 1: bool array, shape (robots, robots), symmetric.
+        """Return which robots receive each other in a step: bool array, shape (robots, robots), symmetric.
 
         `settings` has the communication range `range_cells` in cells, the side `cell_m` of a cell in meters, the run's
         `seed`, the `options` of the table ``[radio]``, and `walls`, the cells of the world: uint8, shape (h, w), row 0
         on top; None if the model needs none. `places`, int64 of shape (robots, 2), are the cells (x, y) of the living
-        robots, in ascending order of their numbers.
+        robots, in ascending order of their numbers. Steps count from 1.
         """
 
 

@@ -24,7 +24,6 @@ from protocol.files import read_file
 from protocol.grid import FREE, MAX_SIDE, OCCUPIED, UNKNOWN, Grid
 from protocol.map_frame import MapFrame
 from worldsim.atomic_files import write_whole
-from worldsim.map_error import MapError
 
 _OCCUPIED_THRESH = 0.65
 _FREE_THRESH = 0.196
@@ -35,6 +34,10 @@ MOST_RESOLUTION = 1000.0
 """Maximum of meters per cell: messages contain positions in millimeters, as 32-bit integers."""
 MOST_ORIGIN = 1e8
 """Maximum coordinate in meters: more than twice the circumference of the earth."""
+
+
+class MapError(ValueError):
+    """A map is invalid; the message names the place, the error and a remedy."""
 
 
 @dataclass(frozen=True, eq=False)

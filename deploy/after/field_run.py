@@ -28,8 +28,7 @@ from protocol.messages import MapChanges, Missed, Outlines, RobotStatus, WorldRe
 from protocol.nanoseconds import SECOND
 from protocol.plugins import without_import
 from worldsim.clock import MOVE
-from worldsim.map_error import MapError
-from worldsim.maps import Map
+from worldsim.maps import Map, MapError
 
 NAME = "the field"
 """The name of the map in results."""

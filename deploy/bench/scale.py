@@ -38,7 +38,7 @@ MEMORY, TRANSMITTED = "memory per robot, proportional", "transmitted per step"
 
 
 def scale(robots: Sequence[int] = ROBOTS, strategies: Sequence[str] = STRATEGIES) -> Iterator[Measurement]:
-    """Measure the cost of a step for teams of these sizes, relative to the smallest; ValueError: unknown strategy."""
+    """Measure the cost of a step by team size, relative to the smallest team; ValueError if a strategy is unknown."""
     for name in strategies:
         registry.strategy(name)
     for name in strategies:

@@ -98,7 +98,6 @@ def _league(
 ) -> None:
     from deploy.bench import league  # noqa: PLC0415
     from deploy.commands.study_output import print_table  # noqa: PLC0415
-    from deploy.commands.terminal import table  # noqa: PLC0415
     from deploy.study.progress import counting  # noqa: PLC0415
 
     tasks = league.tasks(maps or ["office"], robots or [6], seeds, strategies or [], settings)
@@ -113,4 +112,4 @@ def _league(
     if as_json:
         print(standings.write_json())
     else:
-        print_table(table(league.lines(standings)))
+        print_table(league.lines(standings))

@@ -21,9 +21,6 @@ errors = Console(stderr=True, highlight=False, soft_wrap=True, markup=False)
 screen = Console(highlight=False, soft_wrap=True, markup=False)
 """Without markup, because names, paths and process output may contain brackets."""
 
-FILE_WIDTH = 160
-"""Columns of a table printed to a file or another program."""
-
 
 def report_result(result: Any, *, as_json: bool) -> int:
     """Print the results of a run; return its exit code."""

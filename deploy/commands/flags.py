@@ -20,8 +20,8 @@ from deploy.commands.viewing import Viewing
 from deploy.run.exit_codes import BAD_INPUT
 
 Command = Callable[..., None]
-Flag = tuple[str, Any, Any]
-"""A flag of a command: the name of its parameter, its annotation, and its default."""
+Flag = inspect.Parameter
+"""A flag of a command: the parameter that receives its value."""
 
 WORLD, ROBOTS, RADIO, RUN, VIEW, FIGURES = "World", "Robots", "Radio", "Run", "View", "Figures and tables"
 """Groups of flags in the help of a command."""
@@ -51,32 +51,31 @@ def switch(name: str, help: str, group: str | None = None) -> Any:
     return typer.Option(name, help=help, rich_help_panel=group)
 
 
+def flag(name: str, kind: Any, help: Any) -> Flag:
+    """Return a flag with a value of this kind, None by default; `help` is that of `option`."""
+    return Flag(name, Flag.KEYWORD_ONLY, default=None, annotation=Annotated[kind | None, help])
+
+
 def with_flags(command: Command, flags: Sequence[Flag], name: str, make: Callable[..., Any]) -> Command:
     """Give a command flags whose values it receives as one parameter, made by `make`.
 
     Its own flags follow them; its first parameter, the argument, precedes them.
     """
-    first, *rest = [each for each in _parameters(command) if each[0] != name]
-    every = [first, *flags, *rest]
+    first, *rest = [each for each in _parameters(command) if each.name != name]
+    every = [each.replace(kind=Flag.KEYWORD_ONLY) for each in (first, *flags, *rest)]
 
     @functools.wraps(command)
     def called(**given: Any) -> None:
-        values = {flag: given.pop(flag) for flag, *_ in flags}
+        values = {flag.name: given.pop(flag.name) for flag in flags}
         command(**given, **{name: make(**values)})
 
-    called.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
-        [
-            inspect.Parameter(flag, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
-            for flag, annotation, default in every
-        ]
-    )
-    called.__annotations__ = {flag: annotation for flag, annotation, _ in every}
+    called.__signature__ = inspect.Signature(every)  # type: ignore[attr-defined]
+    called.__annotations__ = {each.name: each.annotation for each in every}
     return called
 
 
 def _parameters(function: Callable[..., Any]) -> list[Flag]:
-    parameters = inspect.signature(function, eval_str=True).parameters.values()
-    return [(each.name, each.annotation, each.default) for each in parameters]
+    return list(inspect.signature(function, eval_str=True).parameters.values())
 
 
 def command_family() -> typer.Typer:

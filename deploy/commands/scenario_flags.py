@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Any
 
 from deploy.commands.flag_values import duration_s, named_values, position
-from deploy.commands.flags import RADIO, ROBOTS, RUN, WORLD, Command, Flag, option, with_flags
+from deploy.commands.flags import RADIO, ROBOTS, RUN, WORLD, Command, Flag, flag, option, with_flags
 from protocol.presets import PRESETS
 from worldsim.sensor_options import LASERS, POSES
 
@@ -25,6 +25,14 @@ SETTINGS = {
 """Settings with a flag of the same name, by group of the help, each with the metavar of its value."""
 
 
+SET_OPTION = option(
+    "KEY=VALUE",
+    "any other setting, as radio.loss=0.1 or polygons.lazy=false; repeatable",
+    RUN,
+    name="--set",
+)
+
+
 @dataclass(frozen=True)
 class OwnFlag:
     """A flag whose name, unit, or default differs from those of its setting."""
@@ -36,11 +44,6 @@ class OwnFlag:
     """Its help, as `deploy.commands.flags.option` returns it."""
     parse: Callable[[Any], Any] = lambda value: value
     """Returns the value of the setting."""
-
-    @property
-    def flag(self) -> Flag:
-        """The flag, None by default."""
-        return self.name, Annotated[self.kind | None, self.option], None
 
 
 KEYS = {
@@ -90,16 +93,16 @@ def run_flags(*without: str, more: dict[str, OwnFlag] | None = None) -> Callable
     own = {key: flag for key, flag in KEYS.items() if key not in without} | more
     flags = [
         *_derived_flags((*without, *more)),
-        *(each.flag for each in own.values()),
-        ("set_", SetOption, None),
+        *(flag(each.name, each.kind, each.option) for each in own.values()),
+        flag("set_", list[str], SET_OPTION),
     ]
 
     def given(set_: list[str] | None, **values: Any) -> dict[str, Any]:
         settings = _given(values, own)
         others = named_values(set_ or [], "set", "radius=0.2")
         for key in sorted(others.keys() & settings.keys()):
-            flag = own[key].name if key in own else key
-            raise ValueError(f"set = '{key}=...': --{_dashed(flag)} is given, too; remove one of them")
+            name = own[key].name if key in own else key
+            raise ValueError(f"set = '{key}=...': --{_dashed(name)} is given, too; remove one of them")
         return settings | others
 
     return lambda command: with_flags(command, flags, "settings", given)
@@ -108,7 +111,7 @@ def run_flags(*without: str, more: dict[str, OwnFlag] | None = None) -> Callable
 def _given(values: dict[str, Any], own: Mapping[str, OwnFlag]) -> dict[str, Any]:
     """Return the settings that flags give, by name of the setting."""
     settings = {
-        key: flag.parse(value) for key, flag in own.items() if (value := values.pop(flag.name)) is not None
+        key: each.parse(value) for key, each in own.items() if (value := values.pop(each.name)) is not None
     }
     settings |= {name: value for name, value in values.items() if value is not None}
     if "start" in settings:
@@ -129,23 +132,10 @@ def _derived_flags(without: tuple[str, ...]) -> list[Flag]:
             kind: Any = info.annotation if info.annotation in (int, float) else str
             has_default = info.default is not None and info.default_factory is None
             text = f"{info.description}" + (f" (default {info.default})" if has_default else "")
-            flags.append(
-                (name, Annotated[kind | None, option(metavar, text, group, name=f"--{_dashed(name)}")], None)
-            )
+            flags.append(flag(name, kind, option(metavar, text, group, name=f"--{_dashed(name)}")))
     return flags
 
 
 def _dashed(name: str) -> str:
     """Return the name of a flag as the user writes it, without its dashes in front."""
     return name.replace("_", "-")
-
-
-SetOption = Annotated[
-    list[str] | None,
-    option(
-        "KEY=VALUE",
-        "any other setting, as radio.loss=0.1 or polygons.lazy=false; repeatable",
-        RUN,
-        name="--set",
-    ),
-]

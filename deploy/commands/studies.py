@@ -138,7 +138,6 @@ def reproduce(
 
     Exit code 1: not all hold; 3: runs failed.
     """
-    from deploy.commands import terminal  # noqa: PLC0415
     from deploy.run.workers import workers  # noqa: PLC0415
     from deploy.study import reproduction  # noqa: PLC0415
     from deploy.study.results import open_results  # noqa: PLC0415
@@ -154,14 +153,12 @@ def reproduce(
         command = ["murmur reproduce", *(claim or []), *(["--quick"] if quick else [])]
         command += [f"--seeds {seeds}"] if seeds is not None else []
         pages = reproduction.write(done, out, " ".join(command), style)
-    for part in (part for each in done.claims for part in each.parts):
+    parts = [part for each in done.claims for part in each.parts]
+    for part in parts:
         report_failures(part.failures)
-    print_table(terminal.table(reproduction.overview(done)))
+    print_table(reproduction.overview(done))
     screen.print(f"Results: {', '.join(map(str, pages))}" + (" (quick)" if quick else ""))
-    failures = {
-        cause: count for each in done.claims for part in each.parts for cause, count in part.failures.items()
-    }
-    end_study(failures, 0 if done.all_hold else 1)
+    end_study([cause for part in parts for cause in part.failures], 0 if done.all_hold else 1)
 
 
 @app.command(cls=GroupedCommand)
@@ -288,14 +285,13 @@ def size_radios(
     style: Any,
 ) -> None:
     """Find the smallest team for each radio, and print the table."""
-    from deploy.commands import terminal  # noqa: PLC0415
     from deploy.study import radio_sizing  # noqa: PLC0415
 
     settings |= other_settings(texts, radio_sizing.size_radios, settings)
     with stopping(common["out"]), counting(errors, "size") as report:
         done = radio_sizing.size_radios(map_, radios, progress=report, **common, **settings)
     report_failures(done.failures)
-    print_table(terminal.table(done.lines))
+    print_table(done.lines)
     for sentence in done.sentences:
         screen.print(sentence)
     screen.print(f"Results: {out} (start with {done.write(out, style)[0]})")

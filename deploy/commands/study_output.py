@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn
 
 import typer
+from rich.box import SIMPLE
 from rich.console import Console
+from rich.table import Column, Table
 
-from deploy.commands.console import FILE_WIDTH, errors, fail, screen
+from deploy.commands.console import errors, fail, screen
 from deploy.run.exit_codes import BROKEN_OFF
+
+FILE_WIDTH = 160
+"""Columns of a table printed to a file or another program."""
 
 
 def report_sweep(sweep: Any) -> None:
     """Print the causes of a sweep's failed runs, and its table of means; end the command if all runs failed."""
-    from deploy.commands import terminal  # noqa: PLC0415
     from deploy.study.tables import tabulate  # noqa: PLC0415
 
     report_failures(sweep.failures)
@@ -27,7 +31,7 @@ def report_sweep(sweep: Any) -> None:
         of = f" of {len(sweep.cases)}" if runs < len(sweep.cases) else ""
         intervals = " with 95 % intervals" if table.interval else ""
         screen.print(f"{' '.join(table.values)}, means of {runs}{of} runs{intervals}")
-        print_table(terminal.table(tabulate(table, sweep.rows)))
+        print_table(tabulate(table, sweep.rows))
 
 
 @contextmanager
@@ -42,13 +46,16 @@ def stopping(out: Path | None) -> Iterator[None]:
         fail("stopped" + (f"; the same command continues from {out}" if out is not None else ""), 130)
 
 
-def end_study(failures: dict[str, int], code: int = 0) -> NoReturn:
-    """End the command with a code for its result, or with `BROKEN_OFF` if runs have failed."""
+def end_study(failures: Collection[str], code: int = 0) -> NoReturn:
+    """End the command with a code for its result, or with `BROKEN_OFF` if runs have failed for some cause."""
     raise typer.Exit(BROKEN_OFF if failures else code)
 
 
-def print_table(table: Any) -> None:
-    """Print a table, as wide as the terminal or `FILE_WIDTH`."""
+def print_table(lines: list[list[str]]) -> None:
+    """Print a table, header first, as wide as the terminal or `FILE_WIDTH`; long text is wrapped."""
+    table = Table(*(Column(head, overflow="fold") for head in lines[0]), box=SIMPLE)
+    for line in lines[1:]:
+        table.add_row(*line)
     paper = screen if screen.is_terminal else Console(width=FILE_WIDTH, highlight=False, markup=False)
     paper.print(table)
 

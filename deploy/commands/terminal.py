@@ -7,10 +7,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from rich.box import SIMPLE
 from rich.console import Console, RenderableType
 from rich.progress import BarColumn, Progress, ProgressColumn, TaskID, TextColumn, TimeElapsedColumn
-from rich.table import Table
 from rich.text import Text
 
 from deploy.record.records import Records
@@ -80,16 +78,6 @@ def progress(
         yield watch
     finally:
         bar.stop()
-
-
-def table(lines: list[list[str]]) -> Table:
-    """A table whose first line is its header; text too long for its column is wrapped."""
-    result = Table(box=SIMPLE)
-    for head in lines[0]:
-        result.add_column(head, overflow="fold")
-    for line in lines[1:]:
-        result.add_row(*line)
-    return result
 
 
 def _replayed(summary: dict[str, Any]) -> str:

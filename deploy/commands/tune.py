@@ -42,7 +42,6 @@ def tune(
     The score of weights is their steps over those of the default weights. Test seeds are rejected. Exit code 3: runs
     failed.
     """
-    from deploy.commands import terminal  # noqa: PLC0415
     from deploy.run.workers import workers  # noqa: PLC0415
     from deploy.study import tuning  # noqa: PLC0415
     from deploy.study.results import open_results, write_table  # noqa: PLC0415
@@ -67,6 +66,6 @@ def tune(
         done = tuning.tune(search, results, workers(jobs, scheduler), report)
     write_table(done.table, out / TRIALS)
     write_whole(out / RECORD, lambda file: file.write(done.record.encode()))
-    print_table(terminal.table(done.lines))
+    print_table(done.lines)
     screen.print(done.sentence)
     screen.print(f"Results: {out} (start with {out / TRIALS} and {out / RECORD})")

@@ -109,7 +109,9 @@ class RunEvents:
             text = f"{report.participant} sent a malformed message: {report.reason}"
             return [Event(self.step, text, 2)] if self._errors[report.participant] <= MAX_ERRORS else []
         if isinstance(report, End):
-            return [Event(self.step, self._ending(report), 1)]
+            explored = f"explored; robot {report.first} finished first"
+            text = explored if report.first >= 0 else f"the run ended: {report.reason}"
+            return [Event(self.step, text, 1)]
         return []
 
     def _world(self, report: WorldReport) -> list[Event]:
@@ -132,8 +134,7 @@ class RunEvents:
         cells = {robot: (int((x + 0.5) / cell_mm), int((y + 0.5) / cell_mm)) for robot, x, y, _ in poses}
         near = links(self._radio_settings, self.step, cells)
         self.in_range = {(a, b) for a, others in near.items() for b in others if a < b}
-        events = [Event(self.step, f"robot {robot} has broken down", 2) for robot in gone]
-        return events + [
+        return [Event(self.step, f"robot {robot} has broken down", 2) for robot in gone] + [
             Event(self.step, f"robots {a} and {b} are in range")
             if (a, b) in self.in_range
             else Event(self.step, f"robots {a} and {b} are out of range", 1)
@@ -203,11 +204,6 @@ class RunEvents:
             self._radio_settings = replace(self._radio_settings, range_cells=cells)
             changes.append(f"range {self.range_m:.1f} m")
         return [Event(change.step, f"radio changed: {', '.join(changes)}", 2)]
-
-    def _ending(self, end: End) -> str:
-        if end.first < 0:
-            return f"the run ended: {end.reason}"
-        return f"explored; robot {end.first} finished first"
 
 
 def _link_bytes(received: bytes) -> dict[tuple[int, int], int]:

@@ -8,8 +8,7 @@ from pathlib import Path
 
 from protocol.errors import there_are
 from worldsim import generators, maps
-from worldsim.map_error import MapError
-from worldsim.maps import Map
+from worldsim.maps import Map, MapError
 
 IMAGES = (".png", ".pgm")
 FILES = (".yaml", ".yml", *IMAGES)

@@ -27,8 +27,7 @@ from protocol.budget import Budget
 from protocol.errors import shown
 from protocol.grid import FREE, enlarge
 from worldsim.base import BaseWorld
-from worldsim.map_error import MapError
-from worldsim.maps import Map, to_cell
+from worldsim.maps import Map, MapError, to_cell
 from worldsim.people import PeopleSettings
 from worldsim.people_options import PeopleOptions
 from worldsim.recorded.world import RecordedWorld

@@ -23,8 +23,7 @@ from deploy.scenario.scenario import Scenario
 from protocol.grid import FREE, MAX_SIDE, UNKNOWN
 from protocol.metric_scans import BeamAngles
 from protocol.range_scans import MAX_REACH_M, NO_MEASUREMENT, TURN, UNIT, Laser, RangeScan, beam_ends
-from worldsim.map_error import MapError
-from worldsim.maps import Map
+from worldsim.maps import Map, MapError
 from worldsim.recorded import reading
 from worldsim.recorded.log import LogError, RecordedLog
 from worldsim.recorded.options import RECORDED

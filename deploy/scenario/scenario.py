@@ -60,10 +60,7 @@ NOT_RECORDED_REASON = (
 class Scenario(RunSettings, CommunicationSettings, ControlSettings, TeamSettings, BuildingSettings):
     """All settings of a run, with their defaults. One step is one second.
 
-    Raises
-    ------
-    ScenarioError
-        Keys or values are wrong; the message lists all of them.
+    Raises ScenarioError if keys or values are wrong; the message lists all of them.
     """
 
     def __init__(self, **settings: Any) -> None:
@@ -87,12 +84,10 @@ class Scenario(RunSettings, CommunicationSettings, ControlSettings, TeamSettings
     def _take_recorded_defaults(cls, data: Any) -> Any:
         """Set the defaults of recorded runs: several logs have one robot each, and robots neither plan nor drive."""
         recording = data.get("recording") if isinstance(data, dict) else None
-        files: Any
         if isinstance(recording, RecordingOptions):
-            files, listeners = recording.files, recording.listeners
-        else:
-            table = recording if isinstance(recording, dict) else {}
-            files, listeners = table.get("files"), table.get("listeners", 0)
+            recording = vars(recording)
+        table = recording if isinstance(recording, dict) else {}
+        files, listeners = table.get("files"), table.get("listeners", 0)
         if not isinstance(files, list | tuple) or not files:
             return data
         defaults = {"strategy": PLAYBACK, "sensor_range": RECORDED_RANGE_M, "min_coverage": 0.0}

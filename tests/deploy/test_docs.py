@@ -46,7 +46,7 @@ from tests.agent.outline.edit_scripts import canonical, edit_script
 from tests.agent.replication.network import make_engine
 from worldsim import generators
 from worldsim.laser import cast
-from worldsim.map_error import MapError
+from worldsim.maps import MapError
 from worldsim.sensor_options import LASERS, POSES
 
 DOCS = Path(__file__).parents[2] / "docs"

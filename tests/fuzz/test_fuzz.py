@@ -57,7 +57,7 @@ from protocol.scans import fragments
 from protocol.zenoh_bus import Credential
 from tests.agent.replication.network import make_engine
 from worldsim import maps
-from worldsim.map_error import MapError
+from worldsim.maps import MapError
 
 CORPUS = sorted((Path(__file__).parent / "corpus").iterdir())
 EXAMPLES = int(os.environ.get("FUZZ_EXAMPLES", "60"))

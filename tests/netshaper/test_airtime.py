@@ -8,8 +8,7 @@ from itertools import pairwise
 from hypothesis import given
 from hypothesis import strategies as st
 
-from netshaper.airtime import HOUR_S, RECENT, Airtime, Saving, Shares, cut_into_frames
-from netshaper.duty_cycle import STEP
+from netshaper.airtime import HOUR_S, RECENT, WHOLE_STEP, Airtime, Saving, Shares, cut_into_frames
 from protocol import packet_index
 from protocol.budget import UNLIMITED, Budget
 from protocol.packet_codec import encode
@@ -87,7 +86,7 @@ def test_no_hour_has_more_airtime_than_the_duty_cycle_and_the_rest_may_be_used_a
     """A plain reference adds up the airtime of the last hour at each step, at a bandwidth that changes."""
     air = Airtime(Budget(1000), 2, duty_cycle=share)
     sent: list[tuple[int, Fraction]] = []
-    now, allowed = 0, Fraction(round(share * HOUR_S * STEP), STEP)
+    now, allowed = 0, Fraction(round(share * HOUR_S * WHOLE_STEP), WHOLE_STEP)
     for wait, bandwidth, wanted in transmissions:
         air.set_budget(Budget(bandwidth))
         for _ in range(wait + 1):
@@ -99,7 +98,7 @@ def test_no_hour_has_more_airtime_than_the_duty_cycle_and_the_rest_may_be_used_a
         size = min(wanted, left, bandwidth)
         if size:
             air.book(0, size)
-            sent.append((now, Fraction(-(-size * STEP // bandwidth), STEP)))
+            sent.append((now, Fraction(-(-size * WHOLE_STEP // bandwidth), WHOLE_STEP)))
 
 
 def test_an_unlimited_bandwidth_has_no_duty_cycle() -> None:

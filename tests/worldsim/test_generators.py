@@ -13,7 +13,7 @@ from scipy import ndimage
 from protocol.grid import FREE, OCCUPIED
 from tests.worldsim.building_measures import ALL_AROUND, check_enclosed_and_connected
 from worldsim.generators import describe, make, names
-from worldsim.map_error import MapError
+from worldsim.maps import MapError
 
 ALIKE_FOR_ALL_SEEDS = {
     "em",

@@ -16,8 +16,7 @@ from hypothesis.extra import numpy as arrays
 from PIL import Image
 
 from protocol.grid import FREE, MAX_SIDE, OCCUPIED, UNKNOWN
-from worldsim.map_error import MapError
-from worldsim.maps import Map, load, save, to_cell, to_world
+from worldsim.maps import Map, MapError, load, save, to_cell, to_world
 
 REAL_MAPS = Path(os.environ.get("MURMUR_MAPS", Path(__file__).parents[3] / "shared" / "maps"))
 

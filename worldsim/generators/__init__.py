@@ -20,8 +20,7 @@ from worldsim.generators.maze import maze
 from worldsim.generators.office_campus import office_campus
 from worldsim.generators.warehouse import warehouse
 from worldsim.generators.wings import wings
-from worldsim.map_error import MapError
-from worldsim.maps import Map
+from worldsim.maps import Map, MapError
 
 _ENVIRONMENTS: dict[str, Environment] = {
     "unstructured": meier.unstructured,

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from protocol.grid import FREE, Grid
 from worldsim.generators.drawing import Environment, Shape, canvas, enclose, scatter, wall_thickness
-from worldsim.map_error import MapError
+from worldsim.maps import MapError
 
 MOST_CLUTTER = 20.0
 """Maximum number of objects per 100 square meters."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from protocol.grid import FREE, MAX_SIDE, OCCUPIED, UNKNOWN, Grid
 from worldsim.largest_part import largest_part
-from worldsim.map_error import MapError
+from worldsim.maps import MapError
 
 _SIXTEENTHS = 16
 

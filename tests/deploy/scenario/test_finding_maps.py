@@ -8,7 +8,7 @@ import pytest
 
 from deploy.scenario.finding_maps import find_map
 from worldsim import generators, maps
-from worldsim.map_error import MapError
+from worldsim.maps import MapError
 
 
 def test_a_map_file_is_searched_in_the_working_directory_and_then_in_the_map_folder(
