@@ -15,7 +15,6 @@ from itertools import accumulate, pairwise
 
 import numpy as np
 
-from agent.settings import Settings
 from deploy.record.field_records import FieldRecord, StepLine
 from deploy.record.map_history import MapHistory
 from deploy.record.records import Records
@@ -36,8 +35,8 @@ NAME = "the field"
 MAX_RUN_STEPS = 10_000_000
 """Steps of a run that can be joined: a hundred days of a step per second."""
 
-TEAM = ("bodies", "width", "height", "resolution", "encoding", "incarnations")
-"""Settings that must be equal on all robots; of `bodies`, the number."""
+TEAM = ("robots", "width", "height", "resolution", "encoding", "incarnations")
+"""Settings that must be equal on all robots."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +116,7 @@ def _check_team(starts: Sequence[FieldStart]) -> None:
     for each in starts:
         record = each.record
         for name in TEAM:
-            here, there = (_common(setup.settings, name) for setup in (record.setup, first.setup))
+            here, there = (getattr(setup.settings, name) for setup in (record.setup, first.setup))
             if here != there:
                 raise ValueError(
                     f"{record.folder}: {name} = {here}, but {there} in {first.folder}: not one team"
@@ -128,10 +127,6 @@ def _check_team(starts: Sequence[FieldStart]) -> None:
         if start in seen:
             raise ValueError(f"{record.folder}: start {start[1] + 1} of robot {each.robot} is given twice")
         seen.add(start)
-
-
-def _common(settings: Settings, name: str) -> object:
-    return settings.robots if name == "bodies" else getattr(settings, name)
 
 
 # --- maps
