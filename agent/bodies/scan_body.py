@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.bodies.ros2 import BodySettings, Ros2Body, frame_name
+from agent.bodies.ros2 import BodySettings, Ros2Body
 from protocol.map_frame import MapFrame
 from protocol.messages import Sense
 from protocol.metric_scans import BeamAngles, millimeters
 from protocol.nanoseconds import SECOND
 from protocol.range_scans import NO_MEASUREMENT, Laser, RangeScan, encode_range_scan
 from protocol.ros2.messages import nanoseconds
-from protocol.transforms import Pose
+from protocol.transforms import Pose, frame_name
 
 WAITING_SCANS = 32
 """Scans that wait for the transform at their time."""
