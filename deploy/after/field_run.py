@@ -270,7 +270,10 @@ def _by_robot(starts: Sequence[FieldStart]) -> dict[int, list[FieldStart]]:
 
 
 def _states(starts: Iterable[FieldStart], timeline: Timeline) -> dict[int, StepLine]:
-    """Return a robot's last line up to the end of each step, with its last known pose; nothing between its starts."""
+    """Return the last line that a robot recorded up to the end of each step, with its last known pose.
+
+    Steps between two of its starts have none.
+    """
     states: dict[int, StepLine] = {}
     for each in starts:
         pose: tuple[int | None, ...] | None = None
