@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from dataclasses import dataclass
 from typing import Any
@@ -117,9 +116,8 @@ class _Beams:
         here, there = (len(meters), first, increment), (self.angles.beams, self.first, self.increment)
         if not np.allclose(here, there, rtol=0, atol=1e-6):
             meters = self._nearest(meters, first, increment)
-        nothing = float(message.range_max) if message.range_max > 0 else math.inf
         return millimeters(
-            meters, least=float(message.range_min), nothing=nothing, reverse=self.increment > 0
+            meters, least=message.range_min, nothing=message.range_max, reverse=self.increment > 0
         )
 
     def _nearest(self, meters: NDArray[np.float64], first: float, increment: float) -> NDArray[np.float64]:

@@ -148,7 +148,12 @@ def _log(path: Path, content: _Content) -> RecordedLog:
         path.name.removesuffix(path.suffix) if path.is_file() else path.name,
         angles,
         np.array([pose for *_, pose in placed], np.float64),
-        np.array([_ranges(each, reverse=reverse) for _, each, _ in placed]),
+        np.array(
+            [
+                millimeters(each.ranges, least=each.range_min, nothing=each.range_max, reverse=reverse)
+                for _, each, _ in placed
+            ]
+        ),
         np.array([stamp for stamp, *_ in placed], np.float64),
         notes,
     )
@@ -215,13 +220,6 @@ def _angles(path: Path, scans: list[tuple[float, Any]]) -> tuple[BeamAngles, boo
 
 def _described(beams: tuple[int, float, float]) -> str:
     return f"{beams[0]} beams from {beams[1]:.3f} rad, {beams[2]:.5f} rad apart"
-
-
-def _ranges(message: Any, *, reverse: bool) -> Any:
-    nothing = float(message.range_max)
-    if not nothing > 0:
-        nothing = np.inf
-    return millimeters(message.ranges, least=float(message.range_min), nothing=nothing, reverse=reverse)
 
 
 def _seconds(stamp: Any) -> float:
