@@ -46,14 +46,15 @@ def millimeters(
 ) -> NDArray[np.uint16]:
     """Convert ranges from meters to the form of `protocol.range_scans`.
 
-    Ranges of at least `nothing` meters show that a beam met nothing. Those below `least`, not above zero, or not a
-    number are no measurements; a `least` that is not a number excludes none. With `reverse`, the last beam becomes the
-    first.
+    Ranges of at least `nothing` meters show that a beam met nothing; there is no such limit if it is not above zero.
+    Those below `least`, not above zero, or not a number are no measurements; a `least` that is not a number excludes
+    none. With `reverse`, the last beam becomes the first.
     """
+    limit = min(nothing if nothing > 0 else math.inf, NOTHING / 1000)
     meters = np.asarray(ranges, np.float64)[::-1] if reverse else np.asarray(ranges, np.float64)
     with np.errstate(invalid="ignore"):
         measured = ~(meters < least) & (meters > 0)
-        met = measured & (meters < min(nothing, NOTHING / 1000))
+        met = measured & (meters < limit)
     found = np.where(measured, NOTHING, NO_MEASUREMENT).astype(np.uint16)
     found[met] = np.maximum(np.rint(1000 * meters[met]), 1).astype(np.uint16)
     return found

@@ -37,6 +37,11 @@ class Pose(NamedTuple):
         return Pose(x, y, self.yaw + inner.yaw)
 
 
+def frame_name(name: str) -> str:
+    """Return the name of a frame without the slash that old nodes put in front of it."""
+    return name.lstrip("/")
+
+
 def pose_of(x: float, y: float, q_x: float, q_y: float, q_z: float, q_w: float) -> Pose:
     """Return the pose in the plane of a frame with this position and quaternion.
 

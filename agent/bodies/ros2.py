@@ -24,7 +24,7 @@ from protocol.messages import Move, Sense
 from protocol.nanoseconds import SECOND
 from protocol.range_scans import TURN, UNIT, Laser
 from protocol.ros2.messages import nanoseconds
-from protocol.transforms import Pose, TransformBuffer, pose_of
+from protocol.transforms import Pose, TransformBuffer, frame_name, pose_of
 
 HEADINGS = 8
 REMEMBERED_NS = 10 * SECOND
@@ -204,11 +204,6 @@ class Ros2Body(ABC):
         self.problem = f"no transforms (tf) from {root!r} to {what} {frame!r}; only {known}"
         if top in self._refused:
             self.problem = f"frame {top!r}: {self._refused[top]}"
-
-
-def frame_name(name: str) -> str:
-    """Return the name of a frame without the slash that old nodes put in front of it."""
-    return name.lstrip("/")
 
 
 def _offset(units: int) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from dataclasses import dataclass
 from typing import Any
@@ -10,14 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.bodies.ros2 import BodySettings, Ros2Body, frame_name
+from agent.bodies.ros2 import BodySettings, Ros2Body
 from protocol.map_frame import MapFrame
 from protocol.messages import Sense
 from protocol.metric_scans import BeamAngles, millimeters
 from protocol.nanoseconds import SECOND
 from protocol.range_scans import NO_MEASUREMENT, Laser, RangeScan, encode_range_scan
 from protocol.ros2.messages import nanoseconds
-from protocol.transforms import Pose
+from protocol.transforms import Pose, frame_name
 
 WAITING_SCANS = 32
 """Scans that wait for the transform at their time."""
@@ -117,9 +116,8 @@ class _Beams:
         here, there = (len(meters), first, increment), (self.angles.beams, self.first, self.increment)
         if not np.allclose(here, there, rtol=0, atol=1e-6):
             meters = self._nearest(meters, first, increment)
-        nothing = float(message.range_max) if message.range_max > 0 else math.inf
         return millimeters(
-            meters, least=float(message.range_min), nothing=nothing, reverse=self.increment > 0
+            meters, least=message.range_min, nothing=message.range_max, reverse=self.increment > 0
         )
 
     def _nearest(self, meters: NDArray[np.float64], first: float, increment: float) -> NDArray[np.float64]:

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from agent.mapping.bound import Bound
 from agent.mapping.estimator import Int8Grid
-from agent.predictive.history import DecodedUpdate
 from agent.predictive.tile_stream import TileStream
 from agent.predictive.tile_value import TileValues
 from agent.predictive.urgent_tile_author import UrgentTileAuthor, most_per_byte
@@ -38,12 +37,10 @@ LEAST_CORRECTION, MOST_CORRECTION = 0.2, 5.0
 
 
 class NarrowTileAuthor(UrgentTileAuthor):
-    """Encodes as many of the most valuable tiles as fit into the limit of an update."""
+    """Encodes as many of the most valuable tiles as fit into the limit of an update, unless one tile takes more."""
 
     def __init__(self, stream: TileStream, bound: Bound) -> None:
         super().__init__(stream, bound)
-        self._grids: tuple[Grid, Int8Grid] | None = None
-        """The self-explored grid, and how certain its cells are, as of the last call of `encode`."""
         self._correction = 1.0
         """The bytes of the last update's tiles, relative to the estimates of their values."""
         self._is_full = False
@@ -53,11 +50,6 @@ class NarrowTileAuthor(UrgentTileAuthor):
         """Whether more tiles wait than the last update has."""
         return self._is_full
 
-    def encode(self, own: Grid, log_odds: Int8Grid, most: float) -> tuple[bytes, DecodedUpdate] | None:
-        """Encode the update of this step; `most` is the limit of its bytes, unless one tile takes more."""
-        self._grids = own, log_odds
-        return super().encode(own, log_odds, most)
-
     def _order(self, values: TileValues, useful: NDArray[np.bool_]) -> Int64s:
         complete = self._complete(values, useful)
         less = self._violate & ~useful & (values.cells > 0)
@@ -65,13 +57,13 @@ class NarrowTileAuthor(UrgentTileAuthor):
         places = np.concatenate([most_per_byte(values, kind) for kind in kinds])
         return places if len(places) else super()._order(values, useful)
 
-    def _fitting(self, places: Int64s, values: TileValues, most: float) -> int:
+    def _fitting(self, places: Int64s, values: TileValues, own: Grid, log_odds: Int8Grid, most: float) -> int:
         sizes = np.cumsum(values.size.reshape(-1)[places])
         fits, exceeds = 0, len(places) + 1
         for _ in range(TRIALS):
             guess = int(np.searchsorted(sizes * self._correction, most - HEAD_BYTES, side="right"))
             count = min(max(guess, fits + 1), exceeds - 1)
-            size = self._size(places[:count])
+            size = self._size(places[:count], own, log_odds)
             if size <= most:
                 fits = count
             else:
@@ -84,9 +76,8 @@ class NarrowTileAuthor(UrgentTileAuthor):
         self._is_full = count < len(places)
         return count
 
-    def _size(self, places: Int64s) -> int:
+    def _size(self, places: Int64s, own: Grid, log_odds: Int8Grid) -> int:
         """Return the bytes of an update of some tiles, given by their flat indices."""
-        assert self._grids is not None
         tiles = np.zeros(self._violate.shape, np.uint8)
         tiles.reshape(-1)[places] = 1
-        return self.stream.size(*self._grids, self._bound, tiles, self._pose)
+        return self.stream.size(own, log_odds, self._bound, tiles, self._pose)

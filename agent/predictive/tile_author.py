@@ -47,11 +47,11 @@ _NEVER = 1 << 40
 class TileAuthor(Author[TileStream]):
     """Encodes the tiles in which receivers' copies may lie outside the tolerance."""
 
-    def __init__(
-        self, stream: TileStream, bound: Bound, patience: int = 1, *, quiet_steps: int = QUIET_STEPS
-    ) -> None:
+    quiet_steps = QUIET_STEPS
+    """Steps without a change after which a tile is encoded."""
+
+    def __init__(self, stream: TileStream, bound: Bound, patience: int = 1) -> None:
         super().__init__(stream)
-        self._quiet_steps = quiet_steps
         self._enough_tiles, self._interval = patience * ENOUGH_TILES, patience * INTERVAL
         self._longest_wait = patience * LONGEST_WAIT
         height, width = stream.grid.shape
@@ -100,7 +100,7 @@ class TileAuthor(Author[TileStream]):
         violate = self._drop_fulfilled(own, log_odds)
         if np.count_nonzero(violate) >= self._enough_tiles:
             return True
-        stands_still = violate.any() and self._arrived <= self._step - self._quiet_steps
+        stands_still = violate.any() and self._arrived <= self._step - self.quiet_steps
         is_late = (self._waiting_since[violate] <= self._step - self._longest_wait).any()
         return bool((stands_still or is_late) and self._step >= self._last_step + self._interval)
 
@@ -115,7 +115,7 @@ class TileAuthor(Author[TileStream]):
 
     def _ready(self) -> NDArray[np.bool_]:
         """Return the tiles that may be encoded."""
-        is_quiet = self._changed <= self._step - self._quiet_steps
+        is_quiet = self._changed <= self._step - self.quiet_steps
         is_late = self._waiting_since <= self._step - self._longest_wait
         return self._waits() & (is_quiet | is_late)
 
@@ -127,7 +127,7 @@ class TileAuthor(Author[TileStream]):
     def encode(self, own: Grid, log_odds: Int8Grid, most: float) -> tuple[bytes, DecodedUpdate] | None:
         """Encode an update of tiles that are ready, of about `most` bytes."""
         since = self._waiting_since
-        self._chosen = chosen = self._choose(most)
+        self._chosen = chosen = self._choose(own, log_odds, most)
         if not chosen.any():
             return None
         before = since.copy()
@@ -139,8 +139,9 @@ class TileAuthor(Author[TileStream]):
         since[chosen] = _NEVER
         return encoded
 
-    def _choose(self, most: float) -> NDArray[np.bool_]:
+    def _choose(self, own: Grid, log_odds: Int8Grid, most: float) -> NDArray[np.bool_]:
         """Return the tiles of the next update: those that are ready, or the first ones to wait."""
+        del own, log_odds
         chosen = self._ready()
         places = np.flatnonzero(chosen)
         limit = max(1, int(min(most / TILE_BYTES, len(places))))

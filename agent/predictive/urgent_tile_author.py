@@ -47,8 +47,10 @@ LEAST_CELLS = 8
 class UrgentTileAuthor(TileAuthor):
     """Encodes the tiles first that change the plans of teammates the most, one update per step."""
 
+    quiet_steps = FEW_QUIET_STEPS
+
     def __init__(self, stream: TileStream, bound: Bound) -> None:
-        super().__init__(stream, bound, quiet_steps=FEW_QUIET_STEPS)
+        super().__init__(stream, bound)
         self._violate: NDArray[np.bool_] = np.zeros(self._changed.shape, np.bool_)
         """The ready tiles that violate the bound, as of the last call of `is_due`."""
         self._values: TileValues | None = None
@@ -94,14 +96,14 @@ class UrgentTileAuthor(TileAuthor):
         """Return the tiles that may be encoded."""
         return self._waits() if self._stands_still else super()._ready()
 
-    def _choose(self, most: float) -> NDArray[np.bool_]:
+    def _choose(self, own: Grid, log_odds: Int8Grid, most: float) -> NDArray[np.bool_]:
         """Return the tiles of this step's update; none if it has been encoded: a second one could not be retracted."""
         values, chosen = self._values, np.zeros_like(self._violate)
         if values is None or self._last_step == self._step:
             return chosen
         useful = self._violate & (values.cells >= LEAST_CELLS)
         places = self._order(values, useful)
-        chosen.reshape(-1)[places[: self._fitting(places, values, most)]] = True
+        chosen.reshape(-1)[places[: self._fitting(places, values, own, log_odds, most)]] = True
         self._is_worth_much, self._has_more = bool(useful.any()), bool((useful & ~chosen).any())
         return chosen
 
@@ -121,8 +123,9 @@ class UrgentTileAuthor(TileAuthor):
         is_late = self._waiting_since <= self._step - LONGEST_WAIT
         return useful & (values.is_complete | is_late | self._stands_still)
 
-    def _fitting(self, places: Int64s, values: TileValues, most: float) -> int:
+    def _fitting(self, places: Int64s, values: TileValues, own: Grid, log_odds: Int8Grid, most: float) -> int:
         """Return how many of the tiles, in their order, have about `most` bytes, but at least 1."""
+        del own, log_odds
         sizes = np.cumsum(values.size.reshape(-1)[places])
         return max(1, int(np.searchsorted(sizes, most, side="right")))
 

@@ -15,7 +15,6 @@ from itertools import accumulate, pairwise
 
 import numpy as np
 
-from agent.settings import Settings
 from deploy.record.field_records import FieldRecord, StepLine
 from deploy.record.map_history import MapHistory
 from deploy.record.records import Records
@@ -35,8 +34,8 @@ NAME = "the field"
 MAX_RUN_STEPS = 10_000_000
 """Steps of a run that can be joined: a hundred days of a step per second."""
 
-TEAM = ("bodies", "width", "height", "resolution", "encoding", "incarnations")
-"""Settings that must be equal on all robots; of `bodies`, the number."""
+TEAM = ("robots", "width", "height", "resolution", "encoding", "incarnations")
+"""Settings that must be equal on all robots."""
 
 
 @dataclass(frozen=True)
@@ -116,7 +115,7 @@ def _check_team(starts: Sequence[FieldStart]) -> None:
     for each in starts:
         record = each.record
         for name in TEAM:
-            here, there = (_common(setup.settings, name) for setup in (record.setup, first.setup))
+            here, there = (getattr(setup.settings, name) for setup in (record.setup, first.setup))
             if here != there:
                 raise ValueError(
                     f"{record.folder}: {name} = {here}, but {there} in {first.folder}: not one team"
@@ -127,10 +126,6 @@ def _check_team(starts: Sequence[FieldStart]) -> None:
         if start in seen:
             raise ValueError(f"{record.folder}: start {start[1] + 1} of robot {each.robot} is given twice")
         seen.add(start)
-
-
-def _common(settings: Settings, name: str) -> object:
-    return settings.robots if name == "bodies" else getattr(settings, name)
 
 
 # --- maps
@@ -274,7 +269,10 @@ def _by_robot(starts: Sequence[FieldStart]) -> dict[int, list[FieldStart]]:
 
 
 def _states(starts: Iterable[FieldStart], timeline: Timeline) -> dict[int, StepLine]:
-    """Return a robot's last line up to the end of each step, with its last known pose; nothing between its starts."""
+    """Return the last line that a robot recorded up to the end of each step, with its last known pose.
+
+    Steps between two of its starts have none.
+    """
     states: dict[int, StepLine] = {}
     for each in starts:
         pose: tuple[int | None, ...] | None = None

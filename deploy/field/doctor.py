@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable, Iterator
 from functools import partial
 
-from agent.bodies.ros2 import frame_name
 from agent.radios.team_key import KeyFileError, read_key
 from deploy.field.connection import make_body, map_pose
 from deploy.field.listener import ENOUGH_MESSAGES, LISTEN_S, Listener, ReceivedTopic
@@ -21,6 +20,7 @@ from protocol.ros2.graph import Graph
 from protocol.ros2.interfaces import NAVIGATE_TO_POSE
 from protocol.ros2.messages import DISTROS, POSE_STAMPED, Messages
 from protocol.ros2.tokens import EndpointToken, Kind
+from protocol.transforms import frame_name
 
 LEAST_HZ = 1.0
 """Rate of scans and transforms below which a robot stands still again and again (`dead_man_s`)."""

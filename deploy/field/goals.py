@@ -10,8 +10,6 @@ from protocol.ros2.node import Ros2Node
 from protocol.ros2.topics import Publisher
 from protocol.transforms import Pose
 
-GOAL = f"{NAVIGATE_TO_POSE}_Goal"
-
 
 class GoalSender:
     """Sends goals in the robot's map frame, and stops the robot."""
@@ -42,16 +40,15 @@ class GoalSender:
         The action's server replaces a goal that is under way.
         """
         self.aborted = False
+        pose = self._messages.stamped(self._frame, goal, stamp_ns)
         if self._action is not None and self._action.is_available:
-            pose = self._messages.stamped(self._frame, goal, stamp_ns)
-            self._goal = self._action.send(
-                self._messages.new(GOAL, pose=pose, behavior_tree=""), now_ns, self._end
-            )
+            message = self._messages.new(f"{NAVIGATE_TO_POSE}_Goal", pose=pose)
+            self._goal = self._action.send(message, now_ns, self._end)
             self._drives_by_topic = False
             return True
         if self._topic is None:
             return False
-        self._topic.publish(self._messages.stamped(self._frame, goal, stamp_ns), now_ns)
+        self._topic.publish(pose, now_ns)
         self._drives_by_topic = True
         return True
 

@@ -15,7 +15,7 @@ from protocol.ros2.names import qualified
 from protocol.ros2.qos import Qos
 
 LISTEN_S, ENOUGH_S = 6.0, 2.0
-"""Seconds for which it listens at most, and at least, if everything arrives."""
+"""Longest time of listening in seconds, and the shortest, after which it ends once everything has arrived."""
 ENOUGH_MESSAGES = 4
 """Messages of a topic from which its rate is measured."""
 

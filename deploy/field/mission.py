@@ -35,7 +35,7 @@ PATIENCE_S = 3.0
 FREEZE = 0.5
 """Part of `finish_s` after which an explored map does not change any more: noise would always add entries to send."""
 NEWS_CELLS = 100
-"""Cells from which a teammate that has not been in range since lacks something: noise changes a few cells."""
+"""A teammate lacks something if this robot has mapped more cells than this out of its range: noise changes a few."""
 EXPLORED = "nothing is left to explore, and teammates hold this robot's map"
 
 Say = Callable[[str], None]

@@ -20,8 +20,8 @@ Cell = tuple[int, int]
 class Way(NamedTuple):
     """Where another robot is about to drive.
 
-    `cells`: int array of shape (n, 2), its own cell first. `reach`: distance in cells from them below which the centers
-    of both robots are too close.
+    `cells`: int32 array of shape (n, 2), its own cell first. `reach`: the center of the robot that gives way must stay
+    at least this far from each of them, in cells.
     """
 
     cells: NDArray[np.int32]

@@ -41,7 +41,21 @@ class Task:
 
 
 class SimulatedRobot:
-    """One robot; `laser` is its scanner, `laser_pose` where it is on the robot, `area` where the true map lies."""
+    """One robot.
+
+    Parameters
+    ----------
+    start : Pose
+        Its first pose in the common frame: meters, and radians counterclockwise.
+    area : MapFrame
+        Where the true map lies in the common frame.
+    laser, laser_pose : Laser, Pose
+        Its scanner, and the pose of the scanner on the robot.
+    navigator, localization : Navigator, Localization
+        How it finds its ways, and the errors of its poses.
+    speed : float
+        Largest speed in meters per second.
+    """
 
     def __init__(
         self,
@@ -146,7 +160,7 @@ class SimulatedRobot:
         return part, MapFrame(right - left, bottom - top, area.resolution, x, y)
 
     def _to_true(self, goal: Pose) -> Pose:
-        """Return where the robot must be, in truth, so that it believes to be at a pose of its map frame."""
+        """Return the true pose at which the robot would believe to be at `goal`, a pose in its map frame."""
         return self.true.then(self.pose.inverse().then(goal))
 
 

@@ -19,7 +19,7 @@ from protocol.ros2.attachments import Attachment
 from protocol.ros2.interfaces import NAVIGATE_TO_POSE
 from protocol.ros2.node import Ros2Node
 from protocol.ros2.qos import DEFAULT, LATCHED, SENSOR, TF
-from protocol.transforms import Pose, pose_of
+from protocol.transforms import Pose, frame_name, pose_of
 from worldsim.velocity_world import Velocity
 
 MAP, ODOM, BASE, LASER = "map", "odom", "base_link", "laser"
@@ -203,7 +203,7 @@ class RosRobot:
 
 def goal_of(message: Any) -> Pose:
     """Return the pose of a PoseStamped in the map frame; ValueError for another frame, or a tilted pose."""
-    frame = message.header.frame_id.lstrip("/")
+    frame = frame_name(message.header.frame_id)
     if frame != MAP:
         raise ValueError(f"its frame is {frame!r}; goals must be in frame {MAP!r}")
     place, turn = message.pose.position, message.pose.orientation

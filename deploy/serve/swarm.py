@@ -109,7 +109,7 @@ class Swarm:
         return Others(partial(self.world.near_others, number, AVOID_M), partial(self._ways, number))
 
     def _ways(self, number: int, everyone: bool) -> list[Way]:
-        """Return the ways of robots that drive to a goal and go before one: those with lower numbers, or all."""
+        """Return the ways of other robots that drive to a goal: of those with lower numbers, or of `everyone`."""
         return [
             Way(
                 np.concatenate([np.array([self.world.cell(other)], np.int32), robot.navigator.ahead]),

@@ -7,5 +7,4 @@ The package needs the extra ``ros2``; nothing else in Murmur imports it unless a
 
 from protocol.packages import require
 
-for _package in ("rosbags", "xxhash"):
-    require(_package, "ros2", "ROS 2 needs")
+require("rosbags", "ros2", "ROS 2 needs")

@@ -11,9 +11,8 @@ import re
 from dataclasses import dataclass
 from enum import StrEnum
 
-import xxhash
-
 from protocol.errors import ProtocolError, shown
+from protocol.packages import require
 from protocol.ros2.names import (
     DataKey,
     check_hash,
@@ -26,6 +25,11 @@ from protocol.ros2.names import (
     ros_type,
 )
 from protocol.ros2.qos import Qos, parse_qos
+
+try:
+    import xxhash
+except ModuleNotFoundError:
+    require("xxhash", "ros2", "ROS 2 needs")  # but bags do not
 
 ROOT = "@ros2_lv"
 NODE_PARTS, ENDPOINT_PARTS = 9, 13

@@ -16,7 +16,7 @@ import numpy as np
 from protocol.errors import there_are
 from protocol.metric_scans import BeamAngles, millimeters
 from protocol.packages import require
-from protocol.transforms import Pose, TransformBuffer, pose_of
+from protocol.transforms import Pose, TransformBuffer, frame_name, pose_of
 from worldsim.recorded.log import LogError, RecordedLog
 
 SUFFIXES = (".bag", ".mcap", ".db3")
@@ -41,7 +41,7 @@ class _Content:
 
     def add_odometry(self, topic: str, message: Any) -> None:
         """Add an odometry message."""
-        parent, child = _frame(message.header.frame_id), _frame(message.child_frame_id)
+        parent, child = frame_name(message.header.frame_id), frame_name(message.child_frame_id)
         pose = self._pose(message.pose.pose, child)
         if pose is not None:
             entry = _seconds(message.header.stamp), parent, child, pose
@@ -50,7 +50,7 @@ class _Content:
     def add_transforms(self, message: Any, *, is_static: bool) -> None:
         """Add a message of transforms."""
         for each in message.transforms:
-            parent, child = _frame(each.header.frame_id), _frame(each.child_frame_id)
+            parent, child = frame_name(each.header.frame_id), frame_name(each.child_frame_id)
             pose = self._pose(each.transform, child)
             if pose is not None:
                 self.transforms.add(parent, child, _seconds(each.header.stamp), pose, is_static=is_static)
@@ -140,7 +140,7 @@ def _content(reader: Any, topic: str, every: int) -> _Content:
 def _log(path: Path, content: _Content) -> RecordedLog:
     """Return the log: scans in the order of time, each with its pose."""
     scans = sorted(content.scans, key=lambda each: each[0])
-    laser = _frame(scans[0][1].header.frame_id)
+    laser = frame_name(scans[0][1].header.frame_id)
     frame, root = _add_odometry(path, content, laser)
     angles, reverse = _angles(path, scans)
     found = [(stamp, each, content.transforms.pose(frame, root, stamp)) for stamp, each in scans]
@@ -156,7 +156,12 @@ def _log(path: Path, content: _Content) -> RecordedLog:
         path.name.removesuffix(path.suffix) if path.is_file() else path.name,
         angles,
         np.array([pose for *_, pose in placed], np.float64),
-        np.array([_ranges(each, reverse=reverse) for _, each, _ in placed]),
+        np.array(
+            [
+                millimeters(each.ranges, least=each.range_min, nothing=each.range_max, reverse=reverse)
+                for _, each, _ in placed
+            ]
+        ),
         np.array([stamp for stamp, *_ in placed], np.float64),
         notes,
     )
@@ -225,16 +230,5 @@ def _described(beams: tuple[int, float, float]) -> str:
     return f"{beams[0]} beams from {beams[1]:.3f} rad, {beams[2]:.5f} rad apart"
 
 
-def _ranges(message: Any, *, reverse: bool) -> Any:
-    nothing = float(message.range_max)
-    if not nothing > 0:
-        nothing = np.inf
-    return millimeters(message.ranges, least=float(message.range_min), nothing=nothing, reverse=reverse)
-
-
 def _seconds(stamp: Any) -> float:
     return float(stamp.sec + stamp.nanosec * 1e-9)
-
-
-def _frame(name: str) -> str:
-    return name.lstrip("/")

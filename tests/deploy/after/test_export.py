@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -368,3 +370,8 @@ def test_an_export_names_the_missing_package(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
     with pytest.raises(MissingPackageError, match=r"pip install 'murmur-robots\[mcap\]'"):
         export_mcap(Path())
+
+
+def test_an_export_needs_only_the_packages_of_its_extra() -> None:
+    program = "import sys; sys.modules['xxhash'] = None; import deploy.after.bag_messages"
+    subprocess.run([sys.executable, "-c", program], check=True)

@@ -224,6 +224,10 @@ def test_damaged_records_and_other_teams_are_refused(mission: Mission, tmp_path:
                 merge([copy], tmp_path / "team")
         (copy / name).write_bytes(whole)
     setup = json.loads((copy / SETUP).read_text(encoding="utf-8"))
+    fewer = setup["settings"] | {"bodies": setup["settings"]["bodies"][:2]}
+    (copy / SETUP).write_text(json.dumps(setup | {"settings": fewer}), encoding="utf-8")
+    with pytest.raises(ValueError, match=r"r0: robots = 2, but 3 in .*start-1: not one team"):
+        merge([mission.folder / "r1", copy], tmp_path / "team")
     (copy / SETUP).write_text(json.dumps(setup | {"x": 1.0}), encoding="utf-8")
     with pytest.raises(ValueError, match="its grid lies elsewhere"):
         merge([mission.folder / "r1", copy], tmp_path / "team")

@@ -32,11 +32,7 @@ def test_commands_for_ros_name_the_extra_of_a_missing_package(
     command: tuple[str, ...], tmp_path: Path
 ) -> None:
     file = str(write(tmp_path, settings()))
-    program = (
-        "import importlib.util as util, sys; find = util.find_spec\n"
-        "util.find_spec = lambda name, *of: None if name == 'xxhash' else find(name, *of)\n"
-        "from deploy.commands.main import main; main()"
-    )
+    program = "import sys; sys.modules['xxhash'] = None; from deploy.commands.main import main; main()"
     arguments = [file if word == "FILE" else word for word in command]
     done = subprocess.run(
         [sys.executable, "-c", program, *arguments], capture_output=True, text=True, check=False

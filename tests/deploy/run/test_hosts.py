@@ -126,7 +126,7 @@ def test_hosts_files_in_the_documentation_are_valid() -> None:
 
 def test_documentation_lists_every_setting_with_its_default() -> None:
     documented = dict(re.findall(r"^\| `([a-z.]+)` \| (.*?) \| .* \|$", DOCUMENT, re.M))
-    plain: dict[object, str] = {None: "-", "": '`""`', (): "`()`", False: "`false`"}
+    plain: dict[object, str] = {None: "-", "": '`""`', (): "`[]`", False: "`false`"}
     wanted = {}
     for prefix, kind in (("", Hosts), ("host.", Host)):
         for name, info in kind.model_fields.items():
