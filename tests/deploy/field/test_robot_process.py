@@ -75,9 +75,10 @@ def test_a_robot_explores_a_house_and_shows_its_map(start: Any, tmp_path: Path) 
 
 
 def test_a_robot_that_cannot_drive_gets_the_map_of_its_teammate_over_udp(start: Any, tmp_path: Path) -> None:
-    first, one = start("r0", {"namespace": "r0"}, robots=2, robot=0, finish_s=3.0)
+    # On a busy machine, entries arrive seconds late: a robot that ends sooner leaves its teammate with a frontier.
+    first, one = start("r0", {"namespace": "r0"}, robots=2, robot=0, finish_s=8.0)
     stuck = {"start": Pose(4.0, 1.2, 2.2), "namespace": "r1", "drives": False}
-    second, two = start("r1", stuck, robots=2, robot=1, finish_s=3.0)
+    second, two = start("r1", stuck, robots=2, robot=1, finish_s=8.0)
     assert (one.wait(), two.wait()) == (0, 0), one.output + two.output
     assert any('"neighbors": [1]' in each for each in first.statuses)
     seen, free = json.loads(second.statuses[-1])["known_cells"], np.count_nonzero(house() == FREE)
