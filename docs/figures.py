@@ -34,13 +34,15 @@ FIGURES = (
     Figure("results/predictive.md", "| strategy | office, 3 |", measurements.narrow),
     Figure("results/reliability.md", "| encoding | `backoff` |", measurements.recovery),
     Figure("results/reliability.md", "| encoding | bytes per step |", measurements.forwarding, labels=2),
-    Figure("results/repairmen.md", "| strategy | scans, 3 robots |", measurements.rivals(""), ALL_CELLS),
-    Figure(
-        "results/repairmen.md",
-        "| strategy | scans, 3 robots |",
-        measurements.rivals("large-"),
-        ALL_CELLS,
-        number=1,
+    *(
+        Figure(
+            "results/repairmen.md",
+            "| strategy | scans, 3 robots |",
+            measurements.rivals(stem),
+            ALL_CELLS,
+            number=number,
+        )
+        for number, stem in enumerate(("test-", "", "large-"))
     ),
     Figure("results/kinds.md", "| map | runs |", measurements.kinds, ALL_CELLS),
     Figure("peers.md", "| variant | longest path", measurements.peers("dars", "longest_path_95"), ALL_CELLS),
