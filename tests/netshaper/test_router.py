@@ -119,7 +119,7 @@ def test_a_second_process_of_a_robot_behind_a_router_is_refused_until_the_first_
         with closing(join(routed.passwords["r0"])), monkeypatch.context() as patch:
             assert routed.receive(RELAY) == Message(KEYS.presence("r0"), b"1")
             patch.setattr("protocol.zenoh_bus.CONNECT_S", 1.0)
-            with pytest.raises(ConnectionError, match="^r0: another process has joined as r0"):
+            with pytest.raises(ConnectionError, match=r"^r0: another process has joined as r0"):
                 join(routed.passwords["r0"])
         assert routed.receive(RELAY) == Message(KEYS.presence("r0"), b"0")
         with closing(join(routed.passwords["r0"])):
