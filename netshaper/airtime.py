@@ -92,7 +92,8 @@ WHOLE_STEP = 1_000_000_000
 class DutyCycle:
     """The airtime of a robot within the last hour, at most a share of the hour (ETSI EN 300 220).
 
-    A robot may use its whole `share` of an hour at once; each transmission then counts for an hour, of `hour` steps.
+    A robot may use its whole share at once; each transmission then counts for an hour. `share`: share of the hour in
+    which the robot may send; `hour`: steps of an hour.
     """
 
     def __init__(self, share: float, hour: int) -> None:
@@ -245,7 +246,9 @@ class Airtime:
 
 
 def cut_into_frames(index: PacketIndex, room: Budget, frame_limit: Budget, tail: int) -> list[int]:
-    """Cut packets into frames for the air, within the remaining budget `room`, each with `tail` bytes at its end.
+    """Cut packets into frames for the air, within the remaining budget `room`.
+
+    A frame has at most `frame_limit` bytes, the `tail` bytes after its packets included.
 
     Returns for each frame, in order, the number of the packet after its last one. Packets after the last frame did not
     fit.

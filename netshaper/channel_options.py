@@ -23,7 +23,7 @@ class ChannelOptions:
     loss: Probability = 0.0
     """Probability that a robot in range loses a frame."""
     burst_loss: Probability = 1.0
-    """The same during a burst."""
+    """Probability that a robot in range loses a frame during a burst."""
     burst_every: Annotated[float, Range(0, MOST)] = 0.0
     """Mean steps between bursts of a link; 0: none."""
     burst_steps: Annotated[float, Range(1, MOST)] = 5.0

@@ -24,7 +24,7 @@ class LaserOptions:
     range_error_m: Annotated[float, Range(0, 1, "m")] = 0.0
     """Standard deviation of a range, meters."""
     range_error_share: Share = 0.0
-    """The same as a share of the range; both add up."""
+    """Standard deviation of a range, as a share of the range, in addition to `range_error_m`."""
     short: Share = 0.0
     """Probability that a beam ends early, at something that passes by."""
     missing: Share = 0.0

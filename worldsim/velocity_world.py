@@ -41,9 +41,9 @@ STOP = Velocity(0.0, 0.0)
 class VelocityWorld:
     """All robots and people on the true map, uint8 of shape (h, w), whose cells are solid if they are not free.
 
-    `frame` tells where the map lies. Of `settings`, bodies, start cells, seed, sensors (which must be given), and
-    people count, whose speed is in cells per second. `headings` are those of the robots at the start, in radians, and a
-    step lasts `step_s` seconds. `sees_robots`: whether lasers measure the distance to other robots; if not, beams that
+    `frame` tells where the map lies. `settings` gives bodies, start cells, seed, sensors, which it must have, and
+    people, whose speed is in cells per second. `headings` are those of the robots at the start, in radians, and a step
+    lasts `step_s` seconds. `sees_robots`: whether lasers measure the distance to other robots; if not, beams that
     meet one have no measurement.
     """
 

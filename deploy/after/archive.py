@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -30,6 +31,10 @@ Table = dict[str, NDArray[Any]]
 
 SETTINGS = ("robots", "seed", "strategy", "map_encoding", "bandwidth")
 """Settings that a run's scenario and its summary both have."""
+
+AFTER_BORDER = 0.5 + 1e-6
+"""From the border of a cell to its center, in cells, and more than floats are wrong: as in `worldsim.motion.cell_of`,
+a border belongs to the cell on its right, or below."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +90,7 @@ class Archive:
         """Pairs of robots that receive each other in a step, by the radio's model (lower number first)."""
         world, rows = self.plan.map, self.rows_of(step)
         cells = {
-            int(robot): (round(column), round(row))
+            int(robot): (math.floor(column + AFTER_BORDER), math.floor(row + AFTER_BORDER))
             for robot, x, y in zip(rows["robot"], rows["x"], rows["y"], strict=True)
             for column, row in [to_cell(world, x, y)]
         }

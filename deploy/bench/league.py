@@ -60,8 +60,9 @@ def tasks(
 ) -> list[Task]:
     """The units of work: the offline plans of each map, and each strategy in each scenario.
 
-    `robots` are the team sizes, `seeds` the number of seeds, from 0, and `names` the strategies: all if empty.
-    `settings` are settings of all scenarios, on top of `DEFAULTS`. Raises ValueError if a name or a setting is invalid.
+    `maps` are names of shipped maps, or files, `robots` the team sizes, `seeds` the number of seeds, from 0, and
+    `names` the strategies: all if empty. `settings` are settings of all scenarios, on top of `DEFAULTS`. Raises
+    ValueError if a name or a setting is invalid.
     """
     competing = [*names] or sorted(strategies())
     for name in competing:

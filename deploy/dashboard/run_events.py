@@ -131,7 +131,7 @@ class RunEvents:
             del self.targets[robot]
         gone = sorted(here - self.positions.keys())
         before = self.in_range
-        cells = {robot: (int((x + 0.5) / cell_mm), int((y + 0.5) / cell_mm)) for robot, x, y, _ in poses}
+        cells = {robot: (int(x / cell_mm + 0.5), int(y / cell_mm + 0.5)) for robot, x, y, _ in poses}
         near = links(self._radio_settings, self.step, cells)
         self.in_range = {(a, b) for a, others in near.items() for b in others if a < b}
         return [Event(self.step, f"robot {robot} has broken down", 2) for robot in gone] + [

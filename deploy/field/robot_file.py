@@ -118,7 +118,7 @@ class Ros2Table(Table):
 
     @model_validator(mode="after")
     def _has_valid_names(self) -> Self:
-        if not re.fullmatch(r"[a-z0-9-]+/\S+:[0-9]+", self.router):
+        if not re.fullmatch(r"[a-z0-9-]+/\S+:[0-9]+([?#]\S+)?|unixsock-stream/\S+", self.router):
             raise ValueError(f"router = {self.router!r}: must be as tcp/localhost:7447")
         for name in ("map_frame", "base_frame"):
             if not (frame := getattr(self, name)) or frame.startswith("/"):

@@ -90,7 +90,7 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
 def common_figures(plan: Plan, records: Records, figures: dict[int, Figures], first: int) -> dict[str, Any]:
     """Return the keys of the summary that robots in the field have as well: they need neither true map nor relay.
 
-    `figures` compare each robot's map; `first` is the number of the first robot, -1 if there is none.
+    `figures` are those of each robot's map; `first` is the number of the first robot, -1 if there is none.
     """
     scenario, ledger = plan.scenario, records.ledger()
     sizes = per_kind(ledger, "bytes")

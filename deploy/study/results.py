@@ -124,14 +124,14 @@ class Results:
         """All rows; ValueError if a column has types that do not fit, as in tables of some earlier versions."""
         try:
             return pl.concat([old, fresh], how="diagonal_relaxed")
-        except pl.exceptions.SchemaError:
-            for name in fresh.columns:
-                if name in old.columns and old.schema[name].is_nested() != fresh.schema[name].is_nested():
-                    raise ValueError(
-                        f"{self._file}: column {name} has values of the type {old.schema[name]}, but new runs have "
-                        f"{fresh.schema[name]}; it is a table of another version: name a new file"
-                    ) from None
-            raise
+        except (pl.exceptions.SchemaError, pl.exceptions.InvalidOperationError):
+            name = next(
+                each for each in fresh.columns if each in old.columns and not _fit(old[each], fresh[each])
+            )
+            raise ValueError(
+                f"{self._file}: column {name} has values of the type {old.schema[name]}, but new runs have "
+                f"{fresh.schema[name]}; it is a table of another version: name a new file"
+            ) from None
 
     def rows(self, keys: Iterable[str]) -> dict[str, Row]:
         """The existing runs among some keys, without their series."""
@@ -203,6 +203,15 @@ def write_table(frame: pl.DataFrame, file: Path) -> None:
         raise ValueError(f"{file}: must end in {' or '.join(writers)}")
     with _named(file):
         _write(file, writers[file.suffix])
+
+
+def _fit(one: pl.Series, other: pl.Series) -> bool:
+    """Whether two columns have a common type."""
+    try:
+        pl.concat([one.to_frame(), other.to_frame()], how="vertical_relaxed")
+    except (pl.exceptions.SchemaError, pl.exceptions.InvalidOperationError):
+        return False
+    return True
 
 
 def _write(file: Path, write: Callable[[io.BytesIO], object]) -> None:

@@ -112,6 +112,20 @@ def test_a_rogue_with_a_router_s_certificate_represents_only_the_router_s_robots
         rogue.close()  # type: ignore[no-untyped-call]
 
 
+def test_a_second_process_of_a_robot_behind_a_router_is_refused_until_the_first_has_left(
+    routed: Routed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with closing(Router(routed.credentials[ROUTER], routed.endpoint, routed.passwords)):
+        with closing(join(routed.passwords["r0"])), monkeypatch.context() as patch:
+            assert routed.receive(RELAY) == Message(KEYS.presence("r0"), b"1")
+            patch.setattr("protocol.zenoh_bus.CONNECT_S", 1.0)
+            with pytest.raises(ConnectionError, match=r"^r0: another process has joined as r0"):
+                join(routed.passwords["r0"])
+        assert routed.receive(RELAY) == Message(KEYS.presence("r0"), b"0")
+        with closing(join(routed.passwords["r0"])):
+            assert routed.receive(RELAY) == Message(KEYS.presence("r0"), b"1")
+
+
 @pytest.mark.slow
 def test_robots_reach_the_hub_through_a_router_and_both_detect_its_loss(routed: Routed) -> None:
     router = Router(routed.credentials[ROUTER], routed.endpoint, routed.passwords)

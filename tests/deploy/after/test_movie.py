@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from functools import cache
 from itertools import combinations
 from pathlib import Path
@@ -21,6 +22,7 @@ from deploy.record.colors import GREY, PAPER, SIGNAL, Color, mix, robot_color
 from protocol.grid import FREE, UNKNOWN
 from protocol.packages import MissingPackageError
 from tests.deploy.small_run import small_directory
+from worldsim.maps import to_world
 
 ffmpeg = pytest.importorskip(
     "imageio_ffmpeg", reason="imageio-ffmpeg is not installed: pip install 'murmur-robots[film]'"
@@ -106,6 +108,20 @@ def test_links_of_a_frame_are_those_that_carried_data_also_by_broadcast(tmp_path
     (tmp_path / "run" / "radio.pcapng").unlink()
     without = archive.read(tmp_path / "run")
     assert without.links[10] <= run.links[10]
+
+
+def test_a_robot_on_a_border_is_in_the_cell_after_it_as_for_the_relay() -> None:
+    """With a range of eight cells, a robot in cell 10 receives those in cell 18, and none in cell 19 or 20."""
+    made = archive.read(small_directory())
+    world = made.plan.map
+    run = replace(made, plan=replace(made.plan, range_m=8 * world.resolution))
+    for cell, is_near in ((18.49, True), (18.5, False), (19.0, False), (19.5, False)):
+        for here, there in (((10, 10), (cell, 10)), ((10, 10), (10, cell))):
+            x, y = zip(*(to_world(world, *each) for each in (here, there)), strict=True)
+            vars(run)["steps"] = {
+                "step": np.array([1, 1]), "robot": np.array([0, 1]), "x": np.array(x), "y": np.array(y)
+            }  # fmt: skip
+            assert run.in_range(1) == ({(0, 1)} if is_near else set()), (cell, there)
 
 
 def test_many_robots_and_a_flat_building_fit_into_a_frame(tmp_path: Path) -> None:

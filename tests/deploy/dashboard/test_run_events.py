@@ -66,6 +66,15 @@ def test_robots_are_in_range_as_the_radio_model_says() -> None:
     assert not apart.in_range
 
 
+def test_the_cell_of_a_robot_beside_its_center_is_that_of_the_relay(events: RunEvents) -> None:
+    """With a range of eight cells, robots in the cells 10 and 19 are out of range, wherever they are in them."""
+    events.take("relay", Change(1, range_mm=800))
+    for x, is_near in ((1849, True), (1850, False), (1860, False), (1900, False), (1949, False)):
+        poses = np.array([(0, 1000, 1000, 0), (1, x, 1000, 0)], "<i4")
+        events.take("world", WorldReport(1, poses.tobytes(), [0, 0], 50, 100))
+        assert events.in_range == ({(0, 1)} if is_near else set()), x
+
+
 def test_missed_steps_are_counted_and_late_answers_of_the_radio_are_named(events: RunEvents) -> None:
     assert texts(events, "relay", Missed(4, "offers", 1, [2])) == [
         "robot 2 answered too late: offers of round 1"

@@ -81,6 +81,7 @@ from tests.deploy.field.robot_processes import settings, write
                 ({"namespace": "r 1"}, "'murmur' in namespace 'r 1' is not a name of ROS"),
                 ({"node": "1"}, "'1' is not the name of a node"),
                 ({"router": "localhost"}, "router = 'localhost': must be as tcp/localhost:7447"),
+                ({"router": "tcp/localhost"}, "router = 'tcp/localhost': must be as tcp/localhost:7447"),
                 (
                     {"map_frame": "/map"},
                     "map_frame = '/map': must be the name of a frame, without a slash in",
@@ -225,6 +226,19 @@ def test_the_check_says_what_the_robots_map_is_made_of(scan: str, source: str, t
     result = murmur("robot", "--check", str(file))
     assert result.exit_code == 0
     assert result.stdout.splitlines()[1] == f"the robot's part of the team's map comes from {source}"
+
+
+@pytest.mark.parametrize(
+    "router",
+    [
+        "tcp/[::1]:7447",
+        "tls/robot.local:7447",
+        "tcp/127.0.0.1:7447#iface=lo",
+        "unixsock-stream//tmp/zenoh.sock",
+    ],
+)
+def test_all_addresses_of_zenoh_are_accepted(router: str) -> None:
+    assert Ros2Table(map_pose=(0.0, 0.0, 0.0), router=router).router == router
 
 
 def test_a_router_that_does_not_answer_is_named(tmp_path: Path) -> None:

@@ -97,14 +97,15 @@ def test_a_table_with_other_types_is_refused_and_not_changed(tmp_path: Path) -> 
     old.with_columns(key=1).write_parquet(file)
     with pytest.raises(ValueError, match="is not a table of runs; name a new file"):
         Results(file)
-    old.with_columns(explored=1.0).write_parquet(file)
-    before = file.read_bytes()
-    message = (
-        r"column explored has values of the type Float64, but new runs have List\(Float64\); .* new file"
-    )
-    with pytest.raises(ValueError, match=message), Results(file) as table:
-        table.add(row("b", 1))
-    assert file.read_bytes() == before
+    for value, kind in ((1.0, "Float64"), ("much", "String"), ({"a": 1}, "Struct.*")):
+        old.with_columns(explored=pl.lit(value)).write_parquet(file)
+        before = file.read_bytes()
+        message = (
+            rf"column explored has values of the type {kind}, but new runs have List\(Float64\); .* new file"
+        )
+        with pytest.raises(ValueError, match=message), Results(file) as table:
+            table.add(row("b", 1))
+        assert file.read_bytes() == before
 
 
 def test_a_file_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
