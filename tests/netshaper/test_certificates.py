@@ -20,6 +20,8 @@ from protocol.bus import Bus, Message
 from protocol.keys import Keys
 from protocol.zenoh_bus import Certificate, Credential, insert, join, mutual_tls, plain_config
 
+pytestmark = pytest.mark.slow
+
 KEYS = Keys("certified")
 RELAY, WORLD, RECORDER = names.RELAY, names.WORLD, names.RECORDER
 SOON_S = 30.0

@@ -23,6 +23,8 @@ from protocol.bus import Bus, BusClosed, Message
 from protocol.keys import Keys
 from protocol.zenoh_bus import Credential, join, open_connected, plain_config
 
+pytestmark = pytest.mark.slow
+
 KEYS = Keys("routed")
 RELAY, WORLD = names.RELAY, names.WORLD
 ROUTER = names.router("rack")
@@ -126,7 +128,6 @@ def test_a_second_process_of_a_robot_behind_a_router_is_refused_until_the_first_
             assert routed.receive(RELAY) == Message(KEYS.presence("r0"), b"1")
 
 
-@pytest.mark.slow
 def test_robots_reach_the_hub_through_a_router_and_both_detect_its_loss(routed: Routed) -> None:
     router = Router(routed.credentials[ROUTER], routed.endpoint, routed.passwords)
     with closing(join(routed.passwords["r0"])) as robot:

@@ -24,6 +24,8 @@ from tests.worldsim.building_measures import (
 from worldsim.generators import make
 from worldsim.maps import Map
 
+pytestmark = pytest.mark.slow
+
 # The warehouse
 
 
@@ -97,7 +99,6 @@ sides = st.floats(0, 1)
 """A side, from the shortest valid one to 60 m more."""
 
 
-@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(st.sampled_from(sorted(LEAST_M)), st.integers(0, 2**40), sides, sides, st.floats(0, 20))
 def test_kinds_of_any_size_and_clutter_are_connected_reachable_and_deterministic(
@@ -116,7 +117,6 @@ def test_kinds_of_any_size_and_clutter_are_connected_reachable_and_deterministic
     assert make(kind, seed, resolution=0.2, **options).cells.tobytes() == world.cells.tobytes()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("kind", sorted(LEAST_M))
 def test_more_clutter_means_more_objects_that_stand_free(kind: str) -> None:
     for seed in range(4):
@@ -142,7 +142,6 @@ def test_caves_and_mazes_have_loops() -> None:
         assert len(set(found)) > 2
 
 
-@pytest.mark.slow
 def test_caves_have_no_straight_walls() -> None:
     """A straight wall would be a long run of cells with the same neighbors above and below."""
     for seed in SEEDS:

@@ -31,6 +31,8 @@ from deploy.run.in_memory import MemoryRun
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from tests.deploy.small_run import small_plan, small_run
 
+pytestmark = pytest.mark.slow
+
 grids = arrays(np.uint8, (4, 5), elements=st.integers(0, 2))
 
 

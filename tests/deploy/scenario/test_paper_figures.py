@@ -16,6 +16,8 @@ from deploy.scenario.plan import make
 from deploy.scenario.scenario import load
 from protocol.grid import UNKNOWN
 
+pytestmark = pytest.mark.slow
+
 CONTACT_M = 5.0
 """Communication range in Burgard et al., Fig. 11."""
 
