@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, closing
+from typing import Any
 
 import pytest
 import zenoh
@@ -62,6 +63,16 @@ def routed() -> Iterator[Routed]:
         yield Routed(stack)
 
 
+def wait_for_subscriber(session: zenoh.Session, key: str) -> None:
+    """Wait until a session knows a subscriber of a key: before, it sends no message with that key."""
+    publisher: Any = session.declare_publisher(key)
+    deadline = time.monotonic() + SOON_S
+    while not publisher.matching_status.matching:
+        assert time.monotonic() < deadline, f"the session knows no subscriber of {key}"
+        time.sleep(0.01)
+    publisher.undeclare()
+
+
 def free_port() -> int:
     with closing(socket.socket()) as probe:
         probe.bind(("127.0.0.1", 0))
@@ -84,6 +95,8 @@ def test_a_rogue_with_a_router_s_certificate_represents_only_the_router_s_robots
         recording_bus = rogue.declare_subscriber("**", zenoh.handlers.FifoChannel(1000))
         tokens = [rogue.liveliness().declare_token(KEYS.alive(name)) for name in ("r2", ROUTER, "r1")]
         assert routed.receive(RELAY) == Message(KEYS.presence("r1"), b"1")
+        own = KEYS.radio_tx("r0")
+        wait_for_subscriber(rogue, own)
         for key in (
             KEYS.radio_tx("r2"),
             KEYS.control_tx("r2"),
@@ -95,7 +108,6 @@ def test_a_rogue_with_a_router_s_certificate_represents_only_the_router_s_robots
             f"murmur/{KEYS.run}/**",
         ):
             rogue.put(key, b"forged", congestion_control=BLOCK, allowed_destination=zenoh.Locality.REMOTE)
-        own = KEYS.radio_tx("r0")
         numbered = numbering.Outgoing(numbering.new_session(), 1).number(b"its robot's")
         rogue.put(own, numbered, congestion_control=BLOCK)
         assert routed.receive(RELAY) == Message(own, b"its robot's")
