@@ -117,7 +117,7 @@ def write(certificates: Mapping[str, Certificate], folder: Path) -> list[Path]:
 def read(folder: Path, robots: int) -> dict[str, Certificate]:
     """Read the output of `write` for relay and all clients; robots behind a router have no files.
 
-    Raises ValueError that names the file if one is missing or not PEM.
+    Raises ValueError, with the name of the file, if a file is missing or not PEM.
     """
 
     def text(name: str) -> str:

@@ -145,7 +145,7 @@ class ZenohBus:
 
     @property
     def misses_messages(self) -> bool:
-        """Whether an earlier process of this name has received messages that this one lacks."""
+        """Whether messages to this name have gone to an earlier process, so that this process lacks them."""
         return any(incoming.first for incoming in self._incoming.values())
 
     def put(self, key: str, payload: bytes) -> None:
@@ -260,10 +260,11 @@ def join(credential: Credential) -> ZenohBus:
 
 
 def _obstacle(session: zenoh.Session, keys: Keys, credential: Credential) -> str:
-    """Wait until the relay can be reached, and no other process has this name; return what is in the way, or nothing.
+    """Return why this session cannot join; empty if it can.
 
-    The hub answers in order, so what it knows of this name arrives before what it knows of the relay. It notices
-    within `CONNECT_S` that a process of this name has died.
+    It can join if it reaches the relay, and if no other process has this name. It waits up to `CONNECT_S` for each; the
+    hub notices within that time that a process of this name has died. The hub answers in order: once this session knows
+    the relay's subscriptions, it also knows those of other processes of its name.
     """
     with _publisher(session, keys.control(credential.name, names.RELAY)) as own:
         if not _reaches_relay(session, keys.control_tx(credential.name)):

@@ -34,7 +34,7 @@ class LaserOptions:
     min_range_m: Annotated[float, Range(0, 10, "m")] = 0.0
     """Shortest range, meters; below, there is no measurement."""
     max_range_m: Annotated[float, Range(0, MAX_REACH_M, "m")] = 0.0
-    """Longest range, meters; robots neither see nor map what is farther away; 0: no limit of the laser."""
+    """Longest range, meters, up to which robots see and map; 0: no limit of the laser."""
     beams: Annotated[int, Range(0, 1440)] = 0
     """Beams over the field of view; 0: as many as `beams` of the scenario has there."""
     rate: Annotated[float, Range(0.01, 1, "scans per step")] = 1.0

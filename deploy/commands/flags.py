@@ -28,7 +28,7 @@ WORLD, ROBOTS, RADIO, RUN, VIEW, FIGURES = "World", "Robots", "Radio", "Run", "V
 
 
 def argument(metavar: str, help: str) -> Any:
-    """Return a value without a flag."""
+    """Describe an argument, a value that has no flag."""
     return typer.Argument(metavar=metavar, help=help)
 
 
@@ -41,18 +41,18 @@ def option(
     min: float | None = None,
     max: float | None = None,
 ) -> Any:
-    """Return a flag with a value, at least `min` and at most `max`; `name` is that of the parameter by default."""
+    """Describe a flag with a value from `min` to `max`; without a `name`, it is called as its parameter."""
     names = (name,) if name else ()
     return typer.Option(*names, metavar=metavar, help=help, rich_help_panel=group, min=min, max=max)
 
 
 def switch(name: str, help: str, group: str | None = None) -> Any:
-    """Return a flag without a value."""
+    """Describe a flag without a value."""
     return typer.Option(name, help=help, rich_help_panel=group)
 
 
 def flag(name: str, kind: Any, help: Any) -> Flag:
-    """Return a flag with a value of this kind, None by default; `help` is that of `option`."""
+    """Return a parameter for the value of a flag, None by default; `help` is the result of `option`."""
     return Flag(name, Flag.KEYWORD_ONLY, default=None, annotation=Annotated[kind | None, help])
 
 

@@ -171,7 +171,7 @@ def compare(
     radios: Annotated[str | None, option("A,B,...", "radio presets to compare")] = None,
     map_: Annotated[list[str] | None, option("FILE|NAME", "on this map; repeatable", name="--map")] = None,
     seeds: Annotated[int, option("N", "run the seeds 0 to N - 1", min=2, max=MAX_RUNS)] = 10,
-    metric: Annotated[str, option("NAME", "what is compared (docs/experiments.md)")] = "steps",
+    metric: Annotated[str, option("NAME", "metric to compare (docs/experiments.md)")] = "steps",
     set_: SetOption = None,
     jobs: JobsOption = None,
     scheduler: SchedulerOption = None,
@@ -228,9 +228,11 @@ def size(
     range_: Annotated[
         str | None, option("METERS|P%,...", f"ranges to try (default {','.join(RANGES)})", name="--range")
     ] = None,
-    deadline: Annotated[int | None, option("STEPS", "an exploration may take so long", min=1)] = None,
+    deadline: Annotated[
+        int | None, option("STEPS", "longest time that an exploration may take", min=1)
+    ] = None,
     min_map_accuracy: Annotated[
-        float, option("SHARE", "of the building that a map must have right", min=0, max=1)
+        float, option("SHARE", "smallest share of the building that a map must show correctly", min=0, max=1)
     ] = 0.95,
     finish: Annotated[str, option("all|first", "robots that must finish with such a map")] = "all",
     seeds: Annotated[int, option("N", "runs of each combination", min=1, max=MAX_RUNS)] = 5,

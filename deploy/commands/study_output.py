@@ -47,7 +47,7 @@ def stopping(out: Path | None) -> Iterator[None]:
 
 
 def end_study(failures: Collection[str], code: int = 0) -> NoReturn:
-    """End the command with a code for its result, or with `BROKEN_OFF` if runs have failed for some cause."""
+    """End the command with exit code `code`, or with `BROKEN_OFF` if there are failures (causes of failed runs)."""
     raise typer.Exit(BROKEN_OFF if failures else code)
 
 

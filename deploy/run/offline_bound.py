@@ -336,9 +336,9 @@ class _Plan:
         return ends[1]
 
     def _near(self, cells: Indices) -> tuple[int, int, NDArray[np.bool_]]:
-        """Where a robot may see all of these cells: the corner x0, y0 of a box, and a flag per cell of the box.
+        """Return where a robot may stand to see all of these cells: corner x0, y0 of a box, and a flag per cell of it.
 
-        A flag means that up to eight of the outermost cells are in range; walls are ignored.
+        The flags are a necessary condition: the outermost cells, by x, y, x + y, and x - y, are in range.
         """
         height, width = self._building.floor.shape
         ys, xs = np.divmod(cells, width)

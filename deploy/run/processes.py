@@ -252,7 +252,7 @@ def _wrapped(bus: ZenohBus, credential: Credential, wrap: Wrap | None) -> Bus:
 
 
 def _serve_robot(bus: Bus, node: AgentNode, is_second: Callable[[], bool]) -> None:
-    """Process messages until the robot is done; ConnectionError once this is found to be its second process."""
+    """Process messages until the robot is done; ConnectionError if an earlier process has received its messages."""
     with closing(bus):
         while not node.done:
             message = bus.receive()

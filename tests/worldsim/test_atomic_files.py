@@ -42,7 +42,7 @@ def test_error_names_the_file_which_stays_unchanged(tmp_path: Path, before: byte
 def test_error_names_the_file_where_its_temporary_name_can_neither_be_written_nor_removed(
     tmp_path: Path,
 ) -> None:
-    path = tmp_path / ("a" * 255)  # the longest name; the temporary one is longer
+    path = tmp_path / ("a" * 255)  # no name may be longer, and the temporary file's would be
     with pytest.raises(OSError, match="File name too long") as caught:
         write_whole(path, lambda file: file.write(b"x"))
     assert caught.value.filename == str(path)
