@@ -1,4 +1,4 @@
-"""The child processes of one run on this host: started by one fork server, supervised, and ended.
+"""The child processes of one run on this host: started by the fork server, supervised, and ended.
 
 Children start with the code imported and the kernels loaded, before any bus is opened. A child that ends
 prematurely is reported with its name and crash report; none outlives the table.
@@ -7,21 +7,17 @@ prematurely is reported with its name and crash report; none outlives the table.
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
 import os
 import signal
-import sys
 import threading
 import time
-import types
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
-from multiprocessing import forkserver
 from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 from typing import Self
 
-from deploy.run import parent_watchdog
+from deploy.run import fork_server, parent_watchdog
 from deploy.run.crash_report import crash_report
 from deploy.run.exit_codes import BROKEN_OFF
 from deploy.run.processes import in_background
@@ -66,14 +62,14 @@ def load_fork_server() -> None:
 
     All runs of this process share it. If it fails, the run reports that. KeyboardInterrupt ends it.
     """
-    if _fork_server_pid() is not None:
+    if fork_server.pid() is not None:
         return
     logs = Path(parent_watchdog.open_folder()) / "preload"
     with contextlib.suppress(ConnectionError), ProcessTable(logs) as table:
         try:
             table.start("preload", _do_nothing, needed=False)
         except KeyboardInterrupt:
-            if (pid := _fork_server_pid()) is not None:
+            if (pid := fork_server.pid()) is not None:
                 os.kill(pid, signal.SIGKILL)
             raise
 
@@ -98,8 +94,7 @@ class ProcessTable:
         """Why processes were killed that did not answer, by name."""
         self._ended = threading.Event()
         self._children: list[Child] = []
-        self._context = multiprocessing.get_context("forkserver")
-        self._context.set_forkserver_preload(["deploy.run.parent_watchdog", "deploy.run.preload"])
+        self._context = fork_server.context()
 
     def __enter__(self) -> Self:
         self._logs.mkdir(parents=True, exist_ok=True)
@@ -115,18 +110,15 @@ class ProcessTable:
         Raises ConnectionError if the fork server dies, or cannot start another process.
         """
         log = self._logs / f"{name}.log"
-        with _blank_main():
-            process = self._context.Process(target=in_background, args=(name, log, serve), name=name)
-            os.environ[parent_watchdog.FOLDER] = f"{os.getpid()}:{parent_watchdog.open_folder()}"
-            try:
+        process = self._context.Process(target=in_background, args=(name, log, serve), name=name)
+        try:
+            with fork_server.starting():
                 process.start()
-            except (EOFError, ConnectionError):
-                why = self._killed.get(FORK_SERVER, "it ended")
-                raise ConnectionError(f"{why}, before it had started {name}") from None
-            except OSError as error:
-                raise ConnectionError(f"cannot start {name}: {error.strerror}") from None
-            finally:
-                del os.environ[parent_watchdog.FOLDER]
+        except (EOFError, ConnectionError):
+            why = self._killed.get(FORK_SERVER, "it ended")
+            raise ConnectionError(f"{why}, before it had started {name}") from None
+        except OSError as error:
+            raise ConnectionError(f"cannot start {name}: {error.strerror}") from None
         self._children.append(Child(name, process, log, needed))
 
     def give_up(self, name: str) -> None:
@@ -189,7 +181,7 @@ class ProcessTable:
                 child.process.join(max(0.0, deadline - time.monotonic()))
         self._ended.set()
         if any(child.process.is_alive() for child in self._children):
-            self._kill(FORK_SERVER, _fork_server_pid(), "it did not report the ends of its processes")
+            self._kill(FORK_SERVER, fork_server.pid(), "it did not report the ends of its processes")
             self.check()
         for child in self._children:
             if child.process.exitcode == UNKNOWN and child.process.pid is not None:
@@ -207,7 +199,7 @@ class ProcessTable:
         since: dict[str, float] = {}
         while not self._ended.wait(min(CHECK_S, self._stopped_s / 4)):
             now = clock()
-            pids = {FORK_SERVER: _fork_server_pid()}
+            pids = {FORK_SERVER: fork_server.pid()}
             pids |= {child.name: child.process.pid for child in self._children if child.name in _AWAITED}
             for name, pid in pids.items():
                 if name in self._killed or not _is_stopped(pid):
@@ -222,12 +214,6 @@ class ProcessTable:
             os.kill(pid, signal.SIGKILL)
 
 
-def _fork_server_pid() -> int | None:
-    """Return the process of the fork server, which all runs of this process share; None before it has started."""
-    pid: int | None = forkserver._forkserver._forkserver_pid  # type: ignore[attr-defined]
-    return pid
-
-
 def _is_stopped(pid: int | None) -> bool:
     """Return whether a process is stopped, by SIGSTOP or a debugger; False where the system does not tell."""
     try:
@@ -235,14 +221,3 @@ def _is_stopped(pid: int | None) -> bool:
     except OSError:
         return False
     return status.rpartition(")")[2].split()[0] in ("T", "t")
-
-
-@contextlib.contextmanager
-def _blank_main() -> Iterator[None]:
-    """Hide the main module, which children would otherwise import again."""
-    main = sys.modules["__main__"]
-    sys.modules["__main__"] = types.ModuleType("__main__")
-    try:
-        yield
-    finally:
-        sys.modules["__main__"] = main

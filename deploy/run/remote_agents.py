@@ -44,6 +44,7 @@ STARTERS = (
     "deploy.run.remote_agents",
     "deploy.run.processes",
     "deploy.run.process_table",
+    "deploy.run.fork_server",
     "netshaper.access",
     "netshaper.router",
 )

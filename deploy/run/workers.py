@@ -14,11 +14,12 @@ import re
 import signal
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any, Protocol, TypeVar
 
+from deploy.run import fork_server
 from deploy.run.parent_watchdog import end_with_parent
 from protocol.packages import require
 
@@ -68,7 +69,7 @@ class LocalPool:
                 while waiting or running:
                     with contextlib.suppress(BrokenProcessPool):
                         while waiting and len(running) < self._jobs:
-                            running[pool.submit(run, waiting[0])] = waiting[0]
+                            running[_submit(pool, run, waiting[0])] = waiting[0]
                             waiting.popleft()
                     if not running:
                         break  # a process without a run died: continue with a new pool
@@ -91,7 +92,7 @@ class LocalPool:
     def _alone(case: Case, run: Callable[[Case], Outcome]) -> Outcome | str:
         with _processes(1) as pool:
             try:
-                return pool.submit(run, case).result()
+                return _submit(pool, run, case).result()
             except BrokenProcessPool:
                 return DIED
 
@@ -166,11 +167,17 @@ def _one_at_a_time(run: Callable[[Any], Any], case: Any) -> Any:
         return run(case)
 
 
+def _submit(pool: ProcessPoolExecutor, run: Callable[[Case], Outcome], case: Case) -> Future[Outcome]:
+    """Hand a run to a pool, which starts a process if none is idle."""
+    with fork_server.starting():
+        return pool.submit(run, case)
+
+
 @contextlib.contextmanager
 def _processes(jobs: int) -> Iterator[ProcessPoolExecutor]:
     """Return a pool whose processes end immediately on an exception."""
     others = multiprocessing.active_children()
-    pool = ProcessPoolExecutor(jobs, initializer=_begin)
+    pool = ProcessPoolExecutor(jobs, fork_server.context(), _begin, (dict(os.environ),))
     try:
         yield pool
     except BaseException:
@@ -182,8 +189,12 @@ def _processes(jobs: int) -> Iterator[ProcessPoolExecutor]:
     pool.shutdown()
 
 
-def _begin() -> None:
-    """Ignore Ctrl-C and SIGHUP, which the parent handles, and end with SIGTERM and with the parent."""
+def _begin(environment: Mapping[str, str]) -> None:
+    """Ignore Ctrl-C and SIGHUP, which the parent handles, and end with SIGTERM and with the parent.
+
+    The environment is the parent's; that of the fork server may be older.
+    """
+    os.environ.update(environment)
     for number in (signal.SIGINT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)

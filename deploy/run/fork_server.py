@@ -1,0 +1,46 @@
+"""The fork server of this process, which starts the processes of runs and of studies.
+
+A process that starts threads, as polars does, must not fork: a lock that another thread holds stays locked in the
+child. The fork server has no threads. It loads the code and the kernels once, and its children share that memory.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import sys
+import types
+from collections.abc import Iterator
+from multiprocessing import forkserver
+from multiprocessing.context import ForkServerContext
+
+from deploy.run import parent_watchdog
+
+PRELOADED = ["deploy.run.parent_watchdog", "deploy.run.preload"]
+
+
+def context() -> ForkServerContext:
+    """Return the context that makes children of the fork server; they start within `starting`."""
+    made = multiprocessing.get_context("forkserver")
+    made.set_forkserver_preload(PRELOADED)
+    return made
+
+
+@contextlib.contextmanager
+def starting() -> Iterator[None]:
+    """Start children: they do not import the main module, and the fork server, if it starts too, gets its folder."""
+    main = sys.modules["__main__"]
+    sys.modules["__main__"] = types.ModuleType("__main__")
+    os.environ[parent_watchdog.FOLDER] = f"{os.getpid()}:{parent_watchdog.open_folder()}"
+    try:
+        yield
+    finally:
+        del os.environ[parent_watchdog.FOLDER]
+        sys.modules["__main__"] = main
+
+
+def pid() -> int | None:
+    """Return the number of the fork server's process; None before it has started."""
+    number: int | None = forkserver._forkserver._forkserver_pid  # type: ignore[attr-defined]
+    return number
