@@ -148,7 +148,7 @@ class RadioTable(LinkOptions):
     `key`: the key file. `sessions`: the directory of the session file; by default that of the key.
     """
 
-    key: str = "team.key"
+    key: str = Field("team.key", min_length=1)
     sessions: str = ""
 
 

@@ -78,6 +78,7 @@ _WORDING = {
     "a valid list": "a list",
     "a valid boolean": "true or false",
     "List should have at least 1 item after validation, not 0": "must have at least one entry",
+    "String should have at least 1 character": "must not be empty",
 }
 """Phrases of pydantic's messages, and our replacements."""
 

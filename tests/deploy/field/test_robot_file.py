@@ -109,7 +109,11 @@ from tests.deploy.field.robot_processes import settings, write
             {"radio": {"medium": "udp", "interface": "lo", "keys": ""}},
             "radio.keys: unknown setting; did you mean key",
         ),
-        ({"record": {"folder": ""}}, "record.folder = ''"),
+        (
+            {"radio": {"medium": "udp", "interface": "lo", "key": ""}},
+            "radio.key = '': must not be empty",
+        ),
+        ({"record": {"folder": ""}}, "record.folder = '': must not be empty"),
     ],
 )
 def test_a_wrong_setting_is_named_with_what_would_be_right(
