@@ -10,6 +10,7 @@ import contextlib
 import multiprocessing
 import os
 import sys
+import threading
 import types
 from collections.abc import Iterator
 from multiprocessing import forkserver
@@ -18,6 +19,8 @@ from multiprocessing.context import ForkServerContext
 from deploy.run import parent_watchdog
 
 PRELOADED = ["deploy.run.parent_watchdog", "deploy.run.preload"]
+_TURN = threading.Lock()
+"""Held while a thread changes the main module and the environment."""
 
 
 def context() -> ForkServerContext:
@@ -30,14 +33,15 @@ def context() -> ForkServerContext:
 @contextlib.contextmanager
 def starting() -> Iterator[None]:
     """Start children: they do not import the main module, and the fork server, if it starts too, gets its folder."""
-    main = sys.modules["__main__"]
-    sys.modules["__main__"] = types.ModuleType("__main__")
-    os.environ[parent_watchdog.FOLDER] = f"{os.getpid()}:{parent_watchdog.open_folder()}"
-    try:
-        yield
-    finally:
-        del os.environ[parent_watchdog.FOLDER]
-        sys.modules["__main__"] = main
+    with _TURN:
+        main = sys.modules["__main__"]
+        sys.modules["__main__"] = types.ModuleType("__main__")
+        os.environ[parent_watchdog.FOLDER] = f"{os.getpid()}:{parent_watchdog.open_folder()}"
+        try:
+            yield
+        finally:
+            del os.environ[parent_watchdog.FOLDER]
+            sys.modules["__main__"] = main
 
 
 def pid() -> int | None:

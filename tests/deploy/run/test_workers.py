@@ -47,6 +47,11 @@ def waits_unless_it_is_1(number: Number) -> int:
     return square(number)
 
 
+def its_environment(number: Number) -> str | None:
+    del number
+    return os.environ.get("MURMUR_OF_THIS_STUDY")
+
+
 def numbers(*values: int) -> list[Number]:
     return [Number(str(value)) for value in values]
 
@@ -54,6 +59,28 @@ def numbers(*values: int) -> list[Number]:
 def test_each_case_has_its_outcome_once() -> None:
     outcomes = list(LocalPool(2).each(numbers(3, 4, 5), square))
     assert sorted((case.value, outcome) for case, outcome in outcomes) == [(3, 9), (4, 16), (5, 25)]
+
+
+def test_studies_in_several_threads_leave_the_main_module_and_the_environment_as_they_were() -> None:
+    main, environment = sys.modules["__main__"], dict(os.environ)
+    outcomes: list[int] = []
+
+    def study() -> None:
+        outcomes.extend(outcome for _, outcome in LocalPool(1).each(numbers(1, 2), square))  # type: ignore[misc]
+
+    threads = [threading.Thread(target=study) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sorted(outcomes) == [1, 1, 1, 1, 4, 4, 4, 4]
+    assert (sys.modules["__main__"], dict(os.environ)) == (main, environment)
+
+
+def test_a_process_has_the_environment_of_its_study(monkeypatch: pytest.MonkeyPatch) -> None:
+    list(LocalPool(1).each(numbers(1), square))
+    monkeypatch.setenv("MURMUR_OF_THIS_STUDY", "yes")
+    assert list(LocalPool(1).each(numbers(1), its_environment)) == [(Number("1"), "yes")]
 
 
 def test_process_that_dies_fails_its_own_run_only() -> None:
