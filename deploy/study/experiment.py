@@ -147,6 +147,8 @@ def _checked(path: Path, file: ExperimentFile) -> Experiment:
                 raise ValueError(f"seeds and {where}.seed: set only one of them")
         grid["seed"] = list(range(file.seeds))
     for key, values in grid.items():
+        if key in file.base:
+            raise ValueError(f"base.{key}: the grid sets {key} as well; remove one of them")
         _check_values(f"grid.{key}", values)
     for key, leader in file.follow.items():
         if leader not in grid:

@@ -128,6 +128,7 @@ def test_an_unknown_experiment_is_rejected_with_the_known_ones() -> None:
             "[grid]\nseed = [0]\nmap_seed = [1]\n[follow]\nmap_seed = 'seed'\n",
             "the grid sets map_seed as well",
         ),
+        ("[base]\nrobots = 2\n[grid]\nrobots = [3]\n", "base.robots: the grid sets robots as well"),
         ("[grid]\nmap = ['em', { map = 'em', map_seed = 1 }]\n", "contains 'em' twice"),
         (
             "variant = [{ name = 'a', map_seed = 1 }]\n[grid]\nmap = [{ map = 'em', map_seed = 1 }]\n",
