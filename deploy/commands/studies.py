@@ -290,8 +290,8 @@ def size_radios(
     from deploy.study import radio_sizing  # noqa: PLC0415
 
     settings |= other_settings(texts, radio_sizing.size_radios, settings)
-    with stopping(common["out"]), counting(errors, "size") as report:
-        done = radio_sizing.size_radios(map_, radios, progress=report, **common, **settings)
+    with stopping(common["out"]):
+        done = radio_sizing.size_radios(map_, radios, **common, **settings)
     report_failures(done.failures)
     print_table(done.lines)
     for sentence in done.sentences:

@@ -66,16 +66,8 @@ class Retreat:
 class Navigator:
     """Leads one robot to a goal; all poses are true ones.
 
-    Parameters
-    ----------
-    floor : uint8 array, shape (h, w)
-        The cells that the robot's center may enter are free.
-    frame : MapFrame
-        Where the floor lies.
-    speed : float
-        The robot's speed in meters per second.
-    step_s : float
-        Seconds between calls of `steer`.
+    The robot's center may enter the free cells of `floor`, uint8 of shape (h, w), which lies in `frame`. `speed` is in
+    meters per second; `step_s` are the seconds between calls of `steer`.
     """
 
     def __init__(self, floor: Grid, frame: MapFrame, speed: float, step_s: float) -> None:

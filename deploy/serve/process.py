@@ -25,36 +25,17 @@ NODE = "murmur_simulator"
 
 @dataclass(frozen=True)
 class ServeSettings:
-    """How robots appear in ROS.
-
-    Attributes
-    ----------
-    namespaces : tuple of str
-        One per robot, without slash.
-    domain : int
-        ROS_DOMAIN_ID.
-    distro : str
-        Distribution of ROS 2.
-    router : str
-        Address of the router.
-    own_router : bool
-        Whether to start a router at this address.
-    sim_time : bool
-        Whether stamps are simulated time, which ``/clock`` tells; else they are the time of this host.
-    swarm : SwarmSettings
-
-    Raises
-    ------
-    ValueError
-        A namespace, the domain, or the distribution is wrong.
-    """
+    """How robots appear in ROS; ValueError if a namespace, the domain, or the distribution is wrong."""
 
     namespaces: tuple[str, ...]
+    """One per robot, without slash."""
     domain: int = 0
     distro: str = "jazzy"
     router: str = ROUTER
     own_router: bool = True
+    """Whether to start a router at this address."""
     sim_time: bool = False
+    """Whether stamps are simulated time, which ``/clock`` tells; else they are the time of this host."""
     swarm: SwarmSettings = field(default_factory=SwarmSettings)
 
     def __post_init__(self) -> None:

@@ -43,18 +43,8 @@ class Task:
 class SimulatedRobot:
     """One robot.
 
-    Parameters
-    ----------
-    start : Pose
-        Its first pose in the common frame: meters, and radians counterclockwise.
-    area : MapFrame
-        Where the true map lies in the common frame.
-    laser, laser_pose : Laser, Pose
-        Its scanner, and the pose of the scanner on the robot.
-    navigator, localization : Navigator, Localization
-        How it finds its ways, and the errors of its poses.
-    speed : float
-        Largest speed in meters per second.
+    `start` is its first pose in the common frame (meters, and radians counterclockwise), in which the true map lies in
+    `area`. `laser_pose` is the pose of the scanner on the robot, `speed` the largest speed in meters per second.
     """
 
     def __init__(

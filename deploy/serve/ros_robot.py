@@ -36,20 +36,10 @@ _DURATION = "builtin_interfaces/msg/Duration"
 
 
 class RosRobot:
-    """The topics and the action of one robot, on a node of its own.
+    """The topics and the action of one robot, on a node of its own in the robot's namespace.
 
-    Parameters
-    ----------
-    node : Ros2Node
-        A node in the robot's namespace.
-    robot : SimulatedRobot
-        The robot.
-    least_range_m : float
-        Range below which its laser measures nothing.
-    warn : callable
-        Receives a line about each message that is ignored.
-    now_ns : int
-        The time, in nanoseconds since 1970.
+    `least_range_m` is the range below which its laser measures nothing. `warn` receives a line about each message that
+    is ignored. `now_ns` is the time, in nanoseconds since 1970.
     """
 
     def __init__(

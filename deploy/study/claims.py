@@ -113,62 +113,39 @@ Text = Annotated[str, AfterValidator(lambda text: " ".join(text.split()))]
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim of a paper, with the rules that test it.
-
-    Attributes
-    ----------
-    id : str
-        As ``B1``; several experiments may contribute rules to a claim.
-    paper, figure : str
-        Its source.
-    statement : str
-        The claim in a sentence.
-    reported : str
-        The results of the paper.
-    explanation : str
-        Why the results differ from the paper, found by experiment; the verdict itself is computed.
-    rule : list of Rule
-    """
+    """A claim of a paper, with the rules that test it."""
 
     __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
 
     id: Text
+    """As ``B1``; several experiments may contribute rules to a claim."""
     paper: Text
     statement: Text
     rule: Annotated[list[Rule], Field(min_length=1)]
     figure: Text = ""
+    """Figure, table or section of the paper."""
     reported: Text = ""
+    """The results of the paper."""
     explanation: Text = ""
+    """Why the results differ from the paper, found by experiment; the verdict itself is computed."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """The outcome of a rule's test.
-
-    Attributes
-    ----------
-    rule : Rule
-    cell : dict
-        Values of the rule's ``by``.
-    effect : Interval
-        The tested effect.
-    d : float
-        Effect size, in standard deviations.
-    p : float
-        Corrected two-sided p-value.
-    left_out : int
-        Number of excluded runs or pairs.
-    verdict : str
-        `HOLDS`, `NOT` or `UNDECIDED`.
-    """
+    """The outcome of a rule's test."""
 
     rule: Rule
     cell: dict[str, Any]
+    """Values of the rule's ``by``."""
     effect: Interval
     d: float
+    """Effect size, in standard deviations."""
     p: float
+    """Corrected two-sided p-value."""
     left_out: int
+    """Number of excluded runs or pairs."""
     verdict: str
+    """`HOLDS`, `NOT` or `UNDECIDED`."""
 
 
 class Verdict(NamedTuple):

@@ -34,24 +34,16 @@ DPI: Final = 90
 
 @dataclass(frozen=True)
 class FigureStyle:
-    """How figures and tables are written.
-
-    Attributes
-    ----------
-    formats : tuple of str
-        Formats of `FORMATS` that are written besides the default ones.
-    figure_width : float, optional
-        Width of each figure; by default `PANEL` for each panel.
-    font : str, optional
-        Font family, as ``serif`` or ``Times New Roman``.
-    font_size : float
-        Size of all text in points.
-    """
+    """How figures and tables are written."""
 
     formats: tuple[str, ...] = ()
+    """Formats of `FORMATS` that are written besides the default ones."""
     figure_width: float | None = None
+    """Width of each figure; by default `PANEL` for each panel."""
     font: str | None = None
+    """Font family, as ``serif`` or ``Times New Roman``."""
     font_size: float = FONT_SIZE
+    """In points."""
 
     def __post_init__(self) -> None:
         for name in self.formats:

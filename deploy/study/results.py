@@ -49,15 +49,8 @@ MAX_WRITING_SHARE = 1 / 20
 class Results:
     """An open table of runs; use it in a ``with`` statement.
 
-    Parameters
-    ----------
-    file : Path, optional
-        The file of the table, or a link to it; without one, the table is only in memory.
-
-    Raises
-    ------
-    ValueError
-        The file cannot be written, is not a table of runs, or is open in another process.
+    `file` is the file of the table, or a link to it; without one, the table is only in memory. Raises ValueError if it
+    cannot be written, is not a table of runs, or is open in another process.
     """
 
     def __init__(self, file: Path | None) -> None:

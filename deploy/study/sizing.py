@@ -35,23 +35,15 @@ SEEDS = 5
 
 
 class Option(NamedTuple):
-    """A tested team.
-
-    Attributes
-    ----------
-    robots, bandwidth, range
-        Its settings.
-    met : Interval
-        Share of its runs that met the requirements (Wilson); failed runs did not.
-    steps : Interval
-        Steps of the finished runs.
-    """
+    """A tested team."""
 
     robots: int
     bandwidth: int | str
     range: str
     met: Interval
+    """Share of its runs that met the requirements (Wilson); failed runs did not."""
     steps: Interval
+    """Steps of the finished runs."""
 
     def __str__(self) -> str:
         robots = "1 robot" if self.robots == 1 else f"{self.robots} robots"
@@ -67,20 +59,11 @@ class Option(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Sizing:
-    """Tested teams in a building; a notebook shows the answer, curves and table.
-
-    Attributes
-    ----------
-    sweep : Sweep
-        The runs.
-    options : list of Option
-        By robots, bandwidth and range, ascending.
-    requirements : Requirements
-        What runs had to meet.
-    """
+    """Tested teams in a building; a notebook shows the answer, curves and table."""
 
     sweep: Sweep
     options: list[Option]
+    """By robots, bandwidth and range, ascending."""
     requirements: Requirements
 
     @property

@@ -30,7 +30,7 @@ from deploy.run.workers import Workers
 from deploy.study.experiment import Experiment
 from deploy.study.progress import Report
 from deploy.study.results import Results
-from deploy.study.runs import MOST_STEPS, PLACE, cases, failures, looked_up, make
+from deploy.study.runs import MOST_STEPS, PLACE, StudyRuns, cases, make
 from deploy.study.statistics import Interval, interval
 from deploy.study.sweep import as_text
 from deploy.study.tables import VARIANT, Table, has_finished
@@ -56,36 +56,22 @@ Run = tuple[str, int]
 
 @dataclass(frozen=True)
 class Search:
-    """What to search.
-
-    Attributes
-    ----------
-    strategy : str
-        Name of the strategy.
-    maps : sequence of str
-        Generators or map files. Generators draw the map of each run with its seed.
-    seeds : sequence of int
-        Seeds of the search.
-    check_seeds : sequence of int
-        Seeds on which the result is compared with the default weights.
-    evaluations : int
-        Maximum number of weights that are tried, the default weights included.
-    only : sequence of str
-        Weights to search; all numeric options of the strategy that are not 0 if empty.
-    search_seed : int
-        Seed of the search's order.
-    settings : dict
-        Scenario settings of all runs, on top of `DEFAULTS`.
-    """
+    """What to search."""
 
     strategy: str
     maps: Sequence[str] = MAPS
+    """Generators or map files. Generators draw the map of each run with its seed."""
     seeds: Sequence[int] = (0, 1, 2)
     check_seeds: Sequence[int] = (3, 4, 5)
+    """Seeds on which the result is compared with the default weights."""
     evaluations: int = 20
+    """Maximum number of weights that are tried, the default weights included."""
     only: Sequence[str] = ()
+    """Weights to search; all numeric options of the strategy that are not 0 if empty."""
     search_seed: int = 0
+    """Seed of the search's order."""
     settings: Mapping[str, Any] = field(default_factory=dict)
+    """Scenario settings of all runs, on top of `DEFAULTS`."""
 
     def __post_init__(self) -> None:
         for name, values in (("maps", self.maps), ("seeds", self.seeds)):
@@ -118,20 +104,13 @@ class Search:
 
 
 class Trial(NamedTuple):
-    """Weights that were tried.
-
-    Attributes
-    ----------
-    number : int
-        Position in the search; 0 for the default weights.
-    weights : dict of str to float
-    ratios : dict of run to float
-        Steps over those of the default weights, by map and seed.
-    """
+    """Weights that were tried."""
 
     number: int
+    """Position in the search; 0 for the default weights."""
     weights: Weights
     ratios: dict[Run, float]
+    """Steps over those of the default weights, by map and seed."""
 
     @property
     def score(self) -> float:
@@ -146,23 +125,15 @@ class Trial(NamedTuple):
 
 @dataclass(frozen=True)
 class Tuning:
-    """Result of a search.
-
-    Attributes
-    ----------
-    search : Search
-    trials : list of Trial
-        All trials in their order; the first has the default weights.
-    best : Trial
-        The trial with the least score.
-    check : Trial or None
-        The best weights on the check seeds; None if the default weights are the best, or there are no check seeds.
-    """
+    """Result of a search."""
 
     search: Search
     trials: list[Trial]
+    """All trials in their order; the first has the default weights."""
     best: Trial
+    """The trial with the least score."""
     check: Trial | None
+    """The best weights on the check seeds; None if the default weights are the best, or there are no check seeds."""
 
     @property
     def table(self) -> pl.DataFrame:
@@ -224,14 +195,8 @@ def default_weights(name: str) -> Weights:
 def tune(search: Search, results: Results, workers: Workers, report: Report | None = None) -> Tuning:
     """Run a search, or continue the one in `results`.
 
-    `report` is called with the number of finished evaluations, and their maximum.
-
-    Raises
-    ------
-    RunFailed
-        A run failed.
-    ScenarioError
-        A setting is invalid.
+    `report` is called with the number of finished evaluations, and their maximum. Raises RunFailed if a run failed,
+    ScenarioError if a setting is invalid.
     """
     return _Tuner(search, results, workers, report or (lambda *_: None)).run()
 
@@ -294,12 +259,12 @@ class _Tuner:
         A run that did not finish counts with the maximum number of steps.
         """
         experiment = self._search.experiment(candidates, seeds)
-        todo = cases(experiment) if candidates else []
-        make(todo, self._results, self._workers)
-        if broken := failures(todo, self._results):
-            raise RunFailed(f"runs failed: {as_text(broken)}")
+        runs = StudyRuns(cases(experiment) if candidates else [], self._results)
+        make(runs.cases, self._results, self._workers)
+        if runs.failures:
+            raise RunFailed(f"runs failed: {as_text(runs.failures)}")
         steps: dict[str, dict[Run, int]] = {name: {} for name in experiment.variants}
-        for row in looked_up(todo, self._results):
+        for row in runs.rows:
             place = row[PLACE]
             run = place["map"], place["seed"]
             steps[place[VARIANT]][run] = row["steps"] if has_finished(row) else row[MOST_STEPS]
