@@ -86,7 +86,6 @@ def serve_ros2(
         raise ValueError(f"rate = {rate:g}: must be {MIN_RATE:g} to {MAX_RATE:g} Hz")
     from deploy.scenario.plan import make  # noqa: PLC0415
     from deploy.serve.process import ServeSettings, serve  # noqa: PLC0415
-    from deploy.serve.swarm import SwarmSettings  # noqa: PLC0415
     from protocol.ros2.session import ROUTER  # noqa: PLC0415
 
     chosen = ServeSettings(
@@ -96,7 +95,8 @@ def serve_ros2(
         router=router or listen or ROUTER,
         own_router=router is None,
         sim_time=sim_time,
-        swarm=SwarmSettings(rate, sees_robots),
+        rate=rate,
+        sees_robots=sees_robots,
     )
     files = _agent_files(write_robots, team, interface, chosen.namespaces)
     show = _print_json if as_json else _print_text

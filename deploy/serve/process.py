@@ -5,12 +5,12 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from deploy.run.interrupt import Interrupt
 from deploy.scenario.plan import Plan
 from deploy.serve.ros_robot import RosRobot
-from deploy.serve.swarm import Swarm, SwarmSettings
+from deploy.serve.swarm import Swarm
 from protocol.errors import shown, there_are
 from protocol.nanoseconds import SECOND
 from protocol.ros2 import messages as names
@@ -36,7 +36,8 @@ class ServeSettings:
     """Whether to start a router at this address."""
     sim_time: bool = False
     """Whether stamps are simulated time, which ``/clock`` tells; else they are the time of this host."""
-    swarm: SwarmSettings = field(default_factory=SwarmSettings)
+    rate: float = 10.0
+    sees_robots: bool = False
 
     def __post_init__(self) -> None:
         check_domain(self.domain)
@@ -61,7 +62,7 @@ def serve(
         """Return the time since 1970; it never jumps, even if the user sets the clock of this host."""
         return began_ns + time.monotonic_ns()
 
-    swarm = Swarm(plan, settings.swarm, clock_ns())
+    swarm = Swarm(plan, clock_ns(), rate=settings.rate, sees_robots=settings.sees_robots)
     interrupt = Interrupt()
     with interrupt.caught(), contextlib.ExitStack() as stack:
         if settings.own_router:
