@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from deploy.commands.console import errors, screen
-from deploy.commands.flags import ROBOTS, GroupedCommand, command_family, option, switch
-from deploy.commands.scenario_flags import OwnFlag, run_flags
+from deploy.commands.flags import ROBOTS, GroupedCommand, command_family, flag, option, switch
+from deploy.commands.scenario_flags import run_flags
 from deploy.scenario.errors import ScenarioError
 from deploy.scenario.scenario import Scenario, load
 from protocol.nanoseconds import SECOND
@@ -34,9 +34,7 @@ NOT_SERVED = (
 )  # fmt: skip
 """Settings of runs with agents, radio, and records."""
 SERVED = {
-    "radius": OwnFlag(
-        "radius", float, option("METERS", f"radius of the robots (default {RADIUS_M:g})", ROBOTS)
-    )
+    "radius": flag("radius", float, option("METERS", f"radius of the robots (default {RADIUS_M:g})", ROBOTS))
 }
 
 
