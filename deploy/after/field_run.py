@@ -23,6 +23,7 @@ from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import Scenario, parse
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, UNKNOWN, Grid
+from protocol.message_fields import clip
 from protocol.messages import MapChanges, Missed, Outlines, RobotStatus, WorldReport
 from protocol.nanoseconds import SECOND
 from protocol.plugins import without_import
@@ -252,8 +253,8 @@ def _take_steps(records: Records, plan: Plan, starts: Sequence[FieldStart], time
             poses.append((robot, line.x_mm or 0, line.y_mm or 0, line.heading or 0))
             records.statuses[robot].append(
                 RobotStatus(
-                    step, line.target_x, line.target_y, line.known_cells, 0, -1, line.backlog, line.status,
-                    line.work_us,
+                    step, line.target_x, line.target_y, line.known_cells, 0, -1, line.backlog,
+                    clip(line.status or ""), line.work_us,
                 )
             )  # fmt: skip
         records.world.append(
