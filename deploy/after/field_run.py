@@ -11,7 +11,7 @@ from bisect import bisect_right
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import accumulate, pairwise
+from itertools import accumulate, groupby, pairwise
 
 import numpy as np
 
@@ -235,8 +235,12 @@ def _scenario(starts: Sequence[FieldStart], timeline: Timeline) -> Scenario:
 
 
 def _take_steps(records: Records, plan: Plan, starts: Sequence[FieldStart], timeline: Timeline) -> None:
-    """Take the last known state of each robot in each step, and how much of its map the team knew."""
-    states = {robot: _states(own, timeline) for robot, own in _by_robot(starts).items()}
+    """Take the last known state of each robot in each step, and how much of its map the team knew.
+
+    `starts` are sorted by robot.
+    """
+    of_robots = groupby(starts, lambda start: start.robot)
+    states = {robot: _states(own, timeline) for robot, own in of_robots}
     seen = _seen(records, plan, timeline.steps)
     driven = {robot: _driven(own, plan.map.resolution) for robot, own in states.items()}
     total = int(np.count_nonzero(plan.reachable))
@@ -260,13 +264,6 @@ def _take_steps(records: Records, plan: Plan, starts: Sequence[FieldStart], time
         records.world.append(
             WorldReport(step, np.array(poses, "<i4").tobytes(), [*distances], seen[step], total)
         )
-
-
-def _by_robot(starts: Sequence[FieldStart]) -> dict[int, list[FieldStart]]:
-    robots: defaultdict[int, list[FieldStart]] = defaultdict(list)
-    for each in starts:
-        robots[each.robot].append(each)
-    return robots
 
 
 def _states(starts: Iterable[FieldStart], timeline: Timeline) -> dict[int, StepLine]:

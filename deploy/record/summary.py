@@ -242,13 +242,10 @@ def _approximation_error(
     error, exact = (
         np.array([(report.error, report.exact_error) for report in reports]).reshape(-1, 2).T / cells
     )
-    approximates = len(error) > 0 and (map_encoding == POLYGONS or bool(error.any()))
-    return {
-        "approximation_error": float(error.mean()) if approximates else None,
-        "approximation_error_net": float((error - exact).mean())
-        if approximates and exact.min() >= 0
-        else None,
-    }
+    if not len(error) or not (map_encoding == POLYGONS or error.any()):
+        return dict.fromkeys(("approximation_error", "approximation_error_net"))
+    net = float((error - exact).mean()) if exact.min() >= 0 else None
+    return {"approximation_error": float(error.mean()), "approximation_error_net": net}
 
 
 def _explored_at(plan: Plan, steps: int) -> int:

@@ -83,14 +83,8 @@ class RadioAnswer:
 
 
 HEAD = [
-    "radio",
-    "robots",
-    "sufficient runs",
-    "time, s",
-    "worst robot's map",
-    "duty cycle used",
-    "legal limit",
-]
+    "radio", "robots", "sufficient runs", "time, s", "worst robot's map", "duty cycle used", "legal limit",
+]  # fmt: skip
 """The columns of the printed table."""
 
 

@@ -169,20 +169,19 @@ def overview(reproduction: Reproduction) -> list[list[str]]:
 
 def _tests(findings: Sequence[Finding]) -> list[list[str]]:
     """The tests of a claim, as a table."""
-    lines = [
-        [
-            "expected",
-            "metric",
-            "expectation",
-            "where",
-            "result",
-            "effect size",
-            "n",
-            "excluded",
-            "p",
-            "verdict",
-        ]
-    ]
+    head = (
+        "expected",
+        "metric",
+        "expectation",
+        "where",
+        "result",
+        "effect size",
+        "n",
+        "excluded",
+        "p",
+        "verdict",
+    )
+    lines = [[*head]]
     for each in findings:
         size = "-" if each.d != each.d else f"{each.d:.2f}"
         counts = str(each.effect.n), str(each.left_out)

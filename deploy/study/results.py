@@ -30,16 +30,8 @@ IDENTITY = (KEY, CODE, ERROR)
 """Columns of every table: the run's key, the version of the code, and the error (null: none)."""
 
 ORDER = (
-    "map",
-    "strategy",
-    "map_encoding",
-    "dissemination",
-    "bandwidth",
-    "range",
-    "robots",
-    "map_seed",
-    "seed",
-)
+    "map", "strategy", "map_encoding", "dissemination", "bandwidth", "range", "robots", "map_seed", "seed",
+)  # fmt: skip
 """The first columns after `IDENTITY`, by which rows are sorted before their key; other columns are sorted by name."""
 
 MAX_WRITING_SHARE = 1 / 20

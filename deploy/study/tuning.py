@@ -18,9 +18,9 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from statistics import fmean
 from typing import Any, NamedTuple
 
-import numpy as np
 import polars as pl
 
 from agent.strategies.options import option_lines
@@ -115,7 +115,7 @@ class Trial(NamedTuple):
     @property
     def score(self) -> float:
         """Mean of the ratios; all maps have the same number of seeds, and so the same weight."""
-        return float(np.mean(list(self.ratios.values())))
+        return fmean(self.ratios.values())
 
     @property
     def spread(self) -> Interval:
@@ -140,18 +140,11 @@ class Tuning:
         """A row per trial: number, score with bounds, score by map, and weights."""
         rows = []
         for trial in self.trials:
-            by_map = {
-                f"score {name}": float(
-                    np.mean([ratio for run, ratio in trial.ratios.items() if run[0] == name])
-                )
-                for name in self.search.maps
-            }
             spread = trial.spread
-            rows.append(
-                {"trial": trial.number, "score": trial.score, "low": spread.low, "high": spread.high}
-                | by_map
-                | trial.weights
-            )
+            row = {"trial": trial.number, "score": trial.score, "low": spread.low, "high": spread.high}
+            for name in self.search.maps:
+                row[f"score {name}"] = fmean(ratio for run, ratio in trial.ratios.items() if run[0] == name)
+            rows.append(row | trial.weights)
         return pl.DataFrame(rows)
 
     @property

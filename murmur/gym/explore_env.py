@@ -90,13 +90,8 @@ class ExploreEnv(GoalEnv, gym.Env[Observation, np.int64]):
         progress = episode.advance({} if chosen is None else {self.robot: chosen})
         truncated = episode.is_truncated
         terminated = not episode.active and not truncated
-        return (
-            self._seen_by(self.robot),
-            float(self.reward(progress)),
-            terminated,
-            truncated,
-            info(episode, progress),
-        )
+        observation, reward = self._seen_by(self.robot), float(self.reward(progress))
+        return observation, reward, terminated, truncated, info(episode, progress)
 
     def action_masks(self) -> NDArray[np.bool_]:
         """Return the action mask as booleans, as libraries for maskable policies ask for it."""
