@@ -168,7 +168,8 @@ class RunEvents:
         else:
             target = self.targets[robot] = to_world(self.plan.map, report.target_x, report.target_y)
             logged = self._logged_targets.get(robot)
-            if logged is None or math.dist(logged, target) > NEAR * self._range_m(robot):
+            range_m = self.plan.world.bodies[robot].range_cells * self.plan.map.resolution
+            if logged is None or math.dist(logged, target) > NEAR * range_m:
                 self._logged_targets[robot] = target
                 text = f"robot {robot} heads for ({target[0]:.1f}, {target[1]:.1f}) m"
                 events.append(Event(report.step, text))
@@ -177,10 +178,6 @@ class RunEvents:
             events.append(Event(report.step, f"robot {robot} is idle: its map is complete", 1))
         (self.idle.add if idle else self.idle.discard)(robot)
         return events
-
-    def _range_m(self, robot: int) -> float:
-        """Return a robot's sensor range in meters."""
-        return self.plan.world.bodies[robot].range_cells * self.plan.map.resolution
 
     def _missed(self, report: Missed) -> list[Event]:
         named = ", ".join(map(str, report.robots))

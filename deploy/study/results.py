@@ -187,7 +187,9 @@ def write_table(frame: pl.DataFrame, file: Path) -> None:
     if file.suffix not in writers:
         raise ValueError(f"{file}: must end in {' or '.join(writers)}")
     with _named(file):
-        _write(file, writers[file.suffix])
+        buffer = io.BytesIO()  # polars itself reports a full disk without its number
+        writers[file.suffix](buffer)
+        write_whole(file, lambda opened: opened.write(buffer.getbuffer()))
 
 
 def _fit(one: pl.Series, other: pl.Series) -> bool:
@@ -197,13 +199,6 @@ def _fit(one: pl.Series, other: pl.Series) -> bool:
     except (pl.exceptions.SchemaError, pl.exceptions.InvalidOperationError):
         return False
     return True
-
-
-def _write(file: Path, write: Callable[[io.BytesIO], object]) -> None:
-    """Write what `write` writes into a buffer: polars itself reports a full disk without its number."""
-    buffer = io.BytesIO()
-    write(buffer)
-    write_whole(file, lambda opened: opened.write(buffer.getbuffer()))
 
 
 def _locked(file: Path) -> int:
