@@ -38,7 +38,7 @@ import re
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,8 +72,6 @@ class Expectation(NamedTuple):
 @dataclass(frozen=True)
 class Rule:
     """The expectation of a claim for a metric; see the module's description."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
 
     statement: str
     metric: str
@@ -114,8 +112,6 @@ Text = Annotated[str, AfterValidator(lambda text: " ".join(text.split()))]
 @dataclass(frozen=True)
 class Claim:
     """A claim of a paper, with the rules that test it."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
 
     id: Text
     """As ``B1``; several experiments may contribute rules to a claim."""

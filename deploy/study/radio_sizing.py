@@ -23,10 +23,9 @@ from deploy.study.figure_style import DEFAULT, FigureStyle
 from deploy.study.paper_tables import write_result
 from deploy.study.plots import Plot
 from deploy.study.progress import Report, counting
-from deploy.study.requirements import MIN_MAP_ACCURACY, Requirements
 from deploy.study.results import Results, open_results
 from deploy.study.runs import PLACE, Case, StudyRuns, cases, make
-from deploy.study.sizing import METRICS, SEEDS
+from deploy.study.sizing import METRICS, MIN_MAP_ACCURACY, SEEDS, Requirements
 from deploy.study.statistics import Interval, interval
 from deploy.study.sweep import as_text, of_settings
 from deploy.study.tables import has_finished, short

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 import polars as pl
 from pydantic import Field
@@ -64,8 +64,6 @@ TABLES = {
 @dataclass(frozen=True)
 class Table:
     """The layout of a table."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
 
     rows: list[str] | None = None
     """Keys of the grid, or ``variant``, that label the lines; metrics are averaged over the others. None: all keys."""
