@@ -60,15 +60,11 @@ class RobotSetup(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     settings: Settings
     x: float
     y: float
-    step_ns: int
-    bytes_per_s: int
+    step_ns: Annotated[int, msgspec.Meta(ge=1)]
+    bytes_per_s: Annotated[int, msgspec.Meta(ge=0)]
     utc_ns: int = 0
     clock: str = ""
     versions: dict[str, str] = {}
-
-    def __post_init__(self) -> None:
-        if self.step_ns < 1 or self.bytes_per_s < 0:
-            raise ValueError("step_ns must be positive, and bytes_per_s not negative")
 
 
 class Ending(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -177,7 +177,7 @@ def check_claim(claim: Claim, grid: Iterable[str], variants: Collection[str], me
 def judge(parts: Iterable[tuple[Sequence[Rule], Sequence[Row]]]) -> Verdict:
     """Test rules on the runs of their experiments; return the verdict."""
     tests = [test for rules, rows in parts for rule in rules for test in _tests(rule, rows)]
-    two_sided = [min(1.0, 2 * min(test.evidence.p_for, test.evidence.p_against)) for test in tests]
+    two_sided = [min(1.0, 2 * min(found.p_for, found.p_against)) for _, _, found, _ in tests]
     findings = []
     for (rule, cell, evidence, left_out), p in zip(tests, statistics.holm(two_sided), strict=True):
         verdict = UNDECIDED
@@ -197,23 +197,16 @@ def combined(findings: Iterable[Finding]) -> str:
     return IN_PART if HOLDS in verdicts else NOT
 
 
-class _Test(NamedTuple):
-    rule: Rule
-    cell: dict[str, Any]
-    evidence: Evidence
-    left_out: int
-
-
-def _tests(rule: Rule, rows: Sequence[Row]) -> list[_Test]:
-    """The tests of a rule, one per cell."""
+def _tests(rule: Rule, rows: Sequence[Row]) -> list[tuple[Rule, dict[str, Any], Evidence, int]]:
+    """The tests of a rule, one per cell: the rule, the cell, the evidence, and the number of excluded runs or pairs."""
     cells: dict[str, tuple[dict[str, Any], list[Row]]] = {}
     for row in rows:
         if all(row["place"].get(key) in values for key, values in rule.where.items()):
             cell = {key: row["place"][key] for key in rule.by}
             cells.setdefault(repr(cell), (cell, []))[1].append(row)
     if not cells:
-        return [_Test(rule, {}, NO_EVIDENCE, 0)]
-    return [_Test(rule, cell, *_evidence(rule, members)) for cell, members in cells.values()]
+        return [(rule, {}, NO_EVIDENCE, 0)]
+    return [(rule, cell, *_evidence(rule, members)) for cell, members in cells.values()]
 
 
 def _evidence(rule: Rule, rows: Sequence[Row]) -> tuple[Evidence, int]:

@@ -14,7 +14,6 @@ that was interrupted finds its runs in the table, and continues.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -22,6 +21,7 @@ from statistics import fmean
 from typing import Any, NamedTuple
 
 import polars as pl
+import tomli_w
 
 from agent.strategies.options import option_lines
 from agent.strategies.registry import strategy
@@ -167,16 +167,15 @@ class Tuning:
     @property
     def record(self) -> str:
         """The best weights and how they were found, as TOML."""
-        lines = [
-            f"strategy = {json.dumps(self.search.strategy)}",
-            f'method = "murmur tune, trial {self.best.number} of {len(self.trials)}"',
-            f"maps = {json.dumps(list(self.search.maps))}",
-            f"seeds = {[*self.search.seeds, *self.search.check_seeds]}",
-            f"score = {self.best.score:.4f}",
-            "[weights]",
-            *(f"{name} = {value!r}" for name, value in self.best.weights.items()),
-        ]
-        return "\n".join(lines) + "\n"
+        record = {
+            "strategy": self.search.strategy,
+            "method": f"murmur tune, trial {self.best.number} of {len(self.trials)}",
+            "maps": list(self.search.maps),
+            "seeds": [*self.search.seeds, *self.search.check_seeds],
+            "score": round(self.best.score, 4),
+            "weights": self.best.weights,
+        }
+        return tomli_w.dumps(record)
 
 
 def default_weights(name: str) -> Weights:
