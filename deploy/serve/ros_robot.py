@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -158,28 +159,20 @@ class RosRobot:
         return result
 
     def _take_velocity(self, message: Any, _: Attachment) -> None:
-        try:
+        with self._ignoring("cmd_vel"):
             self.robot.command(Velocity(float(message.linear.x), float(message.angular.z)), self._now_ns)
-        except ValueError as error:
-            self._ignore("cmd_vel", error)
 
     def _take_goal(self, message: Any, _: Attachment) -> None:
-        try:
+        with self._ignoring("goal_pose"):
             task = self.robot.go(goal_of(message), self._now_ns)
-        except ValueError as error:
-            self._ignore("goal_pose", error)
-            return
-        if task.outcome is not None:
-            self._warn(f"{self.node.token.namespace}/goal_pose: {task.outcome.value}")
+            if task.outcome is not None:
+                self._warn(f"{self.node.token.namespace}/goal_pose: {task.outcome.value}")
 
     def _take_task(self, goal: ServerGoal) -> bool:
-        try:
-            task = self.robot.go(goal_of(goal.message.pose), self._now_ns)
-        except ValueError as error:
-            self._ignore("navigate_to_pose", error)
-            return False
-        self._goals.append((goal, task))
-        return True
+        with self._ignoring("navigate_to_pose"):
+            self._goals.append((goal, self.robot.go(goal_of(goal.message.pose), self._now_ns)))
+            return True
+        return False
 
     def _cancel(self, goal: ServerGoal) -> bool:
         for each, task in self._goals:
@@ -187,8 +180,13 @@ class RosRobot:
                 self.robot.cancel(task)
         return True
 
-    def _ignore(self, name: str, error: ValueError) -> None:
-        self._warn(f"{self.node.token.namespace}/{name}: message ignored, as {error}")
+    @contextmanager
+    def _ignoring(self, name: str) -> Iterator[None]:
+        """Warn of a message that raises ValueError, and ignore it."""
+        try:
+            yield
+        except ValueError as error:
+            self._warn(f"{self.node.token.namespace}/{name}: message ignored, as {error}")
 
 
 def goal_of(message: Any) -> Pose:

@@ -174,16 +174,9 @@ def size_radios(
     robots : sequence of int
         The numbers of robots to try, from the smallest until one suffices.
 
-    Raises
-    ------
-    ValueError
-        A setting is invalid; nothing has been run.
-    RunFailed
-        All runs failed.
-
     See Also
     --------
-    deploy.study.sizing.size : the other parameters
+    deploy.study.sizing.size : the other parameters, and the errors
     """
     for name in (radio := listed("radio", radio)):
         preset_of(name)

@@ -190,16 +190,9 @@ def size(
     **settings
         Other settings of all runs: ``map_encoding="predictive", dissemination="gossip"``.
 
-    Raises
-    ------
-    ValueError
-        A setting is invalid; nothing has been run.
-    RunFailed
-        All runs failed.
-
     See Also
     --------
-    deploy.study.sweep.sweep : the other parameters
+    deploy.study.sweep.sweep : the other parameters, and the errors
     """
     grid: dict[str, list[Any]] = {
         "robots": sorted(listed("robots", robots)),

@@ -34,17 +34,8 @@ class TeamEnv(GoalEnv, ParallelEnv[str, Observation, np.int64]):  # type: ignore
     ----------
     scenario : Scenario, optional
         The scenario, of which the strategy is not used; default settings if omitted.
-    candidates, every, reward, render_mode
-        As in `ExploreEnv`; `candidates` and `every` are those of each robot.
-    **settings
-        Settings that replace those of `scenario`: ``TeamEnv(map="em", robots=2)``.
-
-    Raises
-    ------
-    ScenarioError
-        The scenario is invalid, or has no simulated robots.
-    ValueError
-        Another argument is invalid.
+    candidates, every, reward, render_mode, **settings
+        As in `ExploreEnv`, with the same errors; `candidates` and `every` are those of each robot.
     """
 
     metadata: ClassVar[dict[str, Any]] = {
