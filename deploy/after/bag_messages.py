@@ -29,6 +29,7 @@ MAP_FRAME = "map"
 HERE = Pose(0.0, 0.0, 0.0)
 MARKER, COLOR = "visualization_msgs/msg/Marker", "std_msgs/msg/ColorRGBA"
 
+_BY_TYPE = "".join(f"# {group.label}\nuint32 {name}\n" for name, group in GROUPS.items())
 RADIO_FRAME, RADIO_STEP = "murmur_msgs/msg/RadioFrame", "murmur_msgs/msg/RadioStep"
 DEFINITIONS = {
     RADIO_FRAME: """\
@@ -55,20 +56,16 @@ string cause
 # Number of robots that received it.
 uint32 received
 """,
-    RADIO_STEP: "\n".join(
-        [
-            "# Traffic of one step, in bytes.",
-            "std_msgs/Header header",
-            "# The limit; NaN: unlimited.",
-            "float64 budget",
-            "uint32 frames",
-            "uint32 carried",
-            "# Bytes over the budget.",
-            "uint32 waiting",
-            *(line for name, group in GROUPS.items() for line in (f"# {group.label}", f"uint32 {name}")),
-            "",
-        ]
-    ),
+    RADIO_STEP: f"""\
+# Traffic of one step, in bytes.
+std_msgs/Header header
+# The limit; NaN: unlimited.
+float64 budget
+uint32 frames
+uint32 carried
+# Bytes over the budget.
+uint32 waiting
+{_BY_TYPE}""",
 }
 """Definitions of the messages of Murmur, in the format of ROS."""
 

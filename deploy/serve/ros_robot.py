@@ -79,8 +79,8 @@ class RosRobot:
     def publish(self, stamp_ns: int, now_ns: int) -> None:
         """Publish the robot's state at time `stamp_ns` of the robots' clock."""
         robot = self.robot
-        correction = robot.pose.then(robot.odometry.inverse())
-        edges = (MAP, ODOM, correction), (ODOM, BASE, robot.odometry)
+        correction = robot.pose.then(robot.localization.odometry.inverse())
+        edges = (MAP, ODOM, correction), (ODOM, BASE, robot.localization.odometry)
         self._tf.publish(self.node.messages.transforms(edges, stamp_ns), now_ns)
         self._odom.publish(self._odometry(stamp_ns), now_ns)
         self._scan.publish(self._laser_scan(stamp_ns), now_ns)
@@ -101,7 +101,7 @@ class RosRobot:
         messages = self.node.messages
         header = messages.header(ODOM, stamp_ns)
         message = messages.new(names.ODOMETRY, header=header, child_frame_id=BASE)
-        message.pose.pose = messages.pose(*self.robot.odometry)
+        message.pose.pose = messages.pose(*self.robot.localization.odometry)
         if not self.robot.blocked:
             message.twist.twist.linear.x = self.robot.velocity.ahead
         message.twist.twist.angular.z = self.robot.velocity.turn

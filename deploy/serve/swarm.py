@@ -107,7 +107,7 @@ class Swarm:
         """Return the ways of other robots that drive to a goal: of those with lower numbers, or of `everyone`."""
         return [
             Way(
-                np.concatenate([np.array([self.world.cell(other)], np.int32), robot.navigator.ahead]),
+                np.concatenate([np.array([self.world.cell(other)], np.int32), robot.navigator.path]),
                 self._radii[number] + self._radii[other] + MARGIN_CELLS,
             )
             for other, robot in enumerate(self.robots)

@@ -259,7 +259,10 @@ def test_equal_goals_at_equal_times_have_equal_results() -> None:
         for robot in team.robots:
             robot.go(goal_at(robot, SECOND_ROOM), 0)
         run(team, 6)
-        return [(robot.true, robot.pose, robot.odometry, robot.ranges.tolist()) for robot in team.robots]
+        return [
+            (robot.true, robot.pose, robot.localization.odometry, robot.ranges.tolist())
+            for robot in team.robots
+        ]
 
     assert drive() == drive()
 
