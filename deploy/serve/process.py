@@ -14,7 +14,7 @@ from deploy.serve.swarm import Swarm
 from protocol.errors import shown, there_are
 from protocol.nanoseconds import SECOND
 from protocol.ros2 import messages as names
-from protocol.ros2.names import check_domain, check_node
+from protocol.ros2.names import check_domain
 from protocol.ros2.node import Ros2Node
 from protocol.ros2.qos import Qos, Reliability
 from protocol.ros2.session import ROUTER, open_router
@@ -25,7 +25,7 @@ NODE = "murmur_simulator"
 
 @dataclass(frozen=True)
 class ServeSettings:
-    """How robots appear in ROS; ValueError if a namespace, the domain, or the distribution is wrong."""
+    """How robots appear in ROS; ValueError if the domain or the distribution is wrong."""
 
     namespaces: tuple[str, ...]
     """One per robot, without slash."""
@@ -43,8 +43,6 @@ class ServeSettings:
         check_domain(self.domain)
         if self.distro not in names.DISTROS:
             raise ValueError(f"distro = {shown(self.distro)}: {there_are(names.DISTROS, self.distro)}")
-        for name in self.namespaces:
-            check_node(NODE, name)
 
 
 def serve(
