@@ -152,7 +152,8 @@ class RunEvents:
         self.bytes += Counter(sizes)
         groups = {name: sum(sizes[kind] for kind in group.kinds) for name, group in GROUPS.items()}
         cut = int(rows["bytes"][rows["cause"] == BUDGET].sum())
-        self.traffic = StepTraffic(groups, _link_bytes(report.links))
+        received = np.frombuffer(report.links, LINK).tolist()
+        self.traffic = StepTraffic(groups, {(sender, receiver): size for sender, receiver, size in received})
         events = _emergences(report.step, carried)
         if bool(cut) != self._full and not self.budget.unlimited:
             self._full = bool(cut)
@@ -201,12 +202,6 @@ class RunEvents:
             self._radio_settings = replace(self._radio_settings, range_cells=cells)
             changes.append(f"range {self.range_m:.1f} m")
         return [Event(change.step, f"radio changed: {', '.join(changes)}", 2)]
-
-
-def _link_bytes(received: bytes) -> dict[tuple[int, int], int]:
-    rows = np.frombuffer(received, LINK)
-    pairs = zip(rows["sender"].tolist(), rows["receiver"].tolist(), strict=True)
-    return dict(zip(pairs, rows["bytes"].tolist(), strict=True))
 
 
 def _emergences(step: int, carried: NDArray[np.void]) -> list[Event]:
