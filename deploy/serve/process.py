@@ -37,7 +37,9 @@ class ServeSettings:
     sim_time: bool = False
     """Whether stamps are simulated time, which ``/clock`` tells; else they are the time of this host."""
     rate: float = 10.0
+    """Steps of the simulation per second."""
     sees_robots: bool = False
+    """Whether lasers measure the distance to other robots."""
 
     def __post_init__(self) -> None:
         check_domain(self.domain)

@@ -170,19 +170,9 @@ def overview(reproduction: Reproduction) -> list[list[str]]:
 
 def _tests(findings: Sequence[Finding]) -> list[list[str]]:
     """The tests of a claim, as a table."""
-    head = (
-        "expected",
-        "metric",
-        "expectation",
-        "where",
-        "result",
-        "effect size",
-        "n",
-        "excluded",
-        "p",
-        "verdict",
-    )
-    lines = [[*head]]
+    lines = [[
+        "expected", "metric", "expectation", "where", "result", "effect size", "n", "excluded", "p", "verdict",
+    ]]  # fmt: skip
     for each in findings:
         size = "-" if each.d != each.d else f"{each.d:.2f}"
         counts = str(each.effect.n), str(each.left_out)
