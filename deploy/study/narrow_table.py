@@ -26,7 +26,8 @@ from agent.predictive.scan_stream import ScanStream
 from agent.predictive.scan_updates import DX, DY, SCANS
 from agent.predictive.wall_model import start_model
 from deploy.scenario.plan import Plan
-from deploy.study.wall_table import explorations, make_streams, train_on
+from deploy.study.training import explorations
+from deploy.study.wall_table import FIRST_SEED, RUNS, make_streams, train_on
 from protocol.messages import Sense
 
 PENALTY = 3e-4
@@ -128,7 +129,7 @@ def train() -> dict[str, NDArray[Any]]:
     """Train the arrays of the table."""
     examples: list[list[Example]] = [[] for _ in range(RINGS)]
     total = np.zeros((len(COUNTED), 2), np.int64)
-    for title, plan, senses in explorations():
+    for title, plan, senses in explorations(RUNS, FIRST_SEED):
         found, counts = examine(plan, senses)
         for ring, new in enumerate(found):
             examples[ring] += new
