@@ -105,12 +105,9 @@ class Archive:
 
     def range_m(self, step: int) -> float:
         """The communication range in a step, in meters."""
-        changed = [
-            each.range_mm / 1000
-            for each in self.plan.radio.changes
-            if each.step <= step and each.range_mm is not None
-        ]
-        return changed[-1] if changed else self.plan.range_m
+        changes = (each.range_mm for each in self.plan.radio.changes if each.step <= step)
+        changed = [range_mm for range_mm in changes if range_mm is not None]
+        return changed[-1] / 1000 if changed else self.plan.range_m
 
     @property
     def last_step(self) -> int:

@@ -19,13 +19,7 @@ from protocol.grid import Grid, RayTable
 from protocol.messages import Outlines
 from protocol.nanoseconds import SECOND
 from protocol.ros2.interfaces import fields_of
-from protocol.ros2.messages import (
-    LASER_SCAN,
-    MARKERS,
-    ODOMETRY,
-    POINT,
-    Messages,
-)
+from protocol.ros2.messages import LASER_SCAN, MARKERS, ODOMETRY, POINT, Messages
 from protocol.scans import HIT, NONE, Readings
 from protocol.transforms import Pose
 
@@ -35,6 +29,7 @@ MAP_FRAME = "map"
 HERE = Pose(0.0, 0.0, 0.0)
 MARKER, COLOR = "visualization_msgs/msg/Marker", "std_msgs/msg/ColorRGBA"
 
+_BY_TYPE = "".join(f"# {group.label}\nuint32 {name}\n" for name, group in GROUPS.items())
 RADIO_FRAME, RADIO_STEP = "murmur_msgs/msg/RadioFrame", "murmur_msgs/msg/RadioStep"
 DEFINITIONS = {
     RADIO_FRAME: """\
@@ -61,20 +56,16 @@ string cause
 # Number of robots that received it.
 uint32 received
 """,
-    RADIO_STEP: "\n".join(
-        [
-            "# Traffic of one step, in bytes.",
-            "std_msgs/Header header",
-            "# The limit; NaN: unlimited.",
-            "float64 budget",
-            "uint32 frames",
-            "uint32 carried",
-            "# Bytes over the budget.",
-            "uint32 waiting",
-            *(line for name, group in GROUPS.items() for line in (f"# {group.label}", f"uint32 {name}")),
-            "",
-        ]
-    ),
+    RADIO_STEP: f"""\
+# Traffic of one step, in bytes.
+std_msgs/Header header
+# The limit; NaN: unlimited.
+float64 budget
+uint32 frames
+uint32 carried
+# Bytes over the budget.
+uint32 waiting
+{_BY_TYPE}""",
 }
 """Definitions of the messages of Murmur, in the format of ROS."""
 
@@ -115,7 +106,8 @@ class BagMessages:
         yield "/tf_static", 0, self.ros.transforms(self._static_frames(), 0)
         maps = self._map_reports()
         for step, scans in self._lasers.scans():
-            moved = [(_odom(scan.robot), _base(scan.robot), self._moved(scan.robot, step)) for scan in scans]
+            robots = [scan.robot for scan in scans]
+            moved = [(f"r{robot}/odom", f"r{robot}/base_link", self._moved(robot, step)) for robot in robots]
             yield "/tf", step, self.ros.transforms(moved, step * SECOND)
             for scan in scans:
                 yield from self._robot(step, scan)
@@ -143,8 +135,8 @@ class BagMessages:
         """Yield each frame that does not move: its parent, its name, and its pose there."""
         for robot, poses in self._poses.items():
             if poses:
-                yield MAP_FRAME, _odom(robot), next(iter(poses.values()))
-                yield _base(robot), _laser(robot), HERE
+                yield MAP_FRAME, f"r{robot}/odom", next(iter(poses.values()))
+                yield f"r{robot}/base_link", f"r{robot}/laser", HERE
 
     def _moved(self, robot: int, step: int) -> Pose:
         """A robot's pose in the frame that lies at its first one."""
@@ -156,7 +148,9 @@ class BagMessages:
         before, now = self._poses[robot].get(step - 1), self._poses[robot][step]
         speed = before.inverse().then(now) if before is not None else HERE
         message = self.ros.new(
-            ODOMETRY, header=self.ros.header(_odom(robot), step * SECOND), child_frame_id=_base(robot)
+            ODOMETRY,
+            header=self.ros.header(f"r{robot}/odom", step * SECOND),
+            child_frame_id=f"r{robot}/base_link",
         )
         message.pose.pose = self.ros.pose(*self._moved(robot, step))
         message.twist.twist.linear.x, message.twist.twist.linear.y = speed.x, speed.y
@@ -233,7 +227,7 @@ class BagMessages:
         angle_min = (first - backward) * turn - math.pi
         return self.ros.new(
             LASER_SCAN,
-            header=self.ros.header(_laser(scan.robot), step * SECOND),
+            header=self.ros.header(f"r{scan.robot}/laser", step * SECOND),
             angle_min=angle_min,
             angle_max=angle_min + turn * (ray_table.beams - 1),
             angle_increment=turn,
@@ -277,15 +271,3 @@ def _poses(track: Table) -> dict[int, Pose]:
     """Return a robot's poses by step; recorded headings are clockwise, because the world computes with y down."""
     columns = (track[name].tolist() for name in ("step", "x", "y", "heading"))
     return {step: Pose(x, y, -math.radians(heading)) for step, x, y, heading in zip(*columns, strict=True)}
-
-
-def _odom(robot: int) -> str:
-    return f"r{robot}/odom"
-
-
-def _base(robot: int) -> str:
-    return f"r{robot}/base_link"
-
-
-def _laser(robot: int) -> str:
-    return f"r{robot}/laser"

@@ -41,6 +41,16 @@ class Filter:
     refused: bool = False
     """Only frames that were refused or lost."""
 
+    def check(self, path: Path) -> None:
+        """Raise ValueError for an unknown kind, or a robot that the scenario beside the capture does not have."""
+        if self.kind not in (None, *ALL_KINDS):
+            raise ValueError(f"kind = {self.kind!r}: there are {', '.join(ALL_KINDS)}")
+        folder = path if path.is_dir() else path.parent
+        if self.robot is not None and (folder / SCENARIO).is_file():
+            robots = read_scenario(folder).robots
+            if self.robot >= robots:
+                raise ValueError(f"robot = {self.robot}: must be at most {robots - 1}")
+
     def takes(self, frame: Captured, kinds: Iterable[str]) -> bool:
         """Whether a frame with packets of these kinds matches."""
         return (
@@ -159,23 +169,6 @@ def parse_steps(text: str) -> tuple[int, int]:
     if steps[0] > steps[1]:
         raise ValueError(f"step = {text!r}: the first step must not exceed the last, as in 10-20")
     return steps
-
-
-def check_robot(path: Path, robot: int) -> int:
-    """Return a robot's number; ValueError if the capture's scenario is available and has no such robot."""
-    folder = path if path.is_dir() else path.parent
-    if (folder / SCENARIO).is_file():
-        robots = read_scenario(folder).robots
-        if robot >= robots:
-            raise ValueError(f"robot = {robot}: must be at most {robots - 1}")
-    return robot
-
-
-def check_kind(kind: str) -> str:
-    """Return a kind of packet; ValueError if the name is unknown."""
-    if kind not in ALL_KINDS:
-        raise ValueError(f"kind = {kind!r}: there are {', '.join(ALL_KINDS)}")
-    return kind
 
 
 def _begun(frames: Iterator[Captured]) -> Iterator[Captured]:

@@ -11,7 +11,7 @@ from bisect import bisect_right
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import accumulate, pairwise
+from itertools import accumulate, groupby, pairwise
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import Scenario, parse
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, UNKNOWN, Grid
+from protocol.message_fields import clip
 from protocol.messages import MapChanges, Missed, Outlines, RobotStatus, WorldReport
 from protocol.nanoseconds import SECOND
 from protocol.plugins import without_import
@@ -234,8 +235,12 @@ def _scenario(starts: Sequence[FieldStart], timeline: Timeline) -> Scenario:
 
 
 def _take_steps(records: Records, plan: Plan, starts: Sequence[FieldStart], timeline: Timeline) -> None:
-    """Take the last known state of each robot in each step, and how much of its map the team knew."""
-    states = {robot: _states(own, timeline) for robot, own in _by_robot(starts).items()}
+    """Take the last known state of each robot in each step, and how much of its map the team knew.
+
+    `starts` are sorted by robot.
+    """
+    of_robots = groupby(starts, lambda start: start.robot)
+    states = {robot: _states(own, timeline) for robot, own in of_robots}
     seen = _seen(records, plan, timeline.steps)
     driven = {robot: _driven(own, plan.map.resolution) for robot, own in states.items()}
     total = int(np.count_nonzero(plan.reachable))
@@ -252,20 +257,13 @@ def _take_steps(records: Records, plan: Plan, starts: Sequence[FieldStart], time
             poses.append((robot, line.x_mm or 0, line.y_mm or 0, line.heading or 0))
             records.statuses[robot].append(
                 RobotStatus(
-                    step, line.target_x, line.target_y, line.known_cells, 0, -1, line.backlog, line.status,
-                    line.work_us,
+                    step, line.target_x, line.target_y, line.known_cells, 0, -1, line.backlog,
+                    clip(line.status or ""), line.work_us,
                 )
             )  # fmt: skip
         records.world.append(
             WorldReport(step, np.array(poses, "<i4").tobytes(), [*distances], seen[step], total)
         )
-
-
-def _by_robot(starts: Sequence[FieldStart]) -> dict[int, list[FieldStart]]:
-    robots: defaultdict[int, list[FieldStart]] = defaultdict(list)
-    for each in starts:
-        robots[each.robot].append(each)
-    return robots
 
 
 def _states(starts: Iterable[FieldStart], timeline: Timeline) -> dict[int, StepLine]:

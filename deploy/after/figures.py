@@ -118,14 +118,11 @@ def channel_load(archive: Archive) -> Figure:
     for panel, other in ((explored, None), (load, None), (wait, packets)):
         panel.grid(alpha=0.25)
         panel.margins(x=0)
-        handles = [
-            both
-            for axes in (panel, other)
-            if axes
-            for both in zip(*axes.get_legend_handles_labels(), strict=True)
-        ]
-        if handles:
-            lines, labels = zip(*handles, strict=True)
+        lines, labels = panel.get_legend_handles_labels()
+        if other is not None:
+            more_lines, more_labels = other.get_legend_handles_labels()
+            lines, labels = lines + more_lines, labels + more_labels
+        if lines:
             panel.legend(
                 lines, labels, loc="upper left", bbox_to_anchor=(1.1, 1.03), fontsize=8, frameon=False
             )

@@ -44,7 +44,7 @@ def draw_legend(draw: ImageDraw.ImageDraw, world: Map, at: Pixel, wide: int, sca
     letters = font(round(SMALL * scale))
     left, row = float(at[0]), at[1]
     high = 4 * scale
-    meters = scale_bar_m(world)
+    meters = tick_values(0, world.width * world.resolution, 5)[1]  # about a fifth of the map's width
     length = meters * wide / (world.width * world.resolution)
     draw.line([(left, row), (left + length, row)], INK, max(1, round(2 * scale)))
     for end in (left, left + length):
@@ -66,11 +66,6 @@ def draw_legend(draw: ImageDraw.ImageDraw, world: Map, at: Pixel, wide: int, sca
         spread = radius * scale
         draw.ellipse((left, row - spread, left + 2 * spread, row + spread), robot_color(0))
         left = write(text, left + 2 * spread + 5 * scale)
-
-
-def scale_bar_m(world: Map) -> float:
-    """The length of the scale bar: 1, 2 or 5 times a power of ten, about a fifth of the map's width."""
-    return tick_values(0, world.width * world.resolution, 5)[1]
 
 
 @cache

@@ -71,14 +71,9 @@ class Frames:
         self._write_head(draw, step)
         known = self._draw_robots_maps(frame, draw, step)
         frame.paste(self._world(step, known), self._world_at)
-        draw_axes(draw, self._archive.plan.map, self._world_at, self._world_size, self._scale)
-        draw_legend(
-            draw,
-            self._archive.plan.map,
-            (self._world_at[0], self._legend_at),
-            self._world_size[0],
-            self._scale,
-        )
+        world, (left, _) = self._archive.plan.map, self._world_at
+        draw_axes(draw, world, self._world_at, self._world_size, self._scale)
+        draw_legend(draw, world, (left, self._legend_at), self._world_size[0], self._scale)
         self._draw_charts(frame, step)
         return frame
 

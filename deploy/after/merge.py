@@ -65,11 +65,6 @@ class Recording:
         """The robot's number."""
         return self.record.robot
 
-    @property
-    def folder(self) -> Path:
-        """Its directory."""
-        return self.record.folder
-
 
 @dataclass
 class Joined:

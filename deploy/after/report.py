@@ -7,27 +7,18 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from jinja2 import Environment, PackageLoader
-from matplotlib.figure import Figure
 from PIL import Image
 
+from deploy.after import report_rows
 from deploy.after.archive import Archive, read
 from deploy.after.figures import APPROXIMATION, CHANNEL_LOAD, MAPS_OVER_TIME, compared, write_figures
 from deploy.after.frames import Frames, side_by_side
-from deploy.after.report_rows import (
-    abstract,
-    differing_settings,
-    figure_rows,
-    kind_rows,
-    traffic_rows,
-    undelivered_rows,
-    wall_rows,
-)
 from deploy.after.robot_table import CAPTION, robot_table
 from deploy.record import run_directory
 from deploy.record.map_pictures import counted
@@ -64,12 +55,18 @@ MOST_FRAME_BYTES = 3_000_000
 
 @dataclass(frozen=True)
 class Table:
-    """A table: its lines, the first its head; the right-aligned columns; whether the last line is a sum."""
+    """A table: its lines, the first its head; whether the last line is a sum, and whether it is only text."""
 
     lines: list[list[str]]
-    right: set[int]
     has_head: bool = True
     last_is_sum: bool = False
+    is_text: bool = False
+
+    @property
+    def right(self) -> set[int]:
+        """The right-aligned columns: those of numbers."""
+        columns = () if self.is_text else enumerate(zip(*self.lines[self.has_head :], strict=True))
+        return {c for c, texts in columns if all(text in ("", "-") or text[0].isdigit() for text in texts)}
 
 
 @dataclass(frozen=True)
@@ -91,6 +88,12 @@ class Section:
     frames: Sequence[Picture] = ()
     caption: str = ""
     texts: Sequence[str] = ()
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether there is nothing below the title."""
+        has_lines = any(len(table.lines) > table.has_head for table in self.tables)
+        return not (has_lines or self.pictures or self.frames or self.texts)
 
 
 def write_report(directory: Path, other: Path | None = None) -> Path:
@@ -117,16 +120,16 @@ def page(archive: Archive, figures: Sequence[Path]) -> str:
     scenario = (archive.directory / run_directory.SCENARIO).read_text(encoding="utf-8")
     return _render(
         f"{counted(summary['robots'], 'robot')} on {summary['map']}",
-        [abstract(summary)],
+        [report_rows.abstract(summary)],
         [
-            Section("The run", [_table(figure_rows(summary), right=(), has_head=False)]),
-            Section(
-                "Step by step", frames=_frames([Frames(archive, FRAME_WIDTH)]), caption=FRAMES_CAPTION
-            ),
+            Section("The run", [Table(report_rows.figure_rows(summary), has_head=False, is_text=True)]),
+            Section("Step by step", frames=_frames([Frames(archive, FRAME_WIDTH)]), caption=FRAMES_CAPTION),
             Section("Pictures", pictures=[_picture(figure.read_bytes(), CAPTIONS[figure.name]) for figure in figures]),
-            Section("The robots", [_table(robot_table(archive))], caption=CAPTION),
-            Section("Walls on the robots' maps", [_table(wall_rows(summary))], caption=WALLS_CAPTION),
-            Section("Traffic", [_table(kind_rows(summary), last_is_sum=True), _table(undelivered_rows(summary))]),
+            Section("The robots", [Table(robot_table(archive))], caption=CAPTION),
+            Section("Walls on the robots' maps", [Table(report_rows.wall_rows(summary))], caption=WALLS_CAPTION),
+            Section("Traffic", [
+                Table(report_rows.kind_rows(summary), last_is_sum=True), Table(report_rows.undelivered_rows(summary)),
+            ]),
             Section("The scenario", texts=[scenario]),
         ],
         {"": summary["digest"]} if archive.plan.has_truth else {},
@@ -138,32 +141,29 @@ def comparison(runs: dict[Path, Archive]) -> str:
     names = _names(list(runs))
     archives = list(runs.values())
     summaries = [archive.summary for archive in archives]
+    named = dict(zip(names, archives, strict=True))
     file = io.BytesIO()
-    curves: Figure = compared(dict(zip(names, archives, strict=True)))
-    curves.savefig(file, format="png", dpi=100)
+    compared(named).savefig(file, format="png", dpi=100)
     pictures = [_picture(file.getvalue(), "Explored area of each team over time, and its use of the radio.")]
-    for name, archive in zip(names, archives, strict=True):
+    for name, archive in named.items():
         maps = archive.directory / run_directory.PICTURE
         if maps.is_file():
             pictures.append(_picture(maps.read_bytes(), f"{name}: {CAPTIONS[maps.name]}"))
-    figures = [figure_rows(summary) for summary in summaries]
+    figures = [report_rows.figure_rows(summary) for summary in summaries]
     rows = [[row[0], *(dict(each).get(row[0], "-") for each in figures)] for row in figures[0]]
     shown = [Frames(archive, PAIR_WIDTH) for archive in archives]
+    differing = report_rows.differing_settings(archives)
     return _render(
         " and ".join(names),
-        [f"{name}: {abstract(summary)}" for name, summary in zip(names, summaries, strict=True)],
+        [f"{name}: {report_rows.abstract(summary)}" for name, summary in zip(names, summaries, strict=True)],
         [
-            Section("The runs", [_table([["", *names], *rows], right=())]),
-            Section("Different settings", [_table([["", *names], *differing_settings(archives)], right=())]),
+            Section("The runs", [Table([["", *names], *rows], is_text=True)]),
+            Section("Different settings", [Table([["", *names], *differing], is_text=True)]),
             Section("Step by step", frames=_frames(shown), caption=FRAMES_CAPTION),
             Section("Pictures", pictures=pictures),
-            Section("Traffic", [_table(traffic_rows(names, summaries), last_is_sum=True)]),
+            Section("Traffic", [Table(report_rows.traffic_rows(names, summaries), last_is_sum=True)]),
         ],
-        {
-            name: archive.summary["digest"]
-            for name, archive in zip(names, archives, strict=True)
-            if archive.plan.has_truth
-        },
+        {name: each.summary["digest"] for name, each in named.items() if each.plan.has_truth},
         wide=True,
     )
 
@@ -174,15 +174,9 @@ def _render(
     environment = Environment(
         loader=PackageLoader("deploy.after", "."), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
-    shown = [
-        each
-        for each in sections
-        if each.pictures or each.frames or each.texts or any(len(t.lines) > t.has_head for t in each.tables)
-    ]
-    return environment.get_template("report.html.jinja").render(
-        title=title, lead=lead, sections=shown, wide=wide,
-        digests=[{"run": run, "value": value} for run, value in digests.items()],
-    )  # fmt: skip
+    template = environment.get_template("report.html.jinja")
+    shown = [each for each in sections if not each.is_empty]
+    return template.render(title=title, lead=lead, sections=shown, wide=wide, digests=digests)
 
 
 def _frames(runs: list[Frames]) -> list[Picture]:
@@ -207,24 +201,6 @@ def _names(directories: list[Path]) -> list[str]:
     """Short but distinct names of runs."""
     short = [directory.resolve().name for directory in directories]
     return short if len(set(short)) == len(short) else [str(directory) for directory in directories]
-
-
-def _table(
-    lines: list[list[str]],
-    *,
-    right: Iterable[int] | None = None,
-    has_head: bool = True,
-    last_is_sum: bool = False,
-) -> Table:
-    """A table with right-aligned columns: `right`, or else those of numbers."""
-    body = lines[1:] if has_head else lines
-    columns = set(right) if right is not None else _numeric(body) if body else set()
-    return Table(lines, columns, has_head, last_is_sum)
-
-
-def _numeric(rows: list[list[str]]) -> set[int]:
-    columns = enumerate(zip(*rows, strict=True))
-    return {c for c, texts in columns if all(text in ("", "-") or text[0].isdigit() for text in texts)}
 
 
 def _picture(png: bytes, caption: str = "", step: int = 0) -> Picture:

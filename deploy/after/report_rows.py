@@ -104,13 +104,8 @@ def figure_rows(summary: dict[str, Any]) -> list[list[str]]:
 def _true_map_figures(summary: dict[str, Any]) -> list[list[str]]:
     """What needs a true map; of robots in the field, how much of the team's map each robot has instead."""
     if summary.get("clock") == "field":
-        worst = _percent(summary["worst_team_map_held"])
-        return [
-            [
-                "free cells of the team's map that a robot has",
-                f"mean {_percent(summary['team_map_held'])}, worst {worst}",
-            ]
-        ]
+        mean, worst = (_percent(summary[name]) for name in ("team_map_held", "worst_team_map_held"))
+        return [["free cells of the team's map that a robot has", f"mean {mean}, worst {worst}"]]
     return [
         ["reachable cells seen by the team", _percent(summary["coverage"])],
         ["map accuracy", _accuracy(summary)],
@@ -150,13 +145,8 @@ def _wall_figures(summary: dict[str, Any]) -> list[list[str]]:
         rows.append(["F1 of walls within one cell", f"mean {_percent(f1)}, worst robot {worst}"])
     if (held := summary.get("walls_within_tolerance")) is not None:
         worst = _percent(summary["worst_walls_within_tolerance"])
-        within = f"within {counted(summary['tolerance'], 'cell')}"
-        rows.append(
-            [
-                "teammates' walls on a robot's shared map",
-                f"mean {_percent(held)}, worst pair {worst}, {within}",
-            ]
-        )
+        fit = f"mean {_percent(held)}, worst pair {worst}, within {counted(summary['tolerance'], 'cell')}"
+        rows.append(["teammates' walls on a robot's shared map", fit])
     return rows
 
 

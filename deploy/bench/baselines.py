@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Sequence
 from typing import Any
 
@@ -13,17 +12,6 @@ from deploy.bench.measurement import timed
 from protocol.grid import FREE, OCCUPIED, Grid, RayTable
 
 Cell = tuple[int, int]
-
-
-def optional_module(module: str, package: str) -> Any:
-    """Import a module that only benchmarks need; ValueError names the missing package."""
-    try:
-        return importlib.import_module(module)
-    except ImportError:
-        raise ValueError(
-            f"the benchmark compares with {package}, which is not installed: "
-            "install it, or murmur-robots with its extra bench"
-        ) from None
 
 
 def scan_in_numpy(truth: Grid, beams: RayTable, cell: Cell, known: Grid) -> None:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
@@ -22,6 +21,7 @@ import tomli_w
 
 from agent.radios.team_key import create_key
 from deploy.bench.measurement import Measurement
+from deploy.dashboard.windows import free_port
 
 SIDES_M = (20, 50)
 ROBOTS = 2
@@ -57,7 +57,7 @@ def field() -> Iterator[Measurement]:
 def _team(side_m: float, folder: Path) -> Iterator[subprocess.Popen[bytes]]:
     """Run simulated robots, and an agent for each; yield the process of robot 0 once it has begun."""
     create_key(folder / "team.key")
-    port = _free_port(socket.SOCK_DGRAM)
+    port = free_port()
     with ExitStack() as stack:
         served = _serve(side_m, stack)
         processes = []
@@ -86,7 +86,7 @@ def _serve(side_m: float, stack: ExitStack) -> dict[str, Any]:
     size = [word for name in ("width_m", "height_m") for word in ("--set", f"map_options.{name}={side_m:g}")]
     process = _start(
         ["serve-ros2", "--map", "office", *size, "--robots", str(ROBOTS), "--speed", "1", "--json",
-         "--listen", f"tcp/127.0.0.1:{_free_port(socket.SOCK_STREAM)}"], stack, stdout=subprocess.PIPE,
+         "--listen", f"tcp/127.0.0.1:{free_port()}"], stack, stdout=subprocess.PIPE,
     )  # fmt: skip
     assert process.stdout is not None
     line = process.stdout.readline()
@@ -131,10 +131,3 @@ def _memory_mb(pid: int, key: str) -> float:
     lines = Path(f"/proc/{pid}/status").read_text(encoding="utf-8").splitlines()
     (line,) = [each for each in lines if each.startswith(f"{key}:")]
     return int(line.split()[1]) * 1024 / 1e6
-
-
-def _free_port(kind: socket.SocketKind) -> int:
-    with socket.socket(socket.AF_INET, kind) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-    return port

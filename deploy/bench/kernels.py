@@ -37,6 +37,7 @@ from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import Scenario
 from protocol.grid import Grid
+from protocol.packages import require
 from protocol.scans import draw
 from worldsim import maps
 from worldsim.laser import cast
@@ -47,8 +48,11 @@ BUDGET = 1000
 
 def kernels() -> Iterator[Measurement]:
     """Measure each part of a robot's step, in the order of execution."""
-    cv2 = baselines.optional_module("cv2", "opencv-python-headless")
-    graph = baselines.optional_module("skimage.graph", "scikit-image")
+    for package in ("cv2", "skimage"):
+        require(package, "bench", "the benchmark needs")
+    import cv2  # noqa: PLC0415
+    from skimage import graph  # noqa: PLC0415
+
     cv2.setNumThreads(1)
     scenario = Scenario(
         robots=ROBOTS, map_encoding="polygons", strategy="meier", bandwidth=BUDGET, bus="memory"

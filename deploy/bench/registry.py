@@ -16,15 +16,8 @@ from deploy.bench.replanning import replanning
 from deploy.bench.scale import ROBOTS, STRATEGIES, scale
 from deploy.bench.swarm import swarm
 
-BENCHMARKS: dict[str, Callable[[], Iterator[Measurement]]] = {
-    "kernels": kernels,
-    "swarm": swarm,
-    "replanning": replanning,
-    "relay": relay,
-    "scale": scale,
-    "field": field,
-    "peers": peers,
-}
+_ALL = (kernels, swarm, replanning, relay, scale, field, peers)
+BENCHMARKS: dict[str, Callable[[], Iterator[Measurement]]] = {each.__name__: each for each in _ALL}
 
 ON_REQUEST = ("peers",)
 """Benchmarks that take minutes, and so run only if they are named."""

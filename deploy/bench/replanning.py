@@ -18,13 +18,14 @@ import numpy as np
 from agent.strategies.base import Decision, Situation, Strategy
 from agent.strategies.registry import strategies
 from agent.strategies.targets import TargetStrategy
-from deploy.bench.baselines import optional_module, skimage_costs_ms
+from deploy.bench.baselines import skimage_costs_ms
 from deploy.bench.explorations import office
 from deploy.bench.measurement import Measurement, timed
 from deploy.run.in_memory import MemoryRun
 from deploy.scenario import plan as plans
 from deploy.scenario.scenario import Scenario
 from protocol.grid import Grid
+from protocol.packages import require
 
 ROBOTS = 8
 SIDE_M = 40.0
@@ -36,7 +37,9 @@ REPEATS = 5
 
 def replanning() -> Iterator[Measurement]:
     """Measure the mean and 95th percentile of each strategy."""
-    graph = optional_module("skimage.graph", "scikit-image")
+    require("skimage", "bench", "the benchmark needs")
+    from skimage import graph  # noqa: PLC0415
+
     world = office(SIDE_M)
     baseline = "one cost field by skimage's MCP_Geometric"
     for name, strategy in strategies().items():

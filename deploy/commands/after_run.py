@@ -162,16 +162,13 @@ def show_capture(
 
     if install_dissector:
         screen.print(f"installed: {install()}")
-    elif directory is None:
-        raise ValueError("name a run directory, or use --install-dissector")
     if directory is None:
+        if not install_dissector:
+            raise ValueError("name a run directory, or use --install-dissector")
         return
-    wanted = capture.Filter(
-        capture.check_robot(directory, robot) if robot is not None else None,
-        capture.check_kind(kind) if kind is not None else None,
-        capture.parse_steps(step) if step is not None else None,
-        refused,
-    )
+    steps = capture.parse_steps(step) if step is not None else None
+    wanted = capture.Filter(robot, kind, steps, refused)
+    wanted.check(directory)
     table = capture.lines(directory, wanted, every_packet=packets)
     for line in capture.json_lines(directory, wanted) if as_json else table:
         print(line)

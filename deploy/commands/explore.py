@@ -9,26 +9,10 @@ from typing import Annotated, Any
 
 import typer
 
+from deploy.commands import flags
 from deploy.commands.console import errors, progress, report_result
 from deploy.commands.flag_values import named_values
-from deploy.commands.flags import (
-    RADIO,
-    ROBOTS,
-    RUN,
-    GroupedCommand,
-    JsonFlag,
-    OutOption,
-    PicturesFlag,
-    ScenarioFile,
-    ShareFlag,
-    SpeedOption,
-    ViewAs,
-    argument,
-    command_family,
-    option,
-    switch,
-    view_flags,
-)
+from deploy.commands.flags import argument, command_family, option, switch, view_flags
 from deploy.commands.scenario_flags import run_flags
 from deploy.commands.viewing import Viewing
 from deploy.scenario.scenario import SHIPPED, Scenario, load
@@ -38,33 +22,33 @@ from deploy.scenario.toml_files import read_toml
 app = command_family()
 
 
-@app.command(cls=GroupedCommand)
+@app.command(cls=flags.GroupedCommand)
 @run_flags()
 @view_flags
 def explore(
-    scenario: ScenarioFile = None,
+    scenario: flags.ScenarioFile = None,
     options: Annotated[
         list[str] | None,
         option(
             "NAME=VALUE",
             "an option of the strategy (murmur strategies NAME lists them); repeatable",
-            ROBOTS,
+            flags.ROBOTS,
             name="--option",
         ),
     ] = None,
     thesis: Annotated[
-        bool, switch("--thesis", "the rules of the thesis, without later additions", RADIO)
+        bool, switch("--thesis", "the rules of the thesis, without later additions", flags.RADIO)
     ] = False,
     restart: Annotated[
-        bool, switch("--restart", "restart processes that die, and continue (docs/reliability.md)", RUN)
+        bool, switch("--restart", "restart processes that die, and continue (docs/reliability.md)", flags.RUN)
     ] = False,
     hosts: Annotated[
-        Path | None, option("HOSTS.toml", "run robots on other hosts, too (docs/hosts.md)", RUN)
+        Path | None, option("HOSTS.toml", "run robots on other hosts, too (docs/hosts.md)", flags.RUN)
     ] = None,
-    pace: SpeedOption = None,
-    pictures: PicturesFlag = False,
-    out: OutOption = None,
-    as_json: JsonFlag = False,
+    pace: flags.SpeedOption = None,
+    pictures: flags.PicturesFlag = False,
+    out: flags.OutOption = None,
+    as_json: flags.JsonFlag = False,
     *,
     settings: dict[str, Any],
     viewing: Viewing,
@@ -88,8 +72,8 @@ def explore(
 @app.command()
 def watch(
     directory: Annotated[Path, argument("DIR", "a run directory")],
-    view_as: ViewAs = "auto",
-    share: ShareFlag = False,
+    view_as: flags.ViewAs = "auto",
+    share: flags.ShareFlag = False,
 ) -> None:
     """View a run in progress, or the recording of one (docs/dashboard.md)."""
     from deploy.dashboard import watch as watching  # noqa: PLC0415

@@ -7,20 +7,10 @@ from typing import Annotated, Any
 
 import typer
 
+from deploy.commands import flags
 from deploy.commands.explore import run_live
-from deploy.commands.flags import (
-    ROBOTS,
-    GroupedCommand,
-    JsonFlag,
-    OutOption,
-    PicturesFlag,
-    SpeedOption,
-    argument,
-    command_family,
-    option,
-    view_flags,
-)
-from deploy.commands.scenario_flags import OwnFlag, run_flags
+from deploy.commands.flags import ROBOTS, argument, command_family, flag, option, view_flags
+from deploy.commands.scenario_flags import run_flags
 from deploy.commands.viewing import Viewing
 from deploy.scenario.scenario import NOT_RECORDED, NOT_RECORDED_REASON, load
 from worldsim.recorded.options import PACES
@@ -28,48 +18,41 @@ from worldsim.recorded.options import PACES
 app = command_family()
 
 LOG = "Log"
+PACE_HELP = "scan: one scan per robot and step; recorded: a step is a second of the log"
 NOT_PLAYED = (
     "map", "map_seed", "map_options.resolution", "start", "strategy", "speed", "finish", "laser.preset", "pose.preset",
     "people.number",
 )  # fmt: skip
 """Settings of which this command has no flag."""
 LOG_FLAGS = {
-    "recording.every": OwnFlag("every", int, option("K", "replay each K-th scan (default 1)", LOG)),
-    "recording.pace": OwnFlag(
-        "pace",
-        str,
-        option(
-            "|".join(PACES),
-            "scan: one scan per robot and step; recorded: a step is a second of the log (default scan)",
-            LOG,
-        ),
-    ),
-    "recording.topic": OwnFlag("topic", str, option("TOPIC", "the laser, if a bag has several", LOG)),
-    "recording.resolution": OwnFlag(
+    "recording.every": flag("every", int, option("K", "replay each K-th scan (default 1)", LOG)),
+    "recording.pace": flag("pace", str, option("|".join(PACES), f"{PACE_HELP} (default scan)", LOG)),
+    "recording.topic": flag("topic", str, option("TOPIC", "the laser, if a bag has several", LOG)),
+    "recording.resolution": flag(
         "resolution", float, option("METERS", "cell size of the map (default 0.1)", LOG)
     ),
-    "recording.listeners": OwnFlag(
+    "recording.listeners": flag(
         "listeners",
         int,
         option("N", "how many of the robots have no scans, and only receive (default 0)", LOG),
     ),
-    "sensor_range": OwnFlag(
+    "sensor_range": flag(
         "sensor_range", float, option("METERS", "range up to which robots map (default 10)", ROBOTS)
     ),
 }
 
 
-@app.command(cls=GroupedCommand)
+@app.command(cls=flags.GroupedCommand)
 @run_flags(*NOT_PLAYED, more=LOG_FLAGS)
 @view_flags
 def play(
     logs: Annotated[
         list[Path], argument("LOG...", "a log for the whole team, or one per robot (docs/recorded.md)")
     ],
-    rate: SpeedOption = None,
-    pictures: PicturesFlag = False,
-    out: OutOption = None,
-    as_json: JsonFlag = False,
+    rate: flags.SpeedOption = None,
+    pictures: flags.PicturesFlag = False,
+    out: flags.OutOption = None,
+    as_json: flags.JsonFlag = False,
     *,
     settings: dict[str, Any],
     viewing: Viewing,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from deploy.commands.flag_values import duration_s, named_values, position
@@ -33,45 +32,32 @@ SET_OPTION = option(
 )
 
 
-@dataclass(frozen=True)
-class OwnFlag:
-    """A flag whose name, unit, or default differs from those of its setting."""
-
-    name: str
-    """Name of the flag, with underscores."""
-    kind: Any
-    option: Any
-    """Its help, as `deploy.commands.flags.option` returns it."""
-    parse: Callable[[Any], Any] = lambda value: value
-    """Returns the value of the setting."""
-
-
 KEYS = {
-    "map_options.resolution": OwnFlag(
+    "map_options.resolution": flag(
         "resolution", float, option("METERS", "cell size of a generated map or a picture", WORLD)
     ),
-    "laser.preset": OwnFlag(
+    "laser.preset": flag(
         "laser", str, option("NAME", f"a laser with its errors: {', '.join(LASERS)}", ROBOTS)
     ),
-    "pose.preset": OwnFlag(
+    "pose.preset": flag(
         "pose", str, option("NAME", f"errors of the robots' poses: {', '.join(POSES)}", ROBOTS)
     ),
-    "radio.preset": OwnFlag(
+    "radio.preset": flag(
         "radio",
         str,
         option("NAME", f"a radio preset (bandwidth, frame size, range): {', '.join(PRESETS)}", RADIO),
     ),
-    "people.number": OwnFlag(
+    "people.number": flag(
         "people", int, option("N", "people who walk about in the building (docs/real-sensors.md)", WORLD)
     ),
-    "step_s": OwnFlag(
-        "step",
-        str,
-        option("DURATION", "duration of a step with --clock wall, as 200ms (default 1s)", RUN),
-        duration_s,
+    "step_s": flag(
+        "step", str, option("DURATION", "duration of a step with --clock wall, as 200ms (default 1s)", RUN)
     ),
 }
-"""Flags of other settings, by the name of the setting."""
+"""Flags with another name or unit than their setting, by the name of the setting."""
+
+PARSERS: dict[str, Callable[[Any], Any]] = {"start": position, "step_s": duration_s}
+"""Functions that return the value of a setting from that of its flag, where they differ."""
 
 
 def setting_flags(*without: str) -> Callable[[Command], Command]:
@@ -83,17 +69,17 @@ def setting_flags(*without: str) -> Callable[[Command], Command]:
     return lambda command: with_flags(command, flags, "settings", lambda **values: _given(values, {}))
 
 
-def run_flags(*without: str, more: dict[str, OwnFlag] | None = None) -> Callable[[Command], Command]:
+def run_flags(*without: str, more: dict[str, Flag] | None = None) -> Callable[[Command], Command]:
     """Give a command of one run the flags of `SETTINGS` and `KEYS` but those in `without`, and ``--set``.
 
     Flags in `more` replace those of the same settings. The command receives the settings that the user gave as the
     dictionary `settings`. It raises ValueError if ``--set`` and a flag give the same setting.
     """
     more = more or {}
-    own = {key: flag for key, flag in KEYS.items() if key not in without} | more
+    own = {key: each for key, each in KEYS.items() if key not in without} | more
     flags = [
         *_derived_flags((*without, *more)),
-        *(flag(each.name, each.kind, each.option) for each in own.values()),
+        *own.values(),
         flag("set_", list[str], SET_OPTION),
     ]
 
@@ -108,15 +94,11 @@ def run_flags(*without: str, more: dict[str, OwnFlag] | None = None) -> Callable
     return lambda command: with_flags(command, flags, "settings", given)
 
 
-def _given(values: dict[str, Any], own: Mapping[str, OwnFlag]) -> dict[str, Any]:
+def _given(values: dict[str, Any], own: Mapping[str, Flag]) -> dict[str, Any]:
     """Return the settings that flags give, by name of the setting."""
-    settings = {
-        key: each.parse(value) for key, each in own.items() if (value := values.pop(each.name)) is not None
-    }
-    settings |= {name: value for name, value in values.items() if value is not None}
-    if "start" in settings:
-        settings["start"] = position(settings["start"])
-    return settings
+    settings = {key: values.pop(each.name) for key, each in own.items()} | values
+    given = {name: value for name, value in settings.items() if value is not None}
+    return given | {name: parse(given[name]) for name, parse in PARSERS.items() if name in given}
 
 
 def _derived_flags(without: tuple[str, ...]) -> list[Flag]:

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from deploy.commands.console import errors, screen
-from deploy.commands.flags import ROBOTS, GroupedCommand, command_family, option, switch
-from deploy.commands.scenario_flags import OwnFlag, run_flags
+from deploy.commands.flags import ROBOTS, GroupedCommand, command_family, flag, option, switch
+from deploy.commands.scenario_flags import run_flags
 from deploy.scenario.errors import ScenarioError
 from deploy.scenario.scenario import Scenario, load
 from protocol.nanoseconds import SECOND
@@ -34,9 +34,7 @@ NOT_SERVED = (
 )  # fmt: skip
 """Settings of runs with agents, radio, and records."""
 SERVED = {
-    "radius": OwnFlag(
-        "radius", float, option("METERS", f"radius of the robots (default {RADIUS_M:g})", ROBOTS)
-    )
+    "radius": flag("radius", float, option("METERS", f"radius of the robots (default {RADIUS_M:g})", ROBOTS))
 }
 
 
@@ -86,7 +84,6 @@ def serve_ros2(
         raise ValueError(f"rate = {rate:g}: must be {MIN_RATE:g} to {MAX_RATE:g} Hz")
     from deploy.scenario.plan import make  # noqa: PLC0415
     from deploy.serve.process import ServeSettings, serve  # noqa: PLC0415
-    from deploy.serve.swarm import SwarmSettings  # noqa: PLC0415
     from protocol.ros2.session import ROUTER  # noqa: PLC0415
 
     chosen = ServeSettings(
@@ -96,11 +93,17 @@ def serve_ros2(
         router=router or listen or ROUTER,
         own_router=router is None,
         sim_time=sim_time,
-        swarm=SwarmSettings(rate, sees_robots),
+        rate=rate,
+        sees_robots=sees_robots,
     )
     files = _agent_files(write_robots, team, interface, chosen.namespaces)
-    show = _print_json if as_json else _print_text
-    swarm = serve(make(scenario), chosen, lambda swarm: show(scenario, swarm, chosen, files), errors.print)
+
+    def ready(swarm: Swarm) -> None:
+        if files is not None:
+            files.write(scenario, swarm, chosen)
+        (_print_json if as_json else _print_text)(scenario, swarm, chosen, files)
+
+    swarm = serve(make(scenario), chosen, ready, errors.print)
     if as_json:
         print(json.dumps({"coverage": swarm.world.coverage, "seconds": swarm.time_ns / SECOND}), flush=True)
     else:
@@ -146,12 +149,10 @@ def _namespaces(names: str | None, robots: int) -> tuple[str, ...]:
     return found
 
 
-def _print_json(scenario: Scenario, swarm: Swarm, chosen: ServeSettings, files: AgentFiles | None) -> None:
-    """Write the settings files of the agents, and print the router, the map, and the robots as a line of JSON."""
+def _print_json(scenario: Scenario, swarm: Swarm, chosen: ServeSettings, _: AgentFiles | None) -> None:
+    """Print the router, the map, and the robots as a line of JSON."""
     from deploy.serve.agent_files import grid  # noqa: PLC0415
 
-    if files is not None:
-        files.write(scenario, swarm, chosen)
     starts = [[*robot.start[:2], math.degrees(robot.start.yaw)] for robot in swarm.robots]
     found = {
         "router": chosen.router, "domain": chosen.domain, "distro": chosen.distro, "map": scenario.map,
@@ -161,10 +162,7 @@ def _print_json(scenario: Scenario, swarm: Swarm, chosen: ServeSettings, files: 
 
 
 def _print_text(scenario: Scenario, swarm: Swarm, chosen: ServeSettings, files: AgentFiles | None) -> None:
-    """Print the map and the router, and how to start the agents.
-
-    Writes their settings files if the user asked for them; else prints the settings.
-    """
+    """Print the map and the router, and how to start the agents with their settings files, or else the settings."""
     from deploy.serve.agent_files import agent_settings  # noqa: PLC0415
 
     started = "a router started" if chosen.own_router else "the router"
@@ -173,7 +171,6 @@ def _print_text(scenario: Scenario, swarm: Swarm, chosen: ServeSettings, files: 
         f"domain {chosen.domain}, {chosen.distro}. Ctrl-C ends them."
     )
     if files is not None:
-        files.write(scenario, swarm, chosen)
         screen.print("\nStart their agents:")
         for namespace in chosen.namespaces:
             screen.print(f"murmur robot {shlex.quote(str(files.path(namespace)))}")

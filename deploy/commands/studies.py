@@ -94,10 +94,10 @@ def sweep(
             if table is not None and done.rows:
                 write_table(done.table, table)
                 done.write_tables(table.with_suffix(""), style)
-        for number in range(len(read.plots) if plot is not None else 0):
-            assert plot is not None
-            file = plot.with_stem(f"{plot.stem}-{number + 1}") if number else plot
-            style.save(done.plot(number, style), file)
+        if plot is not None:
+            for number in range(len(read.plots)):
+                file = plot.with_stem(f"{plot.stem}-{number + 1}") if number else plot
+                style.save(done.plot(number, style), file)
         end_study(done.failures)
 
 
@@ -105,18 +105,14 @@ def _sweep_settings(texts: list[str], seeds: int | None, test_seeds: int | None)
     """The settings of --set, --seeds, and --test-seeds; ValueError if several of them give seeds."""
     settings = named_values(texts, "set", "seed=[0,1]")
     given = {
-        "--seeds": seeds is not None,
-        "--test-seeds": test_seeds is not None,
-        "--set seed": "seed" in settings,
+        "--seeds": seeds and list(range(seeds)),
+        "--test-seeds": test_seeds and first_test_seeds(test_seeds),
+        "--set seed": settings.get("seed"),
     }
-    if sum(given.values()) > 1:
-        several = " and ".join(flag for flag, is_given in given.items() if is_given)
-        raise ValueError(f"{several}: give only one of them")
-    if seeds is not None:
-        settings["seed"] = list(range(seeds))
-    if test_seeds is not None:
-        settings["seed"] = first_test_seeds(test_seeds)
-    return settings
+    chosen = [flag for flag, value in given.items() if value is not None]
+    if len(chosen) > 1:
+        raise ValueError(f"{' and '.join(chosen)}: give only one of them")
+    return settings | {"seed": given[flag] for flag in chosen}  # noqa: B035  at most one
 
 
 @app.command(cls=GroupedCommand)
@@ -290,8 +286,8 @@ def size_radios(
     from deploy.study import radio_sizing  # noqa: PLC0415
 
     settings |= other_settings(texts, radio_sizing.size_radios, settings)
-    with stopping(common["out"]), counting(errors, "size") as report:
-        done = radio_sizing.size_radios(map_, radios, progress=report, **common, **settings)
+    with stopping(common["out"]):
+        done = radio_sizing.size_radios(map_, radios, **common, **settings)
     report_failures(done.failures)
     print_table(done.lines)
     for sentence in done.sentences:

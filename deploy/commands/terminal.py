@@ -129,18 +129,14 @@ def _accuracy_line(summary: dict[str, Any]) -> list[str]:
     if not accuracies:
         return []
     worst = min(accuracies, key=accuracies.__getitem__)
+    least = _percent(accuracies[worst])
     if accuracies[worst] == max(accuracies.values()):
-        return [
-            f"Map accuracy: {_percent(accuracies[worst])}{' on each robot' if len(accuracies) > 1 else ''}."
-        ]
-    parts = [
-        f"mean {_percent(summary['mean_map_accuracy'])}",
-        f"worst {_percent(accuracies[worst])} (robot {worst})",
-    ]
+        return [f"Map accuracy: {least}{' on each robot' if len(accuracies) > 1 else ''}."]
+    text = f"Map accuracy: mean {_percent(summary['mean_map_accuracy'])}, worst {least} (robot {worst})"
     first = summary["first_robot"]
     if first is not None and summary["map_accuracy"] is not None:
-        parts.append(f"first to finish {_percent(summary['map_accuracy'])} (robot {first})")
-    return [f"Map accuracy: {', '.join(parts)}."]
+        text += f", first to finish {_percent(summary['map_accuracy'])} (robot {first})"
+    return [f"{text}."]
 
 
 def _missed_line(summary: dict[str, Any]) -> str:

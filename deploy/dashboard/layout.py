@@ -24,17 +24,7 @@ def layout(plan: Plan) -> rrb.Blueprint:
     """The layout of a run's dashboard; all text fits into a window of 1280 x 720 or more."""
     robots = range(plan.scenario.robots)
     world = _map("/world", "True map [m]", plan, ["/world/**", "/paths/**"], MARGIN)
-    robot_maps = [
-        _map(
-            f"/robots/{robot}",
-            f"Robot {robot} [m]",
-            plan,
-            [f"/robots/{robot}/**", f"/paths/{robot}"],
-            SMALL_MARGIN,
-        )
-        for robot in robots
-    ]
-    pages = _pages(robot_maps, "Maps")
+    pages = _pages([_own_map(robot, plan) for robot in robots], "Maps")
     if 1 < len(robots) <= MOST_CHOSEN:
         pages += _pages([_chosen(robot, plan) for robot in robots], "True map")
     pages.append(rrb.TextDocumentView(origin="/help", name="Help"))
@@ -62,6 +52,11 @@ def _pages(views: list[rrb.Spatial2DView], name: str) -> list[rrb.Grid]:
         title = numbers if first else f"{name} {numbers}"
         pages.append(rrb.Grid(*shown, grid_columns=columns, name=title))
     return pages
+
+
+def _own_map(robot: int, plan: Plan) -> rrb.Spatial2DView:
+    contents = [f"/robots/{robot}/**", f"/paths/{robot}"]
+    return _map(f"/robots/{robot}", f"Robot {robot} [m]", plan, contents, SMALL_MARGIN)
 
 
 def _chosen(robot: int, plan: Plan) -> rrb.Spatial2DView:
@@ -101,12 +96,9 @@ def _series(plan: Plan) -> list[rrb.View | rrb.Container]:
     waiting: rrb.View | rrb.Container = _curves("/backlog", "Undelivered [log entries]")
     if plan.scenario.clock != "barrier":
         waiting = rrb.Vertical(waiting, _curves("/missed", "Missed [steps]"))
+    load = ["/traffic/load", "/traffic/budget", "/traffic/floor"]
     return [
-        _curves(
-            "/traffic",
-            "Transmitted [B/step]",
-            contents=["/traffic/load", "/traffic/budget", "/traffic/floor"],
-        ),
+        _curves("/traffic", "Transmitted [B/step]", contents=load),
         rrb.Spatial2DView(
             origin="/traffic/shares",
             name="By type [%]",

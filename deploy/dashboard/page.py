@@ -14,6 +14,8 @@ from importlib import resources
 from typing import Any, Protocol
 from urllib.parse import parse_qs, urlsplit
 
+import msgspec
+
 from deploy.dashboard.access import TOKEN_HEADER, Access
 from deploy.dashboard.forwarding import MAX_REQUEST, READ_STREAM, forward
 
@@ -87,6 +89,11 @@ class Page:
         """Stop the server."""
         self._server.shutdown()
         self._server.server_close()
+
+
+class _Order(msgspec.Struct):
+    command: str
+    value: str = ""
 
 
 class _Server(ThreadingHTTPServer):
@@ -180,15 +187,12 @@ class _Handler(BaseHTTPRequestHandler):
             self._refuse(403, "only the address with the token to control may do this")
             return
         try:
-            order = json.loads(body)
-            command, value = order["command"], order.get("value", "")
-            if not isinstance(command, str) or not isinstance(value, str):
-                raise TypeError
-        except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+            order = msgspec.json.decode(body, type=_Order)
+        except (ValueError, RecursionError):
             self._send_json(400, {"error": 'a command is {"command": text, "value": text}'})
             return
         try:
-            self._send_json(200, {"message": self.page.panel.perform(command, value)})
+            self._send_json(200, {"message": self.page.panel.perform(order.command, order.value)})
         except ValueError as error:
             self._send_json(400, {"error": str(error)})
 

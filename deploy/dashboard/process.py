@@ -11,6 +11,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import chain, count
 from pathlib import Path
 
 from deploy.scenario.plan import Plan
@@ -100,8 +101,5 @@ def serve(credential: Credential, task: ViewTask, ready: Callable[[], object] = 
 
 def free_name(path: Path) -> Path:
     """The path, with a number appended if the file already exists."""
-    number, free = 2, path
-    while free.exists():
-        free = path.with_stem(f"{path.stem}-{number}")
-        number += 1
-    return free
+    numbered = (path.with_stem(f"{path.stem}-{number}") for number in count(2))
+    return next(free for free in chain([path], numbered) if not free.exists())

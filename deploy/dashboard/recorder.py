@@ -12,18 +12,10 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
+from deploy.dashboard import shapes
 from deploy.dashboard.help_text import explain, shows_range
 from deploy.dashboard.run_events import Event, RunEvents
-from deploy.dashboard.shapes import (
-    arrow,
-    axes,
-    circle_within,
-    corner,
-    flip,
-    map_picture,
-    number_strips,
-    outline_strips,
-)
+from deploy.dashboard.shapes import flip
 from deploy.dashboard.step_order import StepOrder, StepReports
 from deploy.record.colors import ALARM, GREY, GROUPS, IN_RANGE, PAPER, SIGNAL, TEAM, mix, robot_color
 from deploy.record.map_history import PER_STEP
@@ -103,7 +95,9 @@ class Recorder:
             if isinstance(report, Snapshot):
                 self._draw_planning_map(names.number(sender), report)
             elif isinstance(report, Outlines):
-                outlines = rr.LineStrips2D.from_fields(strips=outline_strips(self._plan.map, report.vertices))
+                outlines = rr.LineStrips2D.from_fields(
+                    strips=shapes.outline_strips(self._plan.map, report.vertices)
+                )
                 self._log(f"robots/{names.number(sender)}/outlines/{report.map_id}", outlines)
         if step.has_world or any(isinstance(report, End) for _, report in step.reports):
             self._draw_world()
@@ -128,14 +122,16 @@ class Recorder:
         """The true map, and an empty one for each robot, with axes."""
         world = self._plan.map
         cell = world.resolution
-        place = rr.Transform3D(translation=[*corner(world), 0], scale=[cell, cell, 1])
+        place = rr.Transform3D(translation=[*shapes.corner(world), 0], scale=[cell, cell, 1])
         cells = grid_to_bytes(world.cells)
         for tree in ("world", *(f"robots/{robot}" for robot in self._robots)):
             self._log(f"{tree}/map", place, static=True)
-            picture = map_picture(world.width, world.height, cells if tree == "world" else bytes(len(cells)))
+            picture = shapes.map_picture(
+                world.width, world.height, cells if tree == "world" else bytes(len(cells))
+            )
             self._log(f"{tree}/map", _image(picture))
             large = tree == "world"
-            strips, places, labels = axes(
+            strips, places, labels = shapes.axes(
                 world, most=6 if large else 3, room=MARGIN if large else SMALL_MARGIN
             )
             lines = rr.LineStrips2D(strips, colors=[GREY], radii=[_px(0.8)])
@@ -205,7 +201,7 @@ class Recorder:
         numbers = [
             strip
             for robot, place in zip(robots, places, strict=True)
-            for strip in number_strips(robot, place, 1.1 * self._disc)
+            for strip in shapes.number_strips(robot, place, 1.1 * self._disc)
         ]
         self._log("world/robots/numbers", rr.LineStrips2D.from_fields(strips=numbers))
         reach = events.range_m
@@ -214,7 +210,7 @@ class Recorder:
             arcs = [
                 (robot, arc)
                 for robot, place in zip(robots, places, strict=True)
-                for arc in circle_within(world, place, reach)
+                for arc in shapes.circle_within(world, place, reach)
             ]
             shades = [mix(robot_color(robot), GREY, 0.5) for robot, _ in arcs]
             circles = rr.LineStrips2D.from_fields(strips=[arc for _, arc in arcs], colors=shades)
@@ -272,7 +268,7 @@ class Recorder:
         quiet = sorted(events.in_range - {(min(pair), max(pair)) for pair in busy})
         strips = [(flip(here[a]), flip(here[b])) for a, b in quiet]
         self._log("world/links/quiet", rr.LineStrips2D.from_fields(strips=strips))
-        arrows = [arrow(flip(here[a]), flip(here[b]), 1.2 * self._disc) for a, b in busy]
+        arrows = [shapes.arrow(flip(here[a]), flip(here[b]), 1.2 * self._disc) for a, b in busy]
         origins, vectors = [each[0] for each in arrows], [each[1] for each in arrows]
         radii = [_px(0.9 + min(1.6, size / 400)) for size in busy.values()]
         self._log("world/links/busy", rr.Arrows2D.from_fields(origins=origins, vectors=vectors, radii=radii))
@@ -298,7 +294,7 @@ class Recorder:
 
     def _draw_planning_map(self, robot: int, snapshot: Snapshot) -> None:
         grid = grid_from_bytes(snapshot.planning, snapshot.width, snapshot.height)
-        picture = map_picture(snapshot.width, snapshot.height, snapshot.planning)
+        picture = shapes.map_picture(snapshot.width, snapshot.height, snapshot.planning)
         self._log(f"robots/{robot}/map", _image(picture))
         self._explored[robot] = 100 * float((grid[self._reachable] == FREE).mean())
         if self._plan.has_truth:

@@ -152,7 +152,8 @@ class RunEvents:
         self.bytes += Counter(sizes)
         groups = {name: sum(sizes[kind] for kind in group.kinds) for name, group in GROUPS.items()}
         cut = int(rows["bytes"][rows["cause"] == BUDGET].sum())
-        self.traffic = StepTraffic(groups, _link_bytes(report.links))
+        received = np.frombuffer(report.links, LINK).tolist()
+        self.traffic = StepTraffic(groups, {(sender, receiver): size for sender, receiver, size in received})
         events = _emergences(report.step, carried)
         if bool(cut) != self._full and not self.budget.unlimited:
             self._full = bool(cut)
@@ -168,7 +169,8 @@ class RunEvents:
         else:
             target = self.targets[robot] = to_world(self.plan.map, report.target_x, report.target_y)
             logged = self._logged_targets.get(robot)
-            if logged is None or math.dist(logged, target) > NEAR * self._range_m(robot):
+            range_m = self.plan.world.bodies[robot].range_cells * self.plan.map.resolution
+            if logged is None or math.dist(logged, target) > NEAR * range_m:
                 self._logged_targets[robot] = target
                 text = f"robot {robot} heads for ({target[0]:.1f}, {target[1]:.1f}) m"
                 events.append(Event(report.step, text))
@@ -177,10 +179,6 @@ class RunEvents:
             events.append(Event(report.step, f"robot {robot} is idle: its map is complete", 1))
         (self.idle.add if idle else self.idle.discard)(robot)
         return events
-
-    def _range_m(self, robot: int) -> float:
-        """Return a robot's sensor range in meters."""
-        return self.plan.world.bodies[robot].range_cells * self.plan.map.resolution
 
     def _missed(self, report: Missed) -> list[Event]:
         named = ", ".join(map(str, report.robots))
@@ -204,12 +202,6 @@ class RunEvents:
             self._radio_settings = replace(self._radio_settings, range_cells=cells)
             changes.append(f"range {self.range_m:.1f} m")
         return [Event(change.step, f"radio changed: {', '.join(changes)}", 2)]
-
-
-def _link_bytes(received: bytes) -> dict[tuple[int, int], int]:
-    rows = np.frombuffer(received, LINK)
-    pairs = zip(rows["sender"].tolist(), rows["receiver"].tolist(), strict=True)
-    return dict(zip(pairs, rows["bytes"].tolist(), strict=True))
 
 
 def _emergences(step: int, carried: NDArray[np.void]) -> list[Event]:

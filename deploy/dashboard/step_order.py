@@ -31,8 +31,8 @@ Report = tuple[str, object]
 LONGEST_WAIT = 2
 """Number of further steps that the world may report before an incomplete step is processed as it is."""
 _OF_A_STEP = Change | FaultEvent | Missed | Outlines | RadioReport | RobotStatus | Snapshot | WorldReport
-_FIRST = Change | FaultEvent, WorldReport, RadioReport
-"""Types of reports that precede all others of their step, in this order."""
+_FIRST: dict[type, int] = {Change: 0, FaultEvent: 0, WorldReport: 1, RadioReport: 2}
+"""The order of the reports that precede all others of their step."""
 
 
 @dataclass
@@ -68,12 +68,7 @@ class _Open:
 
     def in_order(self) -> list[Report]:
         """All reports: those of the world and the radio first."""
-
-        def rank(report: Report) -> int:
-            ranks = (place for place, types in enumerate(_FIRST) if isinstance(report[1], types))
-            return next(ranks, len(_FIRST))
-
-        return sorted(self.arrived, key=rank)
+        return sorted(self.arrived, key=lambda each: _FIRST.get(type(each[1]), len(_FIRST)))
 
 
 class StepOrder:

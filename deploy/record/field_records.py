@@ -12,15 +12,14 @@ Steps and map changes survive the end of the process at any moment. The last two
 
 from __future__ import annotations
 
-import csv
 import json
 import struct
 import zipfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from io import StringIO
+from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Annotated, NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
@@ -29,32 +28,25 @@ from agent.field import FieldRobot, position
 from agent.radios.peer_medium import FrameRecord
 from agent.settings import Settings
 from agent.viewer_feed import SHOWN_EVERY, RecorderFeed
-from deploy.record.growing_file import GrowingFile, close_all
-from deploy.record.link_records import LinkRecorder
+from deploy.record.growing_file import GrowingFile, close_all, read_rows
+from deploy.record.link_records import LinkRecorder, Nanoseconds
 from deploy.record.versions import versions
 from protocol.errors import ProtocolError
 from protocol.files import open_file, read_file
 from protocol.grid import OCCUPIED
 from protocol.map_parts import FinalMaps
 from protocol.message_codec import pack, unpacker
-from protocol.message_fields import MAX_PAYLOAD, MAX_TEXT
+from protocol.message_fields import MAX_PAYLOAD
 from protocol.messages import MapChanges, Outlines
 from protocol.range_scans import TURN, decode_range_scan
 from worldsim.atomic_files import write_whole
 
-SETUP, STEP_LINES, MAPS, FINAL_MAPS, END = (
-    "setup.json",
-    "steps.csv",
-    "map_changes.bin",
-    "maps.npz",
-    "end.json",
-)
+SETUP, STEP_LINES, MAPS = "setup.json", "steps.csv", "map_changes.bin"
+FINAL_MAPS, END = "maps.npz", "end.json"
 BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 """Linux: the number of this start of the host, whose monotonic clock all its processes share."""
 LENGTH = struct.Struct("<I")
 HEADINGS = 8
-POSE = range(2, 5)
-"""The columns of a step's pose, which may be empty."""
 
 
 class RobotSetup(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -68,15 +60,11 @@ class RobotSetup(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     settings: Settings
     x: float
     y: float
-    step_ns: int
-    bytes_per_s: int
+    step_ns: Annotated[int, msgspec.Meta(ge=1)]
+    bytes_per_s: Annotated[int, msgspec.Meta(ge=0)]
     utc_ns: int = 0
     clock: str = ""
     versions: dict[str, str] = {}
-
-    def __post_init__(self) -> None:
-        if self.step_ns < 1 or self.bytes_per_s < 0:
-            raise ValueError("step_ns must be positive, and bytes_per_s not negative")
 
 
 class Ending(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -84,6 +72,11 @@ class Ending(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     reason: str
     is_complete: bool
+
+
+Count = Annotated[int, msgspec.Meta(ge=0, lt=2**31)]
+Coordinate = Annotated[int, msgspec.Meta(gt=-(2**31), lt=2**31)]
+Target = Annotated[int, msgspec.Meta(ge=-1, lt=2**31)]
 
 
 class StepLine(NamedTuple):
@@ -94,18 +87,18 @@ class StepLine(NamedTuple):
     `late_steps`: steps so far that took too long. `work_us`: processor time of this step.
     """
 
-    time_ns: int
-    step: int
-    x_mm: int | None
-    y_mm: int | None
-    heading: int | None
-    target_x: int
-    target_y: int
-    known_cells: int
-    backlog: int
-    late_steps: int
-    work_us: int
-    status: str
+    time_ns: Nanoseconds
+    step: Count
+    x_mm: Coordinate | None
+    y_mm: Coordinate | None
+    heading: Coordinate | None
+    target_x: Target
+    target_y: Target
+    known_cells: Count
+    backlog: Count
+    late_steps: Count
+    work_us: Count
+    status: str | None
 
 
 @dataclass(frozen=True)
@@ -209,40 +202,14 @@ def read_field_record(folder: Path) -> FieldRecord:
 
 def _read_steps(path: Path) -> list[StepLine]:
     """Read ``steps.csv``, up to its last whole line."""
-    with open_file(path) as file:
-        text = file.read().decode("utf-8", "replace")
-    head, *rows = csv.reader(StringIO(text[: text.rfind("\n") + 1])) if "\n" in text else [[]]
-    if tuple(head) != StepLine._fields:
-        raise ValueError(f"{path}: the first line must be {','.join(StepLine._fields)}")
-    lines: list[StepLine] = []
-    for number, row in enumerate(rows, 2):
-        try:
-            values: list[Any] = [
-                int(each) if each or at not in POSE else None for at, each in enumerate(row[:-1])
-            ]
-            line = StepLine._make([*values, row[-1][:MAX_TEXT]])
-        except (TypeError, ValueError, IndexError):
-            raise ValueError(f"{path}, line {number}: expected {len(StepLine._fields)} fields") from None
-        if not _is_valid(line) or (
-            lines and not (lines[-1].step < line.step and lines[-1].time_ns <= line.time_ns)
-        ):
-            raise ValueError(
-                f"{path}, line {number}: its numbers cannot be those of a step after the last one"
-            )
-        lines.append(line)
+    lines = read_rows(path, StepLine)
+    for number, line in enumerate(lines, 2):
+        if len({value is None for value in (line.x_mm, line.y_mm, line.heading)}) > 1:
+            raise ValueError(f"{path}, line {number}: has only a part of a pose")
+    for number, (before, line) in enumerate(pairwise(lines), 3):
+        if not (before.step < line.step and before.time_ns <= line.time_ns):
+            raise ValueError(f"{path}, line {number}: is not of a step after the last one")
     return lines
-
-
-def _is_valid(line: StepLine) -> bool:
-    pose = line[POSE.start : POSE.stop]
-    numbers = [value for value in line[:-1] if isinstance(value, int)]
-    return (
-        len({value is None for value in pose}) == 1
-        and all(abs(value) < 2**31 for value in numbers[1:])
-        and abs(line.time_ns) < 2**63
-        and min(line.step, line.known_cells, line.backlog, line.late_steps, line.work_us) >= 0
-        and min(line.target_x, line.target_y) >= -1
-    )
 
 
 def _read_changes(path: Path, sender: str) -> Iterator[MapChanges | Outlines]:

@@ -1,4 +1,7 @@
-"""A file that grows during a run. If it cannot be written, the run continues, and the file ends with its last part."""
+"""A file that grows during a run. If it cannot be written, the run continues, and the file ends with its last part.
+
+It may be a CSV table, whose whole lines are read again after the run, or after the end of a killed process.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,12 @@ import contextlib
 import csv
 import io
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar, get_type_hints
+
+import msgspec
+
+from protocol.files import open_file
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
@@ -36,6 +44,26 @@ class GrowingFile(io.FileIO):
         text = io.StringIO()
         csv.writer(text, lineterminator="\n").writerows(rows)
         self.write(text.getvalue().encode())
+
+
+Row = TypeVar("Row")
+
+
+def read_rows(path: Path, kind: type[Row]) -> list[Row]:
+    """Read a table that `GrowingFile.write_rows` wrote, up to its last whole line, as rows of a NamedTuple `kind`.
+
+    Empty fields are None. ValueError names the line that is malformed, or whose values `kind` does not permit.
+    """
+    with open_file(path) as file:
+        text = file.read().decode("utf-8", "replace")
+    lines = csv.reader(io.StringIO(text[: text.rfind("\n") + 1]))
+    names = tuple(get_type_hints(kind))
+    try:
+        if tuple(next(lines, ())) != names:
+            raise ValueError(f"{path}: the first line must be {','.join(names)}")
+        return [msgspec.convert([each or None for each in line], kind, strict=False) for line in lines]
+    except (csv.Error, msgspec.ValidationError) as error:
+        raise ValueError(f"{path}, line {lines.line_num}: {error}") from None
 
 
 def close_all(files: Sequence[GrowingFile]) -> None:

@@ -83,20 +83,9 @@ def undelivered(ledger: NDArray[np.void]) -> dict[str, int]:
     frames = np.array([cut[name] for name in fields], np.int64)
     connected = cut["connection"] >= 0
     # Frames without a connection end where the order of the rows breaks: within a frame kinds ascend.
-    starts = _differs(frames)
-    starts[1:] |= cut["kind"][1:] <= cut["kind"][:-1]
-    sorted_frames = frames[:, connected]
-    sorted_frames = sorted_frames[:, np.lexsort(sorted_frames)]
-    causes = np.concatenate([sorted_frames[-1, _differs(sorted_frames)], cut["cause"][starts & ~connected]])
-    return {
-        cause: int((causes == number).sum())
-        for number, cause in enumerate(CAUSES)
-        if cause and (causes == number).any()
-    }
-
-
-def _differs(columns: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Whether each column differs from the one before."""
-    differs = np.ones(columns.shape[1], np.bool_)
-    differs[1:] = (columns[:, 1:] != columns[:, :-1]).any(axis=0)
-    return differs
+    starts = np.ones(len(cut), np.bool_)
+    starts[1:] = (frames[:, 1:] != frames[:, :-1]).any(axis=0) | (cut["kind"][1:] <= cut["kind"][:-1])
+    distinct = np.unique(frames[:, connected], axis=1)
+    causes = np.concatenate([distinct[-1], cut["cause"][starts & ~connected]])
+    counts = np.bincount(causes, minlength=len(CAUSES)).tolist()
+    return {cause: count for cause, count in zip(CAUSES, counts, strict=True) if cause and count}

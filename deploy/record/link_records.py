@@ -14,26 +14,31 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
+from msgspec import Meta
 
 from agent.radios.options import MAX_FRAME
 from agent.radios.peer_medium import FrameRecord
 from agent.radios.replay_window import MAX_COUNTER, MAX_SESSION
 from deploy.record.arrow_tables import write_table
-from deploy.record.growing_file import GrowingFile, close_all
+from deploy.record.growing_file import GrowingFile, close_all, read_rows
 from deploy.record.run_directory import CAPTURE, LEDGER, ledger_table
 from netshaper import capture
 from netshaper.frame_log import Content, Frame, FrameLog
 from netshaper.ledger import BROADCAST, CAUSES, EVERYONE, NEWS, ROW
 from protocol.errors import ProtocolError
-from protocol.files import open_file
 from protocol.grid import MAX_ROBOTS
 from protocol.message_fields import MAX_STEPS
 from protocol.packet_index import NO_PACKETS, index_of
 
 FRAMES = "frames.csv"
+
+
+Robot = Annotated[int, Meta(ge=0, lt=MAX_ROBOTS)]
+Size = Annotated[int, Meta(ge=0, le=MAX_FRAME)]
+Nanoseconds = Annotated[int, Meta(ge=1 - 2**63, le=2**63 - 1)]
 
 
 class FrameLine(NamedTuple):
@@ -43,21 +48,15 @@ class FrameLine(NamedTuple):
     the frame. `bytes`: of the sealed frame. `broadcast`, `gossip`: bytes of its packets.
     """
 
-    robot: int
-    time_ns: int
-    step: int
-    sender: int
-    session: int
-    counter: int
-    bytes: int
-    broadcast: int
-    gossip: int
-
-
-_MOST = FrameLine(
-    MAX_ROBOTS - 1, 2**63 - 1, MAX_STEPS, MAX_ROBOTS - 1, MAX_SESSION, MAX_COUNTER, *(3 * [MAX_FRAME])
-)
-"""The largest value of each column; times may be negative."""
+    robot: Robot
+    time_ns: Nanoseconds
+    step: Annotated[int, Meta(ge=0, le=MAX_STEPS)]
+    sender: Robot
+    session: Annotated[int, Meta(ge=0, le=MAX_SESSION)]
+    counter: Annotated[int, Meta(ge=0, le=MAX_COUNTER)]
+    bytes: Size
+    broadcast: Size
+    gossip: Size
 
 
 def contents(broadcast: bytes, gossip: bytes) -> list[Content]:
@@ -114,26 +113,7 @@ class LinkRecorder:
 
 def read_frames(folder: Path) -> list[FrameLine]:
     """Read ``frames.csv``, up to its last whole line; ValueError if it is no such file, or damaged."""
-    path = folder / FRAMES
-    with open_file(path) as file:
-        head, *lines = file.read().decode("ascii", "replace").split("\n")
-    if tuple(head.split(",")) != FrameLine._fields:
-        raise ValueError(
-            f"{path}: not the frames of a robot: the first line must be {','.join(FrameLine._fields)}"
-        )
-    frames = []
-    for number, line in enumerate(lines[:-1], 2):
-        try:
-            frame = FrameLine(*map(int, line.split(",")))
-        except (TypeError, ValueError):
-            fields = len(FrameLine._fields)
-            raise ValueError(f"{path}, line {number}: expected {fields} integers") from None
-        for name, value, most in zip(FrameLine._fields, frame, _MOST, strict=True):
-            least = -most if name == "time_ns" else 0
-            if not least <= value <= most:
-                raise ValueError(f"{path}, line {number}: {name} = {value} is not from {least} to {most}")
-        frames.append(frame)
-    return frames
+    return read_rows(folder / FRAMES, FrameLine)
 
 
 def _content(kind: int, packets: bytes) -> Content:

@@ -34,7 +34,6 @@ from deploy.record.records import Records
 from deploy.scenario import plan as plans
 from deploy.scenario.errors import ScenarioError
 from deploy.scenario.plan import Plan
-from deploy.scenario.recording import Recording
 from deploy.scenario.scenario import Scenario, load, parse
 from netshaper import capture
 from netshaper.ledger import CAUSES, MALFORMED
@@ -126,17 +125,12 @@ def write_inputs(out: Path, plan: Plan) -> None:
         options = plan.scenario.recording
         share = "all" if options.every == 1 else f"one of {options.every}"
         text += f"# Replayed: {', '.join(options.files)}; {share} scans.\n"
-        data["recording"] |= {"files": _write_scans(out, plan.recording), "every": 1, "topic": ""}
+        files = [SCANS.format(number) for number in range(len(plan.recording.logs))]
+        for name, log in zip(files, plan.recording.logs, strict=True):
+            scan_file.write(log, out / name)
+        data["recording"] |= {"files": files, "every": 1, "topic": ""}
     text += parse(data).to_toml()
     write_whole(out / SCENARIO, lambda file: file.write(text.encode()))
-
-
-def _write_scans(out: Path, recording: Recording) -> list[str]:
-    """Write the scans of each log; return the names of the files."""
-    written = [SCANS.format(number) for number in range(len(recording.logs))]
-    for name, log in zip(written, recording.logs, strict=True):
-        scan_file.write(log, out / name)
-    return written
 
 
 @contextlib.contextmanager

@@ -9,18 +9,10 @@ from typing import Any
 import numpy as np
 
 from agent.completion import sure_after
+from deploy.record import map_quality, missed_phases
 from deploy.record.ledger_figures import budgets, duty_cycle, over_budget, per_kind, undelivered
 from deploy.record.map_code import map_code_figures
-from deploy.record.map_quality import (
-    Figures,
-    Mask,
-    first_mean_worst,
-    is_refuted,
-    robot_figures,
-    team_figures,
-    true_walls_of,
-)
-from deploy.record.missed_phases import figures as figures_of_missed
+from deploy.record.map_quality import Figures, Mask
 from deploy.record.records import Records
 from deploy.record.team_effort import longest_path_m, overlaps, report_at
 from deploy.record.versions import versions
@@ -66,8 +58,8 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "known_at": _known_at(plan, records, steps, finished=finished),
         "first_robot": end.first if done and end is not None else None,
         "coverage": records.explored,
-        **first_mean_worst("", "map_accuracy", accuracy, first),
-        **first_mean_worst("claimed_", "map_accuracy", claimed, first),
+        **map_quality.first_mean_worst("", "map_accuracy", accuracy, first),
+        **map_quality.first_mean_worst("claimed_", "map_accuracy", claimed, first),
         **_progress(records),
         **_overlaps(records, reachable, refuted),
         "refuted_maps": refuted,
@@ -75,7 +67,7 @@ def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
         "bus": scenario.bus,
         "range_m": plan.range_m,
         "finish": "all" if plan.world.ends_with_all else "first",
-        **figures_of_missed(records.missed, scenario.robots),
+        **missed_phases.figures(records.missed, scenario.robots),
         "raw_scan_bytes": raw_scan_bytes(steps, scenario.robots),
         **_recorded_figures(plan, records, steps, common["bytes"]["total"]),
         **_approximation_error(records, first, int(reachable.sum()), scenario.map_encoding),
@@ -96,7 +88,7 @@ def common_figures(plan: Plan, records: Records, figures: dict[int, Figures], fi
     sizes = per_kind(ledger, "bytes")
     last = records.world[-1] if records.world else None
     return {
-        **team_figures(figures, first),
+        **map_quality.team_figures(figures, first),
         "robot_maps": {str(robot): each for robot, each in figures.items()},
         "longest_path": longest_path_m(last),
         "path_length": [mm / 1000 for mm in last.driven] if last is not None else [],
@@ -162,7 +154,7 @@ def _refuted_maps(plan: Plan, records: Records, reachable: Mask) -> list[int]:
     return [
         robot
         for robot, own in sorted(records.own.items())
-        if is_refuted(own, plan.map.cells, reachable, seen, noisy=noisy)
+        if map_quality.is_refuted(own, plan.map.cells, reachable, seen, noisy=noisy)
     ]
 
 
@@ -180,7 +172,8 @@ def _robot_figures(
     """Compare walls of the `planning` grids with true walls, and those of shared grids with teammates' settled ones."""
     shared = {robot: records.shared[robot] for robot in planning}
     walls = {robot: records.settled[robot] & (records.own[robot] == OCCUPIED) for robot in sorted(planning)}
-    return robot_figures(planning, shared, walls, true_walls_of(plan, reachable), tolerance(plan))
+    true_walls = map_quality.true_walls_of(plan, reachable)
+    return map_quality.robot_figures(planning, shared, walls, true_walls, tolerance(plan))
 
 
 def _progress(records: Records) -> dict[str, float | None]:
@@ -249,13 +242,10 @@ def _approximation_error(
     error, exact = (
         np.array([(report.error, report.exact_error) for report in reports]).reshape(-1, 2).T / cells
     )
-    approximates = len(error) > 0 and (map_encoding == POLYGONS or bool(error.any()))
-    return {
-        "approximation_error": float(error.mean()) if approximates else None,
-        "approximation_error_net": float((error - exact).mean())
-        if approximates and exact.min() >= 0
-        else None,
-    }
+    if not len(error) or not (map_encoding == POLYGONS or error.any()):
+        return dict.fromkeys(("approximation_error", "approximation_error_net"))
+    net = float((error - exact).mean()) if exact.min() >= 0 else None
+    return {"approximation_error": float(error.mean()), "approximation_error_net": net}
 
 
 def _explored_at(plan: Plan, steps: int) -> int:

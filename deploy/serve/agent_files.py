@@ -24,23 +24,14 @@ KEY = "team.key"
 class AgentFiles:
     """Where to write the files, and what simulated and real robots of the team have in common.
 
-    Attributes
-    ----------
-    folder : Path
-    team : int
-        Size of the team; the simulated robots have its first numbers.
-    interface : str
-        The network interface of the radio.
-
-    Raises
-    ------
-    ScenarioError
-        A file to be written exists already.
+    Raises ScenarioError if the team is too small, or a file to be written exists already.
     """
 
     folder: Path
     team: int
+    """Size of the team; the simulated robots have its first numbers."""
     interface: str
+    """The network interface of the radio."""
     names: tuple[str, ...]
 
     def __post_init__(self) -> None:

@@ -66,16 +66,8 @@ class Retreat:
 class Navigator:
     """Leads one robot to a goal; all poses are true ones.
 
-    Parameters
-    ----------
-    floor : uint8 array, shape (h, w)
-        The cells that the robot's center may enter are free.
-    frame : MapFrame
-        Where the floor lies.
-    speed : float
-        The robot's speed in meters per second.
-    step_s : float
-        Seconds between calls of `steer`.
+    The robot's center may enter the free cells of `floor`, uint8 of shape (h, w), which lies in `frame`. `speed` is in
+    meters per second; `step_s` are the seconds between calls of `steer`.
     """
 
     def __init__(self, floor: Grid, frame: MapFrame, speed: float, step_s: float) -> None:
@@ -88,8 +80,8 @@ class Navigator:
         """The floor of the last plan, without the cells that others occupied then."""
         self._parts, _ = ndimage.label(floor == FREE)
         self._no_robot = np.zeros(floor.shape, np.bool_)
-        self._path: NDArray[np.int32] = np.empty((0, 2), np.int32)
-        """The cells ahead."""
+        self.path: NDArray[np.int32] = np.empty((0, 2), np.int32)
+        """The cells ahead, shape (n, 2)."""
         self._anchor = Pose(0.0, 0.0, 0.0)
         """Where the robot last made progress."""
         self._stalled_s = 0.0
@@ -98,11 +90,6 @@ class Navigator:
         self._touched_wall = False
         self._retreat: Retreat | None = None
         """Where the robot backs off to; None while it drives to its goal."""
-
-    @property
-    def ahead(self) -> NDArray[np.int32]:
-        """The cells ahead, shape (n, 2)."""
-        return self._path
 
     def plan(self, here: Pose, goal: Pose, *, is_new: bool = True) -> bool:
         """Plan the way to a goal; return whether there is one. A repeated goal keeps what is known of the last."""
@@ -117,9 +104,9 @@ class Navigator:
 
     def remaining_m(self, here: Pose) -> float:
         """Return the length of the way that is left."""
-        if not len(self._path):
+        if not len(self.path):
             return 0.0
-        points = np.vstack([self._place(here), self._path + 0.5])
+        points = np.vstack([self._place(here), self.path + 0.5])
         return float(np.hypot(*np.diff(points, axis=0).T).sum()) * self._frame.resolution
 
     def steer(self, here: Pose, goal: Pose, blocked: str, others: Others) -> tuple[Velocity, Outcome | None]:
@@ -155,7 +142,7 @@ class Navigator:
         end = pocket(around, start, ways)
         if end is None:
             return None
-        self._path, self._planned_on = shortest_way(around, start, end), around
+        self.path, self._planned_on = shortest_way(around, start, end), around
         return Retreat(start, everyone, self._center(end))
 
     def _back_off(self, retreat: Retreat, here: Pose, goal: Pose, others: Others) -> Velocity:
@@ -183,8 +170,8 @@ class Navigator:
         end = self._nearest(start, goal, floor)
         if end is None:
             return False
-        self._path, self._planned_on = shortest_way(floor, start, end), floor
-        return bool(len(self._path)) or start == end
+        self.path, self._planned_on = shortest_way(floor, start, end), floor
+        return bool(len(self.path)) or start == end
 
     def _nearest(self, start: tuple[int, int], goal: Pose, floor: Grid) -> tuple[int, int] | None:
         """Return the cell nearest to a goal that a robot may enter and reach; None if it is too far."""
@@ -206,7 +193,7 @@ class Navigator:
         """Drive to the farthest cell ahead to which the way is straight; at the end, turn as the goal says."""
         aim = self._aim(here, goal)
         away = math.dist(here[:2], aim[:2])
-        if away <= POSITION_M and len(self._path) <= 1:
+        if away <= POSITION_M and len(self.path) <= 1:
             turn = math.remainder(goal.yaw - here.yaw, math.tau)
             if abs(turn) <= HEADING_RAD:
                 return STOP, Outcome.REACHED
@@ -223,18 +210,18 @@ class Navigator:
     def _aim(self, here: Pose, goal: Pose) -> Pose:
         """Return the point to drive to, and forget the cells of the path that are behind the robot."""
         place = self._place(here)
-        if len(self._path):
-            near = self._path[: 2 * LOOKAHEAD] + 0.5 - place
+        if len(self.path):
+            near = self.path[: 2 * LOOKAHEAD] + 0.5 - place
             passed = int(np.argmin(np.hypot(near[:, 0], near[:, 1])))
-            self._path = self._path[passed:]
-        if len(self._path) <= 1:
-            last = self._center(tuple(self._path[-1].tolist()) if len(self._path) else self._cell(here))
+            self.path = self.path[passed:]
+        if len(self.path) <= 1:
+            last = self._center(tuple(self.path[-1].tolist()) if len(self.path) else self._cell(here))
             is_near = math.dist(goal[:2], last[:2]) <= TOLERANCE_M
             return goal if is_near and self._is_straight(place, self._place(goal)) else last
-        ahead = min(LOOKAHEAD, len(self._path) - 1)
-        while ahead > 1 and not self._is_straight(place, self._path[ahead] + 0.5):
+        ahead = min(LOOKAHEAD, len(self.path) - 1)
+        while ahead > 1 and not self._is_straight(place, self.path[ahead] + 0.5):
             ahead //= 2
-        return self._center(tuple(self._path[ahead].tolist()))
+        return self._center(tuple(self.path[ahead].tolist()))
 
     def _is_straight(self, here: NDArray[np.float64], there: NDArray[np.float64]) -> bool:
         """Return whether a robot can drive straight between two places, in cells."""

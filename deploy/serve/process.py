@@ -5,16 +5,16 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from deploy.run.interrupt import Interrupt
 from deploy.scenario.plan import Plan
 from deploy.serve.ros_robot import RosRobot
-from deploy.serve.swarm import Swarm, SwarmSettings
+from deploy.serve.swarm import Swarm
 from protocol.errors import shown, there_are
 from protocol.nanoseconds import SECOND
 from protocol.ros2 import messages as names
-from protocol.ros2.names import check_domain, check_node
+from protocol.ros2.names import check_domain
 from protocol.ros2.node import Ros2Node
 from protocol.ros2.qos import Qos, Reliability
 from protocol.ros2.session import ROUTER, open_router
@@ -25,44 +25,26 @@ NODE = "murmur_simulator"
 
 @dataclass(frozen=True)
 class ServeSettings:
-    """How robots appear in ROS.
-
-    Attributes
-    ----------
-    namespaces : tuple of str
-        One per robot, without slash.
-    domain : int
-        ROS_DOMAIN_ID.
-    distro : str
-        Distribution of ROS 2.
-    router : str
-        Address of the router.
-    own_router : bool
-        Whether to start a router at this address.
-    sim_time : bool
-        Whether stamps are simulated time, which ``/clock`` tells; else they are the time of this host.
-    swarm : SwarmSettings
-
-    Raises
-    ------
-    ValueError
-        A namespace, the domain, or the distribution is wrong.
-    """
+    """How robots appear in ROS; ValueError if the domain or the distribution is wrong."""
 
     namespaces: tuple[str, ...]
+    """One per robot, without slash."""
     domain: int = 0
     distro: str = "jazzy"
     router: str = ROUTER
     own_router: bool = True
+    """Whether to start a router at this address."""
     sim_time: bool = False
-    swarm: SwarmSettings = field(default_factory=SwarmSettings)
+    """Whether stamps are simulated time, which ``/clock`` tells; else they are the time of this host."""
+    rate: float = 10.0
+    """Steps of the simulation per second."""
+    sees_robots: bool = False
+    """Whether lasers measure the distance to other robots."""
 
     def __post_init__(self) -> None:
         check_domain(self.domain)
         if self.distro not in names.DISTROS:
             raise ValueError(f"distro = {shown(self.distro)}: {there_are(names.DISTROS, self.distro)}")
-        for name in self.namespaces:
-            check_node(NODE, name)
 
 
 def serve(
@@ -80,7 +62,7 @@ def serve(
         """Return the time since 1970; it never jumps, even if the user sets the clock of this host."""
         return began_ns + time.monotonic_ns()
 
-    swarm = Swarm(plan, settings.swarm, clock_ns())
+    swarm = Swarm(plan, clock_ns(), rate=settings.rate, sees_robots=settings.sees_robots)
     interrupt = Interrupt()
     with interrupt.caught(), contextlib.ExitStack() as stack:
         if settings.own_router:

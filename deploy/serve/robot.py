@@ -43,18 +43,8 @@ class Task:
 class SimulatedRobot:
     """One robot.
 
-    Parameters
-    ----------
-    start : Pose
-        Its first pose in the common frame: meters, and radians counterclockwise.
-    area : MapFrame
-        Where the true map lies in the common frame.
-    laser, laser_pose : Laser, Pose
-        Its scanner, and the pose of the scanner on the robot.
-    navigator, localization : Navigator, Localization
-        How it finds its ways, and the errors of its poses.
-    speed : float
-        Largest speed in meters per second.
+    `start` is its first pose in the common frame (meters, and radians counterclockwise), in which the true map lies in
+    `area`. `laser_pose` is the pose of the scanner on the robot, `speed` the largest speed in meters per second.
     """
 
     def __init__(
@@ -81,15 +71,10 @@ class SimulatedRobot:
         """The last scan (`protocol.range_scans`), beams clockwise."""
         self.true = start
         """True pose in the common frame."""
-        self._localization, self._speed = localization, speed
+        self.localization, self._speed = localization, speed
         self._map_area = _around(area, start)
         self._estimator = Estimator(self._map_area.height, self._map_area.width)
         self._command, self._command_until = STOP, 0
-
-    @property
-    def odometry(self) -> Pose:
-        """Pose in the frame of its odometry."""
-        return self._localization.odometry
 
     def command(self, velocity: Velocity, now_ns: int) -> None:
         """Obey a velocity for a while, within the robot's limits; ValueError if it is not a number."""
@@ -135,8 +120,8 @@ class SimulatedRobot:
     def moved(self, true: Pose, blocked: str, time_s: float) -> None:
         """Take the true pose after a step, and what blocked the robot."""
         self.true, self.blocked = true, blocked
-        self._localization.move(true)
-        self.pose = self._localization.believed(time_s)
+        self.localization.move(true)
+        self.pose = self.localization.believed(time_s)
 
     def look(self, ranges: Uint16s) -> None:
         """Take a scan at this pose, and add it to the robot's own map."""

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -36,20 +37,10 @@ _DURATION = "builtin_interfaces/msg/Duration"
 
 
 class RosRobot:
-    """The topics and the action of one robot, on a node of its own.
+    """The topics and the action of one robot, on a node of its own in the robot's namespace.
 
-    Parameters
-    ----------
-    node : Ros2Node
-        A node in the robot's namespace.
-    robot : SimulatedRobot
-        The robot.
-    least_range_m : float
-        Range below which its laser measures nothing.
-    warn : callable
-        Receives a line about each message that is ignored.
-    now_ns : int
-        The time, in nanoseconds since 1970.
+    `least_range_m` is the range below which its laser measures nothing. `warn` receives a line about each message that
+    is ignored. `now_ns` is the time, in nanoseconds since 1970.
     """
 
     def __init__(
@@ -88,8 +79,8 @@ class RosRobot:
     def publish(self, stamp_ns: int, now_ns: int) -> None:
         """Publish the robot's state at time `stamp_ns` of the robots' clock."""
         robot = self.robot
-        correction = robot.pose.then(robot.odometry.inverse())
-        edges = (MAP, ODOM, correction), (ODOM, BASE, robot.odometry)
+        correction = robot.pose.then(robot.localization.odometry.inverse())
+        edges = (MAP, ODOM, correction), (ODOM, BASE, robot.localization.odometry)
         self._tf.publish(self.node.messages.transforms(edges, stamp_ns), now_ns)
         self._odom.publish(self._odometry(stamp_ns), now_ns)
         self._scan.publish(self._laser_scan(stamp_ns), now_ns)
@@ -110,7 +101,7 @@ class RosRobot:
         messages = self.node.messages
         header = messages.header(ODOM, stamp_ns)
         message = messages.new(names.ODOMETRY, header=header, child_frame_id=BASE)
-        message.pose.pose = messages.pose(*self.robot.odometry)
+        message.pose.pose = messages.pose(*self.robot.localization.odometry)
         if not self.robot.blocked:
             message.twist.twist.linear.x = self.robot.velocity.ahead
         message.twist.twist.angular.z = self.robot.velocity.turn
@@ -168,28 +159,20 @@ class RosRobot:
         return result
 
     def _take_velocity(self, message: Any, _: Attachment) -> None:
-        try:
+        with self._ignoring("cmd_vel"):
             self.robot.command(Velocity(float(message.linear.x), float(message.angular.z)), self._now_ns)
-        except ValueError as error:
-            self._ignore("cmd_vel", error)
 
     def _take_goal(self, message: Any, _: Attachment) -> None:
-        try:
+        with self._ignoring("goal_pose"):
             task = self.robot.go(goal_of(message), self._now_ns)
-        except ValueError as error:
-            self._ignore("goal_pose", error)
-            return
-        if task.outcome is not None:
-            self._warn(f"{self.node.token.namespace}/goal_pose: {task.outcome.value}")
+            if task.outcome is not None:
+                self._warn(f"{self.node.token.namespace}/goal_pose: {task.outcome.value}")
 
     def _take_task(self, goal: ServerGoal) -> bool:
-        try:
-            task = self.robot.go(goal_of(goal.message.pose), self._now_ns)
-        except ValueError as error:
-            self._ignore("navigate_to_pose", error)
-            return False
-        self._goals.append((goal, task))
-        return True
+        with self._ignoring("navigate_to_pose"):
+            self._goals.append((goal, self.robot.go(goal_of(goal.message.pose), self._now_ns)))
+            return True
+        return False
 
     def _cancel(self, goal: ServerGoal) -> bool:
         for each, task in self._goals:
@@ -197,8 +180,13 @@ class RosRobot:
                 self.robot.cancel(task)
         return True
 
-    def _ignore(self, name: str, error: ValueError) -> None:
-        self._warn(f"{self.node.token.namespace}/{name}: message ignored, as {error}")
+    @contextmanager
+    def _ignoring(self, name: str) -> Iterator[None]:
+        """Warn of a message that raises ValueError, and ignore it."""
+        try:
+            yield
+        except ValueError as error:
+            self._warn(f"{self.node.token.namespace}/{name}: message ignored, as {error}")
 
 
 def goal_of(message: Any) -> Pose:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -31,20 +31,15 @@ LASER_AHEAD_M = 0.1
 """How far the laser is ahead of the robot's center, at most half its radius."""
 
 
-@dataclass(frozen=True)
-class SwarmSettings:
-    """Options of the simulation: steps per second, and whether lasers measure the distance to other robots."""
-
-    rate: float = 10.0
-    sees_robots: bool = False
-
-
 class Swarm:
-    """The robots of a plan; they begin at `start_ns`, nanoseconds of the caller's clock."""
+    """The robots of a plan; they begin at `start_ns`, nanoseconds of the caller's clock.
 
-    def __init__(self, plan: Plan, settings: SwarmSettings, start_ns: int) -> None:
+    `rate` is the number of steps per second; `sees_robots` says whether lasers measure the distance to other robots.
+    """
+
+    def __init__(self, plan: Plan, start_ns: int, *, rate: float = 10.0, sees_robots: bool = False) -> None:
         scenario, world_map = plan.scenario, plan.map
-        self.step_ns = round(SECOND / settings.rate)
+        self.step_ns = round(SECOND / rate)
         self._start_ns, self._skipped_ns = start_ns, 0
         frame = world_map.frame
         sensors = tuple(_sensors(plan, robot) for robot in range(scenario.robots))
@@ -57,7 +52,7 @@ class Swarm:
             replace(plan.world, sensors=SensorSettings(sensors, world_map.resolution)),
             headings,
             step_s,
-            sees_robots=settings.sees_robots,
+            sees_robots=sees_robots,
         )
         self.robots: list[SimulatedRobot] = []
         for number, own in enumerate(sensors):
@@ -112,7 +107,7 @@ class Swarm:
         """Return the ways of other robots that drive to a goal: of those with lower numbers, or of `everyone`."""
         return [
             Way(
-                np.concatenate([np.array([self.world.cell(other)], np.int32), robot.navigator.ahead]),
+                np.concatenate([np.array([self.world.cell(other)], np.int32), robot.navigator.path]),
                 self._radii[number] + self._radii[other] + MARGIN_CELLS,
             )
             for other, robot in enumerate(self.robots)

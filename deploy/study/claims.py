@@ -38,7 +38,7 @@ import re
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,8 +72,6 @@ class Expectation(NamedTuple):
 @dataclass(frozen=True)
 class Rule:
     """The expectation of a claim for a metric; see the module's description."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
 
     statement: str
     metric: str
@@ -113,62 +111,37 @@ Text = Annotated[str, AfterValidator(lambda text: " ".join(text.split()))]
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim of a paper, with the rules that test it.
-
-    Attributes
-    ----------
-    id : str
-        As ``B1``; several experiments may contribute rules to a claim.
-    paper, figure : str
-        Its source.
-    statement : str
-        The claim in a sentence.
-    reported : str
-        The results of the paper.
-    explanation : str
-        Why the results differ from the paper, found by experiment; the verdict itself is computed.
-    rule : list of Rule
-    """
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
+    """A claim of a paper, with the rules that test it."""
 
     id: Text
+    """As ``B1``; several experiments may contribute rules to a claim."""
     paper: Text
     statement: Text
     rule: Annotated[list[Rule], Field(min_length=1)]
     figure: Text = ""
+    """Figure, table or section of the paper."""
     reported: Text = ""
+    """The results of the paper."""
     explanation: Text = ""
+    """Why the results differ from the paper, found by experiment; the verdict itself is computed."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """The outcome of a rule's test.
-
-    Attributes
-    ----------
-    rule : Rule
-    cell : dict
-        Values of the rule's ``by``.
-    effect : Interval
-        The tested effect.
-    d : float
-        Effect size, in standard deviations.
-    p : float
-        Corrected two-sided p-value.
-    left_out : int
-        Number of excluded runs or pairs.
-    verdict : str
-        `HOLDS`, `NOT` or `UNDECIDED`.
-    """
+    """The outcome of a rule's test."""
 
     rule: Rule
     cell: dict[str, Any]
+    """Values of the rule's ``by``."""
     effect: Interval
     d: float
+    """Effect size, in standard deviations."""
     p: float
+    """Corrected two-sided p-value."""
     left_out: int
+    """Number of excluded runs or pairs."""
     verdict: str
+    """`HOLDS`, `NOT` or `UNDECIDED`."""
 
 
 class Verdict(NamedTuple):
@@ -204,7 +177,7 @@ def check_claim(claim: Claim, grid: Iterable[str], variants: Collection[str], me
 def judge(parts: Iterable[tuple[Sequence[Rule], Sequence[Row]]]) -> Verdict:
     """Test rules on the runs of their experiments; return the verdict."""
     tests = [test for rules, rows in parts for rule in rules for test in _tests(rule, rows)]
-    two_sided = [min(1.0, 2 * min(test.evidence.p_for, test.evidence.p_against)) for test in tests]
+    two_sided = [min(1.0, 2 * min(found.p_for, found.p_against)) for _, _, found, _ in tests]
     findings = []
     for (rule, cell, evidence, left_out), p in zip(tests, statistics.holm(two_sided), strict=True):
         verdict = UNDECIDED
@@ -224,23 +197,16 @@ def combined(findings: Iterable[Finding]) -> str:
     return IN_PART if HOLDS in verdicts else NOT
 
 
-class _Test(NamedTuple):
-    rule: Rule
-    cell: dict[str, Any]
-    evidence: Evidence
-    left_out: int
-
-
-def _tests(rule: Rule, rows: Sequence[Row]) -> list[_Test]:
-    """The tests of a rule, one per cell."""
+def _tests(rule: Rule, rows: Sequence[Row]) -> list[tuple[Rule, dict[str, Any], Evidence, int]]:
+    """The tests of a rule, one per cell: the rule, the cell, the evidence, and the number of excluded runs or pairs."""
     cells: dict[str, tuple[dict[str, Any], list[Row]]] = {}
     for row in rows:
         if all(row["place"].get(key) in values for key, values in rule.where.items()):
             cell = {key: row["place"][key] for key in rule.by}
             cells.setdefault(repr(cell), (cell, []))[1].append(row)
     if not cells:
-        return [_Test(rule, {}, NO_EVIDENCE, 0)]
-    return [_Test(rule, cell, *_evidence(rule, members)) for cell, members in cells.values()]
+        return [(rule, {}, NO_EVIDENCE, 0)]
+    return [(rule, cell, *_evidence(rule, members)) for cell, members in cells.values()]
 
 
 def _evidence(rule: Rule, rows: Sequence[Row]) -> tuple[Evidence, int]:

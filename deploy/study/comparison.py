@@ -21,7 +21,7 @@ from deploy.study.experiment import first_seeds
 from deploy.study.figure_style import DEFAULT, FigureStyle
 from deploy.study.plots import BOXES, CURVES, Plot
 from deploy.study.results import write_table
-from deploy.study.runs import failures, looked_up
+from deploy.study.runs import StudyRuns
 from deploy.study.sweep import Sweep, as_text, of_settings, run
 from deploy.study.tables import VARIANT, check
 
@@ -42,21 +42,12 @@ REPLACED = ("seed", "bus")
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Comparison:
-    """The comparison of settings; a notebook shows its verdicts, table and pictures.
-
-    Attributes
-    ----------
-    sweep : Sweep
-        The runs.
-    metric : str
-        The compared metric.
-    findings : list of Finding
-        A paired test for each pair of settings, corrected for their number (Holm).
-    """
+    """The comparison of settings; a notebook shows its verdicts, table and pictures."""
 
     sweep: Sweep
     metric: str
     findings: list[Finding]
+    """A paired test for each pair of settings, corrected for their number (Holm)."""
 
     @property
     def verdicts(self) -> list[str]:
@@ -157,9 +148,9 @@ def compare(
 def _check_runs(done: Sweep, variants: Iterable[str]) -> None:
     """Raise RunFailed if all runs of a variant failed."""
     for name in variants:
-        cases = [case for case in done.cases if case.place[VARIANT] == name]
-        if not looked_up(cases, done.results) and (causes := failures(cases, done.results)):
-            raise RunFailed(f"{name}: all runs failed: {as_text(causes)}")
+        runs = StudyRuns([case for case in done.cases if case.place[VARIANT] == name], done.results)
+        if not runs.rows and runs.failures:
+            raise RunFailed(f"{name}: all runs failed: {as_text(runs.failures)}")
 
 
 def _named(

@@ -76,39 +76,17 @@ class ExperimentFile(Keys):
 
 @dataclass(frozen=True)
 class Experiment:
-    """The content of an experiment's file.
-
-    Attributes
-    ----------
-    where : str
-        The experiment's name in error messages.
-    name : str
-    base : dict
-        Scenario settings of all runs.
-    grid : dict of key to list
-        Lists of values, of which all combinations are run.
-    follow : dict of key to key
-        The first key copies the value of the second.
-    variants : dict of name to keys
-        Named sets of keys, each run on the whole grid.
-    table : Table
-        The table to print; rows and columns are keys of the grid, or ``variant``.
-    plots : tuple of Plot
-        The plots to draw.
-    claim : Claim, optional
-        The claim of a paper.
-    quick : Quick
-        Values of the reduced experiment.
-    measure : str
-        Name of the measure of each case.
-    """
+    """The content of an experiment's file, which the module's description explains."""
 
     where: str
+    """The experiment's name in error messages."""
     name: str
     base: dict[str, Any]
     grid: dict[str, list[Any]]
     follow: dict[str, str]
+    """The first key copies the value of the second."""
     variants: dict[str, dict[str, Any]]
+    """The keys of each variant, by its name."""
     table: Table
     plots: tuple[Plot, ...] = ()
     claim: Claim | None = None
@@ -119,10 +97,7 @@ class Experiment:
 def read(path: Path) -> Experiment:
     """Read an experiment's file; the search for files and maps is that of scenarios.
 
-    Raises
-    ------
-    ScenarioError
-        It cannot be read, or a key is missing, unknown or of the wrong kind.
+    Raises ScenarioError if it cannot be read, or a key is missing, unknown or of the wrong kind.
     """
     path, data = read_toml(path, "experiment", SHIPPED)
     where = f"experiment {path}"
@@ -224,10 +199,7 @@ def override(experiment: Experiment, settings: dict[str, Any]) -> Experiment:
     The values replace lists of the grid by the same name, or else keys of the base. A single value is a list of one.
     A list for a key that is not in the grid adds the key to it, and to the rows of the table.
 
-    Raises
-    ------
-    ScenarioError
-        A list is empty or has duplicates, or a value has no effect.
+    Raises ScenarioError if a list is empty or has duplicates, or a value has no effect.
     """
     base, grid, table = dict(experiment.base), dict(experiment.grid), experiment.table
     for key, value in settings.items():

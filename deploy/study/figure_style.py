@@ -34,34 +34,24 @@ DPI: Final = 90
 
 @dataclass(frozen=True)
 class FigureStyle:
-    """How figures and tables are written.
-
-    Attributes
-    ----------
-    formats : tuple of str
-        Formats of `FORMATS` that are written besides the default ones.
-    figure_width : float, optional
-        Width of each figure; by default `PANEL` for each panel.
-    font : str, optional
-        Font family, as ``serif`` or ``Times New Roman``.
-    font_size : float
-        Size of all text in points.
-    """
+    """How figures and tables are written."""
 
     formats: tuple[str, ...] = ()
+    """Formats of `FORMATS` that are written besides the default ones."""
     figure_width: float | None = None
+    """Width of each figure; by default `PANEL` for each panel."""
     font: str | None = None
+    """Font family, as ``serif`` or ``Times New Roman``."""
     font_size: float = FONT_SIZE
+    """In points."""
 
     def __post_init__(self) -> None:
         for name in self.formats:
             if name not in FORMATS:
                 raise ValueError(f"formats = {name!r}: must be some of {', '.join(FORMATS)}")
-        for key in ("figure_width", "font_size"):
-            value = getattr(self, key)
-            low, high = {"figure_width": (4, 100), "font_size": (4, 40)}[key]
-            if value is not None and not low <= value <= high:
-                raise ValueError(f"{key} = {value:g}: must be from {low} to {high}")
+        for key, value, high in (("figure_width", self.figure_width, 100), ("font_size", self.font_size, 40)):
+            if value is not None and not 4 <= value <= high:
+                raise ValueError(f"{key} = {value:g}: must be from 4 to {high}")
         if self.font is not None:
             _check_font(self.font)
 
@@ -104,7 +94,8 @@ DEFAULT: Final = FigureStyle()
 def _check_font(font: str) -> None:
     from matplotlib import font_manager  # noqa: PLC0415  half a second to import
 
-    known = {entry.name for entry in font_manager.fontManager.ttflist}
-    generic = ("serif", "sans-serif", "monospace")
-    if font not in known and font not in generic:
-        raise ValueError(f"font = {font!r}: is not installed; use {', '.join(generic)} or the name of a font")
+    try:
+        font_manager.findfont(font, fallback_to_default=False)
+    except ValueError:
+        generic = "serif, sans-serif, monospace"
+        raise ValueError(f"font = {font!r}: is not installed; use {generic} or the name of a font") from None

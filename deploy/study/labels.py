@@ -21,17 +21,15 @@ NAMES: Final = {
 """Names of metrics and settings, where they differ from their keys."""
 
 UNITS: Final = {
-    "steps": "steps", "t50": "steps", "t90": "steps", "t95": "steps", "t99": "steps", "explored_at": "steps",
-    "known_at": "steps", "missed_steps": "steps",
-    "over_budget_steps": "steps", "missed_phases": "phases", "protocol_errors": "errors", "tolerance": "cells",
+    "t50": "steps", "t90": "steps", "t95": "steps", "t99": "steps", "explored_at": "steps", "known_at": "steps",
+    "missed_phases": "phases", "protocol_errors": "errors", "tolerance": "cells",
     "coverage": "share of reachable cells", "explored": "share of reachable cells",
     "approximation_error": "share of cells", "approximation_error_net": "share of cells",
     "overlap": "share of seen cells", "overlap_sum": "share of seen cells", "seen_std": "share of reachable cells",
     "longest_path": "m", "longest_path_95": "m", "longest_path_99": "m",
     "duty_cycle": "share of an hour", "finished": "share of runs",
     "carried": "bytes per step", "bandwidth": "bytes per step",
-    "raw_scan_bytes": "bytes", "map_code_bytes": "bytes", "map_code_multiple": "codes of the map",
-    "sensor_range": "m", "range": "m",
+    "map_code_multiple": "codes of the map", "sensor_range": "m", "range": "m",
     "speed": "m per step", "steps_per_s": "steps per s", "robots": "",
 }  # fmt: skip
 """Units of metrics and settings that neither their table nor their suffix determines."""
@@ -40,7 +38,7 @@ TABLES: Final = {"bytes": "bytes", "packets": "packets", "undelivered": "frames"
 """Units of the nested tables of a summary."""
 
 SUFFIXES: Final = {
-    "ms": "ms", "us": "µs", "us_median": "µs", "s": "s", "m": "m", "bytes": "bytes", "f1": SHARE,
+    "steps": "steps", "ms": "ms", "us": "µs", "us_median": "µs", "s": "s", "m": "m", "bytes": "bytes", "f1": SHARE,
     "precision": SHARE, "recall": SHARE, "map_accuracy": "share of reachable cells",
     "walls_within_tolerance": SHARE, "ratio": SHARE,
 }  # fmt: skip

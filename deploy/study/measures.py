@@ -1,7 +1,7 @@
 """Measures: functions from the plan of a case to its metrics.
 
 An experiment names one of `MEASURES`; ``exploration``, the default, runs the scenario on the memory bus. The metrics of
-a measure become columns of the table of runs. A new measure is a function in this file, its line in `MEASURES`, and the
+a measure become columns of the table of runs. A new measure is a function in this file, its name in `MEASURES`, and the
 names of its metrics in `METRICS`.
 """
 
@@ -165,14 +165,8 @@ def voronoi(plan: Plan) -> Metrics:
     }
 
 
-MEASURES: dict[str, Measure] = {
-    EXPLORATION: exploration,
-    "agreement": agreement,
-    "assignment": assignment,
-    "voronoi": voronoi,
-    "recovery": recovery,
-    "offline": offline,
-}
+_ALL = (exploration, agreement, assignment, voronoi, recovery, offline)
+MEASURES: dict[str, Measure] = {each.__name__: each for each in _ALL}
 
 EXPLORED = (
     "load.first_quarter", "load.last_quarter", "load.emerging", "load.rendezvous",

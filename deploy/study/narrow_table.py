@@ -18,23 +18,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from agent.predictive import pose_model
 from agent.predictive.coder import NUMBER, Coder
 from agent.predictive.contexts import BASES, MORE_SCANS_NARROW, SAME_MOTION
-from agent.predictive.pose_model import (
-    FEATURES,
-    FIRST_RING,
-    LOG_UNIT,
-    RINGS,
-    VALUES,
-    Factors,
-    beyond,
-    describe,
-)
+from agent.predictive.pose_model import FEATURES, RINGS, VALUES, Factors
 from agent.predictive.scan_stream import ScanStream
 from agent.predictive.scan_updates import DX, DY, SCANS
 from agent.predictive.wall_model import start_model
 from deploy.scenario.plan import Plan
-from deploy.study.wall_table import explorations, make_streams, train_on
+from deploy.study.training import explorations
+from deploy.study.wall_table import FIRST_SEED, RUNS, make_streams, train_on
 from protocol.messages import Sense
 
 PENALTY = 3e-4
@@ -68,15 +61,15 @@ class _Receiver(ScanStream):
         if before[SCANS]:
             went = int(self._motion[DX]), int(self._motion[DY])
             for ring in range(RINGS):
-                outer = FIRST_RING << ring
+                outer = pose_model.FIRST_RING << ring
                 side = 2 * outer + 1
                 features = np.empty((side * side, FEATURES), np.int16)
-                describe(grid, before, self._narrow.milli_speed, ring, features)
+                pose_model.describe(grid, before, self._narrow.milli_speed, ring, features)
                 chosen = (went[1] + outer) * side + went[0] + outer
                 leaves = max(map(abs, went)) > outer
                 places = np.flatnonzero(features[:, 0] >= 0)
                 index = len(places) if leaves else int(np.searchsorted(places, chosen))
-                others = np.full((1, FEATURES), beyond(before), np.int16)
+                others = np.full((1, FEATURES), pose_model.beyond(before), np.int16)
                 self._examples[ring].append((np.concatenate([features[places], others]), index))
                 if not leaves:
                     break
@@ -128,7 +121,7 @@ def fitted(examples: Sequence[Example]) -> NDArray[np.float64]:
 
 def rounded(logs: NDArray[np.float64]) -> Factors:
     """Round natural logarithms, shape (`RINGS`, `VALUES`), to the units of the table."""
-    factors: Factors = np.clip(np.rint(logs / np.log(2) * LOG_UNIT), -127, 127).astype(np.int8)
+    factors: Factors = np.clip(np.rint(logs / np.log(2) * pose_model.LOG_UNIT), -127, 127).astype(np.int8)
     return factors
 
 
@@ -136,7 +129,7 @@ def train() -> dict[str, NDArray[Any]]:
     """Train the arrays of the table."""
     examples: list[list[Example]] = [[] for _ in range(RINGS)]
     total = np.zeros((len(COUNTED), 2), np.int64)
-    for title, plan, senses in explorations():
+    for title, plan, senses in explorations(RUNS, FIRST_SEED):
         found, counts = examine(plan, senses)
         for ring, new in enumerate(found):
             examples[ring] += new

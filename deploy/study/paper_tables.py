@@ -68,16 +68,11 @@ def write_result(
 
 def texts(frame: pl.DataFrame) -> list[list[str]]:
     """A table of numbers as text."""
-    return [
-        frame.columns,
-        *(
-            [
-                "-" if value is None else f"{value:.3g}" if isinstance(value, float) else str(value)
-                for value in row
-            ]
-            for row in frame.iter_rows()
-        ),
-    ]
+
+    def text(value: object) -> str:
+        return "-" if value is None else f"{value:.3g}" if isinstance(value, float) else str(value)
+
+    return [frame.columns, *([text(value) for value in row] for row in frame.iter_rows())]
 
 
 def _csv(lines: Lines) -> str:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,7 +15,7 @@ import polars as pl
 from rich.console import Console
 
 from deploy.run.failure import RunFailed
-from deploy.run.workers import workers
+from deploy.run.workers import Workers, workers
 from deploy.scenario.radio_presets import preset_of
 from deploy.study import plots
 from deploy.study.experiment import first_seeds, listed
@@ -24,10 +23,9 @@ from deploy.study.figure_style import DEFAULT, FigureStyle
 from deploy.study.paper_tables import write_result
 from deploy.study.plots import Plot
 from deploy.study.progress import Report, counting
-from deploy.study.requirements import MIN_MAP_ACCURACY, Requirements
-from deploy.study.results import Results, Row, open_results
-from deploy.study.runs import PLACE, Case, StudyRuns, cases, failures, looked_up, make
-from deploy.study.sizing import METRICS, SEEDS
+from deploy.study.results import Results, open_results
+from deploy.study.runs import PLACE, Case, StudyRuns, cases, make
+from deploy.study.sizing import METRICS, MIN_MAP_ACCURACY, SEEDS, Requirements
 from deploy.study.statistics import Interval, interval
 from deploy.study.sweep import as_text, of_settings
 from deploy.study.tables import has_finished, short
@@ -39,34 +37,23 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class RadioAnswer:
-    """The smallest team that suffices with a radio, or else the best of those tried.
-
-    Attributes
-    ----------
-    radio : str
-        The preset's name.
-    tried : list of int
-        The tried numbers of robots, ascending.
-    robots : int
-        The number of robots that the other attributes describe.
-    met, runs : int
-        How many of its runs met the requirements, and how many there are.
-    steps : Interval
-        Steps of its finished runs; a step is a second.
-    worst_map : float or None
-        Share of the building that the worst robot of all its runs has right; None if all runs failed.
-    duty_cycle : float or None
-        Largest share of an hour in which a robot sent; None if all runs failed.
-    """
+    """The smallest team that suffices with a radio, or else the best of those tried."""
 
     radio: str
+    """Name of the preset."""
     tried: list[int]
+    """The tried numbers of robots, ascending."""
     robots: int
+    """The number of robots that the other attributes describe."""
     met: int
+    """How many of its runs met the requirements."""
     runs: int
     steps: Interval
+    """Steps of its finished runs; a step is a second."""
     worst_map: float | None
+    """Share of the building that the worst robot of all its runs has right; None if all runs failed."""
     duty_cycle: float | None
+    """Largest share of an hour in which a robot sent; None if all runs failed."""
 
     @property
     def is_enough(self) -> bool:
@@ -95,31 +82,19 @@ class RadioAnswer:
 
 
 HEAD = [
-    "radio",
-    "robots",
-    "sufficient runs",
-    "time, s",
-    "worst robot's map",
-    "duty cycle used",
-    "legal limit",
-]
+    "radio", "robots", "sufficient runs", "time, s", "worst robot's map", "duty cycle used", "legal limit",
+]  # fmt: skip
 """The columns of the printed table."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RadioSizing(StudyRuns):
-    """The smallest team for each radio; a notebook shows the sentences, curves and table.
-
-    Attributes
-    ----------
-    answers : list of RadioAnswer
-        One per radio, in the given order.
-    goal : str
-        The requirements, as text.
-    """
+    """The smallest team for each radio; a notebook shows the sentences, curves and table."""
 
     answers: list[RadioAnswer]
+    """One per radio, in the given order."""
     goal: str
+    """The requirements as text."""
 
     @property
     def lines(self) -> list[list[str]]:
@@ -185,7 +160,7 @@ def size_radios(
     jobs: int | None = None,
     scheduler: str | None = None,
     out: Path | str | None = None,
-    progress: bool | Report = True,
+    progress: bool = True,
     **settings: Any,
 ) -> RadioSizing:
     """Find the smallest team for each radio in a building.
@@ -198,59 +173,38 @@ def size_radios(
         Names of radio presets.
     robots : sequence of int
         The numbers of robots to try, from the smallest until one suffices.
-    progress : bool or Report
-        Whether to show progress, or what to call with the numbers of finished runs and of all runs; the latter grows
-        if a radio needs a larger team.
-
-    Raises
-    ------
-    ValueError
-        A setting is invalid; nothing has been run.
-    RunFailed
-        All runs failed.
 
     See Also
     --------
-    deploy.study.sizing.size : the other parameters
+    deploy.study.sizing.size : the other parameters, and the errors
     """
     for name in (radio := listed("radio", radio)):
         preset_of(name)
-    grid = {
-        "radio": radio,
-        "robots": sorted(listed("robots", robots)),
-        "seed": first_seeds(seeds),
-    }
+    grid = {"radio": radio, "robots": sorted(listed("robots", robots)), "seed": first_seeds(seeds)}
     requirements = Requirements(deadline, min_map_accuracy, finish)
     made = of_settings("size", {"map": map, "finish": finish, **settings}, grid, {"plain": {}}, METRICS)
     possible = cases(made)
     console = Console(stderr=True, quiet=not progress)
-    with (
-        open_results(out) as results,
-        nullcontext(progress) if callable(progress) else counting(console, "size") as report,
-    ):
-        run = _search(possible, results, requirements, report, jobs, scheduler)
-        if not looked_up(run, results):
-            raise RunFailed(f"all runs failed: {as_text(failures(run, results))}")
-        answers = [_answer(name, run, looked_up(run, results), requirements) for name in radio]
-    return RadioSizing(run, results, answers, f"{short(map)} {requirements}")
+    with open_results(out) as results, counting(console, "size") as report:
+        runs = StudyRuns(_search(possible, results, requirements, report, workers(jobs, scheduler)), results)
+    if not runs.rows:
+        raise RunFailed(f"all runs failed: {as_text(runs.failures)}")
+    answers = [_answer(name, runs, requirements) for name in radio]
+    return RadioSizing(runs.cases, results, answers, f"{short(map)} {requirements}")
 
 
 def _search(
-    possible: Sequence[Case],
-    results: Results,
-    requirements: Requirements,
-    report: Report,
-    jobs: int | None,
-    scheduler: str | None,
+    possible: Sequence[Case], results: Results, requirements: Requirements, report: Report, pool: Workers
 ) -> list[Case]:
     """Run the cases by growing teams, and each radio until a team suffices; return those that were run."""
     run: list[Case] = []
     enough: set[str] = set()
     for robots in dict.fromkeys(case.place["robots"] for case in possible):
         todo = [c for c in possible if c.place["robots"] == robots and c.place["radio"] not in enough]
-        make(todo, results, workers(jobs, scheduler), _after(len(run), report))
+        make(todo, results, pool, _after(len(run), report))
         run += todo
-        met = Counter(row[PLACE]["radio"] for row in looked_up(todo, results) if requirements.are_met(row))
+        rows = StudyRuns(todo, results).rows
+        met = Counter(row[PLACE]["radio"] for row in rows if requirements.are_met(row))
         enough |= {
             name for name, count in Counter(c.place["radio"] for c in todo).items() if met[name] == count
         }
@@ -262,16 +216,16 @@ def _after(before: int, report: Report) -> Report:
     return lambda done, total: report(before + done, before + total)
 
 
-def _answer(radio: str, run: Sequence[Case], rows: Sequence[Row], requirements: Requirements) -> RadioAnswer:
+def _answer(radio: str, runs: StudyRuns, requirements: Requirements) -> RadioAnswer:
     """The smallest sufficient team of a radio, or else the one with most sufficient runs, then the fastest."""
-    places = [case.place for case in run if case.place["radio"] == radio]
+    places = [case.place for case in runs.cases if case.place["radio"] == radio]
     tried = Counter(place["robots"] for place in places)
     teams = []
-    for robots, runs in tried.items():
-        own = [row for row in rows if (row[PLACE]["radio"], row[PLACE]["robots"]) == (radio, robots)]
+    for robots, number in tried.items():
+        own = [row for row in runs.rows if (row[PLACE]["radio"], row[PLACE]["robots"]) == (radio, robots)]
         steps = interval([row["steps"] for row in own if has_finished(row)])
         met = sum(map(requirements.are_met, own))
         worst = min((row["worst_map_accuracy"] or 0.0 for row in own), default=None)
         used = max((row["duty_cycle"] or 0.0 for row in own), default=None)
-        teams.append(RadioAnswer(radio, sorted(tried), robots, met, runs, steps, worst, used))
+        teams.append(RadioAnswer(radio, sorted(tried), robots, met, number, steps, worst, used))
     return min(teams, key=lambda team: (-team.met, not team.steps.n, team.steps.mean))

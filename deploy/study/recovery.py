@@ -20,22 +20,14 @@ RECOVERED = 0.97
 
 
 def recovery(plan: Plan) -> dict[str, Any]:
-    """Run the plan's scenario to its end, and measure its first ``kill`` or ``restart``.
+    """Run the plan's scenario to its end, and measure its first ``kill`` or ``restart``; ScenarioError without one.
 
-    Returns
-    -------
-    dict
-        - ``recovery.steps``: steps until the robot knows `RECOVERED` of the known cells of its former planning grid;
-          None if it never does
-        - ``recovery.bytes``: bytes transmitted in these steps
-        - ``recovery.exclusive``: free cells that only this robot had seen
-        - ``recovery.reexplored``: these cells as seen again by teammates that did not know them, summed over robots
-        - ``recovery.end``: steps of the run
-
-    Raises
-    ------
-    ScenarioError
-        No robot is killed or restarted.
+    - ``recovery.steps``: steps until the robot knows `RECOVERED` of the known cells of its former planning grid; None
+      if it never does
+    - ``recovery.bytes``: bytes transmitted in these steps
+    - ``recovery.exclusive``: free cells that only this robot had seen
+    - ``recovery.reexplored``: these cells as seen again by teammates that did not know them, summed over robots
+    - ``recovery.end``: steps of the run
     """
     faults = [fault for fault in plan.scenario.fault if fault.kind in ("kill", "restart")]
     if not faults:

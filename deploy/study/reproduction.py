@@ -130,12 +130,13 @@ def write(reproduction: Reproduction, out: Path, command: str, style: FigureStyl
         write_tables(out / f"claim-{judged.claim.id}-tests", style, _tests(judged.verdict.findings))
         for part in judged.parts:
             name = part.experiment.name
-            for ending in (".csv", ".parquet") if part.rows else ():
-                write_table(part.table, out / f"{name}{ending}")
-            if part.rows:
-                part.write_tables(out / name, style)
             pictures[name] = []
-            for number in range(len(part.experiment.plots) if part.rows else 0):
+            if not part.rows:
+                continue
+            for ending in (".csv", ".parquet"):
+                write_table(part.table, out / f"{name}{ending}")
+            part.write_tables(out / name, style)
+            for number in range(len(part.experiment.plots)):
                 file = out / f"{name}-{number + 1}.png"
                 style.save(part.plot(number, style), file)
                 pictures[name].append(f"{out.name}/{file.name}")
@@ -169,20 +170,9 @@ def overview(reproduction: Reproduction) -> list[list[str]]:
 
 def _tests(findings: Sequence[Finding]) -> list[list[str]]:
     """The tests of a claim, as a table."""
-    lines = [
-        [
-            "expected",
-            "metric",
-            "expectation",
-            "where",
-            "result",
-            "effect size",
-            "n",
-            "excluded",
-            "p",
-            "verdict",
-        ]
-    ]
+    lines = [[
+        "expected", "metric", "expectation", "where", "result", "effect size", "n", "excluded", "p", "verdict",
+    ]]  # fmt: skip
     for each in findings:
         size = "-" if each.d != each.d else f"{each.d:.2f}"
         counts = str(each.effect.n), str(each.left_out)

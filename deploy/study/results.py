@@ -30,16 +30,8 @@ IDENTITY = (KEY, CODE, ERROR)
 """Columns of every table: the run's key, the version of the code, and the error (null: none)."""
 
 ORDER = (
-    "map",
-    "strategy",
-    "map_encoding",
-    "dissemination",
-    "bandwidth",
-    "range",
-    "robots",
-    "map_seed",
-    "seed",
-)
+    "map", "strategy", "map_encoding", "dissemination", "bandwidth", "range", "robots", "map_seed", "seed",
+)  # fmt: skip
 """The first columns after `IDENTITY`, by which rows are sorted before their key; other columns are sorted by name."""
 
 MAX_WRITING_SHARE = 1 / 20
@@ -49,15 +41,8 @@ MAX_WRITING_SHARE = 1 / 20
 class Results:
     """An open table of runs; use it in a ``with`` statement.
 
-    Parameters
-    ----------
-    file : Path, optional
-        The file of the table, or a link to it; without one, the table is only in memory.
-
-    Raises
-    ------
-    ValueError
-        The file cannot be written, is not a table of runs, or is open in another process.
+    `file` is the file of the table, or a link to it; without one, the table is only in memory. Raises ValueError if it
+    cannot be written, is not a table of runs, or is open in another process.
     """
 
     def __init__(self, file: Path | None) -> None:
@@ -202,7 +187,9 @@ def write_table(frame: pl.DataFrame, file: Path) -> None:
     if file.suffix not in writers:
         raise ValueError(f"{file}: must end in {' or '.join(writers)}")
     with _named(file):
-        _write(file, writers[file.suffix])
+        buffer = io.BytesIO()  # polars itself reports a full disk without its number
+        writers[file.suffix](buffer)
+        write_whole(file, lambda opened: opened.write(buffer.getbuffer()))
 
 
 def _fit(one: pl.Series, other: pl.Series) -> bool:
@@ -212,13 +199,6 @@ def _fit(one: pl.Series, other: pl.Series) -> bool:
     except (pl.exceptions.SchemaError, pl.exceptions.InvalidOperationError):
         return False
     return True
-
-
-def _write(file: Path, write: Callable[[io.BytesIO], object]) -> None:
-    """Write what `write` writes into a buffer: polars itself reports a full disk without its number."""
-    buffer = io.BytesIO()
-    write(buffer)
-    write_whole(file, lambda opened: opened.write(buffer.getbuffer()))
 
 
 def _locked(file: Path) -> int:

@@ -11,7 +11,7 @@ import json
 import math
 import zlib
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
@@ -54,29 +54,18 @@ SOURCES = (
 
 @dataclass(frozen=True)
 class Case:
-    """One run of an experiment.
-
-    Attributes
-    ----------
-    place : dict
-        Its position in the grid, and its variant.
-    scenario : Scenario
-    measure : str
-        Name of the measure (`deploy.study.measures`).
-    key : str
-        SHA-256 of scenario, measure and map, which identifies the run in the table.
-    code : str
-        SHA-256 of the sources and versions.
-    world : bytes
-        Compressed `content` of the map, for processes without its file; empty for generated maps.
-    """
+    """One run of an experiment."""
 
     place: dict[str, Any]
+    """Its position in the grid, and its variant."""
     scenario: Scenario
     measure: str
     key: str
+    """SHA-256 of scenario, measure and map, which identifies the run in the table."""
     code: str
+    """SHA-256 of the sources and versions."""
     world: bytes = b""
+    """Compressed `content` of the map, for processes without its file; empty for generated maps."""
 
 
 def cases(experiment: Experiment) -> list[Case]:
@@ -159,46 +148,28 @@ def make(
         report(done, len(distinct))
 
 
-def looked_up(todo: Sequence[Case], results: Results) -> list[Row]:
-    """The rows of all successful cases with their `PLACE`, in the order of `todo`."""
-    rows = results.rows({case.key for case in todo})
-    return [
-        {**rows[case.key], PLACE: case.place}
-        for case in todo
-        if case.key in rows and rows[case.key][ERROR] is None
-    ]
-
-
-def failures(todo: Iterable[Case], results: Results) -> dict[str, int]:
-    """Error messages and their counts."""
-    rows = results.rows({case.key for case in todo}).values()
-    return dict(Counter(row[ERROR] for row in rows if row[ERROR] is not None))
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class StudyRuns:
-    """The runs of a study.
-
-    Attributes
-    ----------
-    cases : list of Case
-        All cases, in the order of the study.
-    results : Results
-        The table of runs, which includes their series.
-    """
+    """The runs of a study, with the table that has them and their series."""
 
     cases: list[Case]
     results: Results
 
     @cached_property
     def rows(self) -> list[Row]:
-        """The successful runs, each with its ``place`` in the study."""
-        return looked_up(self.cases, self.results)
+        """The successful runs in the order of the cases, each with its `PLACE` in the study."""
+        rows = self.results.rows({case.key for case in self.cases})
+        return [
+            {**rows[case.key], PLACE: case.place}
+            for case in self.cases
+            if case.key in rows and rows[case.key][ERROR] is None
+        ]
 
     @cached_property
     def failures(self) -> dict[str, int]:
         """Error messages of failed runs, and their counts."""
-        return failures(self.cases, self.results)
+        rows = self.results.rows({case.key for case in self.cases}).values()
+        return dict(Counter(row[ERROR] for row in rows if row[ERROR] is not None))
 
 
 def run_case(case: Case) -> Row:

@@ -10,18 +10,20 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import polars as pl
 
+from deploy.scenario.errors import ScenarioError
 from deploy.scenario.plan import load_map
 from deploy.study import plots
 from deploy.study.experiment import first_seeds, listed
 from deploy.study.figure_style import DEFAULT, FigureStyle
 from deploy.study.paper_tables import write_result
 from deploy.study.plots import Plot
-from deploy.study.requirements import MIN_MAP_ACCURACY, Requirements
+from deploy.study.results import Row
 from deploy.study.runs import Case
 from deploy.study.statistics import Interval, interval, share
 from deploy.study.sweep import Sweep, of_settings, run
 from deploy.study.tables import has_finished, short
 from protocol.budget import WORD_FOR_UNLIMITED
+from protocol.errors import shown
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -33,25 +35,50 @@ METRICS = ("steps", "map_accuracy", "worst_map_accuracy")
 
 SEEDS = 5
 
+MIN_MAP_ACCURACY = 0.95
+
+
+@dataclass(frozen=True)
+class Requirements:
+    """What a run must meet so that its team or its radio suffices for the building."""
+
+    deadline: int | None = None
+    """Maximum number of steps; None: any number."""
+    min_map_accuracy: float = MIN_MAP_ACCURACY
+    """Minimum share of correct cells on the map of the first robot, or of the worst one (`finish`)."""
+    finish: str = "all"
+    """Which robots must finish with an accurate map: ``first`` or ``all``."""
+
+    def __post_init__(self) -> None:
+        """Raise ScenarioError if no run, or each run, would meet them."""
+        deadline, accuracy = self.deadline, self.min_map_accuracy
+        if deadline is not None and not deadline >= 1:
+            raise ScenarioError(f"deadline = {shown(deadline)}: must be a number of steps, at least 1")
+        if not 0 <= accuracy <= 1:
+            raise ScenarioError(f"min_map_accuracy = {shown(accuracy)}: must be a share from 0 to 1, as 0.95")
+
+    def are_met(self, row: Row) -> bool:
+        """Return whether a run meets them."""
+        accuracy = row["worst_map_accuracy" if self.finish == "all" else "map_accuracy"] or 0.0
+        in_time = self.deadline is None or row["steps"] <= self.deadline
+        return has_finished(row) and in_time and accuracy >= self.min_map_accuracy
+
+    def __str__(self) -> str:
+        whose = "each robot's map" if self.finish == "all" else "the first robot's map"
+        in_time = "" if self.deadline is None else f"within {self.deadline} steps and "
+        return f"{in_time}with at least {100 * self.min_map_accuracy:g} % of {whose} correct"
+
 
 class Option(NamedTuple):
-    """A tested team.
-
-    Attributes
-    ----------
-    robots, bandwidth, range
-        Its settings.
-    met : Interval
-        Share of its runs that met the requirements (Wilson); failed runs did not.
-    steps : Interval
-        Steps of the finished runs.
-    """
+    """A tested team."""
 
     robots: int
     bandwidth: int | str
     range: str
     met: Interval
+    """Share of its runs that met the requirements (Wilson); failed runs did not."""
     steps: Interval
+    """Steps of the finished runs."""
 
     def __str__(self) -> str:
         robots = "1 robot" if self.robots == 1 else f"{self.robots} robots"
@@ -67,20 +94,11 @@ class Option(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Sizing:
-    """Tested teams in a building; a notebook shows the answer, curves and table.
-
-    Attributes
-    ----------
-    sweep : Sweep
-        The runs.
-    options : list of Option
-        By robots, bandwidth and range, ascending.
-    requirements : Requirements
-        What runs had to meet.
-    """
+    """Tested teams in a building; a notebook shows the answer, curves and table."""
 
     sweep: Sweep
     options: list[Option]
+    """By robots, bandwidth and range, ascending."""
     requirements: Requirements
 
     @property
@@ -172,16 +190,9 @@ def size(
     **settings
         Other settings of all runs: ``map_encoding="predictive", dissemination="gossip"``.
 
-    Raises
-    ------
-    ValueError
-        A setting is invalid; nothing has been run.
-    RunFailed
-        All runs failed.
-
     See Also
     --------
-    deploy.study.sweep.sweep : the other parameters
+    deploy.study.sweep.sweep : the other parameters, and the errors
     """
     grid: dict[str, list[Any]] = {
         "robots": sorted(listed("robots", robots)),

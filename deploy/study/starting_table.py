@@ -19,10 +19,9 @@ from numpy.typing import NDArray
 from agent.encodings.update_packets import ENOUGH_STEPS
 from agent.predictive import contexts
 from deploy.scenario.plan import Plan
-from deploy.study.training import OwnMap, explored, scan_streams
+from deploy.study.training import OwnMap, explorations, scan_streams
 from protocol.boxes import bounding_box
 from protocol.messages import Sense
-from worldsim.generators.seeds import check_training_seeds
 
 MAPS = ("office", "mixed", "burgard-office", "autolab-like", "jh-like", "unstructured", "office-plain")
 TEAMS = (3, 6)
@@ -52,14 +51,13 @@ def counted(plan: Plan, senses: list[list[Sense]]) -> Iterator[NDArray[np.uint16
 def train() -> NDArray[np.uint16]:
     """Train the counts, shape (CONTEXTS, 2)."""
     total = np.zeros((contexts.CONTEXTS, 2))
-    runs = list(product(MAPS, TEAMS, SPEEDS))
-    check_training_seeds(range(len(runs)))
-    for number, (name, robots, speed) in enumerate(runs):
-        exploration = explored(
-            map=name, map_seed=number, seed=number, robots=robots, speed=speed, steps=STEPS, strategy="meier"
-        )
-        total += np.sum(list(counted(*exploration)), axis=0, dtype=float)
-        print(f"{number + 1:3} {name} {robots} {speed}", flush=True)
+    runs = [
+        {"map": name, "robots": robots, "speed": speed, "steps": STEPS, "strategy": "meier"}
+        for name, robots, speed in product(MAPS, TEAMS, SPEEDS)
+    ]
+    for title, plan, senses in explorations(runs, 0):
+        total += np.sum(list(counted(plan, senses)), axis=0, dtype=float)
+        print(title, flush=True)
     most = np.full(contexts.CONTEXTS, REST_WEIGHT)
     most[: contexts.OBSERVED] = CELLS_WEIGHT
     most[contexts.OBSERVED : contexts.MORE_SCANS] = contexts.REST_MOST // 2

@@ -38,22 +38,16 @@ class Interval:
 
 @dataclass(frozen=True)
 class Evidence:
-    """The evidence of values for or against an expectation.
-
-    Attributes
-    ----------
-    effect : Interval
-        The tested mean, mean difference, geometric mean ratio, or mean rank correlation.
-    d : float
-        Effect size: the mean's distance from the bound, in standard deviations of the (paired) values.
-    p_for, p_against : float
-        One-sided p-values of the evidence for the expectation, and against it.
-    """
+    """The evidence of values for or against an expectation."""
 
     effect: Interval
+    """The tested mean, mean difference, geometric mean ratio, or mean rank correlation."""
     d: float
+    """Effect size: the mean's distance from the bound, in standard deviations of the (paired) values."""
     p_for: float
+    """One-sided p-value of the evidence for the expectation."""
     p_against: float
+    """That of the evidence against it."""
 
 
 NO_EVIDENCE = Evidence(Interval(0, math.nan, math.nan, math.nan), math.nan, 1.0, 1.0)

@@ -29,15 +29,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Sweep(StudyRuns):
-    """The runs of an experiment; a notebook shows the table of means.
-
-    Attributes
-    ----------
-    experiment : Experiment
-        The experiment that was run; it also defines the table and the plots.
-    """
+    """The runs of an experiment; a notebook shows the table of means."""
 
     experiment: Experiment
+    """The experiment that was run; it also defines the table and the plots."""
 
     def make(
         self, *, jobs: int | None, scheduler: str | None, progress: bool = True, retry: bool = False

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 import polars as pl
 from pydantic import Field
@@ -63,28 +63,18 @@ TABLES = {
 
 @dataclass(frozen=True)
 class Table:
-    """The layout of a table.
-
-    Attributes
-    ----------
-    rows, columns : list of str
-        Keys of the grid, or ``variant``, that label the lines, `columns` to the right of `rows`; the metrics are
-        averaged over the other keys. In an experiment's file, the rows are by default all keys.
-    values : list of str
-        Metrics; each has a column.
-    interval : bool
-        Whether means are printed with half their 95 % interval (Student's t).
-    finished_only : bool
-        Whether means include only finished runs.
-    """
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
+    """The layout of a table."""
 
     rows: list[str] | None = None
+    """Keys of the grid, or ``variant``, that label the lines; metrics are averaged over the others. None: all keys."""
     columns: list[str] = field(default_factory=lambda: [VARIANT])
+    """More such keys, to the right of `rows`."""
     values: Annotated[list[str], Field(min_length=1)] = field(default_factory=lambda: [*DEFAULT_METRICS])
+    """Metrics; each has a column."""
     interval: Annotated[bool, Field(strict=True)] = False
+    """Whether means are printed with half their 95 % interval (Student's t)."""
     finished_only: Annotated[bool, Field(strict=True)] = False
+    """Whether means include only finished runs."""
 
     @property
     def keys(self) -> list[str]:

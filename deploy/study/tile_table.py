@@ -36,10 +36,9 @@ from agent.predictive.tiles import CONTEXTS, SETS
 from agent.predictive.urgent_tile_author import UrgentTileAuthor
 from deploy.scenario.plan import Plan
 from deploy.study.starting_table import MAPS
-from deploy.study.training import explored
+from deploy.study.training import explorations
 from protocol.grid import UNKNOWN
 from protocol.messages import Sense
-from worldsim.generators.seeds import check_training_seeds
 
 TEAMS = (3, 8)
 SENSORS: tuple[dict[str, Any], ...] = (
@@ -120,16 +119,16 @@ def train_on(plan: Plan, senses: list[list[Sense]], encoder: Encoder, model: Mod
 
 def train(model: Model, encoders: Sequence[Encoder]) -> Model:
     """Train a model, and return it shortened; each exploration is encoded once by each encoder."""
-    runs = list(product(MAPS, TEAMS, SENSORS))
-    check_training_seeds(range(FIRST_SEED, FIRST_SEED + len(runs)))
-    for number, (name, robots, sensors) in enumerate(runs):
-        seed = FIRST_SEED + number
-        plan, senses = explored(map=name, map_seed=seed, seed=seed, robots=robots, steps=STEPS, **sensors)
+    runs = [
+        {"map": name, "robots": robots, "steps": STEPS, **sensors}
+        for name, robots, sensors in product(MAPS, TEAMS, SENSORS)
+    ]
+    for title, plan, senses in explorations(runs, FIRST_SEED):
         sizes = []
         for encoder in encoders:
             model, size = train_on(plan, senses, encoder, model)
             sizes.append(size)
-        print(f"{number + 1:3} of {len(runs)} {name}, {robots} robots, bytes {sizes}", flush=True)
+        print(f"{title}, bytes {sizes}", flush=True)
     return shortened(model)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,12 +19,24 @@ from protocol.cell_bytes import cells_from_bytes
 from protocol.grid import UNKNOWN, RayTable, ray_table
 from protocol.messages import Sense
 from protocol.scans import draw
+from worldsim.generators.seeds import check_training_seeds
+
+UNLIMITED = {"map_encoding": "scans", "bandwidth": "unlimited", "bus": "memory"}
 
 
-def explored(**settings: Any) -> tuple[Plan, list[list[Sense]]]:
-    """Run an exploration without a limit of the radio; return its plan, and the sensor messages of each robot."""
-    plan = plans.make(parse({"map_encoding": "scans", "bandwidth": "unlimited", "bus": "memory", **settings}))
-    return plan, record_senses(plan)
+def explorations(
+    runs: Sequence[dict[str, Any]], first_seed: int
+) -> Iterator[tuple[str, Plan, list[list[Sense]]]]:
+    """Run explorations without a limit of the radio, each with a seed of its own from `first_seed` on.
+
+    Yields a title, the plan, and the sensor messages of each robot.
+    """
+    check_training_seeds(range(first_seed, first_seed + len(runs)))
+    for number, settings in enumerate(runs):
+        seeds = {"map_seed": first_seed + number, "seed": first_seed + number}
+        plan = plans.make(parse({**UNLIMITED, **seeds, **settings}))
+        title = f"{number + 1:3} of {len(runs)} {plan.map.name}, {plan.scenario.robots} robots"
+        yield title, plan, record_senses(plan)
 
 
 def scan_streams(

@@ -14,14 +14,14 @@ that was interrupted finds its runs in the table, and continues.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from statistics import fmean
 from typing import Any, NamedTuple
 
-import numpy as np
 import polars as pl
+import tomli_w
 
 from agent.strategies.options import option_lines
 from agent.strategies.registry import strategy
@@ -30,7 +30,7 @@ from deploy.run.workers import Workers
 from deploy.study.experiment import Experiment
 from deploy.study.progress import Report
 from deploy.study.results import Results
-from deploy.study.runs import MOST_STEPS, PLACE, cases, failures, looked_up, make
+from deploy.study.runs import MOST_STEPS, PLACE, StudyRuns, cases, make
 from deploy.study.statistics import Interval, interval
 from deploy.study.sweep import as_text
 from deploy.study.tables import VARIANT, Table, has_finished
@@ -56,36 +56,22 @@ Run = tuple[str, int]
 
 @dataclass(frozen=True)
 class Search:
-    """What to search.
-
-    Attributes
-    ----------
-    strategy : str
-        Name of the strategy.
-    maps : sequence of str
-        Generators or map files. Generators draw the map of each run with its seed.
-    seeds : sequence of int
-        Seeds of the search.
-    check_seeds : sequence of int
-        Seeds on which the result is compared with the default weights.
-    evaluations : int
-        Maximum number of weights that are tried, the default weights included.
-    only : sequence of str
-        Weights to search; all numeric options of the strategy that are not 0 if empty.
-    search_seed : int
-        Seed of the search's order.
-    settings : dict
-        Scenario settings of all runs, on top of `DEFAULTS`.
-    """
+    """What to search."""
 
     strategy: str
     maps: Sequence[str] = MAPS
+    """Generators or map files. Generators draw the map of each run with its seed."""
     seeds: Sequence[int] = (0, 1, 2)
     check_seeds: Sequence[int] = (3, 4, 5)
+    """Seeds on which the result is compared with the default weights."""
     evaluations: int = 20
+    """Maximum number of weights that are tried, the default weights included."""
     only: Sequence[str] = ()
+    """Weights to search; all numeric options of the strategy that are not 0 if empty."""
     search_seed: int = 0
+    """Seed of the search's order."""
     settings: Mapping[str, Any] = field(default_factory=dict)
+    """Scenario settings of all runs, on top of `DEFAULTS`."""
 
     def __post_init__(self) -> None:
         for name, values in (("maps", self.maps), ("seeds", self.seeds)):
@@ -118,25 +104,18 @@ class Search:
 
 
 class Trial(NamedTuple):
-    """Weights that were tried.
-
-    Attributes
-    ----------
-    number : int
-        Position in the search; 0 for the default weights.
-    weights : dict of str to float
-    ratios : dict of run to float
-        Steps over those of the default weights, by map and seed.
-    """
+    """Weights that were tried."""
 
     number: int
+    """Position in the search; 0 for the default weights."""
     weights: Weights
     ratios: dict[Run, float]
+    """Steps over those of the default weights, by map and seed."""
 
     @property
     def score(self) -> float:
         """Mean of the ratios; all maps have the same number of seeds, and so the same weight."""
-        return float(np.mean(list(self.ratios.values())))
+        return fmean(self.ratios.values())
 
     @property
     def spread(self) -> Interval:
@@ -146,41 +125,26 @@ class Trial(NamedTuple):
 
 @dataclass(frozen=True)
 class Tuning:
-    """Result of a search.
-
-    Attributes
-    ----------
-    search : Search
-    trials : list of Trial
-        All trials in their order; the first has the default weights.
-    best : Trial
-        The trial with the least score.
-    check : Trial or None
-        The best weights on the check seeds; None if the default weights are the best, or there are no check seeds.
-    """
+    """Result of a search."""
 
     search: Search
     trials: list[Trial]
+    """All trials in their order; the first has the default weights."""
     best: Trial
+    """The trial with the least score."""
     check: Trial | None
+    """The best weights on the check seeds; None if the default weights are the best, or there are no check seeds."""
 
     @property
     def table(self) -> pl.DataFrame:
         """A row per trial: number, score with bounds, score by map, and weights."""
         rows = []
         for trial in self.trials:
-            by_map = {
-                f"score {name}": float(
-                    np.mean([ratio for run, ratio in trial.ratios.items() if run[0] == name])
-                )
-                for name in self.search.maps
-            }
             spread = trial.spread
-            rows.append(
-                {"trial": trial.number, "score": trial.score, "low": spread.low, "high": spread.high}
-                | by_map
-                | trial.weights
-            )
+            row = {"trial": trial.number, "score": trial.score, "low": spread.low, "high": spread.high}
+            for name in self.search.maps:
+                row[f"score {name}"] = fmean(ratio for run, ratio in trial.ratios.items() if run[0] == name)
+            rows.append(row | trial.weights)
         return pl.DataFrame(rows)
 
     @property
@@ -203,16 +167,15 @@ class Tuning:
     @property
     def record(self) -> str:
         """The best weights and how they were found, as TOML."""
-        lines = [
-            f"strategy = {json.dumps(self.search.strategy)}",
-            f'method = "murmur tune, trial {self.best.number} of {len(self.trials)}"',
-            f"maps = {json.dumps(list(self.search.maps))}",
-            f"seeds = {[*self.search.seeds, *self.search.check_seeds]}",
-            f"score = {self.best.score:.4f}",
-            "[weights]",
-            *(f"{name} = {value!r}" for name, value in self.best.weights.items()),
-        ]
-        return "\n".join(lines) + "\n"
+        record = {
+            "strategy": self.search.strategy,
+            "method": f"murmur tune, trial {self.best.number} of {len(self.trials)}",
+            "maps": list(self.search.maps),
+            "seeds": [*self.search.seeds, *self.search.check_seeds],
+            "score": round(self.best.score, 4),
+            "weights": self.best.weights,
+        }
+        return tomli_w.dumps(record)
 
 
 def default_weights(name: str) -> Weights:
@@ -224,14 +187,8 @@ def default_weights(name: str) -> Weights:
 def tune(search: Search, results: Results, workers: Workers, report: Report | None = None) -> Tuning:
     """Run a search, or continue the one in `results`.
 
-    `report` is called with the number of finished evaluations, and their maximum.
-
-    Raises
-    ------
-    RunFailed
-        A run failed.
-    ScenarioError
-        A setting is invalid.
+    `report` is called with the number of finished evaluations, and their maximum. Raises RunFailed if a run failed,
+    ScenarioError if a setting is invalid.
     """
     return _Tuner(search, results, workers, report or (lambda *_: None)).run()
 
@@ -294,12 +251,12 @@ class _Tuner:
         A run that did not finish counts with the maximum number of steps.
         """
         experiment = self._search.experiment(candidates, seeds)
-        todo = cases(experiment) if candidates else []
-        make(todo, self._results, self._workers)
-        if broken := failures(todo, self._results):
-            raise RunFailed(f"runs failed: {as_text(broken)}")
+        runs = StudyRuns(cases(experiment) if candidates else [], self._results)
+        make(runs.cases, self._results, self._workers)
+        if runs.failures:
+            raise RunFailed(f"runs failed: {as_text(runs.failures)}")
         steps: dict[str, dict[Run, int]] = {name: {} for name in experiment.variants}
-        for row in looked_up(todo, self._results):
+        for row in runs.rows:
             place = row[PLACE]
             run = place["map"], place["seed"]
             steps[place[VARIANT]][run] = row["steps"] if has_finished(row) else row[MOST_STEPS]

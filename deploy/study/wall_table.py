@@ -12,7 +12,7 @@ same table.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -23,10 +23,9 @@ from agent.predictive.scan_stream import NarrowBand, ScanStream
 from agent.predictive.wall_model import CONTEXTS
 from deploy.scenario.plan import Plan
 from deploy.study.tile_table import shortened
-from deploy.study.training import OwnMap, explored, scan_streams
+from deploy.study.training import OwnMap, explorations, scan_streams
 from protocol.boxes import bounding_box
 from protocol.messages import Sense
-from worldsim.generators.seeds import check_training_seeds
 
 MAPS = (
     "office", "mixed", "unstructured", "burgard-office", "jh-like", "autolab-like", "caves", "warehouse", "maze",
@@ -42,7 +41,8 @@ TURNS = 8
 BYTES = 20
 """The limit of an update."""
 
-STEPS = 400
+RUNS = [{"map": name, "robots": TURNS, "speed": 0.5, "steps": 400, "strategy": "meier"} for name in MAPS]
+"""The settings of the explorations."""
 
 
 def make_streams(
@@ -80,21 +80,10 @@ def train_on(
     return model, updates
 
 
-def explorations() -> Iterator[tuple[str, Plan, list[list[Sense]]]]:
-    """Run the explorations of the training maps; yield a title, the plan, and the sensor messages of each robot."""
-    check_training_seeds(range(FIRST_SEED, FIRST_SEED + len(MAPS)))
-    for number, name in enumerate(MAPS):
-        seed = FIRST_SEED + number
-        exploration = explored(
-            map=name, map_seed=seed, seed=seed, robots=TURNS, speed=0.5, steps=STEPS, strategy="meier"
-        )
-        yield f"{number + 1:2} of {len(MAPS)} {name}", *exploration
-
-
 def train() -> Model:
     """Train the model."""
     model = new_model(CONTEXTS, 1)
-    for title, plan, senses in explorations():
+    for title, plan, senses in explorations(RUNS, FIRST_SEED):
         model, updates = train_on(make_streams(plan), senses, model)
         print(f"{title}, {sum(len(message) for _, message in updates)} bytes", flush=True)
     return model

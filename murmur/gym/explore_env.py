@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.scenario.scenario import Scenario
-from murmur.gym.episodes import Episodes
 from murmur.gym.goal_env import GoalEnv
 from murmur.gym.observation import Observation, goal, observation_space
 from murmur.gym.picture import RENDER_MODES
@@ -67,9 +66,9 @@ class ExploreEnv(GoalEnv, gym.Env[Observation, np.int64]):
         render_mode: str | None = None,
         **settings: Any,
     ) -> None:
-        super().__init__(Episodes(scenario, settings, [robot], candidates, every), reward, render_mode)
+        super().__init__(scenario, settings, [robot], candidates, every, reward, render_mode)
         self.robot = robot
-        self.observation_space = observation_space(self._episodes.plan, candidates)
+        self.observation_space = observation_space(self._plan, candidates)
         self.action_space = gym.spaces.Discrete(candidates + 1)
 
     def reset(
@@ -91,13 +90,8 @@ class ExploreEnv(GoalEnv, gym.Env[Observation, np.int64]):
         progress = episode.advance({} if chosen is None else {self.robot: chosen})
         truncated = episode.is_truncated
         terminated = not episode.active and not truncated
-        return (
-            self._seen_by(self.robot),
-            float(self.reward(progress)),
-            terminated,
-            truncated,
-            info(episode, progress),
-        )
+        observation, reward = self._seen_by(self.robot), float(self.reward(progress))
+        return observation, reward, terminated, truncated, info(episode, progress)
 
     def action_masks(self) -> NDArray[np.bool_]:
         """Return the action mask as booleans, as libraries for maskable policies ask for it."""

@@ -18,17 +18,7 @@ SIDE = 480
 VEIL = 0.6
 """Share of grey in cells that the team has not seen."""
 
-
 RENDER_MODES = ("rgb_array",)
-
-
-def checked_mode(render_mode: str | None) -> str | None:
-    """Return a render mode; ValueError if there is no such mode."""
-    if render_mode not in (None, *RENDER_MODES):
-        raise ValueError(
-            f"render_mode = {render_mode!r}: must be {' or '.join(map(repr, RENDER_MODES))}, or None"
-        )
-    return render_mode
 
 
 def picture(episode: Episode) -> NDArray[np.uint8]:

@@ -11,7 +11,6 @@ from pettingzoo import ParallelEnv
 
 from deploy.scenario.scenario import Scenario
 from murmur.gym.chosen_goals import ChosenGoals
-from murmur.gym.episodes import Episodes
 from murmur.gym.goal_env import GoalEnv
 from murmur.gym.observation import Observation, goal, observation_space
 from murmur.gym.picture import RENDER_MODES
@@ -35,17 +34,8 @@ class TeamEnv(GoalEnv, ParallelEnv[str, Observation, np.int64]):  # type: ignore
     ----------
     scenario : Scenario, optional
         The scenario, of which the strategy is not used; default settings if omitted.
-    candidates, every, reward, render_mode
-        As in `ExploreEnv`; `candidates` and `every` are those of each robot.
-    **settings
-        Settings that replace those of `scenario`: ``TeamEnv(map="em", robots=2)``.
-
-    Raises
-    ------
-    ScenarioError
-        The scenario is invalid, or has no simulated robots.
-    ValueError
-        Another argument is invalid.
+    candidates, every, reward, render_mode, **settings
+        As in `ExploreEnv`, with the same errors; `candidates` and `every` are those of each robot.
     """
 
     metadata: ClassVar[dict[str, Any]] = {
@@ -65,12 +55,11 @@ class TeamEnv(GoalEnv, ParallelEnv[str, Observation, np.int64]):  # type: ignore
         **settings: Any,
     ) -> None:
         controlled = {"strategy": ChosenGoals, "options": {}}
-        episodes = Episodes(scenario, {**settings, **controlled}, None, candidates, every)
-        super().__init__(episodes, reward, render_mode)
-        self.possible_agents = [names.robot(number) for number in self._episodes.robots]
+        super().__init__(scenario, {**settings, **controlled}, None, candidates, every, reward, render_mode)
+        self.possible_agents = [names.robot(number) for number in self._robots]
         self.agents: list[str] = []
         self.observation_spaces = {
-            agent: observation_space(episodes.plan, candidates) for agent in self.possible_agents
+            agent: observation_space(self._plan, candidates) for agent in self.possible_agents
         }
         self.action_spaces = {agent: gym.spaces.Discrete(candidates + 1) for agent in self.possible_agents}
         self._random = np.random.default_rng()

@@ -29,7 +29,7 @@ from pyzeros.sub import RawSub  # noqa: E402
 
 from deploy.scenario.plan import Plan  # noqa: E402
 from deploy.serve.ros_robot import RosRobot  # noqa: E402
-from deploy.serve.swarm import Swarm, SwarmSettings  # noqa: E402
+from deploy.serve.swarm import Swarm  # noqa: E402
 from protocol.ros2.messages import Messages  # noqa: E402
 from protocol.ros2.qos import Qos  # noqa: E402
 from protocol.ros2.session import open_client  # noqa: E402
@@ -135,7 +135,7 @@ class PyzerosSwarm:
     """The robots of a plan, r0, r1, and so on, on a thread of their own, by the wall clock."""
 
     def __init__(self, router: str, plan: Plan, rate: float = 10.0) -> None:
-        self.swarm = Swarm(plan, SwarmSettings(rate), time.time_ns())
+        self.swarm = Swarm(plan, time.time_ns(), rate=rate)
         self.ignored: list[str] = []
         """Messages that robots did not understand."""
         self._loop = asyncio.new_event_loop()

@@ -87,11 +87,11 @@ HEAD = b"robot,time_ns,step,sender,session,counter,bytes,broadcast,gossip\n"
     [
         (b"", "the first line must be robot"),
         (b"no end of a line", "the first line must be robot"),
-        (HEAD + b"1\r2\n", "line 2: expected 9 integers"),
-        (HEAD + b'"' + b"1" * 200_000 + b"\n", "line 2: expected 9 integers"),
-        (HEAD + b"1,0,1,0,1,0,14,0,0\n1,0,1,256,1,0,14,0,0\n", "line 3: sender = 256 is not from 0 to 255"),
-        (HEAD + b"1,0,-1,0,1,0,14,0,0\n", "line 2: step = -1"),
-        (HEAD + b"1," + b"9" * 30 + b",1,0,1,0,14,0,0\n", "line 2: time_ns = 9"),
+        (HEAD + b"1\r2\n", "line 2: new-line character"),
+        (HEAD + b'"' + b"1" * 200_000 + b"\n", "line 2: field larger than field limit"),
+        (HEAD + b"1,0,1,0,1,0,14,0,0\n1,0,1,256,1,0,14,0,0\n", "line 3: Expected `int` <= 255"),
+        (HEAD + b"1,0,-1,0,1,0,14,0,0\n", "line 2: Expected `int` >= 0"),
+        (HEAD + b"1," + b"9" * 30 + b",1,0,1,0,14,0,0\n", "line 2: Expected `int` <= "),
     ],
 )
 def test_damaged_frame_lists_are_refused(tmp_path: Path, text: bytes, problem: str) -> None:

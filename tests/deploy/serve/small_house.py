@@ -10,7 +10,7 @@ from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import parse
 from deploy.serve.robot import SimulatedRobot
-from deploy.serve.swarm import Swarm, SwarmSettings
+from deploy.serve.swarm import Swarm
 from protocol.grid import FREE, OCCUPIED, Grid
 from protocol.transforms import Pose
 from worldsim.maps import Map
@@ -36,7 +36,7 @@ def house_plan(*starts: tuple[float, float], **settings: Any) -> Plan:
 
 def swarm(*starts: tuple[float, float], **settings: Any) -> Swarm:
     """Robots that start at time 0."""
-    return Swarm(house_plan(*starts, **settings), SwarmSettings(), 0)
+    return Swarm(house_plan(*starts, **settings), 0)
 
 
 def goal_at(robot: SimulatedRobot, place: tuple[float, float], yaw: float = 0.0) -> Pose:

@@ -11,7 +11,7 @@ from scipy.ndimage import maximum_filter
 
 from deploy.serve.navigator import MOST_RECOVERIES, POSITION_M, WAIT_S, Outcome
 from deploy.serve.robot import COMMAND_NS, SimulatedRobot
-from deploy.serve.swarm import LATEST, Swarm, SwarmSettings
+from deploy.serve.swarm import LATEST, Swarm
 from protocol.grid import FREE, OCCUPIED, UNKNOWN
 from protocol.range_scans import NO_MEASUREMENT, NOTHING, TURN
 from protocol.transforms import Pose
@@ -159,7 +159,7 @@ def test_robots_that_meet_in_a_corridor_back_off_to_a_room(room: int, end_m: flo
     """Before a dead end, only the robot on the side of the room can back off, whatever its number."""
     places = [(1.0, 1.2), (end_m, 1.2)]
     starts = places[::-1] if swapped else places
-    team = Swarm(corridor_plan(30, room, *starts), SwarmSettings(), 0)
+    team = Swarm(corridor_plan(30, room, *starts), 0)
     tasks = [
         robot.go(goal_at(robot, place), 0) for robot, place in zip(team.robots, starts[::-1], strict=True)
     ]
@@ -210,7 +210,7 @@ def test_beams_of_an_exact_laser_end_in_walls_of_the_true_map() -> None:
 
 def test_lasers_filter_other_robots_out_unless_they_should_see_them() -> None:
     for sees_robots, expected in ((False, NO_MEASUREMENT), (True, 1200)):
-        team = Swarm(house_plan((1.05, 2.05), (2.55, 2.05)), SwarmSettings(sees_robots=sees_robots), 0)
+        team = Swarm(house_plan((1.05, 2.05), (2.55, 2.05)), 0, sees_robots=sees_robots)
         ahead = team.robots[0].ranges[len(team.robots[0].ranges) // 2]
         assert ahead == pytest.approx(
             expected, abs=15
@@ -259,7 +259,10 @@ def test_equal_goals_at_equal_times_have_equal_results() -> None:
         for robot in team.robots:
             robot.go(goal_at(robot, SECOND_ROOM), 0)
         run(team, 6)
-        return [(robot.true, robot.pose, robot.odometry, robot.ranges.tolist()) for robot in team.robots]
+        return [
+            (robot.true, robot.pose, robot.localization.odometry, robot.ranges.tolist())
+            for robot in team.robots
+        ]
 
     assert drive() == drive()
 

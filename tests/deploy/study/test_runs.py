@@ -51,7 +51,7 @@ def test_finished_runs_are_kept_and_not_repeated(tmp_path: Path) -> None:
     for some in (todo[:2], todo[:2], todo):
         with Results(keep) as results:
             runs.make(some, results, us)
-            found = runs.looked_up(todo, results)
+            found = runs.StudyRuns(todo, results).rows
     assert us.made == [case.key for case in todo]
     assert [each["place"] for each in found] == [case.place for case in todo]
     assert [each["seed"] for each in found] == [case.scenario.seed for case in todo]
@@ -66,7 +66,7 @@ def test_equal_runs_are_made_once(tmp_path: Path) -> None:
     )
     with Results(None) as results:
         runs.make(todo, results, us)
-        found = runs.looked_up(todo, results)
+        found = runs.StudyRuns(todo, results).rows
     assert len(us.made) == 1 and [each["place"]["variant"] for each in found] == ["polygons", "scans"]
 
 
@@ -82,14 +82,14 @@ def test_a_run_that_fails_is_a_row_with_its_error_and_the_others_go_on(
     todo, keep, us = small(tmp_path, robots=1), tmp_path / "kept.parquet", Ourselves()
     with Results(keep) as results:
         runs.make(todo, results, us)
-        assert runs.failures(todo, results) == {"RuntimeError: it fell over": 2}
-        assert {row["place"]["seed"] for row in runs.looked_up(todo, results)} == {1}
+        assert runs.StudyRuns(todo, results).failures == {"RuntimeError: it fell over": 2}
+        assert {row["place"]["seed"] for row in runs.StudyRuns(todo, results).rows} == {1}
     with Results(keep) as results:
         runs.make(todo, results, us)
         assert len(us.made) == 4
         monkeypatch.setitem(measures.MEASURES, "exploration", lambda plan: {"steps": 4})
         runs.make(todo, results, us, retry=True)
-        assert len(us.made) == 6 and not runs.failures(todo, results)
+        assert len(us.made) == 6 and not runs.StudyRuns(todo, results).failures
 
 
 def test_runs_of_other_code_are_repeated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
