@@ -225,7 +225,7 @@ def kilobyte(row: Row, column: str) -> str:
 
 
 def in_five_buildings(name: str, variant: str, **settings: Any) -> pl.DataFrame:
-    """Return runs in five recorded buildings, ten test seeds each; the largest has a longer range and a higher speed."""
+    """Return runs in five recorded buildings, ten test seeds each; the largest has a longer range and higher speed."""
     seeds = first_test_seeds(10)
     small = maps("intel", "fr079", "autolab", "aces")
     parts = [
