@@ -64,7 +64,6 @@ class MapEncoding(ABC):
     @classmethod
     def infers_cells(cls, settings: Settings) -> bool:
         """Whether planning grids hold cells that no robot reported, so that the frontier may open again."""
-        del settings
         return False
 
     @property
@@ -82,7 +81,6 @@ class MapEncoding(ABC):
 
         The caller passes the same `cache` to all robots, before the first step.
         """
-        del cache
 
     def use_log_odds(self, log_odds: Int8Grid) -> None:
         """Read the certainty of the self-explored grid's cells in this array, int8 of shape (h, w), before each step.
@@ -114,7 +112,6 @@ class MapEncoding(ABC):
 
         `delivered` is that of `encode_changes`. Only encodings that rank their packets know this.
         """
-        del delivered
         return False
 
     def retract_last(self) -> None:
@@ -177,25 +174,20 @@ class MapEncoding(ABC):
         On the planning grid, this robot's sight replaces reports; here, it only completes them. Default: the planning
         grid, for encodings whose reports do not form a grid.
         """
-        del own
         return planning
 
     def scan_cell(self, map_id: int) -> tuple[int, int] | None:
         """Cell (x, y) of the last scan that a map's log reports; None if logs do not report where scans were taken."""
-        del map_id
         return None
 
     def dependencies(self, map_id: int) -> Sequence[Dependency]:
         """Dependencies of the decoded packets of a log on other logs, in the order of the log."""
-        del map_id
         return ()
 
     def approximation_error(self, own: Grid) -> int:
         """Count the cells in which `own` differs from its logged approximation: d(t) of Eq. 6.1 in the thesis."""
-        del own
         return 0
 
     def exact_error(self, own: Grid) -> int | None:
         """Count what `approximation_error` would be for exact contours; None if that is not measured."""
-        del own
         return None

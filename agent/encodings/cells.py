@@ -66,7 +66,6 @@ class CellEncoding(GridEncoding):
         self, own: Grid, scan: Scan | RangeScan, change: Change, *, delivered: bool
     ) -> list[bytes]:
         """Encode a patch of all changed cells, once all teammates in range hold the patches before."""
-        del scan
         self.own_changes.add(own, change)
         self._pending = union(self._pending, change.boxes)
         if not delivered or not len(self._pending):

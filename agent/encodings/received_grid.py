@@ -75,7 +75,6 @@ class GridEncoding(MapEncoding):
 
         With noisy lasers, it is what all robots report, this one among them (`agent.encodings.votes`).
         """
-        del peers
         changed = self.own_changes.take(own)
         if self._planning is None or changed is None:
             self._planning, changed = np.empty_like(own), whole_grid(own.shape)
@@ -94,7 +93,6 @@ class GridEncoding(MapEncoding):
 
         A cell is a wall if any robot reports one, although the planning grid follows two others that report it free.
         """
-        del planning
         shared = self.votes.reported()
         return np.where(shared == UNKNOWN, own, shared)
 

@@ -51,7 +51,6 @@ class ScanEncoding(GridEncoding):
         self, own: Grid, scan: Scan | RangeScan, change: Change, *, delivered: bool
     ) -> list[bytes]:
         """Encode the scan, unless it repeats the last one or has no readings."""
-        del delivered
         self.own_changes.add(own, change)
         data = self._format.encode(scan)
         if not data or data == self._last:
@@ -99,7 +98,6 @@ class ExactScans:
 
     def size(self, map_id: int) -> int:
         """Return the bytes of a scan of a map."""
-        del map_id
         return self._size
 
     def encode(self, scan: Scan | RangeScan) -> bytes:

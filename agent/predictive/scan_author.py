@@ -66,7 +66,6 @@ class ScanAuthor(Author[ScanStream]):
 
     def is_due(self, own: Grid, log_odds: Int8Grid, received: Grid) -> bool:
         """Return whether there are enough new cells, or some have waited long enough."""
-        del log_odds
         pending = self._pending
         new_cells = int(_unreported(received, self.stream.grid, own, *bounding_box(pending.boxes)))
         if not new_cells:
@@ -75,7 +74,6 @@ class ScanAuthor(Author[ScanStream]):
 
     def encode(self, own: Grid, log_odds: Int8Grid, most: float) -> tuple[bytes, DecodedUpdate] | None:
         """Encode an update of the scans that wait; those beyond `most` bytes remain."""
-        del log_odds
         pending, self._pending = self._pending, _Pending()
         if not pending.poses:
             self._pending = pending

@@ -1,15 +1,13 @@
 """Digests of logs: a robot finds out whether the entries that it holds are those that their author wrote.
 
-Every `INTERVAL` steps per robot of the team, a robot broadcasts the hash of its log so far (`packets.LogDigest`): less
-than a byte per step for the whole team. A receiver hashes as many entries of its copy. Equal hashes verify these
-entries. Otherwise a forwarder forged some of them, or a frame was damaged; the receiver drops all entries that have not
-been verified and asks for them again (`agent.replication.replica`).
-
-A digest also contains whether the author has sent further entries. If not, a receiver's further entries are forged.
+Every `INTERVAL` steps per robot of the team, a robot broadcasts the hash of its log so far (`packets.LogDigest`). A
+receiver hashes as many entries of its copy. Equal hashes verify these entries. Otherwise a forwarder forged some of
+them, or a frame was damaged (`agent.replication.replica` has the reaction). A digest also contains whether the author
+has sent further entries. If not, a receiver's further entries are forged.
 
 The salt, which the author draws from its sensor readings, is hashed behind the entries. A forger cannot know it in
-advance, so a forgery of the same length passes with a probability of 2**-16. A digest proves that its sender wrote the
-entries: it counts only for the sender's own log, and only if it comes from the author. The medium vouches for senders.
+advance, so a forgery of the same length passes with a probability of 2**-16. A digest counts only if it comes from the
+log's author; the medium vouches for senders.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """Gossip: dissemination by broadcast, so one transmission serves all robots in range (docs/replication.md).
 
-Robots broadcast entries of their own logs as they write them, and forward others' entries to peers that lack them:
-anti-entropy (Demers et al., 1987) over a shared medium. Each robot keeps a version vector for each peer and the radio
-range of each peer; broadcasts keep both up to date. So robots in range of each other have the same tables and choose
-the same forwarder (`gossip_policy`). A frame holds, in this order:
+Each robot keeps a version vector for each peer and the radio range of each peer; broadcasts keep both up to date. So
+robots in range of each other have the same tables and choose the same forwarder (`gossip_policy`). A frame holds, in
+this order:
 
     event                                                     part of the frame
     this robot's range has changed                            near, gone: the robots that came and left
@@ -155,7 +154,7 @@ class Gossip(Replication):
         continues = own and not self._builder.has_entries and self._cursors.known(first, in_range)
         head = b"" if continues else header(number, first)
         return self._builder.add_entries(
-            self.logs[number], first, end, head, partial(self._entries_sent, number)
+            self.logs[number], first, head, partial(self._entries_sent, number), end
         )
 
     # --- what was on the air

@@ -1,12 +1,10 @@
 """The policy of gossip: which log ranges to broadcast, on whose behalf, and with which priority.
 
 The peer that holds the most entries is served first; for it, this robot's own map, then the map of which it misses the
-fewest. So peers that keep up receive new entries before others catch up with old ones. A range that depends on entries
-of other logs follows those that the peer lacks.
+fewest. So peers that keep up receive new entries before others catch up with old ones.
 
 Of several robots that could forward what a peer lacks, one does: the author if it is in range, else they take turns.
-A robot that is not chosen suppresses its broadcast, and joins in if the peer still lacks the entries some steps later:
-suppression timers as in SRM (Floyd et al., 1997) and Trickle (RFC 6206), with turns instead of random delays.
+The others suppress their broadcasts, and join in if the peer still lacks the entries some steps later.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """This robot's replica of all maps: the logs, the peer table, and the check of received entries.
 
-A robot forwards the logs of others, so an entry can be forged by a forwarder or damaged on the air. Entries are decoded
-as they arrive, and verified later by digests, which only the author can send (`agent.replication.digests`):
+Entries are decoded as they arrive, and verified later by digests, which only the author can send
+(`agent.replication.digests`):
 
     event                                              reaction
     an author's digest matches                         the entries are verified; their forwarders are trusted again
@@ -11,14 +11,13 @@ as they arrive, and verified later by digests, which only the author can send (`
 
 A robot that dropped entries broadcasts the length of its log (`packets.Held`). Peers then send the entries again, and
 the author sends a digest. From a suspected sender the robot accepts no entries of that map for a while, which doubles
-with every suspicion. After `MANY` of them the sender counts as distrusted.
+with every suspicion.
 """
 
 from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence
-from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -50,9 +49,6 @@ LONGEST = 64
 
 ASK_AGAIN = 4
 """Steps until a robot asks again for entries for the first time; then it waits twice as long each time."""
-
-
-_LENGTH = attrgetter("length")
 
 
 class Rejected(NamedTuple):
@@ -113,7 +109,7 @@ class Replica:
 
     def lengths(self) -> Table:
         """Return the number of entries of each log."""
-        return np.fromiter(map(_LENGTH, self.logs), np.int64, len(self.logs))
+        return np.array([log.length for log in self.logs], np.int64)
 
     def refuses(self, peer: int, number: int) -> bool:
         """Return whether a peer's entries of a map are not accepted in this step."""

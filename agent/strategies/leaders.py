@@ -198,7 +198,6 @@ class FieldStrategy(Strategy):
 
         `length` is that of the shortest way over cells.
         """
-        del planner, start, frontier, length
         return None
 
     def _lead(self, situation: Situation, planner: PathPlanner, frontier: Cells) -> tuple[Cells, Cells]:
@@ -249,7 +248,6 @@ class PotentialField(FieldStrategy):
 
     def is_leader(self, situation: Situation) -> bool:
         """Return that it does not."""
-        del situation
         return False
 
 

@@ -184,7 +184,6 @@ class TargetStrategy(Strategy):
 
     def team_size(self, situation: Situation) -> int:
         """Return the number of robots that choose together."""
-        del situation
         return 1
 
     def decide(self, situation: Situation) -> Decision:
@@ -257,7 +256,6 @@ class TargetStrategy(Strategy):
 
     def stand(self, situation: Situation, planner: PathPlanner) -> Cell | None:
         """Return the cell to drive to for the current target; a subclass may return a viewpoint."""
-        del situation, planner
         return self.target
 
     def _count_turn(self, here: Cell) -> None:

@@ -79,7 +79,7 @@ def test_entries_go_in_as_far_as_they_fit_and_no_header_stands_alone(
     log = Log()
     log.append([b"abc", b"de", b"fghi"])
     builder = FrameBuilder(budget)
-    assert builder.add_entries(log, first, end, b"--", lambda *_: None) == after
+    assert builder.add_entries(log, first, b"--", lambda *_: None, end) == after
     assert builder.payload == payload
 
 
@@ -101,8 +101,8 @@ def test_handlers_run_for_the_parts_that_were_on_the_air(sent: int, expected: li
     ran: list[object] = []
     builder = FrameBuilder()
     builder.add(b"nn", lambda: ran.append("near"))
-    builder.add_entries(log, 0, 2, b"--", lambda first, end: ran.append((first, end)))
-    builder.add_entries(log, 2, 3, b"---", lambda first, end: ran.append((first, end)))
+    builder.add_entries(log, 0, b"--", lambda first, end: ran.append((first, end)), 2)
+    builder.add_entries(log, 2, b"---", lambda first, end: ran.append((first, end)), 3)
     builder.sent(sent)
     assert ran == expected
 
