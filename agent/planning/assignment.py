@@ -159,9 +159,7 @@ def _climb(
     while improved:
         improved = False
         for robot in range(robots):
-            best = -1
-            best_value = -np.inf
-            now = -np.inf
+            best, best_value, now = -1, -np.inf, -np.inf
             for goal in range(len(goals)):
                 value = utility[goal] - costs[robot, goal]
                 if value < best_value and goal != given[robot]:
@@ -172,8 +170,7 @@ def _climb(
                 if goal == given[robot]:
                     now = value
                 if value > best_value:
-                    best = goal
-                    best_value = value
+                    best, best_value = goal, value
             if best_value > now + 1e-9:
                 given[robot] = best
                 improved = True

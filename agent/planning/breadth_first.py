@@ -26,7 +26,7 @@ def first_by_hops(
 
     Returns the cell (x, y) and a way with the fewest steps, without the start; None if no frontier cell is reachable.
     """
-    around = np.broadcast_to(np.asarray(ranges, np.float64), len(taken)).copy()
+    around = np.full(len(taken), ranges, np.float64)
     way = np.empty((grid.size, 2), np.int32)
     length = _search(floor, grid, *start, taken, around, way)
     if length < 0:

@@ -56,9 +56,8 @@ def searched_candidate(
 
     `kind` is one of `SEARCHED`; `targets` are those of teammates, `ranges` the sensor range of each of them in cells.
     """
-    taken = np.array(targets, np.int32).reshape(-1, 2)
     search = planner.first_by_hops if kind == "hops" else planner.first_frontier
-    found = search(*here, taken, np.broadcast_to(np.asarray(ranges, np.float64), len(taken)))
+    found = search(*here, np.array(targets, np.int32).reshape(-1, 2), ranges)
     return np.array([found] if found is not None else [], np.int32).reshape(-1, 2)
 
 

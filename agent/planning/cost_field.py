@@ -114,7 +114,7 @@ def nearest_first(
 
     Returns the cell (x, y) and a shortest way to it, without the start; None if no frontier cell is reachable.
     """
-    around = np.broadcast_to(np.asarray(ranges, np.float64), len(taken)).copy()
+    around = np.full(len(taken), ranges, np.float64)
     work = workspace(len(floor.free))
     cell, way = _spread_to_frontier(floor.free, work, grid, floor.at(x, y), taken, around)
     return None if cell < 0 else ((cell % floor.stride - 1, cell // floor.stride - 1), way)

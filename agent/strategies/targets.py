@@ -212,7 +212,7 @@ class TargetStrategy(Strategy):
         self._scans = self.options.scan == "always" or at_rest
         return Decision(
             target=self.target,
-            path=self._route.next_cells(int(self.settings.body.speed) + 2),
+            path=self._route.cells[: int(self.settings.body.speed) + 2],
             heading=self.heading(situation, is_there=self.target == here),
             explored=not left and (self.options.mission == "open" or is_home),
             look=self._scans,
