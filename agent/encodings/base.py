@@ -36,11 +36,6 @@ class MapEncoding(ABC):
 
     A map travels as a log of packets. `encode_changes` appends to this robot's log; `apply` decodes packets of the
     logs of others.
-
-    Parameters
-    ----------
-    settings : Settings
-        The robot's task.
     """
 
     name: ClassVar[str]
@@ -52,7 +47,6 @@ class MapEncoding(ABC):
     """Whether retracting these packets would be in vain: packets encoded instead of them would hardly differ."""
     urgency: float | None = None
     """How much the packets added last change the plans of teammates, per byte; None: packets have no ranks."""
-
     update_steps: int = 1
     """Steps of which the longest update takes the budget."""
 
@@ -120,24 +114,11 @@ class MapEncoding(ABC):
 
     @abstractmethod
     def apply(self, map_id: int, frame: bytes, *, step: int, sender: int) -> None:
-        """Decode the next packets of a log, in the order of the log.
+        """Decode the next packets of the log of a map, in the order of the log.
 
-        Parameters
-        ----------
-        map_id : int
-            The map that the log describes.
-        frame : bytes
-            Whole packets, one after the other.
-        step : int
-            The step in which the frame arrived.
-        sender : int
-            The robot that sent the frame: the map's author, or a robot that forwards the map.
-
-        Raises
-        ------
-        ProtocolError
-            The packets are malformed, or report more than the author can have observed
-            (`agent.encodings.reachability_check`); nothing has changed.
+        `frame` consists of whole packets. It arrived in step `step` from robot `sender`: the map's author, or a robot
+        that forwards the map. ProtocolError: the packets are malformed, or report more than the author can have
+        observed (`agent.encodings.reachability_check`); nothing has changed.
         """
 
     def rebuild(self, logs: Sequence[bytes], step: int) -> None:

@@ -118,12 +118,7 @@ def unpack(data: bytes, shape: tuple[int, int]) -> tuple[int, int, Patch, bytes]
     """Decode the patch at the beginning of `data`, patches of a grid of `shape`, the last of which may be cut off.
 
     Returns (x0, y0, patch, rest): first column and row, uint8 array of shape (h, w), the bytes behind the patch; None
-    if the patch is cut off.
-
-    Raises
-    ------
-    ProtocolError
-        The patch is malformed, or lies outside the grid.
+    if the patch is cut off. ProtocolError: the patch is malformed, or lies outside the grid.
     """
     if not data:
         return None

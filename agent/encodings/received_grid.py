@@ -38,19 +38,14 @@ class ChangedCells:
 
 
 class GridEncoding(MapEncoding):
-    """An encoding that writes all received cells to one grid, and overlays it with the self-explored grid.
-
-    Attributes
-    ----------
-    received : uint8 array, shape (h, w)
-        The received state of each cell. A subclass that counts votes reports where (`received_changed`).
-    """
+    """An encoding that writes all received cells to one grid, and overlays it with the self-explored grid."""
 
     def __init__(self, settings: Settings) -> None:
         super().__init__(settings)
         self.votes = Votes(settings)
         """The reports from which `received` follows."""
         self.received = self.votes.received
+        """The received state of each cell, shape (h, w). A subclass that counts votes reports where it changes."""
         self.own_changes = ChangedCells()
         """Changes of the self-explored grid, which a subclass reports."""
         self._boxes: list[Box] = []

@@ -47,25 +47,12 @@ class Tracer:
     def contours(self, grid: Grid, robot: tuple[int, int], changed: Boxes | None = None) -> Polygons:
         """Extract the contours of the free space around the robot.
 
-        Parameters
-        ----------
-        grid : uint8 array of shape (height, width)
-            The self-explored grid.
-        robot : (int, int)
-            The robot's cell (x, y).
-        changed : int32 array of shape (n, 4), optional
-            Boxes outside of which the grid equals that of the last call; None: it may differ anywhere.
+        `grid` is the self-explored grid, shape (height, width), `robot` the robot's cell (x, y). Outside of the boxes
+        `changed`, the grid equals that of the last call; None: it may differ anywhere.
 
-        Returns
-        -------
-        Polygons
-            All contour points. Objects are in the order in which a raster scan first meets the left or right side
-            of one of their cells, and start there. So the inside object is the first.
-
-        Raises
-        ------
-        ValueError
-            The robot's cell is not a free cell of the grid.
+        Returns all contour points. Objects are in the order in which a raster scan first meets the left or right side
+        of one of their cells, and start there. So the inside object is the first. ValueError: the robot's cell is not a
+        free cell of the grid.
         """
         height, width = self._shape
         x, y = robot

@@ -124,12 +124,7 @@ def read(before: ReaderState, chunk: bytes) -> tuple[int, ReaderState, SavePoint
     """Apply the whole packets at the start of a chunk; `before` is not modified.
 
     Returns the bytes of these packets, behind which at most an incomplete one follows; the state after them; and the
-    last save point, if there is one.
-
-    Raises
-    ------
-    ProtocolError
-        A packet is malformed, does not fit those before it, or is no edit.
+    last save point, if there is one. ProtocolError: a packet is malformed, does not fit those before it, or is no edit.
     """
     objects, shape = before.objects, before.objects.shape
     state = objects.table, objects.pool, before.vertices, before.boxes, before.numbers

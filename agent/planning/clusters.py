@@ -39,18 +39,12 @@ class Clusters(NamedTuple):
 
 
 def cluster_groups(points: Cells, sizes: Int64s, counts: Int64s) -> Clusters:
-    """Cluster the points of each group around means.
+    """Cluster the points of each group around means; empty clusters are left out.
 
-    The initial means are far apart: the first point, then always the point farthest from all means so far.
-
-    Parameters
-    ----------
-    points : int32 array, shape (n, 2)
-        Group after group, different within a group; of equally near points the first counts.
-    sizes, counts : int64 arrays, shape (k,)
-        Number of points of each group, at least one; number of its clusters, at most as many.
-
-    Empty clusters are left out.
+    The initial means are far apart: the first point, then always the point farthest from all means so far. `points`,
+    shape (n, 2), follow group after group, different within a group; of equally near points the first counts. `sizes`
+    and `counts`, shape (k,), are the points of each group, at least one, and the number of its clusters, at most as
+    many.
     """
     found = np.empty((counts.sum(), 2), np.int32)
     groups = np.empty(len(found), np.int64)

@@ -256,16 +256,9 @@ def code_predicted_pose(
 ) -> None:
     """Encode or decode the next pose into `motion`; the first pose of a log in the plain code.
 
-    Parameters
-    ----------
-    grid : uint8 array, shape (h, w)
-        The grid from which the scan is predicted.
-    factors : Factors
-        As `start_factors` returns them.
-    speed : int
-        The robot's speed, in 1/1000 cell per step.
-    x, y : int
-        The cell of the scan; it must lie in the grid. A decoder passes any.
+    `grid`, shape (h, w), is that from which the scan is predicted, `factors` are those of `start_factors`, and `speed`
+    is that of the robot, in 1/1000 cell per step. The cell (x, y) of the scan must lie in the grid; a decoder passes
+    any.
     """
     if motion[SCANS] == 0:
         code_pose(coder, motion, x, y)

@@ -123,10 +123,7 @@ class Stream(ABC):
     def decode(self, message: bytes) -> DecodedUpdate | None:
         """Decode an update; None if it depends on an update that has not been decoded (nothing has changed then).
 
-        Raises
-        ------
-        ProtocolError
-            The update is malformed; nothing has changed.
+        ProtocolError: the update is malformed; nothing has changed.
         """
         self._begin()
         coder = (*reader(message), self.counts)

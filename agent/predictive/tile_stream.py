@@ -60,21 +60,10 @@ class TileStream(Stream):
 
         Updates of other maps may suffice for this: the update then consists of these dependencies.
 
-        Parameters
-        ----------
-        own, log_odds : arrays, shape (h, w)
-            States and log odds of the robot's estimator.
-        bound : Bound
-            The error that receivers' copies may have.
-        tiles : uint8 array, shape (tile rows, tile columns)
-            Marks of the tiles.
-        pose : (x, y)
-            The cell of the robot.
-
-        Returns
-        -------
-        (message, update)
-            None if all cells of the tiles fulfill the bound already; the stream is unchanged then.
+        `own` and `log_odds`, shape (h, w), are states and log odds of the robot's estimator, `bound` the error that
+        receivers' copies may have, `tiles` marks of the tiles, uint8 of shape (tile rows, tile columns), and `pose` the
+        cell (x, y) of the robot. Returns message and update; None if all cells of the tiles fulfill the bound already:
+        the stream is unchanged then.
         """
         if not self._apply(own, log_odds, bound, tiles):
             return None
