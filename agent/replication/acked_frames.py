@@ -176,7 +176,6 @@ class AckedFrames(Replication):
             self._reports_due.add((peer, number))
 
     def _peer_dropped(self, peer: int, number: int, length: int) -> None:
-        """A peer dropped entries: offer them at once."""
         super()._peer_dropped(peer, number, length)
         self._rounds.due[peer, number] = self._rounds.now
         self._timers.pop((peer, number), None)

@@ -43,9 +43,9 @@ class Replication(ABC):
 
     @abstractmethod
     def open_round(self, number: int, in_range: list[int], budget: int | None) -> list[OutgoingFrame]:
-        """Return the frames to send in round `number` of a step.
+        """Return the frames to send in round `number` of a step, given the peers in radio range.
 
-        `in_range` are the peers in radio range. `budget` is the number of bytes left in the step; None: no limit.
+        `budget` is the number of bytes left in the step; None: no limit.
         """
 
     def answer(self, offers: Sequence[Delivery]) -> list[OutgoingFrame]:
@@ -69,10 +69,9 @@ class Replication(ABC):
 
     def undelivered(self) -> int:
         """Count the entries of this robot's log that are not acknowledged, over all peers that have not ended."""
-        length = self.own_log.length
+        length, gone = self.own_log.length, {self.peers.robot, *self.ended}
         acked: list[int] = self.peers.acked[:, self.peers.own].tolist()
-        gone = {self.peers.robot, *self.ended}
-        return length * (len(acked) - len(gone)) - sum(acked) + sum([acked[peer] for peer in gone])
+        return sum([length - held for peer, held in enumerate(acked) if peer not in gone])
 
     def undelivered_to(self, peer: int) -> int:
         """Count the entries of this robot's log that a peer has not acknowledged."""
@@ -114,7 +113,6 @@ class Replication(ABC):
         return packet_codec.encode([verifier.digest(length, self.salt, complete=length == log.shared)])
 
     def _digest_sent(self) -> None:
-        """Note that the digest of this robot's log was on the air."""
         self.own_log.digest_length = None
 
     def _requests(self) -> bytes:
@@ -122,7 +120,6 @@ class Replication(ABC):
         return b"".join(report(number, len(self.logs[number])) for number in self.replica.maps_to_ask_for())
 
     def _requests_sent(self) -> None:
-        """Note that peers received the requests."""
         for number in self.replica.maps_to_ask_for():
             self.replica.asked(number)
 

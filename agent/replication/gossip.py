@@ -190,7 +190,6 @@ class Gossip(Replication):
         self.replica.reject(peer, self.peers.current[peer], reason)
 
     def _peer_dropped(self, peer: int, number: int, length: int) -> None:
-        """A peer dropped entries, so it lacks them."""
         super()._peer_dropped(peer, number, length)
         self._acks.dropped(peer, number)
 

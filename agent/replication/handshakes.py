@@ -174,7 +174,6 @@ class Handshakes(Replication):
         self.peers.expect(*pair, reached)
 
     def _peer_dropped(self, peer: int, number: int, length: int) -> None:
-        """A peer dropped entries: offer them at once."""
         super()._peer_dropped(peer, number, length)
         self._rounds.due[peer, number] = 0
         self._waits[peer, number] = 1

@@ -1,8 +1,4 @@
-"""Gossip's table of the robots in range: links, meetings, and where each robot's next broadcast begins.
-
-Robots that meet report the log lengths that the other may not know. Until a newcomer has reported, or `GREETING` steps
-have passed, this robot does not send it old entries: it may hold them already.
-"""
+"""Gossip's tables of the robots in range: meetings, links, and where each robot's next broadcast begins."""
 
 from __future__ import annotations
 
@@ -42,13 +38,13 @@ TRANSITIONS: dict[Event, _Facts] = {
 class Meetings:
     """The reports that this robot and robots that came into its range must exchange, by `TRANSITIONS`.
 
-    `settled`: all start at the same time with empty logs; else everyone in range must report first.
+    Until a newcomer has reported, or `GREETING` steps have passed, this robot does not send it old entries: it may hold
+    them already. `settled`: all start at the same time with empty logs; else everyone in range must report first.
     """
 
     def __init__(self, robots: int, *, settled: bool) -> None:
-        self._in_range = set(range(robots)) if settled else set[int]()
-        self._arrived = dict.fromkeys(self._in_range, 0)
-        """The step in which each peer came into range last."""
+        self._arrived: dict[int, int] = dict.fromkeys(range(robots), 0) if settled else {}
+        """The step in which each robot in range came there."""
         self._owed: set[int] = set()
         """Peers to which this robot owes reports."""
         self._awaited: set[int] = set()
@@ -62,10 +58,11 @@ class Meetings:
 
     def begin_step(self, step: int, in_range: Iterable[int]) -> None:
         """Note which peers have left the range and which have come; after `GREETING` steps, await no report."""
-        before, self._in_range = self._in_range, set(in_range)
-        for peer in before - self._in_range:
+        here = set(in_range)
+        for peer in self._arrived.keys() - here:
             self.on(peer, "left")
-        for peer in self._in_range - before:
+            del self._arrived[peer]
+        for peer in here - self._arrived.keys():
             self.on(peer, "arrived")
             self._arrived[peer] = step
         for peer in [each for each in self._awaited if step > self._arrived[each] + GREETING]:

@@ -83,12 +83,8 @@ class OfferDissemination(ABC):
     def offers(self, rounds: Rounds, lengths: Table) -> list[Offer]:
         """Return the offers of a round, at most one per peer and map.
 
-        Parameters
-        ----------
-        rounds : Rounds
-            The peers in range, the entries that each is known to hold, and the rounds so far.
-        lengths : int64 array, shape (maps,)
-            Entries of each map that this robot may offer.
+        `rounds` has the peers in range, the entries that each is known to hold, and the rounds so far; `lengths`, int64
+        of shape (maps,), the entries of each map that this robot may offer.
         """
 
 

@@ -58,17 +58,6 @@ class Rejected(NamedTuple):
     reason: str
 
 
-class _Request(NamedTuple):
-    """Entries of a map that were dropped."""
-
-    length: int
-    """The length of the log that ends the request."""
-    step: int
-    """When to ask."""
-    wait: int
-    """Steps until this robot asks again."""
-
-
 class Replica:
     """Logs by map number, and the number of entries that peers hold of each.
 
@@ -82,8 +71,9 @@ class Replica:
         self.verifiers = [LogVerifier(log, ordered=ordered) for log in self.logs]
         self.step = 0
         """Steps so far."""
-        self._requests: dict[int, _Request] = {}
-        """By number of a map of which entries were dropped."""
+        self._requests: dict[int, tuple[int, int, int]] = {}
+        """By number of a map of which entries were dropped: the length of the log that ends the request, the step in
+        which to ask, and the steps from then until this robot asks again."""
         self._suspicions: Counter[tuple[int, int]] = Counter()
         """How often entries of a (peer, map number) were wrong."""
         self._until: dict[tuple[int, int], int] = {}
@@ -161,16 +151,16 @@ class Replica:
 
     def maps_to_ask_for(self) -> list[int]:
         """Return the numbers of the maps to ask for in this step: entries of them were dropped, and have not come."""
-        for number, request in list(self._requests.items()):
-            if len(self.logs[number]) >= request.length or self.verifiers[number].complete:
+        for number, (length, _, _) in list(self._requests.items()):
+            if len(self.logs[number]) >= length or self.verifiers[number].complete:
                 del self._requests[number]
-        return [number for number, request in self._requests.items() if self.step >= request.step]
+        return [number for number, (_, step, _) in self._requests.items() if self.step >= step]
 
     def asked(self, number: int) -> None:
         """Note that peers received a request for entries of a map."""
         if number in self._requests:
             length, _, wait = self._requests[number]
-            self._requests[number] = _Request(length, self.step + wait, min(2 * wait, LONGEST))
+            self._requests[number] = length, self.step + wait, min(2 * wait, LONGEST)
 
     def check_own(self, peer: int, first: int, entries: list[bytes]) -> None:
         """Compare entries of this robot's log that a peer sent, from offset `first` on; report forged ones."""
@@ -214,7 +204,6 @@ class Replica:
         self._rebuild([log.read(0) for log in self.logs])
 
     def _ask(self, number: int, length: int) -> None:
-        """Ask for entries from the next step on."""
-        if number in self._requests:
-            length = max(length, self._requests[number].length)
-        self._requests[number] = _Request(length, self.step + 1, ASK_AGAIN)
+        """Ask for entries from the next step on, until the log has so many."""
+        before, _, _ = self._requests.get(number, (0, 0, 0))
+        self._requests[number] = max(length, before), self.step + 1, ASK_AGAIN
