@@ -28,6 +28,8 @@ class Replication(ABC):
         self.logs = replica.logs
         self.own_log = replica.own_log
         """The log of this robot, to which the caller appends entries."""
+        self.announces_digests = self.announces_requests = True
+        """Whether broadcasts have this robot's digests, and its requests for entries; else its frames have them."""
         self.priority = 0
         """Priority of this round's frames: the higher, the shorter a broadcast waits for a free medium."""
         self.salt: int | None = None
@@ -79,12 +81,16 @@ class Replication(ABC):
 
     def announcements(self) -> bytes:
         """Return the packets about logs to broadcast in this step: the digest that is due, and requests for entries."""
-        return self._next_digest() + self._requests()
+        digest = self._next_digest() if self.announces_digests else b""
+        asked = self.replica.maps_to_ask_for() if self.announces_requests else []
+        return digest + b"".join(report(number, len(self.logs[number])) for number in asked)
 
     def announced(self) -> None:
         """Note that this step's broadcast was on the air."""
-        self._digest_sent()
-        self._requests_sent()
+        if self.announces_digests:
+            self.own_log.digest_sent()
+        for number in self.replica.maps_to_ask_for() if self.announces_requests else ():
+            self.replica.asked(number)
 
     def receive_announcement(self, peer: int, packet: LogDigest | Held) -> list[Rejected]:
         """Process a packet about logs that a peer broadcast; return the rejections of entries that it refutes."""
@@ -111,17 +117,6 @@ class Replication(ABC):
         if not length:
             return b""
         return packet_codec.encode([verifier.digest(length, self.salt, complete=length == log.shared)])
-
-    def _digest_sent(self) -> None:
-        self.own_log.digest_length = None
-
-    def _requests(self) -> bytes:
-        """Return the log lengths of the maps to ask for."""
-        return b"".join(report(number, len(self.logs[number])) for number in self.replica.maps_to_ask_for())
-
-    def _requests_sent(self) -> None:
-        for number in self.replica.maps_to_ask_for():
-            self.replica.asked(number)
 
     def _possible(self, number: int, length: int) -> int:
         """Limit a log length that a peer claims: no robot holds entries of this robot's map that were not sent."""

@@ -67,10 +67,9 @@ class LogVerifier:
             self._open = sorted([*self._open, (length, longer, digest)], key=lambda each: each[0])[:MAX_OPEN]
 
     def check(self) -> bool | None:
-        """Check the digests of entries that have arrived.
+        """Check the digests of entries that have arrived: True if more entries are verified now, None if none are.
 
-        Returns True if more entries are verified now, False if an entry behind the verified ones is not the author's,
-        and None if no digest could be checked.
+        False: an entry behind the verified ones is not the author's.
         """
         verified = self.length
         while self._open and self._open[0][0] <= len(self._log):

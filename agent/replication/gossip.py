@@ -34,27 +34,23 @@ from protocol.packets import From, Gone, Held, LogDigest, Near
 
 
 class Gossip(Replication):
-    """One robot's broadcasts, and its processing of those that it receives.
-
-    `reliable`: whether the medium loses nothing.
-    """
+    """One robot's broadcasts, and its processing of those that it receives; `reliable`: the medium loses nothing."""
 
     def __init__(self, replica: Replica, dependencies: Dependencies, *, reliable: bool) -> None:
         super().__init__(replica)
         peers = self.peers
         robot, robots, first_incarnation = peers.robot, peers.robots, peers.own < peers.robots
+        self.announces_digests, self.announces_requests = False, not reliable  # a late report is no request
         self._acks = Acks(peers, reliable=reliable)
         self._reports = Reports(replica, self._acks)
         self._neighbors = Neighbors(robot, robots)
         self._meetings = Meetings(robots, settled=first_incarnation)
-        self._cursors = BroadcastCursors(robot, robots, known=first_incarnation, reliable=reliable)
+        self._cursors = BroadcastCursors(robots, known=first_incarnation, reliable=reliable)
         self._policy = GossipPolicy(peers, replica.logs, self._neighbors, dependencies)
         self._builder = FrameBuilder()
         self._idle_since = 0
-        """The last step in which this robot had nothing to send, or sent something.
-
-        Without ranks of entries, also one in which the rest of a budget was too small for it.
-        """
+        """The last step in which this robot had nothing to send, or sent something; without ranks of entries, also one
+        in which the rest of a budget was too small for it."""
 
     def open_round(self, number: int, in_range: list[int], budget: int | None) -> list[OutgoingFrame]:
         """Return the broadcast of this round, if there is anything to send."""
@@ -87,15 +83,6 @@ class Gossip(Replication):
             urgency=self.urgency if self.own_log.has_unsent else None,
         )
         return [OutgoingFrame(EVERYONE, payload)] if payload else []
-
-    def announcements(self) -> bytes:
-        """Return the requests for dropped entries, unless frames of gossip have them: a late report is no request."""
-        return b"" if self._acks.reliable else self._requests()
-
-    def announced(self) -> None:
-        """Note that this step's broadcast was on the air."""
-        if not self._acks.reliable:
-            self._requests_sent()
 
     def close_round(self, report: RoundReport) -> list[Rejected]:
         """Update the tables by the parts that were on the air, and accept the entries that arrived."""
@@ -138,7 +125,7 @@ class Gossip(Replication):
                 builder.add(near, partial(neighbors.inform, robot, here))
         digest = self._next_digest()
         if digest and builder.fits(digest):
-            builder.add(digest, self._digest_sent)
+            builder.add(digest, self.own_log.digest_sent)
         end = 0
         for number in self._reports.due(lengths, owed, parted=neighbors.have_parted):
             held = report(number, len(self.logs[number]))
@@ -173,9 +160,9 @@ class Gossip(Replication):
             self._cursors.sent_earlier_incarnation()
 
     def _note_receivers(self, sender: int, number: int, first: int, end: int) -> None:
-        """Note that all in range of a sender received entries `first` to `end` - 1 of a map.
+        """Note that all in range of a sender received entries `first` to `end` - 1 of a map, if they held those before.
 
-        They take the entries unless they lack earlier ones. If this robot holds the entries, they know that.
+        If this robot holds the entries, they know that.
         """
         receivers = self._neighbors.receivers(sender)
         raise_lengths(self.peers.expected.T[number], receivers, first, end)

@@ -83,10 +83,10 @@ class Meetings:
 
 
 class Neighbors:
-    """Which robots are in range of each other, as they report it (`Near`, `Gone`).
+    """Which robots are in range of each other, and so received a broadcast.
 
-    A robot must know which others received a broadcast. So each one reports arrivals and departures in its own range
-    until all peers in range have received that. Until a robot reports otherwise, it counts as in range of all.
+    Each robot reports arrivals and departures in its own range (`Near`, `Gone`) until all peers in range have received
+    that. Until a robot reports otherwise, it counts as in range of all.
     """
 
     def __init__(self, robot: int, robots: int) -> None:
@@ -98,10 +98,8 @@ class Neighbors:
         self.near: Mask = ~np.eye(robots, dtype=np.bool_)
         """``near[robot, other]``: whether `other` is in a robot's range; as to peers, by their reports."""
         self._informed: Mask = np.arange(robots) != np.full((robots, 1), robot)
-        """``_informed[peer, other]``: whether `other` is in this robot's range, by the reports that a peer received.
-
-        True for the peer itself: only peers in range are informed.
-        """
+        """``_informed[peer, other]``: whether `other` is in this robot's range, by the reports that a peer received;
+        true for the peer itself, as only peers in range are informed."""
         self._settled = False
         """Whether `news` found none, and nothing has changed since."""
 
@@ -145,17 +143,16 @@ class Neighbors:
 class BroadcastCursors:
     """Offsets at which each robot's next broadcast of its own log begins, as far as that is known without a header.
 
-    A robot that received the last broadcast, or was in range then, knows where the next one begins, so the header
-    (`From`) is left out. `known`: all logs begin now; else no offset is known yet. On a medium that loses frames, that
-    is not `reliable`, no peer can know.
+    A robot that was in range of the last broadcast knows where the next one begins, so the header (`From`) is left out.
+    `known`: all logs begin now; else no offset is known yet. On a medium that is not `reliable`, no peer can know.
     """
 
-    def __init__(self, robot: int, robots: int, *, known: bool, reliable: bool) -> None:
+    def __init__(self, robots: int, *, known: bool, reliable: bool) -> None:
         self._reliable = reliable
         known = known and reliable
         self._own = 0
         """Offset after this robot's last broadcast of its own log."""
-        self._aware = set(range(robots)) - {robot} if known else set()
+        self._aware = set(range(robots)) if known else set()
         """Robots that have been in range since then."""
         self._others: dict[int, int] = dict.fromkeys(range(robots), 0) if known else {}
         """Offset after each peer's last broadcast of its own log, if this robot received it."""

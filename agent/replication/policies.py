@@ -1,8 +1,4 @@
-"""Policies of unicast dissemination: which log ranges to offer to which peer in a round.
-
-A policy chooses by the peer table, the lengths of this robot's logs, and the rounds so far. Plug-ins
-(`protocol.plugins`) are further policies.
-"""
+"""Policies of unicast dissemination: which log ranges to offer to which peer in a round."""
 
 from __future__ import annotations
 
@@ -21,8 +17,7 @@ GOSSIP = "gossip"
 """The name of the dissemination without offers (`agent.replication.gossip`)."""
 
 CROWD = 16
-"""Robots in range of each other above which ``backoff`` bounds handshakes by the medium's capacity: at this size 240
-offers a round take 960 bytes with their answers."""
+"""Robots in range of each other above which ``backoff`` bounds handshakes by the medium's capacity."""
 
 
 class Offer(NamedTuple):

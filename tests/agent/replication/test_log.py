@@ -176,7 +176,7 @@ def test_robots_that_meet_owe_reports_and_await_one() -> None:
 
 
 def test_cursors_are_known_to_robots_that_were_in_range_ever_since() -> None:
-    cursors = BroadcastCursors(0, 3, known=True, reliable=True)
+    cursors = BroadcastCursors(3, known=True, reliable=True)
     assert cursors.known(0, [1, 2])
     assert cursors.of(1) == 0
     cursors.begin_step([1])
@@ -185,7 +185,7 @@ def test_cursors_are_known_to_robots_that_were_in_range_ever_since() -> None:
     assert cursors.known(5, [1])
     assert not cursors.known(5, [1, 2])
     assert (cursors.of(1), cursors.of(2)) == (3, None)
-    unreliable = BroadcastCursors(0, 3, known=True, reliable=False)
+    unreliable = BroadcastCursors(3, known=True, reliable=False)
     unreliable.sent(5, [1])
     assert not unreliable.known(5, [1])
 
