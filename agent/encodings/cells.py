@@ -133,10 +133,8 @@ def unpack(data: bytes, shape: tuple[int, int]) -> tuple[int, int, Patch, bytes]
         numbers.append(value)
     x0, y0, width, height, size = numbers
     if not (0 < width <= shape[1] - x0 and 0 < height <= shape[0] - y0):
-        reason = (
-            f"a patch of {width} x {height} cells at ({x0}, {y0}) leaves the {shape[1]} x {shape[0]} grid"
-        )
-        raise ProtocolError("cells", 1, reason)
+        patch = f"a patch of {width} x {height} cells at ({x0}, {y0})"
+        raise ProtocolError("cells", 1, f"{patch} leaves the {shape[1]} x {shape[0]} grid")
     cells = width * height
     if size > cells:
         raise ProtocolError("cells", 1, f"a patch of {cells} cells takes {size} bytes")
