@@ -89,16 +89,8 @@ class MapEncoding(ABC):
     ) -> list[bytes]:
         """Return the packets to append to this robot's log for this step; none if nothing is to be sent.
 
-        Parameters
-        ----------
-        own : uint8 array, shape (h, w)
-            The self-explored grid, `scan` drawn on it.
-        scan : Scan or RangeScan
-            This step's readings.
-        change : Change
-            Where the scan has changed the grid.
-        delivered : bool
-            Whether teammates are in range and all of them hold the whole log.
+        `own` is the self-explored grid, uint8 of shape (h, w), on which this step's `scan` is drawn; `change` is where
+        the scan has changed it. `delivered`: teammates are in range, and all of them hold the whole log.
         """
 
     def has_news(self, *, delivered: bool) -> bool:

@@ -79,18 +79,11 @@ class Bound:
     ) -> int:
         """Compute the states that receivers shall hold, in the marked tiles; return the number of tiles that change.
 
-        Parameters
-        ----------
-        own, log_odds : arrays, shape (h, w)
-            States and log odds of the robot's estimator.
-        held : uint8 array, shape (h, w)
-            The grid that receivers hold; states are in the low two bits.
-        tiles : uint8 array, shape (tile rows, tile columns)
-            Marks of the tiles that may change, and whose cells then fulfill the bound.
-        target : uint8 array, shape (h, w)
-            Result: the states of all cells in and around the marked tiles.
-        changed : uint8 array, shape (tile rows, tile columns)
-            Result: 1 for tiles in which they differ from the held ones.
+        `own` and `log_odds`, shape (h, w), are states and log odds of the robot's estimator. `held` is the grid that
+        receivers hold, with states in the low two bits. `tiles`, uint8 of shape (tile rows, tile columns), are marks of
+        the tiles that may change, and whose cells then fulfill the bound. Results are `target`, shape (h, w), the
+        states of all cells in and around the marked tiles, and `changed`, 1 for tiles in which they differ from the
+        held ones.
         """
         estimate = own, log_odds, self.settled if self.tolerance else 0
         last = _CLOSE if self.closes_gaps else _FILL

@@ -97,22 +97,13 @@ class ScanStream(Stream):
     ) -> tuple[bytes, DecodedUpdate, int] | None:
         """Encode an update of what has changed in a self-explored grid, up to a limit.
 
-        Parameters
-        ----------
-        poses : sequence of (x, y)
-            Cells from which the robot has scanned since the last update.
-        box : Box
-            Where the grid has changed since the last update.
-        most : float, optional
-            Bytes after which no further scan is encoded. An update has one scan at least, and at most `MAX_SCANS`.
-            Streams of narrow media have a limit of their own.
+        `poses` are the cells (x, y) from which the robot has scanned since the last update, `box` is where the grid has
+        changed since then. Behind `most` bytes, no further scan is encoded. An update has one scan at least, and at
+        most `MAX_SCANS`. Streams of narrow media have a limit of their own.
 
-        Returns
-        -------
-        (message, update, scans)
-            `scans` is the number of `poses` that the update covers. If it covers all of them, and is not cut, the
-            decoded grid equals `own`; else it holds what these scans show. The next update needs the other poses.
-            None if nothing is left to report; the stream is unchanged then.
+        Returns message, update, and the number of `poses` that it covers. If it covers all of them, and is not cut, the
+        decoded grid equals `own`; else it holds what these scans show, and the next update needs the other poses. None
+        if nothing is left to report; the stream is unchanged then.
         """
         scans = 0
 

@@ -128,22 +128,11 @@ def code_scan(
     """Cast one scan, beam by beam, and encode or decode the unknown cells along the beams.
 
     The scan is cut off at the first unknown cell behind `limit` bytes of the update, if the update has any cell.
-
-    Parameters
-    ----------
-    mixing : MixingCoder
-        The same coder with a model of walls (`agent.predictive.wall_model`). If the model is empty, walls are coded by
-        their neighbors alone.
-    grid : uint8 array, shape (h, w)
-        The grid from which the scan is predicted; coded cells are written to it.
-    own : uint8 array, shape (h, w)
-        The author's self-explored grid; a decoder passes any grid.
-    x, y : int
-        The cell of the scan. It is taken to be free without coding.
-    changes : int32 array, shape (n, 2)
-        Changed cells, as indices of the flat grid, and their previous values, from row `changed` on.
-
-    Returns the number of used rows of `changes`.
+    `mixing` is the same coder with a model of walls (`agent.predictive.wall_model`). If the model is empty, walls are
+    coded by their neighbors alone. `grid`, shape (h, w), is that from which the scan is predicted; coded cells are
+    written to it. `own` is the author's self-explored grid; a decoder passes any. The cell (x, y) of the scan is taken
+    to be free without coding. `changes`, shape (n, 2), receives the changed cells, as indices of the flat grid, and
+    their previous values, from row `changed` on. Returns the number of used rows of `changes`.
     """
     # Unsigned, a cell beyond the left or upper rim has a very large number; unsigned indexing is twice as fast.
     height, width = np.uint64(grid.shape[0]), np.uint64(grid.shape[1])

@@ -50,23 +50,11 @@ FIRST_BUFFER = 1 << 10
 class Stream(ABC):
     """Encoder and decoder state of one map's log.
 
-    Parameters
-    ----------
-    map_id : int
-        The map.
-    grid : uint8 array, shape (h, w)
-        The grid of all reports, all unknown at first (encoding: `agent.predictive.scan_updates`).
-    histories : sequence of History
-        The decoded updates of each map, by map ID. `encode` and `decode` append to the history of this map.
-    scratch : int32 array, shape (2 h w, 2)
-        Buffer for the cells that an update changes; streams may share it.
-    team : bool
-        Whether updates depend on other maps.
-    base_maps : int, optional
-        Number of maps on which updates may depend; those of later incarnations (`agent.identity`) follow them, and
-        would cost bits for dependencies that do not occur. Default: all.
-    counts : uint16 array, shape (CONTEXTS, 2), optional
-        Initial counts of the contexts; default: the shipped table.
+    `grid`, shape (h, w), has all reports, none at first (`agent.predictive.scan_updates`). `histories` are the decoded
+    updates of each map, by map ID; `encode` and `decode` append to that of this map. `scratch`, int32 of shape
+    (2 h w, 2), is a buffer for the cells that an update changes; streams may share it. With `team`, updates depend on
+    other maps, but only on the first `base_maps`: those of later incarnations (`agent.identity`) would cost bits for
+    dependencies that do not occur. `counts` are the initial ones of the contexts; default: the shipped table.
     """
 
     state: ClassVar[tuple[str, ...]] = ("counts", "_motion", "depends_on", "_bases_grew", "key", "model")

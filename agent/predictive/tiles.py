@@ -208,22 +208,13 @@ def code_changed(coder: MixingCoder, grid: Grid, changed: Grid, box: Int64s, x: 
 def code_tiles(
     coder: MixingCoder, grid: Grid, target: Grid, changed: Grid, last: Int64s, changes: Cells
 ) -> int:
-    """Encode or decode the changed tiles, and write their cells to the grid.
+    """Encode or decode the changed tiles, and write their cells to the grid; return the number of changed cells.
 
-    Parameters
-    ----------
-    grid : uint8 array, shape (h, w)
-        The grid of author and receiver.
-    target : uint8 array, shape (h, w)
-        The states that the changed tiles shall have; a decoder passes any grid.
-    changed : uint8 array, shape (tile rows, tile columns)
-        1 for changed tiles, at least one; a decoder passes zeros, and it is filled.
-    last : int64 array, shape (4,)
-        First column and row, last column and row of the tiles of the last update; it is replaced.
-    changes : int32 array, shape (n, 2)
-        Receives the changed cells, as indices of the flat grid, and their previous values.
-
-    Returns the number of changed cells. The coder has failed if the box does not lie on the grid.
+    `grid`, shape (h, w), is that of author and receiver, `target` has the states that the changed tiles shall have; a
+    decoder passes any. `changed`, uint8 of shape (tile rows, tile columns), is 1 for changed tiles, at least one; a
+    decoder passes zeros, and it is filled. `last`, shape (4,), has the first column and row, and the last ones, of the
+    tiles of the last update; it is replaced. `changes`, shape (n, 2), receives the changed cells, as indices of the
+    flat grid, and their previous values. The coder has failed if the box does not lie on the grid.
     """
     count, box = 0, code_changed_box(coder, changed, last)
     for tile_y in range(box[1], box[3] + 1):

@@ -46,7 +46,7 @@ class Gossip(Replication):
         self._neighbors = Neighbors(robot, robots)
         self._meetings = Meetings(robots, settled=first_incarnation)
         self._cursors = BroadcastCursors(robots, known=first_incarnation, reliable=reliable)
-        self._policy = GossipPolicy(peers, replica.logs, self._neighbors, dependencies)
+        self._policy = GossipPolicy(replica, self._neighbors, dependencies)
         self._builder = FrameBuilder()
         self._idle_since = 0
         """The last step in which this robot had nothing to send, or sent something; without ranks of entries, also one

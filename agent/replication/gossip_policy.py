@@ -16,9 +16,9 @@ from operator import attrgetter
 import numpy as np
 
 from agent.encodings.base import Dependency
-from agent.replication.log import Log
 from agent.replication.neighbors import Neighbors
-from agent.replication.peers import PeerTable, Table
+from agent.replication.peers import Table
+from agent.replication.replica import Replica
 from protocol.arrays import Int64Rows, Int64s
 from protocol.kernels import kernel
 
@@ -51,16 +51,14 @@ MAX_LENGTH = 1 << 62
 class GossipPolicy:
     """What peers in range lack, since when, and which of that this robot broadcasts."""
 
-    def __init__(
-        self, peers: PeerTable, logs: Sequence[Log], neighbors: Neighbors, dependencies: Dependencies
-    ) -> None:
-        self._peers = peers
-        self._logs = logs
+    def __init__(self, replica: Replica, neighbors: Neighbors, dependencies: Dependencies) -> None:
+        self._peers = replica.peers
+        self._logs = replica.logs
         self._neighbors = neighbors
         self._dependencies = dependencies
         self._lacks: dict[int, dict[int, int]] = {}
         """By peer and map number: how many entries this robot holds that the peer should not hold yet."""
-        self._since = peers.new_table()
+        self._since = self._peers.new_table()
         """``_since[peer, map]``: the step since which the peer lacks some."""
         self._step = 0
         self._turn = 0
@@ -126,20 +124,14 @@ class GossipPolicy:
         else:
             end = min(end, low)
         if first < end and (number == self._peers.own or self._is_forwarder(peer, number)):
-            end = self._add(add, number, first, min(end, len(self._logs[number])))
+            is_too_long = (number, first) in self._too_long
+            end = first if is_too_long else add(number, first, min(end, len(self._logs[number])))
+            if end > first:
+                low, high = self._sent.get(number, (first, end))
+                self._sent[number] = min(low, first), max(high, end)
+            else:
+                self._too_long.add((number, first))
         will_hold[number] = max(first, end)
-
-    def _add(self, add: Add, number: int, first: int, end: int) -> int:
-        """Add entries of a map to the frame, unless it has no room for the first; return the offset after the last."""
-        if (number, first) in self._too_long:
-            return first
-        end = add(number, first, end)
-        if end > first:
-            low, high = self._sent.get(number, (first, end))
-            self._sent[number] = min(low, first), max(high, end)
-        else:
-            self._too_long.add((number, first))
-        return end
 
     def _is_forwarder(self, peer: int, number: int) -> bool:
         """Return whether it is this robot's turn to forward what a peer lacks of a map.
