@@ -23,7 +23,7 @@ from functools import partial
 from agent.replication.base import Replication
 from agent.replication.control_packets import header, offer, offset, parse, report
 from agent.replication.frame_builder import FrameBuilder, limited
-from agent.replication.policies import Offer, Policy, Rounds
+from agent.replication.policies import Offer, Rounds
 from agent.replication.replica import Rejected, Replica
 from protocol import packets
 from protocol.errors import ProtocolError
@@ -64,9 +64,9 @@ class _Timer:
 class AckedFrames(Replication):
     """One robot's unicast frames to all peers."""
 
-    def __init__(self, replica: Replica, policy: Policy, *, forwards: bool) -> None:
+    def __init__(self, replica: Replica, rounds: Rounds) -> None:
         super().__init__(replica)
-        self._rounds = Rounds(replica, policy, forwards=forwards)
+        self._rounds = rounds
         self._reports_due: set[tuple[int, int]] = set()
         """Peers that must be sent a report of a map, as pairs (peer, map)."""
         self._timers: defaultdict[tuple[int, int], _Timer] = defaultdict(_Timer)

@@ -29,10 +29,8 @@ PATIENCE = 6
 SHARE = 8
 """The part of the medium that all reports together may take, as a divisor; as for receivers of RTP (RFC 3550)."""
 
-MIN_ROUND_TRIP = 2
-"""Steps in which a report can come back at the soonest."""
-
-MAX_ROUND_TRIP = 64
+MIN_ROUND_TRIP, MAX_ROUND_TRIP = 2, 64
+"""Steps in which a report can come back at the soonest, and the most that count."""
 
 NEVER = -1
 """The step of something that has not happened."""
@@ -103,12 +101,10 @@ class Acks:
 
     def stored(self, number: int, length: int) -> tuple[int, bytes] | None:
         """Take the stored entry at offset `length`, with its sender; if there is none, drop those before it."""
-        if number not in self._stored:
-            return None
-        entry = self._stored[number].pop(length, None)
-        if entry is None:
-            self._stored[number] = {at: each for at, each in self._stored[number].items() if at > length}
-        return entry
+        stored = self._stored.get(number)
+        if stored and length not in stored:
+            self._stored[number] = {at: each for at, each in stored.items() if at > length}
+        return stored.pop(length, None) if stored else None
 
     def restarted(self, peer: int) -> None:
         """Expect nothing of a peer that lost its state."""

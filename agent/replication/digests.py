@@ -42,8 +42,8 @@ class LogVerifier:
         """Length, whether this log was longer when the digest of a complete one arrived, and the digest."""
         self._complete = False
         """Whether the last digest that was checked verified all entries of a complete log."""
-        self._end: tuple[int, int] | None = None
-        """Length and salt of the last digest of a complete log that was shorter than this one."""
+        self._end = (-1, 0)
+        """Length and salt of the last digest of a complete log that was shorter than this one; -1 if there is none."""
 
     @property
     def complete(self) -> bool:
@@ -82,14 +82,8 @@ class LogVerifier:
             self._hash.update(self._log.read(self.length, None, length))
             self.length = length
             self._complete = bool(digest.complete)
-            if longer and self._ends(length, digest.salt):
-                return False
+            if longer:  # entries behind the end are forged; if digests may be late, a second one must agree
+                (before, salt), self._end = self._end, (length, digest.salt)
+                if self._ordered or (before == length and salt != digest.salt):
+                    return False
         return True if self.length > verified else None
-
-    def _ends(self, length: int, salt: int) -> bool:
-        """Return whether a digest of a complete log of that length shows that entries behind it are not the author's.
-
-        If digests may be late, a second one must agree.
-        """
-        before, self._end = self._end, (length, salt)
-        return self._ordered or (before is not None and before[0] == length and before[1] != salt)

@@ -38,12 +38,12 @@ class Gossip(Replication):
 
     def __init__(self, replica: Replica, dependencies: Dependencies, *, reliable: bool) -> None:
         super().__init__(replica)
-        peers = self.peers
-        robot, robots, first_incarnation = peers.robot, peers.robots, peers.own < peers.robots
+        peers, robots = self.peers, self.peers.robots
+        first_incarnation = peers.own < robots
         self.announces_digests, self.announces_requests = False, not reliable  # a late report is no request
         self._acks = Acks(peers, reliable=reliable)
         self._reports = Reports(replica, self._acks)
-        self._neighbors = Neighbors(robot, robots)
+        self._neighbors = Neighbors(peers.robot, robots)
         self._meetings = Meetings(robots, settled=first_incarnation)
         self._cursors = BroadcastCursors(robots, known=first_incarnation, reliable=reliable)
         self._policy = GossipPolicy(replica, self._neighbors, dependencies)
@@ -101,10 +101,10 @@ class Gossip(Replication):
         if sent:
             self._idle_since = self.replica.step
         self._builder = FrameBuilder()
-        for peer, frame in frames:
-            for control in frame.controls:
-                if isinstance(control, LogDigest):
-                    self.replica.receive_digest(peer, control)
+        controls = [(peer, control) for peer, frame in frames for control in frame.controls]
+        for peer, control in controls:
+            if isinstance(control, LogDigest):
+                self.replica.receive_digest(peer, control)
         for peer, frame in frames:
             for head, entries in frame.sections:
                 self._read_entries(peer, head, entries)
@@ -130,9 +130,10 @@ class Gossip(Replication):
         for number in self._reports.due(lengths, owed, parted=neighbors.have_parted):
             held = report(number, len(self.logs[number]))
             if builder.fits(held):
-                end = builder.add(held, partial(self._report_sent, number))
+                receivers = neighbors.receivers(self.peers.robot)
+                end = builder.add(held, partial(self._reports.sent, number, receivers))
         if owed:
-            builder.add_marker(end, partial(self._meetings.informed, owed))
+            builder.add_marker(end, partial(self._meetings.on, "informed", *owed))
 
     def _add_range(self, number: int, first: int, end: int) -> int:
         """Add entries of a map to the frame, behind a header where one is needed; return the offset after the last."""
@@ -143,12 +144,6 @@ class Gossip(Replication):
         return self._builder.add_entries(
             self.logs[number], first, head, partial(self._entries_sent, number), end
         )
-
-    # --- what was on the air
-
-    def _report_sent(self, number: int) -> None:
-        """This robot's report of a map was on the air."""
-        self._reports.sent(number, self._neighbors.receivers(self.peers.robot))
 
     def _entries_sent(self, number: int, first: int, end: int) -> None:
         """Entries `first` to `end` - 1 of a map were on the air."""
@@ -186,7 +181,7 @@ class Gossip(Replication):
             if isinstance(control, From) and self.peers.restarted(peer, control.map):
                 for part in (self._acks, self._reports, self._cursors, self._neighbors):
                     part.restarted(peer)
-                self._meetings.on(peer, "restarted")
+                self._meetings.on("restarted", peer)
 
     def _read_reports(self, peer: int, frame: ParsedFrame) -> None:
         """Note a peer's range and its log lengths; reject the peer's entries if it sends other control packets."""
@@ -203,14 +198,13 @@ class Gossip(Replication):
                     if dropped and number == self.peers.own and self._acks.reliable:
                         self.own_log.request_digest(length)
                     self._acks.report_received(peer, number, length, self.replica.step)
-                    self._meetings.on(peer, "reported")
+                    self._meetings.on("reported", peer)
                 case LogDigest():
                     pass
                 case From(number, _) if number < len(logs):
                     pass
                 case other:
-                    reason = f"{other} is not valid in gossip of {robots} robots"
-                    self._reject_frame(peer, reason)
+                    self._reject_frame(peer, f"{other} is not valid in gossip of {robots} robots")
 
     def _read_entries(self, peer: int, head: From | None, entries: list[bytes]) -> None:
         """Accept new entries of a map, and note which peers received them and know that this robot did."""
@@ -230,12 +224,9 @@ class Gossip(Replication):
         if number == self.peers.current[peer]:
             self._cursors.received(peer, end)
         self.peers.acknowledge(peer, number, end)
-        if first > log.length:
-            reports.gaps.add(number)
-            if not replica.refuses(peer, number):
-                self._acks.store(peer, number, first, entries)
-        else:
-            reports.gaps.discard(number)
+        (reports.gaps.add if first > log.length else reports.gaps.discard)(number)
+        if first > log.length and not replica.refuses(peer, number):
+            self._acks.store(peer, number, first, entries)
         if end <= log.length:
             reports.repeated.add(number)
         elif first <= log.length and number not in self.peers.own_maps:

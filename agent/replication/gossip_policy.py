@@ -82,10 +82,7 @@ class GossipPolicy:
                     self._since[peer, number] = step
 
     def serve(self, add: Add, turn: int) -> None:
-        """Add what peers lack to this round's frame.
-
-        `turn` is the number of steps after which the next robot forwards what a peer still lacks.
-        """
+        """Add what peers lack to this round's frame; after `turn` steps, the next robot forwards what they still lack."""
         self._turn, self._served, self._sent, self._too_long = turn, None, {}, set()
         held: dict[int, list[int]] = {peer: self._peers.expected[peer].tolist() for peer in self._lacks}
         for peer in sorted(held, key=lambda each: (-sum(held[each]), each)):
@@ -136,8 +133,7 @@ class GossipPolicy:
     def _is_forwarder(self, peer: int, number: int) -> bool:
         """Return whether it is this robot's turn to forward what a peer lacks of a map.
 
-        Candidates hold more of the map and are in range of the peer. After `turn` steps in which the peer still lacks
-        the entries the next candidate forwards them as well.
+        Candidates hold more of the map and are in range of the peer. After each `turn` steps, one more forwards it.
         """
         current, expected, robots = self._peers.current, self._peers.expected, self._peers.robots
         candidates = [
@@ -154,10 +150,9 @@ class GossipPolicy:
     def priority(self, size: int, waited: int, *, unfinished: bool, urgency: float | None) -> int:
         """Return the priority of this round's frame, of `size` bytes, which waited for some steps.
 
-        If robots have been out of range: the more the peer holds that is served first, the higher. Else frames come
-        first that are `unfinished`: a part of the entries appended last has been on the air, and the rest has not.
-        Other frames rank by the product of their `urgency`, at least 1, and the steps that they waited. Where entries
-        have no urgency, they rank by how few entries the peer lacks, and by their size.
+        If robots have been out of range: the more the peer holds that is served first, the higher. Else `unfinished`
+        frames come first: a part of the entries appended last has been on the air, and the rest has not. Others rank by
+        `urgency` and the steps that they waited, or else by how few entries the peer lacks, and by their size.
         """
         served = self._served
         if self._neighbors.have_parted:

@@ -50,23 +50,19 @@ class Meetings:
         self._awaited: set[int] = set()
         """Peers whose report it waits for."""
 
-    def on(self, peer: int, event: Event) -> None:
-        """Follow the transition table."""
-        for peers, fact in zip((self._owed, self._awaited), TRANSITIONS[event], strict=True):
+    def on(self, event: Event, *peers: int) -> None:
+        """Follow the transition table, for all of `peers`."""
+        for those, fact in zip((self._owed, self._awaited), TRANSITIONS[event], strict=True):
             if fact is not None:
-                (peers.add if fact else peers.discard)(peer)
+                (those.update if fact else those.difference_update)(peers)
 
     def begin_step(self, step: int, in_range: Iterable[int]) -> None:
         """Note which peers have left the range and which have come; after `GREETING` steps, await no report."""
         here = set(in_range)
-        for peer in self._arrived.keys() - here:
-            self.on(peer, "left")
-            del self._arrived[peer]
-        for peer in here - self._arrived.keys():
-            self.on(peer, "arrived")
-            self._arrived[peer] = step
-        for peer in [each for each in self._awaited if step > self._arrived[each] + GREETING]:
-            self.on(peer, "timed out")
+        self.on("left", *self._arrived.keys() - here)
+        self.on("arrived", *here - self._arrived.keys())
+        self._arrived = {peer: self._arrived.get(peer, step) for peer in here}
+        self.on("timed out", *[peer for peer in self._awaited if step > self._arrived[peer] + GREETING])
 
     def owed(self) -> list[int]:
         """Return the peers to which this robot owes reports, ascending."""
@@ -75,11 +71,6 @@ class Meetings:
     def known(self, in_range: Iterable[int]) -> list[int]:
         """Return the peers in range whose report is not awaited."""
         return [peer for peer in in_range if peer not in self._awaited]
-
-    def informed(self, peers: Iterable[int]) -> None:
-        """Note that the reports that this robot owed to peers were on the air."""
-        for peer in peers:
-            self.on(peer, "informed")
 
 
 class Neighbors:
@@ -105,10 +96,8 @@ class Neighbors:
 
     def begin_step(self, in_range: list[int]) -> None:
         """Note which robots are in range."""
-        if len(in_range) < len(self.near) - 1:
-            self.have_parted = True
-        if in_range != self.in_range:
-            self._settled = False
+        self.have_parted |= len(in_range) < len(self.near) - 1
+        self._settled &= in_range == self.in_range
         self.in_range = in_range
         self.near[self._robot] = False
         self.near[self._robot, in_range] = True

@@ -46,10 +46,7 @@ class PeerTable:
         return number % self.robots
 
     def new_table(self) -> Table:
-        """Return a table of zeros; it takes no memory before it is used.
-
-        Its columns are contiguous: an entry that arrives concerns all peers, but one map.
-        """
+        """Return a table of zeros, which takes no memory before it is used; columns are contiguous, as maps arrive."""
         return np.zeros((self.maps, self.robots), np.int64).T
 
     def expect(self, peer: int, number: int, length: int) -> None:

@@ -29,11 +29,8 @@ from protocol.errors import ProtocolError
 from protocol.packets import LogDigest
 
 Consume = Callable[[int, int, bytes], Sequence[int]]
-"""Decodes the next entries of a map, given the sender, the map's number, and a frame of whole entries.
-
-Returns where in the frame each entry ends. Raises ProtocolError, and changes nothing, if entries are malformed or
-impossible.
-"""
+"""Decodes the next entries of a map, given the sender, the map's number, and a frame of whole entries; returns where
+each entry ends. Raises ProtocolError, and changes nothing, if entries are malformed or impossible."""
 
 Rebuild = Callable[[Sequence[bytes]], object]
 """Decodes all logs, by map number, again from their beginnings: entries that were decoded have been dropped."""
@@ -179,10 +176,11 @@ class Replica:
         elif verified is False:
             author = self.peers.author(number)
             senders = self._senders[number]
+            forwarded = "forwarded entries that their author did not write, or they were damaged"
             for peer in sorted(senders - {author}) or sorted(senders):
-                forwarded = "forwarded entries that their author did not write, or they were damaged"
-                reason = forwarded if peer != author else "entries were damaged on the air"
-                self._suspect(peer, number, reason)
+                self._suspect(
+                    peer, number, "entries were damaged on the air" if peer == author else forwarded
+                )
             self._drop(number)
 
     def _suspect(self, peer: int, number: int, reason: str) -> None:

@@ -161,10 +161,10 @@ def test_robots_that_meet_owe_reports_and_await_one() -> None:
     assert (meetings.owed(), meetings.known([1, 2])) == ([], [1, 2]), "all logs are empty at first"
     meetings.begin_step(2, [1, 3])
     assert (meetings.owed(), meetings.known([1, 3])) == ([3], [1])
-    meetings.on(3, "reported")
+    meetings.on("reported", 3)
     assert (meetings.owed(), meetings.known([1, 3])) == ([3], [1, 3])
-    meetings.informed([3])
-    meetings.on(1, "restarted")
+    meetings.on("informed", 3)
+    meetings.on("restarted", 1)
     assert (meetings.owed(), meetings.known([1, 3])) == ([1], [1, 3])
     for step in range(3, 4 + GREETING):
         meetings.begin_step(step, [2])
