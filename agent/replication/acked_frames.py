@@ -177,7 +177,7 @@ class AckedFrames(Replication):
 
     def _peer_dropped(self, peer: int, number: int, length: int) -> None:
         super()._peer_dropped(peer, number, length)
-        self._rounds.due[peer, number] = self._rounds.now
+        self._rounds.due[peer, number] = self._rounds.now  # offer them at once
         self._timers.pop((peer, number), None)
 
     def _note_restart(self, peer: int, number: int) -> None:

@@ -25,8 +25,6 @@ LEAST_HANDSHAKE = packets.Offer.size + packets.Answer.size
 
 NamesOffset = TypeVar("NamesOffset", packets.From, packets.Held)
 
-# --- handshakes
-
 
 def block_of(length: int) -> int:
     """Return the block in which a log of that length continues."""
@@ -74,9 +72,6 @@ def read_answer(payload: bytes, offered_block: int) -> int | None:
             return rounds * ROUND + block * packets.INDEX_WINDOW + index
         case _:
             raise ProtocolError("conn", 0, "expected an answer behind at most two blocks, or a decline")
-
-
-# --- frames without handshakes
 
 
 def header(number: int, first: int) -> bytes:

@@ -82,7 +82,7 @@ class GossipPolicy:
                     self._since[peer, number] = step
 
     def serve(self, add: Add, turn: int) -> None:
-        """Add what peers lack to this round's frame; after `turn` steps, the next robot forwards what they still lack."""
+        """Add what peers lack to this round's frame; `turn`: steps after which one more robot forwards that, too."""
         self._turn, self._served, self._sent, self._too_long = turn, None, {}, set()
         held: dict[int, list[int]] = {peer: self._peers.expected[peer].tolist() for peer in self._lacks}
         for peer in sorted(held, key=lambda each: (-sum(held[each]), each)):

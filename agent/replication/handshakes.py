@@ -171,11 +171,9 @@ class Handshakes(Replication):
 
     def _peer_dropped(self, peer: int, number: int, length: int) -> None:
         super()._peer_dropped(peer, number, length)
-        self._rounds.due[peer, number] = 0
-        self._waits[peer, number] = 1
+        self._rounds.due[peer, number], self._waits[peer, number] = 0, 1  # offer them at once
 
     def _note_restart(self, peer: int, number: int) -> None:
         """A peer that offers a map of a new incarnation of its own lost all entries that it was sent."""
         if self.peers.restarted(peer, number):
-            self._rounds.due[peer] = 0
-            self._waits[peer] = 1
+            self._rounds.due[peer], self._waits[peer] = 0, 1
