@@ -116,22 +116,8 @@ class FieldFiles:
 class FieldRobot:
     """One robot in the field.
 
-    Parameters
-    ----------
-    settings : Settings
-        As of a run with gossip.
-    options : LinkOptions
-    files : FieldFiles
-        Begins a new incarnation of the robot, and a new session of its radio.
-    body : Body
-    transport : Transport
-    guard : PoseGuard
-    now : int
-        The time in nanoseconds.
-    report : callable
-        Called with each error of a teammate, as text.
-    record : callable
-        Called at the end of each step, with its number and the frames that were sent and received.
+    `settings` are those of a run with gossip; `now` is the time in nanoseconds. The constructor begins a new
+    incarnation of the robot, and a new session of its radio. `report` is called with each error of a teammate, as text.
     """
 
     def __init__(

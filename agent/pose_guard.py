@@ -19,14 +19,8 @@ SETTLE_NS = 2 * SECOND
 class PoseGuard:
     """Accepts the poses of one body.
 
-    Parameters
-    ----------
-    speed : float
-        Largest speed of the body, per second; in meters or cells, as all positions.
-    slack : float
-        Distance by which any two poses may differ in addition.
-    settle : int
-        Nanoseconds without a jump after which poses are accepted again.
+    `speed` is its largest speed per second, in meters or cells, as all positions. Any two poses may differ by `slack`
+    in addition. Poses are accepted again after `settle` nanoseconds without a jump.
     """
 
     def __init__(self, speed: float, slack: float, settle: int = SETTLE_NS) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Any, NamedTuple, Self
+from typing import Any
 
 import numpy as np
 
@@ -41,21 +41,6 @@ from protocol.messages import (
 )
 
 
-class _Addresses(NamedTuple):
-    """The keys to which a robot sends."""
-
-    relay: str
-    world: str
-    recorder: str
-    viewer: str
-
-    @classmethod
-    def of(cls, keys: Keys, name: str) -> Self:
-        """Return the keys of the robot with this name."""
-        to_recorder, to_viewer = (keys.control(other, name) for other in (names.RECORDER, names.VIEW))
-        return cls(keys.radio_tx(name), keys.body(names.WORLD, name), to_recorder, to_viewer)
-
-
 class AgentNode:
     """One robot's process; `done` once it has received `Shutdown` or a fault has `killed` it.
 
@@ -83,7 +68,7 @@ class AgentNode:
         self._resend = resend
         self._bus = bus
         self._name = names.robot(number)
-        self._to = _Addresses.of(keys, self._name)
+        self._keys = keys
         self._held = held
         self.robot: Robot | None = None
         self.situation: Situation | None = None
@@ -165,7 +150,7 @@ class AgentNode:
             else:
                 frames = respond(robot, event, self._report_error)
                 if frames is not None:
-                    self._bus.put(self._to.relay, pack(frames))
+                    self._bus.put(self._keys.radio_tx(self._name), pack(frames))
         self._work += time.perf_counter() - began
         if self.situation is not None and not self._held:
             self.decide()
@@ -182,7 +167,7 @@ class AgentNode:
         self.situation = None
         move = robot.decide(situation)
         work = round(1e6 * (self._work + time.perf_counter() - began))
-        self._bus.put(self._to.world, pack(move))
+        self._bus.put(self._keys.body(names.WORLD, self._name), pack(move))
         for fault in robot.faults:
             self._report_error(f"{fault.kind} from {names.robot(fault.peer)}: {fault.reason}")
         robot.faults.clear()
@@ -203,7 +188,7 @@ class AgentNode:
                 FinalMaps(robot.own, robot.planning, robot.shared, robot.settled)
             )
         part = MapPart(request.part, map_parts.encode(self._final_maps, request.part))
-        self._bus.put(self._to.recorder, pack(part))
+        self._put(names.RECORDER, pack(part))
 
     def _report_error(self, reason: str) -> None:
         self._report(ErrorReport(self._name, clip(reason)))
@@ -211,9 +196,12 @@ class AgentNode:
     def _report(self, message: Record) -> None:
         """Send a message to the recorder, and to the viewer if there is one."""
         payload = pack(message)
-        self._bus.put(self._to.recorder, payload)
+        self._put(names.RECORDER, payload)
         if self._viewer_feed is not None:
-            self._bus.put(self._to.viewer, payload)
+            self._put(names.VIEW, payload)
+
+    def _put(self, receiver: str, payload: bytes) -> None:
+        self._bus.put(self._keys.control(receiver, self._name), payload)
 
     def _show(self, step: int) -> None:
         """Send changes of this robot's maps to the recorder, if it stores them, and to a viewer, if there is one."""
@@ -221,7 +209,7 @@ class AgentNode:
             return
         if self._recorder_feed is not None:
             for report in self._recorder_feed.changes(step, self.robot):
-                self._bus.put(self._to.recorder, pack(report))
+                self._put(names.RECORDER, pack(report))
         if self._viewer_feed is not None:
             for message in self._viewer_feed.news(step, self.robot):
-                self._bus.put(self._to.viewer, pack(message))
+                self._put(names.VIEW, pack(message))

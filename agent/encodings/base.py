@@ -36,11 +36,6 @@ class MapEncoding(ABC):
 
     A map travels as a log of packets. `encode_changes` appends to this robot's log; `apply` decodes packets of the
     logs of others.
-
-    Parameters
-    ----------
-    settings : Settings
-        The robot's task.
     """
 
     name: ClassVar[str]
@@ -52,7 +47,6 @@ class MapEncoding(ABC):
     """Whether retracting these packets would be in vain: packets encoded instead of them would hardly differ."""
     urgency: float | None = None
     """How much the packets added last change the plans of teammates, per byte; None: packets have no ranks."""
-
     update_steps: int = 1
     """Steps of which the longest update takes the budget."""
 
@@ -64,7 +58,6 @@ class MapEncoding(ABC):
     @classmethod
     def infers_cells(cls, settings: Settings) -> bool:
         """Whether planning grids hold cells that no robot reported, so that the frontier may open again."""
-        del settings
         return False
 
     @property
@@ -82,7 +75,6 @@ class MapEncoding(ABC):
 
         The caller passes the same `cache` to all robots, before the first step.
         """
-        del cache
 
     def use_log_odds(self, log_odds: Int8Grid) -> None:
         """Read the certainty of the self-explored grid's cells in this array, int8 of shape (h, w), before each step.
@@ -97,16 +89,8 @@ class MapEncoding(ABC):
     ) -> list[bytes]:
         """Return the packets to append to this robot's log for this step; none if nothing is to be sent.
 
-        Parameters
-        ----------
-        own : uint8 array, shape (h, w)
-            The self-explored grid, `scan` drawn on it.
-        scan : Scan or RangeScan
-            This step's readings.
-        change : Change
-            Where the scan has changed the grid.
-        delivered : bool
-            Whether teammates are in range and all of them hold the whole log.
+        `own` is the self-explored grid, uint8 of shape (h, w), on which this step's `scan` is drawn; `change` is where
+        the scan has changed it. `delivered`: teammates are in range, and all of them hold the whole log.
         """
 
     def has_news(self, *, delivered: bool) -> bool:
@@ -114,7 +98,6 @@ class MapEncoding(ABC):
 
         `delivered` is that of `encode_changes`. Only encodings that rank their packets know this.
         """
-        del delivered
         return False
 
     def retract_last(self) -> None:
@@ -123,24 +106,11 @@ class MapEncoding(ABC):
 
     @abstractmethod
     def apply(self, map_id: int, frame: bytes, *, step: int, sender: int) -> None:
-        """Decode the next packets of a log, in the order of the log.
+        """Decode the next packets of the log of a map, in the order of the log.
 
-        Parameters
-        ----------
-        map_id : int
-            The map that the log describes.
-        frame : bytes
-            Whole packets, one after the other.
-        step : int
-            The step in which the frame arrived.
-        sender : int
-            The robot that sent the frame: the map's author, or a robot that forwards the map.
-
-        Raises
-        ------
-        ProtocolError
-            The packets are malformed, or report more than the author can have observed
-            (`agent.encodings.reachability_check`); nothing has changed.
+        `frame` consists of whole packets. It arrived in step `step` from robot `sender`: the map's author, or a robot
+        that forwards the map. ProtocolError: the packets are malformed, or report more than the author can have
+        observed (`agent.encodings.reachability_check`); nothing has changed.
         """
 
     def rebuild(self, logs: Sequence[bytes], step: int) -> None:
@@ -177,25 +147,20 @@ class MapEncoding(ABC):
         On the planning grid, this robot's sight replaces reports; here, it only completes them. Default: the planning
         grid, for encodings whose reports do not form a grid.
         """
-        del own
         return planning
 
     def scan_cell(self, map_id: int) -> tuple[int, int] | None:
         """Cell (x, y) of the last scan that a map's log reports; None if logs do not report where scans were taken."""
-        del map_id
         return None
 
     def dependencies(self, map_id: int) -> Sequence[Dependency]:
         """Dependencies of the decoded packets of a log on other logs, in the order of the log."""
-        del map_id
         return ()
 
     def approximation_error(self, own: Grid) -> int:
         """Count the cells in which `own` differs from its logged approximation: d(t) of Eq. 6.1 in the thesis."""
-        del own
         return 0
 
     def exact_error(self, own: Grid) -> int | None:
         """Count what `approximation_error` would be for exact contours; None if that is not measured."""
-        del own
         return None

@@ -37,10 +37,7 @@ PLUGINS: Plugins[type[MapEncoding]] = Plugins(
 def encoding_class(name: str) -> type[MapEncoding]:
     """Return the map encoding with this name, of this or an installed package, or given as ``package.module:Class``.
 
-    Raises
-    ------
-    ValueError
-        The name is unknown (the message lists similar names), or the class cannot be imported.
+    ValueError: the name is unknown (the message lists similar names), or the class cannot be imported.
     """
     return PLUGINS.find(name)
 

@@ -66,7 +66,6 @@ class CellEncoding(GridEncoding):
         self, own: Grid, scan: Scan | RangeScan, change: Change, *, delivered: bool
     ) -> list[bytes]:
         """Encode a patch of all changed cells, once all teammates in range hold the patches before."""
-        del scan
         self.own_changes.add(own, change)
         self._pending = union(self._pending, change.boxes)
         if not delivered or not len(self._pending):
@@ -119,12 +118,7 @@ def unpack(data: bytes, shape: tuple[int, int]) -> tuple[int, int, Patch, bytes]
     """Decode the patch at the beginning of `data`, patches of a grid of `shape`, the last of which may be cut off.
 
     Returns (x0, y0, patch, rest): first column and row, uint8 array of shape (h, w), the bytes behind the patch; None
-    if the patch is cut off.
-
-    Raises
-    ------
-    ProtocolError
-        The patch is malformed, or lies outside the grid.
+    if the patch is cut off. ProtocolError: the patch is malformed, or lies outside the grid.
     """
     if not data:
         return None
@@ -139,10 +133,8 @@ def unpack(data: bytes, shape: tuple[int, int]) -> tuple[int, int, Patch, bytes]
         numbers.append(value)
     x0, y0, width, height, size = numbers
     if not (0 < width <= shape[1] - x0 and 0 < height <= shape[0] - y0):
-        reason = (
-            f"a patch of {width} x {height} cells at ({x0}, {y0}) leaves the {shape[1]} x {shape[0]} grid"
-        )
-        raise ProtocolError("cells", 1, reason)
+        patch = f"a patch of {width} x {height} cells at ({x0}, {y0})"
+        raise ProtocolError("cells", 1, f"{patch} leaves the {shape[1]} x {shape[0]} grid")
     cells = width * height
     if size > cells:
         raise ProtocolError("cells", 1, f"a patch of {cells} cells takes {size} bytes")

@@ -18,7 +18,6 @@ class NoEncoding(GridEncoding):
         self, own: Grid, scan: Scan | RangeScan, change: Change, *, delivered: bool
     ) -> list[bytes]:
         """Return no packets."""
-        del scan, delivered
         self.own_changes.add(own, change)
         return []
 
@@ -27,5 +26,4 @@ class NoEncoding(GridEncoding):
 
     def apply(self, map_id: int, frame: bytes, *, step: int, sender: int) -> None:
         """Reject map data: in this team no robot sends any."""
-        del step, sender
         raise ProtocolError("data", 0, f"{len(frame)} bytes of map {map_id}, but this team exchanges no maps")

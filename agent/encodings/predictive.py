@@ -82,9 +82,8 @@ class PredictiveEncoding(GridEncoding):
             if self._caches is None:
                 self._streams[map_id] = self._stream(map_id, self._histories)
             else:
-                self._streams[map_id] = CachedReader(
-                    self._cache(self._caches, map_id), map_id, self._histories
-                )
+                cache = self._cache(self._caches, map_id)
+                self._streams[map_id] = CachedReader(cache, map_id, self._histories)
         return self._streams[map_id]
 
     def _cache(self, caches: dict[int, SharedDecoderCache], map_id: int) -> SharedDecoderCache:
@@ -98,30 +97,22 @@ class PredictiveEncoding(GridEncoding):
     ) -> list[bytes]:
         """Encode an update, if teammates hold the last one and enough cells have changed.
 
-        Before, withdraw updates that depend on other updates than those that their authors wrote.
+        Before, withdraw updates that depend on other updates than those that their authors wrote. The first scan is
+        encoded at once, although the robot does not know yet who is in range.
         """
         self.own_changes.add(own, change)
-        withdrawing = self._withdraw_invalid()
-        return withdrawing + self._encode_new(own, scan, change, delivered=delivered)
-
-    def _encode_new(
-        self, own: Grid, scan: Scan | RangeScan, change: Change, *, delivered: bool
-    ) -> list[bytes]:
-        """Encode an update, if there is anything to report.
-
-        The first scan is encoded at once, although the robot does not know yet who is in range.
-        """
+        packets = self._withdraw_invalid()
         author = self._author
-        is_first = not (author.has_changes or self._logs[self.settings.own_map].packets)
+        is_first = not (author.has_changes or self._logs[self._own_map].packets)
         author.add(scan, change)
         if not author.has_changes:
-            return []
+            return packets
         if delivered or not self.is_settled:
             self.retractable = 0
         may_send = (delivered or is_first) and not self._bases_changed
-        if not may_send or not author.is_due(own, self.log_odds, self.received):
-            return []
-        return self._encode_pending(own)
+        if may_send and author.is_due(own, self.log_odds, self.received):
+            packets += self._encode_pending(own)
+        return packets
 
     def _encode_pending(self, own: Grid) -> list[bytes]:
         """Encode updates up to the budget of a step; the rest stays pending."""

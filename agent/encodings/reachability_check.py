@@ -48,10 +48,7 @@ class ReachabilityCheck:
     def check(self, map_id: int, box: Box, entries: int = 1, *, step: int, sender: int) -> None:
         """Accept `entries` further entries of a map, which report cells in `box`, from robot `sender` in a step.
 
-        Raises
-        ------
-        ProtocolError
-            The author cannot have observed this area; nothing has changed.
+        ProtocolError: the author cannot have observed this area; nothing has changed.
         """
         if not self._is_on or box[0] >= box[2] or box[1] >= box[3]:
             return

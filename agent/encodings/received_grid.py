@@ -38,19 +38,14 @@ class ChangedCells:
 
 
 class GridEncoding(MapEncoding):
-    """An encoding that writes all received cells to one grid, and overlays it with the self-explored grid.
-
-    Attributes
-    ----------
-    received : uint8 array, shape (h, w)
-        The received state of each cell. A subclass that counts votes reports where (`received_changed`).
-    """
+    """An encoding that writes all received cells to one grid, and overlays it with the self-explored grid."""
 
     def __init__(self, settings: Settings) -> None:
         super().__init__(settings)
         self.votes = Votes(settings)
         """The reports from which `received` follows."""
         self.received = self.votes.received
+        """The received state of each cell, shape (h, w). A subclass that counts votes reports where it changes."""
         self.own_changes = ChangedCells()
         """Changes of the self-explored grid, which a subclass reports."""
         self._boxes: list[Box] = []
@@ -75,7 +70,6 @@ class GridEncoding(MapEncoding):
 
         With noisy lasers, it is what all robots report, this one among them (`agent.encodings.votes`).
         """
-        del peers
         changed = self.own_changes.take(own)
         if self._planning is None or changed is None:
             self._planning, changed = np.empty_like(own), whole_grid(own.shape)
@@ -94,7 +88,6 @@ class GridEncoding(MapEncoding):
 
         A cell is a wall if any robot reports one, although the planning grid follows two others that report it free.
         """
-        del planning
         shared = self.votes.reported()
         return np.where(shared == UNKNOWN, own, shared)
 

@@ -30,6 +30,9 @@ from protocol.scans import NONE, Change, Scan, contents, decode_scan, encode_sca
 Report = tuple[Int32s, Uint8s, Box]
 """Cells, as indices of the flat grid, each once, their states, and a box that contains them."""
 
+_Beams = tuple[Int32Rows, Int32s, Int32s, Int32s]
+"""Of a `protocol.grid.RayTable`: `cells`, `flat` on the grid, `start`, and `shared`."""
+
 
 class ScanEncoding(GridEncoding):
     """Encodes scans as fragments, and adds the scans of all teammates to one grid."""
@@ -51,7 +54,6 @@ class ScanEncoding(GridEncoding):
         self, own: Grid, scan: Scan | RangeScan, change: Change, *, delivered: bool
     ) -> list[bytes]:
         """Encode the scan, unless it repeats the last one or has no readings."""
-        del delivered
         self.own_changes.add(own, change)
         data = self._format.encode(scan)
         if not data or data == self._last:
@@ -99,7 +101,6 @@ class ExactScans:
 
     def size(self, map_id: int) -> int:
         """Return the bytes of a scan of a map."""
-        del map_id
         return self._size
 
     def encode(self, scan: Scan | RangeScan) -> bytes:
@@ -116,7 +117,7 @@ class ExactScans:
         assert isinstance(scan, Scan)
         beams = self._ray_tables[self._author_of(map_id)]
         table = beams.cells, beams.flat(received.shape[1]), beams.start, beams.shared
-        found: Report = _news(received, *table, scan.x, scan.y, scan.readings)
+        found: Report = _news(received, table, scan.x, scan.y, scan.readings)
         return found
 
     def forget(self) -> None:
@@ -170,20 +171,9 @@ class RangeScans:
 
 
 @kernel
-def _news(
-    received: Grid,
-    cells: Int32Rows,
-    flat: Int32s,
-    start: Int32s,
-    shared: Int32s,
-    x: int,
-    y: int,
-    readings: Uint16s,
-) -> tuple[Int32s, Uint8s, tuple[int, int, int, int]]:
-    """Return the cells in which a scan from (x, y) differs from the received ones.
-
-    They are indices of the flat grid; their states and a box that contains them follow.
-    """
+def _news(received: Grid, beams: _Beams, x: int, y: int, readings: Uint16s) -> Report:
+    """Return the cells in which a scan from (x, y) differs from the received ones."""
+    cells, flat, start, shared = beams
     # Unsigned, a cell beyond the left or upper border is a very large number (as in `protocol.scans.draw`).
     height, width = np.uint64(received.shape[0]), np.uint64(received.shape[1])
     lying, here = received.reshape(received.size), y * received.shape[1] + x

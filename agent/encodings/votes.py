@@ -33,20 +33,11 @@ VOTERS = 63
 
 
 class Votes:
-    """The reports of all robots about each cell.
-
-    Attributes
-    ----------
-    received : uint8 array, shape (h, w)
-        The state of each cell by the reports that count.
-    doubted : dict
-        Why each doubted robot is doubted, by its number.
-    contested : bool
-        Whether robots have contradicted each other since the last call of `judge`.
-    """
+    """The reports of all robots about each cell."""
 
     def __init__(self, settings: Settings) -> None:
         self.received: Grid = np.full((settings.height, settings.width), UNKNOWN, np.uint8)
+        """The state of each cell by the reports that count, shape (h, w)."""
         self._robot, self._robots = settings.robot, settings.robots
         self._judges = settings.robots <= VOTERS and not settings.shares_tiles
         self.reset()
@@ -58,7 +49,9 @@ class Votes:
         """The robots that report each cell as free, and those that report a wall, as bits."""
         self._believed = (1 << VOTERS) - 1
         self.doubted: dict[int, str] = {}
+        """Why each doubted robot is doubted, by its number."""
         self.contested = False
+        """Whether robots have contradicted each other since the last call of `judge`."""
 
     def count(self, robot: int, places: Int32s, states: Uint8s, *, revises: bool = True) -> None:
         """Take a robot's reports: the states of cells, given as indices of the flat grid.

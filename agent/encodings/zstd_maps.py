@@ -55,7 +55,6 @@ class ZstdMapEncoding(GridEncoding):
         self, own: Grid, scan: Scan | RangeScan, change: Change, *, delivered: bool
     ) -> list[bytes]:
         """Encode the map if it is time."""
-        del scan
         self.own_changes.add(own, change)
         self._waited += 1
         if not delivered or self._waited < INTERVAL or np.array_equal(own, self._sent):

@@ -18,10 +18,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from agent.mapping.blocks import BLOCK, block_state, is_covered
-from agent.mapping.bound import TILE, Bound, borders_unknown, has_wall, shared_state
+from agent.mapping.bound import TILE, Bound, Estimate, borders_unknown, has_wall, shared_state, tile_box
 from agent.mapping.estimator import Int8Grid
 from agent.mapping.passages import closes_passage
-from protocol.arrays import Int64s
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.kernels import kernel
 
@@ -65,7 +64,7 @@ class BlockBound(Bound):
         proposed = np.empty_like(held)
         while True:
             np.bitwise_and(held, 3, out=proposed)
-            _propose(own, log_odds, self.settled, held, violating & (1 - exact), proposed)
+            _propose((own, log_odds, self.settled), held, violating & (1 - exact), proposed)
             self.apply(own, log_odds, proposed, tiles, target, fails)
             for opening in self.openings:
                 fails |= _closing(own, target, violating, opening)
@@ -79,20 +78,13 @@ class BlockBound(Bound):
 
 
 @kernel
-def _tile_box(box: Int64s, grid: Grid, tile_x: int, tile_y: int) -> None:
-    """Write the first column and row of a tile, and those behind the last ones."""
-    box[0], box[1] = tile_x * TILE, tile_y * TILE
-    box[2], box[3] = min(box[0] + TILE, grid.shape[1]), min(box[1] + TILE, grid.shape[0])
-
-
-@kernel
 def _closing(own: Grid, target: Grid, tiles: Grid, opening: int) -> Grid:
     """Return the marked tiles in which the copy closes a passage."""
     closing, box = np.zeros_like(tiles), np.empty(4, np.int64)
     for tile_y in range(tiles.shape[0]):
         for tile_x in range(tiles.shape[1]):
             if tiles[tile_y, tile_x]:
-                _tile_box(box, own, tile_x, tile_y)
+                tile_box(box, own, tile_x, tile_y)
                 closing[tile_y, tile_x] = closes_passage(own, target, box, opening)
     return closing
 
@@ -106,22 +98,24 @@ def _compare(held: Grid, target: Grid, tiles: Grid, changed: Grid) -> None:
         for tile_x in range(tiles.shape[1]):
             if not tiles[tile_y, tile_x]:
                 continue
-            _tile_box(box, held, tile_x, tile_y)
+            tile_box(box, held, tile_x, tile_y)
             for y in range(box[1], box[3]):
                 for x in range(box[0], box[2]):
                     changed[tile_y, tile_x] |= held[y, x] & 3 != target[y, x]
 
 
 @kernel
-def _is_invented(own: Grid, log_odds: Int8Grid, settled: int, target: Grid, x: int, y: int) -> bool:
+def _is_invented(estimate: Estimate, target: Grid, x: int, y: int) -> bool:
     """Whether the target has a wall in a cell that is settled as free, and the robot has found none near by."""
+    own, log_odds, settled = estimate
     is_free = own[y, x] == FREE and abs(np.int64(log_odds[y, x])) >= settled
     return bool(is_free and target[y, x] == OCCUPIED and not has_wall(own, x, y, 1))
 
 
 @kernel
-def _lacks_wall(own: Grid, log_odds: Int8Grid, settled: int, target: Grid, x: int, y: int) -> bool:
+def _lacks_wall(estimate: Estimate, target: Grid, x: int, y: int) -> bool:
     """Whether the target needs another wall for the wall that the robot has found in a cell."""
+    own, log_odds, settled = estimate
     if own[y, x] != OCCUPIED:
         return False
     if target[y, x] == UNKNOWN and not is_covered(own, target, x, y):
@@ -137,25 +131,24 @@ def _is_gap(own: Grid, target: Grid, x: int, y: int) -> bool:
 
 
 @kernel
-def _next_state(
-    phase: int, own: Grid, log_odds: Int8Grid, settled: int, target: Grid, left: int, top: int
-) -> int:
+def _next_state(phase: int, estimate: Estimate, target: Grid, left: int, top: int) -> int:
     """Return the state that a phase gives the block at cell (left, top), or -1 if it remains as it is."""
+    own = estimate[0]
     removes, lacks, is_gap, may_be_wall, must_be_free = False, False, False, True, False
     walls, free = 0, 0
     for y in range(top, min(top + BLOCK, own.shape[0])):
         for x in range(left, min(left + BLOCK, own.shape[1])):
             walls += own[y, x] == OCCUPIED
             if phase == _REMOVE:
-                removes = removes or _is_invented(own, log_odds, settled, target, x, y)
+                removes = removes or _is_invented(estimate, target, x, y)
             elif phase in (_MANY_WALLS, _WALLS):
-                lacks = lacks or _lacks_wall(own, log_odds, settled, target, x, y)
+                lacks = lacks or _lacks_wall(estimate, target, x, y)
             elif phase == _CLOSE:
                 is_gap = is_gap or _is_gap(own, target, x, y)
                 may_be_wall = may_be_wall and (own[y, x] != FREE or has_wall(own, x, y, 1))
             elif target[y, x] == UNKNOWN:
                 free += own[y, x] == FREE
-                is_shared = shared_state(own, log_odds, settled, x, y) == FREE
+                is_shared = shared_state(estimate, x, y) == FREE
                 must_be_free = must_be_free or (is_shared and not has_wall(target, x, y, 1))
     if phase == _REMOVE:
         return int(FREE) if removes else -1
@@ -166,12 +159,12 @@ def _next_state(
 
 
 @kernel
-def _propose(own: Grid, log_odds: Int8Grid, settled: int, held: Grid, tiles: Grid, target: Grid) -> None:
+def _propose(estimate: Estimate, held: Grid, tiles: Grid, target: Grid) -> None:
     """Change the blocks of the marked tiles of `target`, which has the held states before.
 
     A block gets one state, or remains as receivers hold it.
     """
-    height, width = own.shape
+    height, width = held.shape
     for phase in range(_CLOSE + 2):
         for tile_y in range(tiles.shape[0]):
             for tile_x in range(tiles.shape[1]):
@@ -182,7 +175,7 @@ def _propose(own: Grid, log_odds: Int8Grid, settled: int, held: Grid, tiles: Gri
                         if phase > _CLOSE:
                             _unify(held, target, left, top)
                             continue
-                        state = _next_state(phase, own, log_odds, settled, target, left, top)
+                        state = _next_state(phase, estimate, target, left, top)
                         if state >= 0:
                             _write(target, left, top, state, phase == _FREE)
 

@@ -79,24 +79,22 @@ class Bound:
     ) -> int:
         """Compute the states that receivers shall hold, in the marked tiles; return the number of tiles that change.
 
-        Parameters
-        ----------
-        own, log_odds : arrays, shape (h, w)
-            States and log odds of the robot's estimator.
-        held : uint8 array, shape (h, w)
-            The grid that receivers hold; states are in the low two bits.
-        tiles : uint8 array, shape (tile rows, tile columns)
-            Marks of the tiles that may change, and whose cells then fulfill the bound.
-        target : uint8 array, shape (h, w)
-            Result: the states of all cells in and around the marked tiles.
-        changed : uint8 array, shape (tile rows, tile columns)
-            Result: 1 for tiles in which they differ from the held ones.
+        `own` and `log_odds`, shape (h, w), are states and log odds of the robot's estimator. `held` is the grid that
+        receivers hold, with states in the low two bits. `tiles`, uint8 of shape (tile rows, tile columns), are marks of
+        the tiles that may change, and whose cells then fulfill the bound. Results are `target`, shape (h, w), the
+        states of all cells in and around the marked tiles, and `changed`, 1 for tiles in which they differ from the
+        held ones.
         """
-        settled = self.settled if self.tolerance else 0
+        estimate = own, log_odds, self.settled if self.tolerance else 0
         last = _CLOSE if self.closes_gaps else _FILL
-        return int(
-            _apply(own, log_odds, settled, held, tiles, self.tolerance, last, self.blocks, target, changed)
-        )
+        return int(_apply(estimate, held, tiles, (self.tolerance, self.blocks), last, target, changed))
+
+
+Estimate = tuple[Grid, Int8Grid, int]
+"""States and log odds of the robot's estimator, and the absolute log odds from which a cell is settled."""
+
+_Rules = tuple[int, bool]
+"""`Bound.tolerance` and `Bound.blocks`."""
 
 
 @kernel
@@ -110,11 +108,19 @@ def has_wall(grid: Grid, x: int, y: int, tolerance: int) -> bool:
 
 
 @kernel
-def shared_state(own: Grid, log_odds: Int8Grid, settled: int, x: int, y: int) -> int:
+def tile_box(box: Int64s, grid: Grid, tile_x: int, tile_y: int) -> None:
+    """Write the first column and row of a tile, and those behind the last ones."""
+    box[0], box[1] = tile_x * TILE, tile_y * TILE
+    box[2], box[3] = min(box[0] + TILE, grid.shape[1]), min(box[1] + TILE, grid.shape[0])
+
+
+@kernel
+def shared_state(estimate: Estimate, x: int, y: int) -> int:
     """Return the state that receivers shall hold of a cell that they do not know.
 
     A cell that is neither settled nor beside a wall is free if most cells around it are free, else unknown.
     """
+    own, log_odds, settled = estimate
     state = int(own[y, x])
     if state == OCCUPIED or abs(np.int64(log_odds[y, x])) >= settled:
         return state
@@ -128,15 +134,14 @@ def shared_state(own: Grid, log_odds: Int8Grid, settled: int, x: int, y: int) ->
 
 
 @kernel
-def _is_complete(
-    own: Grid, log_odds: Int8Grid, settled: int, held: Grid, box: Int64s, tolerance: int, blocks: bool
-) -> bool:
+def _is_complete(estimate: Estimate, held: Grid, box: Int64s, rules: _Rules) -> bool:
     """Whether receivers hold all cells of a tile that they shall know, or a wall beside them."""
+    tolerance, blocks = rules
     for y in range(box[1], box[3]):
         for x in range(box[0], box[2]):
             if held[y, x] == UNKNOWN:
-                state = shared_state(own, log_odds, settled, x, y)
-                if blocks and state == OCCUPIED and is_covered(own, held, x, y):
+                state = shared_state(estimate, x, y)
+                if blocks and state == OCCUPIED and is_covered(estimate[0], held, x, y):
                     continue
                 if state == OCCUPIED or (state == FREE and not has_wall(held, x, y, tolerance)):
                     return False
@@ -172,8 +177,9 @@ def _knows_free(own: Grid, x: int, y: int) -> bool:
 
 
 @kernel
-def _close_frontier(own: Grid, target: Grid, box: Int64s, tolerance: int, blocks: bool) -> bool:
+def _close_frontier(own: Grid, target: Grid, box: Int64s, rules: _Rules) -> bool:
     """Turn the cells of a tile that violate the fifth condition into walls; return whether there are any."""
+    tolerance, blocks = rules
     closed = False
     for y in range(box[1], box[3]):
         for x in range(box[0], box[2]):
@@ -188,33 +194,26 @@ def _close_frontier(own: Grid, target: Grid, box: Int64s, tolerance: int, blocks
 
 @kernel
 def _change_tile(
-    phase: int,
-    own: Grid,
-    log_odds: Int8Grid,
-    settled: int,
-    target: Grid,
-    box: Int64s,
-    tolerance: int,
-    blocks: bool,
-    was_changed: bool,
+    phase: int, estimate: Estimate, target: Grid, box: Int64s, rules: _Rules, was_changed: bool
 ) -> bool:
     """Change the cells of a tile in a phase; return whether any has changed, now or before."""
+    own, log_odds, settled = estimate
     if phase == _FILL:
-        if not was_changed and _is_complete(own, log_odds, settled, target, box, tolerance, blocks):
+        if not was_changed and _is_complete(estimate, target, box, rules):
             return False
         for y in range(box[1], box[3]):
             for x in range(box[0], box[2]):
                 if target[y, x] == UNKNOWN:
-                    target[y, x] = shared_state(own, log_odds, settled, x, y)
+                    target[y, x] = shared_state(estimate, x, y)
         return True
     if phase == _CLOSE:
-        return _close_frontier(own, target, box, tolerance, blocks) or was_changed
+        return _close_frontier(own, target, box, rules) or was_changed
     changed = was_changed
     for y in range(box[1], box[3]):
         for x in range(box[0], box[2]):
             if own[y, x] == UNKNOWN or own[y, x] == target[y, x]:
                 continue
-            if abs(np.int64(log_odds[y, x])) >= settled and _must_change(phase, own, target, x, y, tolerance):
+            if abs(np.int64(log_odds[y, x])) >= settled and _must_change(phase, own, target, x, y, rules[0]):
                 target[y, x] = own[y, x]
                 changed = True
     return changed
@@ -222,18 +221,10 @@ def _change_tile(
 
 @kernel
 def _apply(
-    own: Grid,
-    log_odds: Int8Grid,
-    settled: int,
-    held: Grid,
-    tiles: Grid,
-    tolerance: int,
-    last: int,
-    blocks: bool,
-    target: Grid,
-    changed: Grid,
+    estimate: Estimate, held: Grid, tiles: Grid, rules: _Rules, last: int, target: Grid, changed: Grid
 ) -> int:
     height, width = held.shape
+    tolerance = rules[0]
     changed[:] = 0
     top, left, bottom, right = tiles.shape[0], tiles.shape[1], -1, -1
     for tile_y in range(tiles.shape[0]):
@@ -251,10 +242,9 @@ def _apply(
             for tile_x in range(left, right + 1):
                 if not tiles[tile_y, tile_x]:
                     continue
-                box[0], box[1] = tile_x * TILE, tile_y * TILE
-                box[2], box[3] = min(box[0] + TILE, width), min(box[1] + TILE, height)
+                tile_box(box, held, tile_x, tile_y)
                 before = changed[tile_y, tile_x] > 0
-                after = _change_tile(phase, own, log_odds, settled, target, box, tolerance, blocks, before)
+                after = _change_tile(phase, estimate, target, box, rules, before)
                 changed[tile_y, tile_x] = after
                 count += after and not before
     return count

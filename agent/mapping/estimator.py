@@ -82,16 +82,14 @@ class Estimator:
         walls right beside a robot are nearer than a laser can measure, or lost to the errors of poses. `first` and
         `last` are the directions between which the laser sees, as vectors; both are (0, 0) if it sees all around.
         """
-        known, *box = _close(self.states, self._looks, x, y, reach, *first, *last)
+        known, box = _close(self.states, self._looks, x, y, reach, first, last)
         self.known_cells += known
-        x0, y0, x1, y1 = box
-        return Change(known, (x0, y0, x1, y1) if known else NO_BOX)
+        return Change(known, box if known else NO_BOX)
 
     def _apply(self, touched: Box) -> Change:
-        known, changed, *box = _apply(self.log_odds, self.states, self._marks, *touched)
+        known, changed, box = _apply(self.log_odds, self.states, self._marks, touched)
         self.known_cells += known
-        x0, y0, x1, y1 = box
-        return Change(changed, (x0, y0, x1, y1) if changed else NO_BOX)
+        return Change(changed, box if changed else NO_BOX)
 
 
 @kernel
@@ -137,14 +135,13 @@ def _mark_beams(marks: Int16Grid, x: int, y: int, ends: Int32Rows, hits: Bools) 
 
 
 @kernel
-def _apply(
-    log_odds: Int8Grid, states: Grid, marks: Int16Grid, x0: int, y0: int, x1: int, y1: int
-) -> tuple[int, int, int, int, int, int]:
+def _apply(log_odds: Int8Grid, states: Grid, marks: Int16Grid, box: Box) -> tuple[int, int, Box]:
     """Change the log odds and states of the marked cells in a box, and clear the marks.
 
     Returns the number of cells that became known, the number of cells whose state or settledness changed, and a box
     around the latter.
     """
+    x0, y0, x1, y1 = box
     known = changed = 0
     left, top, right, bottom = x1, y1, x0, y0
     for y in range(y0, y1):
@@ -164,7 +161,7 @@ def _apply(
                 known += state == UNKNOWN and states[y, x] != UNKNOWN
                 changed += 1
                 left, right, top, bottom = min(left, x), max(right, x + 1), min(top, y), max(bottom, y + 1)
-    return known, changed, left, top, right, bottom
+    return known, changed, (left, top, right, bottom)
 
 
 @kernel
@@ -181,8 +178,9 @@ def _in_sight(states: Grid, x: int, y: int, to_x: int, to_y: int) -> bool:
 
 
 @kernel
-def _in_view(dx: int, dy: int, first_x: int, first_y: int, last_x: int, last_y: int) -> bool:
+def _in_view(dx: int, dy: int, first: Vector, last: Vector) -> bool:
     """Whether a direction lies between the first and the last one of a laser; always if both are 0."""
+    (first_x, first_y), (last_x, last_y) = first, last
     behind_first = first_x * dy - first_y * dx >= 0
     before_last = dx * last_y - dy * last_x >= 0
     if first_x * last_y - first_y * last_x > 0:
@@ -192,16 +190,8 @@ def _in_view(dx: int, dy: int, first_x: int, first_y: int, last_x: int, last_y: 
 
 @kernel
 def _close(
-    states: Grid,
-    looks: Grid,
-    x: int,
-    y: int,
-    reach: int,
-    first_x: int,
-    first_y: int,
-    last_x: int,
-    last_y: int,
-) -> tuple[int, int, int, int, int]:
+    states: Grid, looks: Grid, x: int, y: int, reach: int, first: Vector, last: Vector
+) -> tuple[int, Box]:
     """Count the looks at unknown cells beside free ones in sight; the cells with enough of them become walls.
 
     Returns their number and a box around them.
@@ -219,21 +209,14 @@ def _close(
                 or states[row - 1, column] == FREE
                 or states[row + 1, column] == FREE
             )
-            if not (
-                is_beside
-                and _in_view(column - x, row - y, first_x, first_y, last_x, last_y)
-                and _in_sight(states, x, y, column, row)
-            ):
+            in_view = is_beside and _in_view(column - x, row - y, first, last)
+            if not (in_view and _in_sight(states, x, y, column, row)):
                 continue
             looks[row, column] += 1
             if looks[row, column] >= NEAR_LOOKS:
                 looks[row, column] = 0
                 states[row, column] = OCCUPIED
                 closed += 1
-                left, right, top, bottom = (
-                    min(left, column),
-                    max(right, column + 1),
-                    min(top, row),
-                    max(bottom, row + 1),
-                )
-    return closed, left, top, right, bottom
+                left, right = min(left, column), max(right, column + 1)
+                top, bottom = min(top, row), max(bottom, row + 1)
+    return closed, (left, top, right, bottom)

@@ -73,14 +73,9 @@ def _thickens(own: Grid, target: Grid, box: Int64s) -> bool:
 def closes_passage(own: Grid, target: Grid, box: Int64s, opening: int) -> bool:
     """Return whether the copy closes a passage in or around a box.
 
-    Parameters
-    ----------
-    own, target : uint8 array, shape (h, w)
-        The robot's own grid, and the copy; receivers' states are in the low two bits.
-    box : int64 array, shape (4,)
-        First column and row of a tile, and those behind the last ones.
-    opening : int
-        Width of the narrowest passage in cells.
+    `own` and `target`, shape (h, w), are the robot's own grid, and the copy, with receivers' states in the low two
+    bits. `box` has the first column and row of a tile, and those behind the last ones. `opening` is the width of the
+    narrowest passage in cells.
     """
     if not _thickens(own, target, box):
         return False

@@ -15,6 +15,9 @@ from protocol.arrays import Bools, Int32Rows, Int32s
 from protocol.kernels import kernel
 from protocol.packets import Delete, Insert, Replace
 
+Cycles = tuple[Int32s, Int32s, Bools]
+"""Objects: the symbols of all vertices, the start of each object among them, and whether it is the inside one."""
+
 _DELETED, _INSERTED = Delete.size, Insert.size
 _KEPT = Delete.size + Insert.size
 """Bytes saved if a vertex stays, instead of a deletion and an insertion."""
@@ -44,26 +47,18 @@ def match_vertices(old: Int32s, new: Int32s) -> Int32s:
 
 
 @kernel
-def match_objects(
-    old: Int32s,
-    old_start: Int32s,
-    old_inside: Bools,
-    new: Int32s,
-    new_start: Int32s,
-    new_inside: Bools,
-    twins: Int32s,
-    shifts: bool,
-) -> tuple[Int32s, Int32s, Int32Rows]:
+def match_objects(before: Cycles, after: Cycles, twins: Int32s, shifts: bool) -> tuple[Int32s, Int32Rows]:
     """Find the unchanged objects, and the pairs of changed objects that share vertices.
 
-    With `shifts`, an object whose cycle starts at another vertex counts as unchanged, too.
+    `twins` is the result of `match_vertices`. With `shifts`, an object whose cycle starts at another vertex counts as
+    unchanged, too.
 
-    Returns, for each new object, the equal old one (-1: none) and the index in its cycle of the first vertex of the
-    old list; and the pairs (old, new) of other objects with a common vertex.
+    Returns, for each new object, the equal old one (-1: none); and the pairs (old, new) of other objects with a common
+    vertex.
     """
+    (old, old_start, old_inside), (new, new_start, new_inside) = before, after
     old_count, new_count = len(old_start) - 1, len(new_start) - 1
     equal = np.full(new_count, -1, np.int32)
-    shift = np.zeros(new_count, np.int32)
     owner = np.empty(len(old), np.int32)
     for k in range(old_count):
         owner[old_start[k] : old_start[k + 1]] = k
@@ -85,7 +80,6 @@ def match_objects(
                 break
         if same:
             equal[k] = other
-            shift[k] = (length - turn) % length
             untouched[other] = True
     pairs = np.empty((len(new), 2), np.int32)
     count = 0
@@ -101,7 +95,7 @@ def match_objects(
                     pairs[count, 0] = other
                     pairs[count, 1] = k
                     count += 1
-    return equal, shift, pairs[:count].copy()
+    return equal, pairs[:count].copy()
 
 
 @kernel

@@ -18,8 +18,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.outline.polygons import SIDE_X, SIDE_Y, Polygons
-from protocol.arrays import Bools, Int16s, Int32s, Uint8s
+from agent.outline.polygons import SIDE_X, SIDE_Y, Polygons, Symbol, Symbols, place_of
+from protocol.arrays import Bools, Int32s, Uint8s
 from protocol.kernels import kernel
 from protocol.packets import MAX_OBJECTS, MAX_VERTICES
 
@@ -37,18 +37,10 @@ def repair(previous: Polygons, contours: Polygons) -> Marks:
     Packets can address 4096 objects and 4096 vertices per object. Beyond that, the outside objects with the fewest
     contour points are left out, and objects lose the vertices that deviate least from a straight line.
     """
-    marks = _collect(
-        previous.x,
-        previous.y,
-        previous.side,
-        contours.x,
-        contours.y,
-        contours.side,
-        contours.start,
-        _approximated(contours),
-        contours.shape[1] + 2,
-        _workspace((contours.shape[0] + 2) * (contours.shape[1] + 2)),
-    )
+    height, width = contours.shape
+    marked = _workspace((height + 2) * (width + 2))
+    chosen = _approximated(contours)
+    marks = _collect(previous.symbols, contours.symbols, contours.start, chosen, width + 2, marked)
     if len(marks) > MAX_VERTICES:
         marks = _coarsen(contours, marks)
     return marks
@@ -68,7 +60,7 @@ def approximation(contours: Polygons, marks: Marks, *, unknown_pairs: bool = Tru
 
     Without `unknown_pairs`, outside objects of two vertices without an occupied edge are left out.
     """
-    columns = contours.x, contours.y, contours.side, contours.occupied, contours.start, contours.inside
+    columns = contours.symbols, contours.start, contours.inside
     return Polygons(contours.shape, *_span(*columns, marks, unknown_pairs))
 
 
@@ -102,35 +94,32 @@ def _coarsen(contours: Polygons, marks: Marks) -> Marks:
 
 
 @kernel
-def _farthest(x: Int16s, y: Int16s, side: Uint8s, first: int, end: int, point: int) -> int:
+def _farthest(points: Symbols, first: int, end: int, point: int) -> int:
     """Return the point of ``first:end`` that is farthest from `point`, the first of equals."""
     farthest, largest = -1, -1
+    from_x, from_y = place_of(points[point])
     for i in range(first, end):
-        along_x = 4 * (x[i] - x[point]) + SIDE_X[side[i]] - SIDE_X[side[point]]
-        along_y = 4 * (y[i] - y[point]) + SIDE_Y[side[i]] - SIDE_Y[side[point]]
-        distance = along_x * along_x + along_y * along_y
+        x, y = place_of(points[i])
+        distance = (x - from_x) ** 2 + (y - from_y) ** 2
         if distance > largest:
             farthest, largest = i, distance
     return farthest
 
 
 @kernel
+def _place(symbol: Symbol, row: int) -> int:
+    """Return the index of a vertex' cell on the grid with its border, `row` cells per row."""
+    return (symbol >> 15) * row + (symbol >> 3 & 0xFFF)
+
+
+@kernel
 def _collect(
-    old_x: Int16s,
-    old_y: Int16s,
-    old_side: Uint8s,
-    x: Int16s,
-    y: Int16s,
-    side: Uint8s,
-    start: Int32s,
-    approximated: Bools,
-    row: int,
-    marked: Uint8s,
+    old: Symbols, points: Symbols, start: Int32s, approximated: Bools, row: int, marked: Uint8s
 ) -> Int32s:
     """Return the marks of `repair`; `row` is the width of the grid plus 2, `marked` the shared memory."""
-    for i in range(len(old_x)):
-        marked[(old_y[i] + 1) * row + old_x[i] + 1] |= 1 << old_side[i]
-    marks = np.empty(len(old_x) + 2 * len(approximated), np.int32)
+    for symbol in old:
+        marked[_place(symbol, row)] |= 1 << (symbol >> 1 & 3)
+    marks = np.empty(len(old) + 2 * len(approximated), np.int32)
     count = 0
     for k in range(len(approximated)):
         if not approximated[k]:
@@ -138,7 +127,7 @@ def _collect(
         first, end, before = start[k], start[k + 1], count
         # Case 1: vertices that are not found here have vanished.
         for i in range(first, end):
-            if marked[(y[i] + 1) * row + x[i] + 1] >> side[i] & 1:
+            if marked[_place(points[i], row)] >> (points[i] >> 1 & 3) & 1:
                 marks[count] = i
                 count += 1
         # Case 3: a new object, and a split that left one vertex.
@@ -147,28 +136,20 @@ def _collect(
             count += 1
         if count == before + 1:
             one = marks[before]
-            other = _farthest(x, y, side, first, end, one)
+            other = _farthest(points, first, end, one)
             marks[before], marks[before + 1] = min(one, other), max(one, other)
             count += 1
-    for i in range(len(old_x)):
-        marked[(old_y[i] + 1) * row + old_x[i] + 1] = 0
+    for symbol in old:
+        marked[_place(symbol, row)] = 0
     return marks[:count].copy()
 
 
 @kernel
 def _span(
-    x: Int16s,
-    y: Int16s,
-    side: Uint8s,
-    occupied: Uint8s,
-    start: Int32s,
-    inside: Bools,
-    marks: Int32s,
-    unknown_pairs: bool,
-) -> tuple[Int16s, Int16s, Uint8s, Uint8s, Int32s, Bools]:
+    points: Symbols, start: Int32s, inside: Bools, marks: Int32s, unknown_pairs: bool
+) -> tuple[Symbols, Int32s, Bools]:
     """Return the columns of the polygons (`Polygons`)."""
-    span_x, span_y = np.empty(len(marks), np.int16), np.empty(len(marks), np.int16)
-    span_side, edge = np.empty(len(marks), np.uint8), np.empty(len(marks), np.uint8)
+    span = np.empty(len(marks), np.int32)
     span_start = np.zeros(len(start), np.int32)
     span_inside = np.empty(len(inside), np.bool_)
     m, count, objects = 0, 0, 0
@@ -178,15 +159,13 @@ def _span(
             m += 1
         walls = 0
         for e in range(first, m):
-            at = marks[e]
-            span_x[count], span_y[count], span_side[count] = x[at], y[at], side[at]
             all_occupied = 1
-            for i in range(at, marks[e + 1] if e + 1 < m else start[k + 1]):
-                all_occupied &= occupied[i]
+            for i in range(marks[e], marks[e + 1] if e + 1 < m else start[k + 1]):
+                all_occupied &= points[i]
             if e + 1 == m:  # points before the first mark belong to the edge from the last one
                 for i in range(start[k], marks[first]):
-                    all_occupied &= occupied[i]
-            edge[count] = all_occupied
+                    all_occupied &= points[i]
+            span[count] = points[marks[e]] & ~1 | all_occupied
             walls += all_occupied
             count += 1
         if count == begin:
@@ -197,7 +176,4 @@ def _span(
         span_inside[objects] = inside[k]
         objects += 1
         span_start[objects] = count
-    return (
-        span_x[:count].copy(), span_y[:count].copy(), span_side[:count].copy(), edge[:count].copy(),
-        span_start[: objects + 1].copy(), span_inside[:objects].copy(),
-    )  # fmt: skip
+    return span[:count].copy(), span_start[: objects + 1].copy(), span_inside[:objects].copy()

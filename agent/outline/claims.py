@@ -22,13 +22,10 @@ from agent.outline.objects import (
     RIGHT,
     TOP,
     Objects,
-    Symbol,
-    Symbols,
     Table,
     bounds,
-    cell_of,
 )
-from agent.outline.polygons import SIDE_X, SIDE_Y
+from agent.outline.polygons import Symbols, cell_of, place_of
 from agent.outline.raster import Edges, draw, fill
 from protocol.arrays import Int32s, Uint8s
 from protocol.boxes import NO_BOXES, Boxes, clip, whole_grid
@@ -153,13 +150,6 @@ _CHUNK = 16
 
 
 @kernel
-def _place(symbol: Symbol) -> tuple[int, int]:
-    """Return the position of a vertex, in quarters of a cell."""
-    (x, y), side = cell_of(symbol), symbol >> 1 & 3
-    return 4 * x + SIDE_X[side], 4 * y + SIDE_Y[side]
-
-
-@kernel
 def _measure(vertices: Symbols, chunks: Boxes) -> None:
     """Write the bounding boxes of the edges of each chunk of an object, with a margin of one cell."""
     for begin in range(0, len(vertices), _CHUNK):
@@ -186,9 +176,9 @@ def _edges_near(vertices: Symbols, chunks: Boxes, box: Int32s, edges: Edges) -> 
         chunk = begin // _CHUNK
         if chunks[chunk, 0] >= box[2] or chunks[chunk, 2] <= box[0] or chunks[chunk, 1] >= box[3]:
             continue
-        x, y = _place(vertices[begin])
+        x, y = place_of(vertices[begin])
         for i in range(begin, min(begin + _CHUNK, len(vertices))):
-            end_x, end_y = _place(vertices[i + 1 if i + 1 < len(vertices) else 0])
+            end_x, end_y = place_of(vertices[i + 1 if i + 1 < len(vertices) else 0])
             edge = edges[count]
             edge[0], edge[1], edge[2], edge[3], edge[4] = x, y, end_x, end_y, vertices[i] & 1
             x, y = end_x, end_y

@@ -18,9 +18,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.outline.objects import Symbols, unpack
-from agent.outline.polygons import LEFT, RIGHT, SIDE_X, SIDE_Y, Polygons
-from protocol.arrays import Int16Rows, Int16s, Int32s, Int64s, Uint8s
+from agent.outline.polygons import LEFT, RIGHT, SIDE_X, SIDE_Y, Polygons, Symbols
+from protocol.arrays import Int16Rows, Int32s, Int64s, Uint8s
 from protocol.boxes import Boxes, clip, whole_grid
 from protocol.grid import FREE, OCCUPIED, Grid
 from protocol.kernels import kernel
@@ -48,25 +47,12 @@ class Tracer:
     def contours(self, grid: Grid, robot: tuple[int, int], changed: Boxes | None = None) -> Polygons:
         """Extract the contours of the free space around the robot.
 
-        Parameters
-        ----------
-        grid : uint8 array of shape (height, width)
-            The self-explored grid.
-        robot : (int, int)
-            The robot's cell (x, y).
-        changed : int32 array of shape (n, 4), optional
-            Boxes outside of which the grid equals that of the last call; None: it may differ anywhere.
+        `grid` is the self-explored grid, shape (height, width), `robot` the robot's cell (x, y). Outside of the boxes
+        `changed`, the grid equals that of the last call; None: it may differ anywhere.
 
-        Returns
-        -------
-        Polygons
-            All contour points. Objects are in the order in which a raster scan first meets the left or right side
-            of one of their cells, and start there. So the inside object is the first.
-
-        Raises
-        ------
-        ValueError
-            The robot's cell is not a free cell of the grid.
+        Returns all contour points. Objects are in the order in which a raster scan first meets the left or right side
+        of one of their cells, and start there. So the inside object is the first. ValueError: the robot's cell is not a
+        free cell of the grid.
         """
         height, width = self._shape
         x, y = robot
@@ -76,12 +62,12 @@ class Tracer:
             grid = grid.copy()
         boxes = whole_grid(self._shape) if changed is None else changed
         _update_runs(grid, boxes, self._cells, self._ends, self._counts)
-        point_x, point_y, side, occupied, start = _trace(
-            self._cells, width + 2, self._ends, self._counts, x, y, *_workspace(len(self._cells))
-        )
+        robot_at = (y + 1) * (width + 2) + x + 1
+        runs = self._ends, self._counts
+        points, start = _trace(self._cells, width + 2, runs, robot_at, *_workspace(len(self._cells)))
         inside = np.zeros(len(start) - 1, np.bool_)
         inside[0] = True
-        return Polygons(self._shape, point_x, point_y, side, occupied, start, inside)
+        return Polygons(self._shape, points, start, inside)
 
 
 @lru_cache(maxsize=1)
@@ -152,22 +138,15 @@ def _root(root: Int64s, k: int) -> int:
 
 @kernel
 def _trace(
-    cells: Uint8s,
-    row: int,
-    ends: Int16Rows,
-    counts: Int64s,
-    robot_x: int,
-    robot_y: int,
-    contour_at: Int32s,
-    points: Symbols,
-) -> tuple[Int16s, Int16s, Uint8s, Uint8s, Int32s]:
-    """Trace all contours, and keep those of the robot's free component.
+    cells: Uint8s, row: int, runs: tuple[Int16Rows, Int64s], robot: int, contour_at: Int32s, points: Symbols
+) -> tuple[Symbols, Int32s]:
+    """Trace all contours, and keep those of the robot's free component; return their points, and their starts.
 
-    `cells` is the grid with its border, `row` cells per row; `ends` and `counts` are as `_update_runs` leaves them.
-    ``contour_at[i]`` is the number, from 1, of the contour between the cells i and i + 1; it is all 0 before and
-    after. `points` is scratch memory for all contour points.
+    `cells` is the grid with its border, `row` cells per row, and the robot in cell `robot`; `runs` are `ends` and
+    `counts` as `_update_runs` leaves them. ``contour_at[i]`` is the number, from 1, of the contour between the cells i
+    and i + 1; it is all 0 before and after. `points` is scratch memory for all contour points.
     """
-    robot = (robot_y + 1) * row + robot_x + 1
+    ends, counts = runs
     run_ends = np.empty(counts.sum(), np.int32)
     gathered = 0
     for y in range(len(counts)):
@@ -235,4 +214,4 @@ def _trace(
             kept += 1
             write += length
     start[kept] = write
-    return *unpack(points[:write]), start[: kept + 1]
+    return points[:write].copy(), start[: kept + 1]

@@ -19,11 +19,11 @@ from agent.outline.objects import (
     RIGHT,
     TOP,
     Objects,
-    Symbols,
     Table,
     bounds,
     enter,
 )
+from agent.outline.polygons import Symbols
 from protocol.arrays import Int32s, Int64s, ReadOnlyUint8s, Uint8s
 from protocol.boxes import MAX_BOXES, NO_BOXES, Boxes, add_box, bounding_box
 from protocol.errors import ProtocolError
@@ -124,18 +124,12 @@ def read(before: ReaderState, chunk: bytes) -> tuple[int, ReaderState, SavePoint
     """Apply the whole packets at the start of a chunk; `before` is not modified.
 
     Returns the bytes of these packets, behind which at most an incomplete one follows; the state after them; and the
-    last save point, if there is one.
-
-    Raises
-    ------
-    ProtocolError
-        A packet is malformed, does not fit those before it, or is no edit.
+    last save point, if there is one. ProtocolError: a packet is malformed, does not fit those before it, or is no edit.
     """
-    objects, vertices, boxes, numbers = before
-    shape, data = objects.shape, np.frombuffer(chunk, np.uint8)
-    table, pool, vertices, boxes, numbers, saves, end, saved_table, saved_boxes = _read(
-        data, *shape, numbers, objects.table, objects.pool, vertices, boxes
-    )
+    objects, shape = before.objects, before.objects.shape
+    state = objects.table, objects.pool, before.vertices, before.boxes, before.numbers
+    state, saves, end, saved_table, saved_boxes = _read(np.frombuffer(chunk, np.uint8), shape, state)
+    table, pool, vertices, boxes, numbers = state
     used = int(numbers[_READ])
     packet = packet_at(chunk, used)
     if numbers[_ERROR]:
@@ -161,6 +155,9 @@ def _reject(n: Int64s, at: int, reason: int, one: int, two: int, three: int) -> 
 
 
 _CAPACITY = MAX_VERTICES + 1
+
+_State = tuple[Table, Symbols, Symbols, Boxes, Int64s]
+"""The parts of a `ReaderState`; of the objects, table and pool."""
 
 
 @kernel
@@ -204,22 +201,12 @@ def _add_box_around(boxes: Boxes, count: int, table: Table, number: int) -> int:
 
 
 @kernel
-def _apply(
-    data: Uint8s,
-    begin: int,
-    end: int,
-    height: int,
-    width: int,
-    n: Int64s,
-    table: Table,
-    pool: Symbols,
-    vertices: Symbols,
-    boxes: Boxes,
-) -> bool:
+def _apply(data: Uint8s, begin: int, end: int, shape: tuple[int, int], state: _State) -> bool:
     """Apply the packets from `begin` to `end`; return False if one is rejected.
 
-    `vertices` is the gap buffer of the object being edited. The other arrays are modified as well.
+    Of the state, which is modified, the vertices are the gap buffer of the object being edited.
     """
+    table, pool, vertices, boxes, n = state
     around = np.empty(4, np.int32)
     at = begin
     while at < end:
@@ -249,7 +236,7 @@ def _apply(
                     return _reject(n, at, _FULL, n[_OPEN], length, 0)
                 if index >= length + is_new:
                     return _reject(n, at, _NO_INDEX, n[_OPEN], index, length + is_new - 1)
-                if x > width + 1 or y > height + 1:
+                if x > shape[1] + 1 or y > shape[0] + 1:
                     return _reject(n, at, _OUTSIDE, x - 1, y - 1, 0)
                 around[:] = np.int32(y << 15 | x << 3 | side << 1 | occupied)
                 if length:
@@ -363,21 +350,15 @@ def _new_pool(table: Table, pool: Symbols, more: int) -> tuple[Symbols, int]:
 
 @kernel
 def _read(
-    chunk: ReadOnlyUint8s,
-    height: int,
-    width: int,
-    numbers: Int64s,
-    old_table: Table,
-    pool: Symbols,
-    vertices: Symbols,
-    unsaved: Boxes,
-) -> tuple[Table, Symbols, Symbols, Boxes, Int64s, int, int, Table, Boxes]:
+    chunk: ReadOnlyUint8s, shape: tuple[int, int], before: _State
+) -> tuple[_State, int, int, Table, Boxes]:
     """Apply a chunk.
 
-    Returns the parts of the new state, the number of save points, the end of the last one, and the table and boxes at
-    that point. No argument is modified, except the unused part of the pool. The last element of the pool is the length
+    Returns the new state, the number of save points, the end of the last one, and the table and boxes at that point.
+    The state before is not modified, except the unused part of the pool. The last element of the pool is the length
     that any receiver has used of it.
     """
+    old_table, pool, vertices, unsaved, numbers = before
     data = chunk.copy()
     whole, saves, last_save, announced, highest = _scan(data)
     n = numbers.copy()
@@ -394,24 +375,15 @@ def _read(
     boxes[: len(unsaved)] = unsaved
 
     saved = max(last_save, 0)
-    is_valid = _apply(data, 0, saved, height, width, n, table, pool, edited, boxes)
+    is_valid = _apply(data, 0, saved, shape, (table, pool, edited, boxes, n))
     saved_table, saved_boxes = table, boxes[: n[_BOXES]].copy()
     if last_save >= 0:
         n[_BOXES] = 0
     if is_valid and saved < whole:
         saved_table = table.copy()
-        is_valid = _apply(data, saved, whole, height, width, n, table, pool, edited, boxes)
+        is_valid = _apply(data, saved, whole, shape, (table, pool, edited, boxes, n))
     _move_gap(edited, n, n[_VERTICES])
     if is_valid:
         pool[-1], n[_READ] = n[_USED], whole
-    return (
-        table,
-        pool,
-        edited[: n[_VERTICES]].copy(),
-        boxes[: n[_BOXES]].copy(),
-        n,
-        saves,
-        last_save,
-        saved_table,
-        saved_boxes,
-    )
+    state = table, pool, edited[: n[_VERTICES]].copy(), boxes[: n[_BOXES]].copy(), n
+    return state, saves, last_save, saved_table, saved_boxes

@@ -14,10 +14,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.outline.alignment import align, align_lists, match_objects, match_vertices
-from agent.outline.objects import Symbols, symbols
-from agent.outline.polygons import Polygons
-from protocol.arrays import Bools, Int32Rows, Int32s, Int64s, Uint8s
+from agent.outline.alignment import Cycles, align, align_lists, match_objects, match_vertices
+from agent.outline.polygons import Polygons, Symbols
+from protocol.arrays import Int32Rows, Int32s, Int64s, Uint8s
 from protocol.kernels import kernel
 from protocol.packets import MAX_OBJECTS, Change, Delete, Emerge, Insert, Remove, Replace, Save, layout_of
 
@@ -73,17 +72,8 @@ def edit_packets(
     other.
     """
     old, new = held.polygons, approximation
-    script, ends = _script(
-        symbols(old),
-        held.number,
-        old.start,
-        old.inside,
-        symbols(new),
-        new.start,
-        new.inside,
-        scan_order,
-        shifts,
-    )
+    cycles = (old.symbols, old.start, old.inside), (new.symbols, new.start, new.inside)
+    script, ends = _script(*cycles, held.number, scan_order, shifts)
     data = script.tobytes()
     return [data[begin:end] for begin, end in pairwise(ends.tolist())]
 
@@ -114,16 +104,10 @@ def _object_packet(code: int, number: int, count: int, inside: int) -> int:
 
 @kernel
 def _align_pair(
-    old_symbols: Symbols,
-    old_start: Int32s,
-    new_symbols: Symbols,
-    new_start: Int32s,
-    twins: Int32s,
-    old_object: int,
-    new_object: int,
-    shifts: bool,
+    old: Cycles, new: Cycles, twins: Int32s, old_object: int, new_object: int, shifts: bool
 ) -> tuple[int, int, Int32s]:
     """Align one old and one new object (`align`, or without `shifts` `align_lists`)."""
+    (old_symbols, old_start, _), (new_symbols, new_start, _) = old, new
     first, begin, end = old_start[old_object], new_start[new_object], new_start[new_object + 1]
     own = twins[begin:end] - np.int32(first)
     old_list, new_list = old_symbols[first : old_start[old_object + 1]], new_symbols[begin:end]
@@ -131,30 +115,20 @@ def _align_pair(
 
 
 @kernel
-def _pair(
-    old_symbols: Symbols,
-    old_start: Int32s,
-    new_symbols: Symbols,
-    new_start: Int32s,
-    twins: Int32s,
-    related: Int32Rows,
-    shifts: bool,
-) -> Int32s:
+def _pair(old: Cycles, new: Cycles, twins: Int32s, related: Int32Rows, shifts: bool) -> Int32s:
     """Pair the new objects with old ones whose number they take over, the largest saving first.
 
     Returns for each new object the old one, or -1. Of the parts of a split object, all but one emerge; of merged
     objects, all but one are removed.
     """
-    successor = np.full(len(new_start) - 1, -1, np.int32)
-    is_gone = np.zeros(len(old_start) - 1, np.bool_)
+    successor = np.full(len(new[1]) - 1, -1, np.int32)
+    is_gone = np.zeros(len(old[1]) - 1, np.bool_)
     key = np.empty(len(related), np.int64)  # orders by saving, then old object, then new object
     candidates = 0
     for pair in range(len(related)):
         old_object, new_object = related[pair]
-        cost, _, _ = _align_pair(
-            old_symbols, old_start, new_symbols, new_start, twins, old_object, new_object, shifts
-        )
-        length = new_start[new_object + 1] - new_start[new_object]
+        cost, _, _ = _align_pair(old, new, twins, old_object, new_object, shifts)
+        length = new[1][new_object + 1] - new[1][new_object]
         saving = _RECREATED + _INSERT * length - _CHANGE - cost
         if saving > 0:
             key[candidates] = (_MAX_SAVING - saving) << 24 | old_object << 12 | new_object
@@ -180,23 +154,14 @@ def _ranks(vertices: Symbols, start: Int32s) -> Int64s:
 
 @kernel
 def _script(
-    old_symbols: Symbols,
-    old_number: Int32s,
-    old_start: Int32s,
-    old_inside: Bools,
-    new_symbols: Symbols,
-    new_start: Int32s,
-    new_inside: Bools,
-    scan_order: bool,
-    shifts: bool,
+    old: Cycles, new: Cycles, old_number: Int32s, scan_order: bool, shifts: bool
 ) -> tuple[Uint8s, Int32s]:
     """Return the script, and the ends of its packets (from 0)."""
+    (old_symbols, old_start, _), (new_symbols, new_start, new_inside) = old, new
     old_objects, new_objects = len(old_start) - 1, len(new_start) - 1
     twins = match_vertices(old_symbols, new_symbols)
-    equal, shift, related = match_objects(
-        old_symbols, old_start, old_inside, new_symbols, new_start, new_inside, twins, shifts
-    )
-    successor = _pair(old_symbols, old_start, new_symbols, new_start, twins, related, shifts)
+    equal, related = match_objects(old, new, twins, shifts)
+    successor = _pair(old, new, twins, related, shifts)
 
     # Objects without a predecessor get the lowest unused numbers, below.
     number = np.full(new_objects, -1, np.int32)
@@ -215,7 +180,6 @@ def _script(
     for n in old_number:
         if not is_taken[n]:
             packets = _put(out, ends, packets, _REMOVE_CODE | n << _REMOVED_AT, _REMOVE)
-    is_changed = successor >= 0
     is_moved = np.zeros(new_objects, np.bool_)
     if scan_order:
         before_ranks, ranks = _ranks(old_symbols, old_start), _ranks(new_symbols, new_start)
@@ -226,13 +190,10 @@ def _script(
             length = new_start[k + 1] - new_start[k]
             packet = _object_packet(_CHANGE_CODE, number[k], length, new_inside[k])
             packets = _put(out, ends, packets, packet, _CHANGE)
-        if not is_changed[k]:
+        if successor[k] < 0:
             continue
         former = successor[k]
-        _, begin, source = _align_pair(
-            old_symbols, old_start, new_symbols, new_start, twins, former, k, shifts
-        )
-        shift[k] = begin
+        _, begin, source = _align_pair(old, new, twins, former, k, shifts)
         before = old_symbols[old_start[former] : old_start[former + 1]]
         after = new_symbols[new_start[k] : new_start[k + 1]]
         packet = _object_packet(_CHANGE_CODE, number[k], len(after), new_inside[k])

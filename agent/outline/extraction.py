@@ -11,22 +11,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from agent.outline.objects import Symbols, symbols
-from agent.outline.polygons import Polygons
+from agent.outline.polygons import Polygons, Symbols
 from protocol.arrays import Int32s, Int64s
 from protocol.kernels import kernel
 
 
 def extracted(contours: Polygons) -> Polygons:
     """Return exact contours whose objects start where Algorithm 3 starts them; the order of objects stays."""
-    order = _extraction_order(symbols(contours), contours.start)
-    return replace(
-        contours,
-        x=contours.x[order],
-        y=contours.y[order],
-        side=contours.side[order],
-        occupied=contours.occupied[order],
-    )
+    order = _extraction_order(contours.symbols, contours.start)
+    return replace(contours, symbols=contours.symbols[order])
 
 
 @kernel

@@ -108,10 +108,10 @@ class TeamMap:
             self._plan = np.zeros_like(own) if self._drawing.close_slivers else self._resolved
             self._changed, changed = [whole_grid(own.shape)], NO_BOXES
         if self._changed or len(changed):
-            claims_changed = np.concatenate([NO_BOXES, *self._changed])
+            boxes = np.concatenate([NO_BOXES, *self._changed]), changed
             drawing = self._drawing
             inferences = drawing.keep_walls, drawing.wide, drawing.close_slivers
-            _merge(own, self._counts.claims, *inferences, claims_changed, changed, self._resolved, self._plan)
+            _merge(own, self._counts.claims, inferences, boxes, self._resolved, self._plan)
             self._changed = []
         return self._plan
 
@@ -149,9 +149,8 @@ def exact_error(own: Grid, robot: tuple[int, int], drawing: Drawing = THESIS) ->
     `robot` is a free cell (x, y), the robot's.
     """
     exact = contours(own, robot)
-    complete = approximation(
-        exact, np.arange(len(exact.x), dtype=np.int32), unknown_pairs=drawing.unknown_pairs
-    )
+    every = np.arange(len(exact.symbols), dtype=np.int32)
+    complete = approximation(exact, every, unknown_pairs=drawing.unknown_pairs)
     return approximation_error(own, complete, drawing)
 
 
@@ -265,25 +264,25 @@ def _close_slivers(own: Grid, resolved: Grid, box: Int32s, plan: Grid) -> None:
 def _merge(
     own: Grid,
     claims: Layer,
-    keep_walls: bool,
-    wide: int,
-    close_slivers: bool,
-    claims_changed: Boxes,
-    own_changed: Boxes,
+    inferences: tuple[bool, int, bool],
+    changed: tuple[Boxes, Boxes],
     resolved: Grid,
     plan: Grid,
 ) -> None:
-    """Update all cells that depend on changed claims or on changed cells of the self-explored grid."""
+    """Update all cells that depend on changed claims, or on changed cells of the self-explored grid.
+
+    `inferences` are `keep_walls`, `wide`, and `close_slivers` of the `Drawing`.
+    """
+    keep_walls, wide, close_slivers = inferences
     box = np.empty(4, np.int32)
-    margin = 0 if wide == THIN else 1
-    own_margin = 1 if wide == WIDE_UNSEEN else 0
-    for boxes, around in ((claims_changed, margin), (own_changed, own_margin)):
+    margins = 0 if wide == THIN else 1, 1 if wide == WIDE_UNSEEN else 0
+    for boxes, around in zip(changed, margins):  # noqa: B905  numba knows no `strict`
         for number in range(len(boxes)):
             clip(boxes[number], around, own.shape, box)
             _resolve(own, claims, keep_walls, wide, box, resolved)
     if not close_slivers:
         return
-    for boxes, around in ((claims_changed, margin), (own_changed, own_margin)):
+    for boxes, around in zip(changed, margins):  # noqa: B905
         for number in range(len(boxes)):
             clip(boxes[number], around + 1, own.shape, box)
             _close_slivers(own, resolved, box, plan)

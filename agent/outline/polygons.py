@@ -13,9 +13,13 @@ because the grid has a border of one unknown cell.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
+
+from protocol.arrays import Int32s
+from protocol.kernels import kernel
 
 BELOW, RIGHT, ABOVE, LEFT = 0, 1, 2, 3
 """Sides of a cell, in the order of a contour around it; each next side is reached by a turn to the left."""
@@ -24,6 +28,10 @@ SIDE_X = np.array([0, 1, 0, -1], np.int64)
 SIDE_Y = np.array([1, 0, -1, 0], np.int64)
 """Direction of the neighbor on each side; also a vertex' offset from the center of its cell, in quarters of a cell."""
 
+Symbol = Annotated[int, "int32"]
+"""A vertex as a number: from the highest bits y + 1 and x + 1 of its cell (12 bits), side (2), whether occupied (1)."""
+Symbols = Int32s
+
 
 @dataclass(frozen=True, eq=False)
 class Polygons:
@@ -31,14 +39,10 @@ class Polygons:
 
     shape: tuple[int, int]
     """Height and width of the grid, in cells."""
-    x: NDArray[np.int16]
-    y: NDArray[np.int16]
-    """`x`, `y`, shape (n,): cell of each vertex."""
-    side: NDArray[np.uint8]
-    """Side of the cell, shape (n,): `BELOW`, `RIGHT`, `ABOVE` or `LEFT`."""
-    occupied: NDArray[np.uint8]
-    """In exact contours, shape (n,): 1 if the vertex' cell is occupied, 0 if it is unknown. In approximations: 1 if the
-    edge from this vertex to the next is occupied, 0 if it is free (inside object) or unknown (outside object)."""
+    symbols: Symbols
+    """The vertices, shape (n,), each as a number (`Symbol`). A vertex of an exact contour is occupied if its cell is,
+    else the cell is unknown. That of an approximation is occupied if the edge to the next vertex is, else the edge is
+    free (inside object) or unknown (outside object)."""
     start: NDArray[np.int32]
     """Object ``k`` has the vertices ``start[k]:start[k + 1]``; shape (objects + 1,)."""
     inside: NDArray[np.bool_]
@@ -47,10 +51,42 @@ class Polygons:
     @staticmethod
     def empty(shape: tuple[int, int]) -> Polygons:
         """Return no objects: an unexplored environment."""
-        none16, none8 = np.empty(0, np.int16), np.empty(0, np.uint8)
-        return Polygons(shape, none16, none16, none8, none8, np.zeros(1, np.int32), np.empty(0, np.bool_))
+        return Polygons(shape, np.empty(0, np.int32), np.zeros(1, np.int32), np.empty(0, np.bool_))
 
     @property
     def objects(self) -> int:
         """Number of polygons."""
         return len(self.inside)
+
+    @property
+    def x(self) -> NDArray[np.int32]:
+        """Column of each vertex' cell, shape (n,)."""
+        return (self.symbols >> 3 & 0xFFF) - 1
+
+    @property
+    def y(self) -> NDArray[np.int32]:
+        """Row of each vertex' cell, shape (n,)."""
+        return (self.symbols >> 15) - 1
+
+    @property
+    def side(self) -> NDArray[np.int32]:
+        """Side of its cell, shape (n,): `BELOW`, `RIGHT`, `ABOVE` or `LEFT`."""
+        return self.symbols >> 1 & 3
+
+    @property
+    def occupied(self) -> NDArray[np.int32]:
+        """1 for occupied vertices, else 0, shape (n,)."""
+        return self.symbols & 1
+
+
+@kernel
+def cell_of(symbol: Symbol) -> tuple[int, int]:
+    """Return the cell (x, y) of a vertex."""
+    return (symbol >> 3 & 0xFFF) - 1, (symbol >> 15) - 1
+
+
+@kernel
+def place_of(symbol: Symbol) -> tuple[int, int]:
+    """Return the position of a vertex, in quarters of a cell."""
+    (x, y), side = cell_of(symbol), symbol >> 1 & 3
+    return 4 * x + SIDE_X[side], 4 * y + SIDE_Y[side]

@@ -50,13 +50,9 @@ class Receiver:
     def feed(self, data: bytes, check: Callable[[SavePoint], object] = lambda _: None) -> bool:
         """Apply the next chunk of the stream, cut anywhere; return whether it contained a save point.
 
-        If it did, `check` is called with the last one, and may raise an error to reject the chunk.
-
-        Raises
-        ------
-        ProtocolError
-            The chunk is malformed; nothing has changed. The offset is relative to the start of the first packet
-            that ends in this chunk.
+        If it did, `check` is called with the last one, and may raise an error to reject the chunk. ProtocolError: the
+        chunk is malformed; nothing has changed. The offset is relative to the start of the first packet that ends in
+        this chunk.
         """
         chunk = self._pending + data
         before, prefix = self._reading, self._digest.digest()

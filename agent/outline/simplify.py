@@ -15,8 +15,8 @@ import numpy as np
 from agent.encoding_options import ValueFunction
 from agent.outline.approximation import Marks
 from agent.outline.edge_value import VALUE_FUNCTIONS, edge_value
-from agent.outline.polygons import SIDE_X, SIDE_Y, Polygons
-from protocol.arrays import Int16s, Int32s, Uint8s
+from agent.outline.polygons import Polygons, Symbols, place_of
+from protocol.arrays import Int32s
 from protocol.kernels import kernel
 from protocol.packets import MAX_VERTICES
 
@@ -45,22 +45,28 @@ def refine(
     """
     if splits == 0:
         return marks
-    columns = contours.x, contours.y, contours.side, contours.occupied, contours.start
-    worth_of_mixed = _WORTH_OF_MIXED if mixed_first else 0.0
-    function = VALUE_FUNCTIONS.index(value_function)
-    refined: Marks = _refine(*columns, marks, -1 if splits is None else splits, worth_of_mixed, function)
+    value_of = VALUE_FUNCTIONS.index(value_function), _WORTH_OF_MIXED if mixed_first else 0.0
+    most = len(contours.symbols) if splits is None else splits
+    refined: Marks = _refine(contours.symbols, contours.start, marks, most, value_of)
     return refined
 
 
-@kernel
-def _split_of(
-    x: Int32s, y: Int32s, occupied: Uint8s, first: int, end: int, a: int, b: int
-) -> tuple[float, int, bool]:
-    """Find the split of the edge from point `a` to point `b` of the object ``first:end``.
+_Contours = tuple[Int32s, Int32s, Symbols, Int32s]
+"""All contour points: x and y in quarters of a cell, the points as symbols, and the start of each object."""
 
-    Coordinates are in quarters of a cell. Returns the distance of the farthest point in cells, the index of the
-    split point (-1: the edge is exact), and whether the occupancy is mixed.
+_ValueOf = tuple[int, float]
+"""Index of the value function, and the worth of an edge of mixed occupancy."""
+
+
+@kernel
+def _split_of(contours: _Contours, k: int, a: int, b: int) -> tuple[float, int, bool]:
+    """Find the split of the edge from point `a` to point `b` of object `k`.
+
+    Returns the distance of the farthest point in cells, the index of the split point (-1: the edge is exact), and
+    whether the occupancy is mixed.
     """
+    x, y, points, start = contours
+    first, end = start[k], start[k + 1]
     i = a + 1 if a + 1 < end else first
     if i == b:
         return 0.0, -1, False
@@ -70,7 +76,7 @@ def _split_of(
     farthest, largest, change = -1, 0, -1
     before = a
     while i != b:
-        if change < 0 and occupied[i] != occupied[before]:
+        if change < 0 and (points[i] ^ points[before]) & 1:
             change = i
         p_x, p_y = x[i] - a_x, y[i] - a_y
         along = p_x * edge_x + p_y * edge_y
@@ -93,25 +99,23 @@ def _split_of(
 
 
 @kernel
-def _refine(
-    cell_x: Int16s,
-    cell_y: Int16s,
-    side: Uint8s,
-    occupied: Uint8s,
-    start: Int32s,
-    marks: Int32s,
-    splits: int,
-    worth_of_mixed: float,
-    function: int,
-) -> Int32s:
-    """Split `splits` edges; if it is negative, split until the approximation is exact.
+def _rated_split(contours: _Contours, k: int, a: int, b: int, value_of: _ValueOf) -> tuple[float, int]:
+    """Return the value of an edge, and its split as `_split_of` does."""
+    value, split, mixed = _split_of(contours, k, a, b)
+    x, y, _, start = contours
+    function, worth_of_mixed = value_of
+    if split >= 0 and function > 0:
+        value = edge_value(function, x, y, start[k], start[k + 1], a, b)
+    return value + worth_of_mixed if mixed else value, split
 
-    `function` is the index of the value function.
-    """
-    x, y = np.empty(len(cell_x), np.int32), np.empty(len(cell_x), np.int32)
-    for i in range(len(cell_x)):
-        x[i] = 4 * cell_x[i] + SIDE_X[side[i]]
-        y[i] = 4 * cell_y[i] + SIDE_Y[side[i]]
+
+@kernel
+def _refine(points: Symbols, start: Int32s, marks: Int32s, splits: int, value_of: _ValueOf) -> Int32s:
+    """Split at most `splits` edges."""
+    x, y = np.empty(len(points), np.int32), np.empty(len(points), np.int32)
+    for i in range(len(points)):
+        x[i], y[i] = place_of(points[i])
+    contours = x, y, points, start
     marked = np.zeros(len(x), np.bool_)
     vertices = np.zeros(len(start) - 1, np.int64)
     worth = np.empty(len(marks))  # values of the edges that are not exact
@@ -130,16 +134,12 @@ def _refine(
             continue
         for e in range(begin, m):
             a, b = marks[e], marks[e + 1 if e + 1 < m else begin]
-            value, split, mixed = _split_of(x, y, occupied, start[k], start[k + 1], a, b)
+            value, split = _rated_split(contours, k, a, b, value_of)
             if split >= 0:
-                if function > 0:
-                    value = edge_value(function, x, y, start[k], start[k + 1], a, b)
-                worth[count] = value + worth_of_mixed if mixed else value
+                worth[count] = value
                 edges[count, 0], edges[count, 1], edges[count, 2], edges[count, 3] = a, b, split, k
                 count += 1
 
-    if splits < 0:
-        splits = len(x)
     # At most `splits` of the present edges are split: queue only the most valuable ones.
     least = np.full(1, -np.inf)
     if splits < count and most + splits <= MAX_VERTICES:
@@ -157,10 +157,7 @@ def _refine(
         vertices[k] += 1
         splits -= 1
         for one, other in ((a, split), (split, b)):
-            value, next_split, mixed = _split_of(x, y, occupied, start[k], start[k + 1], one, other)
+            value, next_split = _rated_split(contours, k, one, other, value_of)
             if next_split >= 0:
-                if function > 0:
-                    value = edge_value(function, x, y, start[k], start[k + 1], one, other)
-                value = value + worth_of_mixed if mixed else value
                 heappush(queue, (-value, one, other, next_split, k))
     return np.flatnonzero(marked).astype(np.int32)

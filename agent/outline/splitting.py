@@ -21,20 +21,10 @@ START_SPLITS = 20
 class SplitAllowance:
     """Integer number of splits for each step; fractions are carried over.
 
-    Parameters
-    ----------
-    robots : int
-        Size of the team, r.
-    bandwidth : float or None
-        Bytes per step for the whole team, b; None: unlimited.
-    reach, width, height : float
-        Communication range c, which may be infinite, and size of the environment, in one unit.
-    medium_use : float
-        Fraction u of the bandwidth that is planned with.
-    bytes_per_split : float or None
-        Mean bytes per split, d; None: the running mean of the costs reported by `spent`.
-    fixed : float or None
-        Splits per step, independent of the bandwidth; None: by Eq. 5.5.
+    `robots` is the size of the team, r, `bandwidth` its bytes per step, b (None: unlimited), of which the fraction
+    `medium_use`, u, is planned with. `reach`, `width` and `height` are the communication range, which may be infinite,
+    and the size of the environment, in one unit. `bytes_per_split` is the mean d; None: that of the costs reported by
+    `spent`. `fixed` splits per step do not depend on the bandwidth; None: by Eq. 5.5.
     """
 
     def __init__(

@@ -81,18 +81,10 @@ def in_turn(
     Assign the pair of best utility minus cost, lower the utilities around its goal, and repeat until every robot has a
     goal. Two robots may share a goal if no other is better.
 
-    Parameters
-    ----------
-    grid : uint8 array, shape (h, w)
-        The planning grid; obstacles hide goals from each other.
-    utility : float64 array, shape (n,)
-        Utility of each goal before the assignment.
-    costs : float64 array, shape (m, n)
-        Costs times beta, comparable to utilities.
-    ranges : float64 array, shape (m,)
-        Sensor range of each robot in cells; utilities around its goal are lowered within it.
-    visibility : callable
-        Returns the amounts by which a goal lowers utilities, P(d).
+    Obstacles of the planning grid hide goals from each other. `utility`, shape (n,), is that of each goal before the
+    assignment; `costs`, shape (m, n), are multiplied by beta before, so that both are comparable. `ranges`, shape (m,),
+    has the sensor range of each robot in cells. `visibility` returns the amounts P(d) by which a goal lowers utilities
+    within this range.
     """
     worth = utility.copy()
     given = np.full(len(costs), -1)
@@ -159,9 +151,7 @@ def _climb(
     while improved:
         improved = False
         for robot in range(robots):
-            best = -1
-            best_value = -np.inf
-            now = -np.inf
+            best, best_value, now = -1, -np.inf, -np.inf
             for goal in range(len(goals)):
                 value = utility[goal] - costs[robot, goal]
                 if value < best_value and goal != given[robot]:
@@ -172,8 +162,7 @@ def _climb(
                 if goal == given[robot]:
                     now = value
                 if value > best_value:
-                    best = goal
-                    best_value = value
+                    best, best_value = goal, value
             if best_value > now + 1e-9:
                 given[robot] = best
                 improved = True

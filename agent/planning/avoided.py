@@ -8,6 +8,7 @@ time doubles; after `MOST_TIMES`, the robot gives the place up.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,7 +48,7 @@ class AvoidedTargets:
 
     def add(self, target: Cell, steps: int) -> None:
         """Avoid a target for `steps` steps, or longer if it has failed before."""
-        place = next((each for each in self._places if _distance(each.cell, target) <= self._reach), None)
+        place = next((each for each in self._places if math.dist(each.cell, target) <= self._reach), None)
         if place is None:
             place = _Place(target)
             self._places.append(place)
@@ -55,24 +56,20 @@ class AvoidedTargets:
         place.times += 1
 
     def draw(self, grid: Grid, here: Cell) -> None:
-        """Draw the avoided places on a grid, shape (h, w), in which the robot stands at `here`."""
+        """Draw the unknown cells around the avoided places as walls, and those beside the robot as free.
+
+        `grid` has the shape (h, w); the robot stands at `here`.
+        """
+        rows, columns = np.ogrid[: grid.shape[0], : grid.shape[1]]
         for place in self._places:
             if place.left > 0 or place.times >= MOST_TIMES:
-                self._draw(grid, place.cell, here)
+                x, y = place.cell
+                unknown = (np.hypot(columns - x, rows - y) <= self._reach) & (grid == UNKNOWN)
+                beside = np.hypot(columns - here[0], rows - here[1]) <= self._near
+                grid[unknown & ~beside] = OCCUPIED
+                grid[unknown & beside] = FREE
 
     def pass_step(self) -> None:
         """Count a step of the time for which places are avoided."""
         for place in self._places:
             place.left -= place.left > 0
-
-    def _draw(self, grid: Grid, target: Cell, here: Cell) -> None:
-        """Draw the unknown cells around a target as walls, and those beside the robot as free."""
-        rows, columns = np.ogrid[: grid.shape[0], : grid.shape[1]]
-        unknown = (np.hypot(columns - target[0], rows - target[1]) <= self._reach) & (grid == UNKNOWN)
-        beside = np.hypot(columns - here[0], rows - here[1]) <= self._near
-        grid[unknown & ~beside] = OCCUPIED
-        grid[unknown & beside] = FREE
-
-
-def _distance(one: Cell, other: Cell) -> float:
-    return float(np.hypot(one[0] - other[0], one[1] - other[1]))

@@ -8,8 +8,8 @@ with all targets counted is the best one. It visits only near cells, and counts 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from heapq import heappop, heappush
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,7 +19,6 @@ from agent.planning.cost_field import (
     UNIT,
     Workspace,
     begin,
-    offsets,
     settle,
     tidy,
     way_back,
@@ -32,8 +31,7 @@ from protocol.grid import Grid
 from protocol.kernels import kernel
 
 
-@dataclass(frozen=True)
-class TradeOff:
+class TradeOff(NamedTuple):
     """Parameters of the trade-off."""
 
     targets: Cells
@@ -48,6 +46,9 @@ class TradeOff:
     """Weight of cost against utility, 0 or more."""
 
 
+_TradeOff = tuple[Cells, Floats, Floats, float, float]
+
+
 def best_frontier(
     floor: Floor, grid: Grid, x: int, y: int, trade_off: TradeOff
 ) -> tuple[tuple[int, int], Cells] | None:
@@ -59,27 +60,17 @@ def best_frontier(
     Returns the cell (x, y) and a shortest way to it, without the start; None if no frontier cell is reachable.
     """
     work = workspace(len(floor.free))
-    counted = trade_off.targets, trade_off.weights, trade_off.ranges
-    cell, way = _search(floor.free, grid, floor.at(x, y), *counted, trade_off.scale, trade_off.beta, work)
+    cell, way = _search(floor.free, work, grid, floor.at(x, y), (*trade_off,))
     return None if cell < 0 else ((cell % floor.stride - 1, cell // floor.stride - 1), way)
 
 
 @kernel
-def _search(
-    free: Bools,
-    grid: Grid,
-    start: int,
-    targets: Cells,
-    weights: Floats,
-    ranges: Floats,
-    scale: float,
-    beta: float,
-    work: Workspace,
-) -> tuple[int, Cells]:
+def _search(free: Bools, work: Workspace, grid: Grid, start: int, trade_off: _TradeOff) -> tuple[int, Cells]:
+    targets, weights, ranges, scale, beta = trade_off
     length, _, settled = work
     stride, number = grid.shape[1] + 2, len(targets)
-    fill, offset = np.empty(FRONTS + 1, np.int64), offsets(1, stride)
-    fronts, level, checked = begin(free, work, fill, offset, start), 1, 0
+    search, fronts = begin(free, work, stride, start)
+    fill, level, checked = search[2], 1, 0
     # Robots often drive to the same target: each counts as the first one that is equal.
     same = np.arange(number)
     for target in range(number):
@@ -106,7 +97,7 @@ def _search(
                 queued += 1
         checked = fill[FRONTS]
         if fill[:FRONTS].any() and (len(queue) == 0 or -queue[0][0] <= 1.0 - beta * (level / scale)):
-            fronts = settle(free, work, fronts, fill, offset, level, NO_BOUND)
+            fronts = settle(search, fronts, level, NO_BOUND)
             level += 1
             continue
         if len(queue) == 0:
@@ -135,6 +126,6 @@ def _search(
             utility -= weights[counted] * lowered
             counted += 1
         heappush(queue, (cost - utility, cell, counted, utility, row))
-    cells = way_back(free, length, offset, best_cell) if best_cell >= 0 else np.empty((0, 2), np.int32)
-    tidy(work, fronts, fill)
+    cells = way_back(search, best_cell)
+    tidy(search, fronts)
     return best_cell, cells

@@ -10,12 +10,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from agent.planning.cost_field import STEPS
 from protocol.arrays import Cells, Floats
 from protocol.grid import FREE, UNKNOWN, Grid
 from protocol.kernels import kernel
-
-_STEPS = np.array([(1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1), (-1, -1), (1, -1)], np.int64)
-"""Neighbors (dx, dy): straight steps before diagonal ones."""
 
 
 def first_by_hops(
@@ -28,7 +26,7 @@ def first_by_hops(
 
     Returns the cell (x, y) and a way with the fewest steps, without the start; None if no frontier cell is reachable.
     """
-    around = np.broadcast_to(np.asarray(ranges, np.float64), len(taken)).copy()
+    around = np.full(len(taken), ranges, np.float64)
     way = np.empty((grid.size, 2), np.int32)
     length = _search(floor, grid, *start, taken, around, way)
     if length < 0:
@@ -47,7 +45,7 @@ def is_wide_frontier(grid: Grid, x: int, y: int) -> bool:
     if grid[y, x] != FREE:
         return False
     for number in range(8):
-        nx, ny = x + _STEPS[number, 0], y + _STEPS[number, 1]
+        nx, ny = x + STEPS[number, 0], y + STEPS[number, 1]
         if not (0 <= nx < width and 0 <= ny < height) or grid[ny, nx] != UNKNOWN:
             continue
         if number < 4 or grid[y, nx] == FREE or grid[ny, x] == FREE:
@@ -77,7 +75,7 @@ def _search(floor: Grid, grid: Grid, x: int, y: int, taken: Cells, ranges: Float
                 found = head
         head += 1
         for number in range(8):
-            nx, ny = cx + _STEPS[number, 0], cy + _STEPS[number, 1]
+            nx, ny = cx + STEPS[number, 0], cy + STEPS[number, 1]
             if not (0 <= nx < width and 0 <= ny < height) or came[ny, nx] >= 0 or floor[ny, nx] != FREE:
                 continue
             if number >= 4 and (floor[cy, nx] != FREE or floor[ny, cx] != FREE):
@@ -94,5 +92,5 @@ def _search(floor: Grid, grid: Grid, x: int, y: int, taken: Cells, ranges: Float
         way[length, 0], way[length, 1] = cx, cy
         length += 1
         number = came[cy, cx]
-        cx, cy = cx - _STEPS[number, 0], cy - _STEPS[number, 1]
+        cx, cy = cx - STEPS[number, 0], cy - STEPS[number, 1]
     return length

@@ -56,9 +56,8 @@ def searched_candidate(
 
     `kind` is one of `SEARCHED`; `targets` are those of teammates, `ranges` the sensor range of each of them in cells.
     """
-    taken = np.array(targets, np.int32).reshape(-1, 2)
     search = planner.first_by_hops if kind == "hops" else planner.first_frontier
-    found = search(*here, taken, np.broadcast_to(np.asarray(ranges, np.float64), len(taken)))
+    found = search(*here, np.array(targets, np.int32).reshape(-1, 2), ranges)
     return np.array([found] if found is not None else [], np.int32).reshape(-1, 2)
 
 
@@ -111,15 +110,9 @@ def representatives(cells: Cells, range_cells: float, at_least: int = 0) -> Cell
 def segment_clusters(cells: Cells, range_cells: float, at_least: int = 0) -> Clusters:
     """Divide each frontier segment into clusters; its number of cells and the sensor range give their number.
 
-    Parameters
-    ----------
-    cells : int32 array, shape (n, 2)
-        Frontier cells (x, y), row by row; at least one.
-    range_cells : float
-        Sensor range rho in cells.
-    at_least : int
-        Least number of clusters (ANR): the segment with the most cells per cluster gets another one, until there are
-        enough or every cell is a cluster.
+    `cells` are frontier cells, shape (n, 2), row by row, at least one; `range_cells` is the sensor range rho in cells.
+    Until there are `at_least` clusters (ANR), or every cell is one, the segment with the most cells per cluster gets
+    another one.
     """
     edges, sizes = frontier_segments(cells)
     counts = np.minimum(sizes, count_representatives(sizes, range_cells))
@@ -134,17 +127,9 @@ def segment_clusters(cells: Cells, range_cells: float, at_least: int = 0) -> Clu
 def mean_goals(grid: Grid, clusters: Clusters, is_reached: Bools, robots: Cells, range_cells: float) -> Cells:
     """Return the goal of each cluster: its mean, rounded to a cell, or its medoid if the mean would show nothing new.
 
-    The mean is the goal if a robot reaches it, and if its medoid is in sight within the sensor range. It is not if a
-    robot is there already, as its scanner has left the frontier. No two goals are equal.
-
-    Parameters
-    ----------
-    grid : uint8 array, shape (h, w)
-        The planning grid; occupied cells block the line of sight.
-    is_reached : bool array, shape (n,)
-        Whether a robot reaches the mean of each cluster.
-    robots : int32 array, shape (m, 2)
-        The cells of the robots.
+    The mean is the goal if a robot reaches it (`is_reached`, shape (n,)), and if its medoid is in sight within the
+    sensor range, on the planning grid. It is not if a robot is there already, as its scanner has left the frontier. No
+    two goals are equal. `robots` are the cells of the robots, shape (m, 2).
     """
     goals = clusters.medoids.copy()
     taken = {(x, y) for x, y in [*goals.tolist(), *robots.tolist()]}

@@ -39,18 +39,12 @@ class Clusters(NamedTuple):
 
 
 def cluster_groups(points: Cells, sizes: Int64s, counts: Int64s) -> Clusters:
-    """Cluster the points of each group around means.
+    """Cluster the points of each group around means; empty clusters are left out.
 
-    The initial means are far apart: the first point, then always the point farthest from all means so far.
-
-    Parameters
-    ----------
-    points : int32 array, shape (n, 2)
-        Group after group, different within a group; of equally near points the first counts.
-    sizes, counts : int64 arrays, shape (k,)
-        Number of points of each group, at least one; number of its clusters, at most as many.
-
-    Empty clusters are left out.
+    The initial means are far apart: the first point, then always the point farthest from all means so far. `points`,
+    shape (n, 2), follow group after group, different within a group; of equally near points the first counts. `sizes`
+    and `counts`, shape (k,), are the points of each group, at least one, and the number of its clusters, at most as
+    many.
     """
     found = np.empty((counts.sum(), 2), np.int32)
     groups = np.empty(len(found), np.int64)
@@ -68,23 +62,19 @@ def _lloyd(points: Points, means: Points, owner: Int64s) -> None:
         for at in range(len(points)):
             best = np.inf
             for number in range(count):
-                dx = points[at, 0] - means[number, 0]
-                dy = points[at, 1] - means[number, 1]
+                dx, dy = points[at, 0] - means[number, 0], points[at, 1] - means[number, 1]
                 distance = dx * dx + dy * dy
                 if distance < best:
-                    best = distance
-                    owner[at] = number
+                    best, owner[at] = distance, number
             total[owner[at], 0] += points[at, 0]
             total[owner[at], 1] += points[at, 1]
             total[owner[at], 2] += 1.0
         moved = False
         for number in range(count):
             if total[number, 2] > 0.0:
-                x = total[number, 0] / total[number, 2]
-                y = total[number, 1] / total[number, 2]
+                x, y = total[number, 0] / total[number, 2], total[number, 1] / total[number, 2]
                 if x != means[number, 0] or y != means[number, 1]:
-                    means[number, 0] = x
-                    means[number, 1] = y
+                    means[number, 0], means[number, 1] = x, y
                     moved = True
         if not moved:
             break
@@ -100,28 +90,23 @@ def _cluster(points: Points, count: int, out: Cells, means: Points) -> int:
         means[number] = points[chosen]
         farthest = -1.0
         for at in range(len(points)):
-            dx = points[at, 0] - means[number, 0]
-            dy = points[at, 1] - means[number, 1]
+            dx, dy = points[at, 0] - means[number, 0], points[at, 1] - means[number, 1]
             gap[at] = min(gap[at], dx * dx + dy * dy)
             if gap[at] > farthest:
-                farthest = gap[at]
-                chosen = at
+                farthest, chosen = gap[at], at
     owner = np.zeros(len(points), np.int64)
     _lloyd(points, means, owner)
     best = np.full(count, np.inf)
     nearest = np.full(count, -1)
     for at in range(len(points)):
         number = owner[at]
-        dx = points[at, 0] - means[number, 0]
-        dy = points[at, 1] - means[number, 1]
+        dx, dy = points[at, 0] - means[number, 0], points[at, 1] - means[number, 1]
         if dx * dx + dy * dy < best[number]:
-            best[number] = dx * dx + dy * dy
-            nearest[number] = at
+            best[number], nearest[number] = dx * dx + dy * dy, at
     found = 0
     for number in range(count):
         if nearest[number] >= 0:
-            out[found, 0] = int(points[nearest[number], 0])
-            out[found, 1] = int(points[nearest[number], 1])
+            out[found] = points[nearest[number]].astype(np.int32)
             means[found] = means[number]
             found += 1
     return found

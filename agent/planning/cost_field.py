@@ -40,7 +40,7 @@ UNIT = 1.0 / ONE
 FAR = 1 << 62
 """Length of a cell that the search has not reached."""
 
-_STEPS = np.array([(1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1), (-1, -1), (1, -1)], np.int64)
+STEPS = np.array([(1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1), (-1, -1), (1, -1)], np.int64)
 """Neighbors (dx, dy). Step 4 + i is the diagonal between steps i and i + 1."""
 
 FRONTS = 20
@@ -49,6 +49,10 @@ FRONTS = 20
 Workspace = tuple[Int64s, Uint8s, Int32s]
 """Working memory of a search: the length of the way to each cell, the last step of this way, and a list of the settled
 cells, to which no shorter way can be found."""
+
+Search = tuple[Bools, Workspace, Int64s, Int64s]
+"""A search under way: the free cells of the floor, the working memory, the number of cells in each front, and last that
+of settled cells, and the index difference of each step."""
 
 Bound = tuple[int, int]
 """A cell and a length: cells that cannot be on a way of this length to the cell need no successors."""
@@ -77,16 +81,15 @@ def way_between(
     other functions of this module return it, the search leaves out the cells that cannot be on a way of this length.
     """
     limit = round(length * ONE) if math.isfinite(length) else FAR
-    found, cells = _lead(
-        floor.free, floor.stride, floor.at(*start), floor.at(*end), limit, workspace(len(floor.free))
-    )
+    work = workspace(len(floor.free))
+    found, cells = _lead(floor.free, work, floor.stride, floor.at(*start), floor.at(*end), limit)
     return cells if found else None
 
 
 def costs(floor: Floor, x: int, y: int) -> Field:
     """Return the length of the shortest way from cell (x, y) to every cell, shape (h, w); infinite without a way."""
     field = np.empty((floor.height, floor.width))
-    _spread(floor.free, floor.at(x, y), workspace(len(floor.free)), field)
+    _spread(floor.free, workspace(len(floor.free)), floor.at(x, y), field)
     return field
 
 
@@ -96,8 +99,7 @@ def costs_to(floor: Floor, x: int, y: int, cells: Cells) -> Floats:
     The search ends at the last of them: suited to cells near each other. For cells all over the floor
     `agent.planning.jump_point_search` is faster.
     """
-    found = np.empty(len(cells))
-    _spread_to(floor.free, floor.stride, floor.at(x, y), cells, workspace(len(floor.free)), found)
+    found: Floats = _spread_to(floor.free, workspace(len(floor.free)), floor.stride, floor.at(x, y), cells)
     return found
 
 
@@ -112,10 +114,9 @@ def nearest_first(
 
     Returns the cell (x, y) and a shortest way to it, without the start; None if no frontier cell is reachable.
     """
-    around = np.broadcast_to(np.asarray(ranges, np.float64), len(taken)).copy()
-    cell, way = _spread_to_frontier(
-        floor.free, grid, floor.at(x, y), taken, around, workspace(len(floor.free))
-    )
+    around = np.full(len(taken), ranges, np.float64)
+    work = workspace(len(floor.free))
+    cell, way = _spread_to_frontier(floor.free, work, grid, floor.at(x, y), taken, around)
     return None if cell < 0 else ((cell % floor.stride - 1, cell // floor.stride - 1), way)
 
 
@@ -131,14 +132,11 @@ def way(grid: Grid, field: Field, x: int, y: int, weights: FloatRows = _NO_WEIGH
 
 
 @kernel
-def begin(free: Bools, work: Workspace, fill: Int64s, offset: Int64s, start: int) -> Int32Rows:
-    """Begin a search: settle the start, put its neighbors into the fronts of level 1, and return all fronts.
-
-    `fill` has the number of cells in each front (`settle`), and last the number of settled cells.
-    """
+def begin(free: Bools, work: Workspace, stride: int, start: int) -> tuple[Search, Int32Rows]:
+    """Begin a search: settle the start, and put its neighbors into the fronts of level 1; return it with all fronts."""
     length, came, settled = work
     fronts = np.empty((FRONTS, 512), np.int32)
-    fill[:] = 0
+    fill, offset = np.zeros(FRONTS + 1, np.int64), offsets(1, stride)
     length[start], settled[0], fill[FRONTS] = 0, start, 1
     for step in range(8):
         cell = start + offset[step]
@@ -149,13 +147,13 @@ def begin(free: Bools, work: Workspace, fill: Int64s, offset: Int64s, start: int
             row = 4 + step if step < 4 else 12 + (step & 3)
             length[cell], came[cell] = ONE if step < 4 else ROOT, step
             fronts[row, 0], fill[row] = cell, 1
-    return fronts
+    return (free, work, fill, offset), fronts
 
 
 @kernel
-def tidy(work: Workspace, fronts: Int32Rows, fill: Int64s) -> None:
+def tidy(search: Search, fronts: Int32Rows) -> None:
     """Reset the lengths of all cells that the search has reached."""
-    length, _, settled = work
+    _, (length, _, settled), fill, _ = search
     for at in range(fill[FRONTS]):
         length[np.uint64(settled[np.uint64(at)])] = FAR
     for row in range(FRONTS):
@@ -164,9 +162,7 @@ def tidy(work: Workspace, fronts: Int32Rows, fill: Int64s) -> None:
 
 
 @kernel
-def settle(
-    free: Bools, work: Workspace, fronts: Int32Rows, fill: Int64s, offset: Int64s, level: int, bound: Bound
-) -> Int32Rows:
+def settle(search: Search, fronts: Int32Rows, level: int, bound: Bound) -> Int32Rows:
     """Settle the cells of a level, from 1: list them, and put their neighbors into the fronts of the next two levels.
 
     Returns the fronts, enlarged if necessary. A level has eight of them, one for each step by which its cells were
@@ -174,7 +170,7 @@ def settle(
     lead to the next level. Diagonal step 4 + i, which may lead to the one after that: row 8 + 4 (level % 3) + i.
     """
     # Unsigned indices cannot count from the end of an array, which saves a comparison each.
-    length, came, settled = work
+    free, (length, came, settled), fill, offset = search
     straight, next_straight = 4 * (level & 1), 4 * (~level & 1)
     diagonal, next_diagonal = 8 + 4 * (level % 3), 8 + 4 * ((level + 1) % 3)
     later_diagonal = 8 + 4 * ((level + 2) % 3)
@@ -267,79 +263,70 @@ def offsets(right: int, down: int) -> Int64s:
     """Return the index difference of each step on a flat floor, given those of a step right and of one down."""
     offset = np.empty(8, np.int64)
     for number in range(8):
-        offset[number] = _STEPS[number, 0] * right + _STEPS[number, 1] * down
+        offset[number] = STEPS[number, 0] * right + STEPS[number, 1] * down
     return offset
 
 
 @kernel
 def _settle_until(
-    free: Bools,
-    work: Workspace,
-    fronts: Int32Rows,
-    fill: Int64s,
-    offset: Int64s,
-    level: int,
-    end: int,
-    bound: Bound,
+    search: Search, fronts: Int32Rows, level: int, end: int, bound: Bound
 ) -> tuple[Int32Rows, int]:
     """Settle level after level until the cell `end` is settled or no cell is left; return the fronts and the level."""
+    _, work, fill, _ = search
     while work[0][end] >> SHIFT >= level and fill[:FRONTS].any():
-        fronts = settle(free, work, fronts, fill, offset, level, bound)
+        fronts = settle(search, fronts, level, bound)
         level += 1
     return fronts, level
 
 
 @kernel
-def _spread(free: Bools, start: int, work: Workspace, field: Field) -> None:
+def _spread(free: Bools, work: Workspace, start: int, field: Field) -> None:
     height, width = field.shape
-    fill, offset = np.empty(FRONTS + 1, np.int64), offsets(1, width + 2)
-    fronts = begin(free, work, fill, offset, start)
+    search, fronts = begin(free, work, width + 2, start)
     # Cell 0, on the rim, is never settled.
-    fronts, _ = _settle_until(free, work, fronts, fill, offset, 1, 0, NO_BOUND)
+    fronts, _ = _settle_until(search, fronts, 1, 0, NO_BOUND)
     length = work[0]
     for row in range(height):
         first = (row + 1) * (width + 2) + 1
         source = length[first : first + width]
         for column in range(width):
             field[row, column] = source[column] * UNIT if source[column] != FAR else np.inf
-    tidy(work, fronts, fill)
+    tidy(search, fronts)
 
 
 @kernel
-def _spread_to(free: Bools, stride: int, start: int, cells: Cells, work: Workspace, found: Floats) -> None:
-    length = work[0]
-    fill, offset = np.empty(FRONTS + 1, np.int64), offsets(1, stride)
-    fronts, level = begin(free, work, fill, offset, start), 1
+def _spread_to(free: Bools, work: Workspace, stride: int, start: int, cells: Cells) -> Floats:
+    length, found = work[0], np.empty(len(cells))
+    search, fronts = begin(free, work, stride, start)
+    level = 1
     for index in range(len(cells)):
         cell = (cells[index, 1] + 1) * stride + cells[index, 0] + 1
-        fronts, level = _settle_until(free, work, fronts, fill, offset, level, cell, NO_BOUND)
+        fronts, level = _settle_until(search, fronts, level, cell, NO_BOUND)
         found[index] = length[cell] * UNIT if length[cell] != FAR else np.inf
-    tidy(work, fronts, fill)
+    tidy(search, fronts)
+    return found
 
 
 @kernel
-def _lead(free: Bools, stride: int, start: int, end: int, limit: int, work: Workspace) -> tuple[bool, Cells]:
-    fill, offset = np.empty(FRONTS + 1, np.int64), offsets(1, stride)
-    fronts = begin(free, work, fill, offset, start)
-    fronts, _ = _settle_until(free, work, fronts, fill, offset, 1, end, (end, limit))
+def _lead(free: Bools, work: Workspace, stride: int, start: int, end: int, limit: int) -> tuple[bool, Cells]:
+    search, fronts = begin(free, work, stride, start)
+    fronts, _ = _settle_until(search, fronts, 1, end, (end, limit))
     found = work[0][end] != FAR
-    cells = way_back(free, work[0], offset, end) if found else np.empty((0, 2), np.int32)
-    tidy(work, fronts, fill)
+    cells = way_back(search, end)
+    tidy(search, fronts)
     return found, cells
 
 
 @kernel
 def _spread_to_frontier(
-    free: Bools, grid: Grid, start: int, taken: Cells, ranges: Floats, work: Workspace
+    free: Bools, work: Workspace, grid: Grid, start: int, taken: Cells, ranges: Floats
 ) -> tuple[int, Cells]:
     """Return the index of the found cell, -1 if there is none, and the way to it."""
     length, _, settled = work
     stride = grid.shape[1] + 2
-    fill, offset = np.empty(FRONTS + 1, np.int64), offsets(1, stride)
-    fronts, level = begin(free, work, fill, offset, start), 1
-    first = -1
-    found = -1
-    checked = 0
+    search, fronts = begin(free, work, stride, start)
+    fill = search[2]
+    level, first, found, checked = 1, -1, -1, 0
     while found < 0:
         nearest = -1
         for at in range(checked, fill[FRONTS]):
@@ -363,21 +350,24 @@ def _spread_to_frontier(
         if not fill[:FRONTS].any():
             break
         if found < 0:
-            fronts = settle(free, work, fronts, fill, offset, level, NO_BOUND)
+            fronts = settle(search, fronts, level, NO_BOUND)
             level += 1
     if found < 0:
         found = first
-    cells = way_back(free, length, offset, found) if found >= 0 else np.empty((0, 2), np.int32)
-    tidy(work, fronts, fill)
+    cells = way_back(search, found)
+    tidy(search, fronts)
     return found, cells
 
 
 @kernel
-def way_back(free: Bools, length: Int64s, offset: Int64s, end: int) -> Int32Rows:
-    """Return the cells (x, y) of the way to a settled cell, in driving order.
+def way_back(search: Search, end: int) -> Int32Rows:
+    """Return the cells (x, y) of the way to a settled cell, in driving order; none for another cell.
 
     It computes the same sums as `_descend`, so it chooses the same one of several shortest ways.
     """
+    free, (length, _, _), _, offset = search
+    if end < 0 or length[end] == FAR:
+        return np.empty((0, 2), np.int32)
     stride = offset[1]
     count = (length[end] >> SHIFT) + 1  # no step is shorter than a cell
     cells = np.empty((count, 2), np.int32)
@@ -385,10 +375,8 @@ def way_back(free: Bools, length: Int64s, offset: Int64s, end: int) -> Int32Rows
     at = end
     while length[at] > 0:
         first -= 1
-        cells[first, 0] = at % stride - 1
-        cells[first, 1] = at // stride - 1
-        best = np.inf
-        next_one = at
+        cells[first, 0], cells[first, 1] = at % stride - 1, at // stride - 1
+        best, next_one = np.inf, at
         for number in range(8):
             before = at + offset[number]
             if length[before] == FAR:
@@ -399,8 +387,7 @@ def way_back(free: Bools, length: Int64s, offset: Int64s, end: int) -> Int32Rows
                     continue
                 step = DIAGONAL
             if length[before] * UNIT + step < best:
-                best = length[before] * UNIT + step
-                next_one = before
+                best, next_one = length[before] * UNIT + step, before
         at = next_one
     return cells[first:].copy()
 
@@ -410,16 +397,12 @@ def _descend(grid: Grid, weights: FloatRows, field: Field, x: int, y: int, out: 
     height, width = grid.shape
     length = 0
     while field[y, x] > 0.0:
-        out[length, 0] = x
-        out[length, 1] = y
+        out[length, 0], out[length, 1] = x, y
         length += 1
         weight = weights[y, x] if weights.size else 1.0
-        best = np.inf
-        best_x = x
-        best_y = y
+        best, best_x, best_y = np.inf, x, y
         for number in range(8):
-            nx = x + _STEPS[number, 0]
-            ny = y + _STEPS[number, 1]
+            nx, ny = x + STEPS[number, 0], y + STEPS[number, 1]
             if nx < 0 or ny < 0 or nx >= width or ny >= height:
                 continue
             step = weight
@@ -429,9 +412,6 @@ def _descend(grid: Grid, weights: FloatRows, field: Field, x: int, y: int, out: 
                     continue
                 step = weight * DIAGONAL
             if field[ny, nx] + step < best:
-                best = field[ny, nx] + step
-                best_x = nx
-                best_y = ny
-        x = best_x
-        y = best_y
+                best, best_x, best_y = field[ny, nx] + step, nx, ny
+        x, y = best_x, best_y
     return length

@@ -68,11 +68,10 @@ def glide(
 
     Returns the position after each Euler step, shape (SUBSTEPS, 2), and the velocity at the end, shape (2,).
     """
-    path = np.empty((SUBSTEPS, 2))
     moving = velocity.copy()
-    numbers = np.array([*field, top_speed, resolution])
     others = np.hstack([robots, np.zeros_like(robots) if drifts is None else drifts])
-    _integrate(floor, frontier, others, np.array(at, np.float64), moving, numbers, path)
+    numbers = np.array([*field, top_speed, resolution])
+    path: FloatRows = _integrate(floor, frontier, others, np.array(at, np.float64), moving, numbers)
     return path, moving
 
 
@@ -96,15 +95,10 @@ def closest_obstacle(floor: Grid, x: float, y: float, reach: float, out: Floats)
 
 @kernel
 def _integrate(
-    floor: Grid,
-    frontier: Cells,
-    robots: FloatRows,
-    at: Floats,
-    velocity: Floats,
-    numbers: Floats,
-    path: FloatRows,
-) -> None:
+    floor: Grid, frontier: Cells, robots: FloatRows, at: Floats, velocity: Floats, numbers: Floats
+) -> FloatRows:
     # Rows of `robots` have a position (x, y) and the way that the robot drives during the step.
+    path = np.empty((SUBSTEPS, 2))
     rho_robots, rho_obstacles, gain_robots, gain_obstacles, gain_frontier, damping, top, size = numbers
     obstacle = np.empty(2)
     other = np.empty(2)
@@ -149,3 +143,4 @@ def _integrate(
                 at[axis] = before
                 velocity[axis] = 0.0
         path[step] = at
+    return path

@@ -13,21 +13,15 @@ from protocol.kernels import kernel
 
 
 class Floor:
-    """The cells that a robot may enter, the free cells of a grid, as a flat array with a blocked rim.
-
-    Attributes
-    ----------
-    free : bool array, shape ((h + 2) * stride,)
-        Whether each cell is free, row by row, rim included.
-    stride : int
-        Index difference of a cell and the one below: w + 2.
-    """
+    """The cells that a robot may enter, the free cells of a grid, as a flat array with a blocked rim."""
 
     def __init__(self, grid: Grid) -> None:
         self.height: int = grid.shape[0]
         self.width: int = grid.shape[1]
         self.stride: int = self.width + 2
+        """Index difference of a cell and the one below."""
         self.free: Bools = _laid_out(grid)
+        """Whether each cell is free, row by row, rim included: shape ((h + 2) * stride,)."""
 
     def at(self, x: int, y: int) -> int:
         """Return the index of cell (x, y) in `free`."""

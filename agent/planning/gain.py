@@ -35,14 +35,11 @@ def information_gain(
     Sheng et al. 2006, as quoted by Al-khawaldah and Nuechter 2014: I of Eq. (1). `others` are the cells and targets of
     teammates; `ranges` has the sensor range of each of them in cells, by default `range_cells`.
     """
-    gain = np.zeros(len(cells), np.int64)
     theirs = np.broadcast_to(range_cells if ranges is None else ranges, len(others))
     discs = [_disc_rows(reach) for reach in theirs.tolist()]
     start = np.cumsum([0, *map(len, discs)])
-    taken = np.concatenate(discs) if discs else np.empty(0, np.int64)
-    _count(
-        grid, cells, np.array(others, np.int32).reshape(-1, 2), taken, start, _disc_rows(range_cells), gain
-    )
+    taken = np.array(others, np.int32).reshape(-1, 2), np.concatenate([np.empty(0, np.int64), *discs]), start
+    gain: Int64s = _count(grid, cells, taken, _disc_rows(range_cells))
     return gain
 
 
@@ -60,22 +57,20 @@ def expected_gain(grid: Grid, cells: Cells, lengths: Int64s, range_cells: float)
     and more so for short segments. `lengths`, shape (n,), has the number of cells of the frontier segment of each.
     """
     around = ray_table(range_cells, BEAMS)
-    unknown = np.empty(len(cells))
-    _sum_unknown(grid, cells, around.cells, around.flat(grid.shape[1] + 2), around.start, unknown)
+    unknown = _sum_unknown(grid, cells, around.cells, around.flat(grid.shape[1] + 2), around.start)
     floor = np.minimum(_LEAST_FLOOR + _A_LENGTH * lengths / range_cells, _MOST_FLOOR)
     shares: Floats = floor * unknown / (BEAMS * range_cells**2 / 2)
     return shares
 
 
 @kernel
-def _sum_unknown(
-    grid: Grid, cells: Cells, beam_cells: Int32Rows, flat: Int32s, start: Int32s, unknown: Floats
-) -> None:
+def _sum_unknown(grid: Grid, cells: Cells, beam_cells: Int32Rows, flat: Int32s, start: Int32s) -> Floats:
     """Sum over all beams of each cell the integral of the distance over unknown cells, up to the first obstacle.
 
     `flat` has the offsets `beam_cells` as index differences on the grid with a rim of obstacles, which beams cannot
-    cross.
+    cross. Returns an array of shape (n,).
     """
+    unknown = np.empty(len(cells))
     height, width = grid.shape
     stride = width + 2
     rimmed = np.full((height + 2) * stride, np.uint8(OCCUPIED))
@@ -101,20 +96,24 @@ def _sum_unknown(
                 if state == UNKNOWN:
                     total += grows[at]
         unknown[index] = total / 2
+    return unknown
 
 
 @kernel
-def _count(
-    grid: Grid, cells: Cells, others: Cells, taken: Int64s, start: Int64s, reach: Int64s, gain: Int64s
-) -> None:
-    """Count unknown cells; `reach` has the rows of a disc (`_disc_rows`), `taken` those of all others."""
+def _count(grid: Grid, cells: Cells, taken: tuple[Cells, Int64s, Int64s], reach: Int64s) -> Int64s:
+    """Count the unknown cells in a disc around each cell, without those in other discs; array of shape (n,).
+
+    `reach` has the rows of the disc (`_disc_rows`), `taken` the centers of the others, all their rows, and where those
+    of each begin.
+    """
+    (others, all_rows, start), gain = taken, np.zeros(len(cells), np.int64)
     height, width = grid.shape
     open_cells = np.zeros((height, width), np.bool_)
     for y in range(height):
         for x in range(width):
             open_cells[y, x] = grid[y, x] == UNKNOWN
     for other in range(len(others)):
-        rows = taken[start[other] : start[other + 1]]
+        rows = all_rows[start[other] : start[other + 1]]
         for dy in range(1 - len(rows), len(rows)):
             y = others[other, 1] + dy
             if 0 <= y < height:
@@ -132,3 +131,4 @@ def _count(
                 x0 = max(0, cells[at, 0] - reach[abs(dy)])
                 x1 = min(width, cells[at, 0] + reach[abs(dy)] + 1)
                 gain[at] += before[y, x1] - before[y, x0]
+    return gain

@@ -132,8 +132,8 @@ class _JumpPoints:
         """Do the work of `GoalCosts.search`."""
         size = self._free.size
         memory = self._work.length[:size], self._work.came[:size]
-        costs = np.empty((len(starts), len(goals)))
-        _search(self._free, self._jumps, self._in_box(starts), self._in_box(goals), first, *memory, costs)
+        cells = self._in_box(starts), self._in_box(goals)
+        costs: FloatRows = _search(self._free, self._jumps, *cells, first, memory)
         return costs
 
     def _in_box(self, cells: Cells) -> Cells:
@@ -253,20 +253,15 @@ def _queue_up(cell: int, new: int, step: int, buckets: Int64s, queue: Int64Rows,
 
 @kernel
 def _search(
-    floor: BoolRows,
-    jumps: _Jumps,
-    starts: Cells,
-    goals: Cells,
-    first: Int64s,
-    length: Int64s,
-    came: Uint8s,
-    costs: FloatRows,
-) -> None:
+    floor: BoolRows, jumps: _Jumps, starts: Cells, goals: Cells, first: Int64s, memory: tuple[Int64s, Uint8s]
+) -> FloatRows:
     """Settle jump points in buckets of width 1, until all goals of a start from its `first` on are settled.
 
     Starts outside the floor or on its rim have no way. The queue has rows (cell, arrival step, next entry of the same
-    bucket).
+    bucket). Returns the costs, shape (m, n); those of goals before `first` are arbitrary.
     """
+    length, came = memory
+    costs = np.empty((len(starts), len(goals)))
     height, stride = floor.shape
     free = floor.reshape(height * stride)
     offset, turned_offset = offsets(1, stride), offsets(height, 1)
@@ -333,3 +328,4 @@ def _search(
             level += 1
         for number in range(first[row], len(ends)):
             costs[row, number] = length[ends[number]] * UNIT if came[ends[number]] else np.inf
+    return costs

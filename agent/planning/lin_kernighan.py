@@ -120,14 +120,20 @@ def _length(tour: Int64s, ways: FloatRows) -> float:
 
 
 @kernel
-def _chain(tour: Int64s, ways: FloatRows, cuts: Int64Rows) -> None:
-    """Order the nodes between the first and the last by nearest neighbors, then improve; kick, and improve again."""
-    for place in range(1, len(tour) - 2):
+def by_nearest_neighbors(tour: Int64s, ways: FloatRows) -> None:
+    """Order the nodes of a path behind the first one such that each is followed by the nearest of those left."""
+    for place in range(1, len(tour) - 1):
         nearest = place
-        for other in range(place + 1, len(tour) - 1):
+        for other in range(place + 1, len(tour)):
             if ways[tour[place - 1], tour[other]] < ways[tour[place - 1], tour[nearest]]:
                 nearest = other
         tour[place], tour[nearest] = tour[nearest], tour[place]
+
+
+@kernel
+def _chain(tour: Int64s, ways: FloatRows, cuts: Int64Rows) -> None:
+    """Order the nodes between the first and the last by nearest neighbors, then improve; kick, and improve again."""
+    by_nearest_neighbors(tour[:-1], ways)
     _improve(tour, ways)
     length = _length(tour, ways)
     for number in range(len(cuts)):

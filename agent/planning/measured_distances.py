@@ -43,8 +43,7 @@ class MeasuredDistances:
 
         P between whole distances is interpolated. The parameters are those of `agent.planning.utility.proximity`.
         """
-        found = np.zeros(len(cells))
-        _look_up(grid, cells, target, range_cells, self.shares(), found)
+        found: Floats = _look_up(grid, cells, target, range_cells, self.shares())
         return found
 
 
@@ -66,9 +65,8 @@ def _cast(grid: Grid, x: int, y: int, cells: Int32Rows, start: Int32s, counts: I
 
 
 @kernel
-def _look_up(
-    grid: Grid, cells: Cells, target: Int32s, range_cells: float, shares: Floats, found: Floats
-) -> None:
+def _look_up(grid: Grid, cells: Cells, target: Int32s, range_cells: float, shares: Floats) -> Floats:
+    found = np.zeros(len(cells))
     for at in range(len(cells)):
         x, y = cells[at]
         distance = np.sqrt(float((x - target[0]) ** 2 + (y - target[1]) ** 2))
@@ -76,3 +74,4 @@ def _look_up(
             below = int(distance)
             above = min(below + 1, len(shares) - 1)
             found[at] = shares[below] + (distance - below) * (shares[above] - shares[below])
+    return found

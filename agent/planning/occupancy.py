@@ -7,12 +7,10 @@ a cell far from all obstacles costs its length. Lengths are integers, in 1024ths
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.planning.cost_field import Field
+from agent.planning.cost_field import DIAGONAL, STEPS, Field
 from protocol.arrays import FloatRows
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.kernels import kernel
@@ -25,10 +23,8 @@ SMOOTHING = 1.0
 _TRUNCATE = 3.0
 
 _GRAIN = 1024
-_ROOT = math.sqrt(2.0)
 _RING = 16
 """Buckets in the ring; more than the longest step, sqrt 2 times P_OCCUPIED / P_FREE."""
-_STEPS = np.array([(1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1), (-1, -1), (1, -1)], np.int64)
 
 
 def smoothed(grid: Grid) -> FloatRows:
@@ -91,12 +87,12 @@ def _spread(floor: Grid, weights: FloatRows, x: int, y: int, field: Field) -> No
             if int(base) != level:
                 continue  # reached on a cheaper way since
             for number in range(8):
-                nx, ny = cx + _STEPS[number, 0], cy + _STEPS[number, 1]
+                nx, ny = cx + STEPS[number, 0], cy + STEPS[number, 1]
                 if not (0 <= nx < width and 0 <= ny < height) or floor[ny, nx] != FREE:
                     continue
                 if number >= 4 and (floor[cy, nx] != FREE or floor[ny, cx] != FREE):
                     continue
-                step = weights[ny, nx] * (_ROOT if number >= 4 else 1.0)
+                step = weights[ny, nx] * (DIAGONAL if number >= 4 else 1.0)
                 new = base + round(step * _GRAIN) / _GRAIN
                 if new < field[ny, nx]:
                     field[ny, nx] = new

@@ -27,22 +27,11 @@ Cell = tuple[int, int]
 
 
 class PathPlanner:
-    """Path planner of one robot on one planning grid.
+    """Path planner of one robot on one planning grid, shape (h, w).
 
-    Parameters
-    ----------
-    grid : uint8 array, shape (h, w)
-        A planning grid.
-    kind : str
-        One of `COSTS`.
-    radius_cells : float
-        The robot's radius: obstacles are enlarged by it.
-    floor : uint8 array, shape (h, w), optional
-        The grid with obstacles enlarged, the cells that the robot's center may enter; computed by default.
-    occ_max : float
-        Cells of more occupancy on a smoothed map are obstacles (`agent.planning.occupancy.barred`).
-    cache : MemoCache
-        Cache of intermediate results, shared by the robots of this process.
+    `kind` is one of `COSTS`. Obstacles are enlarged by the robot's radius; `floor` is the grid with enlarged obstacles,
+    computed by default. Cells of more occupancy than `occ_max` on a smoothed map are obstacles
+    (`agent.planning.occupancy.barred`). `cache` has intermediate results, shared by the robots of this process.
     """
 
     def __init__(

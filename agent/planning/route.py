@@ -13,10 +13,11 @@ _NOWHERE = np.empty((0, 2), np.int32)
 
 
 class Route:
-    """The remaining cells of a robot's way, without its own cell, as `cells`."""
+    """The remaining way of a robot."""
 
     def __init__(self) -> None:
         self.cells: Cells = _NOWHERE
+        """The cells of the way, without the robot's own cell: int32 array, shape (n, 2)."""
 
     def lead(self, planner: PathPlanner, start: tuple[int, int], end: tuple[int, int]) -> bool:
         """Plan a best way from `start` to `end`; return whether there is one. Without one, the route is empty."""
@@ -37,10 +38,6 @@ class Route:
     def is_open(self, floor: Grid, start: tuple[int, int]) -> bool:
         """Return whether the remaining cells from `start` on are free on `floor`, and both beside each diagonal."""
         return bool(_is_open(floor, *start, self.cells))
-
-    def next_cells(self, count: int) -> Cells:
-        """Return the next cells, at most `count`: int32 array, shape (n, 2)."""
-        return self.cells[:count]
 
 
 @kernel
@@ -156,11 +153,8 @@ def _is_line_clear(floor: Grid, x: int, y: int, to_x: int, to_y: int) -> bool:
         next_x = (x + (to_x - x) * piece // pieces + half) // FINE
         next_y = (y + (to_y - y) * piece // pieces + half) // FINE
         if next_x != cell_x or next_y != cell_y:
-            if (
-                floor[next_y, next_x] != FREE
-                or floor[cell_y, next_x] != FREE
-                or floor[next_y, cell_x] != FREE
-            ):
+            is_free = floor[next_y, next_x] == floor[cell_y, next_x] == floor[next_y, cell_x] == FREE
+            if not is_free:
                 return False
             cell_x, cell_y = next_x, next_y
     return True
@@ -190,8 +184,7 @@ def _shoot(floor: Grid, points: Cells, out: Cells) -> int:
             if double < dx:
                 error += dx
                 y += step_y
-            out[length, 0] = x
-            out[length, 1] = y
+            out[length, 0], out[length, 1] = x, y
             length += 1
         corner = seen
     return length

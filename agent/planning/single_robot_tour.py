@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from agent.planning.lin_kernighan import by_nearest_neighbors
 from protocol.arrays import FloatRows, Floats, Int64s
 from protocol.kernels import kernel
 
@@ -88,12 +89,7 @@ def _move(tour: Int64s, first: int, length: int, ways: FloatRows) -> bool:
 @kernel
 def _shorten(tour: Int64s, ways: FloatRows) -> None:
     """Order a tour by nearest neighbors, then improve it; its first place is the robot itself."""
-    for place in range(1, len(tour) - 1):
-        nearest = place
-        for other in range(place + 1, len(tour)):
-            if ways[tour[place - 1], tour[other]] < ways[tour[place - 1], tour[nearest]]:
-                nearest = other
-        tour[place], tour[nearest] = tour[nearest], tour[place]
+    by_nearest_neighbors(tour, ways)
     for _ in range(ROUNDS):
         improved = _reverse_parts(tour, ways)
         for length in range(1, MOST_MOVED + 1):

@@ -30,7 +30,7 @@ def utilities(
     """
     result = np.ones(len(cells))
     weighted = np.ones(len(targets)) if weights is None else np.asarray(weights, np.float64)
-    ranges = np.broadcast_to(np.asarray(range_cells, np.float64), len(targets)).copy()
+    ranges = np.full(len(targets), range_cells, np.float64)
     _lower(grid, cells, np.array(targets, np.int32).reshape(-1, 2), weighted, ranges, result)
     return result
 

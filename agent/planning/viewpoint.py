@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 
@@ -36,13 +35,9 @@ def viewpoint_cells(
     `goal` is a frontier cell of the planning grid, itself among the result; `around` has the beams of the scanner,
     which count up to a length of `reach` cells. With `among`, find only those of these cells, int32 of shape (n, 2).
     """
-    height, width = grid.shape
-    arrivals = _arrivals(around, min(reach, math.hypot(height, width)))
+    arrivals = _arrivals(around, min(reach, math.hypot(*grid.shape)))
     candidates = np.empty((0, 2), np.int32) if among is None else among
-    flat, steps, rows, start = arrivals.flat, arrivals.steps, arrivals.rows, arrivals.start
-    found: Cells = _trace_back(
-        grid, *goal, arrivals.side, flat, steps, rows, start, among is None, candidates
-    )
+    found: Cells = _trace_back(grid, goal, arrivals, among is None, candidates)
     return found
 
 
@@ -60,22 +55,17 @@ def tour_viewpoints(
         yield cells
 
 
-class _Arrivals(NamedTuple):
-    """Where the beams of a scanner may end, by their last step, on a square part of a grid with the goal in the middle.
+_Arrivals = tuple[int, Int32s, tuple[int, int, int, int], Int32Rows, Int64s]
+"""Where the beams of a scanner may end, by their last step, on a square part of a grid with the goal in the middle.
 
-    The part is so large that beams to a neighbor of the goal do not begin outside.
-    """
+The part is so large that beams to a neighbor of the goal do not begin outside. The tuple has
 
-    side: int
-    """Side of the part in cells."""
-    flat: Int32s
-    """The cells of all beams (`RayTable.cells`), as index differences on the part."""
-    steps: tuple[int, int, int, int]
-    """The four last steps, as index differences."""
-    rows: Int32Rows
-    """The place of each arrival in `flat`, and that of the first cell of its beam; grouped by last step."""
-    start: Int64s
-    """First row of each group, and the number of rows."""
+- its side in cells,
+- the cells of all beams (`RayTable.cells`), as index differences on the part,
+- the four last steps, as index differences,
+- the place of each arrival among the cells, and that of the first cell of its beam, grouped by last step,
+- the first row of each group, and the number of rows.
+"""
 
 
 @lru_cache(maxsize=16)
@@ -89,8 +79,7 @@ def _arrivals(around: RayTable, reach: float) -> _Arrivals:
     rows = np.column_stack([places, first])[(around.cells.astype(np.int64) ** 2).sum(axis=1) <= reach**2]
     steps = 1, side, -1, -side
     groups = [rows[last[rows[:, 0]] == step] for step in steps]
-    start = np.cumsum([0, *map(len, groups)])
-    return _Arrivals(side, flat, steps, np.concatenate(groups), start)
+    return side, flat, steps, np.concatenate(groups), np.cumsum([0, *map(len, groups)])
 
 
 def best_viewpoint(
@@ -150,11 +139,8 @@ def _are_selected(cells: Cells, selection: Cells) -> Bools:
     selected = np.zeros(len(cells), np.bool_)
     count = 0
     for at in range(len(cells)):
-        if (
-            count < len(selection)
-            and cells[at, 0] == selection[count, 0]
-            and cells[at, 1] == selection[count, 1]
-        ):
+        in_column = count < len(selection) and cells[at, 0] == selection[count, 0]
+        if in_column and cells[at, 1] == selection[count, 1]:
             selected[at] = True
             count += 1
     return selected
@@ -162,24 +148,16 @@ def _are_selected(cells: Cells, selection: Cells) -> Bools:
 
 @kernel
 def _trace_back(
-    grid: Grid,
-    goal_x: int,
-    goal_y: int,
-    side: int,
-    flat: Int32s,
-    steps: tuple[int, int, int, int],
-    rows: Int32Rows,
-    start: Int64s,
-    tests_all: bool,
-    candidates: Cells,
+    grid: Grid, center: tuple[int, int], arrivals: _Arrivals, tests_all: bool, candidates: Cells
 ) -> Cells:
-    """Return the cells from which a beam reaches an unknown neighbor of a goal (`_Arrivals`), row by row.
+    """Return the cells from which a beam reaches an unknown neighbor of the goal `center`, row by row.
 
     Each beam is followed backwards, if its last step comes from a free cell. Unless `tests_all`, only the candidates
     are tested.
     """
+    side, flat, steps, rows, start = arrivals
     height, width = grid.shape
-    left, top = goal_x - side // 2, goal_y - side // 2
+    left, top = center[0] - side // 2, center[1] - side // 2
     cells = np.full(side * side, _OUTSIDE, np.uint8)
     for y in range(max(0, top), min(height, top + side)):
         first, end = max(0, left), min(width, left + side)

@@ -36,7 +36,6 @@ class Author(ABC, Generic[AnyStream]):
 
     def has_news(self, *, delivered: bool) -> bool:
         """Return whether teammates lack changes that would change their plans; `delivered`: they hold the whole log."""
-        del delivered
         return False
 
     @abstractmethod
@@ -61,5 +60,4 @@ class Author(ABC, Generic[AnyStream]):
 
     def restart(self, stream: AnyStream, withdrawn: Sequence[DecodedUpdate]) -> None:
         """Continue with another stream, which lacks the last updates of the log: their changes wait again."""
-        del withdrawn
         self.stream = stream

@@ -19,7 +19,7 @@ from agent.predictive import tiles
 from agent.predictive.coder import DECODES, FAILED
 from agent.predictive.mixer import MixingCoder, Model, code_mixed, new_model
 from agent.predictive.model_table import shipped_model
-from agent.predictive.scan_updates import STATE
+from agent.predictive.scan_updates import REPORTED, STATE
 from agent.predictive.tiles import (
     CELL_CONTEXTS,
     code_cell,
@@ -86,7 +86,7 @@ def _code_exact(coder: MixingCoder, exact: Grid, box: Int64s, x: int, y: int) ->
 
 
 @kernel
-def _write_block(grid: Grid, x: int, y: int, state: int, flag: int, changes: Cells, count: int) -> int:
+def _write_block(grid: Grid, x: int, y: int, state: int, changes: Cells, count: int) -> int:
     """Write a block, given in blocks, to the grid, and its changed cells to `changes`; return their number so far."""
     height, width = grid.shape
     for row in range(BLOCK * y, min(BLOCK * y + BLOCK, height)):
@@ -94,7 +94,7 @@ def _write_block(grid: Grid, x: int, y: int, state: int, flag: int, changes: Cel
             if grid[row, column] & STATE != state:
                 changes[count, 0], changes[count, 1] = row * width + column, grid[row, column]
                 count += 1
-                grid[row, column] = state | flag
+                grid[row, column] = state | REPORTED
     return count
 
 
@@ -106,7 +106,6 @@ def _code_blocks(
     target: Grid,
     tile_x: int,
     tile_y: int,
-    flag: int,
     changes: Cells,
     count: int,
 ) -> int:
@@ -119,20 +118,13 @@ def _code_blocks(
             now = code_cell(coder, known, before, truth, _BLOCKS, _BLOCK_SET)
             if now != before:
                 blocks[y, x] = now
-                count = _write_block(grid, x, y, now, flag, changes, count)
+                count = _write_block(grid, x, y, now, changes, count)
     return count
 
 
 @kernel
 def code_block_tiles(
-    coder: MixingCoder,
-    grid: Grid,
-    target: Grid,
-    changed: Grid,
-    exact: Grid,
-    last: Int64s,
-    flag: int,
-    changes: Cells,
+    coder: MixingCoder, grid: Grid, target: Grid, changed: Grid, exact: Grid, last: Int64s, changes: Cells
 ) -> int:
     """Encode or decode the changed tiles, and write their cells to the grid.
 
@@ -154,9 +146,9 @@ def code_block_tiles(
             if not code_changed(coder, grid, changed, box, tile_x, tile_y):
                 continue
             if _code_exact(coder, exact, box, tile_x, tile_y):
-                count = code_cells(coder, grid, target, tile_x, tile_y, flag, changes, count)
+                count = code_cells(coder, grid, target, tile_x, tile_y, changes, count)
                 x, y = tile_x * _ACROSS, tile_y * _ACROSS
                 _read_blocks(grid, blocks, x, y, x + _ACROSS, y + _ACROSS)
             else:
-                count = _code_blocks(coder, grid, blocks, target, tile_x, tile_y, flag, changes, count)
+                count = _code_blocks(coder, grid, blocks, target, tile_x, tile_y, changes, count)
     return count

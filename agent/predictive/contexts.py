@@ -79,26 +79,18 @@ NARROW_TABLE = Path(__file__).with_name("narrow_start.npz")
 
 
 @cache
-def _table() -> Counts:
-    with np.load(TABLE) as file:
-        counts: Counts = np.zeros((CONTEXTS, 2), np.uint16)
-        counts[file["contexts"]] = file["counts"]
-    counts.flags.writeable = False
-    return counts
-
-
-@cache
-def _narrow_table() -> Counts:
-    counts = _table().copy()
-    with np.load(NARROW_TABLE) as file:
-        counts[file["contexts"]] = file["counts"]
-    counts.flags.writeable = False
+def _counts_of(*tables: Path) -> Counts:
+    """Return the counts of shipped tables; those of later ones replace those of earlier ones."""
+    counts: Counts = np.zeros((CONTEXTS, 2), np.uint16)
+    for table in tables:
+        with np.load(table) as file:
+            counts[file["contexts"]] = file["counts"]
     return counts
 
 
 def start(*, narrow: bool = False) -> Counts:
     """Return a copy of the initial counts of every log, of a narrow medium or not: uint16, shape (CONTEXTS, 2)."""
-    return (_narrow_table() if narrow else _table()).copy()
+    return _counts_of(*((TABLE, NARROW_TABLE) if narrow else (TABLE,))).copy()
 
 
 @kernel

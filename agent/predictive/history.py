@@ -98,12 +98,13 @@ class History:
 
     def last_near(self, first: int, end: int, near: Box) -> int:
         """Return the last of updates `first` to `end` - 1 whose box meets `near`; -1 if there is none."""
-        return int(_last_meeting(self._boxes, first, end, *near))
+        return int(_last_meeting(self._boxes, first, end, near))
 
 
 @kernel
-def _last_meeting(boxes: Int32Rows, first: int, end: int, x0: int, y0: int, x1: int, y1: int) -> int:
-    """Return the last of boxes `first` to `end` - 1 that meets the box (x0, y0, x1, y1); -1 if there is none."""
+def _last_meeting(boxes: Int32Rows, first: int, end: int, near: Box) -> int:
+    """Return the last of boxes `first` to `end` - 1 that meets the box `near`; -1 if there is none."""
+    x0, y0, x1, y1 = near
     for number in range(end - 1, first - 1, -1):
         box = boxes[number]
         if box[0] < x1 and x0 < box[2] and box[1] < y1 and y0 < box[3]:

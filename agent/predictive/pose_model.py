@@ -147,22 +147,12 @@ def describe(grid: Grid, motion: Motion, speed: int, ring: int, features: Int16R
     """Find the features of the cells of a ring around the last pose.
 
     Ways and distances count 5 to a neighbor in the same row or column, and 7 to a diagonal one. Ways around many
-    corners may be missing or too long.
+    corners may be missing or too long. `grid`, shape (h, w), is that from which the scan is predicted, in which the
+    last pose (`motion`) lies; `speed` is that of the robot, in 1/1000 cell per step; `ring` is below `RINGS`.
 
-    Parameters
-    ----------
-    grid : uint8 array, shape (h, w)
-        The grid from which the scan is predicted.
-    motion : Motion
-        The last pose, in the grid, and the last motion.
-    speed : int
-        The robot's speed, in 1/1000 cell per step.
-    ring : int
-        Number of the ring, below `RINGS`.
-    features : int16 array, shape (n * n, `FEATURES`)
-        Output, where n = 2 * (`FIRST_RING` << ring) + 1: of each cell of the square around the last pose, row by row,
-        the columns of its features in the table of factors. The first is -1 if the cell is no candidate: if it lies in
-        an inner ring or outside the grid.
+    `features`, shape (n * n, `FEATURES`), where n = 2 * (`FIRST_RING` << ring) + 1, receives of each cell of the square
+    around the last pose, row by row, the columns of its features in the table of factors. The first is -1 if the cell
+    is no candidate: if it lies in an inner ring or outside the grid.
     """
     outer = FIRST_RING << ring
     inner = outer >> 1 if ring else -1
@@ -256,16 +246,9 @@ def code_predicted_pose(
 ) -> None:
     """Encode or decode the next pose into `motion`; the first pose of a log in the plain code.
 
-    Parameters
-    ----------
-    grid : uint8 array, shape (h, w)
-        The grid from which the scan is predicted.
-    factors : Factors
-        As `start_factors` returns them.
-    speed : int
-        The robot's speed, in 1/1000 cell per step.
-    x, y : int
-        The cell of the scan; it must lie in the grid. A decoder passes any.
+    `grid`, shape (h, w), is that from which the scan is predicted, `factors` are those of `start_factors`, and `speed`
+    is that of the robot, in 1/1000 cell per step. The cell (x, y) of the scan must lie in the grid; a decoder passes
+    any.
     """
     if motion[SCANS] == 0:
         code_pose(coder, motion, x, y)

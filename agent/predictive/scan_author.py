@@ -66,16 +66,14 @@ class ScanAuthor(Author[ScanStream]):
 
     def is_due(self, own: Grid, log_odds: Int8Grid, received: Grid) -> bool:
         """Return whether there are enough new cells, or some have waited long enough."""
-        del log_odds
         pending = self._pending
-        new_cells = int(_unreported(received, self.stream.grid, own, *bounding_box(pending.boxes)))
+        new_cells = int(_unreported(received, self.stream.grid, own, bounding_box(pending.boxes)))
         if not new_cells:
             self._pending = _Pending()
         return new_cells >= ENOUGH_CELLS or (new_cells > 0 and pending.steps >= self._wait_steps)
 
     def encode(self, own: Grid, log_odds: Int8Grid, most: float) -> tuple[bytes, DecodedUpdate] | None:
         """Encode an update of the scans that wait; those beyond `most` bytes remain."""
-        del log_odds
         pending, self._pending = self._pending, _Pending()
         if not pending.poses:
             self._pending = pending
@@ -109,9 +107,9 @@ class ScanAuthor(Author[ScanStream]):
 
 
 @kernel
-def _unreported(received: Grid, logged: Grid, own: Grid, x0: int, y0: int, x1: int, y1: int) -> int:
+def _unreported(received: Grid, logged: Grid, own: Grid, box: Box) -> int:
     """Count the cells of a box whose state in `own` neither this robot's log nor a received log reports."""
-    count = 0
+    count, (x0, y0, x1, y1) = 0, box
     for y in range(y0, y1):
         for x in range(x0, x1):
             truth = own[y, x]

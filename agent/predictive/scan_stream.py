@@ -31,11 +31,10 @@ from agent.predictive.scan_updates import (
 )
 from agent.predictive.stream import Stream
 from agent.predictive.wall_model import no_model, start_model
-from protocol.arrays import Int32s, Uint8s
+from protocol.arrays import Uint8s
 from protocol.boxes import NO_BOX, Box, bounding_box
 from protocol.errors import ProtocolError
 from protocol.grid import UNKNOWN, Grid, RayTable
-from protocol.kernels import kernel
 from protocol.packets import Update
 
 NO_LIMIT = 1 << 40
@@ -87,6 +86,7 @@ class ScanStream(Stream):
         self._last_byte = narrow.update_bytes - 1 if narrow else NO_LIMIT
         """Bytes of an update behind which its scan is cut off."""
         self.ray_table = ray_table
+        self._beams = ray_table.cells, ray_table.start
         self._reach = int(np.abs(ray_table.cells).max()) + 1
         """Cells around a robot, in each direction, that a scan may change."""
         self._unreported = NO_BOX
@@ -97,22 +97,13 @@ class ScanStream(Stream):
     ) -> tuple[bytes, DecodedUpdate, int] | None:
         """Encode an update of what has changed in a self-explored grid, up to a limit.
 
-        Parameters
-        ----------
-        poses : sequence of (x, y)
-            Cells from which the robot has scanned since the last update.
-        box : Box
-            Where the grid has changed since the last update.
-        most : float, optional
-            Bytes after which no further scan is encoded. An update has one scan at least, and at most `MAX_SCANS`.
-            Streams of narrow media have a limit of their own.
+        `poses` are the cells (x, y) from which the robot has scanned since the last update, `box` is where the grid has
+        changed since then. Behind `most` bytes, no further scan is encoded. An update has one scan at least, and at
+        most `MAX_SCANS`. Streams of narrow media have a limit of their own.
 
-        Returns
-        -------
-        (message, update, scans)
-            `scans` is the number of `poses` that the update covers. If it covers all of them, and is not cut, the
-            decoded grid equals `own`; else it holds what these scans show. The next update needs the other poses.
-            None if nothing is left to report; the stream is unchanged then.
+        Returns message, update, and the number of `poses` that it covers. If it covers all of them, and is not cut, the
+        decoded grid equals `own`; else it holds what these scans show, and the next update needs the other poses. None
+        if nothing is left to report; the stream is unchanged then.
         """
         scans = 0
 
@@ -159,7 +150,7 @@ class ScanStream(Stream):
             if not self._ends(coder, scans, changed):
                 self._code_more(coder, scans, 0)
             places = _places(grid, own, box) if is_complete else np.empty(0, np.int32)
-            changed = code_corrections(coder, grid, own, places, len(places), motion, scratch, changed)
+            changed = code_corrections(coder, grid, own, places, motion, scratch, changed)
         return self._decoded(changed if changed >= 0 else -1 - changed, by_scans) if changed else None, done
 
     def _read_content(self, coder: Coder) -> DecodedUpdate:
@@ -182,7 +173,7 @@ class ScanStream(Stream):
         by_scans = changed
         if not self.is_cut:
             no_places = np.empty(0, np.int32)
-            changed = code_corrections(coder, grid, grid, no_places, 0, self._motion, scratch, changed)
+            changed = code_corrections(coder, grid, grid, no_places, self._motion, scratch, changed)
         update = self._decoded(changed if changed >= 0 else -1 - changed, by_scans)
         if changed < 0:
             height, width = grid.shape
@@ -194,11 +185,9 @@ class ScanStream(Stream):
 
         Returns the number of cells that the update has changed, of which there were `changed` before.
         """
-        x, y = int(self._motion[X]), int(self._motion[Y])
-        cells, start, last = self.ray_table.cells, self.ray_table.start, self._last_byte
-        changed = int(
-            code_scan(coder, mixing, self.grid, own, cells, start, x, y, self._scratch, changed, last)
-        )
+        x, y, last = int(self._motion[X]), int(self._motion[Y]), self._last_byte
+        grids = self.grid, own
+        changed = int(code_scan(coder, mixing, *grids, self._beams, x, y, self._scratch, changed, last))
         self.is_cut = changed > 0 and _place(coder) >= last
         return changed
 
@@ -209,11 +198,11 @@ class ScanStream(Stream):
 
     def _find_new_cells(self, own: Grid, poses: Sequence[tuple[int, int]]) -> list[NDArray[np.int32]]:
         """Return the cells that each scan reveals and no later one, as indices of the flat grid."""
-        grid, cells, start = self.grid, self.ray_table.cells, self.ray_table.start
+        grid = self.grid
         counted, found, end = np.zeros(grid.shape, np.bool_), np.empty(grid.size, np.int32), 0
         new_cells = []
         for x, y in reversed(poses):
-            first, end = end, find_new_cells(grid, own, counted, cells, start, x, y, found, end)
+            first, end = end, find_new_cells(grid, own, counted, self._beams, x, y, found, end)
             new_cells.append(found[first:end])
         return new_cells[::-1]
 
@@ -240,7 +229,7 @@ class ScanStream(Stream):
         return [
             update.box
             for update in self._write_bases(coder, own, near)
-            if _contradicts(own.reshape(-1), update.places, update.states)
+            if _contradicts(own.reshape(-1)[update.places], update.states)
         ]
 
 
@@ -252,18 +241,13 @@ def _place(coder: Coder) -> int:
 def _places(grid: Grid, own: Grid, box: Box) -> NDArray[np.int32]:
     """Flat indices of the cells in which `own` differs from the reported grid."""
     found = np.empty(256, np.int32)
-    count = find_differences(grid, own, *box, found)
+    count = find_differences(grid, own, box, found)
     if count > len(found):
         found = np.empty(count, np.int32)
-        find_differences(grid, own, *box, found)
+        find_differences(grid, own, box, found)
     return found[:count]
 
 
-@kernel
-def _contradicts(own: Uint8s, places: Int32s, states: Uint8s) -> bool:
-    """Whether an update reports a cell with another state than the self-explored grid has."""
-    for index in range(len(places)):
-        truth = own[places[index]]
-        if truth != UNKNOWN and truth != states[index]:
-            return True
-    return False
+def _contradicts(truth: Uint8s, states: Uint8s) -> bool:
+    """Whether cells are reported with other states than the self-explored grid has."""
+    return bool(((truth != UNKNOWN) & (truth != states)).any())

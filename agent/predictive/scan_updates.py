@@ -44,6 +44,7 @@ from agent.predictive.contexts import (
 from agent.predictive.mixer import MixingCoder
 from agent.predictive.wall_model import code_wall
 from protocol.arrays import BoolRows, Cells, Int32s, Int64s
+from protocol.boxes import Box
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.kernels import kernel
 
@@ -60,6 +61,9 @@ X, Y, DX, DY, SCANS = range(5)
 """Indices of a `Motion`: cell of the last scan, its offset from the scan before, and whether there was a scan."""
 
 Motion = Int64s
+
+Beams = tuple[Cells, Int32s]
+"""`cells` and `start` of a `protocol.grid.RayTable`."""
 
 
 @kernel
@@ -114,8 +118,7 @@ def code_scan(
     mixing: MixingCoder,
     grid: Grid,
     own: Grid,
-    cells: Cells,
-    start: Int32s,
+    beams: Beams,
     x: int,
     y: int,
     changes: Cells,
@@ -125,28 +128,15 @@ def code_scan(
     """Cast one scan, beam by beam, and encode or decode the unknown cells along the beams.
 
     The scan is cut off at the first unknown cell behind `limit` bytes of the update, if the update has any cell.
-
-    Parameters
-    ----------
-    mixing : MixingCoder
-        The same coder with a model of walls (`agent.predictive.wall_model`). If the model is empty, walls are coded by
-        their neighbors alone.
-    grid : uint8 array, shape (h, w)
-        The grid from which the scan is predicted; coded cells are written to it.
-    own : uint8 array, shape (h, w)
-        The author's self-explored grid; a decoder passes any grid.
-    cells, start : int32 arrays
-        The beams, as in `protocol.grid.RayTable`.
-    x, y : int
-        The cell of the scan. It is taken to be free without coding.
-    changes : int32 array, shape (n, 2)
-        Changed cells, as indices of the flat grid, and their previous values, from row `changed` on.
-
-    Returns the number of used rows of `changes`.
+    `mixing` is the same coder with a model of walls (`agent.predictive.wall_model`). If the model is empty, walls are
+    coded by their neighbors alone. `grid`, shape (h, w), is that from which the scan is predicted; coded cells are
+    written to it. `own` is the author's self-explored grid; a decoder passes any. The cell (x, y) of the scan is taken
+    to be free without coding. `changes`, shape (n, 2), receives the changed cells, as indices of the flat grid, and
+    their previous values, from row `changed` on. Returns the number of used rows of `changes`.
     """
     # Unsigned, a cell beyond the left or upper rim has a very large number; unsigned indexing is twice as fast.
     height, width = np.uint64(grid.shape[0]), np.uint64(grid.shape[1])
-    state = coder[0]
+    (cells, start), state = beams, coder[0]
     reads = state[DECODES]
     mixes = len(mixing[4]) > 0
     if grid[y, x] & STATE == UNKNOWN:
@@ -196,15 +186,7 @@ def code_scan(
 
 @kernel
 def find_new_cells(
-    grid: Grid,
-    own: Grid,
-    counted: BoolRows,
-    cells: Cells,
-    start: Int32s,
-    x: int,
-    y: int,
-    found: Int32s,
-    count: int,
+    grid: Grid, own: Grid, counted: BoolRows, beams: Beams, x: int, y: int, found: Int32s, count: int
 ) -> int:
     """Find the cells that a scan from (x, y) would reveal and that are not yet `counted`; mark them there.
 
@@ -212,6 +194,7 @@ def find_new_cells(
     cell that is unknown in both. Writes their indices in the flat grid to `found`, from place `count` on; returns the
     place behind the last one.
     """
+    cells, start = beams
     height, width = np.uint64(grid.shape[0]), np.uint64(grid.shape[1])
     if grid[y, x] & STATE == UNKNOWN and own[y, x] == FREE and not counted[y, x]:
         counted[y, x] = True
@@ -235,13 +218,13 @@ def find_new_cells(
 
 
 @kernel
-def find_differences(grid: Grid, own: Grid, x0: int, y0: int, x1: int, y1: int, found: Int32s) -> int:
-    """Find the cells of the box (x0, y0, x1, y1) that need a correction.
+def find_differences(grid: Grid, own: Grid, box: Box, found: Int32s) -> int:
+    """Find the cells of a box that need a correction.
 
     A cell known in `own` needs one if `grid` has another state; a cell unknown in `own`, if the author has reported it.
     Writes their indices in the flat grid to `found`, row by row, up to its length; returns their number.
     """
-    count = 0
+    count, (x0, y0, x1, y1) = 0, box
     for y in range(y0, y1):
         for x in range(x0, x1):
             truth = own[y, x]
@@ -255,23 +238,16 @@ def find_differences(grid: Grid, own: Grid, x0: int, y0: int, x1: int, y1: int, 
 
 @kernel
 def code_corrections(
-    coder: Coder,
-    grid: Grid,
-    own: Grid,
-    places: Int32s,
-    number: int,
-    motion: Motion,
-    changes: Cells,
-    changed: int,
+    coder: Coder, grid: Grid, own: Grid, places: Int32s, motion: Motion, changes: Cells, changed: int
 ) -> int:
     """Encode or decode the corrections, row by row.
 
-    `places` has the `number` corrected cells, as ascending indices of the flat grid; a decoder passes none. The other
-    parameters and the result are those of `code_scan`. Returns -1 - `changed` if a decoded cell lies outside the grid.
+    `places` are the corrected cells, as ascending indices of the flat grid; a decoder passes none. The other parameters
+    and the result are those of `code_scan`. Returns -1 - `changed` if a decoded cell lies outside the grid.
     """
     state = coder[0]
     height, width = grid.shape
-    number = code_number(coder, CORRECTIONS, number, REST_MOST)
+    number = code_number(coder, CORRECTIONS, len(places), REST_MOST)
     x, y = motion[X], motion[Y]
     for index in range(number):
         to_x, to_y = np.int64(0), np.int64(0)

@@ -50,26 +50,14 @@ FIRST_BUFFER = 1 << 10
 class Stream(ABC):
     """Encoder and decoder state of one map's log.
 
-    Parameters
-    ----------
-    map_id : int
-        The map.
-    grid : uint8 array, shape (h, w)
-        The grid of all reports, all unknown at first (encoding: `agent.predictive.scan_updates`).
-    histories : sequence of History
-        The decoded updates of each map, by map ID. `encode` and `decode` append to the history of this map.
-    scratch : int32 array, shape (2 h w, 2)
-        Buffer for the cells that an update changes; streams may share it.
-    team : bool
-        Whether updates depend on other maps.
-    base_maps : int, optional
-        Number of maps on which updates may depend; those of later incarnations (`agent.identity`) follow them, and
-        would cost bits for dependencies that do not occur. Default: all.
-    counts : uint16 array, shape (CONTEXTS, 2), optional
-        Initial counts of the contexts; default: the shipped table.
+    `grid`, shape (h, w), has all reports, none at first (`agent.predictive.scan_updates`). `histories` are the decoded
+    updates of each map, by map ID; `encode` and `decode` append to that of this map. `scratch`, int32 of shape
+    (2 h w, 2), is a buffer for the cells that an update changes; streams may share it. With `team`, updates depend on
+    other maps, but only on the first `base_maps`: those of later incarnations (`agent.identity`) would cost bits for
+    dependencies that do not occur. `counts` are the initial ones of the contexts; default: the shipped table.
     """
 
-    state: ClassVar[tuple[str, ...]] = ("_counts", "_motion", "depends_on", "_bases_grew", "key", "model")
+    state: ClassVar[tuple[str, ...]] = ("counts", "_motion", "depends_on", "_bases_grew", "key", "model")
     """Attributes that an update changes, and that `rollback` restores; the grid is restored from `_overwritten`."""
 
     model: Model
@@ -107,17 +95,13 @@ class Stream(ABC):
         bases = range(len(histories) if base_maps is None else base_maps) if team else ()
         self._others = np.array([other for other in bases if other != map_id], np.int64)
         self._bases_grew = np.zeros(len(histories), np.bool_)
-        self._counts = contexts.start() if counts is None else counts
+        self.counts = contexts.start() if counts is None else counts
+        """How often 0 and 1 have occurred in each context: uint16 array, shape (CONTEXTS, 2)."""
         self._motion: Motion = np.zeros(SCANS + 1, np.int64)
         self._before: dict[str, Any] | None = None
         """The state before the last update."""
         self._overwritten: list[tuple[NDArray[np.int32], NDArray[np.uint8]]] = []
         """Cells written by the last update, as flat indices, and their previous values, in the order of writing."""
-
-    @property
-    def counts(self) -> Counts:
-        """How often 0 and 1 have occurred in each context: uint16 array, shape (CONTEXTS, 2)."""
-        return self._counts
 
     @property
     def pose(self) -> tuple[int, int] | None:
@@ -127,13 +111,10 @@ class Stream(ABC):
     def decode(self, message: bytes) -> DecodedUpdate | None:
         """Decode an update; None if it depends on an update that has not been decoded (nothing has changed then).
 
-        Raises
-        ------
-        ProtocolError
-            The update is malformed; nothing has changed.
+        ProtocolError: the update is malformed; nothing has changed.
         """
         self._begin()
-        coder = (*reader(message), self._counts)
+        coder = (*reader(message), self.counts)
         try:
             update = self._read_content(coder) if self._read_bases(coder) else None
             check_end(coder[0], Update.name) if update is not None else None
@@ -158,9 +139,10 @@ class Stream(ABC):
         assert self._before is not None
         vars(self).update(self._before)
         for places, states in reversed(self._overwritten):
-            _restore(self.grid.reshape(-1), places, states)
-        self._overwritten = []
-        self._before = None
+            self.grid.reshape(-1)[places[::-1]] = states[
+                ::-1
+            ]  # if a cell was written twice, the first value counts
+        self._before, self._overwritten = None, []
 
     def _begin(self) -> None:
         """Begin an update: save the state, and continue with copies."""
@@ -178,7 +160,7 @@ class Stream(ABC):
         while True:
             self._begin()
             state, data = writer(size)
-            update = write((state, data, self._counts))
+            update = write((state, data, self.counts))
             if not state[FAILED]:
                 break
             self.rollback()
@@ -220,13 +202,13 @@ class Stream(ABC):
         """
         more = np.zeros(len(self.depends_on), np.int64)
         applied: list[DecodedUpdate] = []
-        lacking = lacking_box(self.grid, own, *near)
+        lacking = lacking_box(self.grid, own, near)
         for other in self._others.tolist():
             first = int(self.depends_on[other])
             if len(self.histories[other]) > first and (end := self._find_base(other, own, lacking)):
                 more[other] = end - first
                 applied += self._depend_on(other, end)
-                lacking = lacking_box(self.grid, own, *near)
+                lacking = lacking_box(self.grid, own, near)
         _code_bases(coder, self._others, more, self._bases_grew)
         return applied
 
@@ -242,7 +224,7 @@ class Stream(ABC):
             is_avoided = other in self.avoided or (
                 self.is_narrow and any(update.ends[each] > self.depends_on[each] for each in self.avoided)
             )
-            if not is_avoided and _saves_cells(self.grid, own, update.places, *near):
+            if not is_avoided and _saves_cells(self.grid, own, update.places, near):
                 return number + 1
             end = number
         return 0
@@ -296,9 +278,8 @@ class Stream(ABC):
         if 0 < by_scans < changed:
             first = np.sort(np.unique(places, return_index=True)[1])
             places, before = places[first], before[first]
-        states, reported, *box = _reports(self.grid, places, before)
-        x0, y0, x1, y1 = box if changed else NO_BOX
-        return DecodedUpdate(places, states, reported, (x0, y0, x1, y1))
+        states, reported, box = _reports(self.grid, places, before)
+        return DecodedUpdate(places, states, reported, box if changed else NO_BOX)
 
 
 def _copied(value: Any) -> Any:
@@ -318,7 +299,7 @@ def _code_bases(coder: Coder, maps: Int64s, more: Int64s, bases_grew: Bools) -> 
 
 
 @kernel
-def _reports(grid: Grid, places: Int32s, before: Uint8s) -> tuple[Uint8s, Uint8s, int, int, int, int]:
+def _reports(grid: Grid, places: Int32s, before: Uint8s) -> tuple[Uint8s, Uint8s, Box]:
     """Return the states of reported cells, those that the author reported `before`, and the cells' bounding box."""
     states, reported = np.empty(len(places), np.uint8), np.empty(len(places), np.uint8)
     x0, y0, x1, y1 = grid.shape[1], grid.shape[0], 0, 0
@@ -327,14 +308,14 @@ def _reports(grid: Grid, places: Int32s, before: Uint8s) -> tuple[Uint8s, Uint8s
         states[index] = grid[y, x] & STATE
         reported[index] = before[index] & STATE if before[index] & REPORTED else UNKNOWN
         x0, y0, x1, y1 = min(x0, x), min(y0, y), max(x1, x + 1), max(y1, y + 1)
-    return states, reported, x0, y0, x1, y1
+    return states, reported, (x0, y0, x1, y1)
 
 
 @kernel
-def lacking_box(grid: Grid, own: Grid, x0: int, y0: int, x1: int, y1: int) -> tuple[int, int, int, int]:
+def lacking_box(grid: Grid, own: Grid, box: Box) -> Box:
     """Return the bounding box of the cells of a box that the robot knows and would have to report itself."""
     height, width = grid.shape
-    x0, y0, x1, y1 = max(x0, 0), max(y0, 0), min(x1, width), min(y1, height)
+    x0, y0, x1, y1 = max(box[0], 0), max(box[1], 0), min(box[2], width), min(box[3], height)
     left, top, right, bottom = width, height, 0, 0
     for y in range(y0, y1):
         known, reported = own[y, x0:x1], grid[y, x0:x1]
@@ -349,9 +330,9 @@ def lacking_box(grid: Grid, own: Grid, x0: int, y0: int, x1: int, y1: int) -> tu
 
 
 @kernel
-def _saves_cells(grid: Grid, own: Grid, places: Int32s, x0: int, y0: int, x1: int, y1: int) -> bool:
+def _saves_cells(grid: Grid, own: Grid, places: Int32s, box: Box) -> bool:
     """Whether an update reports a cell of the box that the robot knows and would have to report itself."""
-    width = grid.shape[1]
+    width, (x0, y0, x1, y1) = grid.shape[1], box
     for place in places:
         x, y = place % width, place // width
         inside = x0 <= x < x1 and y0 <= y < y1
@@ -368,10 +349,3 @@ def _overlay(grid: Uint8s, places: Int32s, states: Uint8s, before: Uint8s) -> No
         before[index] = grid[place]
         if not grid[place] & REPORTED:
             grid[place] = states[index]
-
-
-@kernel
-def _restore(grid: Uint8s, places: Int32s, states: Uint8s) -> None:
-    """Write states to cells, the last one first."""
-    for index in range(len(places) - 1, -1, -1):
-        grid[places[index]] = states[index]

@@ -96,7 +96,6 @@ class TileAuthor(Author[TileStream]):
 
         Ready tiles that fulfill the bound stop waiting.
         """
-        del received
         violate = self._drop_fulfilled(own, log_odds)
         if np.count_nonzero(violate) >= self._enough_tiles:
             return True
@@ -141,7 +140,6 @@ class TileAuthor(Author[TileStream]):
 
     def _choose(self, own: Grid, log_odds: Int8Grid, most: float) -> NDArray[np.bool_]:
         """Return the tiles of the next update: those that are ready, or the first ones to wait."""
-        del own, log_odds
         chosen = self._ready()
         places = np.flatnonzero(chosen)
         limit = max(1, int(min(most / TILE_BYTES, len(places))))

@@ -20,10 +20,10 @@ from agent.predictive.coder import Coder, code_bit
 from agent.predictive.contexts import REST_MOST
 from agent.predictive.history import DecodedUpdate
 from agent.predictive.mixer import MixingCoder, mixing_coder
-from agent.predictive.scan_updates import REPORTED, code_pose
+from agent.predictive.scan_updates import code_pose
 from agent.predictive.stream import Stream
 from agent.predictive.tiles import code_tiles, start_model
-from protocol.boxes import Box
+from protocol.boxes import Box, box_of
 from protocol.grid import Grid
 
 
@@ -60,31 +60,15 @@ class TileStream(Stream):
 
         Updates of other maps may suffice for this: the update then consists of these dependencies.
 
-        Parameters
-        ----------
-        own, log_odds : arrays, shape (h, w)
-            States and log odds of the robot's estimator.
-        bound : Bound
-            The error that receivers' copies may have.
-        tiles : uint8 array, shape (tile rows, tile columns)
-            Marks of the tiles.
-        pose : (x, y)
-            The cell of the robot.
-
-        Returns
-        -------
-        (message, update)
-            None if all cells of the tiles fulfill the bound already; the stream is unchanged then.
+        `own` and `log_odds`, shape (h, w), are states and log odds of the robot's estimator, `bound` the error that
+        receivers' copies may have, `tiles` marks of the tiles, uint8 of shape (tile rows, tile columns), and `pose` the
+        cell (x, y) of the robot. Returns message and update; None if all cells of the tiles fulfill the bound already:
+        the stream is unchanged then.
         """
         if not self._apply(own, log_odds, bound, tiles):
             return None
-        rows, columns = np.nonzero(tiles)
-        near = (
-            TILE * int(columns.min()),
-            TILE * int(rows.min()),
-            TILE * (int(columns.max()) + 1),
-            TILE * (int(rows.max()) + 1),
-        )
+        x0, y0, x1, y1 = box_of(tiles > 0)
+        near = TILE * x0, TILE * y0, TILE * x1, TILE * y1
 
         def write(coder: Coder) -> DecodedUpdate:
             self.bases = [update.box for update in self._write_bases(coder, own, near)]
@@ -121,9 +105,7 @@ class TileStream(Stream):
 
     def _code_changes(self, coder: MixingCoder, target: Grid) -> int:
         """Encode or decode the changed tiles; return the number of changed cells."""
-        return int(
-            code_tiles(coder, self.grid, target, self._changed, self._last_box, REPORTED, self._scratch)
-        )
+        return int(code_tiles(coder, self.grid, target, self._changed, self._last_box, self._scratch))
 
 
 class BlockTileStream(TileStream):
@@ -145,5 +127,5 @@ class BlockTileStream(TileStream):
         return super()._read_content(coder)
 
     def _code_changes(self, coder: MixingCoder, target: Grid) -> int:
-        buffers = self._changed, self._exact, self._last_box
-        return int(code_block_tiles(coder, self.grid, target, *buffers, REPORTED, self._scratch))
+        buffers = self._changed, self._exact, self._last_box, self._scratch
+        return int(code_block_tiles(coder, self.grid, target, *buffers))

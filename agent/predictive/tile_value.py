@@ -42,14 +42,9 @@ class TileValues:
 def tile_values(target: Grid, received: Grid, tiles: Grid) -> TileValues:
     """Rate tiles by the cells that teammates would learn from them.
 
-    Parameters
-    ----------
-    target : uint8 array, shape (h, w)
-        The states of the cells of these tiles in this robot's log, once they are sent.
-    received : uint8 array, shape (h, w)
-        The states that all logs report, this robot's included.
-    tiles : uint8 array, shape (tile rows, tile columns)
-        Marks of the tiles.
+    `target`, shape (h, w), has the states of the cells of these tiles in this robot's log, once they are sent;
+    `received` those that all logs report, this robot's included. `tiles` are marks, uint8 of shape (tile rows, tile
+    columns).
     """
     cells, size, opened = np.zeros(tiles.size), np.zeros(tiles.size), np.zeros(tiles.size)
     _rate(target, received, tiles, cells, size, opened)

@@ -5,7 +5,7 @@ One bit per tile of the box says whether the tile has changed. In a changed tile
 cell has changed, and another which of the two other states it has now. Bits are predicted from the cells around, as
 corrected so far, by several contexts at once (`agent.predictive.mixer`). Every log begins with the same trained model.
 
-A cell of the grid is a byte: its state in the low two bits, and flags of the caller, which the code does not read.
+A cell of the grid is a byte, as in `agent.predictive.scan_updates`. The code does not read its flag.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from agent.predictive.coder import DECODES, FAILED
 from agent.predictive.contexts import cell_state
 from agent.predictive.mixer import INPUTS, MixingCoder, Model, code_mixed
 from agent.predictive.model_table import shipped_model
+from agent.predictive.scan_updates import REPORTED
 from protocol.arrays import Cells, Int64s
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.kernels import kernel
@@ -153,14 +154,7 @@ def code_cell(
 
 @kernel
 def code_cells(
-    coder: MixingCoder,
-    grid: Grid,
-    target: Grid,
-    tile_x: int,
-    tile_y: int,
-    flag: int,
-    changes: Cells,
-    count: int,
+    coder: MixingCoder, grid: Grid, target: Grid, tile_x: int, tile_y: int, changes: Cells, count: int
 ) -> int:
     """Encode or decode the cells of a changed tile; the other parameters are those of `code_tiles`.
 
@@ -177,7 +171,7 @@ def code_cells(
             if now != before:
                 changes[count, 0], changes[count, 1] = y * width + x, grid[y, x]
                 count += 1
-                grid[y, x] = now | flag
+                grid[y, x] = now | REPORTED
     return count
 
 
@@ -212,26 +206,15 @@ def code_changed(coder: MixingCoder, grid: Grid, changed: Grid, box: Int64s, x: 
 
 @kernel
 def code_tiles(
-    coder: MixingCoder, grid: Grid, target: Grid, changed: Grid, last: Int64s, flag: int, changes: Cells
+    coder: MixingCoder, grid: Grid, target: Grid, changed: Grid, last: Int64s, changes: Cells
 ) -> int:
-    """Encode or decode the changed tiles, and write their cells to the grid.
+    """Encode or decode the changed tiles, and write their cells to the grid; return the number of changed cells.
 
-    Parameters
-    ----------
-    grid : uint8 array, shape (h, w)
-        The grid of author and receiver.
-    target : uint8 array, shape (h, w)
-        The states that the changed tiles shall have; a decoder passes any grid.
-    changed : uint8 array, shape (tile rows, tile columns)
-        1 for changed tiles, at least one; a decoder passes zeros, and it is filled.
-    last : int64 array, shape (4,)
-        First column and row, last column and row of the tiles of the last update; it is replaced.
-    flag : int
-        Flag that changed cells get.
-    changes : int32 array, shape (n, 2)
-        Receives the changed cells, as indices of the flat grid, and their previous values.
-
-    Returns the number of changed cells. The coder has failed if the box does not lie on the grid.
+    `grid`, shape (h, w), is that of author and receiver, `target` has the states that the changed tiles shall have; a
+    decoder passes any. `changed`, uint8 of shape (tile rows, tile columns), is 1 for changed tiles, at least one; a
+    decoder passes zeros, and it is filled. `last`, shape (4,), has the first column and row, and the last ones, of the
+    tiles of the last update; it is replaced. `changes`, shape (n, 2), receives the changed cells, as indices of the
+    flat grid, and their previous values. The coder has failed if the box does not lie on the grid.
     """
     count, box = 0, code_changed_box(coder, changed, last)
     for tile_y in range(box[1], box[3] + 1):
@@ -239,5 +222,5 @@ def code_tiles(
             if coder[0][FAILED]:
                 return count
             if code_changed(coder, grid, changed, box, tile_x, tile_y):
-                count = code_cells(coder, grid, target, tile_x, tile_y, flag, changes, count)
+                count = code_cells(coder, grid, target, tile_x, tile_y, changes, count)
     return count

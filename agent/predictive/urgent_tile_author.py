@@ -125,7 +125,6 @@ class UrgentTileAuthor(TileAuthor):
 
     def _fitting(self, places: Int64s, values: TileValues, own: Grid, log_odds: Int8Grid, most: float) -> int:
         """Return how many of the tiles, in their order, have about `most` bytes, but at least 1."""
-        del own, log_odds
         sizes = np.cumsum(values.size.reshape(-1)[places])
         return max(1, int(np.searchsorted(sizes, most, side="right")))
 

@@ -58,20 +58,19 @@ def _nearest_wall(grid: Grid, x: int, y: int, dx: int, dy: int) -> tuple[int, in
 @kernel
 def _magnitude(number: int) -> int:
     """Return the number of bits of a number, at most 4: 0, 1, 2 to 3, 4 to 7, 8 and above."""
-    return int(number > 0) + int(number > 1) + int(number > 3) + int(number > 7)
+    magnitude = 0
+    for limit in (0, 1, 3, 7):
+        magnitude += number > limit
+    return magnitude
 
 
 @kernel
 def _rank(number: int) -> int:
     """Return a number of walls on a scale from 0 to 6, which is finer at its beginning."""
-    return (
-        int(number > 0)
-        + int(number > 1)
-        + int(number > 2)
-        + int(number > 4)
-        + int(number > 8)
-        + int(number > 13)
-    )
+    rank = 0
+    for limit in (0, 1, 2, 4, 8, 13):
+        rank += number > limit
+    return rank
 
 
 @kernel

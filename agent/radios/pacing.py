@@ -33,20 +33,9 @@ class DutyCycle:
     a tenth of it, or the airtime of the longest frame if that is more, can be used at once. A robot that starts again
     may have used its share before: an empty bucket keeps the limit in every hour.
 
-    Parameters
-    ----------
-    share : int
-        Share of each hour, in parts per million; `ALWAYS` for no limit.
-    longest : int
-        Airtime of the longest frame, in nanoseconds.
-    delay : int
-        Nanoseconds between the call of `take` and the end of the frame, at most.
-    now : int
-
-    Raises
-    ------
-    ValueError
-        The share is outside 1 to `ALWAYS`, or an hour has no room for more than the longest frame.
+    `share` is that of each hour, in parts per million, or `ALWAYS` for no limit. `longest` is the airtime of the
+    longest frame, and `delay` the longest time between the call of `take` and the end of the frame, both in
+    nanoseconds. ValueError: the share is outside 1 to `ALWAYS`, or an hour has no room for more than the longest frame.
     """
 
     def __init__(self, share: int, longest: int, delay: int, now: int) -> None:
@@ -70,20 +59,10 @@ class DutyCycle:
 
 
 class Pacer:
-    """Decides when the next frame may be sent, and how long it may be.
+    """Decides when the next frame may be sent, and how long it may be: at most `frame_bytes` bytes.
 
-    Parameters
-    ----------
-    bucket : TokenBucket
-    duty_cycle : DutyCycle
-    airtime : callable
-        Airtime in nanoseconds of a frame of so many bytes.
-    frame_bytes : int
-        Bytes of the longest frame.
-    backoff : int
-        Frames wait less than so many nanoseconds.
-    seed, robot : int
-        Key of the random waiting times.
+    `airtime` returns the airtime in nanoseconds of a frame of so many bytes. Frames wait less than `backoff`
+    nanoseconds; `seed` and `robot` are the key of the random waiting times.
     """
 
     def __init__(

@@ -80,21 +80,14 @@ class FrameRecord(NamedTuple):
 
 @dataclass(frozen=True)
 class Timing:
-    """Durations, in nanoseconds.
-
-    Attributes
-    ----------
-    neighbor_timeout : int
-        A teammate is in range for so long after its last frame.
-    hello : int
-        Silence after which a robot sends a frame without packets.
-    interval : int
-        Least time between two frames of a robot; packets wait for each other, and share the overhead of a frame.
-    """
+    """Durations, in nanoseconds."""
 
     neighbor_timeout: int
+    """A teammate is in range for so long after its last frame."""
     hello: int
+    """Silence after which a robot sends a frame without packets."""
     interval: int
+    """Least time between two frames of a robot; packets wait for each other, and share the overhead of a frame."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.interval <= self.hello < self.neighbor_timeout:
@@ -106,19 +99,9 @@ class Timing:
 
 
 class PeerMedium:
-    """One robot's end of the medium.
+    """One robot's end of the medium, with sealed frames of at most `frame_bytes` bytes.
 
-    Parameters
-    ----------
-    robot : int
-        This robot's number.
-    frame_bytes : int
-        Bytes of the longest sealed frame.
-    sealer, opener : Sealer, Opener
-    pacer : Pacer
-    timing : Timing
-    accepted : callable
-        Called with sender and frame number before the content of an accepted frame is used, to store it.
+    `accepted` is called with sender and frame number before the content of an accepted frame is used, to store it.
     """
 
     def __init__(

@@ -68,12 +68,8 @@ class Sealer:
     """Seals the frames of one sender in one session.
 
     No other sealer may ever have the same key, sender, and session: equal nonces would disclose payloads
-    (`agent.radios.session_file`).
-
-    Raises
-    ------
-    ValueError
-        The key has not `KEY_BYTES`, or the session is outside 1 to `MAX_SESSION`.
+    (`agent.radios.session_file`). ValueError: the key has not `KEY_BYTES`, or the session is outside 1 to
+    `MAX_SESSION`.
     """
 
     def __init__(self, key: bytes, sender: int, session: int, context: bytes = b"") -> None:
@@ -96,18 +92,10 @@ class Sealer:
 
 
 class Opener:
-    """Opens the frames of all teammates of one robot.
+    """Opens the frames of all teammates of one `robot`, in a team of `robots`.
 
-    Parameters
-    ----------
-    key : bytes
-        The team's key, `KEY_BYTES` long.
-    robot, robots : int
-        The number of this robot, and the size of the team.
-    highest : mapping
-        For each teammate the highest frame number that was accepted before this robot restarted.
-    context : bytes
-        As in `Sealer`.
+    `highest` has for each teammate the highest frame number that was accepted before this robot restarted; `key` and
+    `context` are as in `Sealer`.
     """
 
     def __init__(

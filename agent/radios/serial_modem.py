@@ -23,21 +23,9 @@ _CHUNK, _CHUNKS = 1 << 12, 64
 
 
 class SerialModem:
-    """A modem at a serial port.
+    """A modem at a serial port such as ``/dev/ttyUSB0``, with one of `BAUD_RATES`, and frames of up to `longest` bytes.
 
-    Parameters
-    ----------
-    port : path
-        For example ``/dev/ttyUSB0``.
-    baud : int
-        One of `BAUD_RATES`.
-    longest : int
-        Bytes of the longest frame of the modem.
-
-    Raises
-    ------
-    TransportError
-        The port is missing, is no terminal, or is in use, or the rate is unknown.
+    TransportError: the port is missing, is no terminal, or is in use, or the rate is unknown.
     """
 
     def __init__(self, port: Path, baud: int, longest: int) -> None:

@@ -33,12 +33,8 @@ class SessionFile:
     """The session file of one robot and key, locked while it is open.
 
     Its name is that of `path` with the fingerprint of the key before the suffix, as ``r1-0123456789abcdef.session``.
-
-    Raises
-    ------
-    SessionFileError
-        Another process has the file open, it is damaged or belongs to another team, or the robot has used up its
-        sessions.
+    SessionFileError: another process has the file open, it is damaged or belongs to another team, or the robot has used
+    up its sessions.
     """
 
     def __init__(self, path: Path, key: bytes, robot: int, robots: int) -> None:

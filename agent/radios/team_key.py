@@ -35,11 +35,8 @@ def create_key(path: Path) -> None:
 def read_key(path: Path) -> bytes:
     """Read a key file.
 
-    Raises
-    ------
-    KeyFileError
-        The file is missing, is no regular file, belongs to another user, may be read or written by others, or is no
-        key.
+    KeyFileError: the file is missing, is no regular file, belongs to another user, may be read or written by others, or
+    is no key.
     """
     try:
         file = os.open(path, os.O_RDONLY | os.O_NONBLOCK)

@@ -28,22 +28,10 @@ _BIND_TO_DEVICE = getattr(socket, "SO_BINDTODEVICE", None)
 
 
 class UdpRadio:
-    """UDP on one interface.
+    """UDP on one interface, for example ``wlan0``, with frames of up to `longest` bytes.
 
-    Parameters
-    ----------
-    interface : str
-        Name of the interface, for example ``wlan0``.
-    address : str
-        A multicast group (IPv4), or the broadcast address of the interface's network.
-    port : int
-    longest : int
-        Bytes of the longest frame.
-
-    Raises
-    ------
-    TransportError
-        There is no such interface, or no such address on it, or this process may not use it.
+    `address` is a multicast group (IPv4), or the broadcast address of the interface's network. TransportError: there is
+    no such interface, or no such address on it, or this process may not use it.
     """
 
     def __init__(

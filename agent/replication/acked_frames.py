@@ -1,7 +1,7 @@
 """Unicast dissemination on a medium that may lose, delay, repeat and reorder frames: peers acknowledge.
 
-There are no phases: each frame names its logs and offsets, so it is valid whenever, however often and in whatever order
-it arrives. One frame a round goes to each peer; it holds, in this order:
+Each frame names its logs and offsets, so it is valid whenever, however often and in whatever order it arrives. In each
+round, one frame goes to each peer; it holds, in this order:
 
     event                                                    sent to the peer in the next round
     the peer offered or sent a map                           held: entries that this robot holds of it
@@ -9,9 +9,9 @@ it arrives. One frame a round goes to each peer; it holds, in this order:
     the peer reported recently, and lacks entries            from, and the entries from there on
     no report within the retransmission timeout              offer again; the timeout doubles
 
-The peer table moves by the peer's own reports, and by entries that it sends, and by nothing else. Entries that this
-robot holds already are ignored, and so are those behind a gap: the next report makes the peer send them again. The
-retransmission timeout follows the measured round trip, as in TCP; a retransmitted frame measures nothing (Karn).
+The peer table follows the peer's own reports, and the entries that it sends. Entries behind a gap are ignored: the next
+report makes the peer send them again. The retransmission timeout follows the measured round trip, as in TCP; a
+retransmitted frame measures nothing (Karn).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from functools import partial
 from agent.replication.base import Replication
 from agent.replication.control_packets import header, offer, offset, parse, report
 from agent.replication.frame_builder import FrameBuilder, limited
-from agent.replication.policies import Offer, Policy, Rounds
+from agent.replication.policies import Offer, Rounds
 from agent.replication.replica import Rejected, Replica
 from protocol import packets
 from protocol.errors import ProtocolError
@@ -64,9 +64,9 @@ class _Timer:
 class AckedFrames(Replication):
     """One robot's unicast frames to all peers."""
 
-    def __init__(self, replica: Replica, policy: Policy, *, forwards: bool) -> None:
+    def __init__(self, replica: Replica, rounds: Rounds) -> None:
         super().__init__(replica)
-        self._rounds = Rounds(replica, policy, forwards=forwards)
+        self._rounds = rounds
         self._reports_due: set[tuple[int, int]] = set()
         """Peers that must be sent a report of a map, as pairs (peer, map)."""
         self._timers: defaultdict[tuple[int, int], _Timer] = defaultdict(_Timer)
@@ -77,9 +77,7 @@ class AckedFrames(Replication):
         rounds = self._rounds
         offers = rounds.open(number, in_range, budget)
         due = [each for each in offers if rounds.now >= rounds.due[each.peer, each.number]]
-        frames = []
-        self._builders = []
-        left = limited(budget)
+        frames, self._builders, left = [], [], limited(budget)
         for peer in in_range:
             builder = FrameBuilder(left)
             self._fill(builder, peer, [each for each in due if each.peer == peer])
@@ -120,10 +118,9 @@ class AckedFrames(Replication):
                 answered.append(each)
             else:
                 builder.add(offer(each.number, each.first), partial(self._transmitted, peer, each.number))
-        for each in answered:
-            number, log = each.number, self.logs[each.number]
+        for _, number, first in answered:
             on_sent = partial(self._entries_sent, peer, number)
-            builder.add_entries(log, each.first, len(log), header(number, each.first), on_sent)
+            builder.add_entries(self.logs[number], first, header(number, first), on_sent)
 
     def _entries_sent(self, peer: int, number: int, _first: int, end: int) -> None:
         """Entries of a map, before offset `end`, were on the air."""
@@ -152,14 +149,14 @@ class AckedFrames(Replication):
             self.replica.reject(peer, self.peers.current[peer], str(error))
             return
         for control in parsed.controls:
-            match control:
-                case Held(number, _) as held if number < len(logs):
-                    self._reported(peer, number, offset(held, len(logs[number])))
-                case packets.Offer(number, _) if number < len(logs):
-                    self._note_restart(peer, number)
-                    self._owe_report(peer, number)
-                case From(number, _) if number < len(logs):
-                    self._note_restart(peer, number)
+            if not isinstance(control, Held | packets.Offer | From) or control.map >= len(logs):
+                continue
+            if isinstance(control, Held):
+                self._reported(peer, control.map, offset(control, len(logs[control.map])))
+                continue
+            self._note_restart(peer, control.map)
+            if isinstance(control, packets.Offer):
+                self._owe_report(peer, control.map)
         for head, entries in parsed.sections:
             if head is None or head.map >= len(logs):
                 continue
@@ -179,9 +176,8 @@ class AckedFrames(Replication):
             self._reports_due.add((peer, number))
 
     def _peer_dropped(self, peer: int, number: int, length: int) -> None:
-        """A peer dropped entries: offer them at once."""
         super()._peer_dropped(peer, number, length)
-        self._rounds.due[peer, number] = self._rounds.now
+        self._rounds.due[peer, number] = self._rounds.now  # offer them at once
         self._timers.pop((peer, number), None)
 
     def _note_restart(self, peer: int, number: int) -> None:

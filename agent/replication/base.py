@@ -28,6 +28,8 @@ class Replication(ABC):
         self.logs = replica.logs
         self.own_log = replica.own_log
         """The log of this robot, to which the caller appends entries."""
+        self.announces_digests = self.announces_requests = True
+        """Whether broadcasts have this robot's digests, and its requests for entries; else its frames have them."""
         self.priority = 0
         """Priority of this round's frames: the higher, the shorter a broadcast waits for a free medium."""
         self.salt: int | None = None
@@ -43,9 +45,9 @@ class Replication(ABC):
 
     @abstractmethod
     def open_round(self, number: int, in_range: list[int], budget: int | None) -> list[OutgoingFrame]:
-        """Return the frames to send in round `number` of a step.
+        """Return the frames to send in round `number` of a step, given the peers in radio range.
 
-        `in_range` are the peers in radio range. `budget` is the number of bytes left in the step; None: no limit.
+        `budget` is the number of bytes left in the step; None: no limit.
         """
 
     def answer(self, offers: Sequence[Delivery]) -> list[OutgoingFrame]:
@@ -69,10 +71,9 @@ class Replication(ABC):
 
     def undelivered(self) -> int:
         """Count the entries of this robot's log that are not acknowledged, over all peers that have not ended."""
-        length = self.own_log.length
+        length, gone = self.own_log.length, {self.peers.robot, *self.ended}
         acked: list[int] = self.peers.acked[:, self.peers.own].tolist()
-        gone = {self.peers.robot, *self.ended}
-        return length * (len(acked) - len(gone)) - sum(acked) + sum([acked[peer] for peer in gone])
+        return sum([length - held for peer, held in enumerate(acked) if peer not in gone])
 
     def undelivered_to(self, peer: int) -> int:
         """Count the entries of this robot's log that a peer has not acknowledged."""
@@ -80,12 +81,16 @@ class Replication(ABC):
 
     def announcements(self) -> bytes:
         """Return the packets about logs to broadcast in this step: the digest that is due, and requests for entries."""
-        return self._next_digest() + self._requests()
+        digest = self._next_digest() if self.announces_digests else b""
+        asked = self.replica.maps_to_ask_for() if self.announces_requests else []
+        return digest + b"".join(report(number, len(self.logs[number])) for number in asked)
 
     def announced(self) -> None:
         """Note that this step's broadcast was on the air."""
-        self._digest_sent()
-        self._requests_sent()
+        if self.announces_digests:
+            self.own_log.digest_sent()
+        for number in self.replica.maps_to_ask_for() if self.announces_requests else ():
+            self.replica.asked(number)
 
     def receive_announcement(self, peer: int, packet: LogDigest | Held) -> list[Rejected]:
         """Process a packet about logs that a peer broadcast; return the rejections of entries that it refutes."""
@@ -112,19 +117,6 @@ class Replication(ABC):
         if not length:
             return b""
         return packet_codec.encode([verifier.digest(length, self.salt, complete=length == log.shared)])
-
-    def _digest_sent(self) -> None:
-        """Note that the digest of this robot's log was on the air."""
-        self.own_log.digest_length = None
-
-    def _requests(self) -> bytes:
-        """Return the log lengths of the maps to ask for."""
-        return b"".join(report(number, len(self.logs[number])) for number in self.replica.maps_to_ask_for())
-
-    def _requests_sent(self) -> None:
-        """Note that peers received the requests."""
-        for number in self.replica.maps_to_ask_for():
-            self.replica.asked(number)
 
     def _possible(self, number: int, length: int) -> int:
         """Limit a log length that a peer claims: no robot holds entries of this robot's map that were not sent."""

@@ -16,35 +16,19 @@ from typing import NamedTuple, TypeVar
 
 from protocol import packet_codec, packet_index, packets
 from protocol.errors import ProtocolError
-from protocol.packets import (
-    BLOCKS,
-    EARLY,
-    FIRST,
-    FIRST_MAPS,
-    GOSSIP_WINDOW,
-    INDEX_WINDOW,
-    From,
-    FromEarly,
-    FromFirst,
-    Held,
-    HeldEarly,
-    HeldFirst,
-)
 
-ROUND = BLOCKS * INDEX_WINDOW
+ROUND = packets.BLOCKS * packets.INDEX_WINDOW
 """Entries of a log whose blocks have different numbers."""
 
 LEAST_HANDSHAKE = packets.Offer.size + packets.Answer.size
 """Bytes of an offer and the shortest answer."""
 
-NamesOffset = TypeVar("NamesOffset", From, Held)
-
-# --- handshakes
+NamesOffset = TypeVar("NamesOffset", packets.From, packets.Held)
 
 
 def block_of(length: int) -> int:
     """Return the block in which a log of that length continues."""
-    return length // INDEX_WINDOW % BLOCKS
+    return length // packets.INDEX_WINDOW % packets.BLOCKS
 
 
 @lru_cache(maxsize=1024)
@@ -66,9 +50,9 @@ def read_offer(payload: bytes) -> packets.Offer:
 def answer(length: int, offered_block: int) -> bytes:
     """Encode this robot's log length in as few packets as possible."""
     block = packets.Block(block_of(length))
-    index = packets.Answer(length % INDEX_WINDOW)
+    index = packets.Answer(length % packets.INDEX_WINDOW)
     if length >= ROUND:
-        return packet_codec.encode([packets.Block(length // ROUND % BLOCKS), block, index])
+        return packet_codec.encode([packets.Block(length // ROUND % packets.BLOCKS), block, index])
     return packet_codec.encode([index] if block.block == offered_block else [block, index])
 
 
@@ -79,46 +63,43 @@ def read_answer(payload: bytes, offered_block: int) -> int | None:
         case (packets.Block(packets.DECLINED),):
             return None
         case (packets.Answer(index),):
-            return offered_block * INDEX_WINDOW + index
-        case (packets.Block(block), packets.Answer(index)) if block < BLOCKS:
-            return block * INDEX_WINDOW + index
+            return offered_block * packets.INDEX_WINDOW + index
+        case (packets.Block(block), packets.Answer(index)) if block < packets.BLOCKS:
+            return block * packets.INDEX_WINDOW + index
         case (packets.Block(rounds), packets.Block(block), packets.Answer(index)) if (
-            max(rounds, block) < BLOCKS
+            max(rounds, block) < packets.BLOCKS
         ):
-            return rounds * ROUND + block * INDEX_WINDOW + index
+            return rounds * ROUND + block * packets.INDEX_WINDOW + index
         case _:
             raise ProtocolError("conn", 0, "expected an answer behind at most two blocks, or a decline")
 
 
-# --- frames without handshakes
-
-
 def header(number: int, first: int) -> bytes:
     """Encode the shortest packet in front of entries of map `number`, from offset `first` on."""
-    return _shortest(number, first, FromFirst, FromEarly, From)
+    return _shortest(number, first, packets.FromFirst, packets.FromEarly, packets.From)
 
 
 def report(number: int, length: int) -> bytes:
     """Encode the shortest report that this robot holds `length` entries of map `number`."""
-    return _shortest(number, length, HeldFirst, HeldEarly, Held)
+    return _shortest(number, length, packets.HeldFirst, packets.HeldEarly, packets.Held)
 
 
 def _shortest(
     number: int, value: int, first: type[NamesOffset], early: type[NamesOffset], whole: type[NamesOffset]
 ) -> bytes:
     """Encode map `number` and an offset in the shortest of three packets."""
-    if number < FIRST_MAPS and value < FIRST:
+    if number < packets.FIRST_MAPS and value < packets.FIRST:
         return packet_codec.encode([first(number, value)])
-    if value < EARLY:
+    if value < packets.EARLY:
         return packet_codec.encode([early(number, value)])
-    return packet_codec.encode([whole(number, value % GOSSIP_WINDOW)])
+    return packet_codec.encode([whole(number, value % packets.GOSSIP_WINDOW)])
 
 
-def offset(packet: From | Held, length: int) -> int:
+def offset(packet: packets.From | packets.Held, length: int) -> int:
     """Return the offset that a packet means, for a robot whose log has `length` entries."""
-    if isinstance(packet, FromFirst | FromEarly | HeldFirst | HeldEarly):
+    if isinstance(packet, packets.FromFirst | packets.FromEarly | packets.HeldFirst | packets.HeldEarly):
         return packet.index
-    return nearest(packet.index, length, GOSSIP_WINDOW)
+    return nearest(packet.index, length, packets.GOSSIP_WINDOW)
 
 
 def nearest(number: int, length: int, window: int) -> int:
@@ -133,7 +114,7 @@ class ParsedFrame(NamedTuple):
     """
 
     controls: list[packets.AnyPacket]
-    sections: list[tuple[From | None, list[bytes]]]
+    sections: list[tuple[packets.From | None, list[bytes]]]
 
 
 @lru_cache(maxsize=64)
@@ -144,13 +125,13 @@ def parse(frame: bytes) -> ParsedFrame:
     """
     controls: list[packets.AnyPacket] = []
     entries: list[bytes] = []
-    sections: list[tuple[From | None, list[bytes]]] = [(None, entries)]
+    sections: list[tuple[packets.From | None, list[bytes]]] = [(None, entries)]
     for packet in packet_index.split(frame):
-        if packet_codec.name(packet) != From.name:
+        if packet_codec.name(packet) != packets.From.name:
             entries.append(packet)
             continue
         controls += packet_codec.decode(packet)
-        if isinstance(controls[-1], From):
+        if isinstance(controls[-1], packets.From):
             entries = []
             sections.append((controls[-1], entries))
     return ParsedFrame(controls, [section for section in sections if section[1]])

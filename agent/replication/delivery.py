@@ -7,12 +7,10 @@ within the retransmission timeout is dropped, so the entries are broadcast again
 
     event                                                       reaction
     entries came behind a gap                                   store them until the gap is filled
-    a peer reports no more than was acknowledged, though        drop the expectation
-    it was sent more than a round trip ago
-    a peer reports nothing for two round trips and the          drop the expectation
-    interval in which it may postpone its report
-
-Reports are suppressed to `SHARE` of the medium over the whole team, like receiver reports of RTP (RFC 3550).
+    a report, more than a round trip after the broadcast,       drop the expectation
+    acknowledges no more entries than before
+    no report for two round trips and the interval in which     drop the expectation
+    the peer may postpone it
 """
 
 from __future__ import annotations
@@ -29,12 +27,10 @@ PATIENCE = 6
 """Steps after which a robot repeats its report of a gap, and after which the next peer forwards missing entries."""
 
 SHARE = 8
-"""The part of the medium that reports may take, as a divisor."""
+"""The part of the medium that all reports together may take, as a divisor; as for receivers of RTP (RFC 3550)."""
 
-MIN_ROUND_TRIP = 2
-"""Steps in which a report can come back at the soonest."""
-
-MAX_ROUND_TRIP = 64
+MIN_ROUND_TRIP, MAX_ROUND_TRIP = 2, 64
+"""Steps in which a report can come back at the soonest, and the most that count."""
 
 NEVER = -1
 """The step of something that has not happened."""
@@ -105,12 +101,10 @@ class Acks:
 
     def stored(self, number: int, length: int) -> tuple[int, bytes] | None:
         """Take the stored entry at offset `length`, with its sender; if there is none, drop those before it."""
-        if number not in self._stored:
-            return None
-        entry = self._stored[number].pop(length, None)
-        if entry is None:
-            self._stored[number] = {at: each for at, each in self._stored[number].items() if at > length}
-        return entry
+        stored = self._stored.get(number)
+        if stored and length not in stored:
+            self._stored[number] = {at: each for at, each in stored.items() if at > length}
+        return stored.pop(length, None) if stored else None
 
     def restarted(self, peer: int) -> None:
         """Expect nothing of a peer that lost its state."""

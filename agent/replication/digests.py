@@ -1,15 +1,13 @@
 """Digests of logs: a robot finds out whether the entries that it holds are those that their author wrote.
 
-Every `INTERVAL` steps per robot of the team, a robot broadcasts the hash of its log so far (`packets.LogDigest`): less
-than a byte per step for the whole team. A receiver hashes as many entries of its copy. Equal hashes verify these
-entries. Otherwise a forwarder forged some of them, or a frame was damaged; the receiver drops all entries that have not
-been verified and asks for them again (`agent.replication.replica`).
-
-A digest also contains whether the author has sent further entries. If not, a receiver's further entries are forged.
+Every `INTERVAL` steps per robot of the team, a robot broadcasts the hash of its log so far (`packets.LogDigest`). A
+receiver hashes as many entries of its copy. Equal hashes verify these entries. Otherwise a forwarder forged some of
+them, or a frame was damaged (`agent.replication.replica` has the reaction). A digest also contains whether the author
+has sent further entries. If not, a receiver's further entries are forged.
 
 The salt, which the author draws from its sensor readings, is hashed behind the entries. A forger cannot know it in
-advance, so a forgery of the same length passes with a probability of 2**-16. A digest proves that its sender wrote the
-entries: it counts only for the sender's own log, and only if it comes from the author. The medium vouches for senders.
+advance, so a forgery of the same length passes with a probability of 2**-16. A digest counts only if it comes from the
+log's author; the medium vouches for senders.
 """
 
 from __future__ import annotations
@@ -44,8 +42,8 @@ class LogVerifier:
         """Length, whether this log was longer when the digest of a complete one arrived, and the digest."""
         self._complete = False
         """Whether the last digest that was checked verified all entries of a complete log."""
-        self._end: tuple[int, int] | None = None
-        """Length and salt of the last digest of a complete log that was shorter than this one."""
+        self._end = (-1, 0)
+        """Length and salt of the last digest of a complete log that was shorter than this one; -1 if there is none."""
 
     @property
     def complete(self) -> bool:
@@ -69,10 +67,9 @@ class LogVerifier:
             self._open = sorted([*self._open, (length, longer, digest)], key=lambda each: each[0])[:MAX_OPEN]
 
     def check(self) -> bool | None:
-        """Check the digests of entries that have arrived.
+        """Check the digests of entries that have arrived: True if more entries are verified now, None if none are.
 
-        Returns True if more entries are verified now, False if an entry behind the verified ones is not the author's,
-        and None if no digest could be checked.
+        False: an entry behind the verified ones is not the author's.
         """
         verified = self.length
         while self._open and self._open[0][0] <= len(self._log):
@@ -85,14 +82,8 @@ class LogVerifier:
             self._hash.update(self._log.read(self.length, None, length))
             self.length = length
             self._complete = bool(digest.complete)
-            if longer and self._ends(length, digest.salt):
-                return False
+            if longer:  # entries behind the end are forged; if digests may be late, a second one must agree
+                (before, salt), self._end = self._end, (length, digest.salt)
+                if self._ordered or (before == length and salt != digest.salt):
+                    return False
         return True if self.length > verified else None
-
-    def _ends(self, length: int, salt: int) -> bool:
-        """Return whether a digest of a complete log of that length shows that entries behind it are not the author's.
-
-        If digests may be late, a second one must agree.
-        """
-        before, self._end = self._end, (length, salt)
-        return self._ordered or (before is not None and before[0] == length and before[1] != salt)

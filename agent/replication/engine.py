@@ -21,7 +21,7 @@ from agent.replication.gossip import Gossip
 from agent.replication.gossip_policy import Dependencies
 from agent.replication.handshakes import Handshakes
 from agent.replication.peers import PeerTable
-from agent.replication.policies import GOSSIP, Backoff, OfferDissemination, Thesis
+from agent.replication.policies import GOSSIP, Backoff, OfferDissemination, Rounds, Thesis
 from agent.replication.replica import Consume, Rebuild, Replica
 from agent.settings import Settings
 from protocol.plugins import Plugins
@@ -52,5 +52,5 @@ def make_replication(
     replica = Replica(peers, consume, rebuild, ordered=reliable)
     if issubclass(dissemination, Gossip):
         return Gossip(replica, dependencies, reliable=reliable)
-    unicast = Handshakes if reliable else AckedFrames
-    return unicast(replica, dissemination().offers, forwards=settings.replication.forward_maps)
+    rounds = Rounds(replica, dissemination(), forwards=settings.replication.forward_maps)
+    return Handshakes(replica, rounds) if reliable else AckedFrames(replica, rounds)

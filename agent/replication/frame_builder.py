@@ -23,13 +23,10 @@ class FrameBuilder:
     def __init__(self, budget: int | None = None) -> None:
         self.budget = limited(budget)
         self.payload = b""
-        self._markers: list[tuple[int, Callable[[], None]]] = []
-        self._ranges: list[tuple[int, int, Log, int, Callable[[int, int], None]]] = []
-
-    @property
-    def has_entries(self) -> bool:
+        self.has_entries = False
         """Whether the frame holds log entries."""
-        return bool(self._ranges)
+        self._handlers: list[Callable[[int], object]] = []
+        """Called with the number of bytes that were on the air."""
 
     def fits(self, packet: bytes) -> bool:
         """Return whether the budget has room for a packet."""
@@ -43,29 +40,32 @@ class FrameBuilder:
 
     def add_marker(self, end: int, on_sent: Callable[[], None]) -> None:
         """Call a handler if the first `end` bytes of the frame were sent."""
-        self._markers.append((end, on_sent))
+        self._handlers.append(lambda size: on_sent() if end <= size else None)
 
     def add_entries(
-        self, log: Log, first: int, end: int, header: bytes, on_sent: Callable[[int, int], None]
+        self, log: Log, first: int, header: bytes, on_sent: Callable[[int, int], None], end: int | None = None
     ) -> int:
-        """Add entries `first` to `end` - 1 behind a header, as many as fit; return the offset after the last.
+        """Add entries from `first` on, before `end`, behind a header, as many as fit; return the offset after the last.
 
         A header that no entry fits behind is left out. The handler receives the first offset, and the offset after the
         last entry that was on the air.
         """
         begin = len(self.payload) + len(header)
-        entries = log.read(first, self.budget - begin, end) if first < end else b""
+        entries = log.read(first, self.budget - begin, end)
         if not entries:
             return first
+
+        def note(size: int) -> None:
+            reached = log.offset_after(first, min(size - begin, len(entries)))
+            if reached > first:
+                on_sent(first, reached)
+
         self.payload += header + entries
-        self._ranges.append((begin, len(self.payload), log, first, on_sent))
+        self.has_entries = True
+        self._handlers.append(note)
         return log.offset_after(first, len(entries))
 
     def sent(self, size: int) -> None:
         """Run the handlers of all parts within the first `size` bytes, which were on the air."""
-        for end, on_sent in self._markers:
-            if end <= size:
-                on_sent()
-        for begin, end, log, first, on_entries_sent in self._ranges:
-            if begin < size and (reached := log.offset_after(first, min(size, end) - begin)) > first:
-                on_entries_sent(first, reached)
+        for handler in self._handlers:
+            handler(size)

@@ -1,9 +1,8 @@
 """Gossip: dissemination by broadcast, so one transmission serves all robots in range (docs/replication.md).
 
-Robots broadcast entries of their own logs as they write them, and forward others' entries to peers that lack them:
-anti-entropy (Demers et al., 1987) over a shared medium. Each robot keeps a version vector for each peer and the radio
-range of each peer; broadcasts keep both up to date. So robots in range of each other have the same tables and choose
-the same forwarder (`gossip_policy`). A frame holds, in this order:
+Each robot keeps a version vector for each peer and the radio range of each peer; broadcasts keep both up to date. So
+robots in range of each other have the same tables and choose the same forwarder (`gossip_policy`). A frame holds, in
+this order:
 
     event                                                     part of the frame
     this robot's range has changed                            near, gone: the robots that came and left
@@ -35,27 +34,23 @@ from protocol.packets import From, Gone, Held, LogDigest, Near
 
 
 class Gossip(Replication):
-    """One robot's broadcasts, and its processing of those that it receives.
-
-    `reliable`: whether the medium loses nothing.
-    """
+    """One robot's broadcasts, and its processing of those that it receives; `reliable`: the medium loses nothing."""
 
     def __init__(self, replica: Replica, dependencies: Dependencies, *, reliable: bool) -> None:
         super().__init__(replica)
-        peers = self.peers
-        robot, robots, first_incarnation = peers.robot, peers.robots, peers.own < peers.robots
+        peers, robots = self.peers, self.peers.robots
+        first_incarnation = peers.own < robots
+        self.announces_digests, self.announces_requests = False, not reliable  # a late report is no request
         self._acks = Acks(peers, reliable=reliable)
         self._reports = Reports(replica, self._acks)
-        self._neighbors = Neighbors(robot, robots)
+        self._neighbors = Neighbors(peers.robot, robots)
         self._meetings = Meetings(robots, settled=first_incarnation)
-        self._cursors = BroadcastCursors(robot, robots, known=first_incarnation, reliable=reliable)
-        self._policy = GossipPolicy(peers, replica.logs, self._neighbors, dependencies)
+        self._cursors = BroadcastCursors(robots, known=first_incarnation, reliable=reliable)
+        self._policy = GossipPolicy(replica, self._neighbors, dependencies)
         self._builder = FrameBuilder()
         self._idle_since = 0
-        """The last step in which this robot had nothing to send, or sent something.
-
-        Without ranks of entries, also one in which the rest of a budget was too small for it.
-        """
+        """The last step in which this robot had nothing to send, or sent something; without ranks of entries, also one
+        in which the rest of a budget was too small for it."""
 
     def open_round(self, number: int, in_range: list[int], budget: int | None) -> list[OutgoingFrame]:
         """Return the broadcast of this round, if there is anything to send."""
@@ -89,15 +84,6 @@ class Gossip(Replication):
         )
         return [OutgoingFrame(EVERYONE, payload)] if payload else []
 
-    def announcements(self) -> bytes:
-        """Return the requests for dropped entries, unless frames of gossip have them: a late report is no request."""
-        return b"" if self._acks.reliable else self._requests()
-
-    def announced(self) -> None:
-        """Note that this step's broadcast was on the air."""
-        if not self._acks.reliable:
-            self._requests_sent()
-
     def close_round(self, report: RoundReport) -> list[Rejected]:
         """Update the tables by the parts that were on the air, and accept the entries that arrived."""
         frames: list[tuple[int, ParsedFrame]] = []
@@ -115,10 +101,10 @@ class Gossip(Replication):
         if sent:
             self._idle_since = self.replica.step
         self._builder = FrameBuilder()
-        for peer, frame in frames:
-            for control in frame.controls:
-                if isinstance(control, LogDigest):
-                    self.replica.receive_digest(peer, control)
+        controls = [(peer, control) for peer, frame in frames for control in frame.controls]
+        for peer, control in controls:
+            if isinstance(control, LogDigest):
+                self.replica.receive_digest(peer, control)
         for peer, frame in frames:
             for head, entries in frame.sections:
                 self._read_entries(peer, head, entries)
@@ -139,14 +125,15 @@ class Gossip(Replication):
                 builder.add(near, partial(neighbors.inform, robot, here))
         digest = self._next_digest()
         if digest and builder.fits(digest):
-            builder.add(digest, self._digest_sent)
+            builder.add(digest, self.own_log.digest_sent)
         end = 0
         for number in self._reports.due(lengths, owed, parted=neighbors.have_parted):
             held = report(number, len(self.logs[number]))
             if builder.fits(held):
-                end = builder.add(held, partial(self._report_sent, number))
+                receivers = neighbors.receivers(self.peers.robot)
+                end = builder.add(held, partial(self._reports.sent, number, receivers))
         if owed:
-            builder.add_marker(end, partial(self._meetings.informed, owed))
+            builder.add_marker(end, partial(self._meetings.on, "informed", *owed))
 
     def _add_range(self, number: int, first: int, end: int) -> int:
         """Add entries of a map to the frame, behind a header where one is needed; return the offset after the last."""
@@ -155,14 +142,8 @@ class Gossip(Replication):
         continues = own and not self._builder.has_entries and self._cursors.known(first, in_range)
         head = b"" if continues else header(number, first)
         return self._builder.add_entries(
-            self.logs[number], first, end, head, partial(self._entries_sent, number)
+            self.logs[number], first, head, partial(self._entries_sent, number), end
         )
-
-    # --- what was on the air
-
-    def _report_sent(self, number: int) -> None:
-        """This robot's report of a map was on the air."""
-        self._reports.sent(number, self._neighbors.receivers(self.peers.robot))
 
     def _entries_sent(self, number: int, first: int, end: int) -> None:
         """Entries `first` to `end` - 1 of a map were on the air."""
@@ -174,9 +155,9 @@ class Gossip(Replication):
             self._cursors.sent_earlier_incarnation()
 
     def _note_receivers(self, sender: int, number: int, first: int, end: int) -> None:
-        """Note that all in range of a sender received entries `first` to `end` - 1 of a map.
+        """Note that all in range of a sender received entries `first` to `end` - 1 of a map, if they held those before.
 
-        They take the entries unless they lack earlier ones. If this robot holds the entries, they know that.
+        If this robot holds the entries, they know that.
         """
         receivers = self._neighbors.receivers(sender)
         raise_lengths(self.peers.expected.T[number], receivers, first, end)
@@ -191,7 +172,6 @@ class Gossip(Replication):
         self.replica.reject(peer, self.peers.current[peer], reason)
 
     def _peer_dropped(self, peer: int, number: int, length: int) -> None:
-        """A peer dropped entries, so it lacks them."""
         super()._peer_dropped(peer, number, length)
         self._acks.dropped(peer, number)
 
@@ -201,7 +181,7 @@ class Gossip(Replication):
             if isinstance(control, From) and self.peers.restarted(peer, control.map):
                 for part in (self._acks, self._reports, self._cursors, self._neighbors):
                     part.restarted(peer)
-                self._meetings.on(peer, "restarted")
+                self._meetings.on("restarted", peer)
 
     def _read_reports(self, peer: int, frame: ParsedFrame) -> None:
         """Note a peer's range and its log lengths; reject the peer's entries if it sends other control packets."""
@@ -218,14 +198,13 @@ class Gossip(Replication):
                     if dropped and number == self.peers.own and self._acks.reliable:
                         self.own_log.request_digest(length)
                     self._acks.report_received(peer, number, length, self.replica.step)
-                    self._meetings.on(peer, "reported")
+                    self._meetings.on("reported", peer)
                 case LogDigest():
                     pass
                 case From(number, _) if number < len(logs):
                     pass
                 case other:
-                    reason = f"{other} is not valid in gossip of {robots} robots"
-                    self._reject_frame(peer, reason)
+                    self._reject_frame(peer, f"{other} is not valid in gossip of {robots} robots")
 
     def _read_entries(self, peer: int, head: From | None, entries: list[bytes]) -> None:
         """Accept new entries of a map, and note which peers received them and know that this robot did."""
@@ -245,12 +224,9 @@ class Gossip(Replication):
         if number == self.peers.current[peer]:
             self._cursors.received(peer, end)
         self.peers.acknowledge(peer, number, end)
-        if first > log.length:
-            reports.gaps.add(number)
-            if not replica.refuses(peer, number):
-                self._acks.store(peer, number, first, entries)
-        else:
-            reports.gaps.discard(number)
+        (reports.gaps.add if first > log.length else reports.gaps.discard)(number)
+        if first > log.length and not replica.refuses(peer, number):
+            self._acks.store(peer, number, first, entries)
         if end <= log.length:
             reports.repeated.add(number)
         elif first <= log.length and number not in self.peers.own_maps:

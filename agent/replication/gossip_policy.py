@@ -1,12 +1,10 @@
 """The policy of gossip: which log ranges to broadcast, on whose behalf, and with which priority.
 
 The peer that holds the most entries is served first; for it, this robot's own map, then the map of which it misses the
-fewest. So peers that keep up receive new entries before others catch up with old ones. A range that depends on entries
-of other logs follows those that the peer lacks.
+fewest. So peers that keep up receive new entries before others catch up with old ones.
 
 Of several robots that could forward what a peer lacks, one does: the author if it is in range, else they take turns.
-A robot that is not chosen suppresses its broadcast, and joins in if the peer still lacks the entries some steps later:
-suppression timers as in SRM (Floyd et al., 1997) and Trickle (RFC 6206), with turns instead of random delays.
+The others suppress their broadcasts, and join in if the peer still lacks the entries some steps later.
 """
 
 from __future__ import annotations
@@ -18,9 +16,9 @@ from operator import attrgetter
 import numpy as np
 
 from agent.encodings.base import Dependency
-from agent.replication.log import Log
 from agent.replication.neighbors import Neighbors
-from agent.replication.peers import PeerTable, Table
+from agent.replication.peers import Table
+from agent.replication.replica import Replica
 from protocol.arrays import Int64Rows, Int64s
 from protocol.kernels import kernel
 
@@ -53,16 +51,14 @@ MAX_LENGTH = 1 << 62
 class GossipPolicy:
     """What peers in range lack, since when, and which of that this robot broadcasts."""
 
-    def __init__(
-        self, peers: PeerTable, logs: Sequence[Log], neighbors: Neighbors, dependencies: Dependencies
-    ) -> None:
-        self._peers = peers
-        self._logs = logs
+    def __init__(self, replica: Replica, neighbors: Neighbors, dependencies: Dependencies) -> None:
+        self._peers = replica.peers
+        self._logs = replica.logs
         self._neighbors = neighbors
         self._dependencies = dependencies
         self._lacks: dict[int, dict[int, int]] = {}
         """By peer and map number: how many entries this robot holds that the peer should not hold yet."""
-        self._since = peers.new_table()
+        self._since = self._peers.new_table()
         """``_since[peer, map]``: the step since which the peer lacks some."""
         self._step = 0
         self._turn = 0
@@ -86,10 +82,7 @@ class GossipPolicy:
                     self._since[peer, number] = step
 
     def serve(self, add: Add, turn: int) -> None:
-        """Add what peers lack to this round's frame.
-
-        `turn` is the number of steps after which the next robot forwards what a peer still lacks.
-        """
+        """Add what peers lack to this round's frame; `turn`: steps after which one more robot forwards that, too."""
         self._turn, self._served, self._sent, self._too_long = turn, None, {}, set()
         held: dict[int, list[int]] = {peer: self._peers.expected[peer].tolist() for peer in self._lacks}
         for peer in sorted(held, key=lambda each: (-sum(held[each]), each)):
@@ -128,26 +121,19 @@ class GossipPolicy:
         else:
             end = min(end, low)
         if first < end and (number == self._peers.own or self._is_forwarder(peer, number)):
-            end = self._add(add, number, first, min(end, len(self._logs[number])))
+            is_too_long = (number, first) in self._too_long
+            end = first if is_too_long else add(number, first, min(end, len(self._logs[number])))
+            if end > first:
+                low, high = self._sent.get(number, (first, end))
+                self._sent[number] = min(low, first), max(high, end)
+            else:
+                self._too_long.add((number, first))
         will_hold[number] = max(first, end)
-
-    def _add(self, add: Add, number: int, first: int, end: int) -> int:
-        """Add entries of a map to the frame, unless it has no room for the first; return the offset after the last."""
-        if (number, first) in self._too_long:
-            return first
-        end = add(number, first, end)
-        if end > first:
-            low, high = self._sent.get(number, (first, end))
-            self._sent[number] = min(low, first), max(high, end)
-        else:
-            self._too_long.add((number, first))
-        return end
 
     def _is_forwarder(self, peer: int, number: int) -> bool:
         """Return whether it is this robot's turn to forward what a peer lacks of a map.
 
-        Candidates hold more of the map and are in range of the peer. After `turn` steps in which the peer still lacks
-        the entries the next candidate forwards them as well.
+        Candidates hold more of the map and are in range of the peer. After each `turn` steps, one more forwards it.
         """
         current, expected, robots = self._peers.current, self._peers.expected, self._peers.robots
         candidates = [
@@ -164,10 +150,9 @@ class GossipPolicy:
     def priority(self, size: int, waited: int, *, unfinished: bool, urgency: float | None) -> int:
         """Return the priority of this round's frame, of `size` bytes, which waited for some steps.
 
-        If robots have been out of range: the more the peer holds that is served first, the higher. Else frames come
-        first that are `unfinished`: a part of the entries appended last has been on the air, and the rest has not.
-        Other frames rank by the product of their `urgency`, at least 1, and the steps that they waited. Where entries
-        have no urgency, they rank by how few entries the peer lacks, and by their size.
+        If robots have been out of range: the more the peer holds that is served first, the higher. Else `unfinished`
+        frames come first: a part of the entries appended last has been on the air, and the rest has not. Others rank by
+        `urgency` and the steps that they waited, or else by how few entries the peer lacks, and by their size.
         """
         served = self._served
         if self._neighbors.have_parted:

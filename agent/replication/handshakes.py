@@ -1,9 +1,8 @@
 """Unicast dissemination on a perfect medium: offer, answer, data, in three phases a round.
 
-The medium acknowledges: its send report says how much of each frame was carried, and all carried bytes have arrived. So
-the peer table changes only with the report. A policy chooses the offers. A peer answers an offer with its log length,
-and is sent the entries from there on (thesis, section 5.1.2, Algorithm 8). A peer that claims fewer entries than it was
-sent does not want them: it counts as level. `TRANSITIONS` has the states of both ends.
+The medium's send report says how much of each frame has arrived, so the peer table changes only with the report. A peer
+answers an offer with its log length, and is sent the entries from there on (thesis, section 5.1.2, Algorithm 8). If it
+claims fewer entries than it was sent, it does not want them, and counts as level.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ import msgspec
 from agent.replication.base import Replication
 from agent.replication.control_packets import answer, block_of, offer, read_answer, read_offer
 from agent.replication.frame_builder import limited
-from agent.replication.policies import Policy, Rounds
+from agent.replication.policies import Rounds
 from agent.replication.replica import Rejected, Replica
 from protocol.errors import ProtocolError
 from protocol.messages import Delivery, OutgoingFrame, RoundReport
@@ -32,14 +31,12 @@ State = Literal["idle", "offered", "sending", "refused", "taking", "declining"]
 Event = Literal["news", "behind", "level", "declined", "first offer", "unwanted offer"]
 
 TRANSITIONS: dict[tuple[State, Event], State] = {
-    # The offerer: the round opens and the peer lacks entries, so it sends an offer. If the answer's length is below its
-    # own, it sends the entries from there on.
+    # The offerer, if the peer lacks entries: an answer of a length below its own log's length is "behind".
     ("idle", "news"): "offered",
     ("offered", "behind"): "sending",
     ("offered", "level"): "refused",
     ("offered", "declined"): "refused",
-    # The receiver answers the first offer of a map with its log length. It declines a further offer of that map, an
-    # offer of its own map, and one from a distrusted peer.
+    # The receiver: unwanted are a further offer of the same map, offers of its own map, and those of a rejected peer.
     ("idle", "first offer"): "taking",
     ("idle", "unwanted offer"): "declining",
 }
@@ -64,9 +61,9 @@ class Connection(msgspec.Struct, eq=False, gc=False):
 class Handshakes(Replication):
     """One robot's ends of all connections."""
 
-    def __init__(self, replica: Replica, policy: Policy, *, forwards: bool) -> None:
+    def __init__(self, replica: Replica, rounds: Rounds) -> None:
         super().__init__(replica)
-        self._rounds = Rounds(replica, policy, forwards=forwards)
+        self._rounds = rounds
         self._waits = self.peers.new_table() + 1
         """``_waits[peer, map]``: rounds for which a map is not offered to the peer after its next refusal."""
         self._offered: dict[tuple[int, int], Connection] = {}
@@ -135,12 +132,11 @@ class Handshakes(Replication):
         for connection in received:
             self._note_restart(connection.peer, connection.number)
         for delivery in report.deliveries:
-            taken = self._received.get(delivery.connection)
+            taken, sender = self._received.get(delivery.connection), delivery.sender
             if taken is None or taken.state != "taking":
                 continue
-            sender, number = delivery.sender, taken.number
-            if self.replica.accept(sender, number, delivery.payload):
-                self.peers.expect(sender, number, self.logs[number].length)
+            if self.replica.accept(sender, taken.number, delivery.payload):
+                self.peers.expect(sender, taken.number, self.logs[taken.number].length)
         return self.replica.take_rejected()
 
     def delivered(self) -> bool:
@@ -174,13 +170,10 @@ class Handshakes(Replication):
         self.peers.expect(*pair, reached)
 
     def _peer_dropped(self, peer: int, number: int, length: int) -> None:
-        """A peer dropped entries: offer them at once."""
         super()._peer_dropped(peer, number, length)
-        self._rounds.due[peer, number] = 0
-        self._waits[peer, number] = 1
+        self._rounds.due[peer, number], self._waits[peer, number] = 0, 1  # offer them at once
 
     def _note_restart(self, peer: int, number: int) -> None:
         """A peer that offers a map of a new incarnation of its own lost all entries that it was sent."""
         if self.peers.restarted(peer, number):
-            self._rounds.due[peer] = 0
-            self._waits[peer] = 1
+            self._rounds.due[peer], self._waits[peer] = 0, 1

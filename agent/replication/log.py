@@ -1,7 +1,6 @@
-"""A log of encoded map updates, stored as one run of bytes.
+"""A log of encoded map updates, stored as one run of bytes; entries have offsets from 0.
 
-Entries have offsets from 0. The author may remove entries at the end while no other robot can hold them (`OwnLog`); a
-receiver removes entries at the end that are not the author's.
+The author may remove entries at the end while no other robot can hold them; a receiver removes those that are forged.
 """
 
 from __future__ import annotations
@@ -72,7 +71,7 @@ class OwnLog(Log):
         self.last_append = 0
         """Offset of the entries that were appended last."""
         self.digest_length: int | None = None
-        """Entries of which to send a digest: it is time to, or a peer may hold others. None: no digest is due."""
+        """Entries of which to send a digest, as it is time to, or a peer may hold others; None: no digest is due."""
 
     @property
     def has_unsent(self) -> bool:
@@ -102,7 +101,11 @@ class OwnLog(Log):
         """Note that other robots may hold the entries before offset `end` now."""
         self.shared = max(self.shared, end)
 
+    def digest_sent(self) -> None:
+        """Note that the digest was on the air."""
+        self.digest_length = None
+
     def request_digest(self, length: int) -> None:
         """Send a digest of the first `length` entries, or of fewer if that is requested already."""
         if length:
-            self.digest_length = min(length, length if self.digest_length is None else self.digest_length)
+            self.digest_length = min(length, self.digest_length or length)

@@ -1,8 +1,4 @@
-"""Gossip's table of the robots in range: links, meetings, and where each robot's next broadcast begins.
-
-Robots that meet report the log lengths that the other may not know. Until a newcomer has reported, or `GREETING` steps
-have passed, this robot does not send it old entries: it may hold them already.
-"""
+"""Gossip's tables of the robots in range: meetings, links, and where each robot's next broadcast begins."""
 
 from __future__ import annotations
 
@@ -42,34 +38,31 @@ TRANSITIONS: dict[Event, _Facts] = {
 class Meetings:
     """The reports that this robot and robots that came into its range must exchange, by `TRANSITIONS`.
 
-    `settled`: all start at the same time with empty logs; else everyone in range must report first.
+    Until a newcomer has reported, or `GREETING` steps have passed, this robot does not send it old entries: it may hold
+    them already. `settled`: all start at the same time with empty logs; else everyone in range must report first.
     """
 
     def __init__(self, robots: int, *, settled: bool) -> None:
-        self._in_range = set(range(robots)) if settled else set[int]()
-        self._arrived = dict.fromkeys(self._in_range, 0)
-        """The step in which each peer came into range last."""
+        self._arrived: dict[int, int] = dict.fromkeys(range(robots), 0) if settled else {}
+        """The step in which each robot in range came there."""
         self._owed: set[int] = set()
         """Peers to which this robot owes reports."""
         self._awaited: set[int] = set()
         """Peers whose report it waits for."""
 
-    def on(self, peer: int, event: Event) -> None:
-        """Follow the transition table."""
-        for peers, fact in zip((self._owed, self._awaited), TRANSITIONS[event], strict=True):
+    def on(self, event: Event, *peers: int) -> None:
+        """Follow the transition table, for all of `peers`."""
+        for those, fact in zip((self._owed, self._awaited), TRANSITIONS[event], strict=True):
             if fact is not None:
-                (peers.add if fact else peers.discard)(peer)
+                (those.update if fact else those.difference_update)(peers)
 
     def begin_step(self, step: int, in_range: Iterable[int]) -> None:
         """Note which peers have left the range and which have come; after `GREETING` steps, await no report."""
-        before, self._in_range = self._in_range, set(in_range)
-        for peer in before - self._in_range:
-            self.on(peer, "left")
-        for peer in self._in_range - before:
-            self.on(peer, "arrived")
-            self._arrived[peer] = step
-        for peer in [each for each in self._awaited if step > self._arrived[each] + GREETING]:
-            self.on(peer, "timed out")
+        here = set(in_range)
+        self.on("left", *self._arrived.keys() - here)
+        self.on("arrived", *here - self._arrived.keys())
+        self._arrived = {peer: self._arrived.get(peer, step) for peer in here}
+        self.on("timed out", *[peer for peer in self._awaited if step > self._arrived[peer] + GREETING])
 
     def owed(self) -> list[int]:
         """Return the peers to which this robot owes reports, ascending."""
@@ -79,17 +72,12 @@ class Meetings:
         """Return the peers in range whose report is not awaited."""
         return [peer for peer in in_range if peer not in self._awaited]
 
-    def informed(self, peers: Iterable[int]) -> None:
-        """Note that the reports that this robot owed to peers were on the air."""
-        for peer in peers:
-            self.on(peer, "informed")
-
 
 class Neighbors:
-    """Which robots are in range of each other, as they report it (`Near`, `Gone`).
+    """Which robots are in range of each other, and so received a broadcast.
 
-    A robot must know which others received a broadcast. So each one reports arrivals and departures in its own range
-    until all peers in range have received that. Until a robot reports otherwise, it counts as in range of all.
+    Each robot reports arrivals and departures in its own range (`Near`, `Gone`) until all peers in range have received
+    that. Until a robot reports otherwise, it counts as in range of all.
     """
 
     def __init__(self, robot: int, robots: int) -> None:
@@ -101,19 +89,15 @@ class Neighbors:
         self.near: Mask = ~np.eye(robots, dtype=np.bool_)
         """``near[robot, other]``: whether `other` is in a robot's range; as to peers, by their reports."""
         self._informed: Mask = np.arange(robots) != np.full((robots, 1), robot)
-        """``_informed[peer, other]``: whether `other` is in this robot's range, by the reports that a peer received.
-
-        True for the peer itself: only peers in range are informed.
-        """
+        """``_informed[peer, other]``: whether `other` is in this robot's range, by the reports that a peer received;
+        true for the peer itself, as only peers in range are informed."""
         self._settled = False
         """Whether `news` found none, and nothing has changed since."""
 
     def begin_step(self, in_range: list[int]) -> None:
         """Note which robots are in range."""
-        if len(in_range) < len(self.near) - 1:
-            self.have_parted = True
-        if in_range != self.in_range:
-            self._settled = False
+        self.have_parted |= len(in_range) < len(self.near) - 1
+        self._settled &= in_range == self.in_range
         self.in_range = in_range
         self.near[self._robot] = False
         self.near[self._robot, in_range] = True
@@ -148,17 +132,16 @@ class Neighbors:
 class BroadcastCursors:
     """Offsets at which each robot's next broadcast of its own log begins, as far as that is known without a header.
 
-    A robot that received the last broadcast, or was in range then, knows where the next one begins, so the header
-    (`From`) is left out. `known`: all logs begin now; else no offset is known yet. On a medium that loses frames, that
-    is not `reliable`, no peer can know.
+    A robot that was in range of the last broadcast knows where the next one begins, so the header (`From`) is left out.
+    `known`: all logs begin now; else no offset is known yet. On a medium that is not `reliable`, no peer can know.
     """
 
-    def __init__(self, robot: int, robots: int, *, known: bool, reliable: bool) -> None:
+    def __init__(self, robots: int, *, known: bool, reliable: bool) -> None:
         self._reliable = reliable
         known = known and reliable
         self._own = 0
         """Offset after this robot's last broadcast of its own log."""
-        self._aware = set(range(robots)) - {robot} if known else set()
+        self._aware = set(range(robots)) if known else set()
         """Robots that have been in range since then."""
         self._others: dict[int, int] = dict.fromkeys(range(robots), 0) if known else {}
         """Offset after each peer's last broadcast of its own log, if this robot received it."""

@@ -1,11 +1,8 @@
 """The peer table: how many entries of each map every peer holds, as far as this robot knows.
 
-A row of the table is a peer's version vector, as in anti-entropy protocols: one log length for each map. `acked` has
-the lengths that are certain; `expected` adds entries that should have arrived. On a medium that loses nothing the two
-are one. Scuttlebutt (van Renesse et al., 2008) reconciles replicas by comparing such vectors.
-
-A robot that restarts without its state begins a new log (`agent.identity`), so a robot may have several maps. The
-number of a map is its author's plus `robots` times the author's incarnation.
+A row of the table is a peer's version vector: one log length for each map. A robot that restarts without its state
+begins a new log (`agent.identity`), so a robot may have several maps. The number of a map is its author's plus
+`robots` times the author's incarnation.
 """
 
 from __future__ import annotations
@@ -49,10 +46,7 @@ class PeerTable:
         return number % self.robots
 
     def new_table(self) -> Table:
-        """Return a table of zeros; it takes no memory before it is used.
-
-        Its columns are contiguous: an entry that arrives concerns all peers, but one map.
-        """
+        """Return a table of zeros, which takes no memory before it is used; columns are contiguous, as maps arrive."""
         return np.zeros((self.maps, self.robots), np.int64).T
 
     def expect(self, peer: int, number: int, length: int) -> None:

@@ -1,14 +1,9 @@
-"""Policies of unicast dissemination: which log ranges to offer to which peer in a round.
-
-A policy chooses by the peer table, the lengths of this robot's logs, and the rounds so far. Plug-ins
-(`protocol.plugins`) are further policies.
-"""
+"""Policies of unicast dissemination: which log ranges to offer to which peer in a round."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from bisect import bisect_left
-from collections.abc import Callable
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -21,8 +16,7 @@ GOSSIP = "gossip"
 """The name of the dissemination without offers (`agent.replication.gossip`)."""
 
 CROWD = 16
-"""Robots in range of each other above which ``backoff`` bounds handshakes by the medium's capacity: at this size 240
-offers a round take 960 bytes with their answers."""
+"""Robots in range of each other above which ``backoff`` bounds handshakes by the medium's capacity."""
 
 
 class Offer(NamedTuple):
@@ -36,7 +30,7 @@ class Offer(NamedTuple):
 class Rounds:
     """The rounds of the medium as one robot sees them, and its offers in each."""
 
-    def __init__(self, replica: Replica, policy: Policy, *, forwards: bool) -> None:
+    def __init__(self, replica: Replica, dissemination: OfferDissemination, *, forwards: bool) -> None:
         self.peers = replica.peers
         self.now = 0
         """Rounds so far, over all steps."""
@@ -52,7 +46,7 @@ class Rounds:
         self.next_peer = self.peers.robot + 1
         """The peer that a crowd's bounded offers go on with."""
         self._replica = replica
-        self._policy = policy
+        self._dissemination = dissemination
         self._forwards = forwards
         """Whether maps of other robots are offered as well as this robot's own."""
 
@@ -67,11 +61,7 @@ class Rounds:
         lengths = self._replica.lengths()
         if not self._forwards:
             lengths[np.arange(len(lengths)) != self.peers.own] = 0
-        return self._policy(self, lengths) if in_range and lengths.any() else []
-
-
-Policy = Callable[[Rounds, Table], list[Offer]]
-"""Chooses offers, given the rounds so far and the number of entries of each map that may be offered."""
+        return self._dissemination.offers(self, lengths) if in_range and lengths.any() else []
 
 
 class OfferDissemination(ABC):
@@ -83,12 +73,8 @@ class OfferDissemination(ABC):
     def offers(self, rounds: Rounds, lengths: Table) -> list[Offer]:
         """Return the offers of a round, at most one per peer and map.
 
-        Parameters
-        ----------
-        rounds : Rounds
-            The peers in range, the entries that each is known to hold, and the rounds so far.
-        lengths : int64 array, shape (maps,)
-            Entries of each map that this robot may offer.
+        `rounds` has the peers in range, the entries that each is known to hold, and the rounds so far; `lengths`, int64
+        of shape (maps,), the entries of each map that this robot may offer.
         """
 
 
@@ -142,14 +128,10 @@ class Backoff(OfferDissemination):
         crowd = len(in_range) + 1
         if rounds.budget is None or crowd <= CROWD:
             return chosen
-        return _in_turn(chosen, rounds, max(1, rounds.budget // (LEAST_HANDSHAKE * crowd)))
-
-
-def _in_turn(offers: list[Offer], rounds: Rounds, most: int) -> list[Offer]:
-    """Return `most` offers, of those sorted by peer, from the next peer on."""
-    if len(offers) > most:
-        first = bisect_left(offers, (rounds.next_peer,))
-        offers = [*offers[first:], *offers[:first]][:most]
-    if offers:
-        rounds.next_peer = offers[-1].peer + 1
-    return offers
+        most = max(1, rounds.budget // (LEAST_HANDSHAKE * crowd))
+        if len(chosen) > most:
+            first = bisect_left(chosen, (rounds.next_peer,))
+            chosen = [*chosen[first:], *chosen[:first]][:most]
+        if chosen:
+            rounds.next_peer = chosen[-1].peer + 1
+        return chosen

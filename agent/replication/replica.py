@@ -1,7 +1,7 @@
 """This robot's replica of all maps: the logs, the peer table, and the check of received entries.
 
-A robot forwards the logs of others, so an entry can be forged by a forwarder or damaged on the air. Entries are decoded
-as they arrive, and verified later by digests, which only the author can send (`agent.replication.digests`):
+Entries are decoded as they arrive, and verified later by digests, which only the author can send
+(`agent.replication.digests`):
 
     event                                              reaction
     an author's digest matches                         the entries are verified; their forwarders are trusted again
@@ -11,14 +11,13 @@ as they arrive, and verified later by digests, which only the author can send (`
 
 A robot that dropped entries broadcasts the length of its log (`packets.Held`). Peers then send the entries again, and
 the author sends a digest. From a suspected sender the robot accepts no entries of that map for a while, which doubles
-with every suspicion. After `MANY` of them the sender counts as distrusted.
+with every suspicion.
 """
 
 from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence
-from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -30,11 +29,8 @@ from protocol.errors import ProtocolError
 from protocol.packets import LogDigest
 
 Consume = Callable[[int, int, bytes], Sequence[int]]
-"""Decodes the next entries of a map, given the sender, the map's number, and a frame of whole entries.
-
-Returns where in the frame each entry ends. Raises ProtocolError, and changes nothing, if entries are malformed or
-impossible.
-"""
+"""Decodes the next entries of a map, given the sender, the map's number, and a frame of whole entries; returns where
+each entry ends. Raises ProtocolError, and changes nothing, if entries are malformed or impossible."""
 
 Rebuild = Callable[[Sequence[bytes]], object]
 """Decodes all logs, by map number, again from their beginnings: entries that were decoded have been dropped."""
@@ -52,25 +48,11 @@ ASK_AGAIN = 4
 """Steps until a robot asks again for entries for the first time; then it waits twice as long each time."""
 
 
-_LENGTH = attrgetter("length")
-
-
 class Rejected(NamedTuple):
     """Event: entries that a peer sent were malformed, impossible, or not written by their author."""
 
     peer: int
     reason: str
-
-
-class _Request(NamedTuple):
-    """Entries of a map that were dropped."""
-
-    length: int
-    """The length of the log that ends the request."""
-    step: int
-    """When to ask."""
-    wait: int
-    """Steps until this robot asks again."""
 
 
 class Replica:
@@ -86,8 +68,9 @@ class Replica:
         self.verifiers = [LogVerifier(log, ordered=ordered) for log in self.logs]
         self.step = 0
         """Steps so far."""
-        self._requests: dict[int, _Request] = {}
-        """By number of a map of which entries were dropped."""
+        self._requests: dict[int, tuple[int, int, int]] = {}
+        """By number of a map of which entries were dropped: the length of the log that ends the request, the step in
+        which to ask, and the steps from then until this robot asks again."""
         self._suspicions: Counter[tuple[int, int]] = Counter()
         """How often entries of a (peer, map number) were wrong."""
         self._until: dict[tuple[int, int], int] = {}
@@ -113,7 +96,7 @@ class Replica:
 
     def lengths(self) -> Table:
         """Return the number of entries of each log."""
-        return np.fromiter(map(_LENGTH, self.logs), np.int64, len(self.logs))
+        return np.array([log.length for log in self.logs], np.int64)
 
     def refuses(self, peer: int, number: int) -> bool:
         """Return whether a peer's entries of a map are not accepted in this step."""
@@ -165,16 +148,16 @@ class Replica:
 
     def maps_to_ask_for(self) -> list[int]:
         """Return the numbers of the maps to ask for in this step: entries of them were dropped, and have not come."""
-        for number, request in list(self._requests.items()):
-            if len(self.logs[number]) >= request.length or self.verifiers[number].complete:
+        for number, (length, _, _) in list(self._requests.items()):
+            if len(self.logs[number]) >= length or self.verifiers[number].complete:
                 del self._requests[number]
-        return [number for number, request in self._requests.items() if self.step >= request.step]
+        return [number for number, (_, step, _) in self._requests.items() if self.step >= step]
 
     def asked(self, number: int) -> None:
         """Note that peers received a request for entries of a map."""
         if number in self._requests:
             length, _, wait = self._requests[number]
-            self._requests[number] = _Request(length, self.step + wait, min(2 * wait, LONGEST))
+            self._requests[number] = length, self.step + wait, min(2 * wait, LONGEST)
 
     def check_own(self, peer: int, first: int, entries: list[bytes]) -> None:
         """Compare entries of this robot's log that a peer sent, from offset `first` on; report forged ones."""
@@ -193,10 +176,11 @@ class Replica:
         elif verified is False:
             author = self.peers.author(number)
             senders = self._senders[number]
+            forwarded = "forwarded entries that their author did not write, or they were damaged"
             for peer in sorted(senders - {author}) or sorted(senders):
-                forwarded = "forwarded entries that their author did not write, or they were damaged"
-                reason = forwarded if peer != author else "entries were damaged on the air"
-                self._suspect(peer, number, reason)
+                self._suspect(
+                    peer, number, "entries were damaged on the air" if peer == author else forwarded
+                )
             self._drop(number)
 
     def _suspect(self, peer: int, number: int, reason: str) -> None:
@@ -218,7 +202,6 @@ class Replica:
         self._rebuild([log.read(0) for log in self.logs])
 
     def _ask(self, number: int, length: int) -> None:
-        """Ask for entries from the next step on."""
-        if number in self._requests:
-            length = max(length, self._requests[number].length)
-        self._requests[number] = _Request(length, self.step + 1, ASK_AGAIN)
+        """Ask for entries from the next step on, until the log has so many."""
+        before, _, _ = self._requests.get(number, (0, 0, 0))
+        self._requests[number] = max(length, before), self.step + 1, ASK_AGAIN

@@ -167,7 +167,6 @@ class Strategy(ABC):
 
         The caller passes the same `cache` to all robots, before the first step.
         """
-        del cache
 
     @classmethod
     def check(cls, options: Mapping[str, Any]) -> Any:
@@ -177,12 +176,10 @@ class Strategy(ABC):
     @classmethod
     def check_range(cls, options: Mapping[str, Any], range_m: float) -> None:
         """Raise ValueError if the options need a longer communication range than `range_m` meters."""
-        del options, range_m
 
     @classmethod
     def returns(cls, options: Mapping[str, Any]) -> bool:
         """Return whether the run ends when all robots are home, not when the first has nothing left to explore."""
-        del options
         return False
 
     def heading(self, situation: Situation, *, is_there: bool) -> int:

@@ -136,7 +136,6 @@ class Burgard(CoordinatedStrategy):
 
     def assign(self, table: Table, situation: Situation, planner: PathPlanner) -> Assignment:
         """Assign goals."""
-        del planner
         costs = self.options.beta * table.costs / self.settings.scale_cells
         ranges = self.settings.ranges_of(table.robots)
         visibility = proximity if self._measured is None else self._measured.proximity
@@ -165,7 +164,6 @@ class BurgardOptimal(CoordinatedStrategy):
 
     def assign(self, table: Table, situation: Situation, planner: PathPlanner) -> Assignment:
         """Assign goals; all members search from the same random starts."""
-        del planner
         costs = self.options.beta * (table.costs / self.settings.scale_cells) ** 2
         return best_of_all(
             situation.grid, table.goals, self.utility(table, situation), costs,

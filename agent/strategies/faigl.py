@@ -138,7 +138,6 @@ class Greedy(_Allocating):
 
     def assign(self, table: Table, situation: Situation, planner: PathPlanner) -> Assignment:
         """Assign goals; the order of robots is random, the same for all members."""
-        del planner
         return greedy(table.costs, self.draw("order", situation).permutation(len(table.robots)))
 
 
@@ -151,7 +150,6 @@ class Iterative(_Allocating):
 
     def assign(self, table: Table, situation: Situation, planner: PathPlanner) -> Assignment:
         """Assign goals to robots by the cost of the pairs."""
-        del situation, planner
         return iterative(table.costs)
 
 
@@ -164,7 +162,6 @@ class Hungarian(_Allocating):
 
     def assign(self, table: Table, situation: Situation, planner: PathPlanner) -> Assignment:
         """Assign goals by the Hungarian method."""
-        del situation, planner
         return hungarian(table.costs)
 
 
@@ -236,7 +233,6 @@ class Mtsp(_Allocating):
 
     def _to_end(self, cells: Cells, situation: Situation, planner: PathPlanner) -> Floats:
         """Cost of the way from each goal to the end of the tour; 0, as the tour ends at a goal."""
-        del situation, planner
         return np.zeros(len(cells))
 
 

@@ -11,6 +11,7 @@ Robots broadcast their poses, and whether they lead. Both kinds move continuousl
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -198,7 +199,6 @@ class FieldStrategy(Strategy):
 
         `length` is that of the shortest way over cells.
         """
-        del planner, start, frontier, length
         return None
 
     def _lead(self, situation: Situation, planner: PathPlanner, frontier: Cells) -> tuple[Cells, Cells]:
@@ -249,7 +249,6 @@ class PotentialField(FieldStrategy):
 
     def is_leader(self, situation: Situation) -> bool:
         """Return that it does not."""
-        del situation
         return False
 
 
@@ -272,7 +271,7 @@ class Leaders(FieldStrategy):
             peer
             for peer in situation.peers
             if peer in situation.poses and situation.poses[peer].leads
-            and _distance(situation.poses[peer][:2], situation.here) <= reach
+            and math.dist(situation.poses[peer][:2], situation.here) <= reach
         ]  # fmt: skip
         robot = self.settings.robot
         return elect(robot, self.leads, sensed, self.options.first, dynamic=self.options.dynamic)
@@ -303,7 +302,3 @@ def _ranges(chosen: FieldOptions) -> list[tuple[str, float]]:
     """Return the ranges by name, in the order that Eqs. 4 and 8 require."""
     ranges = [("rho_obstacles", chosen.rho_obstacles), ("rho_robots", chosen.rho_robots)]
     return ranges + ([("rho_lead", chosen.rho_lead)] if isinstance(chosen, LeaderOptions) else [])
-
-
-def _distance(one: Cell, other: Cell) -> float:
-    return float(np.hypot(one[0] - other[0], one[1] - other[1]))

@@ -1,16 +1,14 @@
 """Minimum-latency tours for the whole team (our own strategy, of no paper).
 
 The traveling repairman problem orders goals into a tour that minimizes the sum of their arrival times, weighted by
-their importance: the minimum-latency tour (Blum et al. 1994). With k robots it is the k-traveling repairmen problem
-(Fakcharoenphol, Harrelson and Rao 2007). A plain traveling salesman tour minimizes length, and may reach large unknown
-areas late.
+their importance: the minimum-latency tour (Blum et al. 1994). A traveling salesman's tour minimizes length, and may
+reach large unknown areas late. `agent.planning.team_tours` plans such tours for k robots.
 
 Every frontier segment is a goal, however small. Its weight is the expected gain, predicted from the unknown area in
 sight of it (`agent.planning.gain`), plus a small constant. A small frontier has hardly any gain, but it must be
-visited at some time, and returning for it later costs a long way. So its cost grows faster than its arrival time, and
-the lengths of all tours and of the longest one count as well (`agent.planning.team_tours`). A robot observes a goal
-from some distance, so each goal is a neighborhood. Each robot drives to the first goal of its own tour, and plans anew
-in every step.
+visited at some time, and returning for it later costs a long way. So its cost grows faster than its arrival time. A
+robot observes a goal from some distance, so each goal is a neighborhood. Each robot drives to the first goal of its own
+tour, and plans anew in every step.
 
 Long tours cost time only if robots are scarce. So the weight of the lengths of all tours decreases when the team has
 more robots than goals of large gain: at the start, in narrow corridors, and toward the end. Then more robots get tours.
@@ -19,12 +17,9 @@ Robots know poses and maps of their teammates several steps late, so their plans
 may each compute that the other one visits them. So a robot without a tour drives to a goal of a teammate, even if that
 goal does not need a second robot. With `mission=return` it does not: it would drive away from home.
 
-A robot does not drive up to a small frontier. It observes it from a viewpoint that lies on or near its tour
-(`agent.planning.viewpoint`).
-
-In a scenario with a single robot no teammate visits the goals that it leaves behind. That robot drives the shortest
-tour through all goals, whatever their gain (`agent.planning.single_robot_tour`). A robot that is merely out of range
-of its teammates plans minimum-latency tours for a team of one.
+A robot observes a small frontier from a viewpoint that lies on or near its tour (`agent.planning.viewpoint`). In a
+scenario with a single robot, that robot drives the shortest tour through all goals, whatever their gain
+(`agent.planning.single_robot_tour`): no teammate visits the goals that it leaves behind.
 """
 
 from __future__ import annotations
@@ -357,13 +352,12 @@ class Repairmen(TeamStrategy):
     def _with_hysteresis(self, table: Table, situation: Situation) -> FloatRows:
         """Return the costs of all goals, reduced for the goal nearest to each robot's last target."""
         range_cells = self._range_cells
-        target_hysteresis = self.options.target_hysteresis * (
-            SINGLE_ROBOT_HYSTERESIS if self.settings.robots == 1 else 1.0
-        )
+        share = SINGLE_ROBOT_HYSTERESIS if self.settings.robots == 1 else 1.0
+        less = self.options.target_hysteresis * share * range_cells
         last = {**situation.targets, self.settings.robot: self.target}
         targets = array_of([last.get(robot) or NO_TARGET for robot in table.robots])
         ways = table.costs.copy()
-        _prefer(ways, table.goals, targets, SAME * range_cells, target_hysteresis * range_cells)
+        _prefer(ways, table.goals, targets, SAME * range_cells, less)
         return ways
 
 
@@ -430,13 +424,8 @@ def _follow(firsts: Int64s, ways: FloatRows, worth: Floats, least: float) -> Non
             continue
         best = -1
         for goal in range(len(worth)):
-            if worth[goal] < least:
-                continue
-            if (
-                best < 0
-                or headed[goal] < headed[best]
-                or (headed[goal] == headed[best] and ways[robot, goal] < ways[robot, best])
-            ):
+            rank, least_rank = (headed[goal], ways[robot, goal]), (headed[best], ways[robot, best])
+            if worth[goal] >= least and (best < 0 or rank < least_rank):
                 best = goal
         if best >= 0 and np.isfinite(ways[robot, best]):
             firsts[robot] = best

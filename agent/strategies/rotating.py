@@ -55,7 +55,6 @@ class StopScanReplan(TargetStrategy):
 
     def choose(self, situation: Situation, goals: Cells, planner: PathPlanner) -> Cell | None:
         """Return the cell that the search has found."""
-        del situation, planner
         return int(goals[0, 0]), int(goals[0, 1])
 
 

@@ -116,6 +116,7 @@ class TargetStrategy(Strategy):
         self._yielding = YieldBehavior(settings.seed, settings.robot, settings.body.range_cells)
         self._homing = Homing(settings)
         self._scanner_steps = 0
+        """Steps in which the scanner has worked since the robot came to its cell, `_at`."""
         self._at: Cell | None = None
         self._scans = True
         self._cache = NO_CACHE
@@ -153,11 +154,8 @@ class TargetStrategy(Strategy):
             is_there = self.target in (None, situation.here)
             has_scanned = is_there and self._scanner_steps >= self.settings.body.turn_steps
             return has_scanned or self.herds(situation)
-        return (
-            self.target is None
-            or self.is_spent(situation, self.target, situation.here)
-            or self.herds(situation)
-        )
+        is_done = self.target is None or self.is_spent(situation, self.target, situation.here)
+        return is_done or self.herds(situation)
 
     def is_spent(self, situation: Situation, target: Cell, at: Cell) -> bool:
         """Return whether a robot in cell `at` is done with its target."""
@@ -184,13 +182,13 @@ class TargetStrategy(Strategy):
 
     def team_size(self, situation: Situation) -> int:
         """Return the number of robots that choose together."""
-        del situation
         return 1
 
     def decide(self, situation: Situation) -> Decision:
         """Choose a target if it is time, replan the route if it is blocked, and drive on."""
         here = situation.here
-        self._count_turn(here)
+        self._scanner_steps = (self._scanner_steps if here == self._at else 0) + self._scans
+        self._at = here
         self._route.drive_to(*here)
         self._yielding.note(self._route, here, situation.step, stopped=situation.blocked in MOBILE)
         planner = self.planner(situation)
@@ -213,7 +211,7 @@ class TargetStrategy(Strategy):
         self._scans = self.options.scan == "always" or at_rest
         return Decision(
             target=self.target,
-            path=self._route.next_cells(int(self.settings.body.speed) + 2),
+            path=self._route.cells[: int(self.settings.body.speed) + 2],
             heading=self.heading(situation, is_there=self.target == here),
             explored=not left and (self.options.mission == "open" or is_home),
             look=self._scans,
@@ -257,13 +255,7 @@ class TargetStrategy(Strategy):
 
     def stand(self, situation: Situation, planner: PathPlanner) -> Cell | None:
         """Return the cell to drive to for the current target; a subclass may return a viewpoint."""
-        del situation, planner
         return self.target
-
-    def _count_turn(self, here: Cell) -> None:
-        """Count the scanner steps in this cell."""
-        self._scanner_steps = (self._scanner_steps if here == self._at else 0) + self._scans
-        self._at = here
 
     def _renew(self, situation: Situation, planner: PathPlanner) -> bool:
         """Choose a target; return whether there was any goal."""
@@ -271,8 +263,10 @@ class TargetStrategy(Strategy):
         goal = self.stand(situation, planner)
         if goal is None and self.options.mission == "return":
             goal = situation.home
-        if self.target is not None or not self._is_under_way(situation.here, goal, planner):
-            self._drive(situation, planner, goal)
+        is_under_way = self._goal == goal and len(self._route.cells) > 0
+        if self.target is None and is_under_way and self._route.is_open(planner.floor, situation.here):
+            return left
+        self._drive(situation, planner, goal)
         return left
 
     def _drive(self, situation: Situation, planner: PathPlanner, goal: Cell | None) -> bool:
@@ -282,10 +276,6 @@ class TargetStrategy(Strategy):
             self._route.clear()
             return False
         return self._route.lead(planner, situation.here, goal)
-
-    def _is_under_way(self, here: Cell, goal: Cell | None, planner: PathPlanner) -> bool:
-        """Whether the robot already drives to this cell on an open route."""
-        return self._goal == goal and len(self._route.cells) > 0 and self._route.is_open(planner.floor, here)
 
     def _is_stranded(self, here: Cell) -> bool:
         """Whether the route has ended in another cell than the target, after a detour."""

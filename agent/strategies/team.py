@@ -89,18 +89,18 @@ class TeamStrategy(TargetStrategy):
     def is_due(self, situation: Situation) -> bool:
         """Return whether to replan: this robot or, for the first time, a member is done with its target.
 
-        Also if a member has just sent the same target as this robot's. A robot without a goal waits for such an event,
-        unless it is alone.
+        Also if a lower-numbered teammate has just sent the same target as this robot's. A robot without a goal waits
+        for such an event, unless it is alone.
         """
         spent = self._spent_teammates(situation)
         newly_spent, self._spent = spent - self._spent, spent
         if self.target is None:
             self._waited += 1
             return bool(newly_spent) or self._waited == 1 or len(self.team(situation)) == 1
-        return (
-            bool(newly_spent)
-            or self.is_spent(situation, self.target, situation.here)
-            or self._collides(situation)
+        is_done = bool(newly_spent) or self.is_spent(situation, self.target, situation.here)
+        return is_done or any(
+            peer < self.settings.robot and target == self.target
+            for peer, target in situation.new_targets.items()
         )
 
     def choose(self, situation: Situation, goals: Cells, planner: PathPlanner) -> Cell | None:
@@ -133,14 +133,13 @@ class TeamStrategy(TargetStrategy):
 
     def frontier(self, situation: Situation, planner: PathPlanner) -> Cells:
         """Return the frontier cells that this robot, or with mixed radii any member, can reach."""
-        team = self.team(situation)
-        if self._alike:
+        team = {} if self._alike else self.team(situation)
+        radii = [self.settings.bodies[robot].radius_cells for robot in team]
+        if len(set(radii)) <= 1:
             return super().frontier(situation, planner)
-        radii = {robot: self.settings.bodies[robot].radius_cells for robot in team}
-        if len(set(radii.values())) == 1:
-            return super().frontier(situation, planner)
+        planners = map(planner.of_radius, radii)
         reached = np.concatenate(
-            [planner.of_radius(radii[robot]).frontier(*cell) for robot, cell in team.items()]
+            [each.frontier(*cell) for each, cell in zip(planners, team.values(), strict=True)]
         )
         width = planner.grid.shape[1]
         rows, columns = np.divmod(np.unique(reached[:, 1] * width + reached[:, 0]), width)
@@ -157,13 +156,6 @@ class TeamStrategy(TargetStrategy):
             for peer, cell in self.team(situation).items()
             if peer in situation.targets and self.is_spent(situation, situation.targets[peer], cell)
         }
-
-    def _collides(self, situation: Situation) -> bool:
-        """Whether a lower-numbered teammate has just sent the same target."""
-        return any(
-            peer < self.settings.robot and target == self.target
-            for peer, target in situation.new_targets.items()
-        )
 
 
 def unclaimed(situation: Situation, goals: Cells, targets: Mapping[int, Cell], settings: Settings) -> Cells:

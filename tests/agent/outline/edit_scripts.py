@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import cast
 
@@ -10,7 +11,7 @@ import numpy as np
 from agent.outline.claims import THESIS, Drawing, DrawnClaims, Layer
 from agent.outline.edits import NumberedPolygons, edit_packets
 from agent.outline.objects import Objects
-from agent.outline.polygons import Polygons
+from agent.outline.polygons import Polygons, Symbols
 from protocol.packet_codec import decode
 from protocol.packets import Change, Delete, Edit, Emerge, Insert, Remove, Replace, Save
 
@@ -26,13 +27,16 @@ def edit_script(
     packets = cast("list[Edit]", decode(script))
     objects = applied(lists(held), packets)
     rows = [symbol for _, cycle in objects.values() for symbol in cycle]
-    x, y, side, occupied = np.array(rows, np.int16).reshape(-1, 4).T.copy()
     start = np.cumsum([0, *(len(cycle) for _, cycle in objects.values())]).astype(np.int32)
     inside = np.array([inside for inside, _ in objects.values()], np.bool_)
-    polygons = Polygons(
-        held.polygons.shape, x, y, side.astype(np.uint8), occupied.astype(np.uint8), start, inside
-    )
+    polygons = Polygons(held.polygons.shape, packed(rows), start, inside)
     return packets, NumberedPolygons(np.array([*objects], np.int32), polygons)
+
+
+def packed(rows: Sequence[Symbol]) -> Symbols:
+    """Vertices as numbers, as `Polygons` has them."""
+    x, y, side, occupied = np.array(rows, np.int32).reshape(-1, 4).T
+    return np.ascontiguousarray(y + 1 << 15 | x + 1 << 3 | side << 1 | occupied)
 
 
 def lists(held: NumberedPolygons) -> dict[int, tuple[bool, Cycle]]:

@@ -18,7 +18,7 @@ from protocol.grid import FREE, UNKNOWN, Grid
 from protocol.packet_codec import encode
 from protocol.packets import Change, Delete, Edit, Emerge, Insert, Remove, Replace, Save
 from tests.agent.explorations import Cell, exploration, growing_maps, real_map
-from tests.agent.outline.edit_scripts import Cycle, Symbol, canonical, edit_script, lists
+from tests.agent.outline.edit_scripts import Cycle, Symbol, canonical, edit_script, lists, packed
 
 quick = settings(deadline=None)
 
@@ -27,10 +27,9 @@ SHAPE = (8, 8)
 
 def polygons(cycles: list[Cycle], inside: list[bool] | None = None) -> Polygons:
     """Put polygons together from (x, y, side, occupied); the first is the inside one by default."""
-    x, y, side, occupied = np.array([s for cycle in cycles for s in cycle], np.int16).reshape(-1, 4).T.copy()
     start = np.cumsum([0, *map(len, cycles)]).astype(np.int32)
     flags = np.arange(len(cycles)) == 0 if inside is None else np.array(inside, np.bool_)
-    return Polygons(SHAPE, x, y, side.astype(np.uint8), occupied.astype(np.uint8), start, flags)
+    return Polygons(SHAPE, packed([symbol for cycle in cycles for symbol in cycle]), start, flags)
 
 
 def size(packets: list[Edit]) -> int:

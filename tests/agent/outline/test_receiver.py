@@ -17,7 +17,6 @@ from agent.outline.claims import THESIS, Drawing, DrawnClaims, redraw
 from agent.outline.contour import contours
 from agent.outline.edits import NumberedPolygons
 from agent.outline.merge import rendered
-from agent.outline.objects import symbols
 from agent.outline.polygons import Polygons
 from agent.outline.receiver import Receiver
 from agent.outline.simplify import refine
@@ -240,7 +239,7 @@ def test_after_a_damaged_chunk_the_intact_one_is_accepted(step: int, data: st.Da
 
 def held_plainly(receiver: Receiver) -> list[tuple[int, list[int], bool]]:
     held = receiver.held
-    parts = np.split(symbols(held.polygons), held.polygons.start[1:-1])
+    parts = np.split(held.polygons.symbols, held.polygons.start[1:-1])
     return list(
         zip(held.number.tolist(), [p.tolist() for p in parts], held.polygons.inside.tolist(), strict=False)
     )

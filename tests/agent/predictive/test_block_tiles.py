@@ -15,7 +15,6 @@ from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from tests.agent.predictive.junk import count_refused
 
 HEIGHT, WIDTH = 37, 51
-FLAG = 4
 
 
 class Log:
@@ -31,7 +30,7 @@ class Log:
     def code(self, coder: MixingCoder, target: Grid) -> int:
         """Code an update with a coder."""
         buffers = self.tiles, self.exact, self.last
-        return int(code_block_tiles(coder, self.grid, target, *buffers, FLAG, self.changes))
+        return int(code_block_tiles(coder, self.grid, target, *buffers, self.changes))
 
     def encode(self, target: Grid, exact: Grid) -> bytes:
         """Encode the tiles that differ, some of which are exact."""

@@ -27,7 +27,7 @@ def test_the_box_contains_exactly_the_cells_that_only_the_author_knows(
     x0, y0, x1, y1 = near
     inside = np.zeros_like(lacking)
     inside[max(y0, 0) : max(y1, 0), max(x0, 0) : max(x1, 0)] = True
-    found = lacking_box(grid, own, *near)
+    found = lacking_box(grid, own, near)
     if (lacking & inside).any():
         assert found == box_of(lacking & inside)
     else:

@@ -26,7 +26,6 @@ from protocol.grid import FREE, MAX_SIDE, OCCUPIED, UNKNOWN, Grid
 from tests.agent.predictive.junk import count_refused
 
 HEIGHT, WIDTH = 40, 56
-FLAG = 4
 
 
 class PlainMixer:
@@ -158,7 +157,7 @@ class Log:
 
     def code(self, coder: MixingCoder, target: Grid) -> int:
         """Code an update with a coder."""
-        return int(code_tiles(coder, self.grid, target, self.tiles, self.last, FLAG, self.changes))
+        return int(code_tiles(coder, self.grid, target, self.tiles, self.last, self.changes))
 
     def encode(self, target: Grid) -> bytes:
         """Encode an update."""

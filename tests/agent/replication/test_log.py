@@ -79,7 +79,7 @@ def test_entries_go_in_as_far_as_they_fit_and_no_header_stands_alone(
     log = Log()
     log.append([b"abc", b"de", b"fghi"])
     builder = FrameBuilder(budget)
-    assert builder.add_entries(log, first, end, b"--", lambda *_: None) == after
+    assert builder.add_entries(log, first, b"--", lambda *_: None, end) == after
     assert builder.payload == payload
 
 
@@ -101,8 +101,8 @@ def test_handlers_run_for_the_parts_that_were_on_the_air(sent: int, expected: li
     ran: list[object] = []
     builder = FrameBuilder()
     builder.add(b"nn", lambda: ran.append("near"))
-    builder.add_entries(log, 0, 2, b"--", lambda first, end: ran.append((first, end)))
-    builder.add_entries(log, 2, 3, b"---", lambda first, end: ran.append((first, end)))
+    builder.add_entries(log, 0, b"--", lambda first, end: ran.append((first, end)), 2)
+    builder.add_entries(log, 2, b"---", lambda first, end: ran.append((first, end)), 3)
     builder.sent(sent)
     assert ran == expected
 
@@ -161,10 +161,10 @@ def test_robots_that_meet_owe_reports_and_await_one() -> None:
     assert (meetings.owed(), meetings.known([1, 2])) == ([], [1, 2]), "all logs are empty at first"
     meetings.begin_step(2, [1, 3])
     assert (meetings.owed(), meetings.known([1, 3])) == ([3], [1])
-    meetings.on(3, "reported")
+    meetings.on("reported", 3)
     assert (meetings.owed(), meetings.known([1, 3])) == ([3], [1, 3])
-    meetings.informed([3])
-    meetings.on(1, "restarted")
+    meetings.on("informed", 3)
+    meetings.on("restarted", 1)
     assert (meetings.owed(), meetings.known([1, 3])) == ([1], [1, 3])
     for step in range(3, 4 + GREETING):
         meetings.begin_step(step, [2])
@@ -176,7 +176,7 @@ def test_robots_that_meet_owe_reports_and_await_one() -> None:
 
 
 def test_cursors_are_known_to_robots_that_were_in_range_ever_since() -> None:
-    cursors = BroadcastCursors(0, 3, known=True, reliable=True)
+    cursors = BroadcastCursors(3, known=True, reliable=True)
     assert cursors.known(0, [1, 2])
     assert cursors.of(1) == 0
     cursors.begin_step([1])
@@ -185,7 +185,7 @@ def test_cursors_are_known_to_robots_that_were_in_range_ever_since() -> None:
     assert cursors.known(5, [1])
     assert not cursors.known(5, [1, 2])
     assert (cursors.of(1), cursors.of(2)) == (3, None)
-    unreliable = BroadcastCursors(0, 3, known=True, reliable=False)
+    unreliable = BroadcastCursors(3, known=True, reliable=False)
     unreliable.sent(5, [1])
     assert not unreliable.known(5, [1])
 

@@ -55,7 +55,7 @@ def test_backoff_offers_by_its_rule(team: Any, number: int, now: int, single: bo
     replica = Replica(peer_table, lambda *received: packet_index.ends(received[-1]), lambda _: None)
     for log, length in zip(replica.logs, lengths.tolist(), strict=True):
         log.append([b"entry"] * length)
-    rounds = Rounds(replica, Backoff().offers, forwards=True)
+    rounds = Rounds(replica, Backoff(), forwards=True)
     rounds.now, rounds.single = now - 1, single
     replica.peers.expected[:], rounds.due[:] = held, due
     by_the_rule = [

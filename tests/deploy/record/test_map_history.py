@@ -14,6 +14,7 @@ from deploy.run.exploration import explore
 from deploy.scenario.scenario import parse
 from protocol.errors import ProtocolError
 from protocol.messages import MapChanges, Outlines
+from tests.agent.outline.edit_scripts import packed
 from tests.deploy.small_run import small_directory, small_plan, small_run
 
 
@@ -51,9 +52,8 @@ def polygons_of(vertices: bytes, shape: tuple[int, int]) -> Polygons:
     side = np.where(across == 0, 1 - down, 2 - across)
     start = np.append(np.flatnonzero(np.diff(rows[:, 0], prepend=-1)), len(rows)).astype(np.int32)
     flags = rows[:, 3].astype(np.uint8)
-    return Polygons(
-        shape, x, y, side.astype(np.uint8), flags & np.uint8(1), start, flags[start[:-1]] >> 1 == 1
-    )
+    drawn = np.column_stack([x, y, side, flags & 1]).tolist()
+    return Polygons(shape, packed(drawn), start, flags[start[:-1]] >> 1 == 1)
 
 
 def test_outlines_are_decoded_to_the_polygons_that_were_encoded() -> None:
