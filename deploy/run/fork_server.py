@@ -10,14 +10,18 @@ import contextlib
 import multiprocessing
 import os
 import sys
+import threading
 import types
 from collections.abc import Iterator
 from multiprocessing import forkserver
 from multiprocessing.context import ForkServerContext
+from pathlib import Path
 
 from deploy.run import parent_watchdog
 
 PRELOADED = ["deploy.run.parent_watchdog", "deploy.run.preload"]
+_LOCK = threading.Lock()
+"""Held while children start: threads may have studies of their own."""
 
 
 def context() -> ForkServerContext:
@@ -29,15 +33,25 @@ def context() -> ForkServerContext:
 
 @contextlib.contextmanager
 def starting() -> Iterator[None]:
-    """Start children: they do not import the main module, and the fork server, if it starts too, gets its folder."""
-    main = sys.modules["__main__"]
-    sys.modules["__main__"] = types.ModuleType("__main__")
-    os.environ[parent_watchdog.FOLDER] = f"{os.getpid()}:{parent_watchdog.open_folder()}"
-    try:
-        yield
-    finally:
-        del os.environ[parent_watchdog.FOLDER]
-        sys.modules["__main__"] = main
+    """Start children: they do not import the main module, and the fork server, if it starts too, gets its folder.
+
+    Raises FileNotFoundError if the current directory, which children share, has been deleted.
+    """
+    with _LOCK:
+        try:
+            Path.cwd()
+        except FileNotFoundError as error:
+            raise FileNotFoundError(
+                error.errno, "the current directory has been deleted; change to another one"
+            ) from None
+        main = sys.modules["__main__"]
+        sys.modules["__main__"] = types.ModuleType("__main__")
+        os.environ[parent_watchdog.FOLDER] = f"{os.getpid()}:{parent_watchdog.open_folder()}"
+        try:
+            yield
+        finally:
+            del os.environ[parent_watchdog.FOLDER]
+            sys.modules["__main__"] = main
 
 
 def pid() -> int | None:
