@@ -20,6 +20,7 @@ from typing import Any, Protocol, TypeVar
 
 from deploy.run import fork_server
 from deploy.run.parent_watchdog import end_with_parent
+from deploy.run.process_table import load_fork_server
 from protocol.packages import require
 
 
@@ -60,6 +61,8 @@ class LocalPool:
     ) -> Iterator[tuple[Case, Outcome | str]]:
         """Yield each case with its outcome."""
         _heed_ctrl_c()
+        if todo:
+            load_fork_server()
         waiting = deque(todo)
         while waiting:
             suspects = []
