@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import multiprocessing
 import os
+import signal
 import sys
 import threading
 import types
@@ -33,7 +34,7 @@ def context() -> ForkServerContext:
 
 @contextlib.contextmanager
 def starting() -> Iterator[None]:
-    """Start children: they do not import the main module, and the fork server, if it starts too, gets its folder.
+    """Start children, which do not import the main module, and the fork server, if it does not run yet.
 
     Raises FileNotFoundError if the current directory, which children share, has been deleted.
     """
@@ -46,12 +47,25 @@ def starting() -> Iterator[None]:
             ) from None
         main = sys.modules["__main__"]
         sys.modules["__main__"] = types.ModuleType("__main__")
-        os.environ[parent_watchdog.FOLDER] = f"{os.getpid()}:{parent_watchdog.open_folder()}"
         try:
+            _ensure_running()
             yield
         finally:
-            del os.environ[parent_watchdog.FOLDER]
             sys.modules["__main__"] = main
+
+
+def _ensure_running() -> None:
+    """Start the fork server, which gets its folder, and Python's resource tracker, if they do not run yet.
+
+    Both are deaf to Ctrl-C and SIGHUP from the start: a new resource tracker would not know the pools' semaphores.
+    """
+    os.environ[parent_watchdog.FOLDER] = f"{os.getpid()}:{parent_watchdog.open_folder()}"
+    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGHUP))
+    try:
+        forkserver.ensure_running()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+        del os.environ[parent_watchdog.FOLDER]
 
 
 def pid() -> int | None:

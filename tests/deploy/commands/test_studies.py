@@ -207,7 +207,7 @@ def test_ctrl_c_while_the_fork_server_starts_stops_a_sweep(tmp_path: Path) -> No
     while not any("multiprocessing.forkserver" in " ".join(each.cmdline()) for each in family.children()):
         assert sweeping.poll() is None
         time.sleep(0.02)
-    os.kill(sweeping.pid, signal.SIGINT)
+    os.killpg(sweeping.pid, signal.SIGINT)
     _, errors = sweeping.communicate(timeout=60)
     assert sweeping.returncode == 130
     assert_none_is_left(sweeping.pid)
