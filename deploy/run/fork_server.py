@@ -57,7 +57,7 @@ def starting() -> Iterator[None]:
 def _ensure_running() -> None:
     """Start the fork server, which gets its folder, and Python's resource tracker, if they do not run yet.
 
-    Both are deaf to Ctrl-C and SIGHUP from the start: a new resource tracker would not know the pools' semaphores.
+    Both block Ctrl-C and SIGHUP from the start: a new resource tracker would not know the semaphores of the pools.
     """
     os.environ[parent_watchdog.FOLDER] = f"{os.getpid()}:{parent_watchdog.open_folder()}"
     blocked = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGHUP))
