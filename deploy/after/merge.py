@@ -87,7 +87,7 @@ def merge(folders: Sequence[Path | str], out: Path | str, *, view: bool = False)
     Raises
     ------
     ValueError
-        A directory is no record of a robot, or damaged; or they are of different teams.
+        A directory is no record of a robot, or damaged; or they are of different teams or missions.
     ScenarioError
         `out` already exists, or cannot be made.
     OSError
@@ -194,13 +194,18 @@ def align(recordings: Sequence[Recording]) -> tuple[list[int], int]:
 
 
 def join(recordings: Sequence[Recording], offsets: Sequence[int]) -> dict[FrameId, Joined]:
-    """Return all frames on the common clock, in the order of time."""
+    """Return all frames on the common clock, in the order of time; ValueError if two differ that have one number."""
     frames: dict[FrameId, Joined] = {}
     for recording, offset in zip(recordings, offsets, strict=True):
         for lines, was_sent in ((recording.sent, True), (recording.received, False)):
             for number, line in lines.items():
                 time = line.time_ns + offset
                 frame = frames.setdefault(number, Joined(time, line.bytes, recording.packets[number]))
+                if frame.packets != recording.packets[number]:
+                    raise ValueError(
+                        f"{recording.record.folder}: frame {number.counter} of session {number.session} of robot "
+                        f"{number.sender} differs from that of another record: not one mission"
+                    )
                 if was_sent or not frame.was_sent:
                     frame.time_ns = time if was_sent else min(time, frame.time_ns)
                 frame.was_sent |= was_sent

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 from types import FrameType
 
 INTERRUPTED = 130
@@ -13,6 +14,7 @@ INTERRUPTED = 130
 def main() -> None:
     """Run the command line; once a command is over, a signal does not change its exit code any more."""
     signal.signal(signal.SIGINT, _interrupt)
+    _open_closed_streams()
     from deploy.commands.app import app  # noqa: PLC0415
 
     try:
@@ -20,6 +22,15 @@ def main() -> None:
     finally:
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, signal.SIG_IGN)
+
+
+def _open_closed_streams() -> None:
+    """Open the null device for standard streams that are closed (``>&-``): other files would get their numbers."""
+    for name in ("stdin", "stdout", "stderr"):
+        if getattr(sys, name) is None:
+            null = open(os.devnull, "r+", encoding="utf-8")  # noqa: SIM115, PTH123  for the whole process
+            os.set_inheritable(null.fileno(), True)
+            setattr(sys, name, null)
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:

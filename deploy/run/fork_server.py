@@ -9,18 +9,20 @@ from __future__ import annotations
 import contextlib
 import multiprocessing
 import os
+import signal
 import sys
 import threading
 import types
 from collections.abc import Iterator
 from multiprocessing import forkserver
 from multiprocessing.context import ForkServerContext
+from pathlib import Path
 
 from deploy.run import parent_watchdog
 
 PRELOADED = ["deploy.run.parent_watchdog", "deploy.run.preload"]
-_TURN = threading.Lock()
-"""Held while a thread changes the main module and the environment."""
+_LOCK = threading.Lock()
+"""Held while children start: threads may have studies of their own."""
 
 
 def context() -> ForkServerContext:
@@ -32,16 +34,38 @@ def context() -> ForkServerContext:
 
 @contextlib.contextmanager
 def starting() -> Iterator[None]:
-    """Start children: they do not import the main module, and the fork server, if it starts too, gets its folder."""
-    with _TURN:
+    """Start children, which do not import the main module, and the fork server, if it does not run yet.
+
+    Raises FileNotFoundError if the current directory, which children share, has been deleted.
+    """
+    with _LOCK:
+        try:
+            Path.cwd()
+        except FileNotFoundError as error:
+            raise FileNotFoundError(
+                error.errno, "the current directory has been deleted; change to another one"
+            ) from None
         main = sys.modules["__main__"]
         sys.modules["__main__"] = types.ModuleType("__main__")
-        os.environ[parent_watchdog.FOLDER] = f"{os.getpid()}:{parent_watchdog.open_folder()}"
         try:
+            _ensure_running()
             yield
         finally:
-            del os.environ[parent_watchdog.FOLDER]
             sys.modules["__main__"] = main
+
+
+def _ensure_running() -> None:
+    """Start the fork server, which gets its folder, and Python's resource tracker, if they do not run yet.
+
+    Both block Ctrl-C and SIGHUP from the start: a new resource tracker would not know the semaphores of the pools.
+    """
+    os.environ[parent_watchdog.FOLDER] = f"{os.getpid()}:{parent_watchdog.open_folder()}"
+    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGHUP))
+    try:
+        forkserver.ensure_running()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+        del os.environ[parent_watchdog.FOLDER]
 
 
 def pid() -> int | None:

@@ -91,6 +91,7 @@ class _Channel:
         sys.stdout.flush()
         self._file = os.fdopen(os.dup(1), "wb", buffering=0)
         os.dup2(2, 1)
+        self._file.write(b"\n")  # ends what shell startup files have printed, as the title of a terminal
 
     def send(self, **message: object) -> None:
         """Send one message to the launcher."""
@@ -103,10 +104,10 @@ def serve(plugins: Mapping[str, str]) -> None:
     Raises ValueError if the launcher sent a malformed message.
     """
     setproctitle("murmur robots")
-    channel = _Channel()
     for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGINT):
         signal.signal(number, _leave)
     try:
+        channel = _Channel()
         channel.send(**hello(plugins))
         # Unbuffered, because `select` does not see bytes in a buffer.
         with open(0, "rb", buffering=0, closefd=False) as orders:

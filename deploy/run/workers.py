@@ -8,7 +8,6 @@ other workers.
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
 import os
 import re
 import signal
@@ -21,6 +20,7 @@ from typing import Any, Protocol, TypeVar
 
 from deploy.run import fork_server
 from deploy.run.parent_watchdog import end_with_parent
+from deploy.run.process_table import load_fork_server
 from protocol.packages import require
 
 
@@ -61,6 +61,8 @@ class LocalPool:
     ) -> Iterator[tuple[Case, Outcome | str]]:
         """Yield each case with its outcome."""
         _heed_ctrl_c()
+        if todo:
+            load_fork_server()
         waiting = deque(todo)
         while waiting:
             suspects = []
@@ -176,14 +178,12 @@ def _submit(pool: ProcessPoolExecutor, run: Callable[[Case], Outcome], case: Cas
 @contextlib.contextmanager
 def _processes(jobs: int) -> Iterator[ProcessPoolExecutor]:
     """Return a pool whose processes end immediately on an exception."""
-    others = multiprocessing.active_children()
     pool = ProcessPoolExecutor(jobs, fork_server.context(), _begin, (dict(os.environ),))
     try:
         yield pool
     except BaseException:
-        for process in multiprocessing.active_children():
-            if process not in others:
-                process.terminate()
+        for process in list(pool._processes.values()):  # other threads may have pools of their own
+            process.terminate()
         pool.shutdown(cancel_futures=True)
         raise
     pool.shutdown()
@@ -194,6 +194,7 @@ def _begin(environment: Mapping[str, str]) -> None:
 
     The environment is the parent's; that of the fork server may be older.
     """
+    os.environ.clear()
     os.environ.update(environment)
     for number in (signal.SIGINT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)

@@ -236,7 +236,6 @@ def test_ctrl_c_while_processes_start_ends_the_run(tmp_path: Path) -> None:
     with swarm(tmp_path / "run", *SLOW) as process:
         while not any("forkserver" in " ".join(each.cmdline()) for each in descendants(process)):
             time.sleep(0.02)
-        time.sleep(0.5)
         family = descendants(process)
         os.killpg(process.pid, signal.SIGINT)
         code, output, _ = finish(process, 60)

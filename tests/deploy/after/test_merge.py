@@ -26,9 +26,9 @@ AHEAD = (0, 1000 * SECOND, -500 * SECOND)
 
 
 @cache
-def sent_frames(folder: Path) -> dict[tuple[int, int], int]:
+def sent_frames(folder: Path, seed: int = 1) -> dict[tuple[int, int], int]:
     """Let three robots record to ``folder/rN``, with clocks that differ; return the bytes of all sealed frames."""
-    plan = small_plan(side_m=10.0, map_encoding="predictive", dissemination="gossip", robots=3, seed=1)
+    plan = small_plan(side_m=10.0, map_encoding="predictive", dissemination="gossip", robots=3, seed=seed)
     air = MemoryAir(3, Faults(loss=0.2, delay=SECOND // 10))
     team = RecordedTeam(plan, air, folder, dict(enumerate(AHEAD)))
     for _ in range(30):
@@ -125,6 +125,15 @@ def test_robots_on_one_host_have_one_clock(folder: Path) -> None:
     setup = structs.replace(two.record.setup, clock=one.record.setup.clock)
     same = dataclasses.replace(two, record=dataclasses.replace(two.record, setup=setup))
     assert align([one, same]) == ([0, 0], 0)
+
+
+def test_records_of_two_missions_with_other_keys_are_refused(folder: Path, tmp_path: Path) -> None:
+    sent_frames(tmp_path, seed=2)  # a new key: sessions begin with 1 again
+    with pytest.raises(
+        ValueError, match=r"r1/start-1: frame \d+ of session 1 of robot \d .* not one mission"
+    ):
+        merge([folder / "r0", tmp_path / "r1"], tmp_path / "team")
+    assert not (tmp_path / "team").exists()
 
 
 def test_damaged_files_of_the_radio_are_refused(folder: Path, tmp_path: Path) -> None:

@@ -123,5 +123,29 @@ def test_ctrl_c_during_an_import_ends_the_command_without_a_traceback(tmp_path: 
     assert (started.returncode, output) == (130, "")
 
 
+@pytest.mark.parametrize("closed", ["0<&-", "1>&-", "2>&-", "0<&- 1>&- 2>&-"])
+def test_a_command_runs_with_closed_standard_streams(tmp_path: Path, closed: str) -> None:
+    out = tmp_path / "run"
+    words = [
+        sys.executable,
+        "-m",
+        "deploy.commands.main",
+        "explore",
+        "--map",
+        "em",
+        "--robots",
+        "1",
+        "--out",
+        out,
+    ]
+    done = subprocess.run(
+        ["sh", "-c", f'exec "$@" {closed}', "sh", *words],
+        capture_output=True, text=True, check=False,
+        env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[3])},
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, "")
+    assert (out / "maps.png").exists()
+
+
 def test_the_version_is_the_version_of_the_distribution() -> None:
     assert murmur("--version").stdout == f"murmur {version('murmur-robots')}\n"

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import polars as pl
+import psutil
 import pytest
 from PIL import Image
 from typer.testing import CliRunner
@@ -197,6 +198,20 @@ def test_a_signal_stops_a_sweep_at_once_and_keeps_what_is_finished(
     assert f"stopped; the same command continues from {out}" in errors and "Traceback" not in errors
     kept = len(pl.read_parquet(out))
     assert 0 < kept < 8 and f"means of {kept} of 8 runs" in table
+
+
+def test_ctrl_c_while_the_fork_server_starts_stops_a_sweep(tmp_path: Path) -> None:
+    out = tmp_path / "all.parquet"
+    sweeping = sweeping_in_a_group(write(tmp_path, EXPERIMENT), out)
+    family = psutil.Process(sweeping.pid)
+    while not any("multiprocessing.forkserver" in " ".join(each.cmdline()) for each in family.children()):
+        assert sweeping.poll() is None
+        time.sleep(0.02)
+    os.killpg(sweeping.pid, signal.SIGINT)
+    _, errors = sweeping.communicate(timeout=60)
+    assert sweeping.returncode == 130
+    assert_none_is_left(sweeping.pid)
+    assert f"stopped; the same command continues from {out}" in errors and "Traceback" not in errors
 
 
 TIMES = ("wall_s", "steps_per_s", "work_us_median")

@@ -100,6 +100,11 @@ def test_other_versions_of_packages_cause_a_warning_only() -> None:
     assert warnings[0].startswith("host h0: has numpy 1.0, this host has ")
 
 
+def test_shell_startup_files_may_print_a_title_without_a_newline() -> None:
+    with Fleet(hosts(f"printf '\\033]0;h0\\007'; {MURMUR}"), 3):
+        pass
+
+
 FAKE_HOST = """
 import sys
 def send(*parts):
@@ -313,7 +318,7 @@ def test_remote_agents_end_after_malformed_or_empty_input(order: str) -> None:
         timeout=TIMEOUT_S,
         check=False,
     )
-    assert done.stdout.count("\n") == 1
+    assert done.stdout.startswith("\n{") and done.stdout.count("\n") == 2
     assert done.returncode == (2 if order else 0)
     assert ("murmur: " in done.stderr) == bool(order)
 

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import pytest
 
+from deploy.run import fork_server
 from deploy.run.workers import DIED, Cluster, LocalPool
 
 ROOT = Path(__file__).parents[3]
@@ -29,6 +30,11 @@ class Number:
     @property
     def value(self) -> int:
         return int(self.key)
+
+
+@dataclass(frozen=True)
+class Named:
+    key: str
 
 
 def square(number: Number) -> int:
@@ -47,11 +53,6 @@ def waits_unless_it_is_1(number: Number) -> int:
     return square(number)
 
 
-def its_environment(number: Number) -> str | None:
-    del number
-    return os.environ.get("MURMUR_OF_THIS_STUDY")
-
-
 def numbers(*values: int) -> list[Number]:
     return [Number(str(value)) for value in values]
 
@@ -59,28 +60,6 @@ def numbers(*values: int) -> list[Number]:
 def test_each_case_has_its_outcome_once() -> None:
     outcomes = list(LocalPool(2).each(numbers(3, 4, 5), square))
     assert sorted((case.value, outcome) for case, outcome in outcomes) == [(3, 9), (4, 16), (5, 25)]
-
-
-def test_studies_in_several_threads_leave_the_main_module_and_the_environment_as_they_were() -> None:
-    main, environment = sys.modules["__main__"], dict(os.environ)
-    outcomes: list[int] = []
-
-    def study() -> None:
-        outcomes.extend(outcome for _, outcome in LocalPool(1).each(numbers(1, 2), square))  # type: ignore[misc]
-
-    threads = [threading.Thread(target=study) for _ in range(4)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert sorted(outcomes) == [1, 1, 1, 1, 4, 4, 4, 4]
-    assert (sys.modules["__main__"], dict(os.environ)) == (main, environment)
-
-
-def test_a_process_has_the_environment_of_its_study(monkeypatch: pytest.MonkeyPatch) -> None:
-    list(LocalPool(1).each(numbers(1), square))
-    monkeypatch.setenv("MURMUR_OF_THIS_STUDY", "yes")
-    assert list(LocalPool(1).each(numbers(1), its_environment)) == [(Number("1"), "yes")]
 
 
 def test_process_that_dies_fails_its_own_run_only() -> None:
@@ -127,6 +106,60 @@ def test_error_names_an_unreachable_scheduler(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(Cluster, "REPLY_TIMEOUT_S", 1)
     with pytest.raises(ValueError, match=r"scheduler = 'tcp://127.0.0.1:9': .*give its address"):
         Cluster("tcp://127.0.0.1:9")
+
+
+def test_threads_have_studies_of_their_own() -> None:
+    main = sys.modules["__main__"]
+    outcomes: list[int | str] = []
+
+    def study(value: int) -> None:
+        outcomes.extend(outcome for _, outcome in LocalPool(1).each(numbers(value), square))
+
+    threads = [threading.Thread(target=study, args=(value,)) for value in range(5)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sorted(map(int, outcomes)) == [0, 1, 4, 9, 16]
+    assert sys.modules["__main__"] is main
+
+
+def test_closing_one_study_leaves_the_processes_of_another_alone() -> None:
+    closed, other = (LocalPool(1).each(numbers(1, 2, 3), process) for _ in range(2))
+    next(closed)
+    _, worker = next(other)
+    closed.close()  # type: ignore[attr-defined]
+    assert [pid for _, pid in other] == [worker, worker]
+
+
+def environment(name: Named) -> str | None:
+    return os.environ.get(name.key)
+
+
+def test_studies_outlive_the_fork_server_and_have_the_current_environment(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("MURMUR_TEST", "first")
+    pool, todo = LocalPool(1), [Named("MURMUR_TEST")]
+    list(pool.each(todo, environment))
+    server = fork_server.pid()
+    assert server is not None
+    os.kill(server, signal.SIGKILL)
+    os.waitid(os.P_PID, server, os.WEXITED | os.WNOWAIT)
+    assert list(pool.each(todo, environment)) == [(todo[0], "first")]
+    monkeypatch.setenv("MURMUR_TEST", "second")
+    assert list(pool.each(todo, environment)) == [(todo[0], "second")]
+    monkeypatch.delenv("MURMUR_TEST")
+    assert list(pool.each(todo, environment)) == [(todo[0], None)]
+
+
+def test_error_names_a_deleted_current_directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    monkeypatch.chdir(gone)
+    gone.rmdir()
+    with pytest.raises(FileNotFoundError, match="current directory has been deleted"):
+        list(LocalPool(1).each(numbers(1), square))
 
 
 def slow_square(number: Number) -> tuple[int, int]:
