@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from protocol.bounds import Range, check_ranges
+from protocol.bounds import Options, Range
 
 MAX_STEPS = 10_000
 """Maximum delay of a frame in steps."""
@@ -17,7 +17,7 @@ Probability = Annotated[float, Range(0, 1)]
 
 
 @dataclass(frozen=True)
-class ChannelOptions:
+class ChannelOptions(Options):
     """Loss, delay, duplication, and damage of frames; bursts are those of Gilbert and Elliott."""
 
     loss: Probability = 0.0
@@ -40,7 +40,7 @@ class ChannelOptions:
     """Whether frames end with a checksum in any case."""
 
     def __post_init__(self) -> None:
-        check_ranges(self)
+        super().__post_init__()
         if 0 < self.burst_every < 1:
             raise ValueError(f"burst_every = {self.burst_every:g}: must be 0 (no bursts), or 1 step or more")
 

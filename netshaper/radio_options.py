@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
 from netshaper.channel_options import MOST, ChannelOptions
-from protocol.bounds import Range, check_ranges
+from protocol.bounds import Options, Range
 
 MIN_FRAME = 16
 """Minimum frame size in bytes: the longest packet that cannot be split, a broadcast, and a checksum."""
@@ -41,7 +41,7 @@ class Partition:
 
 
 @dataclass(frozen=True)
-class PathLossOptions:
+class PathLossOptions(Options):
     """Options of links that distance and walls weaken (model ``log-distance``)."""
 
     exponent: Annotated[float, Range(0.1, 10)] = 2.0
@@ -55,15 +55,10 @@ class PathLossOptions:
     shadowing_m: Annotated[float, Range(0.01, MOST)] = 5.0
     """Log-distance: side of the squares with constant shadowing, meters."""
 
-    def __post_init__(self) -> None:
-        check_ranges(self)
-
 
 @dataclass(frozen=True)
 class RadioOptions(PathLossOptions, ChannelOptions):
     """Options of the radio; docs/radios.md names the sources of their numbers."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
 
     preset: str = ""
     """Radio by name, for values that the scenario does not give (`protocol.presets`)."""
@@ -85,7 +80,7 @@ class RadioOptions(PathLossOptions, ChannelOptions):
     """Steps in which groups of robots are out of each other's range."""
 
     def __post_init__(self) -> None:
-        ChannelOptions.__post_init__(self)
+        super().__post_init__()
         for name in ("frame_bytes", "send_bytes", "receive_bytes"):
             if 0 < getattr(self, name) < MIN_FRAME:
                 raise ValueError(

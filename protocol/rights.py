@@ -89,10 +89,7 @@ TOO_MANY_ERRORS = f"sent more than {MAX_PROTOCOL_ERRORS} malformed messages in a
 def read(key: str, payload: bytes) -> Any:
     """Decode a message that was received under a key.
 
-    Raises
-    ------
-    ProtocolError
-        The message is malformed or too long, or its sender may not send it to its receiver.
+    ProtocolError: it is malformed or too long, or its sender may not send it to its receiver.
     """
     return _reader(key)(payload)
 

@@ -173,12 +173,7 @@ def _radio_settings(scenario: Scenario, world_map: Map, range_m: float, incarnat
 
 
 def _robot_settings(
-    scenario: Scenario,
-    world_map: Map,
-    bodies: list[Body],
-    radio: RadioSettings,
-    *,
-    record_maps: bool,
+    scenario: Scenario, world_map: Map, bodies: list[Body], radio: RadioSettings, *, record_maps: bool
 ) -> dict[int, Settings]:
     # The sender of a broadcast does not notice without acknowledgments that a teammate is deaf.
     may_be_deaf = any(fault.kind == "deaf" for fault in scenario.faults)

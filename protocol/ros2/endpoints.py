@@ -11,7 +11,7 @@ import threading
 from abc import ABC, abstractmethod
 from collections import deque
 from itertools import count
-from typing import Any, Protocol
+from typing import Any
 
 import zenoh
 
@@ -20,13 +20,6 @@ from protocol.ros2.messages import Messages
 from protocol.ros2.names import DataKey, qualified
 from protocol.ros2.qos import Qos
 from protocol.ros2.tokens import EndpointToken, Kind, NodeToken, gid
-
-
-class Undeclarable(Protocol):
-    """A declaration of Zenoh."""
-
-    def undeclare(self) -> None:
-        """Withdraw the declaration."""
 
 
 class Link:
@@ -54,15 +47,15 @@ class Endpoint:
         self.token = token
         self.key = str(token.data_key)
         self.gid = gid(str(token))
-        self._declared: list[Undeclarable] = []
+        self._declared: list[Any] = []
 
     @property
     def name(self) -> str:
         """Qualified name of its topic or service."""
         return self.token.data_key.name
 
-    def announce(self, declared: Undeclarable) -> None:
-        """Keep a declaration, and declare the liveliness token: other nodes now see the endpoint."""
+    def announce(self, declared: Any) -> None:
+        """Keep a declaration of Zenoh, and declare the liveliness token: other nodes now see the endpoint."""
         liveliness = self.link.session.liveliness().declare_token(str(self.token))
         self._declared = [declared, liveliness]
 

@@ -104,11 +104,7 @@ class ServiceClient(Receiver):
         arrive: zenoh.handlers.Callback[zenoh.Reply] = zenoh.handlers.Callback(
             lambda reply: self.put((sequence, reply)), lambda: self.put((sequence, None))
         )
-        self._querier.get(
-            arrive,
-            payload=payload,
-            attachment=Attachment(sequence, now_ns, self.gid).encode(),
-        )
+        self._querier.get(arrive, payload=payload, attachment=Attachment(sequence, now_ns, self.gid).encode())
 
     def decode(self, item: tuple[int, zenoh.Reply | None]) -> tuple[int, Any]:
         """Decode a reply, None if there is none, to the response to a request; ProtocolError also for an error."""
