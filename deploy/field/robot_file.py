@@ -101,23 +101,15 @@ class Ros2Table(Table):
     base_frame: str = Field("base_link", description="the frame of the robot's base")
 
     @model_validator(mode="after")
-    def _has_readings(self) -> Self:
+    def _fits_together(self) -> Self:
         if not self.scan and not self.map:
             raise ValueError(
                 "scan and map are both empty, so that the robot has no readings; name one of them"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _takes_goals(self) -> Self:
         if not self.goal_pose and not self.navigate_to_pose:
             raise ValueError(
                 "goal_pose and navigate_to_pose are both empty, so that the robot cannot be driven"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _has_valid_names(self) -> Self:
         if not re.fullmatch(r"[a-z0-9-]+/\S+:[0-9]+([?#]\S+)?|unixsock-stream/\S+", self.router):
             raise ValueError(f"router = {self.router!r}: must be as tcp/localhost:7447")
         for name in ("map_frame", "base_frame"):
@@ -173,13 +165,7 @@ class TeammateTable(Table):
 
 
 class RobotSettings(ControlSettings):
-    """All settings of one robot in the field.
-
-    Raises
-    ------
-    ScenarioError
-        Keys or values are wrong; the message lists all of them.
-    """
+    """All settings of one robot in the field; ScenarioError lists all keys and values that are wrong."""
 
     def __init__(self, **settings: Any) -> None:
         try:

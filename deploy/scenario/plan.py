@@ -235,17 +235,14 @@ def _starts(scenario: Scenario, world_map: Map, radii_cells: list[float]) -> lis
         if first is not None and jitter:
             first = jittered(floor, first, jitter, scenario.seed, len(given), (), 0)
         _check_apart(scenario, given, radii_cells)
-        wide = _wide_cells(max(radii_cells), world_map.resolution) if scenario.is_noisy else 1
+        wide = 1
+        if scenario.is_noisy:  # cells for the center of a robot in the narrowest opening
+            wide = narrowest_opening(max(radii_cells), world_map.resolution) - math.ceil(2 * max(radii_cells))
         return start_cells(floor, scenario.robots, scenario.seed, spacing, first, given, wide=wide)
     except ValueError as error:
         is_drawn = scenario.start is None and not scenario.starts
         hint = "" if is_drawn else f"; murmur map show {scenario.map} shows free cells"
         raise ScenarioError(f"start on map {world_map.name}: {error}{hint}") from None
-
-
-def _wide_cells(radius_cells: float, resolution: float) -> int:
-    """Return how many cells robots with real sensors have for their centers in the narrowest opening."""
-    return max(1, narrowest_opening(radius_cells, resolution) - math.ceil(2 * radius_cells))
 
 
 def _cell(world_map: Map, point: tuple[float, float]) -> Cell:
