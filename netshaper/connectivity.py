@@ -72,8 +72,7 @@ def log_distance(
     x, y = places.T
     away = np.hypot(x[:, None] - x, y[:, None] - y).astype(np.float64)
     loss = (options.db_per_wall * walls_crossed(walls, places) + extra_db).astype(np.float64)
-    received: Links = margin_db(away, loss, range_cells, cell_m, options) >= 0
-    return received
+    return margin_db(away, loss, range_cells, cell_m, options) >= 0
 
 
 def margin_db(
@@ -95,8 +94,7 @@ def margin_db(
     margin += options.db_per_meter * cell_m * (range_cells - away)
     margin -= loss_db
     # Rounded to thousandths of a dB, so that results do not depend on the machine's logarithm.
-    rounded: NDArray[np.float64] = np.where(away == 0, np.inf, np.rint(1000 * margin) / 1000)
-    return rounded
+    return np.where(away == 0, np.inf, np.rint(1000 * margin) / 1000)
 
 
 def shadowing(places: Places, cell_m: float, seed: int, options: PathLossOptions) -> NDArray[np.float64]:

@@ -167,8 +167,10 @@ class RelayNode:
         if not self._begun and self._expected <= self._present:
             self._begun = True
             self._put(names.WORLD, pack(messages.Begin()))
-        elif self._begun and robot is not None:
-            self._come_back(robot)
+        elif self._begun and robot is not None:  # it was lost, and takes part again from the next step on
+            self._radio.back(robot)
+            self._report(messages.Back(robot))
+            self._put(names.WORLD, pack(messages.Back(robot)))
 
     def _leave(self, name: str) -> None:
         """End the run without world or recorder; continue without a robot, unless it may come back."""
@@ -208,12 +210,6 @@ class RelayNode:
         name = names.robot(robot)
         if name in self._present and robot in self._settings:
             self._put(name, self._settings[robot])
-
-    def _come_back(self, robot: int) -> None:
-        """Let a robot that was lost take part again from the next step on."""
-        self._radio.back(robot)
-        self._report(messages.Back(robot))
-        self._put(names.WORLD, pack(messages.Back(robot)))
 
     def _take(self, sender: str, message: object, payload: bytes) -> None:
         """Take a message of a participant; ProtocolError if its frames are too long."""

@@ -42,8 +42,7 @@ def union(first: Boxes, second: Boxes) -> Boxes:
     """Return at most `MAX_BOXES` boxes that cover all cells of both arguments."""
     if not len(first) or not len(second):
         return first if len(first) else second
-    covered: Boxes = _union(first, second)
-    return covered
+    return _union(first, second)
 
 
 def bounding_box(boxes: Iterable[Sequence[int]]) -> Box:

@@ -169,8 +169,7 @@ def heading_of(dx: int, dy: int) -> int:
 def too_near(reach: float) -> NDArray[np.bool_]:
     """Cells less than `reach` cells, or one cell, from the middle one, as a square mask."""
     side = np.arange(-int(reach), int(reach) + 1)
-    near: NDArray[np.bool_] = side[:, None] ** 2 + side[None, :] ** 2 < max(reach, 1.0) ** 2
-    return near
+    return side[:, None] ** 2 + side[None, :] ** 2 < max(reach, 1.0) ** 2
 
 
 def mark_near(taken: NDArray[np.uint8], cell: tuple[int, int], reach: float, bit: int) -> NDArray[np.uint8]:

@@ -126,8 +126,7 @@ def shortest_way(floor: Grid, start: Cell, end: Cell) -> Cells:
 
     Only free cells of `floor`, uint8 of shape (h, w), are entered, and corners are not cut. Empty without a way.
     """
-    way: Cells = _shortest_way(floor == FREE, *start, *end)
-    return way
+    return _shortest_way(floor == FREE, *start, *end)
 
 
 @kernel

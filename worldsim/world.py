@@ -293,8 +293,7 @@ def scans_in(step: int, rate: float) -> bool:
 def beams_outside(beams: int, angle: float, width: float) -> NDArray[np.bool_]:
     """Return which beams a turning scanner does not send while it turns by `width` degrees from `angle`."""
     degrees = np.arange(beams) * (FULL_TURN / beams)
-    outside: NDArray[np.bool_] = (degrees - angle) % FULL_TURN >= min(width, FULL_TURN)
-    return outside
+    return (degrees - angle) % FULL_TURN >= min(width, FULL_TURN)
 
 
 def reachable_by_team(truth: Grid, settings: WorldSettings) -> NDArray[np.bool_]:

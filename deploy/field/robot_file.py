@@ -218,7 +218,12 @@ class RobotSettings(ControlSettings):
             raise ValueError(
                 f"robot = {self.robot}: the last robot of {self.robots} has number {self.robots - 1}"
             )
-        self._check_teammates()
+        numbers = [each.robot for each in self.teammate]
+        check_numbers("teammate", numbers, self.robots)
+        if self.robot in numbers:
+            raise ValueError(
+                f"[[teammate]] names robot {self.robot}, which is this robot: set its values at the top of the file"
+            )
         if self.robots * self.starts > MAX_GOSSIP_MAPS:
             raise ValueError(
                 f"starts = {self.starts}: packets can address {MAX_GOSSIP_MAPS} maps, one per start of each robot; "
@@ -228,15 +233,6 @@ class RobotSettings(ControlSettings):
             if reach is not None and reach < 2 * self.grid.resolution:
                 raise ValueError(f"sensor_range = {reach:g}: must be two cells of the grid, or more")
         return self
-
-    def _check_teammates(self) -> None:
-        """Raise ValueError if a `[[teammate]]` table names a robot that is no teammate, or two tables name the same."""
-        numbers = [each.robot for each in self.teammate]
-        check_numbers("teammate", numbers, self.robots)
-        if self.robot in numbers:
-            raise ValueError(
-                f"[[teammate]] names robot {self.robot}, which is this robot: set its values at the top of the file"
-            )
 
 
 @dataclass(frozen=True)

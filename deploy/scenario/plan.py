@@ -29,7 +29,6 @@ from protocol.grid import FREE, enlarge
 from worldsim.base import BaseWorld
 from worldsim.maps import Map, MapError, to_cell
 from worldsim.people import PeopleSettings
-from worldsim.people_options import PeopleOptions
 from worldsim.recorded.world import RecordedWorld
 from worldsim.starts import Cell, check_free, jittered, start_cells
 from worldsim.world import World, WorldSettings
@@ -119,7 +118,7 @@ def _world_settings(
     scenario: Scenario, bodies: list[Body], starts: Sequence[Cell], cell: float, recording: Recording | None
 ) -> WorldSettings:
     """Return the settings of the world, with cells of `cell` meters."""
-    chosen = strategy(scenario.strategy)
+    chosen, people = strategy(scenario.strategy), scenario.people
     return WorldSettings(
         bodies=tuple(bodies),
         starts=tuple(starts),
@@ -132,14 +131,11 @@ def _world_settings(
         robots_collide=scenario.robots_collide,
         min_coverage=scenario.min_coverage,
         sensors=sensors_of(scenario, bodies, cell),
-        people=_people(scenario.people, cell),
+        people=PeopleSettings(people.number, people.speed / cell, people.radius / cell)
+        if people.number
+        else None,
         step_ns=scenario.step_ns,
     )
-
-
-def _people(people: PeopleOptions, cell: float) -> PeopleSettings | None:
-    """Return the people in the building, with cells of `cell` meters; None if there are none."""
-    return PeopleSettings(people.number, people.speed / cell, people.radius / cell) if people.number else None
 
 
 def _check_people(world_map: Map, settings: WorldSettings) -> None:

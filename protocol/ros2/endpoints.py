@@ -10,6 +10,7 @@ from __future__ import annotations
 import threading
 from abc import ABC, abstractmethod
 from collections import deque
+from collections.abc import Callable
 from itertools import count
 from typing import Any
 
@@ -66,10 +67,16 @@ class Endpoint:
 
 
 class Receiver(Endpoint, ABC):
-    """An endpoint with an inbox of at most `most` items, None for no limit; a new item replaces the oldest one."""
+    """An endpoint with an inbox of at most `most` items, None for no limit; a new item replaces the oldest one.
 
-    def __init__(self, link: Link, token: EndpointToken, most: int | None) -> None:
+    `handle` is called with each decoded item, and the time in nanoseconds since 1970.
+    """
+
+    def __init__(
+        self, link: Link, token: EndpointToken, most: int | None, handle: Callable[[Any, int], object]
+    ) -> None:
         super().__init__(link, token)
+        self._handle = handle
         self.rejected = 0
         """Number of malformed messages."""
         self.last_error = ""
@@ -82,7 +89,7 @@ class Receiver(Endpoint, ABC):
         self.link.wake.set()
 
     def take(self, now_ns: int) -> int:
-        """Decode all items of the inbox and hand them to their callbacks; return how many."""
+        """Decode and handle all items of the inbox; return how many."""
         taken = len(self.inbox)
         for _ in range(taken):
             try:
@@ -91,16 +98,12 @@ class Receiver(Endpoint, ABC):
                 self.rejected += 1
                 self.last_error = f"{self.name}: {error}"
             else:
-                self.handle(decoded, now_ns)
+                self._handle(decoded, now_ns)
         return taken
 
     @abstractmethod
     def decode(self, item: Any) -> Any:
         """Decode an item of the inbox; ProtocolError if it is malformed."""
-
-    @abstractmethod
-    def handle(self, decoded: Any, now_ns: int) -> None:
-        """Hand a decoded item to its callback, at `now_ns` since 1970."""
 
 
 def content(part: zenoh.ZBytes | None) -> bytes | None:

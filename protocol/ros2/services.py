@@ -54,9 +54,8 @@ class ServiceServer(Receiver):
     """A server of a service."""
 
     def __init__(self, link: Link, name: str, type_name: str, on_request: OnRequest) -> None:
-        super().__init__(link, link.token(Kind.SERVER, name, type_name, DEFAULT), DEFAULT.kept)
+        super().__init__(link, link.token(Kind.SERVER, name, type_name, DEFAULT), DEFAULT.kept, on_request)
         self._type = type_name
-        self._on_request = on_request
         self.announce(link.session.declare_queryable(self.key, self.put, complete=True))
 
     def decode(self, item: zenoh.Query) -> Request:
@@ -69,16 +68,12 @@ class ServiceServer(Receiver):
             raise
         return Request(message, source, self, item)
 
-    def handle(self, decoded: Request, now_ns: int) -> None:
-        """Hand a request to the callback."""
-        self._on_request(decoded, now_ns)
-
 
 class ServiceClient(Receiver):
     """A client of a service."""
 
     def __init__(self, link: Link, name: str, type_name: str, timeout_s: float = TIMEOUT_S) -> None:
-        super().__init__(link, link.token(Kind.CLIENT, name, type_name, DEFAULT), None)
+        super().__init__(link, link.token(Kind.CLIENT, name, type_name, DEFAULT), None, self._respond)
         self._type = type_name
         self._sequence = 0
         self._waiting: dict[int, OnResponse] = {}
@@ -122,7 +117,7 @@ class ServiceClient(Receiver):
             raise ProtocolError(f"{self._type}_Response", 0, reason)
         return sequence, self.link.messages.decode(sample.payload.to_bytes(), f"{self._type}_Response")
 
-    def handle(self, decoded: tuple[int, Any], now_ns: int) -> None:
+    def _respond(self, decoded: tuple[int, Any], now_ns: int) -> None:
         """Hand a response to the callback of its request."""
         sequence, response = decoded
         on_response = self._waiting.pop(sequence, None)

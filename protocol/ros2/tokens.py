@@ -97,11 +97,6 @@ def gid(token: str) -> bytes:
     return digest(token.encode())[::-1]
 
 
-def all_tokens(domain: int) -> str:
-    """Return the key expression that matches all tokens of a domain."""
-    return f"{ROOT}/{domain}/**"
-
-
 def parse_token(token: str) -> NodeToken | EndpointToken:
     """Parse a token; ProtocolError says which part is wrong. Parts after the last known one are ignored."""
     parts = token.split("/")
