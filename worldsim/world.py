@@ -21,7 +21,7 @@ from protocol.scans import NONE, draw
 from worldsim import motion
 from worldsim.base import BaseWorld
 from worldsim.laser import FULL_TURN, HEADINGS, cast
-from worldsim.people import People, PeopleSettings
+from worldsim.people import People, PeopleSettings, RobotDisc
 from worldsim.range_laser import NO_DISCS
 from worldsim.sensors import Sensors, SensorSettings
 
@@ -74,10 +74,13 @@ class World(BaseWorld):
         self._taken = np.zeros(truth.shape, np.uint8)
         self._reachable_by: dict[int, NDArray[np.bool_]] = {}
         """The free cells that a robot can reach, by robots whose reports were checked."""
+        self._widest = max(self.floors, default=0.0)
         self._carry = [0.0] * len(settings.starts)
         self._scanner_angle = [0.0] * len(settings.starts)
         self._sensors = None if settings.sensors is None else Sensors(settings.sensors, settings.seed)
-        self._people = None if settings.people is None else self._place_people(settings.people)
+        self._people = None
+        if settings.people is not None:
+            self._people = People(truth, self.reachable, self._discs(), settings.people, settings.seed)
 
     @property
     def people(self) -> list[tuple[int, int]]:
@@ -88,10 +91,6 @@ class World(BaseWorld):
     def _ray_tables(self) -> list[RayTable]:
         """The cells of each robot's beams."""
         return [ray_table(body.range_cells, self.settings.beams) for body in self.settings.bodies]
-
-    @cached_property
-    def _widest(self) -> float:
-        return max((body.radius_cells for body in self.settings.bodies), default=0.0)
 
     def restore(self, robot: int) -> None:
         """Put a removed robot back where it was, or into the nearest free cell if that one is taken."""
@@ -128,8 +127,10 @@ class World(BaseWorld):
             if move is not None:
                 entered[robot], blocked[robot] = self._move(robot, move, before)
         if self._people is not None:
-            self._people.advance(self.step, self._cells_near_robots(self._people.radius_cells))
-        occupied = self._standing()
+            self._people.advance(self.step, self._discs())
+        occupied = np.zeros(self.truth.shape, np.bool_)
+        for x, y in self.cells.values() if self.settings.robots_collide else ():
+            occupied[y, x] = True
         looking = {
             robot: scans_in(self.step, self.settings.bodies[robot].scan_rate)
             and (robot not in moves or moves[robot].look)
@@ -202,18 +203,8 @@ class World(BaseWorld):
             marked += self._people.mark(self._taken, own)
         return marked
 
-    def _place_people(self, settings: PeopleSettings) -> People:
-        """Place people on cells that robots can reach; ValueError if there are too few."""
-        near = self._cells_near_robots(settings.radius_cells)
-        return People(self.truth, self.reachable, near, settings, self.settings.seed)
-
-    def _cells_near_robots(self, radius_cells: float) -> NDArray[np.bool_]:
-        """Return the cells that people of this radius do not enter because of robots."""
-        near = np.zeros(self.truth.shape, np.uint8)
-        for robot, cell in self.cells.items():
-            reach = radius_cells + self.settings.bodies[robot].radius_cells
-            motion.mark_near(near, cell, reach, motion.TAKEN_BY_ROBOT)
-        return near.view(np.bool_)
+    def _discs(self) -> list[RobotDisc]:
+        return [(cell, self.settings.bodies[robot].radius_cells) for robot, cell in self.cells.items()]
 
     def _hindered(self, robot: int, before: Mapping[int, tuple[int, int]]) -> bool:
         limit = self.settings.interference_cells
@@ -228,12 +219,6 @@ class World(BaseWorld):
             return False
         draw_of = keyed_random(self.settings.seed, "interference", robot, self.step)
         return bool(draw_of.random() >= MOVES_AS_PLANNED)
-
-    def _standing(self) -> NDArray[np.bool_]:
-        occupied = np.zeros(self.truth.shape, np.bool_)
-        for x, y in self.cells.values() if self.settings.robots_collide else ():
-            occupied[y, x] = True
-        return occupied
 
     def _sense(
         self,
