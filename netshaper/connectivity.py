@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 
 from netshaper.radio_options import Partition, PathLossOptions
 from protocol.arrays import Int64Rows
-from protocol.grid import OCCUPIED, Grid
+from protocol.grid import OCCUPIED, Cell, Grid
 from protocol.kernels import kernel
 from protocol.keyed_random import keyed_random
 
-Cell = tuple[int, int]
 Links = NDArray[np.bool_]
 """Shape (robots, robots), symmetric."""
 Places = NDArray[np.int64]

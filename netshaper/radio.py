@@ -38,6 +38,7 @@ from netshaper.phase_clock import PHASES
 from netshaper.settings import RadioSettings
 from netshaper.topology import Topology
 from protocol.faults import RADIO_KINDS, FaultSchedule
+from protocol.grid import Cell
 from protocol.keyed_random import keyed_random
 from protocol.messages import (
     Broadcasts,
@@ -104,7 +105,7 @@ class Radio:
 
     # --- events from outside
 
-    def begin(self, step: int, cells: Mapping[int, tuple[int, int]]) -> None:
+    def begin(self, step: int, cells: Mapping[int, Cell]) -> None:
         """Open the medium for a step, with the true cell (x, y) of each living robot.
 
         The account of this step includes the frames that robots sent while the medium was closed. A single robot's

@@ -37,6 +37,9 @@ MAX_ROBOTS = 256
 
 Grid = Annotated[NDArray[np.uint8], "uint8[:,::1]"]
 
+Cell = tuple[int, int]
+"""Column and row of a cell."""
+
 _REACH = 0.5
 """Half the side of a cell, in cells."""
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.arrays import BoolRows, Cells, FloatRows
-from protocol.grid import FREE, Grid, enlarge
+from protocol.grid import FREE, Cell, Grid, enlarge
 from protocol.kernels import kernel
 from protocol.keyed_random import keyed_random
 from worldsim.largest_part import largest_part
@@ -25,8 +25,6 @@ WAIT = 2
 
 LONGEST_STAY = 10
 """Most steps that a person stays at the end of a way."""
-
-Cell = tuple[int, int]
 
 RobotDisc = tuple[Cell, float]
 """Cell of a robot's center, and its radius in cells."""

@@ -8,11 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.grid import FREE, Grid
+from protocol.grid import FREE, Cell, Grid
 from protocol.keyed_random import keyed_random
 from worldsim.largest_part import largest_part
-
-Cell = tuple[int, int]
 
 
 def start_cells(

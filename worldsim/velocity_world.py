@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.arrays import Uint16s
-from protocol.grid import FINE, FREE, Grid, enlarge, ray_table
+from protocol.grid import FINE, FREE, Cell, Grid, enlarge, ray_table
 from protocol.keyed_random import keyed_random
 from protocol.map_frame import MapFrame
 from protocol.range_scans import UNIT
@@ -92,7 +92,7 @@ class VelocityWorld:
         x, y = self._points[robot]
         return Pose(*self.frame.position(x / FINE + 0.5, y / FINE + 0.5), self._yaws[robot])
 
-    def cell(self, robot: int) -> tuple[int, int]:
+    def cell(self, robot: int) -> Cell:
         """Return the cell (x, y) of a robot's center."""
         return cell_of(self._points[robot])
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from protocol.arrays import BoolRows
 from protocol.body import Body, narrowest_opening
 from protocol.cell_bytes import cells_from_bytes, cells_to_bytes, points_from_bytes
-from protocol.grid import FINE, FREE, Grid, RayTable, disc, enlarge, ray_table
+from protocol.grid import FINE, FREE, Cell, Grid, RayTable, disc, enlarge, ray_table
 from protocol.kernels import kernel
 from protocol.keyed_random import keyed_random
 from protocol.messages import FaultEvent, Move, Sense
@@ -35,7 +35,7 @@ class WorldSettings:
 
     bodies: tuple[Body, ...]
     """One per robot."""
-    starts: tuple[tuple[int, int], ...]
+    starts: tuple[Cell, ...]
     """Cell (x, y) where each robot starts."""
     beams: int = 360
     """Laser beams per full turn."""
@@ -83,7 +83,7 @@ class World(BaseWorld):
             self._people = People(truth, self.reachable, self._discs(), settings.people, settings.seed)
 
     @property
-    def people(self) -> list[tuple[int, int]]:
+    def people(self) -> list[Cell]:
         """The cell of each person in the building."""
         return [] if self._people is None else self._people.cells
 
@@ -118,7 +118,7 @@ class World(BaseWorld):
     def move_robots(self, moves: Mapping[int, Move]) -> Iterator[tuple[int, Sense]]:
         """Begin the next step: move the robots, and return an iterator that casts one scan at a time."""
         self.step += 1
-        entered: dict[int, list[tuple[int, int]]] = {}
+        entered: dict[int, list[Cell]] = {}
         blocked: dict[int, str] = {}
         before = dict(self.cells)
         for robot in self.active_robots():
@@ -141,9 +141,7 @@ class World(BaseWorld):
             for robot, look in looking.items()
         )
 
-    def _move(
-        self, robot: int, move: Move, before: Mapping[int, tuple[int, int]]
-    ) -> tuple[list[tuple[int, int]], str]:
+    def _move(self, robot: int, move: Move, before: Mapping[int, Cell]) -> tuple[list[Cell], str]:
         """Move one robot; return the cells found free on its path, and what blocked it."""
         path = [(x, y) for x, y in cells_from_bytes(move.path).tolist()]
         points = [(x, y) for x, y in points_from_bytes(move.points).tolist()] if move.points else []
@@ -175,7 +173,7 @@ class World(BaseWorld):
         return motion.swept(start, result.cells), result.blocked
 
     def _mark_others(
-        self, robot: int, way: float, path: Sequence[tuple[int, int]] | None = None
+        self, robot: int, way: float, path: Sequence[Cell] | None = None
     ) -> list[NDArray[np.uint8]]:
         """Mark the cells that a robot's center may not enter because of other robots, or of people.
 
@@ -206,7 +204,7 @@ class World(BaseWorld):
     def _discs(self) -> list[RobotDisc]:
         return [(cell, self.settings.bodies[robot].radius_cells) for robot, cell in self.cells.items()]
 
-    def _hindered(self, robot: int, before: Mapping[int, tuple[int, int]]) -> bool:
+    def _hindered(self, robot: int, before: Mapping[int, Cell]) -> bool:
         limit = self.settings.interference_cells
         if not limit:
             return False
@@ -226,7 +224,7 @@ class World(BaseWorld):
         x: int,
         y: int,
         occupied: NDArray[np.bool_],
-        entered: list[tuple[int, int]],
+        entered: list[Cell],
         blocked: str,
         look: bool,
     ) -> Sense:
@@ -296,9 +294,7 @@ def reachable_by_team(truth: Grid, settings: WorldSettings) -> NDArray[np.bool_]
     return found
 
 
-def _reachable_by_body(
-    truth: Grid, start: tuple[int, int], body: Body, settings: WorldSettings
-) -> NDArray[np.bool_]:
+def _reachable_by_body(truth: Grid, start: Cell, body: Body, settings: WorldSettings) -> NDArray[np.bool_]:
     """Return the free cells that a robot with this body explores from `start`."""
     found = reachable_by(truth, start, body.radius_cells)
     if settings.sensors is None:
@@ -306,7 +302,7 @@ def _reachable_by_body(
     return wide_part(found, start, narrowest_opening(body.radius_cells, settings.sensors.resolution))
 
 
-def reachable_by(truth: Grid, start: tuple[int, int], radius_cells: float) -> NDArray[np.bool_]:
+def reachable_by(truth: Grid, start: Cell, radius_cells: float) -> NDArray[np.bool_]:
     """Return the free cells that a disc starting at `start` can reach with its center, or cover from there."""
     from scipy import ndimage  # noqa: PLC0415  slow to import, and few commands need it
 
@@ -319,7 +315,7 @@ def reachable_by(truth: Grid, start: tuple[int, int], radius_cells: float) -> ND
     return covered
 
 
-def wide_part(cells: NDArray[np.bool_], start: tuple[int, int], width: int) -> NDArray[np.bool_]:
+def wide_part(cells: NDArray[np.bool_], start: Cell, width: int) -> NDArray[np.bool_]:
     """Return the cells that a square of `width` cells covers if it moves within `cells`, shape (h, w).
 
     It begins as near as possible to `start`. All cells are returned if no such square fits.
@@ -337,7 +333,7 @@ def wide_part(cells: NDArray[np.bool_], start: tuple[int, int], width: int) -> N
     return covered
 
 
-def reachable_from(truth: Grid, start: tuple[int, int]) -> NDArray[np.bool_]:
+def reachable_from(truth: Grid, start: Cell) -> NDArray[np.bool_]:
     """Return the free cells that a robot can reach from `start`: its 4-connected component, as corners are not cut."""
     from scipy import ndimage  # noqa: PLC0415  slow to import, and few commands need it
 

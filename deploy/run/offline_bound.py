@@ -24,13 +24,12 @@ from agent.planning.frontier import Floor
 from agent.planning.jump_point_search import costs_between
 from agent.planning.team_tours import Task, team_tours
 from deploy.scenario.plan import Plan
-from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, enlarge, ray_table
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Cell, Grid, enlarge, ray_table
 from protocol.scans import draw
 from worldsim.laser import cast
 from worldsim.motion import drive
 from worldsim.world import reachable_from
 
-Cell = tuple[int, int]
 Indices = NDArray[np.int32]
 
 LATTICE = 1 / 8

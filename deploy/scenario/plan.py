@@ -25,12 +25,12 @@ from protocol import faults
 from protocol.body import Body, narrowest_opening
 from protocol.budget import Budget
 from protocol.errors import shown
-from protocol.grid import FREE, enlarge
+from protocol.grid import FREE, Cell, enlarge
 from worldsim.base import BaseWorld
 from worldsim.maps import Map, MapError, to_cell
 from worldsim.people import PeopleSettings
 from worldsim.recorded.world import RecordedWorld
-from worldsim.starts import Cell, check_free, jittered, start_cells
+from worldsim.starts import check_free, jittered, start_cells
 from worldsim.world import World, WorldSettings
 
 
