@@ -37,6 +37,9 @@ MAX_ROBOTS = 256
 
 Grid = Annotated[NDArray[np.uint8], "uint8[:,::1]"]
 
+Mask = NDArray[np.bool_]
+"""A flag for each cell of a grid, indexed ``mask[y, x]``."""
+
 Cell = tuple[int, int]
 """Column and row of a cell."""
 
@@ -141,7 +144,7 @@ def _walk(directions: Int64Rows, range_cells: float) -> tuple[Int32Rows, Int32s]
     return cells[: start[-1]].copy(), start
 
 
-def disc(radius_cells: float) -> NDArray[np.bool_]:
+def disc(radius_cells: float) -> Mask:
     """Return the cells that a disc-shaped robot in the middle cell touches, as a square mask."""
     side = np.arange(-int(radius_cells + _REACH), int(radius_cells + _REACH) + 1)
     return side[:, None] ** 2 + side[None, :] ** 2 < (radius_cells + _REACH) ** 2

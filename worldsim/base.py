@@ -13,10 +13,9 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from protocol.faults import FaultSchedule
-from protocol.grid import Cell, Grid
+from protocol.grid import Cell, Grid, Mask
 from protocol.messages import FaultEvent, Move, Sense
 
 if TYPE_CHECKING:
@@ -33,7 +32,7 @@ class BaseWorld(ABC):
     """Reason of a run's end: all robots have finished."""
     stalled = STALLED
     """Reason of a run's end: no robot makes progress."""
-    reachable: NDArray[np.bool_]
+    reachable: Mask
     """The free cells that the team can see, shape (h, w)."""
 
     def __init__(self, truth: Grid, settings: WorldSettings) -> None:

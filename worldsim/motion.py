@@ -15,12 +15,12 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.grid import FINE, FREE, Cell, Grid
+from protocol.grid import FINE, FREE, Cell, Grid, Mask
 
 Point = tuple[int, int]
 """A position (x, y) in thousandths of a cell."""
 
-Taken = NDArray[np.uint8] | NDArray[np.bool_]
+Taken = NDArray[np.uint8] | Mask
 """Cells that a center may not enter: bits that say why, or a mask of cells near robots."""
 
 _STRIDE = 100
@@ -161,7 +161,7 @@ def heading_of(dx: int, dy: int) -> int:
 
 
 @lru_cache(maxsize=64)
-def too_near(reach: float) -> NDArray[np.bool_]:
+def too_near(reach: float) -> Mask:
     """Cells less than `reach` cells, or one cell, from the middle one, as a square mask."""
     side = np.arange(-int(reach), int(reach) + 1)
     return side[:, None] ** 2 + side[None, :] ** 2 < max(reach, 1.0) ** 2

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.arrays import BoolRows, Cells, FloatRows
-from protocol.grid import FREE, Cell, Grid, enlarge
+from protocol.grid import FREE, Cell, Grid, Mask, enlarge
 from protocol.kernels import kernel
 from protocol.keyed_random import keyed_random
 from worldsim.largest_part import largest_part
@@ -62,12 +62,7 @@ class People:
     """
 
     def __init__(
-        self,
-        truth: Grid,
-        reachable: NDArray[np.bool_],
-        robots: Iterable[RobotDisc],
-        settings: PeopleSettings,
-        seed: int,
+        self, truth: Grid, reachable: Mask, robots: Iterable[RobotDisc], settings: PeopleSettings, seed: int
     ) -> None:
         self.radius_cells, self._speed, self._seed = settings.radius_cells, settings.speed, seed
         floor = largest_part((enlarge(truth, settings.radius_cells) == FREE) & reachable)
@@ -104,14 +99,14 @@ class People:
         for number, person in enumerate(self._people):
             self._advance(number, person, step, taken)
 
-    def _near(self, robots: Iterable[RobotDisc]) -> NDArray[np.bool_]:
+    def _near(self, robots: Iterable[RobotDisc]) -> Mask:
         """Return the cells that people do not enter because of robots, shape (h, w)."""
         near = np.zeros(self._floor.shape, np.uint8)
         for cell, radius_cells in robots:
             mark_near(near, cell, self.radius_cells + radius_cells, TAKEN_BY_ROBOT)
         return near.view(np.bool_)
 
-    def _advance(self, number: int, person: _Person, step: int, taken: NDArray[np.bool_]) -> None:
+    def _advance(self, number: int, person: _Person, step: int, taken: Mask) -> None:
         if not len(person.way) and person.stay:
             person.stay -= 1
             return

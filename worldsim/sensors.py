@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.arrays import FloatRows
-from protocol.grid import FINE, Cell, Grid
+from protocol.arrays import Bools, FloatRows
+from protocol.grid import FINE, Cell, Grid, Mask
 from protocol.keyed_random import keyed_random
 from protocol.messages import Sense
 from protocol.range_scans import NO_MEASUREMENT, TURN, UNIT, Laser, RangeScan, encode_range_scan
@@ -68,8 +68,8 @@ class Sensors:
         robot: int,
         exact: Sense,
         truth: Grid,
-        teammates: NDArray[np.bool_],
-        active: NDArray[np.bool_],
+        teammates: Mask,
+        active: Bools,
         people: FloatRows = NO_DISCS,
     ) -> Sense:
         """Return a robot's readings, given its true pose and the readings of exact sensors.

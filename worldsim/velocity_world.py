@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.arrays import Uint16s
-from protocol.grid import FINE, FREE, Cell, Grid, enlarge, ray_table
+from protocol.grid import FINE, FREE, Cell, Grid, Mask, enlarge, ray_table
 from protocol.keyed_random import keyed_random
 from protocol.map_frame import MapFrame
 from protocol.range_scans import UNIT
@@ -126,7 +126,7 @@ class VelocityWorld:
         self._see(robot)
         return ranges
 
-    def near_others(self, robot: int, within_m: float) -> NDArray[np.bool_]:
+    def near_others(self, robot: int, within_m: float) -> Mask:
         """Return the cells that a robot's center cannot enter because of robots within `within_m`, shape (h, w)."""
         near = np.zeros(self._truth.shape, np.uint8)
         here, own = self.pose(robot), self._settings.bodies[robot].radius_cells

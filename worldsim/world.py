@@ -10,10 +10,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.arrays import BoolRows
+from protocol.arrays import BoolRows, Bools
 from protocol.body import Body, narrowest_opening
 from protocol.cell_bytes import cells_from_bytes, cells_to_bytes, points_from_bytes
-from protocol.grid import FINE, FREE, Cell, Grid, RayTable, disc, enlarge, ray_table
+from protocol.grid import FINE, FREE, Cell, Grid, Mask, RayTable, disc, enlarge, ray_table
 from protocol.kernels import kernel
 from protocol.keyed_random import keyed_random
 from protocol.messages import FaultEvent, Move, Sense
@@ -72,7 +72,7 @@ class World(BaseWorld):
         """Grid of all cells seen by the team's lasers."""
         self._counted = np.zeros(truth.shape, np.bool_)
         self._taken = np.zeros(truth.shape, np.uint8)
-        self._reachable_by: dict[int, NDArray[np.bool_]] = {}
+        self._reachable_by: dict[int, Mask] = {}
         """The free cells that a robot can reach, by robots whose reports were checked."""
         self._widest = max(self.floors, default=0.0)
         self._carry = [0.0] * len(settings.starts)
@@ -219,14 +219,7 @@ class World(BaseWorld):
         return bool(draw_of.random() >= MOVES_AS_PLANNED)
 
     def _sense(
-        self,
-        robot: int,
-        x: int,
-        y: int,
-        occupied: NDArray[np.bool_],
-        entered: list[Cell],
-        blocked: str,
-        look: bool,
+        self, robot: int, x: int, y: int, occupied: Mask, entered: list[Cell], blocked: str, look: bool
     ) -> Sense:
         body = self.settings.bodies[robot]
         heading = self.headings[robot]
@@ -273,18 +266,18 @@ def scans_in(step: int, rate: float) -> bool:
     return math.floor((step - 1) * rate) > math.floor((step - 2) * rate)
 
 
-def beams_outside(beams: int, angle: float, width: float) -> NDArray[np.bool_]:
+def beams_outside(beams: int, angle: float, width: float) -> Bools:
     """Return which beams a turning scanner does not send while it turns by `width` degrees from `angle`."""
     degrees = np.arange(beams) * (FULL_TURN / beams)
     return (degrees - angle) % FULL_TURN >= min(width, FULL_TURN)
 
 
-def reachable_by_team(truth: Grid, settings: WorldSettings) -> NDArray[np.bool_]:
+def reachable_by_team(truth: Grid, settings: WorldSettings) -> Mask:
     """Return the free cells that at least one robot explores: those that it can reach with its disc.
 
     Robots with real sensors do not explore narrow openings, so cells behind them, or in them, do not count.
     """
-    found: NDArray[np.bool_] = np.zeros(truth.shape, np.bool_)
+    found: Mask = np.zeros(truth.shape, np.bool_)
     done: set[float] = set()
     for start, body in zip(settings.starts, settings.bodies, strict=True):
         x, y = start
@@ -294,7 +287,7 @@ def reachable_by_team(truth: Grid, settings: WorldSettings) -> NDArray[np.bool_]
     return found
 
 
-def _reachable_by_body(truth: Grid, start: Cell, body: Body, settings: WorldSettings) -> NDArray[np.bool_]:
+def _reachable_by_body(truth: Grid, start: Cell, body: Body, settings: WorldSettings) -> Mask:
     """Return the free cells that a robot with this body explores from `start`."""
     found = reachable_by(truth, start, body.radius_cells)
     if settings.sensors is None:
@@ -302,7 +295,7 @@ def _reachable_by_body(truth: Grid, start: Cell, body: Body, settings: WorldSett
     return wide_part(found, start, narrowest_opening(body.radius_cells, settings.sensors.resolution))
 
 
-def reachable_by(truth: Grid, start: Cell, radius_cells: float) -> NDArray[np.bool_]:
+def reachable_by(truth: Grid, start: Cell, radius_cells: float) -> Mask:
     """Return the free cells that a disc starting at `start` can reach with its center, or cover from there."""
     from scipy import ndimage  # noqa: PLC0415  slow to import, and few commands need it
 
@@ -310,12 +303,12 @@ def reachable_by(truth: Grid, start: Cell, radius_cells: float) -> NDArray[np.bo
     found = reachable_from(floor, start)
     if floor is truth:
         return found
-    covered: NDArray[np.bool_] = ndimage.binary_dilation(found, disc(radius_cells))
+    covered: Mask = ndimage.binary_dilation(found, disc(radius_cells))
     covered &= truth == FREE
     return covered
 
 
-def wide_part(cells: NDArray[np.bool_], start: Cell, width: int) -> NDArray[np.bool_]:
+def wide_part(cells: Mask, start: Cell, width: int) -> Mask:
     """Return the cells that a square of `width` cells covers if it moves within `cells`, shape (h, w).
 
     It begins as near as possible to `start`. All cells are returned if no such square fits.
@@ -329,15 +322,15 @@ def wide_part(cells: NDArray[np.bool_], start: Cell, width: int) -> NDArray[np.b
         return cells
     nearest = int(np.argmin((columns - start[0]) ** 2 + (rows - start[1]) ** 2))
     first = places[rows[nearest], columns[nearest]]
-    covered: NDArray[np.bool_] = ndimage.binary_dilation(places == first, square)
+    covered: Mask = ndimage.binary_dilation(places == first, square)
     return covered
 
 
-def reachable_from(truth: Grid, start: Cell) -> NDArray[np.bool_]:
+def reachable_from(truth: Grid, start: Cell) -> Mask:
     """Return the free cells that a robot can reach from `start`: its 4-connected component, as corners are not cut."""
     from scipy import ndimage  # noqa: PLC0415  slow to import, and few commands need it
 
     labels, _ = ndimage.label(truth == FREE)
-    found: NDArray[np.bool_] = labels == labels[start[1], start[0]]
+    found: Mask = labels == labels[start[1], start[0]]
     found &= truth == FREE
     return found

@@ -24,7 +24,8 @@ from agent.planning.frontier import Floor
 from agent.planning.jump_point_search import costs_between
 from agent.planning.team_tours import Task, team_tours
 from deploy.scenario.plan import Plan
-from protocol.grid import FREE, OCCUPIED, UNKNOWN, Cell, Grid, enlarge, ray_table
+from protocol.arrays import Bools
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Cell, Grid, Mask, enlarge, ray_table
 from protocol.scans import draw
 from worldsim.laser import cast
 from worldsim.motion import drive
@@ -60,7 +61,7 @@ class KnownBuilding:
         radius_cells: float = 0.0,
     ) -> None:
         standable = reachable_from(enlarge(truth, radius_cells), start)
-        self._required: NDArray[np.bool_] = binary_dilation(standable)
+        self._required: Mask = binary_dilation(standable)
         self.floor: Grid = np.where(standable, FREE, OCCUPIED).astype(np.uint8)
         """Shape (h, w): the cells where a robot may stand are free, all others occupied."""
         self.range_cells = range_cells
@@ -195,7 +196,7 @@ def offline_tours(building: KnownBuilding, starts: Sequence[Cell]) -> list[list[
     return plan.tours
 
 
-def _cover(building: KnownBuilding, unseen: NDArray[np.bool_]) -> list[Cell]:
+def _cover(building: KnownBuilding, unseen: Bools) -> list[Cell]:
     """Choose viewpoints until all unseen cells are seen: a greedy set cover.
 
     `unseen` has a flag per cell of the flattened map; the function clears the flags of seen cells.
@@ -304,7 +305,7 @@ class _Plan:
                 break
         return ends[1]
 
-    def _near(self, cells: Indices) -> tuple[int, int, NDArray[np.bool_]]:
+    def _near(self, cells: Indices) -> tuple[int, int, Mask]:
         """Return where a robot may stand to see all of these cells: corner x0, y0 of a box, and a flag per cell of it.
 
         The flags are a necessary condition: the outermost cells, by x, y, x + y, and x - y, are in range.
@@ -334,7 +335,7 @@ class _Plan:
             cells = cells[is_unseen[cells]]
         return cells
 
-    def _flags(self, cells: Indices) -> NDArray[np.bool_]:
+    def _flags(self, cells: Indices) -> Bools:
         """A flag per cell of the flattened map, set for these cells."""
         flags = np.zeros(self._building.floor.size, np.bool_)
         flags[cells] = True

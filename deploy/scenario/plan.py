@@ -7,9 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-import numpy as np
-from numpy.typing import NDArray
-
 from agent.replication.policies import GOSSIP
 from agent.settings import MediumSettings, ReplicationSettings, Settings
 from agent.strategies.registry import strategy
@@ -25,7 +22,7 @@ from protocol import faults
 from protocol.body import Body, narrowest_opening
 from protocol.budget import Budget
 from protocol.errors import shown
-from protocol.grid import FREE, Cell, enlarge
+from protocol.grid import FREE, Cell, Mask, enlarge
 from worldsim.base import BaseWorld
 from worldsim.maps import Map, MapError, to_cell
 from worldsim.people import PeopleSettings
@@ -57,7 +54,7 @@ class Plan:
         return not self.scenario.is_field
 
     @cached_property
-    def reachable(self) -> NDArray[np.bool_]:
+    def reachable(self) -> Mask:
         """The free cells that the team can see, shape (h, w); of a team in the field, the free cells of its map."""
         return self.make_world().reachable if self.has_truth else self.map.cells == FREE
 

@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.grid import FREE, MAX_SIDE, OCCUPIED, UNKNOWN, Grid
+from protocol.grid import FREE, MAX_SIDE, OCCUPIED, UNKNOWN, Grid, Mask
 from worldsim.largest_part import largest_part
 from worldsim.maps import MapError
 
@@ -197,7 +197,7 @@ SHAPES: tuple[Shape, ...] = (disc, box, rock, angle)
 def scatter(
     cells: Grid,
     random: np.random.Generator,
-    where: NDArray[np.bool_],
+    where: Mask,
     *,
     count: int,
     radii: tuple[float, float],
