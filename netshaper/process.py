@@ -155,7 +155,8 @@ class RelayNode:
             self._reconnect(robot)
             return
         if robot is not None and self._begun and not self._may_return:
-            self._refuse(name)
+            self._put(name, pack(messages.Shutdown()))
+            self._fault(name, "joined again after it was lost; it may not start again in this run")
             return
         if self._resend is not None and not self._begun:
             self._resend(name)
@@ -200,11 +201,6 @@ class RelayNode:
             self._put(other, pack(restored))
         self._report(restored)
 
-    def _refuse(self, name: str) -> None:
-        """Shut a robot down that was lost: without another incarnation, it cannot take part again."""
-        self._put(name, pack(messages.Shutdown()))
-        self._fault(name, "joined again after it was lost; it may not start again in this run")
-
     def _configure(self, robot: int) -> None:
         """Send a robot its settings once the robot has joined and the settings have arrived."""
         name = names.robot(robot)
@@ -241,13 +237,20 @@ class RelayNode:
                 self._shut_down()
 
     def _submit(self, sender: str, submitted: messages.RobotFrames, size: int) -> None:
-        """Give a robot's frames to the radio; give up on a robot that sends too many bytes in a step."""
+        """Give a robot's frames to the radio; give up on a robot that sends too many bytes in a step.
+
+        Raises ProtocolError if a frame is longer than any frame that could be carried.
+        """
         self._submitted_bytes[sender] += size
         if self._submitted_bytes[sender] > MAX_STEP_BYTES:
             self.give_up_on(names.number(sender), TOO_MANY_BYTES.format(MAX_STEP_BYTES))
             return
-        if size > self._radio.settings.max_frame_bytes:
-            self._check_lengths(submitted)
+        most = self._radio.settings.max_frame_bytes
+        if size > most:
+            longest = max([len(submitted.broadcast), *[len(frame.payload) for frame in submitted.frames]])
+            if longest > most:
+                reason = f"a frame of {longest} bytes, where {most} are the most that can be carried"
+                raise ProtocolError("RobotFrames", 0, reason)
         self._radio.submit(names.number(sender), submitted)
         self._send_events()
 
@@ -275,14 +278,6 @@ class RelayNode:
         for name in sorted(self._present | ({names.VIEW} if self._watched else set())):
             self._put(name, pack(messages.Shutdown()))
         self.shutting_down = True
-
-    def _check_lengths(self, submitted: messages.RobotFrames) -> None:
-        """Raise ProtocolError if a frame is longer than any frame that could be carried."""
-        longest = max([len(submitted.broadcast), *[len(frame.payload) for frame in submitted.frames]])
-        most = self._radio.settings.max_frame_bytes
-        if longest > most:
-            reason = f"a frame of {longest} bytes, where {most} are the most that can be carried"
-            raise ProtocolError("RobotFrames", 0, reason)
 
     def _send_events(self) -> None:
         """Send robots their events, in one message each, and report the step if it has ended."""

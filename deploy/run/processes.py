@@ -177,11 +177,10 @@ def silence_s(reply_timeout_s: float, pause_s: float) -> float:
 def serve_world(credential: Credential, task: WorldTask, wrap: Wrap | None = None) -> None:
     """Serve as the world of a run."""
     joined, bus = _joined(credential, wrap)
-    keys = Keys(credential.run)
     step_ns = task.world.settings.step_ns
     node = WorldNode(
         bus,
-        keys,
+        Keys(credential.run),
         task.world,
         task.steps,
         task.cell_mm,

@@ -13,17 +13,7 @@ from enum import StrEnum
 
 from protocol.errors import ProtocolError, shown
 from protocol.packages import require
-from protocol.ros2.names import (
-    DataKey,
-    check_hash,
-    check_node,
-    dds_type,
-    demangled,
-    domain_of,
-    mangled,
-    qualified,
-    ros_type,
-)
+from protocol.ros2 import names
 from protocol.ros2.qos import Qos, parse_qos
 
 try:
@@ -63,7 +53,7 @@ class NodeToken:
     def text(self, entity_id: int, kind: Kind) -> str:
         """Return the token of the node, or the first parts of that of an endpoint."""
         where = f"{ROOT}/{self.domain}/{self.session}/{self.node_id}/{entity_id}/{kind}"
-        return f"{where}/{mangled(self.enclave)}/{mangled(self.namespace)}/{self.name}"
+        return f"{where}/{names.mangled(self.enclave)}/{names.mangled(self.namespace)}/{self.name}"
 
     @property
     def full_name(self) -> str:
@@ -78,12 +68,12 @@ class EndpointToken:
     node: NodeToken
     entity_id: int
     kind: Kind
-    data_key: DataKey
+    data_key: names.DataKey
     qos: Qos
 
     def __str__(self) -> str:
         key = self.data_key
-        what = f"{mangled(key.name)}/{dds_type(key.type)}/{key.type_hash}/{self.qos}"
+        what = f"{names.mangled(key.name)}/{names.dds_type(key.type)}/{key.type_hash}/{self.qos}"
         return f"{self.node.text(self.entity_id, self.kind)}/{what}"
 
 
@@ -107,18 +97,19 @@ def parse_token(token: str) -> NodeToken | EndpointToken:
         if not re.fullmatch("[0-9a-f]{1,32}", session):
             raise ValueError(f"{shown(session)} is not the id of a Zenoh session")
         node = NodeToken(
-            domain_of(domain),
+            names.domain_of(domain),
             session,
             _id(node_id),
-            check_node(name, demangled(namespace)),
+            names.check_node(name, names.demangled(namespace)),
             name,
-            demangled(enclave),
+            names.demangled(enclave),
         )
         if Kind(kind) is Kind.NODE:
             return node
         if len(parts) < ENDPOINT_PARTS:
             raise ValueError(f"{len(parts)} parts instead of {ENDPOINT_PARTS} for an endpoint")
-        key = DataKey(node.domain, qualified(demangled(what[0])), ros_type(what[1]), check_hash(what[2]))
+        topic = names.qualified(names.demangled(what[0]))
+        key = names.DataKey(node.domain, topic, names.ros_type(what[1]), names.check_hash(what[2]))
         return EndpointToken(node, _id(entity_id), Kind(kind), key, parse_qos(what[3]))
     except ValueError as error:
         reason = error.reason if isinstance(error, ProtocolError) else str(error)
