@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from netshaper.radio_options import Partition, PathLossOptions
-from protocol.arrays import Int64Rows
+from protocol.arrays import FloatRows, Int64Rows
 from protocol.grid import OCCUPIED, Cell, Grid
 from protocol.kernels import kernel
 from protocol.keyed_random import keyed_random
@@ -75,12 +75,8 @@ def log_distance(
 
 
 def margin_db(
-    away: NDArray[np.float64],
-    loss_db: NDArray[np.float64],
-    range_cells: float,
-    cell_m: float,
-    options: PathLossOptions,
-) -> NDArray[np.float64]:
+    away: FloatRows, loss_db: FloatRows, range_cells: float, cell_m: float, options: PathLossOptions
+) -> FloatRows:
     """Return how much stronger frames are than at the end of an open link as long as the range, in dB.
 
     The loss over d meters is ``10 exponent log10(d) + db_per_meter d`` dB, which is the site-general model of ITU-R

@@ -96,14 +96,9 @@ def parse_token(token: str) -> NodeToken | EndpointToken:
     try:
         if not re.fullmatch("[0-9a-f]{1,32}", session):
             raise ValueError(f"{shown(session)} is not the id of a Zenoh session")
-        node = NodeToken(
-            names.domain_of(domain),
-            session,
-            _id(node_id),
-            names.check_node(name, names.demangled(namespace)),
-            name,
-            names.demangled(enclave),
-        )
+        number, own_id = names.domain_of(domain), _id(node_id)
+        namespace = names.check_node(name, names.demangled(namespace))
+        node = NodeToken(number, session, own_id, namespace, name, names.demangled(enclave))
         if Kind(kind) is Kind.NODE:
             return node
         if len(parts) < ENDPOINT_PARTS:
