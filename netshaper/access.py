@@ -38,11 +38,6 @@ def passwords(run: str, hub: str, clients: Iterable[str]) -> dict[str, Credentia
     return {name: Credential(run, name, hub, secrets.token_urlsafe(18)) for name in clients}
 
 
-def represented(credentials: Mapping[str, Credential]) -> dict[str, Sequence[str]]:
-    """Return the participants that each client of the hub represents: a router its robots, others only themselves."""
-    return {name: credential.robots or (name,) for name, credential in credentials.items()}
-
-
 def rules(keys: Keys, clients: Mapping[str, Sequence[str]], by: str = PASSWORDS) -> dict[str, Any]:
     """Return the hub's access control in zenoh's form: deny by default, at most five rules per participant.
 

@@ -70,14 +70,9 @@ def _limited(read: Reader, settings: RadioSettings) -> Reader:
 
 
 _LETTERS = {
-    packets.Pose: "p",
-    packets.Target: "t",
-    packets.Passed: "P",
-    LogDigest: "d",
-    Held: "h",
-    HeldEarly: "h",
+    packets.Pose: "p", packets.Target: "t", packets.Passed: "P", LogDigest: "d", Held: "h", HeldEarly: "h",
     HeldFirst: "h",
-}
+}  # fmt: skip
 _BROADCAST = re.compile(r"(?=.)p?t?(Pt?)*d?h*")
 
 

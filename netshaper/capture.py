@@ -29,19 +29,7 @@ from functools import lru_cache
 import msgspec
 
 from netshaper import pcapng
-from netshaper.frame_log import (
-    COMMENT,
-    CONNECTION,
-    FRAME,
-    MAP,
-    RECEIVER,
-    RECEIVERS,
-    ROUND,
-    SENDER,
-    VERDICT,
-    Content,
-    FrameLog,
-)
+from netshaper.frame_log import Content, FrameLog
 from netshaper.ledger import CAUSES, FRAMES, on_air
 from netshaper.pcapng import CaptureError
 
@@ -103,20 +91,20 @@ def encode(step: int, log: FrameLog) -> bytes:
     blocks: list[bytes] = []
     number = first = 0
     for row, content in zip(log.rows_as_lists(), log.contents, strict=True):
-        verdict, received = row[VERDICT], log.receivers[first : first + row[RECEIVERS]]
-        first += row[RECEIVERS]
-        numbers, receivers = (row[SENDER], row[RECEIVER], row[MAP]), _mask(tuple(received))
+        round_number, connection, kind, sender, receiver, map_id, verdict, text, count, _, _ = row
+        numbers, receivers = (sender, receiver, map_id), _mask(tuple(log.receivers[first : first + count]))
+        first += count
         is_wide = max(numbers) >= NARROW or receivers >> NARROW
         version, receiver_bytes = (WIDE, 32) if is_wide else (VERSION, 8)
         mask = receivers.to_bytes(receiver_bytes, "big")
         is_cut = len(content.payload) > PART and on_air(verdict)
         for part, payload in enumerate(_parts(content) if is_cut else [content.payload]):
             head = _HEADS[version].pack(
-                version, row[FRAME], verdict, row[ROUND], *numbers, part, step, row[CONNECTION], mask
+                version, kind, verdict, round_number, *numbers, part, step, connection, mask
             )
             kept = payload if on_air(verdict) else payload[:KEPT]
             time_us = step * _SECOND + min(number, _SECOND - 1)
-            blocks += pcapng.packet(time_us, head + kept, len(payload) - len(kept), comments[row[COMMENT]])
+            blocks += pcapng.packet(time_us, head + kept, len(payload) - len(kept), comments[text])
             number += 1
     return b"".join(blocks)
 

@@ -26,6 +26,7 @@ from protocol.files import read_file
 from protocol.zenoh_bus import Certificate, Credential
 
 AUTHORITY = "authority.pem"
+_PRIVATE_KEY = serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
 DAYS = 30
 CLOCK_SKEW = datetime.timedelta(days=1)
 """A certificate becomes valid this long before its creation, for hosts whose clocks are behind."""
@@ -75,7 +76,8 @@ def make(
         if name in routers:
             robot_names = x509.SubjectAlternativeName(map(x509.DNSName, routers[name]))
             builder = builder.add_extension(robot_names, critical=False)
-        made[name] = Certificate(authority, _pem(builder.sign(signer, hashes.SHA256())), _private(key))
+        private = key.private_bytes(*_PRIVATE_KEY).decode()
+        made[name] = Certificate(authority, _pem(builder.sign(signer, hashes.SHA256())), private)
     return made
 
 
@@ -163,8 +165,3 @@ def _common_name(name: str) -> x509.Name:
 
 def _pem(certificate: x509.Certificate) -> str:
     return certificate.public_bytes(serialization.Encoding.PEM).decode()
-
-
-def _private(key: ec.EllipticCurvePrivateKey) -> str:
-    form = serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
-    return key.private_bytes(*form).decode()

@@ -15,8 +15,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from netshaper.channel_options import ChannelOptions
 from netshaper.ledger import CAUSES
+from netshaper.radio_options import ChannelOptions
 from protocol import packet_codec
 from protocol.keyed_random import keyed_random
 from protocol.packets import Check

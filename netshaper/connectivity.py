@@ -15,12 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from netshaper.radio_options import Partition, PathLossOptions
-from protocol.arrays import Int64Rows
-from protocol.grid import OCCUPIED, Grid
+from protocol.arrays import FloatRows, Int64Rows
+from protocol.grid import OCCUPIED, Cell, Grid
 from protocol.kernels import kernel
 from protocol.keyed_random import keyed_random
 
-Cell = tuple[int, int]
 Links = NDArray[np.bool_]
 """Shape (robots, robots), symmetric."""
 Places = NDArray[np.int64]
@@ -72,17 +71,12 @@ def log_distance(
     x, y = places.T
     away = np.hypot(x[:, None] - x, y[:, None] - y).astype(np.float64)
     loss = (options.db_per_wall * walls_crossed(walls, places) + extra_db).astype(np.float64)
-    received: Links = margin_db(away, loss, range_cells, cell_m, options) >= 0
-    return received
+    return margin_db(away, loss, range_cells, cell_m, options) >= 0
 
 
 def margin_db(
-    away: NDArray[np.float64],
-    loss_db: NDArray[np.float64],
-    range_cells: float,
-    cell_m: float,
-    options: PathLossOptions,
-) -> NDArray[np.float64]:
+    away: FloatRows, loss_db: FloatRows, range_cells: float, cell_m: float, options: PathLossOptions
+) -> FloatRows:
     """Return how much stronger frames are than at the end of an open link as long as the range, in dB.
 
     The loss over d meters is ``10 exponent log10(d) + db_per_meter d`` dB, which is the site-general model of ITU-R
@@ -95,8 +89,7 @@ def margin_db(
     margin += options.db_per_meter * cell_m * (range_cells - away)
     margin -= loss_db
     # Rounded to thousandths of a dB, so that results do not depend on the machine's logarithm.
-    rounded: NDArray[np.float64] = np.where(away == 0, np.inf, np.rint(1000 * margin) / 1000)
-    return rounded
+    return np.where(away == 0, np.inf, np.rint(1000 * margin) / 1000)
 
 
 def shadowing(places: Places, cell_m: float, seed: int, options: PathLossOptions) -> NDArray[np.float64]:

@@ -37,7 +37,8 @@ def open_hub(
     keys = Keys(run)
     config = listening(endpoint, MAX_MESSAGE_BYTES)
     by = access.PASSWORDS if certificate is None else access.CERTIFICATES
-    insert(config, "access_control", access.rules(keys, access.represented(credentials), by))
+    represented = {name: each.robots or (name,) for name, each in credentials.items()}
+    insert(config, "access_control", access.rules(keys, represented, by))
     receive_apart()
     if certificate is not None:
         use_tls(config, certificate, "listen")

@@ -27,23 +27,11 @@ OFFER, ANSWER, DATA, BROADCAST, NEWS = range(5)
 EVERYONE = -1
 """The receiver of a broadcast."""
 
-ROW = np.dtype(
-    [
-        ("step", "<i4"),
-        ("round", "<i2"),
-        ("connection", "<i4"),
-        ("frame", "<i2"),
-        ("sender", "<i2"),
-        ("receiver", "<i2"),
-        ("map", "<i2"),
-        ("kind", "<i2"),
-        ("packets", "<i4"),
-        ("bytes", "<i4"),
-        ("carried", "<i2"),
-        ("cause", "<i2"),
-        ("received_by", "<i2"),
-    ]
-)
+ROW = np.dtype([
+    ("step", "<i4"), ("round", "<i2"), ("connection", "<i4"), ("frame", "<i2"), ("sender", "<i2"), ("receiver", "<i2"),
+    ("map", "<i2"), ("kind", "<i2"), ("packets", "<i4"), ("bytes", "<i4"), ("carried", "<i2"), ("cause", "<i2"),
+    ("received_by", "<i2"),
+])  # fmt: skip
 """One row. `kind` counts in `ALL_KINDS`, `cause` in `CAUSES`; -1 stands for broadcast, or for no map."""
 
 LINK = np.dtype([("sender", "<i2"), ("receiver", "<i2"), ("bytes", "<i4")])

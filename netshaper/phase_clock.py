@@ -1,9 +1,5 @@
 """Clocks of the medium: when a phase of a step ends although robots have not answered (docs/clocks.md).
 
-PhaseClock      the barrier: a phase ends when all robots that it concerns have answered
-WallPhases      each phase has a deadline
-RecordedPhases  repeats a run by the wall clock from its record
-
 No clock reads the time: the caller passes it in, in integer nanoseconds.
 """
 

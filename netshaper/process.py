@@ -155,7 +155,8 @@ class RelayNode:
             self._reconnect(robot)
             return
         if robot is not None and self._begun and not self._may_return:
-            self._refuse(name)
+            self._put(name, pack(messages.Shutdown()))
+            self._fault(name, "joined again after it was lost; it may not start again in this run")
             return
         if self._resend is not None and not self._begun:
             self._resend(name)
@@ -167,8 +168,10 @@ class RelayNode:
         if not self._begun and self._expected <= self._present:
             self._begun = True
             self._put(names.WORLD, pack(messages.Begin()))
-        elif self._begun and robot is not None:
-            self._come_back(robot)
+        elif self._begun and robot is not None:  # it was lost, and takes part again from the next step on
+            self._radio.back(robot)
+            self._report(messages.Back(robot))
+            self._put(names.WORLD, pack(messages.Back(robot)))
 
     def _leave(self, name: str) -> None:
         """End the run without world or recorder; continue without a robot, unless it may come back."""
@@ -198,22 +201,11 @@ class RelayNode:
             self._put(other, pack(restored))
         self._report(restored)
 
-    def _refuse(self, name: str) -> None:
-        """Shut a robot down that was lost: without another incarnation, it cannot take part again."""
-        self._put(name, pack(messages.Shutdown()))
-        self._fault(name, "joined again after it was lost; it may not start again in this run")
-
     def _configure(self, robot: int) -> None:
         """Send a robot its settings once the robot has joined and the settings have arrived."""
         name = names.robot(robot)
         if name in self._present and robot in self._settings:
             self._put(name, self._settings[robot])
-
-    def _come_back(self, robot: int) -> None:
-        """Let a robot that was lost take part again from the next step on."""
-        self._radio.back(robot)
-        self._report(messages.Back(robot))
-        self._put(names.WORLD, pack(messages.Back(robot)))
 
     def _take(self, sender: str, message: object, payload: bytes) -> None:
         """Take a message of a participant; ProtocolError if its frames are too long."""
@@ -245,13 +237,20 @@ class RelayNode:
                 self._shut_down()
 
     def _submit(self, sender: str, submitted: messages.RobotFrames, size: int) -> None:
-        """Give a robot's frames to the radio; give up on a robot that sends too many bytes in a step."""
+        """Give a robot's frames to the radio; give up on a robot that sends too many bytes in a step.
+
+        Raises ProtocolError if a frame is longer than any frame that could be carried.
+        """
         self._submitted_bytes[sender] += size
         if self._submitted_bytes[sender] > MAX_STEP_BYTES:
             self.give_up_on(names.number(sender), TOO_MANY_BYTES.format(MAX_STEP_BYTES))
             return
-        if size > self._radio.settings.max_frame_bytes:
-            self._check_lengths(submitted)
+        most = self._radio.settings.max_frame_bytes
+        if size > most:
+            longest = max([len(submitted.broadcast), *[len(frame.payload) for frame in submitted.frames]])
+            if longest > most:
+                reason = f"a frame of {longest} bytes, where {most} are the most that can be carried"
+                raise ProtocolError("RobotFrames", 0, reason)
         self._radio.submit(names.number(sender), submitted)
         self._send_events()
 
@@ -279,14 +278,6 @@ class RelayNode:
         for name in sorted(self._present | ({names.VIEW} if self._watched else set())):
             self._put(name, pack(messages.Shutdown()))
         self.shutting_down = True
-
-    def _check_lengths(self, submitted: messages.RobotFrames) -> None:
-        """Raise ProtocolError if a frame is longer than any frame that could be carried."""
-        longest = max([len(submitted.broadcast), *[len(frame.payload) for frame in submitted.frames]])
-        most = self._radio.settings.max_frame_bytes
-        if longest > most:
-            reason = f"a frame of {longest} bytes, where {most} are the most that can be carried"
-            raise ProtocolError("RobotFrames", 0, reason)
 
     def _send_events(self) -> None:
         """Send robots their events, in one message each, and report the step if it has ended."""

@@ -37,23 +37,10 @@ from netshaper.medium import Account, Medium
 from netshaper.phase_clock import PHASES
 from netshaper.settings import RadioSettings
 from netshaper.topology import Topology
+from protocol import messages
 from protocol.faults import RADIO_KINDS, FaultSchedule
+from protocol.grid import Cell
 from protocol.keyed_random import keyed_random
-from protocol.messages import (
-    Broadcasts,
-    Change,
-    Close,
-    ConnectionReport,
-    Delivery,
-    FaultEvent,
-    MediumEvent,
-    Open,
-    OutgoingFrame,
-    PhaseDelivery,
-    RobotFrames,
-    RoundReport,
-    SendReport,
-)
 
 Item = TypeVar("Item")
 
@@ -71,13 +58,13 @@ class Radio:
 
     def __init__(self, settings: RadioSettings) -> None:
         self.settings = settings
-        self.events: list[tuple[int, MediumEvent]] = []
+        self.events: list[tuple[int, messages.MediumEvent]] = []
         """Events, each with its robot, in order, since this list was last emptied."""
         self.accounts: list[Account] = []
         """Accounts of the steps that ended since this list was last emptied."""
         self.protocol_errors: list[tuple[int, str]] = []
         """Robots that broke the protocol, and how, since this list was last emptied."""
-        self.changed: list[Change | FaultEvent] = []
+        self.changed: list[messages.Change | messages.FaultEvent] = []
         """Changes and faults of radios that apply from this step on, since this list was last emptied."""
         self._changes = sorted(settings.changes, key=_STEP)
         """Changes of later steps."""
@@ -94,7 +81,7 @@ class Radio:
         """The robots that the current phase concerns."""
         self._waiting: set[int] = set()
         """Those of them that have not answered yet."""
-        self._submitted: dict[int, RobotFrames] = {}
+        self._submitted: dict[int, messages.RobotFrames] = {}
         """The frames of the others."""
         self._connections: list[Connection] = []
         self._first = 0
@@ -104,7 +91,7 @@ class Radio:
 
     # --- events from outside
 
-    def begin(self, step: int, cells: Mapping[int, tuple[int, int]]) -> None:
+    def begin(self, step: int, cells: Mapping[int, Cell]) -> None:
         """Open the medium for a step, with the true cell (x, y) of each living robot.
 
         The account of this step includes the frames that robots sent while the medium was closed. A single robot's
@@ -128,15 +115,15 @@ class Radio:
             self._close()
         self._advance()
 
-    def change(self, change: Change | FaultEvent) -> None:
+    def change(self, change: messages.Change | messages.FaultEvent) -> None:
         """Schedule a change of budget or range, or a radio's fault, for a step that has not begun."""
         coming = msgspec.structs.replace(change, step=max(change.step, self._step + 1))
-        if isinstance(coming, FaultEvent):
+        if isinstance(coming, messages.FaultEvent):
             self._faults.add(coming)
         else:
             self._changes = sorted([*self._changes, coming], key=_STEP)
 
-    def submit(self, sender: int, submitted: RobotFrames) -> None:
+    def submit(self, sender: int, submitted: messages.RobotFrames) -> None:
         """Take all frames that a robot sends in this phase."""
         if sender in self._topology.dead:
             return
@@ -174,7 +161,7 @@ class Radio:
         """Return the robots that have not answered in this phase yet."""
         return sorted(self._waiting)
 
-    def _apply(self, change: Change) -> None:
+    def _apply(self, change: messages.Change) -> None:
         self.changed.append(change)
         if change.budget is not None:
             self.settings = replace(self.settings, budget=change.budget)
@@ -193,7 +180,9 @@ class Radio:
         participants = self._topology.participants()
         self._expect("offers", participants)
         detected, room = self._topology.detected_by, self._medium.airtime.room
-        self.events += [(r, Open(self._step, self._round, detected(r), room(r))) for r in participants]
+        for robot in participants:
+            event = messages.Open(self._step, self._round, detected(robot), room(robot))
+            self.events.append((robot, event))
 
     def _expect(self, phase: str, robots: Sequence[int]) -> None:
         self._phase = phase
@@ -226,7 +215,7 @@ class Radio:
 
     def _close(self) -> None:
         self._phase = ""
-        self.events += [(robot, Close(self._step)) for robot in self._topology.living()]
+        self.events += [(robot, messages.Close(self._step)) for robot in self._topology.living()]
         self.accounts.append(self._medium.close())
 
     # --- admission and order
@@ -236,11 +225,11 @@ class Radio:
         if reason:
             self.protocol_errors.append((frame.sender, reason))
 
-    def _refuse_out_of_turn(self, sender: int, submitted: RobotFrames) -> None:
+    def _refuse_out_of_turn(self, sender: int, submitted: messages.RobotFrames) -> None:
         at = f"round {submitted.round} of step {submitted.step}"
         error = f"sent frames of phase {submitted.phase!r}, {at}, out of turn in step {self._step}"
         self.protocol_errors.append((sender, error))
-        frames = [OutgoingFrame(EVERYONE, submitted.broadcast)] if submitted.broadcast else []
+        frames = [messages.OutgoingFrame(EVERYONE, submitted.broadcast)] if submitted.broadcast else []
         reason = "spoke out of turn"
         for each in [*frames, *submitted.frames]:
             self._refuse(Frame(sender, each.receiver, content_of(DATA, each.payload)), "protocol", reason)
@@ -329,17 +318,17 @@ class Radio:
         self._refuse(frame, "budget")
         self._broadcast_sent[frame.sender] = False
 
-    def _deliver_broadcasts(self) -> dict[int, list[Delivery]]:
+    def _deliver_broadcasts(self) -> dict[int, list[messages.Delivery]]:
         """Deliver the broadcasts that have arrived by now, and return for each robot the other arrivals."""
-        poses: defaultdict[int, list[Delivery]] = defaultdict(list)
-        others: defaultdict[int, list[Delivery]] = defaultdict(list)
+        poses: defaultdict[int, list[messages.Delivery]] = defaultdict(list)
+        others: defaultdict[int, list[messages.Delivery]] = defaultdict(list)
         receiving = self._topology.receiving()
         for arrival in self._medium.arrivals():
             by_robot = poses if arrival.kind == BROADCAST else others
             for robot in arrival.receivers:
                 if robot in receiving:
                     by_robot[robot].append(arrival.delivery)
-        self.events += [(robot, Broadcasts(self._step, poses[robot])) for robot in sorted(poses)]
+        self.events += [(robot, messages.Broadcasts(self._step, poses[robot])) for robot in sorted(poses)]
         return others
 
     # --- rounds with one phase
@@ -348,13 +337,13 @@ class Radio:
         """Put all frames on the air, deliver those that have arrived by now, and report to their senders."""
         broadcasts, frames = self._admit(NEWS)
         waiting = self._send_broadcasts(broadcasts)
-        reports: defaultdict[int, list[SendReport]] = defaultdict(list)
+        reports: defaultdict[int, list[messages.SendReport]] = defaultdict(list)
         for frame in self._by_priority(frames):
             sender, receiver = frame.sender, frame.receiver
             receivers = self._topology.receivers_of(sender) if receiver == EVERYONE else [receiver]
             sent = self._medium.carry(frame, receivers)
             self._shares.book(sender, sent)
-            reports[sender].append(SendReport(frame.position, sent))
+            reports[sender].append(messages.SendReport(frame.position, sent))
         self._send_waiting(waiting)
         arrived = self._deliver_broadcasts()
         self._report({}, reports, arrived)
@@ -373,15 +362,15 @@ class Radio:
 
     def _report(
         self,
-        connections: Mapping[int, list[ConnectionReport]],
-        sent: Mapping[int, list[SendReport]],
-        arrived: Mapping[int, list[Delivery]],
+        connections: Mapping[int, list[messages.ConnectionReport]],
+        sent: Mapping[int, list[messages.SendReport]],
+        arrived: Mapping[int, list[messages.Delivery]],
     ) -> None:
         """Report the end of a round to each robot that sent or received anything."""
         for robot in sorted({*connections, *sent, *arrived, *self._broadcast_sent} - self._topology.dead):
             mine = sorted(sent.get(robot, ()), key=_FRAME)
             deliveries, broadcast = arrived.get(robot, []), self._broadcast_sent.get(robot, False)
-            report = RoundReport(
+            report = messages.RoundReport(
                 self._step, self._round, connections.get(robot, []), mine, deliveries, broadcast
             )
             self.events.append((robot, report))
@@ -401,20 +390,21 @@ class Radio:
     def _deliver(self, kind: int) -> None:
         """Deliver all frames of a kind in the drawn order, and ask their receivers for the next phase."""
         receiving = self._topology.receiving() - self._topology.absent
-        arrived: defaultdict[int, list[Delivery]] = defaultdict(list)
+        arrived: defaultdict[int, list[messages.Delivery]] = defaultdict(list)
         for connection in self._connections:
             if len(connection.frames) > kind:
                 frame = connection.frames[kind]
                 if frame.receiver in receiving:
                     payload = frame.content.payload
                     arrived[frame.receiver].append(
-                        Delivery(frame.sender, payload, frame.connection, frame.map_id)
+                        messages.Delivery(frame.sender, payload, frame.connection, frame.map_id)
                     )
                 else:
                     connection.lost = True
         self._expect(PHASES[kind + 1], sorted(arrived))
         for robot, deliveries in sorted(arrived.items()):
-            self.events.append((robot, PhaseDelivery(self._step, self._round, PHASES[kind], deliveries)))
+            event = messages.PhaseDelivery(self._step, self._round, PHASES[kind], deliveries)
+            self.events.append((robot, event))
 
     def _collect(self, kind: int) -> None:
         """Match the submitted frames to their connections; refuse frames that belong to none."""
@@ -435,7 +425,7 @@ class Radio:
     def _end_data(self) -> None:
         """Play the connections, and report to both ends of each."""
         self._collect(DATA)
-        reports: defaultdict[int, list[ConnectionReport]] = defaultdict(list)
+        reports: defaultdict[int, list[messages.ConnectionReport]] = defaultdict(list)
         dead = self._topology.dead
         for connection in self._connections:
             offer = connection.offer

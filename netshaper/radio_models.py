@@ -41,9 +41,8 @@ class Disc(RadioModel):
     name = "disc"
     needs_walls = False
 
-    def links(self, settings: RadioSettings, step: int, places: Places) -> Links:
+    def links(self, settings: RadioSettings, _step: int, places: Places) -> Links:
         """Return the links of a step."""
-        del step
         return connectivity.disc(places, settings.range_cells)
 
 
@@ -52,9 +51,8 @@ class LineOfSight(RadioModel):
 
     name = "line-of-sight"
 
-    def links(self, settings: RadioSettings, step: int, places: Places) -> Links:
+    def links(self, settings: RadioSettings, _step: int, places: Places) -> Links:
         """Return the links of a step."""
-        del step
         return connectivity.line_of_sight(places, settings.range_cells, _walls(settings))
 
 
@@ -63,9 +61,8 @@ class LogDistance(RadioModel):
 
     name = "log-distance"
 
-    def links(self, settings: RadioSettings, step: int, places: Places) -> Links:
+    def links(self, settings: RadioSettings, _step: int, places: Places) -> Links:
         """Return the links of a step."""
-        del step
         options = settings.options
         extra = connectivity.shadowing(places, settings.cell_m, settings.seed, options)
         walls = _walls(settings)
@@ -93,8 +90,7 @@ def checked(links: Any, model: str, robots: int) -> Links:
         raise ValueError(
             f"radio model {model!r}: links must be symmetric; robot {other} receives robot {one}, but not the reverse"
         )
-    checked_links: Links = links
-    return checked_links
+    return links
 
 
 def _walls(settings: RadioSettings) -> Grid:

@@ -70,16 +70,12 @@ class RadioSettings:
         return Saving(max(1, round(SECOND / self.step_ns)), self.options.frame_bytes or MIN_FRAME)
 
     @cached_property
-    def most_at_once(self) -> int | None:
-        """Bytes that the team can send in one step at most; None: no limit."""
-        limit = self.budget.limit
-        return self.saving.capacity(limit) if limit else limit
-
-    @cached_property
     def max_frame_bytes(self) -> int:
         """Maximum bytes of a frame that a robot submits; the relay rejects longer ones."""
-        limit = self.most_at_once
-        return MAX_FRAME if limit is None else limit + max(MIN_EXTRA, self.maps * EXTRA_PER_MAP)
+        limit = self.budget.limit
+        if limit is None:
+            return MAX_FRAME
+        return (self.saving.capacity(limit) if limit else 0) + max(MIN_EXTRA, self.maps * EXTRA_PER_MAP)
 
     @cached_property
     def perfect(self) -> bool:

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from netshaper import connectivity
 from netshaper.radio_models import PLUGINS, checked
 from netshaper.settings import RadioSettings
+from protocol.grid import Cell
 
 
 class Topology:
@@ -30,7 +31,7 @@ class Topology:
         self,
         settings: RadioSettings,
         step: int,
-        cells: Mapping[int, tuple[int, int]],
+        cells: Mapping[int, Cell],
         mute: Iterable[int],
         deaf: Iterable[int],
     ) -> None:
@@ -67,7 +68,7 @@ class Topology:
         return self.in_range.keys() - self.dead - self.deaf
 
 
-def links(settings: RadioSettings, step: int, cells: Mapping[int, tuple[int, int]]) -> dict[int, list[int]]:
+def links(settings: RadioSettings, step: int, cells: Mapping[int, Cell]) -> dict[int, list[int]]:
     """Return for each robot the robots in its range, by the radio's model and the partitions of a step."""
     options = settings.options
     robots, places = sorted(cells), connectivity.places_of(cells)

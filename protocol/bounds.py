@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, get_type_hints
+from typing import Any, ClassVar, get_type_hints
 
 
 @dataclass(frozen=True)
@@ -15,6 +15,15 @@ class Range:
     most: float
     unit: str = ""
     """Follows the bounds in the message, as "m/s"."""
+
+
+class Options:
+    """Base of dataclasses of options, the tables of scenarios; ValueError if a value is out of its `Range`."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
+
+    def __post_init__(self) -> None:
+        check_ranges(self)
 
 
 def check_ranges(options: Any) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.arrays import Int32s
+from protocol.grid import Mask
 from protocol.kernels import kernel
 
 Box = tuple[int, int, int, int]
@@ -42,8 +43,7 @@ def union(first: Boxes, second: Boxes) -> Boxes:
     """Return at most `MAX_BOXES` boxes that cover all cells of both arguments."""
     if not len(first) or not len(second):
         return first if len(first) else second
-    covered: Boxes = _union(first, second)
-    return covered
+    return _union(first, second)
 
 
 def bounding_box(boxes: Iterable[Sequence[int]]) -> Box:
@@ -52,7 +52,7 @@ def bounding_box(boxes: Iterable[Sequence[int]]) -> Box:
     return min(x0), min(y0), max(x1), max(y1)
 
 
-def box_of(cells: NDArray[np.bool_]) -> Box:
+def box_of(cells: Mask) -> Box:
     """Return the smallest box that contains all true cells of an array of shape (h, w); `NO_BOX` if there are none."""
     rows, columns = np.flatnonzero(cells.any(axis=1)), np.flatnonzero(cells.any(axis=0))
     if not len(rows):

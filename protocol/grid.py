@@ -37,6 +37,12 @@ MAX_ROBOTS = 256
 
 Grid = Annotated[NDArray[np.uint8], "uint8[:,::1]"]
 
+Mask = NDArray[np.bool_]
+"""A flag for each cell of a grid, indexed ``mask[y, x]``."""
+
+Cell = tuple[int, int]
+"""Column and row of a cell."""
+
 _REACH = 0.5
 """Half the side of a cell, in cells."""
 
@@ -60,8 +66,7 @@ class RayTable:
     @cached_property
     def shared(self) -> NDArray[np.int32]:
         """Number of cells that each beam shares with the beam before it, from the robot on; shape (beams,)."""
-        shared: NDArray[np.int32] = _count_shared(self.cells, self.start)
-        return shared
+        return _count_shared(self.cells, self.start)
 
     @property
     def beams(self) -> int:
@@ -71,8 +76,7 @@ class RayTable:
 
 @lru_cache(maxsize=16)
 def _flat(beams: RayTable, width: int) -> NDArray[np.int32]:
-    steps: NDArray[np.int32] = beams.cells[:, 1] * np.int32(width) + beams.cells[:, 0]
-    return steps
+    return beams.cells[:, 1] * np.int32(width) + beams.cells[:, 0]
 
 
 @kernel
@@ -140,11 +144,10 @@ def _walk(directions: Int64Rows, range_cells: float) -> tuple[Int32Rows, Int32s]
     return cells[: start[-1]].copy(), start
 
 
-def disc(radius_cells: float) -> NDArray[np.bool_]:
+def disc(radius_cells: float) -> Mask:
     """Return the cells that a disc-shaped robot in the middle cell touches, as a square mask."""
     side = np.arange(-int(radius_cells + _REACH), int(radius_cells + _REACH) + 1)
-    touched: NDArray[np.bool_] = side[:, None] ** 2 + side[None, :] ** 2 < (radius_cells + _REACH) ** 2
-    return touched
+    return side[:, None] ** 2 + side[None, :] ** 2 < (radius_cells + _REACH) ** 2
 
 
 def enlarge(grid: Grid, radius_cells: float) -> Grid:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 
 def keyed_random(seed: int, purpose: str, *numbers: int) -> np.random.Generator:
-    """Return the generator of one purpose, e.g. ``keyed_random(seed, "contention", step, exchange)``."""
+    """Return the generator of one purpose, e.g. ``keyed_random(seed, "contention", step, round_number)``."""
     text = ":".join([purpose, str(seed), *map(str, numbers)])
     key = np.frombuffer(hashlib.sha256(text.encode()).digest()[:16], "<u8")
     return np.random.Generator(np.random.Philox(_Key(key)))  # type: ignore[arg-type]

@@ -15,10 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.errors import ProtocolError
-from protocol.grid import OCCUPIED, UNKNOWN, Grid
+from protocol.grid import OCCUPIED, UNKNOWN, Grid, Mask
 from protocol.message_fields import PART_CELLS
-
-Mask = NDArray[np.bool_]
 
 LEVEL = 1
 """Compression level of zlib: maps consist of long runs, which the fastest level compresses well."""

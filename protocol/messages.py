@@ -17,46 +17,8 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
+from protocol import message_fields as fields
 from protocol.budget import Budget
-from protocol.message_fields import (
-    MAX_CONNECTIONS,
-    MAX_EVENTS,
-    Blocks,
-    CellCount,
-    CellCountOrNone,
-    CellIndices,
-    Cells,
-    Connection,
-    Coordinate,
-    CoordinateOrNone,
-    Coordinates,
-    Count,
-    Distances,
-    Eighths,
-    EncodedSettings,
-    Frame,
-    FrameNumber,
-    Name,
-    OwnMap,
-    PartBytes,
-    PartNumber,
-    People,
-    Poses,
-    Priority,
-    Readings,
-    RobotNumber,
-    RobotNumbers,
-    RobotOrNone,
-    Round,
-    SideLength,
-    Step,
-    StepOrNone,
-    Text,
-    Thousandths,
-    Vertices,
-    WayCells,
-    WayPoints,
-)
 
 EVERYONE = -1
 """The receiver of a broadcast."""
@@ -73,8 +35,8 @@ class Begin(Record, tag=0, frozen=True):
 class Configure(Record, tag=1, frozen=True):
     """Recorder to relay, and relay to that robot when it joins: the robot's encoded `agent.settings.Settings`."""
 
-    robot: RobotNumber
-    settings: EncodedSettings
+    robot: fields.RobotNumber
+    settings: fields.EncodedSettings
 
 
 class Sense(Record, tag=2, frozen=True):
@@ -87,17 +49,17 @@ class Sense(Record, tag=2, frozen=True):
     robot that makes its map itself, the part that it knows (`protocol.own_map`), instead of a scan.
     """
 
-    step: Step
-    x: Coordinate
-    y: Coordinate
-    heading: Eighths
-    driven: WayCells
-    readings: Readings
-    blocked: Text
-    offset_x: Thousandths = 0
-    offset_y: Thousandths = 0
-    range_scan: Readings = b""
-    own_map: OwnMap = b""
+    step: fields.Step
+    x: fields.Coordinate
+    y: fields.Coordinate
+    heading: fields.Eighths
+    driven: fields.WayCells
+    readings: fields.Readings
+    blocked: fields.Text
+    offset_x: fields.Thousandths = 0
+    offset_y: fields.Thousandths = 0
+    range_scan: fields.Readings = b""
+    own_map: fields.OwnMap = b""
 
     def __post_init__(self) -> None:
         if len(self.driven) % 4 or len(self.readings) % 2:
@@ -112,13 +74,13 @@ class Move(Record, tag=3, frozen=True):
     instead of cells (`protocol.cell_bytes.points_to_bytes`).
     """
 
-    step: Step
-    path: WayCells
-    heading: Eighths
+    step: fields.Step
+    path: fields.WayCells
+    heading: fields.Eighths
     explored: bool
     look: bool = True
     stalled: bool = False
-    points: WayPoints = b""
+    points: fields.WayPoints = b""
 
     def __post_init__(self) -> None:
         if len(self.path) % 4 or len(self.points) % 8:
@@ -130,10 +92,10 @@ class Move(Record, tag=3, frozen=True):
 class Positions(Record, tag=4, frozen=True):
     """World to relay, once per step: the true cells of robots."""
 
-    step: Step
-    robots: RobotNumbers
-    x: Coordinates
-    y: Coordinates
+    step: fields.Step
+    robots: fields.RobotNumbers
+    x: fields.Coordinates
+    y: fields.Coordinates
 
     def __post_init__(self) -> None:
         if not len(self.robots) == len(self.x) == len(self.y):
@@ -150,9 +112,9 @@ class OutgoingFrame(Part, frozen=True):
     `receiver`: `EVERYONE` for a broadcast. `connection`: the connection that it answers, -1 for none.
     """
 
-    receiver: RobotOrNone
-    payload: Frame
-    connection: Connection = -1
+    receiver: fields.RobotOrNone
+    payload: fields.Frame
+    connection: fields.Connection = -1
 
 
 class Delivery(Part, frozen=True):
@@ -161,32 +123,32 @@ class Delivery(Part, frozen=True):
     `connection`: -1 for none. `map_id`: the map of an offer, and of its answer; -1 for other frames.
     """
 
-    sender: RobotNumber
-    payload: Frame
-    connection: Connection = -1
-    map_id: RobotOrNone = -1
+    sender: fields.RobotNumber
+    payload: fields.Frame
+    connection: fields.Connection = -1
+    map_id: fields.RobotOrNone = -1
 
 
 class ConnectionReport(Part, frozen=True):
     """In a `RoundReport`: the bytes of a connection's offer, answer and data that were on the air."""
 
-    connection: Connection
-    offer: Count = 0
-    answer: Count = 0
-    data: Count = 0
+    connection: fields.Connection
+    offer: fields.Count = 0
+    answer: fields.Count = 0
+    data: fields.Count = 0
 
 
 class SendReport(Part, frozen=True):
     """In a `RoundReport`: the bytes on the air of frame number `frame` of a `RobotFrames`."""
 
-    frame: FrameNumber
-    sent: Count
+    frame: fields.FrameNumber
+    sent: fields.Count
 
 
-OutgoingFrames = Annotated[list[OutgoingFrame], Meta(max_length=MAX_CONNECTIONS)]
-Deliveries = Annotated[list[Delivery], Meta(max_length=MAX_CONNECTIONS)]
-ConnectionReports = Annotated[list[ConnectionReport], Meta(max_length=MAX_CONNECTIONS)]
-SendReports = Annotated[list[SendReport], Meta(max_length=MAX_CONNECTIONS)]
+OutgoingFrames = Annotated[list[OutgoingFrame], Meta(max_length=fields.MAX_CONNECTIONS)]
+Deliveries = Annotated[list[Delivery], Meta(max_length=fields.MAX_CONNECTIONS)]
+ConnectionReports = Annotated[list[ConnectionReport], Meta(max_length=fields.MAX_CONNECTIONS)]
+SendReports = Annotated[list[SendReport], Meta(max_length=fields.MAX_CONNECTIONS)]
 
 
 class RobotFrames(Record, tag=7, frozen=True):
@@ -196,12 +158,12 @@ class RobotFrames(Record, tag=7, frozen=True):
     frames wait for a free medium.
     """
 
-    step: Step
-    round: Round
-    phase: Name
-    broadcast: Frame = b""
+    step: fields.Step
+    round: fields.Round
+    phase: fields.Name
+    broadcast: fields.Frame = b""
     frames: OutgoingFrames = []
-    priority: Priority = 0
+    priority: fields.Priority = 0
 
 
 class Open(Record, tag=5, frozen=True):
@@ -210,16 +172,16 @@ class Open(Record, tag=5, frozen=True):
     The robot answers with the frames of the phase ``offers``, and in round 0 with its pose and target.
     """
 
-    step: Step
-    round: Round
-    peers: RobotNumbers
+    step: fields.Step
+    round: fields.Round
+    peers: fields.RobotNumbers
     budget: Budget
 
 
 class Broadcasts(Record, tag=27, frozen=True):
     """Event: poses and targets arrived."""
 
-    step: Step
+    step: fields.Step
     deliveries: Deliveries
 
 
@@ -229,9 +191,9 @@ class PhaseDelivery(Record, tag=6, frozen=True):
     After ``offers`` the robot answers; after ``answers`` it sends data.
     """
 
-    step: Step
-    round: Round
-    phase: Name
+    step: fields.Step
+    round: fields.Round
+    phase: fields.Name
     deliveries: Deliveries
 
 
@@ -242,8 +204,8 @@ class RoundReport(Record, tag=8, frozen=True):
     of any kind in rounds without connections. `broadcast_sent`: whether its pose and target were on the air.
     """
 
-    step: Step
-    round: Round
+    step: fields.Step
+    round: fields.Round
     connections: ConnectionReports
     sent: SendReports
     deliveries: Deliveries
@@ -253,7 +215,7 @@ class RoundReport(Record, tag=8, frozen=True):
 class Close(Record, tag=9, frozen=True):
     """Event, and relay to world: the medium is closed for this step; merge, choose, plan, move."""
 
-    step: Step
+    step: fields.Step
 
 
 MediumEvent = Open | Broadcasts | PhaseDelivery | RoundReport | Close
@@ -263,7 +225,7 @@ MediumEvent = Open | Broadcasts | PhaseDelivery | RoundReport | Close
 class RelayUpdate(Record, tag=25, frozen=True):
     """Relay to robot: events in the order in which they happened, each with its own deliveries."""
 
-    events: Annotated[list[MediumEvent], Meta(max_length=MAX_EVENTS)]
+    events: Annotated[list[MediumEvent], Meta(max_length=fields.MAX_EVENTS)]
 
 
 class Lost(Record, tag=10, frozen=True):
@@ -272,16 +234,16 @@ class Lost(Record, tag=10, frozen=True):
     World or recorder to relay: give the robot up, since it timed out or caused too many protocol errors.
     """
 
-    robot: RobotNumber
-    cause: Text
+    robot: fields.RobotNumber
+    cause: fields.Text
 
 
 class End(Record, tag=11, frozen=True):
     """World to all: the run is over after `step`; `first` is the robot that finished first, or -1."""
 
-    step: StepOrNone
-    reason: Text
-    first: RobotOrNone
+    step: fields.StepOrNone
+    reason: fields.Text
+    first: fields.RobotOrNone
 
 
 class FaultEvent(Record, tag=22, frozen=True, order=True):
@@ -293,10 +255,10 @@ class FaultEvent(Record, tag=22, frozen=True, order=True):
     `protocol.faults.KINDS`. `steps`: duration of a temporary fault, 0 if permanent.
     """
 
-    step: Step
-    robot: RobotNumber
-    kind: Name
-    steps: Step = 0
+    step: fields.Step
+    robot: fields.RobotNumber
+    kind: fields.Name
+    steps: fields.Step = 0
 
 
 class Change(Record, tag=24, frozen=True):
@@ -306,27 +268,27 @@ class Change(Record, tag=24, frozen=True):
     `range_mm`: the communication range in millimeters. None: unchanged.
     """
 
-    step: Step
+    step: fields.Step
     budget: Budget | None = None
-    range_mm: Count | None = None
+    range_mm: fields.Count | None = None
 
 
 class Back(Record, tag=23, frozen=True):
     """Relay to world and recorder: a lost robot has joined again."""
 
-    robot: RobotNumber
+    robot: fields.RobotNumber
 
 
 class Reconnected(Record, tag=29, frozen=True):
     """Relay to a robot, world and recorder: the robot's connection is restored; send your last messages again."""
 
-    robot: RobotNumber
+    robot: fields.RobotNumber
 
 
 class Stop(Record, tag=12, frozen=True):
     """Recorder to world, by way of the relay: end after this step, for `reason`."""
 
-    reason: Text
+    reason: fields.Text
 
 
 class Shutdown(Record, tag=13, frozen=True):
@@ -347,12 +309,12 @@ class WorldReport(Record, tag=14, frozen=True):
     int32 rows (x in mm, y in mm) of the people in the building.
     """
 
-    step: Step
-    poses: Poses
-    driven: Distances
-    seen: CellCount
-    reachable: CellCount
-    people: People = b""
+    step: fields.Step
+    poses: fields.Poses
+    driven: fields.Distances
+    seen: fields.CellCount
+    reachable: fields.CellCount
+    people: fields.People = b""
 
     def __post_init__(self) -> None:
         if len(self.poses) % 16 or len(self.people) % 8:
@@ -372,15 +334,15 @@ class RobotStatus(Record, tag=15, frozen=True):
     lossless log, -1 if not measured. `backlog`: own log entries not delivered yet, summed over all teammates.
     """
 
-    step: Step
-    target_x: CoordinateOrNone
-    target_y: CoordinateOrNone
-    known: CellCount
-    error: CellCount
-    exact_error: CellCountOrNone
-    backlog: Count
-    status: Text
-    work_us: Count
+    step: fields.Step
+    target_x: fields.CoordinateOrNone
+    target_y: fields.CoordinateOrNone
+    known: fields.CellCount
+    error: fields.CellCount
+    exact_error: fields.CellCountOrNone
+    backlog: fields.Count
+    status: fields.Text
+    work_us: fields.Count
 
 
 class RadioReport(Record, tag=16, frozen=True):
@@ -390,11 +352,11 @@ class RadioReport(Record, tag=16, frozen=True):
     that robots received from each other (`netshaper.ledger.LINK`).
     """
 
-    step: Step
-    rows: Blocks
-    carried: Count
-    frames: Blocks
-    links: Blocks = b""
+    step: fields.Step
+    rows: fields.Blocks
+    carried: fields.Count
+    frames: fields.Blocks
+    links: fields.Blocks = b""
 
 
 class RequestMaps(Record, tag=28, frozen=True):
@@ -403,25 +365,25 @@ class RequestMaps(Record, tag=28, frozen=True):
     `step`: the last step of the robot.
     """
 
-    robot: RobotNumber
-    step: Step
-    part: PartNumber
+    robot: fields.RobotNumber
+    step: fields.Step
+    part: fields.PartNumber
 
 
 class MapPart(Record, tag=17, frozen=True):
     """Robot to recorder, on request: a part of its two maps (`protocol.map_parts`)."""
 
-    part: PartNumber
-    cells: PartBytes
+    part: fields.PartNumber
+    cells: fields.PartBytes
 
 
 class Snapshot(Record, tag=20, frozen=True):
     """Robot to viewer, at intervals: its planning grid (`protocol.cell_bytes.grid_to_bytes`)."""
 
-    step: Step
-    width: SideLength
-    height: SideLength
-    planning: Cells
+    step: fields.Step
+    width: fields.SideLength
+    height: fields.SideLength
+    planning: fields.Cells
 
 
 class MapChanges(Record, tag=26, frozen=True):
@@ -431,9 +393,9 @@ class MapChanges(Record, tag=26, frozen=True):
     own map, bits 2-3 the value on its planning map.
     """
 
-    step: Step
-    cells: CellIndices
-    values: Cells
+    step: fields.Step
+    cells: fields.CellIndices
+    values: fields.Cells
 
     def __post_init__(self) -> None:
         if len(self.cells) != 4 * len(self.values):
@@ -446,9 +408,9 @@ class Outlines(Record, tag=21, frozen=True):
     `vertices`: int16 rows (object, x and y in quarters of a cell, bit 0 occupied edge, bit 1 inside object).
     """
 
-    step: Step
-    map_id: RobotNumber
-    vertices: Vertices
+    step: fields.Step
+    map_id: fields.RobotNumber
+    vertices: fields.Vertices
 
     def __post_init__(self) -> None:
         if len(self.vertices) % 8:
@@ -462,17 +424,17 @@ class Missed(Record, tag=30, frozen=True):
     their moves were late.
     """
 
-    step: Step
-    phase: Name
-    round: Round
-    robots: RobotNumbers
+    step: fields.Step
+    phase: fields.Name
+    round: fields.Round
+    robots: fields.RobotNumbers
 
 
 class ErrorReport(Record, tag=18, frozen=True):
     """Relay, world or robot to recorder: `participant` caused a protocol error; the run continues."""
 
-    participant: Name
-    reason: Text
+    participant: fields.Name
+    reason: fields.Text
 
 
 TYPES: tuple[type[Record], ...] = tuple(

@@ -78,8 +78,9 @@ class Plugins(Generic[Part]):
                 raise ValueError(
                     f"{module}.py is a file: give the {self.kind} in it as {module}:{self._example}, from its folder"
                 )
+            listed = [each for each in (*self.built_in, *installed) if each not in self.unlisted]
             raise ValueError(
-                f"no {self.kind} is called {shown(name)}; {there_are([*self._listed, *installed], name)}; or give one "
+                f"no {self.kind} is called {shown(name)}; {there_are(listed, name)}; or give one "
                 f"as package.module:{self._example}"
             )
         return self.load(installed[name])
@@ -175,10 +176,6 @@ class Plugins(Generic[Part]):
     @property
     def _example(self) -> str:
         return "Class" if self.are_classes else "NAME"
-
-    @property
-    def _listed(self) -> list[str]:
-        return [name for name in self.built_in if name not in self.unlisted]
 
     def _imported(self, name: str) -> Part:
         module_name, _, part_name = name.partition(":")

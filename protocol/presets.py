@@ -23,18 +23,12 @@ LORA_HEAD = 13
 
 @dataclass(frozen=True)
 class Limit:
-    """Legal limits of a radio in the European Union.
-
-    Attributes
-    ----------
-    duty_cycle : float
-        Share of each hour in which a radio may send; 1: no limit.
-    source : str
-        The harmonized standard.
-    """
+    """Legal limits of a radio in the European Union."""
 
     duty_cycle: float
+    """Share of each hour in which a radio may send; 1: no limit."""
     source: str
+    """The harmonized standard."""
 
 
 UNKNOWN = Limit(1.0, "unknown")
@@ -49,19 +43,14 @@ EU_2400 = Limit(1.0, "ETSI EN 300 328, 2.4 GHz")
 
 @dataclass(frozen=True)
 class Link:
-    """The link budget of a radio, which determines its range; antennas have no gain.
-
-    Attributes
-    ----------
-    power_dbm, sensitivity_dbm : float
-        Transmit power, and the least power that a receiver needs.
-    megahertz : int
-        Frequency.
-    """
+    """The link budget of a radio, which determines its range; antennas have no gain."""
 
     power_dbm: float
+    """Transmit power."""
     sensitivity_dbm: float
+    """The least power that a receiver needs."""
     megahertz: int
+    """Frequency."""
 
     @property
     def db_per_wall(self) -> float:
@@ -76,36 +65,24 @@ class Link:
 
 @dataclass(frozen=True)
 class Preset:
-    """A radio.
-
-    Attributes
-    ----------
-    description : str
-        Radio standard and parameters.
-    bits_per_s : int
-        Bit rate on the air.
-    frame_bytes : int
-        Maximum payload of a frame.
-    frame_s : float
-        Airtime of a full frame in seconds, including the gap to the next frame.
-    range_m : int
-        Range; of a radio with a link, that without walls.
-    spreading : int
-        Spreading factor of LoRa; 0 for other radios.
-    link : Link or None
-        The link budget; None: the range is that of a disc.
-    limit : Limit
-        The legal limit.
-    """
+    """A radio."""
 
     description: str
+    """Radio standard and parameters."""
     bits_per_s: int
+    """Bit rate on the air."""
     frame_bytes: int
+    """Maximum payload of a frame."""
     frame_s: float
+    """Airtime of a full frame in seconds, including the gap to the next frame."""
     range_m: int
+    """Range in meters; of a radio with a link, that without walls."""
     spreading: int = 0
+    """Spreading factor of LoRa; 0 for other radios."""
     link: Link | None = None
+    """The link budget; None: the range is that of a disc."""
     limit: Limit = UNKNOWN
+    """The legal limit."""
 
     def airtime_s(self, size: int) -> float:
         """Return the airtime in seconds of a frame of `size` bytes of payload."""

@@ -111,10 +111,7 @@ def beam_ends(scan: RangeScan, laser: Laser, resolution: float) -> tuple[Int32Ro
     """
     scale = round(UNIT / (1000 * resolution) * (1 << 20))
     x, y = scan.place
-    found: tuple[Int32Rows, Bools] = _ends(
-        x, y, scan.heading, _angles(laser), scan.ranges, laser.reach_mm, scale, directions()
-    )
-    return found
+    return _ends(x, y, scan.heading, _angles(laser), scan.ranges, laser.reach_mm, scale, directions())
 
 
 def smoothed(scan: RangeScan, laser: Laser) -> RangeScan:

@@ -11,66 +11,39 @@ from functools import lru_cache
 from typing import Any
 
 from protocol import keys as names
+from protocol import messages as m
 from protocol.keys import RECORDER, RELAY, VIEW, WORLD, Keys
 from protocol.message_codec import unpacker
 from protocol.message_fields import MAX_PAYLOAD, MAX_ROBOT_PAYLOAD
-from protocol.messages import (
-    Back,
-    Begin,
-    Change,
-    Close,
-    Configure,
-    End,
-    ErrorReport,
-    FaultEvent,
-    Lost,
-    MapChanges,
-    MapPart,
-    Missed,
-    Move,
-    Outlines,
-    Positions,
-    RadioReport,
-    Reconnected,
-    Record,
-    RelayUpdate,
-    RequestMaps,
-    RobotFrames,
-    RobotStatus,
-    Sense,
-    Shutdown,
-    Snapshot,
-    Stop,
-    Watched,
-    WorldReport,
-)
 
 ROBOT = "robot"
 """Role of every robot in the table."""
 
 _RELAY_REPORTS = (
-    Lost, Back, Reconnected, End, Shutdown, RadioReport, ErrorReport, FaultEvent, Change, Missed,
+    m.Lost, m.Back, m.Reconnected, m.End, m.Shutdown, m.RadioReport, m.ErrorReport, m.FaultEvent, m.Change, m.Missed,
 )  # fmt: skip
-_WORLD_REPORTS = WorldReport, FaultEvent, ErrorReport, Missed
+_WORLD_REPORTS = m.WorldReport, m.FaultEvent, m.ErrorReport, m.Missed
 
-RIGHTS: dict[tuple[str, str], tuple[type[Record], ...]] = {
-    (RELAY, WORLD): (Begin, Close, Lost, Back, Reconnected, Stop, FaultEvent, Shutdown, Watched),
-    (RELAY, ROBOT): (Configure, RelayUpdate, RequestMaps, Reconnected, Shutdown, Watched),
+RIGHTS: dict[tuple[str, str], tuple[type[m.Record], ...]] = {
+    (RELAY, WORLD): (
+        m.Begin, m.Close, m.Lost, m.Back, m.Reconnected, m.Stop, m.FaultEvent, m.Shutdown, m.Watched,
+    ),
+    (RELAY, ROBOT): (m.Configure, m.RelayUpdate, m.RequestMaps, m.Reconnected, m.Shutdown, m.Watched),
     (RELAY, RECORDER): _RELAY_REPORTS,
     (RELAY, VIEW): _RELAY_REPORTS,
-    (WORLD, RELAY): (Positions, Lost, FaultEvent, End),
-    (WORLD, ROBOT): (Sense, FaultEvent),
+    (WORLD, RELAY): (m.Positions, m.Lost, m.FaultEvent, m.End),
+    (WORLD, ROBOT): (m.Sense, m.FaultEvent),
     (WORLD, RECORDER): _WORLD_REPORTS,
     (WORLD, VIEW): _WORLD_REPORTS,
-    (RECORDER, RELAY): (Configure, Lost, Stop, FaultEvent, Change, RequestMaps, Shutdown),
-    (ROBOT, RELAY): (RobotFrames,),
-    (ROBOT, WORLD): (Move,),
-    (ROBOT, RECORDER): (RobotStatus, MapChanges, Outlines, MapPart, ErrorReport),
-    (ROBOT, VIEW): (RobotStatus, ErrorReport, Snapshot, Outlines),
-}
+    (RECORDER, RELAY): (m.Configure, m.Lost, m.Stop, m.FaultEvent, m.Change, m.RequestMaps, m.Shutdown),
+    (ROBOT, RELAY): (m.RobotFrames,),
+    (ROBOT, WORLD): (m.Move,),
+    (ROBOT, RECORDER): (m.RobotStatus, m.MapChanges, m.Outlines, m.MapPart, m.ErrorReport),
+    (ROBOT, VIEW): (m.RobotStatus, m.ErrorReport, m.Snapshot, m.Outlines),
+}  # fmt: skip
 """Messages allowed from a sender (first key) to a receiver (second key); a viewer sends none."""
 
-RADIO = (RobotFrames, RelayUpdate)
+RADIO = (m.RobotFrames, m.RelayUpdate)
 """Messages of the radio plane: the frames of robots, and the relay's events."""
 
 BODY = {(WORLD, ROBOT), (ROBOT, WORLD)}
@@ -89,10 +62,7 @@ TOO_MANY_ERRORS = f"sent more than {MAX_PROTOCOL_ERRORS} malformed messages in a
 def read(key: str, payload: bytes) -> Any:
     """Decode a message that was received under a key.
 
-    Raises
-    ------
-    ProtocolError
-        The message is malformed or too long, or its sender may not send it to its receiver.
+    ProtocolError: it is malformed or too long, or its sender may not send it to its receiver.
     """
     return _reader(key)(payload)
 
@@ -111,7 +81,7 @@ def _reader_of(plane: str, ends: tuple[str, str], sender: str) -> Callable[[byte
     return unpacker(kinds, sender or "an unnamed sender", limit)
 
 
-def plane_of(kind: type[Record], ends: tuple[str, str]) -> str:
+def plane_of(kind: type[m.Record], ends: tuple[str, str]) -> str:
     """Return the plane of a message between `ends`: the roles of its sender and receiver."""
     if kind in RADIO:
         return "radio"

@@ -66,14 +66,6 @@ class _Edge:
     is_static: bool
     stamps: list[float] = field(default_factory=list)
     poses: list[Pose] = field(default_factory=list)
-    is_sorted: bool = True
-
-    def sort(self) -> None:
-        """Sort the poses by time."""
-        if not self.is_sorted:
-            order = sorted(range(len(self.stamps)), key=self.stamps.__getitem__)
-            self.stamps, self.poses = [self.stamps[at] for at in order], [self.poses[at] for at in order]
-            self.is_sorted = True
 
 
 class TransformBuffer:
@@ -87,14 +79,13 @@ class TransformBuffer:
         edge = self._edges.setdefault(child, _Edge(parent, is_static))
         if edge.parent != parent or (edge.is_static and edge.poses):
             return
-        edge.is_sorted = edge.is_sorted and (not edge.stamps or edge.stamps[-1] <= stamp)
-        edge.stamps.append(stamp)
-        edge.poses.append(pose)
+        at = bisect_right(edge.stamps, stamp)
+        edge.stamps.insert(at, stamp)
+        edge.poses.insert(at, pose)
 
     def forget(self, before: float) -> None:
         """Forget poses of earlier times, but keep the last of them, so that those after it can be interpolated."""
         for edge in self._edges.values():
-            edge.sort()
             first = bisect_right(edge.stamps, before) - 1
             if not edge.is_static and first > 0:
                 del edge.stamps[:first], edge.poses[:first]
@@ -104,7 +95,6 @@ class TransformBuffer:
         edge = self._edges.get(child)
         if edge is None or edge.is_static:
             return
-        edge.sort()
         end = bisect_right(edge.stamps, stamp)
         del edge.stamps[end:], edge.poses[end:]
 
@@ -127,8 +117,6 @@ class TransformBuffer:
         """
         line = self.ancestors(frame)
         edges = [self._edges[each] for each in line[: line.index(root)]]
-        for edge in edges:
-            edge.sort()
         return min((edge.stamps[-1] for edge in edges if not edge.is_static), default=None)
 
     def pose(self, frame: str, root: str, stamp: float) -> Pose | None:
@@ -146,7 +134,6 @@ class TransformBuffer:
         """Interpolate a pose."""
         if edge.is_static:
             return edge.poses[0]
-        edge.sort()
         after = bisect_left(edge.stamps, stamp)
         if after == len(edge.stamps):
             return None

@@ -88,7 +88,7 @@ class Barrier:
         self.medium_closed = False
         self._held_moves = dict(moves)
         if self._world.is_deserted():
-            self.restarts.await_recovering()
+            self.restarts.awaited |= self.restarts.recovering
 
     def begin_step(self) -> Mapping[int, Move]:
         """Put the robots that have rejoined back into the world, and return the moves of the last step."""

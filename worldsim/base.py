@@ -13,10 +13,9 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from protocol.faults import FaultSchedule
-from protocol.grid import Grid
+from protocol.grid import Cell, Grid, Mask
 from protocol.messages import FaultEvent, Move, Sense
 
 if TYPE_CHECKING:
@@ -33,14 +32,14 @@ class BaseWorld(ABC):
     """Reason of a run's end: all robots have finished."""
     stalled = STALLED
     """Reason of a run's end: no robot makes progress."""
-    reachable: NDArray[np.bool_]
+    reachable: Mask
     """The free cells that the team can see, shape (h, w)."""
 
     def __init__(self, truth: Grid, settings: WorldSettings) -> None:
         self.truth = truth
         self.settings = settings
         self.step = 0
-        self.cells: dict[int, tuple[int, int]] = dict(enumerate(settings.starts))
+        self.cells: dict[int, Cell] = dict(enumerate(settings.starts))
         """Cell (x, y) of each robot in the world."""
         self.offsets = dict.fromkeys(self.cells, (0, 0))
         """Position (x, y) of each robot in its cell, in thousandths of a cell from the center."""
@@ -62,7 +61,7 @@ class BaseWorld(ABC):
         return int(np.count_nonzero(self.reachable))
 
     @property
-    def people(self) -> list[tuple[int, int]]:
+    def people(self) -> list[Cell]:
         """The cell of each person in the building."""
         return []
 

@@ -1,9 +1,5 @@
 """Clocks of a run: when a step ends, and which robots take part in it (docs/clocks.md).
 
-StepClock      the barrier: a step ends when all robots that take part in it have moved
-WallClock      a step ends on time; robots that have not moved by then miss it
-RecordedClock  repeats a run by the wall clock from its record
-
 No clock reads the time: the caller passes it in, in integer nanoseconds.
 """
 
@@ -101,9 +97,8 @@ class WallClock(StepClock):
             self._owed[robot] = later
         return step in owed
 
-    def is_over(self, moved: int, active: int) -> bool:
+    def is_over(self, _moved: int, _active: int) -> bool:
         """Return whether the time of the step is over."""
-        del moved, active
         return self._is_over
 
     def end(self, step: int, moved: Iterable[int], late: Iterable[int]) -> None:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+
+from protocol.grid import Mask
 
 
-def largest_part(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def largest_part(cells: Mask) -> Mask:
     """Return the largest 4-connected part of cells, shape (h, w); of equal ones the first, row by row."""
     from scipy import ndimage  # noqa: PLC0415  slow to import, and few commands need it
 
     labels, _ = ndimage.label(cells)
     sizes = np.bincount(labels[cells], minlength=1)
-    largest: NDArray[np.bool_] = (labels == sizes.argmax()) & cells
+    largest: Mask = (labels == sizes.argmax()) & cells
     return largest

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from protocol.arrays import Int32Rows, Int32s
-from protocol.grid import FREE, Grid, RayTable
+from protocol.grid import FREE, Grid, Mask, RayTable
 from protocol.kernels import kernel
 from protocol.scans import HIT, NONE, Readings
 
@@ -18,7 +17,7 @@ FULL_TURN = 360.0
 
 def cast(
     truth: Grid,
-    teammates: NDArray[np.bool_],
+    teammates: Mask,
     ray_table: RayTable,
     x: int,
     y: int,

@@ -15,12 +15,12 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.grid import FINE, FREE, Grid
+from protocol.grid import FINE, FREE, Cell, Grid, Mask
 
 Point = tuple[int, int]
 """A position (x, y) in thousandths of a cell."""
 
-Taken = NDArray[np.uint8] | NDArray[np.bool_]
+Taken = NDArray[np.uint8] | Mask
 """Cells that a center may not enter: bits that say why, or a mask of cells near robots."""
 
 _STRIDE = 100
@@ -46,7 +46,7 @@ class Motion:
     """Final position."""
     direction: tuple[int, int]
     """Direction (dx, dy) in which the robot heads in the end; (0, 0) if it did not move."""
-    cells: list[tuple[int, int]]
+    cells: list[Cell]
     """Cells (x, y) entered, in order."""
     length: float
     """Distance driven, in cells."""
@@ -59,12 +59,7 @@ class Motion:
 
 
 def drive(
-    truth: Grid,
-    taken: Taken,
-    start: tuple[int, int],
-    path: list[tuple[int, int]],
-    way: float,
-    diagonal: float = DIAGONAL,
+    truth: Grid, taken: Taken, start: Cell, path: list[Cell], way: float, diagonal: float = DIAGONAL
 ) -> Motion:
     """Move one robot from cell `start` along `path` for at most `way` cells.
 
@@ -72,7 +67,7 @@ def drive(
     like a wall. Steps to 4-neighbors have length 1, others `diagonal`.
     """
     (x, y), direction, bump = start, (0, 0), (0, 0)
-    cells: list[tuple[int, int]] = []
+    cells: list[Cell] = []
     length = used = carry = 0.0
     blocked = NOT_BLOCKED
     for there in path:
@@ -94,7 +89,7 @@ def drive(
     return Motion((x * FINE, y * FINE), direction, cells, length, blocked, carry, bump)
 
 
-def cell_of(point: Point) -> tuple[int, int]:
+def cell_of(point: Point) -> Cell:
     """Return the cell of a point; a border belongs to the cell on its right, or below."""
     return (point[0] + FINE // 2) // FINE, (point[1] + FINE // 2) // FINE
 
@@ -107,7 +102,7 @@ def glide(truth: Grid, taken: Taken, start: Point, points: list[Point], way: flo
     """
     at, length, blocked = start, 0.0, NOT_BLOCKED
     bump = 0, 0
-    cells: list[tuple[int, int]] = []
+    cells: list[Cell] = []
     for ahead in _positions(start, points, min(_STRIDE, max(1, int(way * _STRIDE)))):
         step = math.hypot(ahead[0] - at[0], ahead[1] - at[1]) / FINE
         if length + step > way:
@@ -135,7 +130,7 @@ def _positions(start: Point, points: list[Point], stride: int) -> Iterator[Point
         start = point
 
 
-def _is_passable(truth: Grid, here: tuple[int, int], there: tuple[int, int]) -> bool:
+def _is_passable(truth: Grid, here: Cell, there: Cell) -> bool:
     """Return whether a robot can leave its cell for a neighbor; past a corner only if all cells there are free."""
     (x, y), (next_x, next_y) = here, there
     if not (0 <= next_x < truth.shape[1] and 0 <= next_y < truth.shape[0]):
@@ -148,9 +143,9 @@ def _taker(bits: int) -> str:
     return PERSON if bits & TAKEN_BY_PERSON else ROBOT
 
 
-def swept(start: tuple[int, int], cells: list[tuple[int, int]]) -> list[tuple[int, int]]:
+def swept(start: Cell, cells: list[Cell]) -> list[Cell]:
     """Return all cells that a motion proves free: the entered cells, and both cells beside each diagonal step."""
-    result: list[tuple[int, int]] = []
+    result: list[Cell] = []
     x, y = start
     for next_x, next_y in cells:
         if next_x != x and next_y != y:
@@ -166,14 +161,13 @@ def heading_of(dx: int, dy: int) -> int:
 
 
 @lru_cache(maxsize=64)
-def too_near(reach: float) -> NDArray[np.bool_]:
+def too_near(reach: float) -> Mask:
     """Cells less than `reach` cells, or one cell, from the middle one, as a square mask."""
     side = np.arange(-int(reach), int(reach) + 1)
-    near: NDArray[np.bool_] = side[:, None] ** 2 + side[None, :] ** 2 < max(reach, 1.0) ** 2
-    return near
+    return side[:, None] ** 2 + side[None, :] ** 2 < max(reach, 1.0) ** 2
 
 
-def mark_near(taken: NDArray[np.uint8], cell: tuple[int, int], reach: float, bit: int) -> NDArray[np.uint8]:
+def mark_near(taken: NDArray[np.uint8], cell: Cell, reach: float, bit: int) -> NDArray[np.uint8]:
     """Set a bit of the cells less than `reach` cells from `cell`; return the changed part of `taken`, a view."""
     near = too_near(reach)
     x, y = cell

@@ -7,17 +7,18 @@ without contact. They are no part of the true map.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from protocol.arrays import BoolRows, Cells, FloatRows
-from protocol.grid import FREE, Grid, enlarge
+from protocol.grid import FREE, Cell, Grid, Mask, enlarge
 from protocol.kernels import kernel
 from protocol.keyed_random import keyed_random
 from worldsim.largest_part import largest_part
-from worldsim.motion import TAKEN_BY_PERSON, drive, mark_near
+from worldsim.motion import TAKEN_BY_PERSON, TAKEN_BY_ROBOT, drive, mark_near
 
 WAIT = 2
 """Steps for which a person waits for a robot to move out of the way."""
@@ -25,7 +26,8 @@ WAIT = 2
 LONGEST_STAY = 10
 """Most steps that a person stays at the end of a way."""
 
-Cell = tuple[int, int]
+RobotDisc = tuple[Cell, float]
+"""Cell of a robot's center, and its radius in cells."""
 
 
 @dataclass(frozen=True)
@@ -55,17 +57,12 @@ class _Person:
 class People:
     """All people; draws are keyed by the run's seed, person, and step.
 
-    `truth` (uint8) is the true map, `reachable` (bool) the cells in which people may be, and `taken` (bool) those too
-    close to a robot to start there; all have shape (h, w). Raises ValueError if there are fewer free cells than people.
+    `truth` (uint8) is the true map, and `reachable` (bool) the cells in which people may be; both have shape (h, w).
+    Raises ValueError if there are fewer free cells that are not too close to `robots` than people.
     """
 
     def __init__(
-        self,
-        truth: Grid,
-        reachable: NDArray[np.bool_],
-        taken: NDArray[np.bool_],
-        settings: PeopleSettings,
-        seed: int,
+        self, truth: Grid, reachable: Mask, robots: Iterable[RobotDisc], settings: PeopleSettings, seed: int
     ) -> None:
         self.radius_cells, self._speed, self._seed = settings.radius_cells, settings.speed, seed
         floor = largest_part((enlarge(truth, settings.radius_cells) == FREE) & reachable)
@@ -73,7 +70,7 @@ class People:
         rows, columns = np.nonzero(self._floor == FREE)
         self._goals = np.stack([columns, rows], axis=1)
         """Cells that people walk to: those of the largest connected part of the floor."""
-        starts = self._goals[~taken[rows, columns]]
+        starts = self._goals[~self._near(robots)[rows, columns]]
         if len(starts) < settings.number:
             raise ValueError(
                 f"{settings.number} people do not fit: there are {len(starts)} free cells for them"
@@ -96,12 +93,20 @@ class People:
         reach = radius_cells + self.radius_cells
         return [mark_near(taken, cell, reach, TAKEN_BY_PERSON) for cell in self.cells]
 
-    def advance(self, step: int, taken: NDArray[np.bool_]) -> None:
-        """Move all people in a step; they do not enter the `taken` cells, shape (h, w), which are close to a robot."""
+    def advance(self, step: int, robots: Iterable[RobotDisc]) -> None:
+        """Move all people in a step; they do not walk into `robots`."""
+        taken = self._near(robots)
         for number, person in enumerate(self._people):
             self._advance(number, person, step, taken)
 
-    def _advance(self, number: int, person: _Person, step: int, taken: NDArray[np.bool_]) -> None:
+    def _near(self, robots: Iterable[RobotDisc]) -> Mask:
+        """Return the cells that people do not enter because of robots, shape (h, w)."""
+        near = np.zeros(self._floor.shape, np.uint8)
+        for cell, radius_cells in robots:
+            mark_near(near, cell, self.radius_cells + radius_cells, TAKEN_BY_ROBOT)
+        return near.view(np.bool_)
+
+    def _advance(self, number: int, person: _Person, step: int, taken: Mask) -> None:
         if not len(person.way) and person.stay:
             person.stay -= 1
             return
@@ -126,8 +131,7 @@ def shortest_way(floor: Grid, start: Cell, end: Cell) -> Cells:
 
     Only free cells of `floor`, uint8 of shape (h, w), are entered, and corners are not cut. Empty without a way.
     """
-    way: Cells = _shortest_way(floor == FREE, *start, *end)
-    return way
+    return _shortest_way(floor == FREE, *start, *end)
 
 
 @kernel

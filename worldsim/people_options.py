@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Annotated
 
-from protocol.bounds import Range, check_ranges
+from protocol.bounds import Options, Range
 from protocol.message_fields import MAX_PEOPLE
 
 
 @dataclass(frozen=True)
-class PeopleOptions:
+class PeopleOptions(Options):
     """People in the building."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
 
     number: Annotated[int, Range(0, MAX_PEOPLE)] = 0
     """Number of people who walk about in the building."""
@@ -22,6 +20,3 @@ class PeopleOptions:
     pedestrians (Weidmann, *Transporttechnik der Fussgänger*, 1993)."""
     radius: Annotated[float, Range(0.05, 1.0, "m")] = 0.25
     """Radius of the disc that a person covers, meters."""
-
-    def __post_init__(self) -> None:
-        check_ranges(self)

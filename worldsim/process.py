@@ -183,10 +183,10 @@ class WorldNode:
             self._bus.put(self._keys.control_tx(names.WORLD), pack(killed))
             self._send(robot, killed)
             self._barrier.remove(robot)
-        elif here and fault.kind != "restart":
+        elif here:
             self._report(messages.FaultEvent(step, robot, fault.kind, fault.steps))
-        if here and fault.kind == "death":
-            self._barrier.remove(robot)
+            if fault.kind == "death":
+                self._barrier.remove(robot)
 
     def _take_loss(self, robot: int) -> None:
         """Process the end of a robot's process, by a fault or unexpected."""

@@ -11,10 +11,9 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.random import Generator
-from numpy.typing import NDArray
 
 from protocol.arrays import FloatRows, Floats, Uint16s
-from protocol.grid import FREE, Grid
+from protocol.grid import FREE, Grid, Mask
 from protocol.kernels import kernel
 from protocol.range_scans import DIRECTION_LENGTH, NO_MEASUREMENT, NOTHING, TURN, Laser, directions
 from worldsim.sensor_options import LaserOptions
@@ -43,7 +42,7 @@ class RangeLaser:
     def ranges(
         self,
         truth: Grid,
-        teammates: NDArray[np.bool_],
+        teammates: Mask,
         place: tuple[float, float],
         heading: int,
         random: Generator,

@@ -57,10 +57,6 @@ class Restarts:
         self.rejoined.discard(robot)
         return True
 
-    def await_recovering(self) -> None:
-        """Hold the next step for the robots that are recovering, since no other robot is left."""
-        self.awaited |= self.recovering
-
     def take_startable(self) -> list[int]:
         """Return the awaited robots whose processes have ended since the last call, in ascending order."""
         startable = self.awaited & self._ended

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Annotated, Any, ClassVar
+from typing import Annotated
 
-from protocol.bounds import Range, check_ranges
+from protocol.bounds import Options, Range
 from protocol.range_scans import MAX_REACH_M
 
 IDEAL, EXACT = "ideal", "exact"
@@ -14,10 +14,8 @@ Share = Annotated[float, Range(0, 1)]
 
 
 @dataclass(frozen=True)
-class LaserOptions:
+class LaserOptions(Options):
     """The robots' laser scanners. Without any error they are exact, and a scan consists of whole cells."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
 
     preset: str = IDEAL
     """Laser by name, for values that the scenario does not give (`LASERS`); ``ideal`` has no errors."""
@@ -41,7 +39,7 @@ class LaserOptions:
     """Scans per step, at most 1; 0.2: a scan every fifth step. A robot maps one scan at the end of its motion."""
 
     def __post_init__(self) -> None:
-        check_ranges(self)
+        super().__post_init__()
         if self.short + self.missing > 1:
             raise ValueError(
                 "short + missing: exclude each other, so their probabilities are together at most 1"
@@ -57,10 +55,8 @@ class LaserOptions:
 
 
 @dataclass(frozen=True)
-class PoseOptions:
+class PoseOptions(Options):
     """The errors that localization leaves: bounded and slowly varying, different for each robot."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
 
     preset: str = EXACT
     """Localization method, for values that the scenario does not give (`POSES`); ``exact`` has no errors."""
@@ -68,9 +64,6 @@ class PoseOptions:
     """Standard deviation of each coordinate, meters; no error exceeds three of them."""
     heading_error_deg: Annotated[float, Range(0, 10, "degrees")] = 0.0
     """Standard deviation of the heading, degrees; no error exceeds three of them."""
-
-    def __post_init__(self) -> None:
-        check_ranges(self)
 
     @property
     def is_exact(self) -> bool:

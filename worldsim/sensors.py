@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.arrays import FloatRows
-from protocol.grid import FINE, Grid
+from protocol.arrays import Bools, FloatRows
+from protocol.grid import FINE, Cell, Grid, Mask
 from protocol.keyed_random import keyed_random
 from protocol.messages import Sense
 from protocol.range_scans import NO_MEASUREMENT, TURN, UNIT, Laser, RangeScan, encode_range_scan
@@ -56,9 +56,7 @@ class Sensors:
         """Return whether the pose that a robot believes in is always the true one."""
         return self._settings.robots[robot].pose.is_exact
 
-    def true_points(
-        self, robot: int, step: int, path: list[tuple[int, int]], points: list[Point]
-    ) -> list[Point]:
+    def true_points(self, robot: int, step: int, path: list[Cell], points: list[Point]) -> list[Point]:
         """Return the true waypoints of a path or of waypoints that a robot has planned in a step."""
         x, y, _ = self._errors[robot].at(step)
         shift_x, shift_y = round(x * FINE / UNIT), round(y * FINE / UNIT)
@@ -70,8 +68,8 @@ class Sensors:
         robot: int,
         exact: Sense,
         truth: Grid,
-        teammates: NDArray[np.bool_],
-        active: NDArray[np.bool_],
+        teammates: Mask,
+        active: Bools,
         people: FloatRows = NO_DISCS,
     ) -> Sense:
         """Return a robot's readings, given its true pose and the readings of exact sensors.

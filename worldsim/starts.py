@@ -6,13 +6,10 @@ from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from protocol.grid import FREE, Grid
+from protocol.grid import FREE, Cell, Grid, Mask
 from protocol.keyed_random import keyed_random
 from worldsim.largest_part import largest_part
-
-Cell = tuple[int, int]
 
 
 def start_cells(
@@ -62,7 +59,7 @@ def start_cells(
     return chosen
 
 
-def _wide_cell(cells: NDArray[np.bool_], cell: Cell, width: int) -> Cell:
+def _wide_cell(cells: Mask, cell: Cell, width: int) -> Cell:
     """Return the cell nearest to `cell` in the largest part that a square of `width` cells covers if it moves.
 
     That is `cell` itself if this part contains it, or if no such square fits.

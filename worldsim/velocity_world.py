@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.arrays import Uint16s
-from protocol.grid import FINE, FREE, Grid, enlarge, ray_table
+from protocol.grid import FINE, FREE, Cell, Grid, Mask, enlarge, ray_table
 from protocol.keyed_random import keyed_random
 from protocol.map_frame import MapFrame
 from protocol.range_scans import UNIT
@@ -23,7 +23,7 @@ from protocol.scans import draw
 from protocol.transforms import Pose
 from worldsim.laser import HEADINGS, cast
 from worldsim.motion import NOT_BLOCKED, TAKEN_BY_ROBOT, Point, cell_of, clear, glide, mark_near
-from worldsim.people import People, PeopleSettings
+from worldsim.people import People, PeopleSettings, RobotDisc
 from worldsim.range_laser import NO_DISCS, RangeLaser
 from worldsim.world import WorldSettings, reachable_by_team
 
@@ -77,7 +77,10 @@ class VelocityWorld:
         self._ray_tables = [
             ray_table(min(each.beams.reach_mm / 1000 / cell, max(truth.shape) * 2)) for each in sensors.robots
         ]
-        self._people = None if settings.people is None else self._place_people(settings.people)
+        self._people = None
+        if (people := settings.people) is not None:
+            per_step = PeopleSettings(people.number, people.speed * step_s, people.radius_cells)
+            self._people = People(truth, self.reachable, self._robot_discs(), per_step, settings.seed)
 
     @property
     def coverage(self) -> float:
@@ -89,7 +92,7 @@ class VelocityWorld:
         x, y = self._points[robot]
         return Pose(*self.frame.position(x / FINE + 0.5, y / FINE + 0.5), self._yaws[robot])
 
-    def cell(self, robot: int) -> tuple[int, int]:
+    def cell(self, robot: int) -> Cell:
         """Return the cell (x, y) of a robot's center."""
         return cell_of(self._points[robot])
 
@@ -98,7 +101,7 @@ class VelocityWorld:
         self.step += 1
         blocked = [self._drive(robot, velocity) for robot, velocity in enumerate(velocities)]
         if self._people is not None:
-            self._people.advance(self.step, self._near_robots(self._people.radius_cells))
+            self._people.advance(self.step, self._robot_discs())
         return blocked
 
     def scan(self, robot: int, laser: Pose) -> Uint16s:
@@ -123,7 +126,7 @@ class VelocityWorld:
         self._see(robot)
         return ranges
 
-    def near_others(self, robot: int, within_m: float) -> NDArray[np.bool_]:
+    def near_others(self, robot: int, within_m: float) -> Mask:
         """Return the cells that a robot's center cannot enter because of robots within `within_m`, shape (h, w)."""
         near = np.zeros(self._truth.shape, np.uint8)
         here, own = self.pose(robot), self._settings.bodies[robot].radius_cells
@@ -171,18 +174,8 @@ class VelocityWorld:
         ]  # fmt: skip
         return np.array(rows).reshape(-1, 3)
 
-    def _place_people(self, settings: PeopleSettings) -> People:
-        """Place people on cells that robots can reach; ValueError if there are too few."""
-        per_step = PeopleSettings(settings.number, settings.speed * self._step_s, settings.radius_cells)
-        near = self._near_robots(settings.radius_cells)
-        return People(self._truth, self.reachable, near, per_step, self._settings.seed)
-
-    def _near_robots(self, radius_cells: float) -> NDArray[np.bool_]:
-        """Return the cells that people of this radius do not enter because of robots, shape (h, w)."""
-        near = np.zeros(self._truth.shape, np.uint8)
-        for robot, body in enumerate(self._settings.bodies):
-            mark_near(near, self.cell(robot), radius_cells + body.radius_cells, TAKEN_BY_ROBOT)
-        return near.view(np.bool_)
+    def _robot_discs(self) -> list[RobotDisc]:
+        return [(self.cell(robot), body.radius_cells) for robot, body in enumerate(self._settings.bodies)]
 
     def _see(self, robot: int) -> None:
         """Count the cells that a robot sees from its cell."""

@@ -10,10 +10,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.arrays import BoolRows
+from protocol.arrays import BoolRows, Bools
 from protocol.body import Body, narrowest_opening
 from protocol.cell_bytes import cells_from_bytes, cells_to_bytes, points_from_bytes
-from protocol.grid import FINE, FREE, Grid, RayTable, disc, enlarge, ray_table
+from protocol.grid import FINE, FREE, Cell, Grid, Mask, RayTable, disc, enlarge, ray_table
 from protocol.kernels import kernel
 from protocol.keyed_random import keyed_random
 from protocol.messages import FaultEvent, Move, Sense
@@ -21,7 +21,7 @@ from protocol.scans import NONE, draw
 from worldsim import motion
 from worldsim.base import BaseWorld
 from worldsim.laser import FULL_TURN, HEADINGS, cast
-from worldsim.people import People, PeopleSettings
+from worldsim.people import People, PeopleSettings, RobotDisc
 from worldsim.range_laser import NO_DISCS
 from worldsim.sensors import Sensors, SensorSettings
 
@@ -35,7 +35,7 @@ class WorldSettings:
 
     bodies: tuple[Body, ...]
     """One per robot."""
-    starts: tuple[tuple[int, int], ...]
+    starts: tuple[Cell, ...]
     """Cell (x, y) where each robot starts."""
     beams: int = 360
     """Laser beams per full turn."""
@@ -72,15 +72,18 @@ class World(BaseWorld):
         """Grid of all cells seen by the team's lasers."""
         self._counted = np.zeros(truth.shape, np.bool_)
         self._taken = np.zeros(truth.shape, np.uint8)
-        self._reachable_by: dict[int, NDArray[np.bool_]] = {}
+        self._reachable_by: dict[int, Mask] = {}
         """The free cells that a robot can reach, by robots whose reports were checked."""
+        self._widest = max(self.floors, default=0.0)
         self._carry = [0.0] * len(settings.starts)
         self._scanner_angle = [0.0] * len(settings.starts)
         self._sensors = None if settings.sensors is None else Sensors(settings.sensors, settings.seed)
-        self._people = None if settings.people is None else self._place_people(settings.people)
+        self._people = None
+        if settings.people is not None:
+            self._people = People(truth, self.reachable, self._discs(), settings.people, settings.seed)
 
     @property
-    def people(self) -> list[tuple[int, int]]:
+    def people(self) -> list[Cell]:
         """The cell of each person in the building."""
         return [] if self._people is None else self._people.cells
 
@@ -88,10 +91,6 @@ class World(BaseWorld):
     def _ray_tables(self) -> list[RayTable]:
         """The cells of each robot's beams."""
         return [ray_table(body.range_cells, self.settings.beams) for body in self.settings.bodies]
-
-    @cached_property
-    def _widest(self) -> float:
-        return max((body.radius_cells for body in self.settings.bodies), default=0.0)
 
     def restore(self, robot: int) -> None:
         """Put a removed robot back where it was, or into the nearest free cell if that one is taken."""
@@ -119,7 +118,7 @@ class World(BaseWorld):
     def move_robots(self, moves: Mapping[int, Move]) -> Iterator[tuple[int, Sense]]:
         """Begin the next step: move the robots, and return an iterator that casts one scan at a time."""
         self.step += 1
-        entered: dict[int, list[tuple[int, int]]] = {}
+        entered: dict[int, list[Cell]] = {}
         blocked: dict[int, str] = {}
         before = dict(self.cells)
         for robot in self.active_robots():
@@ -128,8 +127,10 @@ class World(BaseWorld):
             if move is not None:
                 entered[robot], blocked[robot] = self._move(robot, move, before)
         if self._people is not None:
-            self._people.advance(self.step, self._cells_near_robots(self._people.radius_cells))
-        occupied = self._standing()
+            self._people.advance(self.step, self._discs())
+        occupied = np.zeros(self.truth.shape, np.bool_)
+        for x, y in self.cells.values() if self.settings.robots_collide else ():
+            occupied[y, x] = True
         looking = {
             robot: scans_in(self.step, self.settings.bodies[robot].scan_rate)
             and (robot not in moves or moves[robot].look)
@@ -140,9 +141,7 @@ class World(BaseWorld):
             for robot, look in looking.items()
         )
 
-    def _move(
-        self, robot: int, move: Move, before: Mapping[int, tuple[int, int]]
-    ) -> tuple[list[tuple[int, int]], str]:
+    def _move(self, robot: int, move: Move, before: Mapping[int, Cell]) -> tuple[list[Cell], str]:
         """Move one robot; return the cells found free on its path, and what blocked it."""
         path = [(x, y) for x, y in cells_from_bytes(move.path).tolist()]
         points = [(x, y) for x, y in points_from_bytes(move.points).tolist()] if move.points else []
@@ -174,7 +173,7 @@ class World(BaseWorld):
         return motion.swept(start, result.cells), result.blocked
 
     def _mark_others(
-        self, robot: int, way: float, path: Sequence[tuple[int, int]] | None = None
+        self, robot: int, way: float, path: Sequence[Cell] | None = None
     ) -> list[NDArray[np.uint8]]:
         """Mark the cells that a robot's center may not enter because of other robots, or of people.
 
@@ -202,20 +201,10 @@ class World(BaseWorld):
             marked += self._people.mark(self._taken, own)
         return marked
 
-    def _place_people(self, settings: PeopleSettings) -> People:
-        """Place people on cells that robots can reach; ValueError if there are too few."""
-        near = self._cells_near_robots(settings.radius_cells)
-        return People(self.truth, self.reachable, near, settings, self.settings.seed)
+    def _discs(self) -> list[RobotDisc]:
+        return [(cell, self.settings.bodies[robot].radius_cells) for robot, cell in self.cells.items()]
 
-    def _cells_near_robots(self, radius_cells: float) -> NDArray[np.bool_]:
-        """Return the cells that people of this radius do not enter because of robots."""
-        near = np.zeros(self.truth.shape, np.uint8)
-        for robot, cell in self.cells.items():
-            reach = radius_cells + self.settings.bodies[robot].radius_cells
-            motion.mark_near(near, cell, reach, motion.TAKEN_BY_ROBOT)
-        return near.view(np.bool_)
-
-    def _hindered(self, robot: int, before: Mapping[int, tuple[int, int]]) -> bool:
+    def _hindered(self, robot: int, before: Mapping[int, Cell]) -> bool:
         limit = self.settings.interference_cells
         if not limit:
             return False
@@ -229,21 +218,8 @@ class World(BaseWorld):
         draw_of = keyed_random(self.settings.seed, "interference", robot, self.step)
         return bool(draw_of.random() >= MOVES_AS_PLANNED)
 
-    def _standing(self) -> NDArray[np.bool_]:
-        occupied = np.zeros(self.truth.shape, np.bool_)
-        for x, y in self.cells.values() if self.settings.robots_collide else ():
-            occupied[y, x] = True
-        return occupied
-
     def _sense(
-        self,
-        robot: int,
-        x: int,
-        y: int,
-        occupied: NDArray[np.bool_],
-        entered: list[tuple[int, int]],
-        blocked: str,
-        look: bool,
+        self, robot: int, x: int, y: int, occupied: Mask, entered: list[Cell], blocked: str, look: bool
     ) -> Sense:
         body = self.settings.bodies[robot]
         heading = self.headings[robot]
@@ -290,19 +266,18 @@ def scans_in(step: int, rate: float) -> bool:
     return math.floor((step - 1) * rate) > math.floor((step - 2) * rate)
 
 
-def beams_outside(beams: int, angle: float, width: float) -> NDArray[np.bool_]:
+def beams_outside(beams: int, angle: float, width: float) -> Bools:
     """Return which beams a turning scanner does not send while it turns by `width` degrees from `angle`."""
     degrees = np.arange(beams) * (FULL_TURN / beams)
-    outside: NDArray[np.bool_] = (degrees - angle) % FULL_TURN >= min(width, FULL_TURN)
-    return outside
+    return (degrees - angle) % FULL_TURN >= min(width, FULL_TURN)
 
 
-def reachable_by_team(truth: Grid, settings: WorldSettings) -> NDArray[np.bool_]:
+def reachable_by_team(truth: Grid, settings: WorldSettings) -> Mask:
     """Return the free cells that at least one robot explores: those that it can reach with its disc.
 
     Robots with real sensors do not explore narrow openings, so cells behind them, or in them, do not count.
     """
-    found: NDArray[np.bool_] = np.zeros(truth.shape, np.bool_)
+    found: Mask = np.zeros(truth.shape, np.bool_)
     done: set[float] = set()
     for start, body in zip(settings.starts, settings.bodies, strict=True):
         x, y = start
@@ -312,9 +287,7 @@ def reachable_by_team(truth: Grid, settings: WorldSettings) -> NDArray[np.bool_]
     return found
 
 
-def _reachable_by_body(
-    truth: Grid, start: tuple[int, int], body: Body, settings: WorldSettings
-) -> NDArray[np.bool_]:
+def _reachable_by_body(truth: Grid, start: Cell, body: Body, settings: WorldSettings) -> Mask:
     """Return the free cells that a robot with this body explores from `start`."""
     found = reachable_by(truth, start, body.radius_cells)
     if settings.sensors is None:
@@ -322,7 +295,7 @@ def _reachable_by_body(
     return wide_part(found, start, narrowest_opening(body.radius_cells, settings.sensors.resolution))
 
 
-def reachable_by(truth: Grid, start: tuple[int, int], radius_cells: float) -> NDArray[np.bool_]:
+def reachable_by(truth: Grid, start: Cell, radius_cells: float) -> Mask:
     """Return the free cells that a disc starting at `start` can reach with its center, or cover from there."""
     from scipy import ndimage  # noqa: PLC0415  slow to import, and few commands need it
 
@@ -330,12 +303,12 @@ def reachable_by(truth: Grid, start: tuple[int, int], radius_cells: float) -> ND
     found = reachable_from(floor, start)
     if floor is truth:
         return found
-    covered: NDArray[np.bool_] = ndimage.binary_dilation(found, disc(radius_cells))
+    covered: Mask = ndimage.binary_dilation(found, disc(radius_cells))
     covered &= truth == FREE
     return covered
 
 
-def wide_part(cells: NDArray[np.bool_], start: tuple[int, int], width: int) -> NDArray[np.bool_]:
+def wide_part(cells: Mask, start: Cell, width: int) -> Mask:
     """Return the cells that a square of `width` cells covers if it moves within `cells`, shape (h, w).
 
     It begins as near as possible to `start`. All cells are returned if no such square fits.
@@ -349,15 +322,15 @@ def wide_part(cells: NDArray[np.bool_], start: tuple[int, int], width: int) -> N
         return cells
     nearest = int(np.argmin((columns - start[0]) ** 2 + (rows - start[1]) ** 2))
     first = places[rows[nearest], columns[nearest]]
-    covered: NDArray[np.bool_] = ndimage.binary_dilation(places == first, square)
+    covered: Mask = ndimage.binary_dilation(places == first, square)
     return covered
 
 
-def reachable_from(truth: Grid, start: tuple[int, int]) -> NDArray[np.bool_]:
+def reachable_from(truth: Grid, start: Cell) -> Mask:
     """Return the free cells that a robot can reach from `start`: its 4-connected component, as corners are not cut."""
     from scipy import ndimage  # noqa: PLC0415  slow to import, and few commands need it
 
     labels, _ = ndimage.label(truth == FREE)
-    found: NDArray[np.bool_] = labels == labels[start[1], start[0]]
+    found: Mask = labels == labels[start[1], start[0]]
     found &= truth == FREE
     return found

@@ -98,10 +98,8 @@ def shrink(verdict: Verdict) -> Verdict:
 
 def _run_as_processes(plan: Plan, radios: HostileRadios, cuts: Sequence[Cut], expected: str) -> str:
     """Repeat a run as processes, and cut connections; return a failure, or nothing."""
-    with proxied(on_loopback(plan.scenario.robots), sorted({cut.robot for cut in cuts})) as (
-        rendezvous,
-        proxies,
-    ):
+    cut_robots = sorted({cut.robot for cut in cuts})
+    with proxied(on_loopback(plan.scenario.robots), cut_robots) as (rendezvous, proxies):
         cutter = Cutter(cuts, proxies)
         with cutter.running():
             outcome = launch.run(plan, None, cutter.watch, rendezvous=rendezvous, wrap=radios)

@@ -39,13 +39,7 @@ class ReceivedTopic:
 
 
 class Listener:
-    """A node that subscribes to what a robot offers, and hands it to `body`.
-
-    Raises
-    ------
-    ConnectionError
-        No router answers.
-    """
+    """A node that subscribes to what a robot offers, and hands it to `body`; ConnectionError if no router answers."""
 
     def __init__(self, names: Ros2Table, body: Ros2Body) -> None:
         self.node = open_node(names, "_doctor")

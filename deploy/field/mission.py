@@ -81,10 +81,7 @@ class StopRequest:
 def explore(file: RobotFile, say: Say) -> Ending:
     """Run one robot until its mission ends; whatever happens, it then stands still.
 
-    Raises
-    ------
-    ValueError
-        Key, session file, journal, interface, port, or router cannot be used; the message says what to do.
+    ValueError: key, session file, journal, interface, port, or router cannot be used; the message says what to do.
     """
     key = read_key(file.key)
     with contextlib.ExitStack() as stack:

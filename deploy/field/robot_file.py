@@ -101,23 +101,15 @@ class Ros2Table(Table):
     base_frame: str = Field("base_link", description="the frame of the robot's base")
 
     @model_validator(mode="after")
-    def _has_readings(self) -> Self:
+    def _fits_together(self) -> Self:
         if not self.scan and not self.map:
             raise ValueError(
                 "scan and map are both empty, so that the robot has no readings; name one of them"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _takes_goals(self) -> Self:
         if not self.goal_pose and not self.navigate_to_pose:
             raise ValueError(
                 "goal_pose and navigate_to_pose are both empty, so that the robot cannot be driven"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _has_valid_names(self) -> Self:
         if not re.fullmatch(r"[a-z0-9-]+/\S+:[0-9]+([?#]\S+)?|unixsock-stream/\S+", self.router):
             raise ValueError(f"router = {self.router!r}: must be as tcp/localhost:7447")
         for name in ("map_frame", "base_frame"):
@@ -173,13 +165,7 @@ class TeammateTable(Table):
 
 
 class RobotSettings(ControlSettings):
-    """All settings of one robot in the field.
-
-    Raises
-    ------
-    ScenarioError
-        Keys or values are wrong; the message lists all of them.
-    """
+    """All settings of one robot in the field; ScenarioError lists all keys and values that are wrong."""
 
     def __init__(self, **settings: Any) -> None:
         try:
@@ -232,7 +218,12 @@ class RobotSettings(ControlSettings):
             raise ValueError(
                 f"robot = {self.robot}: the last robot of {self.robots} has number {self.robots - 1}"
             )
-        self._check_teammates()
+        numbers = [each.robot for each in self.teammate]
+        check_numbers("teammate", numbers, self.robots)
+        if self.robot in numbers:
+            raise ValueError(
+                f"[[teammate]] names robot {self.robot}, which is this robot: set its values at the top of the file"
+            )
         if self.robots * self.starts > MAX_GOSSIP_MAPS:
             raise ValueError(
                 f"starts = {self.starts}: packets can address {MAX_GOSSIP_MAPS} maps, one per start of each robot; "
@@ -242,15 +233,6 @@ class RobotSettings(ControlSettings):
             if reach is not None and reach < 2 * self.grid.resolution:
                 raise ValueError(f"sensor_range = {reach:g}: must be two cells of the grid, or more")
         return self
-
-    def _check_teammates(self) -> None:
-        """Raise ValueError if a `[[teammate]]` table names a robot that is no teammate, or two tables name the same."""
-        numbers = [each.robot for each in self.teammate]
-        check_numbers("teammate", numbers, self.robots)
-        if self.robot in numbers:
-            raise ValueError(
-                f"[[teammate]] names robot {self.robot}, which is this robot: set its values at the top of the file"
-            )
 
 
 @dataclass(frozen=True)

@@ -31,13 +31,7 @@ CANCEL_S = 1.0
 
 
 class Ros2Robot:
-    """The node of one robot, and its body.
-
-    Raises
-    ------
-    ValueError
-        No router answers, or a name in the settings is wrong.
-    """
+    """The node of one robot, and its body; ValueError if no router answers, or a name in the settings is wrong."""
 
     def __init__(self, settings: RobotSettings) -> None:
         names = settings.ros2

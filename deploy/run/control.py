@@ -10,7 +10,7 @@ import queue
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Any
 
 from deploy.record.records import NO_MAPS, RecorderNode, Records
 from deploy.run.gate import Gate
@@ -165,14 +165,8 @@ def _merged(changes: Iterable[ChangeTable]) -> tuple[ChangeTable, ...]:
 def _table(change: Change) -> ChangeTable:
     """The table ``[[change]]`` of a change that has occurred."""
     range_m = None if change.range_mm is None else repr(change.range_mm / 1000)
-    return ChangeTable(step=change.step, bandwidth=_bandwidth(change), range=range_m)
-
-
-def _bandwidth(change: Change) -> int | Literal["unlimited"] | None:
-    """The bandwidth of a change as a scenario writes it."""
-    if change.budget is None:
-        return None
-    return "unlimited" if change.budget.limit is None else change.budget.limit
+    bandwidth: Any = None if change.budget is None else str(change.budget)
+    return ChangeTable(step=change.step, bandwidth=bandwidth, range=range_m)
 
 
 def why_unrepeatable(summary: dict[str, Any]) -> str:

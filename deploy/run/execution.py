@@ -144,7 +144,7 @@ class _Execution:
         return self.directory / run_directory.JOURNALS if self.directory is not None else None
 
     def _run_in_memory(self, plan: Plan, capture: BinaryIO | None, _: int) -> launch.Outcome:
-        task, ready = self._view(plan)
+        show = self._show(plan)
         wait: Callable[[], object] = (
             Pace(self.options.pace).wait if self.options.pace is not None else (lambda: None)
         )
@@ -159,8 +159,9 @@ class _Execution:
                 self._logs.mkdir(exist_ok=True)
                 (self._logs / f"{name}.log").write_text(f"{report}\n", encoding="utf-8")
 
-        with watching(task) if task is not None else contextlib.nullcontext() as view:
-            ready()
+        with watching(show.task) if show is not None else contextlib.nullcontext() as view:
+            if show is not None:
+                show.ready()
             records = MemoryRun(
                 plan,
                 capture,
@@ -173,14 +174,13 @@ class _Execution:
         return launch.Outcome(records, deaths)
 
     def _run_processes(self, plan: Plan, capture: BinaryIO | None, done: int) -> launch.Outcome:
-        task, ready = self._view(plan)
         return launch.run(
             plan,
             self._logs,
             self._observer(plan),
             capture,
             heed=self._heed,
-            show=launch.Show(task, ready) if task is not None else None,
+            show=self._show(plan),
             pace=self.options.pace,
             live=self.directory,
             fleet=self.fleet,
@@ -190,11 +190,11 @@ class _Execution:
             gate=self.options.control.gate(done) if self.options.control is not None else None,
         )
 
-    def _view(self, plan: Plan) -> tuple[ViewTask | None, Callable[[], object]]:
-        """Return the viewer's task, if there is a window, and what to call once the viewer has joined."""
-        if self.directory is None or self.options.window is None:
-            return None, (lambda: None)
-        return ViewTask(plan, self.directory.absolute(), self.options.window.port), self.options.window.open
+    def _show(self, plan: Plan) -> launch.Show | None:
+        """Return the viewer of a run; None without a window."""
+        if self.directory is None or (window := self.options.window) is None:
+            return None
+        return launch.Show(ViewTask(plan, self.directory.absolute(), window.port), window.open)
 
     def _observer(self, plan: Plan) -> Callable[[Records], object]:
         watch = self.options.watch

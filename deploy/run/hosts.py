@@ -120,14 +120,11 @@ class Hosts(Table):
             if isinstance(host.robots, int):
                 listed[host.name], free = free[: host.robots], free[host.robots :]
         missing = [number for number in taken if number >= robots]
-        if missing or sum(len(numbers) for numbers in listed.values()) < self._wanted():
-            of = f"robot {min(missing)}" if missing else f"{self._wanted()} robots"
+        wanted = sum(host.robots if isinstance(host.robots, int) else len(host.robots) for host in self.host)
+        if missing or sum(map(len, listed.values())) < wanted:
+            of = f"robot {min(missing)}" if missing else f"{wanted} robots"
             raise ScenarioError(f"hosts: the file assigns {of}, but the scenario has robots = {robots}")
         return {host.name: listed[host.name] for host in self.host}
-
-    def _wanted(self) -> int:
-        """Return the number of robots on all other hosts."""
-        return sum(host.robots if isinstance(host.robots, int) else len(host.robots) for host in self.host)
 
 
 def load(path: Path) -> Hosts:

@@ -24,13 +24,13 @@ from agent.planning.frontier import Floor
 from agent.planning.jump_point_search import costs_between
 from agent.planning.team_tours import Task, team_tours
 from deploy.scenario.plan import Plan
-from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, enlarge, ray_table
+from protocol.arrays import Bools
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Cell, Grid, Mask, enlarge, ray_table
 from protocol.scans import draw
 from worldsim.laser import cast
 from worldsim.motion import drive
 from worldsim.world import reachable_from
 
-Cell = tuple[int, int]
 Indices = NDArray[np.int32]
 
 LATTICE = 1 / 8
@@ -46,29 +46,9 @@ TRIES = 8
 class KnownBuilding:
     """A known building: visibility from each cell, and path lengths between cells.
 
-    Parameters
-    ----------
-    truth : uint8 array, shape (h, w)
-        The true map.
-    start : (x, y)
-        A cell of the reachable part.
-    range_cells : float
-        Sensor range.
-    speed : float
-        Cells that a robot drives in a step.
-    beams : int
-        Number of laser beams in a full turn.
-    radius_cells : float
-        Radius of each robot.
-
-    Attributes
-    ----------
-    floor : uint8 array, shape (h, w)
-        The cells where a robot may stand are free, all others occupied.
-    viewpoints : list of (x, y)
-        Cells that together see everything that can be seen.
-    visible : bool array, shape (h * w,)
-        The cells that must be seen, on the flattened map.
+    `truth`, uint8 of shape (h, w), is the true map, and `start` a cell (x, y) of its reachable part. Robots have a
+    sensor range of `range_cells`, `beams` per full turn, and a radius of `radius_cells`, and drive `speed` cells per
+    step.
     """
 
     def __init__(
@@ -81,20 +61,23 @@ class KnownBuilding:
         radius_cells: float = 0.0,
     ) -> None:
         standable = reachable_from(enlarge(truth, radius_cells), start)
-        self._required: NDArray[np.bool_] = binary_dilation(standable)
+        self._required: Mask = binary_dilation(standable)
         self.floor: Grid = np.where(standable, FREE, OCCUPIED).astype(np.uint8)
+        """Shape (h, w): the cells where a robot may stand are free, all others occupied."""
         self.range_cells = range_cells
         self.speed = speed
         self._truth = truth
         self._no_robots = np.zeros(truth.shape, np.bool_)
         self._ray_table = ray_table(range_cells, beams)
         self._scratch: Grid = np.full_like(truth, UNKNOWN)
-        self._padded_floor = Floor(self.floor)
+        self.padded_floor = Floor(self.floor)
         self.seen = lru_cache(maxsize=1 << 14)(self._seen_from)
         self.field = lru_cache(maxsize=512)(self._field)
         self.scan_positions = lru_cache(maxsize=1 << 14)(self._scan_positions)
         self.viewpoints = self._lattice()
+        """Cells (x, y) that together see everything that can be seen."""
         self.visible = np.zeros(truth.size, np.bool_)
+        """The cells that must be seen, on the flattened map, shape (h * w,)."""
         for cell in self.viewpoints:
             self.visible[self.seen(cell)] = True
 
@@ -118,10 +101,6 @@ class KnownBuilding:
         """Whether a robot may stand on a cell, and so reach the whole floor from there."""
         return bool(self.floor[cell[1], cell[0]] == FREE)
 
-    def path_lengths(self, starts: NDArray[np.int32], goals: NDArray[np.int32]) -> NDArray[np.float64]:
-        """Shortest path lengths from each start to each goal, both of shape (n, 2), in cells."""
-        return costs_between(self._padded_floor, starts, goals)
-
     def steps(self, tours: Sequence[Sequence[Cell]]) -> int:
         """Steps of the longest tour, including the first scan."""
         return 1 + max(self.steps_of(tour) for tour in tours)
@@ -132,7 +111,7 @@ class KnownBuilding:
 
     def _field(self, cell: Cell) -> Field:
         """Shortest path length from a cell to every other cell, in cells."""
-        return costs(self._padded_floor, *cell)
+        return costs(self.padded_floor, *cell)
 
     def path(self, start: Cell, end: Cell) -> list[Cell]:
         """The cells of a shortest path, without its start."""
@@ -199,18 +178,9 @@ def offline_steps(building: KnownBuilding, starts: Sequence[Cell]) -> int:
 
 
 def offline_tours(building: KnownBuilding, starts: Sequence[Cell]) -> list[list[Cell]]:
-    """Plan short tours that together see everything.
+    """Plan short tours that together see everything, from the start cell (x, y) of each robot.
 
-    Parameters
-    ----------
-    building : KnownBuilding
-    starts : sequence of (x, y)
-        Start of each robot.
-
-    Returns
-    -------
-    list of lists of (x, y)
-        For each robot its start, then its viewpoints; it also scans at the end of each step between them.
+    Returns for each robot its start, then its viewpoints; it also scans at the end of each step between them.
     """
     plan = _Plan(building, starts)
     plan.order([])
@@ -226,7 +196,7 @@ def offline_tours(building: KnownBuilding, starts: Sequence[Cell]) -> list[list[
     return plan.tours
 
 
-def _cover(building: KnownBuilding, unseen: NDArray[np.bool_]) -> list[Cell]:
+def _cover(building: KnownBuilding, unseen: Bools) -> list[Cell]:
     """Choose viewpoints until all unseen cells are seen: a greedy set cover.
 
     `unseen` has a flag per cell of the flattened map; the function clears the flags of seen cells.
@@ -274,7 +244,7 @@ class _Plan:
     def _distributed(self, stops: list[Cell]) -> list[list[Cell]]:
         count, robots = len(stops), len(self._starts)
         cells = np.array([*self._starts, *stops], np.int32)
-        lengths = self._building.path_lengths(cells, cells[robots:])
+        lengths = costs_between(self._building.padded_floor, cells, cells[robots:])
         task = Task(
             lengths[:robots].copy(),
             lengths[robots:].copy(),
@@ -335,7 +305,7 @@ class _Plan:
                 break
         return ends[1]
 
-    def _near(self, cells: Indices) -> tuple[int, int, NDArray[np.bool_]]:
+    def _near(self, cells: Indices) -> tuple[int, int, Mask]:
         """Return where a robot may stand to see all of these cells: corner x0, y0 of a box, and a flag per cell of it.
 
         The flags are a necessary condition: the outermost cells, by x, y, x + y, and x - y, are in range.
@@ -365,7 +335,7 @@ class _Plan:
             cells = cells[is_unseen[cells]]
         return cells
 
-    def _flags(self, cells: Indices) -> NDArray[np.bool_]:
+    def _flags(self, cells: Indices) -> Bools:
         """A flag per cell of the flattened map, set for these cells."""
         flags = np.zeros(self._building.floor.size, np.bool_)
         flags[cells] = True

@@ -176,13 +176,11 @@ def silence_s(reply_timeout_s: float, pause_s: float) -> float:
 
 def serve_world(credential: Credential, task: WorldTask, wrap: Wrap | None = None) -> None:
     """Serve as the world of a run."""
-    joined = _joined(credential)
-    bus = _wrapped(joined, credential, wrap)
-    keys = Keys(credential.run)
+    joined, bus = _joined(credential, wrap)
     step_ns = task.world.settings.step_ns
     node = WorldNode(
         bus,
-        keys,
+        Keys(credential.run),
         task.world,
         task.steps,
         task.cell_mm,
@@ -224,8 +222,7 @@ def serve_agent(credential: Credential, journal: Path | None = None, wrap: Wrap 
     try:
         kept = Journal.open(journal) if journal is not None else None
         schedule_as_batch()
-        joined = _joined(credential)
-        bus = _wrapped(joined, credential, wrap)
+        joined, bus = _joined(credential, wrap)
         node = AgentNode(bus, Keys(credential.run), number, kept, resend=joined.resend)
         _serve_robot(bus, node, lambda: kept is None and joined.misses_messages)
     except (JournalError, OSError) as error:
@@ -241,14 +238,12 @@ def serve_view(credential: Credential, task: ViewTask, ready: Connection) -> Non
     process.serve(credential, task, lambda: ready.send(True))
 
 
-def _joined(credential: Credential) -> ZenohBus:
+def _joined(credential: Credential, wrap: Wrap | None) -> tuple[ZenohBus, Bus]:
+    """Join the bus; return this end of it, and the end to use."""
     if credential.certificate is None:
         send_along()
-    return join(credential)
-
-
-def _wrapped(bus: ZenohBus, credential: Credential, wrap: Wrap | None) -> Bus:
-    return bus if wrap is None else wrap(credential.name, bus)
+    bus = join(credential)
+    return bus, bus if wrap is None else wrap(credential.name, bus)
 
 
 def _serve_robot(bus: Bus, node: AgentNode, is_second: Callable[[], bool]) -> None:

@@ -41,13 +41,9 @@ _PIECE = MAX_LINE // 8
 PACKAGES = ("agent", "protocol")
 """Packages that determine the behavior of a robot."""
 STARTERS = (
-    "deploy.run.remote_agents",
-    "deploy.run.processes",
-    "deploy.run.process_table",
-    "deploy.run.fork_server",
-    "netshaper.access",
-    "netshaper.router",
-)
+    "deploy.run.remote_agents", "deploy.run.processes", "deploy.run.process_table", "deploy.run.fork_server",
+    "netshaper.access", "netshaper.router",
+)  # fmt: skip
 """Modules that start a robot and authenticate it."""
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import secrets
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from ipaddress import ip_address
 
 from deploy.dashboard.access import LOOPBACK
 from deploy.dashboard.windows import free_port
@@ -57,14 +56,7 @@ def by_certificates(
             f"{where}: the hub cannot listen there: {error.strerror}; "
             "address must be this host's address as the other hosts know it, and the port must be free"
         ) from None
-    run, endpoint = secrets.token_hex(4), f"tls/{_bracketed(address)}:{port}"
+    host = f"[{address}]" if ":" in address else address  # of IPv6
+    run, endpoint = secrets.token_hex(4), f"tls/{host}:{port}"
     made = certificates.make(robots, [address], routers=routers)
     return Rendezvous(run, endpoint, certificates.credentials(run, endpoint, made), made[names.RELAY])
-
-
-def _bracketed(address: str) -> str:
-    """Return an address in the form required before a port."""
-    try:
-        return f"[{address}]" if ip_address(address).version == 6 else address
-    except ValueError:
-        return address  # a name

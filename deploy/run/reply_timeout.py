@@ -7,7 +7,11 @@ process runs: a relay that was stopped and continued does not hold that time aga
 from __future__ import annotations
 
 import time
-from typing import Protocol
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from netshaper.process import RelayNode
+    from worldsim.process import WorldNode
 
 REPLY_TIMEOUT_S = 60.0
 """Default time limit for a robot's reply in a phase of the medium, or for its move."""
@@ -32,24 +36,10 @@ class RunningClock:
         return now - self._stopped_s
 
 
-class Waiting(Protocol):
-    """A relay or a world, which waits for robots in each phase."""
-
-    @property
-    def phase(self) -> object:
-        """The current phase; it changes whenever the run makes progress."""
-
-    def waiting_for(self) -> list[int]:
-        """Return the robots that the phase waits for."""
-
-    def give_up_on(self, robot: int, cause: str) -> None:
-        """Continue without a robot."""
-
-
 class ReplyTimeout:
     """The time limit of a relay's or world's phases; its owner calls `check` repeatedly."""
 
-    def __init__(self, node: Waiting, reply_timeout_s: float) -> None:
+    def __init__(self, node: RelayNode | WorldNode, reply_timeout_s: float) -> None:
         self._node = node
         self._limit_s = reply_timeout_s
         self._phase = node.phase

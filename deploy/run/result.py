@@ -115,18 +115,9 @@ class Result:
 
 
 _SHOWN = (
-    "steps",
-    "coverage",
-    "map_accuracy",
-    "mean_map_accuracy",
-    "worst_map_accuracy",
-    "t90",
-    "t99",
-    "strategy",
-    "map_encoding",
-    "bandwidth",
-    "digest",
-)
+    "steps", "coverage", "map_accuracy", "mean_map_accuracy", "worst_map_accuracy", "t90", "t99", "strategy",
+    "map_encoding", "bandwidth", "digest",
+)  # fmt: skip
 """Keys of the summary that a notebook shows."""
 
 

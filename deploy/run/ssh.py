@@ -419,14 +419,9 @@ def command_line(host: Host, plugins: Mapping[str, str]) -> list[str]:
     given = [part for option in host.options for part in ("-o", option)]
     port = ["-p", str(host.port)] if host.port is not None else []
     plain = [
-        "BatchMode=yes",
-        f"ConnectTimeout={CONNECT_S}",
-        f"ServerAliveInterval={ALIVE_S}",
-        f"ServerAliveCountMax={ALIVE_TIMES}",
-        "ControlPath=none",
-        "ClearAllForwardings=yes",
-        "LogLevel=ERROR",
-    ]
+        "BatchMode=yes", f"ConnectTimeout={CONNECT_S}", f"ServerAliveInterval={ALIVE_S}",
+        f"ServerAliveCountMax={ALIVE_TIMES}", "ControlPath=none", "ClearAllForwardings=yes", "LogLevel=ERROR",
+    ]  # fmt: skip
     # ssh uses the first value of an option that is given twice.
     ours = [part for option in plain for part in ("-o", option)]
     needs = "".join(f" --plugin {shlex.quote(f'{setting}={name}')}" for setting, name in plugins.items())

@@ -102,15 +102,11 @@ class Steps:
     """A run in progress: iterate over its steps, to any step or to the end. No files are written.
 
     It uses no process, thread or file, so it need not be closed. ``with steps(...) as run:`` ends it with the block.
-
-    Attributes
-    ----------
-    plan : Plan
-        The plan, with scenario and map.
     """
 
     def __init__(self, scenario: Scenario) -> None:
         self.plan = plans.make(scenario)
+        """The plan, with scenario and map."""
         memory.check(self.plan)
         self._began = time.perf_counter()
         self._result: Result | None = None
@@ -189,23 +185,11 @@ class Steps:
 def steps(scenario: Scenario | None = None, **settings: Any) -> Steps:
     """Start a run in this process that advances with each step that the caller requests.
 
-    Parameters
-    ----------
-    scenario : Scenario, optional
-        The defaults if left out.
-    **settings
-        Settings that replace those of `scenario`: ``steps(robots=5, bandwidth=1000)``. The bus is always
-        ``memory``.
+    `settings` replace those of `scenario`, or the defaults: ``steps(robots=5, bandwidth=1000)``. The bus is always
+    ``memory``. The returned iterator yields a `Step` after each step, and has the `result` at the end: with the digest
+    that `explore` gives.
 
-    Returns
-    -------
-    Steps
-        Yields a `Step` after each step, and has the `result` at the end: with the digest that `explore` gives.
-
-    Raises
-    ------
-    ScenarioError
-        The scenario cannot be run.
+    Raises ScenarioError if the scenario cannot be run.
 
     Examples
     --------

@@ -7,9 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-import numpy as np
-from numpy.typing import NDArray
-
 from agent.replication.policies import GOSSIP
 from agent.settings import MediumSettings, ReplicationSettings, Settings
 from agent.strategies.registry import strategy
@@ -25,13 +22,12 @@ from protocol import faults
 from protocol.body import Body, narrowest_opening
 from protocol.budget import Budget
 from protocol.errors import shown
-from protocol.grid import FREE, enlarge
+from protocol.grid import FREE, Cell, Mask, enlarge
 from worldsim.base import BaseWorld
 from worldsim.maps import Map, MapError, to_cell
 from worldsim.people import PeopleSettings
-from worldsim.people_options import PeopleOptions
 from worldsim.recorded.world import RecordedWorld
-from worldsim.starts import Cell, check_free, jittered, start_cells
+from worldsim.starts import check_free, jittered, start_cells
 from worldsim.world import World, WorldSettings
 
 
@@ -58,7 +54,7 @@ class Plan:
         return not self.scenario.is_field
 
     @cached_property
-    def reachable(self) -> NDArray[np.bool_]:
+    def reachable(self) -> Mask:
         """The free cells that the team can see, shape (h, w); of a team in the field, the free cells of its map."""
         return self.make_world().reachable if self.has_truth else self.map.cells == FREE
 
@@ -119,7 +115,7 @@ def _world_settings(
     scenario: Scenario, bodies: list[Body], starts: Sequence[Cell], cell: float, recording: Recording | None
 ) -> WorldSettings:
     """Return the settings of the world, with cells of `cell` meters."""
-    chosen = strategy(scenario.strategy)
+    chosen, people = strategy(scenario.strategy), scenario.people
     return WorldSettings(
         bodies=tuple(bodies),
         starts=tuple(starts),
@@ -132,14 +128,11 @@ def _world_settings(
         robots_collide=scenario.robots_collide,
         min_coverage=scenario.min_coverage,
         sensors=sensors_of(scenario, bodies, cell),
-        people=_people(scenario.people, cell),
+        people=PeopleSettings(people.number, people.speed / cell, people.radius / cell)
+        if people.number
+        else None,
         step_ns=scenario.step_ns,
     )
-
-
-def _people(people: PeopleOptions, cell: float) -> PeopleSettings | None:
-    """Return the people in the building, with cells of `cell` meters; None if there are none."""
-    return PeopleSettings(people.number, people.speed / cell, people.radius / cell) if people.number else None
 
 
 def _check_people(world_map: Map, settings: WorldSettings) -> None:
@@ -173,12 +166,7 @@ def _radio_settings(scenario: Scenario, world_map: Map, range_m: float, incarnat
 
 
 def _robot_settings(
-    scenario: Scenario,
-    world_map: Map,
-    bodies: list[Body],
-    radio: RadioSettings,
-    *,
-    record_maps: bool,
+    scenario: Scenario, world_map: Map, bodies: list[Body], radio: RadioSettings, *, record_maps: bool
 ) -> dict[int, Settings]:
     # The sender of a broadcast does not notice without acknowledgments that a teammate is deaf.
     may_be_deaf = any(fault.kind == "deaf" for fault in scenario.faults)
@@ -240,17 +228,14 @@ def _starts(scenario: Scenario, world_map: Map, radii_cells: list[float]) -> lis
         if first is not None and jitter:
             first = jittered(floor, first, jitter, scenario.seed, len(given), (), 0)
         _check_apart(scenario, given, radii_cells)
-        wide = _wide_cells(max(radii_cells), world_map.resolution) if scenario.is_noisy else 1
+        wide = 1
+        if scenario.is_noisy:  # cells for the center of a robot in the narrowest opening
+            wide = narrowest_opening(max(radii_cells), world_map.resolution) - math.ceil(2 * max(radii_cells))
         return start_cells(floor, scenario.robots, scenario.seed, spacing, first, given, wide=wide)
     except ValueError as error:
         is_drawn = scenario.start is None and not scenario.starts
         hint = "" if is_drawn else f"; murmur map show {scenario.map} shows free cells"
         raise ScenarioError(f"start on map {world_map.name}: {error}{hint}") from None
-
-
-def _wide_cells(radius_cells: float, resolution: float) -> int:
-    """Return how many cells robots with real sensors have for their centers in the narrowest opening."""
-    return max(1, narrowest_opening(radius_cells, resolution) - math.ceil(2 * radius_cells))
 
 
 def _cell(world_map: Map, point: tuple[float, float]) -> Cell:

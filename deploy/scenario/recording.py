@@ -20,7 +20,7 @@ from agent.mapping.estimator import Estimator
 from agent.mapping.mapper import add_scan
 from deploy.scenario.errors import ScenarioError
 from deploy.scenario.scenario import Scenario
-from protocol.grid import FREE, MAX_SIDE, UNKNOWN
+from protocol.grid import FREE, MAX_SIDE, UNKNOWN, Cell
 from protocol.metric_scans import BeamAngles
 from protocol.range_scans import MAX_REACH_M, NO_MEASUREMENT, TURN, UNIT, Laser, RangeScan, beam_ends
 from worldsim.maps import Map, MapError
@@ -28,7 +28,6 @@ from worldsim.recorded import reading
 from worldsim.recorded.log import LogError, RecordedLog
 from worldsim.recorded.options import RECORDED
 from worldsim.recorded.world import Stretch
-from worldsim.starts import Cell
 
 MAX_BACK_S = 5.0
 """Seconds by which a scan may be older than the one before it in the log; both count as taken at the same time."""

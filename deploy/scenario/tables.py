@@ -34,14 +34,7 @@ Degrees = Annotated[float, Field(strict=True, le=360)]
 
 
 def range_in_meters(text: str, diagonal_m: float) -> float:
-    """Return a communication range in meters; a share refers to the map's diagonal."""
-    number, is_share = _parse_range(text)
-    return diagonal_m * number / 100 if is_share else number
-
-
-def _parse_range(text: str) -> tuple[float, bool]:
-    """Read a range: return its number, and whether that is a percentage of the diagonal; ValueError if invalid."""
-    share = text.strip().endswith("%")
+    """Return a communication range in meters; a share refers to the map's diagonal. ValueError if it is invalid."""
     try:
         number = float(text.strip().removesuffix("%"))
     except ValueError:
@@ -51,7 +44,7 @@ def _parse_range(text: str) -> tuple[float, bool]:
             "must be a distance of 0 or more: meters, as 12.5, or a share of the diagonal, as 30%; "
             f"at most {MAX_METERS:.0f}"
         )
-    return number, share
+    return diagonal_m * number / 100 if text.strip().endswith("%") else number
 
 
 def _as_text(value: object) -> object:
@@ -59,7 +52,7 @@ def _as_text(value: object) -> object:
 
 
 def _check_range(text: str) -> str:
-    _parse_range(text)
+    range_in_meters(text, 0.0)
     return text
 
 

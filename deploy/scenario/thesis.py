@@ -15,7 +15,7 @@ PLAIN_OPTIONS: dict[str, dict[str, Any]] = {"meier": {"herding": False}}
 
 
 def thesis_settings(given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the settings for the thesis' plain rules, by dotted names, for `deploy.scenario.scenario.lay`.
+    """Return the settings for the thesis' plain rules, by dotted names, for `deploy.scenario.toml_files.lay`.
 
     `given` are settings that take precedence, by dotted names or in tables; they may contain a strategy.
     """

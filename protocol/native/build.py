@@ -36,12 +36,8 @@ class BuildError(RuntimeError):
 def build_library(jobs: int) -> int:
     """Build the library of all imported kernels by `jobs` processes, unless it exists; return how many were compiled.
 
-    The error stream shows the progress.
-
-    Raises
-    ------
-    BuildError
-        There is no working C compiler, no directory that can be written, or a kernel that cannot be in a library.
+    The error stream shows the progress. Raises BuildError if there is no working C compiler or no directory that can be
+    written, or a kernel cannot be in a library.
     """
     ours = [each for each in kernels.all_kernels() if each.digest]
     if all(library.find(each.digest) for each in ours):

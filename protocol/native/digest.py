@@ -21,17 +21,8 @@ MODULES = ("math", "numpy")
 def digest_of(function: FunctionType, signature: str, called: Mapping[str, str]) -> str:
     """Return the digest of a kernel in hexadecimal digits.
 
-    Parameters
-    ----------
-    signature
-        The kernel's signature in numba's notation.
-    called
-        Digests of the kernels that it calls, by the names that it has for them.
-
-    Returns
-    -------
-    str
-        The digest; empty if the kernel uses an object that has none, or calls a kernel without a digest.
+    `signature` is that of the kernel in numba's notation. `called` has the digests of the kernels that it calls, by the
+    names that it has for them. The digest is empty if the kernel uses an object, or calls a kernel, that has none.
     """
     if "" in called.values() or function.__closure__ or function.__defaults__:
         return ""

@@ -13,7 +13,6 @@ from protocol.errors import ProtocolError
 
 GID_BYTES = 16
 _FORM = struct.Struct("<qqB16s")
-MAX_INT64 = 2**63 - 1
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,9 @@ from __future__ import annotations
 import threading
 from abc import ABC, abstractmethod
 from collections import deque
+from collections.abc import Callable
 from itertools import count
-from typing import Any, Protocol
+from typing import Any
 
 import zenoh
 
@@ -20,13 +21,6 @@ from protocol.ros2.messages import Messages
 from protocol.ros2.names import DataKey, qualified
 from protocol.ros2.qos import Qos
 from protocol.ros2.tokens import EndpointToken, Kind, NodeToken, gid
-
-
-class Undeclarable(Protocol):
-    """A declaration of Zenoh."""
-
-    def undeclare(self) -> None:
-        """Withdraw the declaration."""
 
 
 class Link:
@@ -54,15 +48,15 @@ class Endpoint:
         self.token = token
         self.key = str(token.data_key)
         self.gid = gid(str(token))
-        self._declared: list[Undeclarable] = []
+        self._declared: list[Any] = []
 
     @property
     def name(self) -> str:
         """Qualified name of its topic or service."""
         return self.token.data_key.name
 
-    def announce(self, declared: Undeclarable) -> None:
-        """Keep a declaration, and declare the liveliness token: other nodes now see the endpoint."""
+    def announce(self, declared: Any) -> None:
+        """Keep a declaration of Zenoh, and declare the liveliness token: other nodes now see the endpoint."""
         liveliness = self.link.session.liveliness().declare_token(str(self.token))
         self._declared = [declared, liveliness]
 
@@ -73,10 +67,16 @@ class Endpoint:
 
 
 class Receiver(Endpoint, ABC):
-    """An endpoint with an inbox of at most `most` items, None for no limit; a new item replaces the oldest one."""
+    """An endpoint with an inbox of at most `most` items, None for no limit; a new item replaces the oldest one.
 
-    def __init__(self, link: Link, token: EndpointToken, most: int | None) -> None:
+    `handle` is called with each decoded item, and the time in nanoseconds since 1970.
+    """
+
+    def __init__(
+        self, link: Link, token: EndpointToken, most: int | None, handle: Callable[[Any, int], object]
+    ) -> None:
         super().__init__(link, token)
+        self._handle = handle
         self.rejected = 0
         """Number of malformed messages."""
         self.last_error = ""
@@ -89,7 +89,7 @@ class Receiver(Endpoint, ABC):
         self.link.wake.set()
 
     def take(self, now_ns: int) -> int:
-        """Decode all items of the inbox and hand them to their callbacks; return how many."""
+        """Decode and handle all items of the inbox; return how many."""
         taken = len(self.inbox)
         for _ in range(taken):
             try:
@@ -98,16 +98,12 @@ class Receiver(Endpoint, ABC):
                 self.rejected += 1
                 self.last_error = f"{self.name}: {error}"
             else:
-                self.handle(decoded, now_ns)
+                self._handle(decoded, now_ns)
         return taken
 
     @abstractmethod
     def decode(self, item: Any) -> Any:
         """Decode an item of the inbox; ProtocolError if it is malformed."""
-
-    @abstractmethod
-    def handle(self, decoded: Any, now_ns: int) -> None:
-        """Hand a decoded item to its callback, at `now_ns` since 1970."""
 
 
 def content(part: zenoh.ZBytes | None) -> bytes | None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import zenoh
 
 from protocol.errors import ProtocolError
-from protocol.ros2.tokens import ROOT, EndpointToken, Kind, NodeToken, all_tokens, parse_token
+from protocol.ros2.tokens import ROOT, EndpointToken, Kind, NodeToken, parse_token
 
 TIMEOUT_S = 1.0
 """Tokens that arrive within this time count."""
@@ -59,7 +59,7 @@ def parse_graph(tokens: list[str]) -> Graph:
 
 def read_graph(session: zenoh.Session, domain: int) -> Graph:
     """Ask for all tokens of a domain."""
-    return parse_graph(_tokens(session, all_tokens(domain)))
+    return parse_graph(_tokens(session, f"{ROOT}/{domain}/**"))
 
 
 def read_domains(session: zenoh.Session) -> set[int]:

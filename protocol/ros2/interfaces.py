@@ -80,12 +80,7 @@ def service(name: str, request: Fields, response: Fields) -> Definitions:
         (f"{field}_message", named(part))
         for field, part in zip(("request", "response", "event"), parts, strict=True)
     ]
-    return {
-        parts[0]: ([], request),
-        parts[1]: ([], response),
-        parts[2]: ([], event),
-        name: ([], whole),
-    }
+    return {parts[0]: ([], request), parts[1]: ([], response), parts[2]: ([], event), name: ([], whole)}
 
 
 def action(name: str, goal: str, result: str, feedback: str) -> Definitions:

@@ -25,22 +25,11 @@ class Ros2Node:
     as ``std_msgs/msg/String``. The node reads no clock: times are nanoseconds since 1970, from the caller. Callbacks
     run in `spin`.
 
-    Raises
-    ------
-    ValueError
-        A name, the domain, or the distribution is wrong.
-    ConnectionError
-        No router answers.
+    Raises ValueError if a name, the domain, or the distribution is wrong; ConnectionError if no router answers.
     """
 
     def __init__(
-        self,
-        name: str,
-        namespace: str = "/",
-        domain: int = 0,
-        *,
-        distro: str = "jazzy",
-        router: str = ROUTER,
+        self, name: str, namespace: str = "/", domain: int = 0, *, distro: str = "jazzy", router: str = ROUTER
     ) -> None:
         namespace = check_node(name, namespace)
         self.messages = Messages(distro)

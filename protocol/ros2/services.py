@@ -54,9 +54,8 @@ class ServiceServer(Receiver):
     """A server of a service."""
 
     def __init__(self, link: Link, name: str, type_name: str, on_request: OnRequest) -> None:
-        super().__init__(link, link.token(Kind.SERVER, name, type_name, DEFAULT), DEFAULT.kept)
+        super().__init__(link, link.token(Kind.SERVER, name, type_name, DEFAULT), DEFAULT.kept, on_request)
         self._type = type_name
-        self._on_request = on_request
         self.announce(link.session.declare_queryable(self.key, self.put, complete=True))
 
     def decode(self, item: zenoh.Query) -> Request:
@@ -69,16 +68,12 @@ class ServiceServer(Receiver):
             raise
         return Request(message, source, self, item)
 
-    def handle(self, decoded: Request, now_ns: int) -> None:
-        """Hand a request to the callback."""
-        self._on_request(decoded, now_ns)
-
 
 class ServiceClient(Receiver):
     """A client of a service."""
 
     def __init__(self, link: Link, name: str, type_name: str, timeout_s: float = TIMEOUT_S) -> None:
-        super().__init__(link, link.token(Kind.CLIENT, name, type_name, DEFAULT), None)
+        super().__init__(link, link.token(Kind.CLIENT, name, type_name, DEFAULT), None, self._respond)
         self._type = type_name
         self._sequence = 0
         self._waiting: dict[int, OnResponse] = {}
@@ -104,11 +99,7 @@ class ServiceClient(Receiver):
         arrive: zenoh.handlers.Callback[zenoh.Reply] = zenoh.handlers.Callback(
             lambda reply: self.put((sequence, reply)), lambda: self.put((sequence, None))
         )
-        self._querier.get(
-            arrive,
-            payload=payload,
-            attachment=Attachment(sequence, now_ns, self.gid).encode(),
-        )
+        self._querier.get(arrive, payload=payload, attachment=Attachment(sequence, now_ns, self.gid).encode())
 
     def decode(self, item: tuple[int, zenoh.Reply | None]) -> tuple[int, Any]:
         """Decode a reply, None if there is none, to the response to a request; ProtocolError also for an error."""
@@ -126,7 +117,7 @@ class ServiceClient(Receiver):
             raise ProtocolError(f"{self._type}_Response", 0, reason)
         return sequence, self.link.messages.decode(sample.payload.to_bytes(), f"{self._type}_Response")
 
-    def handle(self, decoded: tuple[int, Any], now_ns: int) -> None:
+    def _respond(self, decoded: tuple[int, Any], now_ns: int) -> None:
         """Hand a response to the callback of its request."""
         sequence, response = decoded
         on_response = self._waiting.pop(sequence, None)

@@ -19,24 +19,21 @@ def open_client(router: str = ROUTER, timeout_s: float = CONNECT_S) -> zenoh.Ses
     """Open a session of a node; ConnectionError if no router answers within `timeout_s`."""
     config = _config("client", "connect", router, "the address of a router")
     insert(config, "connect/timeout_ms", int(1000 * timeout_s))
-    try:
-        return zenoh.open(config)
-    except zenoh.ZError:
-        raise ConnectionError(
-            f"no Zenoh router answers at {router} within {timeout_s:g} s; "
-            "with ROS 2, start it with: ros2 run rmw_zenoh_cpp rmw_zenohd"
-        ) from None
+    advice = "with ROS 2, start it with: ros2 run rmw_zenoh_cpp rmw_zenohd"
+    return _open(config, f"no Zenoh router answers at {router} within {timeout_s:g} s; {advice}")
 
 
 def open_router(endpoint: str = ROUTER) -> zenoh.Session:
     """Open a router, for hosts without that of ROS 2; ConnectionError if it cannot listen at `endpoint`."""
     config = _config("router", "listen", endpoint, "an address to listen at")
+    return _open(config, f"cannot listen at {endpoint}: the address is in use, or not one of this host")
+
+
+def _open(config: zenoh.Config, failure: str) -> zenoh.Session:
     try:
         return zenoh.open(config)
     except zenoh.ZError:
-        raise ConnectionError(
-            f"cannot listen at {endpoint}: the address is in use, or not one of this host"
-        ) from None
+        raise ConnectionError(failure) from None
 
 
 def _config(mode: str, side: str, address: str, kind: str) -> zenoh.Config:

@@ -13,17 +13,7 @@ from enum import StrEnum
 
 from protocol.errors import ProtocolError, shown
 from protocol.packages import require
-from protocol.ros2.names import (
-    DataKey,
-    check_hash,
-    check_node,
-    dds_type,
-    demangled,
-    domain_of,
-    mangled,
-    qualified,
-    ros_type,
-)
+from protocol.ros2 import names
 from protocol.ros2.qos import Qos, parse_qos
 
 try:
@@ -63,7 +53,7 @@ class NodeToken:
     def text(self, entity_id: int, kind: Kind) -> str:
         """Return the token of the node, or the first parts of that of an endpoint."""
         where = f"{ROOT}/{self.domain}/{self.session}/{self.node_id}/{entity_id}/{kind}"
-        return f"{where}/{mangled(self.enclave)}/{mangled(self.namespace)}/{self.name}"
+        return f"{where}/{names.mangled(self.enclave)}/{names.mangled(self.namespace)}/{self.name}"
 
     @property
     def full_name(self) -> str:
@@ -78,12 +68,12 @@ class EndpointToken:
     node: NodeToken
     entity_id: int
     kind: Kind
-    data_key: DataKey
+    data_key: names.DataKey
     qos: Qos
 
     def __str__(self) -> str:
         key = self.data_key
-        what = f"{mangled(key.name)}/{dds_type(key.type)}/{key.type_hash}/{self.qos}"
+        what = f"{names.mangled(key.name)}/{names.dds_type(key.type)}/{key.type_hash}/{self.qos}"
         return f"{self.node.text(self.entity_id, self.kind)}/{what}"
 
 
@@ -97,11 +87,6 @@ def gid(token: str) -> bytes:
     return digest(token.encode())[::-1]
 
 
-def all_tokens(domain: int) -> str:
-    """Return the key expression that matches all tokens of a domain."""
-    return f"{ROOT}/{domain}/**"
-
-
 def parse_token(token: str) -> NodeToken | EndpointToken:
     """Parse a token; ProtocolError says which part is wrong. Parts after the last known one are ignored."""
     parts = token.split("/")
@@ -111,19 +96,15 @@ def parse_token(token: str) -> NodeToken | EndpointToken:
     try:
         if not re.fullmatch("[0-9a-f]{1,32}", session):
             raise ValueError(f"{shown(session)} is not the id of a Zenoh session")
-        node = NodeToken(
-            domain_of(domain),
-            session,
-            _id(node_id),
-            check_node(name, demangled(namespace)),
-            name,
-            demangled(enclave),
-        )
+        number, own_id = names.domain_of(domain), _id(node_id)
+        namespace = names.check_node(name, names.demangled(namespace))
+        node = NodeToken(number, session, own_id, namespace, name, names.demangled(enclave))
         if Kind(kind) is Kind.NODE:
             return node
         if len(parts) < ENDPOINT_PARTS:
             raise ValueError(f"{len(parts)} parts instead of {ENDPOINT_PARTS} for an endpoint")
-        key = DataKey(node.domain, qualified(demangled(what[0])), ros_type(what[1]), check_hash(what[2]))
+        topic = names.qualified(names.demangled(what[0]))
+        key = names.DataKey(node.domain, topic, names.ros_type(what[1]), names.check_hash(what[2]))
         return EndpointToken(node, _id(entity_id), Kind(kind), key, parse_qos(what[3]))
     except ValueError as error:
         reason = error.reason if isinstance(error, ProtocolError) else str(error)

@@ -67,9 +67,9 @@ class Subscription(Receiver):
     """A subscription to a topic."""
 
     def __init__(self, link: Link, name: str, type_name: str, qos: Qos, on_message: OnMessage) -> None:
-        super().__init__(link, link.token(Kind.SUBSCRIPTION, name, type_name, qos), qos.kept)
+        token = link.token(Kind.SUBSCRIPTION, name, type_name, qos)
+        super().__init__(link, token, qos.kept, lambda decoded, _: on_message(*decoded))
         self._type = type_name
-        self._on_message = on_message
         self._subscriber: Any
         if qos.is_transient_local:
             is_reliable = qos.reliability is Reliability.RELIABLE
@@ -93,7 +93,3 @@ class Subscription(Receiver):
         payload, attachment = item
         source = decode_attachment(attachment)
         return self.link.messages.decode(payload, self._type), source
-
-    def handle(self, decoded: tuple[Any, Attachment], now_ns: int) -> None:  # noqa: ARG002
-        """Hand a message and its attachment to the callback."""
-        self._on_message(*decoded)

@@ -237,7 +237,7 @@ def test_more_people_than_free_cells_are_refused() -> None:
     with pytest.raises(ValueError, match="200 people do not fit: there are 0 free cells"):
         world_of(hall(), PeopleSettings(200, 13.0, 4.5), ((5, 4),))
     with pytest.raises(ValueError, match="99 people do not fit"):
-        People(hall(20), hall(20) == FREE, np.zeros((9, 20), np.bool_), PeopleSettings(99, 1.0, 2.5), 0)
+        People(hall(20), hall(20) == FREE, (), PeopleSettings(99, 1.0, 2.5), 0)
 
 
 @pytest.mark.parametrize(

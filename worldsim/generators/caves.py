@@ -46,7 +46,8 @@ def caves(cells: Grid, random: np.random.Generator, resolution: float) -> None:
     for center in chambers.reshape(-1, 2):
         _dig(cells, random, center, random.uniform(*CHAMBER_M) / resolution, corners=12)
     inside = np.array(cells.shape[::-1]) - (2 * wall + 1)
-    for one, other in _halls(random, columns, rows):
+    tree, others = spanning_tree(random, columns, rows)
+    for one, other in tree + [pair for pair in others if random.random() < LOOPS]:
         for center in _curve(random, chambers[one], chambers[other], inside, resolution):
             _dig(cells, random, center, random.uniform(*HALL_M) / resolution, corners=9)
     for border in (cells[:wall], cells[-wall:], cells[:, :wall], cells[:, -wall:]):
@@ -59,14 +60,7 @@ def _chambers(
     """Return the centers of the chambers in cells, shape (rows * columns, 2)."""
     lattice = np.stack(np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) + 0.5), axis=-1)
     lattice += random.uniform(-JITTER, JITTER, lattice.shape)
-    centers: NDArray[np.float64] = lattice.reshape(-1, 2) * (shape[1] / columns, shape[0] / rows)
-    return centers
-
-
-def _halls(random: np.random.Generator, columns: int, rows: int) -> list[tuple[int, int]]:
-    """Return the pairs of neighboring chambers that a hall joins: a spanning tree, and `LOOPS` of the others."""
-    tree, others = spanning_tree(random, columns, rows)
-    return tree + [pair for pair in others if random.random() < LOOPS]
+    return lattice.reshape(-1, 2) * (shape[1] / columns, shape[0] / rows)
 
 
 def _curve(

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
-from protocol.grid import FREE, Grid
+from protocol.grid import FREE, Grid, Mask
 from worldsim.generators.drawing import Environment, Shape, canvas, enclose, scatter, wall_thickness
 from worldsim.maps import MapError
 
@@ -17,7 +16,7 @@ MOST_CLUTTER = 20.0
 PASSAGE_M = 0.7
 """Free distance around every object, in meters."""
 
-Building = Callable[[Grid, np.random.Generator, float], NDArray[np.bool_] | None]
+Building = Callable[[Grid, np.random.Generator, float], Mask | None]
 """Draws on an unknown grid with cells of so many meters; returns where objects may stand, None: on all free cells."""
 
 

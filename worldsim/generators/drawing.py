@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.grid import FREE, MAX_SIDE, OCCUPIED, UNKNOWN, Grid
+from protocol.grid import FREE, MAX_SIDE, OCCUPIED, UNKNOWN, Grid, Mask
 from worldsim.largest_part import largest_part
 from worldsim.maps import MapError
 
@@ -181,7 +181,11 @@ def angle(random: np.random.Generator) -> Points:
     thick = random.uniform(0.35, 0.6)
     corners = np.array([(0, 0), (1.4, 0), (1.4, thick), (thick, thick), (thick, 1.2), (0, 1.2)]) - (0.5, 0.5)
     corners /= np.hypot(*corners.T).max()
-    return _turned(corners, random.random())
+    turn = 2 * math.pi * random.random()
+    x, y = corners.T
+    return np.stack(
+        [math.cos(turn) * x - math.sin(turn) * y, math.sin(turn) * x + math.cos(turn) * y], axis=1
+    )
 
 
 Shape = Callable[[np.random.Generator], Points]
@@ -193,7 +197,7 @@ SHAPES: tuple[Shape, ...] = (disc, box, rock, angle)
 def scatter(
     cells: Grid,
     random: np.random.Generator,
-    where: NDArray[np.bool_],
+    where: Mask,
     *,
     count: int,
     radii: tuple[float, float],
@@ -226,9 +230,3 @@ def scatter(
 
 def _around(turns: NDArray[np.float64], radii: NDArray[np.float64]) -> Points:
     return np.stack([np.cos(2 * np.pi * turns) * radii, np.sin(2 * np.pi * turns) * radii], axis=1)
-
-
-def _turned(corners: Points, turn: float) -> Points:
-    cosine, sine = math.cos(2 * math.pi * turn), math.sin(2 * math.pi * turn)
-    x, y = corners.T
-    return np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=1)

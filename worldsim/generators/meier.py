@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, Mask
 from worldsim.generators.drawing import carve, environment, field, scatter, wall_thickness
 from worldsim.generators.floorplan import Box, Builder, Style, inside
 
@@ -79,9 +78,7 @@ def _open_porch(cells: Grid, house: Box, room: Box) -> None:
     carve(cells, left, top, right, bottom)
 
 
-def _scatter_outdoors(
-    cells: Grid, random: np.random.Generator, resolution: float, where: NDArray[np.bool_]
-) -> None:
+def _scatter_outdoors(cells: Grid, random: np.random.Generator, resolution: float, where: Mask) -> None:
     count = round(_OBJECTS_PER_M2 * int(where.sum()) * resolution**2)
     radii = (0.35 / resolution, 1.4 / resolution)
     scatter(cells, random, where, count=count, radii=radii, gap=_PASSAGE_M / resolution)

@@ -7,9 +7,8 @@ as around them.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from protocol.grid import FREE, UNKNOWN, Grid
+from protocol.grid import FREE, UNKNOWN, Grid, Mask
 from worldsim.generators.alkhawaldah import blocks
 from worldsim.generators.clutter import cluttered
 from worldsim.generators.drawing import disc, field, wall_thickness
@@ -26,7 +25,7 @@ LAWN_M = (0.5, 1.5)
 
 
 @cluttered(60.0, 45.0, 1.5, least_m=30.0, objects="trees", radii_m=(0.2, 0.6), shape=disc)
-def office_campus(cells: Grid, random: np.random.Generator, resolution: float) -> NDArray[np.bool_]:
+def office_campus(cells: Grid, random: np.random.Generator, resolution: float) -> Mask:
     """60 x 45 m: a campus of office buildings that robots enter, roads, lawns with trees (Murmur)."""
     wall = wall_thickness(resolution)
     road = round(ROAD_M / resolution)
@@ -39,7 +38,7 @@ def office_campus(cells: Grid, random: np.random.Generator, resolution: float) -
     buildings = [each for each in buildings if min(each.width, each.height) * resolution >= BUILDING_M]
     for each in buildings:
         cells[each.top : each.bottom, each.left : each.right] = UNKNOWN
-    outdoors: NDArray[np.bool_] = cells == FREE
+    outdoors: Mask = cells == FREE
     for each in buildings:
         _building(cells, random, each, resolution)
     return outdoors

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Annotated
 
-from protocol.bounds import Range, check_ranges
+from protocol.bounds import Options, Range
 
 PER_SCAN, RECORDED = "scan", "recorded"
 """One scan per robot and step; or one second of the log per step."""
@@ -14,10 +14,8 @@ PACES = PER_SCAN, RECORDED
 
 
 @dataclass(frozen=True)
-class RecordingOptions:
+class RecordingOptions(Options):
     """The logs that robots replay instead of exploring a simulated building."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid"}
 
     files: tuple[str, ...] = ()
     """Logs, for the whole team or one per robot with scans; relative to the scenario file. The log of a team is cut
@@ -34,7 +32,7 @@ class RecordingOptions:
     """How many of the robots, the last ones, have no scans, and only receive maps, as a base station does."""
 
     def __post_init__(self) -> None:
-        check_ranges(self)
+        super().__post_init__()
         if self.pace not in PACES:
             raise ValueError(f"pace = {self.pace!r}: must be {' or '.join(PACES)}")
         if self.listeners < 0:

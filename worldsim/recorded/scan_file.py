@@ -70,9 +70,5 @@ def _checked(found: dict[str, Any]) -> RecordedLog:
         raise ValueError(f"angles {first} and {span}")
     angles = BeamAngles(ranges.shape[1], first, span)
     return RecordedLog(
-        name,
-        angles,
-        poses.astype(np.float64),
-        ranges.astype(np.uint16),
-        stamps.astype(np.float64),
+        name, angles, poses.astype(np.float64), ranges.astype(np.uint16), stamps.astype(np.float64)
     )

@@ -7,10 +7,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from deploy.run.offline_bound import Cell, KnownBuilding, offline_steps, offline_tours
+from deploy.run.offline_bound import KnownBuilding, offline_steps, offline_tours
 from protocol.body import Body
 from protocol.cell_bytes import cells_to_bytes
-from protocol.grid import FREE, OCCUPIED, Grid
+from protocol.grid import FREE, OCCUPIED, Cell, Grid
 from protocol.messages import Move
 from worldsim import generators
 from worldsim.world import World, WorldSettings

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from zenoh import ext
 
 from protocol.errors import ProtocolError
-from protocol.ros2.attachments import MAX_INT64, Attachment, decode_attachment
+from protocol.ros2.attachments import Attachment, decode_attachment
 
-numbers = st.integers(0, MAX_INT64)
+numbers = st.integers(0, 2**63 - 1)
 attachments = st.builds(Attachment, numbers, numbers, st.binary(min_size=16, max_size=16))
 
 
