@@ -51,7 +51,7 @@ class PolygonOptions:
     """Treat unknown cells beside the wall of a teammate in range as wall: coarse walls run beside the true ones."""
     wide_seen_walls: bool = True
     """Treat unknown cells as wall also beside walls that the robot has seen itself; false by default with `repairmen`
-    and other strategies that set `looks_from_afar`. Without it no small opening is taken for a wall, so maps are
+    and other strategies that set `observes_from_distance`. Without it no small opening is taken for a wall, so maps are
     complete, but robots visit unknown specks in walls, which takes some steps more."""
     close_slivers: bool = True
     """Treat unknown slivers between free cells of teammates as free: coarse areas meet there."""
