@@ -14,13 +14,14 @@ import sys
 import threading
 import types
 from collections.abc import Iterator
-from multiprocessing import forkserver
+from multiprocessing import forkserver, resource_tracker
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
 
 from deploy.run import parent_watchdog
 
 PRELOADED = ["deploy.run.parent_watchdog", "deploy.run.preload"]
+_IGNORED = (signal.SIGINT, signal.SIGHUP)
 _LOCK = threading.Lock()
 """Held while children start: threads may have studies of their own."""
 
@@ -60,8 +61,10 @@ def _ensure_running() -> None:
     Both block Ctrl-C and SIGHUP from the start: a new resource tracker would not know the semaphores of the pools.
     """
     os.environ[parent_watchdog.FOLDER] = f"{os.getpid()}:{parent_watchdog.open_folder()}"
-    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGHUP))
+    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, _IGNORED)
     try:
+        resource_tracker.ensure_running()
+        signal.pthread_sigmask(signal.SIG_BLOCK, _IGNORED)  # starting the tracker unblocks Ctrl-C
         forkserver.ensure_running()
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
