@@ -35,7 +35,7 @@ def context() -> ForkServerContext:
 
 @contextlib.contextmanager
 def starting() -> Iterator[None]:
-    """Start children, which do not import the main module, and the fork server, if it does not run yet.
+    """Start the fork server if it is not running. Within, children can be started; they do not import the main module.
 
     Raises FileNotFoundError if the current directory, which children share, has been deleted.
     """
@@ -56,9 +56,10 @@ def starting() -> Iterator[None]:
 
 
 def _ensure_running() -> None:
-    """Start the fork server, which gets its folder, and Python's resource tracker, if they do not run yet.
+    """Start the fork server and Python's resource tracker, if they are not running.
 
-    Both block Ctrl-C and SIGHUP from the start: a new resource tracker would not know the semaphores of the pools.
+    Ctrl-C and SIGHUP are blocked in both from the start. If one of these signals ended the tracker, a new one would not
+    know the semaphores of the pools.
     """
     os.environ[parent_watchdog.FOLDER] = f"{os.getpid()}:{parent_watchdog.open_folder()}"
     blocked = signal.pthread_sigmask(signal.SIG_BLOCK, _IGNORED)
