@@ -108,7 +108,7 @@ def _farthest(points: Symbols, first: int, end: int, point: int) -> int:
 
 @kernel
 def _place(symbol: Symbol, row: int) -> int:
-    """Return the index of a vertex' cell on the grid with its border, `row` cells per row."""
+    """Return the index of the cell of a vertex on the grid with its border, `row` cells per row."""
     return (symbol >> 15) * row + (symbol >> 3 & 0xFFF)
 
 

@@ -60,12 +60,12 @@ class Polygons:
 
     @property
     def x(self) -> NDArray[np.int32]:
-        """Column of each vertex' cell, shape (n,)."""
+        """Column of the cell of each vertex, shape (n,)."""
         return (self.symbols >> 3 & 0xFFF) - 1
 
     @property
     def y(self) -> NDArray[np.int32]:
-        """Row of each vertex' cell, shape (n,)."""
+        """Row of the cell of each vertex, shape (n,)."""
         return (self.symbols >> 15) - 1
 
     @property

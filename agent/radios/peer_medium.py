@@ -83,11 +83,11 @@ class Timing:
     """Durations, in nanoseconds."""
 
     neighbor_timeout: int
-    """A teammate is in range for so long after its last frame."""
+    """A teammate counts as in range until this time after its last frame has passed."""
     hello: int
     """Silence after which a robot sends a frame without packets."""
     interval: int
-    """Least time between two frames of a robot; packets wait for each other, and share the overhead of a frame."""
+    """Minimum time between two frames of a robot; packets wait for each other, and share the overhead of a frame."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.interval <= self.hello < self.neighbor_timeout:

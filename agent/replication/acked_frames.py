@@ -34,7 +34,7 @@ MAX_WAIT = 64
 """Rounds between two transmissions at most, while no round trip is known."""
 
 MIN_TIMEOUT = 2
-"""Rounds in which a report can come back at the soonest."""
+"""Minimum number of rounds until a report can come back."""
 
 MAX_TIMEOUT = 16
 """Rounds between two transmissions at most, once a round trip that is much shorter is known."""

@@ -30,7 +30,7 @@ SHARE = 8
 """The part of the medium that all reports together may take, as a divisor; as for receivers of RTP (RFC 3550)."""
 
 MIN_ROUND_TRIP, MAX_ROUND_TRIP = 2, 64
-"""Steps in which a report can come back at the soonest, and the most that count."""
+"""Steps until a report can come back: the minimum, and the maximum that is counted."""
 
 NEVER = -1
 """The step of something that has not happened."""

@@ -71,7 +71,7 @@ class OwnLog(Log):
         self.last_append = 0
         """Offset of the entries that were appended last."""
         self.digest_length: int | None = None
-        """Entries of which to send a digest, as it is time to, or a peer may hold others; None: no digest is due."""
+        """Number of entries whose digest is due, after some time or if a peer may hold others; None: none is due."""
 
     @property
     def has_unsent(self) -> bool:

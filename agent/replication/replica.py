@@ -202,6 +202,6 @@ class Replica:
         self._rebuild([log.read(0) for log in self.logs])
 
     def _ask(self, number: int, length: int) -> None:
-        """Ask for entries from the next step on, until the log has so many."""
+        """Ask for entries from the next step on, until the log has that many."""
         before, _, _ = self._requests.get(number, (0, 0, 0))
         self._requests[number] = max(length, before), self.step + 1, ASK_AGAIN

@@ -28,14 +28,14 @@ class ServeSettings:
     """How robots appear in ROS; ValueError if the domain or the distribution is wrong."""
 
     namespaces: tuple[str, ...]
-    """One per robot, without slash."""
+    """The namespace of each robot, without a slash in front."""
     domain: int = 0
     distro: str = "jazzy"
     router: str = ROUTER
     own_router: bool = True
     """Whether to start a router at this address."""
     sim_time: bool = False
-    """Whether stamps are simulated time, which ``/clock`` tells; else they are the time of this host."""
+    """Whether stamps are simulated time, as on ``/clock``; else they are the time of this host."""
     rate: float = 10.0
     """Steps of the simulation per second."""
     sees_robots: bool = False
