@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, TypeVar, get_type_hints
 
 import msgspec
 
+from protocol.errors import shown
 from protocol.files import open_file
 
 if TYPE_CHECKING:
@@ -52,7 +53,8 @@ Row = TypeVar("Row")
 def read_rows(path: Path, kind: type[Row]) -> list[Row]:
     """Read a table that `GrowingFile.write_rows` wrote, up to its last whole line, as rows of a NamedTuple `kind`.
 
-    Empty fields are None. ValueError names the line that is malformed, or whose values `kind` does not permit.
+    Empty fields are None. ValueError names the line that is malformed, or the line, the column, and the value that
+    `kind` does not permit.
     """
     with open_file(path) as file:
         text = file.read().decode("utf-8", "replace")
@@ -61,9 +63,26 @@ def read_rows(path: Path, kind: type[Row]) -> list[Row]:
     try:
         if tuple(next(lines, ())) != names:
             raise ValueError(f"{path}: the first line must be {','.join(names)}")
-        return [msgspec.convert([each or None for each in line], kind, strict=False) for line in lines]
-    except (csv.Error, msgspec.ValidationError) as error:
+        return [_row(line, names, kind) for line in lines]
+    except (csv.Error, _RowError) as error:
         raise ValueError(f"{path}, line {lines.line_num}: {error}") from None
+
+
+class _RowError(Exception):
+    """A row has a wrong number of values, or a wrong value."""
+
+
+def _row(line: list[str], names: Sequence[str], kind: type[Row]) -> Row:
+    """Convert the fields of a line, one for each of `names`."""
+    if len(line) != len(names):
+        raise _RowError(f"has {len(line)} values; must have {len(names)}")
+    try:
+        return msgspec.convert([each or None for each in line], kind, strict=False)
+    except msgspec.ValidationError as error:
+        wanted, _, place = str(error).partition(" - at `$[")
+        column = int(place.partition("]")[0])
+        must = wanted.partition(", got")[0].replace("Expected", "must be")
+        raise _RowError(f"{names[column]} = {shown(line[column])}: {must}") from None
 
 
 def close_all(files: Sequence[GrowingFile]) -> None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -160,7 +161,7 @@ def size_radios(
     jobs: int | None = None,
     scheduler: str | None = None,
     out: Path | str | None = None,
-    progress: bool = True,
+    progress: bool | Report = True,
     **settings: Any,
 ) -> RadioSizing:
     """Find the smallest team for each radio in a building.
@@ -173,6 +174,9 @@ def size_radios(
         Names of radio presets.
     robots : sequence of int
         The numbers of robots to try, from the smallest until one suffices.
+    progress : bool or Report
+        Whether to show progress, or what to call with the numbers of finished runs and of all runs; the latter grows
+        if a radio needs a larger team.
 
     See Also
     --------
@@ -185,7 +189,10 @@ def size_radios(
     made = of_settings("size", {"map": map, "finish": finish, **settings}, grid, {"plain": {}}, METRICS)
     possible = cases(made)
     console = Console(stderr=True, quiet=not progress)
-    with open_results(out) as results, counting(console, "size") as report:
+    with (
+        open_results(out) as results,
+        nullcontext(progress) if callable(progress) else counting(console, "size") as report,
+    ):
         runs = StudyRuns(_search(possible, results, requirements, report, workers(jobs, scheduler)), results)
     if not runs.rows:
         raise RunFailed(f"all runs failed: {as_text(runs.failures)}")

@@ -208,7 +208,7 @@ def test_damaged_records_and_other_teams_are_refused(mission: Mission, tmp_path:
     cases = {
         STEP_LINES: [
             (lines[1].encode(), "the first line must be time_ns"),
-            ("".join([*lines[:2], "1,2\n"]).encode(), "line 3: Expected `array` of length 12"),
+            ("".join([*lines[:2], "1,2\n"]).encode(), "line 3: has 2 values; must have 12"),
             ("".join([*lines[:2], lines[1]]).encode(), "line 3: is not of a step after"),
             (f'{lines[0]}"{"1" * 200_000}\n'.encode(), "line 2: field larger than field limit"),
             (f"{lines[0]}1,1,5,,0,-1,-1,0,0,0,0,ok\n".encode(), "line 2: has only a part of a pose"),

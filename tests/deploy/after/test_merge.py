@@ -141,7 +141,7 @@ def test_damaged_files_of_the_radio_are_refused(folder: Path, tmp_path: Path) ->
     first = next(at for at, line in enumerate(lines) if at and line.split(",")[-2:] != ["0", "0\n"])
     for text, problem in (
         ("a,b\n", "the first line must be robot,time_ns"),
-        ("".join([*lines[:3], "1,2,x\n"]), "line 4: Expected `array` of length 9"),
+        ("".join([*lines[:3], "1,2,x\n"]), "line 4: has 3 values; must have 9"),
         ("".join([lines[0], "1" + lines[1][1:]]), "has frames that robot 1 recorded, not robot 0"),
         ("".join(lines[:first] + lines[first + 1 :]), "is not the one in the capture"),
         ("".join([*lines, *lines[-9:]]), "the capture ends before frame"),

@@ -88,10 +88,15 @@ HEAD = b"robot,time_ns,step,sender,session,counter,bytes,broadcast,gossip\n"
         (b"", "the first line must be robot"),
         (b"no end of a line", "the first line must be robot"),
         (HEAD + b"1\r2\n", "line 2: new-line character"),
+        (HEAD + b"1,2\n", "line 2: has 2 values; must have 9"),
+        (HEAD + b"1,0,one,0,1,0,14,0,0\n", "line 2: step = 'one': must be `int`$"),
         (HEAD + b'"' + b"1" * 200_000 + b"\n", "line 2: field larger than field limit"),
-        (HEAD + b"1,0,1,0,1,0,14,0,0\n1,0,1,256,1,0,14,0,0\n", "line 3: Expected `int` <= 255"),
-        (HEAD + b"1,0,-1,0,1,0,14,0,0\n", "line 2: Expected `int` >= 0"),
-        (HEAD + b"1," + b"9" * 30 + b",1,0,1,0,14,0,0\n", "line 2: Expected `int` <= "),
+        (
+            HEAD + b"1,0,1,0,1,0,14,0,0\n1,0,1,256,1,0,14,0,0\n",
+            "line 3: sender = '256': must be `int` <= 255",
+        ),
+        (HEAD + b"1,0,-1,0,1,0,14,0,0\n", "line 2: step = '-1': must be `int` >= 0"),
+        (HEAD + b"1," + b"9" * 30 + b",1,0,1,0,14,0,0\n", "line 2: time_ns = '9.*: must be `int` <= "),
     ],
 )
 def test_damaged_frame_lists_are_refused(tmp_path: Path, text: bytes, problem: str) -> None:

@@ -20,18 +20,21 @@ QUIET: dict[str, Any] = {"progress": False, "jobs": 1}
 TRIED: dict[str, Any] = {"robots": [3, 1], "seeds": 2, "jobs": 1, **ROOMS}
 
 
-def test_teams_grow_until_all_runs_of_a_radio_suffice(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_teams_grow_until_all_runs_of_a_radio_suffice(tmp_path: Path) -> None:
+    seen: list[tuple[int, int]] = []
+
+    def note(done: int, total: int) -> None:
+        seen.append((done, total))
+
     out = tmp_path / "runs.parquet"
     radios = ["lora-sf12", "wifi"]
-    done = size_radios("leader-rooms", radios, deadline=45, out=out, **TRIED)
+    done = size_radios("leader-rooms", radios, deadline=45, out=out, progress=note, **TRIED)
     lora, wifi = done.answers
     assert (wifi.radio, wifi.robots, wifi.tried, wifi.met, wifi.is_enough) == ("wifi", 3, [1, 3], 2, True)
     assert wifi.steps.mean <= 45 and wifi.worst_map is not None and wifi.worst_map >= 0.95
     assert lora.tried == [1, 3]
     assert lora.duty_cycle is not None and 0 < lora.duty_cycle <= PRESETS["lora-sf12"].limit.duty_cycle
-    assert capsys.readouterr().err.startswith("size: 0 of 4\n"), "progress begins before the first run"
+    assert (seen[0], seen[-1]) == ((0, 4), (8, 8)), "progress begins before the first run"
     assert done.lines[2][0] == "wifi" and done.lines[2][-1] == "none, ETSI EN 300 328, 2.4 GHz"
     assert done.lines[1][-1] == "1 %, ETSI EN 300 220-2, 868.0 to 868.6 MHz"
     assert "Duty cycles keep the legal limit (lora-sf12); --set radio.duty_cycle=1" in done.sentences[1]
