@@ -16,22 +16,17 @@ retransmitted frame measures nothing (Karn).
 
 from __future__ import annotations
 
-from collections import defaultdict
-from dataclasses import dataclass
 from functools import partial
 
 from agent.replication.base import Replication
 from agent.replication.control_packets import header, offer, offset, parse, report
 from agent.replication.frame_builder import FrameBuilder, limited
-from agent.replication.policies import Offer, Rounds
+from agent.replication.policies import MAX_WAIT, Offer, Rounds
 from agent.replication.replica import Rejected, Replica
 from protocol import packets
 from protocol.errors import ProtocolError
 from protocol.messages import OutgoingFrame, RoundReport
 from protocol.packets import From, Held
-
-MAX_WAIT = 64
-"""Rounds between two transmissions at most, while no round trip is known."""
 
 MIN_TIMEOUT = 2
 """Minimum number of rounds until a report can come back."""
@@ -39,26 +34,14 @@ MIN_TIMEOUT = 2
 MAX_TIMEOUT = 16
 """Rounds between two transmissions at most, once a round trip that is much shorter is known."""
 
+LONG_AGO, UNKNOWN = -64, -1
+"""The round of something that has not happened, and a round trip that has not been measured."""
+
 RECENT = 8
 """Rounds for which a report is recent enough to send entries without asking again."""
 
 UNREACHABLE = 4
 """Transmissions without a report after which a peer is not waited for."""
-
-
-@dataclass(slots=True)
-class _Timer:
-    """Acknowledgments of one map by one peer, in rounds."""
-
-    reported: int = -MAX_WAIT
-    """When the peer last reported, unless entries were sent since."""
-    sent: int | None = None
-    """When the last frame was sent that no report followed."""
-    tries: int = 0
-    """Transmissions since the last report."""
-    wait: int = MIN_TIMEOUT
-    """The retransmission timeout."""
-    round_trip: int | None = None
 
 
 class AckedFrames(Replication):
@@ -69,7 +52,12 @@ class AckedFrames(Replication):
         self._rounds = rounds
         self._reports_due: set[tuple[int, int]] = set()
         """Peers that must be sent a report of a map, as pairs (peer, map)."""
-        self._timers: defaultdict[tuple[int, int], _Timer] = defaultdict(_Timer)
+        self._reported = self.peers.delivery_table(LONG_AGO)
+        """``_reported[peer, map]``: the round of the peer's last report, unless entries were sent since."""
+        self._sent = self.peers.delivery_table()
+        """``_sent[peer, map]``: the round of the last transmission."""
+        self._round_trip = self.peers.delivery_table(UNKNOWN)
+        """``_round_trip[peer, map]``: the rounds from a transmission to the report that followed it."""
         self._builders: list[FrameBuilder] = []
 
     def open_round(self, number: int, in_range: list[int], budget: int | None) -> list[OutgoingFrame]:
@@ -99,11 +87,7 @@ class AckedFrames(Replication):
 
     def delivered(self) -> bool:
         """Return whether all peers in range reported to hold this robot's log, but for those that are `UNREACHABLE`."""
-        length, own, in_range = self.own_log.length, self.peers.own, self._rounds.in_range
-        return bool(in_range) and all(
-            self.peers.expected[peer, own] >= length or self._timers[peer, own].tries > UNREACHABLE
-            for peer in in_range
-        )
+        return self._rounds.delivered(self.own_log.length, UNREACHABLE)
 
     # --- sending
 
@@ -114,7 +98,7 @@ class AckedFrames(Replication):
             builder.add(held, partial(self._reports_due.discard, (peer, number)))
         answered = []
         for each in offers:
-            if self._timers[peer, each.number].reported >= self._rounds.now - RECENT:
+            if self._reported[peer, each.number] >= self._rounds.now - RECENT:
                 answered.append(each)
             else:
                 builder.add(offer(each.number, each.first), partial(self._transmitted, peer, each.number))
@@ -125,19 +109,17 @@ class AckedFrames(Replication):
     def _entries_sent(self, peer: int, number: int, _first: int, end: int) -> None:
         """Entries of a map, before offset `end`, were on the air."""
         self._transmitted(peer, number)
-        self._timers[peer, number].reported = -MAX_WAIT
+        self._reported[peer, number] = LONG_AGO
         if number == self.peers.own:
             self.own_log.sent(end)
 
     def _transmitted(self, peer: int, number: int) -> None:
         """Start the retransmission timeout of a map; it doubles with every transmission that no report follows."""
-        timer = self._timers[peer, number]
-        timer.tries += 1
-        if timer.tries > 1:
-            longest = MAX_WAIT if timer.round_trip is None else max(MAX_TIMEOUT, 4 * timer.round_trip)
-            timer.wait = min(2 * timer.wait, longest)
-        timer.sent = self._rounds.now
-        self._rounds.due[peer, number] = self._rounds.now + timer.wait
+        round_trip = self._round_trip.item(peer, number)
+        timeout = min(max(MIN_TIMEOUT, round_trip + 1), MAX_TIMEOUT)
+        longest = MAX_WAIT if round_trip == UNKNOWN else max(MAX_TIMEOUT, 4 * round_trip)
+        self._sent[peer, number] = self._rounds.now
+        self._rounds.postpone(peer, number, timeout, longest)
 
     # --- receiving
 
@@ -152,9 +134,9 @@ class AckedFrames(Replication):
             if not isinstance(control, Held | packets.Offer | From) or control.map >= len(logs):
                 continue
             if isinstance(control, Held):
-                self._reported(peer, control.map, offset(control, len(logs[control.map])))
+                self._read_report(peer, control.map, offset(control, len(logs[control.map])))
                 continue
-            self._note_restart(peer, control.map)
+            self.peers.restarted(peer, control.map)
             if isinstance(control, packets.Offer):
                 self._owe_report(peer, control.map)
         for head, entries in parsed.sections:
@@ -175,28 +157,13 @@ class AckedFrames(Replication):
         if number not in self.peers.own_maps and not self.replica.refuses(peer, number):
             self._reports_due.add((peer, number))
 
-    def _peer_dropped(self, peer: int, number: int, length: int) -> None:
-        super()._peer_dropped(peer, number, length)
-        self._rounds.due[peer, number] = self._rounds.now  # offer them at once
-        self._timers.pop((peer, number), None)
-
-    def _note_restart(self, peer: int, number: int) -> None:
-        """A peer that offers or sends a map of a new incarnation of its own lost all: none of its reports holds."""
-        if self.peers.restarted(peer, number):
-            self._rounds.due[peer] = 0
-            for each in range(len(self.logs)):
-                self._timers.pop((peer, each), None)
-
-    def _reported(self, peer: int, number: int, length: int) -> None:
+    def _read_report(self, peer: int, number: int, length: int) -> None:
         """A peer reports how many entries of a map it holds; after restarts, a late report may claim too many."""
         if self.peers.may_restart:
             self.peers.expected[peer, number] = 0
         self.peers.expect(peer, number, self._possible(number, length))
-        timer, now = self._timers[peer, number], self._rounds.now
-        timer.reported = now
-        if timer.sent is not None and (timer.tries == 1 or timer.round_trip is None):
-            timer.round_trip = now - timer.sent
-        timer.sent, timer.tries = None, 0
-        if timer.round_trip is not None:
-            timer.wait = min(max(MIN_TIMEOUT, timer.round_trip + 1), MAX_TIMEOUT)
-        self._rounds.due[peer, number] = now
+        rounds, tries = self._rounds, self._rounds.tries[peer, number]
+        if tries == 1 or (tries and self._round_trip[peer, number] == UNKNOWN):
+            self._round_trip[peer, number] = rounds.now - self._sent[peer, number]
+        self._reported[peer, number] = rounds.due[peer, number] = rounds.now
+        rounds.tries[peer, number] = 0

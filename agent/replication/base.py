@@ -101,7 +101,9 @@ class Replication(ABC):
             step, wait = self._asked.get((peer, number), (0, 2))
             if length < self.peers.expected.item(peer, number) and self.replica.step >= step:
                 self._asked[peer, number] = self.replica.step + wait, min(2 * wait, LONGEST)
-                self._peer_dropped(peer, number, length)
+                if number == self.peers.own:
+                    self.own_log.request_digest(length)
+                self.peers.dropped(peer, number, length)
         return self.replica.take_rejected()
 
     def _next_digest(self) -> bytes:
@@ -121,10 +123,3 @@ class Replication(ABC):
     def _possible(self, number: int, length: int) -> int:
         """Limit a log length that a peer claims: no robot holds entries of this robot's map that were not sent."""
         return min(length, self.own_log.shared) if number == self.peers.own else length
-
-    def _peer_dropped(self, peer: int, number: int, length: int) -> None:
-        """A peer dropped the entries of a map from offset `length` on."""
-        if number == self.peers.own:
-            self.own_log.request_digest(length)
-        self.peers.expected[peer, number] = length
-        self.peers.acked[peer, number] = min(self.peers.acked.item(peer, number), length)

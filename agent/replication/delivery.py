@@ -20,7 +20,7 @@ from collections import defaultdict
 
 import numpy as np
 
-from agent.replication.peers import PeerTable, Table
+from agent.replication.peers import PeerTable
 from protocol.packets import Held
 
 PATIENCE = 6
@@ -51,7 +51,7 @@ class Acks:
         self._peers = peers
         if not reliable:
             peers.acked = peers.new_table()
-        self._expected_since: Table = np.full(peers.acked.shape, NEVER, np.int64)
+        self._expected_since = peers.delivery_table(NEVER)
         """The step since which a peer is expected to hold more than it acknowledged."""
         self._round_trip = np.full(peers.robots, MIN_ROUND_TRIP, np.int64)
         """Steps after which a report of each peer came back recently."""
@@ -105,11 +105,3 @@ class Acks:
         if stored and length not in stored:
             self._stored[number] = {at: each for at, each in stored.items() if at > length}
         return stored.pop(length, None) if stored else None
-
-    def restarted(self, peer: int) -> None:
-        """Expect nothing of a peer that lost its state."""
-        self._expected_since[peer] = NEVER
-
-    def dropped(self, peer: int, number: int) -> None:
-        """Expect nothing of entries that a peer dropped."""
-        self._expected_since[peer, number] = NEVER

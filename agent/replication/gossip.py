@@ -171,15 +171,11 @@ class Gossip(Replication):
         self._cursors.missed(peer)
         self.replica.reject(peer, self.peers.current[peer], reason)
 
-    def _peer_dropped(self, peer: int, number: int, length: int) -> None:
-        super()._peer_dropped(peer, number, length)
-        self._acks.dropped(peer, number)
-
     def _note_restart(self, peer: int, frame: ParsedFrame) -> None:
         """A peer that broadcasts a map of a new incarnation of its own lost its state."""
         for control in frame.controls:
             if isinstance(control, From) and self.peers.restarted(peer, control.map):
-                for part in (self._acks, self._reports, self._cursors, self._neighbors):
+                for part in (self._reports, self._cursors, self._neighbors):
                     part.restarted(peer)
                 self._meetings.on("restarted", peer)
 

@@ -40,6 +40,8 @@ class PeerTable:
         """``expected[peer, map]``: entries that the peer should hold by now."""
         self.acked = self.expected
         """``acked[peer, map]``: entries that the peer certainly holds; the same table where nothing is lost."""
+        self._deliveries: list[tuple[Table, int]] = []
+        """The tables of `delivery_table`, with the values that they start from."""
 
     def author(self, number: int) -> int:
         """Return the robot that writes a map."""
@@ -48,6 +50,14 @@ class PeerTable:
     def new_table(self) -> Table:
         """Return a table of zeros, which takes no memory before it is used; columns are contiguous, as maps arrive."""
         return np.zeros((self.maps, self.robots), np.int64).T
+
+    def delivery_table(self, start: int = 0) -> Table:
+        """Return a table of the state of deliveries, which begins again from `start` where a peer loses entries."""
+        table = self.new_table()
+        if start:
+            table[:] = start
+        self._deliveries.append((table, start))
+        return table
 
     def expect(self, peer: int, number: int, length: int) -> None:
         """Note that a peer should hold at least so many entries of a map."""
@@ -66,7 +76,16 @@ class PeerTable:
             return False
         self.current[peer] = number
         self.expected[peer] = self.acked[peer] = 0
+        for table, start in self._deliveries:
+            table[peer] = start
         return True
+
+    def dropped(self, peer: int, number: int, length: int) -> None:
+        """Note that a peer dropped the entries of a map from offset `length` on."""
+        self.expected[peer, number] = length
+        self.acked[peer, number] = min(self.acked.item(peer, number), length)
+        for table, start in self._deliveries:
+            table[peer, number] = start
 
 
 @kernel
