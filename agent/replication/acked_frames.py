@@ -16,10 +16,10 @@ retransmitted frame measures nothing (Karn).
 
 from __future__ import annotations
 
-from functools import partial
+from collections.abc import Iterator
 
 from agent.replication.base import Replication
-from agent.replication.control_packets import header, offer, offset, parse, report
+from agent.replication.control_packets import ParsedFrame, header, offer, offset, parse, report
 from agent.replication.frame_builder import FrameBuilder, limited
 from agent.replication.policies import MAX_WAIT, Offer, Rounds
 from agent.replication.replica import Rejected, Replica
@@ -58,29 +58,28 @@ class AckedFrames(Replication):
         """``_sent[peer, map]``: the round of the last transmission."""
         self._round_trip = self.peers.delivery_table(UNKNOWN)
         """``_round_trip[peer, map]``: the rounds from a transmission to the report that followed it."""
-        self._builders: list[FrameBuilder] = []
+        self._frames: list[OutgoingFrame] = []
+        """The frames of this round."""
 
     def open_round(self, number: int, in_range: list[int], budget: int | None) -> list[OutgoingFrame]:
         """Return one frame for each peer that is to be sent anything."""
         rounds = self._rounds
         offers = rounds.open(number, in_range, budget)
         due = [each for each in offers if rounds.now >= rounds.due[each.peer, each.number]]
-        frames, self._builders, left = [], [], limited(budget)
+        self._frames, left = [], limited(budget)
         for peer in in_range:
-            builder = FrameBuilder(left)
-            self._fill(builder, peer, [each for each in due if each.peer == peer])
-            if builder.payload:
-                self._builders.append(builder)
-                frames.append(OutgoingFrame(peer, builder.payload))
-                left = max(0, left - len(builder.payload))
-        return frames
+            payload = self._frame_to(peer, [each for each in due if each.peer == peer], left)
+            if payload:
+                self._frames.append(OutgoingFrame(peer, payload))
+                left = max(0, left - len(payload))
+        return self._frames
 
     def close_round(self, report: RoundReport) -> list[Rejected]:
         """Note which parts of the frames were on the air, and process the received frames."""
         sent = {each.frame: each.sent for each in report.sent}
-        for frame, builder in enumerate(self._builders):
-            builder.sent(sent.get(frame, 0))
-        self._builders = []
+        for number, frame in enumerate(self._frames):
+            self._note_sent(frame.receiver, parse(frame.payload[: sent.get(number, 0)]))
+        self._frames = []
         for delivery in report.deliveries:
             self._receive(delivery.sender, delivery.payload)
         return self.replica.take_rejected()
@@ -91,27 +90,35 @@ class AckedFrames(Replication):
 
     # --- sending
 
-    def _fill(self, builder: FrameBuilder, peer: int, offers: list[Offer]) -> None:
-        """Add reports, then offers, then entries to a peer's frame; only entries stop at the budget."""
+    def _frame_to(self, peer: int, offers: list[Offer], budget: int) -> bytes:
+        """Return a peer's frame: reports, then offers, then entries; only entries stop at the budget."""
+        builder = FrameBuilder(budget)
         for number in sorted(number for receiver, number in self._reports_due if receiver == peer):
-            held = report(number, len(self.logs[number]))
-            builder.add(held, partial(self._reports_due.discard, (peer, number)))
+            builder.payload += report(number, len(self.logs[number]))
         answered = []
         for each in offers:
             if self._reported[peer, each.number] >= self._rounds.now - RECENT:
                 answered.append(each)
             else:
-                builder.add(offer(each.number, each.first), partial(self._transmitted, peer, each.number))
+                builder.payload += offer(each.number, each.first)
         for _, number, first in answered:
-            on_sent = partial(self._entries_sent, peer, number)
-            builder.add_entries(self.logs[number], first, header(number, first), on_sent)
+            builder.add_entries(self.logs[number], first, header(number, first))
+        return builder.payload
 
-    def _entries_sent(self, peer: int, number: int, _first: int, end: int) -> None:
-        """Entries of a map, before offset `end`, were on the air."""
-        self._transmitted(peer, number)
-        self._reported[peer, number] = LONG_AGO
-        if number == self.peers.own:
-            self.own_log.sent(end)
+    def _note_sent(self, peer: int, frame: ParsedFrame) -> None:
+        """Note what was on the air of a peer's frame."""
+        for control in frame.controls:
+            if isinstance(control, Held):
+                self._reports_due.discard((peer, control.map))
+            elif isinstance(control, packets.Offer):
+                self._transmitted(peer, control.map)
+        for number, first, entries in self._sections(frame):
+            end = min(first + len(entries), len(self.logs[number]))
+            if end > first:  # else they were dropped meanwhile
+                self._transmitted(peer, number)
+                self._reported[peer, number] = LONG_AGO
+                if number == self.peers.own:
+                    self.own_log.sent(end)
 
     def _transmitted(self, peer: int, number: int) -> None:
         """Start the retransmission timeout of a map; it doubles with every transmission that no report follows."""
@@ -139,18 +146,16 @@ class AckedFrames(Replication):
             self.peers.restarted(peer, control.map)
             if isinstance(control, packets.Offer):
                 self._owe_report(peer, control.map)
-        for head, entries in parsed.sections:
-            if head is None or head.map >= len(logs):
-                continue
-            number, length = head.map, len(logs[head.map])
-            first = offset(head, length)
-            end = first + len(entries)
-            if number == self.peers.own:
-                self.replica.check_own(peer, first, entries)
+        for number, first, entries in self._sections(parsed):
             self._owe_report(peer, number)
-            self.peers.expect(peer, number, self._possible(number, end))
-            if first <= length < end and number not in self.peers.own_maps:
-                self.replica.accept(peer, number, b"".join(entries[length - first :]))
+            self.peers.expect(peer, number, self._possible(number, first + len(entries)))
+            self.replica.receive(peer, number, first, entries)
+
+    def _sections(self, frame: ParsedFrame) -> Iterator[tuple[int, int, list[bytes]]]:
+        """Yield the map number, the first offset and the entries of each section of a frame that has a header."""
+        for head, entries in frame.sections:
+            if head is not None and head.map < len(self.logs):
+                yield head.map, offset(head, len(self.logs[head.map])), entries
 
     def _owe_report(self, peer: int, number: int) -> None:
         """A peer must be sent a report, unless its entries of that map are not accepted."""

@@ -16,8 +16,6 @@ this order:
 
 from __future__ import annotations
 
-from functools import partial
-
 from agent.replication.base import Replication
 from agent.replication.control_packets import ParsedFrame, header, offset, parse, report
 from agent.replication.delivery import Acks
@@ -48,6 +46,8 @@ class Gossip(Replication):
         self._cursors = BroadcastCursors(robots, known=first_incarnation, reliable=reliable)
         self._policy = GossipPolicy(replica, self._neighbors, dependencies)
         self._builder = FrameBuilder()
+        self._owed: list[int] = []
+        """Peers to which the reports of this round's frame were owed."""
         self._idle_since = 0
         """The last step in which this robot had nothing to send, or sent something; without ranks of entries, also one
         in which the rest of a budget was too small for it."""
@@ -72,10 +72,8 @@ class Gossip(Replication):
         self._add_reports(lengths)
         self._policy.serve(self._add_range, self._acks.turn)
         payload = self._builder.payload
-        if not payload:
-            self._builder = FrameBuilder()  # without handlers, which refer to this object
-            if number == 0 or self.urgency is None:
-                self._idle_since = step
+        if not payload and (number == 0 or self.urgency is None):
+            self._idle_since = step
         self.priority = self._policy.priority(
             len(payload),
             step - self._idle_since,
@@ -97,7 +95,7 @@ class Gossip(Replication):
         for peer, frame in frames:  # reports describe the state before this round
             self._read_reports(peer, frame)
         sent = max((each.sent for each in report.sent), default=0)
-        self._builder.sent(sent)
+        self._note_sent(sent)
         if sent:
             self._idle_since = self.replica.step
         self._builder = FrameBuilder()
@@ -118,22 +116,12 @@ class Gossip(Replication):
 
     def _add_reports(self, lengths: Table) -> None:
         """Add reports of this robot's range and of its log lengths to the frame."""
-        builder, neighbors, owed = self._builder, self._neighbors, self._meetings.owed()
-        for robot, here in neighbors.news():
-            near = packet_codec.encode([Near(robot) if here else Gone(robot)])
-            if builder.fits(near):
-                builder.add(near, partial(neighbors.inform, robot, here))
-        digest = self._next_digest()
-        if digest and builder.fits(digest):
-            builder.add(digest, self.own_log.digest_sent)
-        end = 0
-        for number in self._reports.due(lengths, owed, parted=neighbors.have_parted):
-            held = report(number, len(self.logs[number]))
-            if builder.fits(held):
-                receivers = neighbors.receivers(self.peers.robot)
-                end = builder.add(held, partial(self._reports.sent, number, receivers))
-        if owed:
-            builder.add_marker(end, partial(self._meetings.on, "informed", *owed))
+        self._owed = self._meetings.owed()
+        for robot, here in self._neighbors.news():
+            self._builder.add(packet_codec.encode([Near(robot) if here else Gone(robot)]))
+        self._builder.add(self._next_digest())
+        for number in self._reports.due(lengths, self._owed, parted=self._neighbors.have_parted):
+            self._builder.add(report(number, len(self.logs[number])))
 
     def _add_range(self, number: int, first: int, end: int) -> int:
         """Add entries of a map to the frame, behind a header where one is needed; return the offset after the last."""
@@ -141,9 +129,27 @@ class Gossip(Replication):
         in_range = self._neighbors.in_range
         continues = own and not self._builder.has_entries and self._cursors.known(first, in_range)
         head = b"" if continues else header(number, first)
-        return self._builder.add_entries(
-            self.logs[number], first, head, partial(self._entries_sent, number), end
-        )
+        return self._builder.add_entries(self.logs[number], first, head, end)
+
+    def _note_sent(self, size: int) -> None:
+        """Note what was on the air of this round's frame: its first `size` bytes."""
+        payload, receivers = self._builder.payload, self._neighbors.receivers(self.peers.robot)
+        frame = parse(payload[:size])
+        for control in frame.controls:
+            match control:
+                case Near(robot) | Gone(robot):
+                    self._neighbors.inform(robot, here=isinstance(control, Near))
+                case LogDigest():
+                    self.own_log.digest_sent()
+                case Held(number, _):
+                    self._reports.sent(number, receivers)
+        rest = parse(payload).controls[len(frame.controls) :]
+        if payload and not any(isinstance(control, Held) for control in rest):
+            self._meetings.on("informed", *self._owed)
+        for head, entries in frame.sections:
+            number = self.peers.own if head is None else head.map
+            first = self._cursors.own if head is None else offset(head, len(self.logs[number]))
+            self._entries_sent(number, first, first + len(entries))
 
     def _entries_sent(self, number: int, first: int, end: int) -> None:
         """Entries `first` to `end` - 1 of a map were on the air."""
@@ -212,21 +218,19 @@ class Gossip(Replication):
         if first is None:
             reports.gaps.add(number)
             return
-        if number == self.peers.own:
-            replica.check_own(peer, first, entries)
+        length = log.length
+        replica.receive(peer, number, first, entries)
         end = max(first, self._possible(number, first + len(entries)))
         if end == first:
             return
         if number == self.peers.current[peer]:
             self._cursors.received(peer, end)
         self.peers.acknowledge(peer, number, end)
-        (reports.gaps.add if first > log.length else reports.gaps.discard)(number)
-        if first > log.length and not replica.refuses(peer, number):
+        (reports.gaps.add if first > length else reports.gaps.discard)(number)
+        if first > length and not replica.refuses(peer, number):
             self._acks.store(peer, number, first, entries)
-        if end <= log.length:
+        if end <= length:
             reports.repeated.add(number)
-        elif first <= log.length and number not in self.peers.own_maps:
-            replica.accept(peer, number, b"".join(entries[log.length - first :]))
         self._note_receivers(peer, number, first, end)
         while (stored := self._acks.stored(number, log.length)) is not None:
             reports.gaps.add(number)

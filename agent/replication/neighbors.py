@@ -139,7 +139,7 @@ class BroadcastCursors:
     def __init__(self, robots: int, *, known: bool, reliable: bool) -> None:
         self._reliable = reliable
         known = known and reliable
-        self._own = 0
+        self.own = 0
         """Offset after this robot's last broadcast of its own log."""
         self._aware = set(range(robots)) if known else set()
         """Robots that have been in range since then."""
@@ -154,12 +154,12 @@ class BroadcastCursors:
 
     def known(self, first: int, peers: list[int]) -> bool:
         """Return whether all of `peers` know that this robot's next broadcast begins at offset `first`."""
-        return first == self._own and self._aware.issuperset(peers)
+        return first == self.own and self._aware.issuperset(peers)
 
     def sent(self, end: int, peers: list[int]) -> None:
         """Note that `peers` received this robot's own log up to offset `end`."""
         if self._reliable:
-            self._own, self._aware = end, set(peers)
+            self.own, self._aware = end, set(peers)
 
     def sent_earlier_incarnation(self) -> None:
         """Note a broadcast of a log of an earlier incarnation: receivers may take it for the current one."""

@@ -117,6 +117,14 @@ class Replica:
         self._verify(number)
         return True
 
+    def receive(self, peer: int, number: int, first: int, entries: list[bytes]) -> None:
+        """Accept those of a peer's entries, from offset `first` on, that are next in the log of a map."""
+        length = len(self.logs[number])
+        if number == self.peers.own:
+            self._check_own(peer, first, entries)
+        elif first <= length < first + len(entries) and number not in self.peers.own_maps:
+            self.accept(peer, number, b"".join(entries[length - first :]))
+
     def receive_digest(self, peer: int, digest: LogDigest) -> None:
         """Take the digest that a peer broadcasts of its own log."""
         number = self.peers.current[peer]
@@ -159,7 +167,7 @@ class Replica:
             length, _, wait = self._requests[number]
             self._requests[number] = length, self.step + wait, min(2 * wait, LONGEST)
 
-    def check_own(self, peer: int, first: int, entries: list[bytes]) -> None:
+    def _check_own(self, peer: int, first: int, entries: list[bytes]) -> None:
         """Compare entries of this robot's log that a peer sent, from offset `first` on; report forged ones."""
         if self.own_log.read(min(first, len(self.own_log)), None, first + len(entries)) != b"".join(entries):
             self.own_log.request_digest(first + len(entries))

@@ -61,11 +61,10 @@ def test_a_log_continues_where_it_was_cut(lengths: list[int], data: st.DataObjec
 def test_a_builder_stops_at_the_budget_and_a_shorter_packet_still_fits() -> None:
     builder = FrameBuilder(4)
     long, short = encode([Held(1, 300)]), encode([Near(1)])
-    assert not builder.fits(long)
-    for _ in range(2):
-        assert builder.fits(short)
-        builder.add(short, lambda: None)
-    assert not builder.fits(short)
+    builder.add(long)
+    assert builder.payload == b""
+    for _ in range(3):
+        builder.add(short)
     assert builder.payload == short + short
 
 
@@ -79,32 +78,8 @@ def test_entries_go_in_as_far_as_they_fit_and_no_header_stands_alone(
     log = Log()
     log.append([b"abc", b"de", b"fghi"])
     builder = FrameBuilder(budget)
-    assert builder.add_entries(log, first, b"--", lambda *_: None, end) == after
+    assert builder.add_entries(log, first, b"--", end) == after
     assert builder.payload == payload
-
-
-@pytest.mark.parametrize(
-    ("sent", "expected"),
-    [
-        (0, []),
-        (2, ["near"]),
-        (4, ["near"]),
-        (7, ["near", (0, 1)]),
-        (9, ["near", (0, 2)]),
-        (12, ["near", (0, 2)]),
-        (16, ["near", (0, 2), (2, 3)]),
-    ],
-)
-def test_handlers_run_for_the_parts_that_were_on_the_air(sent: int, expected: list[object]) -> None:
-    log = Log()
-    log.append([b"abc", b"de", b"fghi"])
-    ran: list[object] = []
-    builder = FrameBuilder()
-    builder.add(b"nn", lambda: ran.append("near"))
-    builder.add_entries(log, 0, b"--", lambda first, end: ran.append((first, end)), 2)
-    builder.add_entries(log, 2, b"---", lambda first, end: ran.append((first, end)), 3)
-    builder.sent(sent)
-    assert ran == expected
 
 
 def test_a_frame_is_split_into_control_packets_and_entries_behind_their_headers() -> None:
