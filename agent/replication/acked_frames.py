@@ -21,6 +21,7 @@ from collections.abc import Iterator
 from agent.replication.base import Replication
 from agent.replication.control_packets import ParsedFrame, header, offer, offset, parse, report
 from agent.replication.frame_builder import FrameBuilder, limited
+from agent.replication.peers import NEVER
 from agent.replication.policies import MAX_WAIT, Offer, Rounds
 from agent.replication.replica import Rejected, Replica
 from protocol import packets
@@ -33,9 +34,6 @@ MIN_TIMEOUT = 2
 
 MAX_TIMEOUT = 16
 """Rounds between two transmissions at most, once a round trip that is much shorter is known."""
-
-LONG_AGO, UNKNOWN = -64, -1
-"""The round of something that has not happened, and a round trip that has not been measured."""
 
 RECENT = 8
 """Rounds for which a report is recent enough to send entries without asking again."""
@@ -52,11 +50,11 @@ class AckedFrames(Replication):
         self._rounds = rounds
         self._reports_due: set[tuple[int, int]] = set()
         """Peers that must be sent a report of a map, as pairs (peer, map)."""
-        self._reported = self.peers.delivery_table(LONG_AGO)
-        """``_reported[peer, map]``: the round of the peer's last report, unless entries were sent since."""
+        self._reported = self.peers.delivery_table(-RECENT)
+        """``_reported[peer, map]``: the round of the peer's last report."""
         self._sent = self.peers.delivery_table()
         """``_sent[peer, map]``: the round of the last transmission."""
-        self._round_trip = self.peers.delivery_table(UNKNOWN)
+        self._round_trip = self.peers.delivery_table(NEVER)
         """``_round_trip[peer, map]``: the rounds from a transmission to the report that followed it."""
         self._frames: list[OutgoingFrame] = []
         """The frames of this round."""
@@ -86,7 +84,7 @@ class AckedFrames(Replication):
 
     def delivered(self) -> bool:
         """Return whether all peers in range reported to hold this robot's log, but for those that are `UNREACHABLE`."""
-        return self._rounds.delivered(self.own_log.length, UNREACHABLE)
+        return self._rounds.delivered(UNREACHABLE)
 
     # --- sending
 
@@ -97,7 +95,8 @@ class AckedFrames(Replication):
             builder.payload += report(number, len(self.logs[number]))
         answered = []
         for each in offers:
-            if self._reported[peer, each.number] >= self._rounds.now - RECENT:
+            is_recent = self._reported[peer, each.number] >= self._rounds.now - RECENT
+            if is_recent and not self._rounds.tries[peer, each.number]:
                 answered.append(each)
             else:
                 builder.payload += offer(each.number, each.first)
@@ -106,7 +105,7 @@ class AckedFrames(Replication):
         return builder.payload
 
     def _note_sent(self, peer: int, frame: ParsedFrame) -> None:
-        """Note what was on the air of a peer's frame."""
+        """Read the part of a frame to a peer that was on the air."""
         for control in frame.controls:
             if isinstance(control, Held):
                 self._reports_due.discard((peer, control.map))
@@ -116,7 +115,6 @@ class AckedFrames(Replication):
             end = min(first + len(entries), len(self.logs[number]))
             if end > first:  # else they were dropped meanwhile
                 self._transmitted(peer, number)
-                self._reported[peer, number] = LONG_AGO
                 if number == self.peers.own:
                     self.own_log.sent(end)
 
@@ -124,7 +122,7 @@ class AckedFrames(Replication):
         """Start the retransmission timeout of a map; it doubles with every transmission that no report follows."""
         round_trip = self._round_trip.item(peer, number)
         timeout = min(max(MIN_TIMEOUT, round_trip + 1), MAX_TIMEOUT)
-        longest = MAX_WAIT if round_trip == UNKNOWN else max(MAX_TIMEOUT, 4 * round_trip)
+        longest = MAX_WAIT if round_trip == NEVER else max(MAX_TIMEOUT, 4 * round_trip)
         self._sent[peer, number] = self._rounds.now
         self._rounds.postpone(peer, number, timeout, longest)
 
@@ -138,14 +136,14 @@ class AckedFrames(Replication):
             self.replica.reject(peer, self.peers.current[peer], str(error))
             return
         for control in parsed.controls:
-            if not isinstance(control, Held | packets.Offer | From) or control.map >= len(logs):
-                continue
-            if isinstance(control, Held):
-                self._read_report(peer, control.map, offset(control, len(logs[control.map])))
-                continue
-            self.peers.restarted(peer, control.map)
-            if isinstance(control, packets.Offer):
-                self._owe_report(peer, control.map)
+            match control:
+                case Held(number, _) if number < len(logs):
+                    self._read_report(peer, number, offset(control, len(logs[number])))
+                case packets.Offer(number, _) if number < len(logs):
+                    self.peers.restarted(peer, number)
+                    self._owe_report(peer, number)
+                case From(number, _):
+                    self.peers.restarted(peer, number)
         for number, first, entries in self._sections(parsed):
             self._owe_report(peer, number)
             self.peers.expect(peer, number, self._possible(number, first + len(entries)))
@@ -168,7 +166,7 @@ class AckedFrames(Replication):
             self.peers.expected[peer, number] = 0
         self.peers.expect(peer, number, self._possible(number, length))
         rounds, tries = self._rounds, self._rounds.tries[peer, number]
-        if tries == 1 or (tries and self._round_trip[peer, number] == UNKNOWN):
+        if tries == 1 or (tries and self._round_trip[peer, number] == NEVER):
             self._round_trip[peer, number] = rounds.now - self._sent[peer, number]
         self._reported[peer, number] = rounds.due[peer, number] = rounds.now
         rounds.tries[peer, number] = 0

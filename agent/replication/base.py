@@ -88,7 +88,7 @@ class Replication(ABC):
     def announced(self) -> None:
         """Note that this step's broadcast was on the air."""
         if self.announces_digests:
-            self.own_log.digest_sent()
+            self.own_log.digest_length = 0
         for number in self.replica.maps_to_ask_for() if self.announces_requests else ():
             self.replica.asked(number)
 
@@ -101,9 +101,7 @@ class Replication(ABC):
             step, wait = self._asked.get((peer, number), (0, 2))
             if length < self.peers.expected.item(peer, number) and self.replica.step >= step:
                 self._asked[peer, number] = self.replica.step + wait, min(2 * wait, LONGEST)
-                if number == self.peers.own:
-                    self.own_log.request_digest(length)
-                self.peers.dropped(peer, number, length)
+                self._peer_dropped(peer, number, length)
         return self.replica.take_rejected()
 
     def _next_digest(self) -> bytes:
@@ -115,7 +113,7 @@ class Replication(ABC):
         if turn > self._digest_turn:
             self._digest_turn = turn
             log.request_digest(log.length)
-        length = 0 if log.digest_length is None else min(log.digest_length, log.shared)
+        length = min(log.digest_length, log.shared)
         if not length:
             return b""
         return packet_codec.encode([verifier.digest(length, self.salt, complete=length == log.shared)])
@@ -123,3 +121,9 @@ class Replication(ABC):
     def _possible(self, number: int, length: int) -> int:
         """Limit a log length that a peer claims: no robot holds entries of this robot's map that were not sent."""
         return min(length, self.own_log.shared) if number == self.peers.own else length
+
+    def _peer_dropped(self, peer: int, number: int, length: int) -> None:
+        """A peer dropped the entries of a map from offset `length` on."""
+        if number == self.peers.own:
+            self.own_log.request_digest(length)
+        self.peers.dropped(peer, number, length)

@@ -118,14 +118,12 @@ class Handshakes(Replication):
 
     def close_round(self, report: RoundReport) -> list[Rejected]:
         """Update the peer table by the bytes that were carried, and accept the data that arrived."""
-        received = []
         for carried in report.connections:
-            if carried.connection in self._received:
-                received += [self._received[carried.connection]] if carried.offer else []
-            elif carried.answer and carried.connection in self._answered:
-                self._settle(self._answered[carried.connection], carried.data)
-        for connection in received:
-            self.peers.restarted(connection.peer, connection.number)
+            if carried.answer and (answered := self._answered.get(carried.connection)):
+                self._settle(answered, carried.data)
+        for carried in report.connections:
+            if carried.offer and (received := self._received.get(carried.connection)):
+                self.peers.restarted(received.peer, received.number)
         for delivery in report.deliveries:
             taken, sender = self._received.get(delivery.connection), delivery.sender
             if taken is None or taken.state != "taking":
@@ -136,7 +134,7 @@ class Handshakes(Replication):
 
     def delivered(self) -> bool:
         """Return whether all peers in range hold this robot's log, and there are any; see `STUBBORN`."""
-        return self._rounds.delivered(self.own_log.length, STUBBORN)
+        return self._rounds.delivered(STUBBORN)
 
     def _read_answer(self, connection: Connection, payload: bytes) -> Event:
         """Note the peer's log length, and compare it with this robot's."""

@@ -70,18 +70,8 @@ class OwnLog(Log):
         """Offset before which other robots may hold entries; those from there on may change."""
         self.last_append = 0
         """Offset of the entries that were appended last."""
-        self.digest_length: int | None = None
-        """Number of entries whose digest is due, after some time or if a peer may hold others; None: none is due."""
-
-    @property
-    def has_unsent(self) -> bool:
-        """Whether some entries have not been on the air."""
-        return self.shared < self.length
-
-    @property
-    def is_unfinished(self) -> bool:
-        """Whether some of the entries appended last have been on the air, and the rest has not."""
-        return self.last_append < self.shared < self.length
+        self.digest_length = 0
+        """Number of entries whose digest is due, after some time or if a peer may hold others; 0: none is due."""
 
     def append(self, entries: list[bytes]) -> None:
         """Add entries at the end."""
@@ -100,10 +90,6 @@ class OwnLog(Log):
     def sent(self, end: int) -> None:
         """Note that other robots may hold the entries before offset `end` now."""
         self.shared = max(self.shared, end)
-
-    def digest_sent(self) -> None:
-        """Note that the digest was on the air."""
-        self.digest_length = None
 
     def request_digest(self, length: int) -> None:
         """Send a digest of the first `length` entries, or of fewer if that is requested already."""

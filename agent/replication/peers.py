@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 from protocol.arrays import Bools, Int64s
 from protocol.kernels import kernel
 
+NEVER = -1
+"""The time of something that has not happened, and the duration of something that has not been measured."""
+
 Table = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
@@ -20,13 +23,15 @@ Mask = NDArray[np.bool_]
 class PeerTable:
     """One robot's knowledge of its peers' logs. Tables have a row for each robot and a column for each map number.
 
-    `own`: the number of this robot's map; `maps`: how many maps the team may write.
+    `own`: the number of this robot's map; `maps`: how many maps the team may write; `reliable`: the medium loses
+    nothing, and keeps the order of a robot's frames.
     """
 
-    def __init__(self, own: int, robots: int, maps: int) -> None:
+    def __init__(self, own: int, robots: int, maps: int, *, reliable: bool = True) -> None:
         self.own = own
         self.robots = robots
         self.maps = maps
+        self.reliable = reliable
         self.robot = self.author(own)
         """This robot."""
         self.own_maps = range(own, maps, robots)

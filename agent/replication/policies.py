@@ -69,17 +69,15 @@ class Rounds:
         return self._dissemination.offers(self, lengths) if in_range and lengths.any() else []
 
     def postpone(self, peer: int, number: int, first_wait: int, longest: int) -> None:
-        """Offer a map to a peer again after `first_wait` rounds, which double with every try, up to `longest`."""
+        """Offer a map to a peer again after `first_wait` rounds; they double with each further try, up to `longest`."""
         tries = self.tries.item(peer, number)
         self.due[peer, number] = self.now + min(first_wait << tries, longest)
         self.tries[peer, number] = tries + 1
 
-    def delivered(self, length: int, most_tries: int) -> bool:
-        """Return whether peers are in range, and should all hold this robot's log, which has `length` entries.
-
-        A peer is not waited for after more than `most_tries` tries.
-        """
-        expected, tries = self.peers.expected[:, self.peers.own].tolist(), self.tries[:, self.peers.own]
+    def delivered(self, most_tries: int) -> bool:
+        """Return whether peers are in range, and each should hold this robot's log, or had over `most_tries` tries."""
+        own, length = self.peers.own, self._replica.own_log.length
+        expected, tries = self.peers.expected[:, own].tolist(), self.tries[:, own]
         return bool(self.in_range) and all(
             expected[peer] >= length or tries[peer] > most_tries for peer in self.in_range
         )
