@@ -18,9 +18,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from agent.replication.base import Replication
+from agent.replication.base import Replication, limited
 from agent.replication.control_packets import ParsedFrame, header, offer, offset, parse, report
-from agent.replication.frame_builder import FrameBuilder, limited
 from agent.replication.peers import NEVER
 from agent.replication.policies import MAX_WAIT, Offer, Rounds
 from agent.replication.replica import Rejected, Replica
@@ -90,19 +89,19 @@ class AckedFrames(Replication):
 
     def _frame_to(self, peer: int, offers: list[Offer], budget: int) -> bytes:
         """Return a peer's frame: reports, then offers, then entries; only entries stop at the budget."""
-        builder = FrameBuilder(budget)
+        frame = b""
         for number in sorted(number for receiver, number in self._reports_due if receiver == peer):
-            builder.payload += report(number, len(self.logs[number]))
+            frame += report(number, len(self.logs[number]))
         answered = []
         for each in offers:
             is_recent = self._reported[peer, each.number] >= self._rounds.now - RECENT
             if is_recent and not self._rounds.tries[peer, each.number]:
                 answered.append(each)
             else:
-                builder.payload += offer(each.number, each.first)
+                frame += offer(each.number, each.first)
         for _, number, first in answered:
-            builder.add_entries(self.logs[number], first, header(number, first))
-        return builder.payload
+            frame += self.logs[number].read(first, budget - len(frame), head=header(number, first))
+        return frame
 
     def _note_sent(self, peer: int, frame: ParsedFrame) -> None:
         """Read the part of a frame to a peer that was on the air."""

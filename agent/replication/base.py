@@ -15,8 +15,14 @@ from agent.replication.digests import INTERVAL
 from agent.replication.replica import LONGEST, Rejected, Replica
 from protocol import packet_codec
 from protocol.errors import ProtocolError
+from protocol.message_fields import MAX_LOAD
 from protocol.messages import Delivery, OutgoingFrame, RoundReport
 from protocol.packets import Held, LogDigest
+
+
+def limited(budget: int | None) -> int:
+    """Return how many bytes of entries a robot sends in a phase with this budget (None: unlimited)."""
+    return MAX_LOAD if budget is None else min(budget, MAX_LOAD)
 
 
 class Replication(ABC):

@@ -41,13 +41,12 @@ class Acks:
     """
 
     def __init__(self, replica: Replica) -> None:
-        peers = replica.peers
+        peers = self._peers = replica.peers
         self.interval = PATIENCE
         """Steps within which a robot acknowledges entries; longer on a narrow medium."""
         self.turn = PATIENCE
         """Steps after which the next peer may forward entries that another lacks."""
         self._replica = replica
-        self._peers = peers
         if not peers.reliable:
             peers.acked = peers.new_table()
         self._expected_since = peers.delivery_table(NEVER)

@@ -16,10 +16,9 @@ this order:
 
 from __future__ import annotations
 
-from agent.replication.base import Replication
+from agent.replication.base import Replication, limited
 from agent.replication.control_packets import ParsedFrame, header, offset, parse, report
 from agent.replication.delivery import Acks
-from agent.replication.frame_builder import FrameBuilder
 from agent.replication.gossip_policy import Dependencies, GossipPolicy
 from agent.replication.neighbors import BroadcastCursors, Meetings, Neighbors
 from agent.replication.peers import Table, raise_lengths
@@ -45,7 +44,9 @@ class Gossip(Replication):
         self._meetings = Meetings(robots, settled=first_incarnation)
         self._cursors = BroadcastCursors(robots, known=first_incarnation, reliable=reliable)
         self._policy = GossipPolicy(replica, self._neighbors, self._acks, dependencies)
-        self._builder = FrameBuilder()
+        self._frame = b""
+        """The broadcast of this round, of `_budget` bytes at most."""
+        self._budget = 0
         self._owed: list[int] = []
         """Peers to which the reports of this round's frame were owed."""
         self._idle_since = 0
@@ -67,16 +68,15 @@ class Gossip(Replication):
         self._acks.drop_late()
         lengths = self.replica.lengths()
         self._policy.compare(self._meetings.known(in_range), lengths)
-        self._builder = FrameBuilder(budget)
+        self._frame, self._budget = b"", limited(budget)
         if not in_range:
             return []
         self._add_reports(lengths)
         self._policy.serve(self._add_range)
-        payload = self._builder.payload
-        if not payload and (number == 0 or self.urgency is None):
+        if not self._frame and (number == 0 or self.urgency is None):
             self._idle_since = step
-        self.priority = self._policy.priority(len(payload), step - self._idle_since, self.urgency)
-        return [OutgoingFrame(EVERYONE, payload)] if payload else []
+        self.priority = self._policy.priority(len(self._frame), step - self._idle_since, self.urgency)
+        return [OutgoingFrame(EVERYONE, self._frame)] if self._frame else []
 
     def close_round(self, report: RoundReport) -> list[Rejected]:
         """Update the tables by the parts that were on the air, and accept the entries that arrived."""
@@ -96,7 +96,7 @@ class Gossip(Replication):
         self._note_sent(sent)
         if sent:
             self._idle_since = self.replica.step
-        self._builder = FrameBuilder()
+        self._frame = b""
         for peer, control in controls:
             if isinstance(control, LogDigest):
                 self.replica.receive_digest(peer, control)
@@ -115,23 +115,28 @@ class Gossip(Replication):
         """Add reports of this robot's range and of its log lengths to the frame."""
         self._owed = sorted(self._meetings.owed)
         for robot, here in self._neighbors.news:
-            self._builder.add(packet_codec.encode([Near(robot) if here else Gone(robot)]))
-        self._builder.add(self._next_digest())
+            self._add(packet_codec.encode([Near(robot) if here else Gone(robot)]))
+        self._add(self._next_digest())
         for number in self._reports.due(lengths, self._owed, parted=self._neighbors.have_parted):
-            self._builder.add(report(number, len(self.logs[number])))
+            self._add(report(number, len(self.logs[number])))
+
+    def _add(self, packet: bytes) -> None:
+        """Add a packet to the frame if it fits."""
+        if len(self._frame) + len(packet) <= self._budget:
+            self._frame += packet
 
     def _add_range(self, number: int, first: int, end: int) -> int:
         """Add entries of a map to the frame, behind a header where one is needed; return the offset after the last."""
-        own = number == self.peers.own
-        in_range = self._neighbors.in_range
-        continues = own and not self._builder.has_entries and self._cursors.known(first, in_range)
-        head = b"" if continues else header(number, first)
-        return self._builder.add_entries(self.logs[number], first, head, end)
+        log, in_range = self.logs[number], self._neighbors.in_range
+        is_known = number == self.peers.own and self._cursors.known(first, in_range)
+        head = b"" if is_known and not parse(self._frame).sections else header(number, first)
+        added = log.read(first, self._budget - len(self._frame), end, head)
+        self._frame += added
+        return log.offset_after(first, len(added) - len(head)) if added else first
 
     def _note_sent(self, size: int) -> None:
         """Read the part of this round's frame that was on the air, its first `size` bytes, as receivers do."""
-        payload = self._builder.payload
-        frame = parse(payload[:size])
+        frame = parse(self._frame[:size])
         for control in frame.controls:
             match control:
                 case Near(robot) | Gone(robot):
@@ -140,8 +145,8 @@ class Gossip(Replication):
                     self.own_log.digest_length = 0
                 case Held(number, _):
                     self._reports.sent(number, self._neighbors.near[self.peers.robot])
-        unsent = parse(payload).controls[len(frame.controls) :]
-        if payload and not any(isinstance(control, Held) for control in unsent):
+        unsent = parse(self._frame).controls[len(frame.controls) :]
+        if self._frame and not any(isinstance(control, Held) for control in unsent):
             self._meetings.on("informed", *self._owed)
         for head, entries in frame.sections:
             number = self.peers.own if head is None else head.map
@@ -152,7 +157,7 @@ class Gossip(Replication):
                 self._cursors.sent(end, self._neighbors.in_range)
                 self.own_log.sent(end)
             elif self.peers.author(number) == self.peers.robot:
-                self._cursors.sent(end, [])  # receivers may take that log for the current incarnation's
+                self._cursors.sent(end, [])  # receivers may take an earlier log for the current one
 
     def _note_receivers(self, sender: int, number: int, first: int, end: int) -> None:
         """Note that all in range of a sender received entries `first` to `end` - 1 of a map, if they held those before.

@@ -12,9 +12,8 @@ from typing import Literal
 
 import msgspec
 
-from agent.replication.base import Replication
+from agent.replication.base import Replication, limited
 from agent.replication.control_packets import answer, block_of, offer, read_answer, read_offer
-from agent.replication.frame_builder import limited
 from agent.replication.policies import MAX_WAIT, Rounds
 from agent.replication.replica import Rejected, Replica
 from protocol.errors import ProtocolError

@@ -43,13 +43,16 @@ class Log:
         del self._ends[length:]
         self.length = len(self._ends)
 
-    def read(self, first: int, budget: int | None = None, end: int | None = None) -> bytes:
-        """Return whole entries from `first` on, before `end`, that fit into `budget` bytes (None: no limit)."""
+    def read(self, first: int, budget: int | None = None, end: int | None = None, head: bytes = b"") -> bytes:
+        """Return whole entries from `first` on, before `end`, behind a header; no header if there are no entries.
+
+        Both fit into `budget` bytes (None: no limit).
+        """
         begin = self._begin(first)
         stop = len(self._bytes) if end is None else self._begin(min(end, len(self)))
-        if budget is not None and begin + budget < stop:
-            stop = self._begin(self.offset_after(first, budget))
-        return bytes(self._bytes[begin:stop])
+        if budget is not None and begin + budget - len(head) < stop:
+            stop = self._begin(self.offset_after(first, budget - len(head)))
+        return head + self._bytes[begin:stop] if begin < stop else b""
 
     def offset_after(self, first: int, size: int) -> int:
         """Return the offset after the whole entries in the `size` bytes that begin with entry `first`."""

@@ -14,7 +14,6 @@ GREETING = 1
 
 Event = Literal["arrived", "reported", "timed out", "informed", "restarted", "left"]
 
-
 TRANSITIONS: dict[Event, tuple[bool | None, bool | None]] = {
     "arrived": (True, True),
     "reported": (None, False),

@@ -1,4 +1,4 @@
-"""Logs, frame builders, and the tables of neighbors: the parts that know nothing of each other."""
+"""Logs, frames, and the tables of neighbors: the parts that know nothing of each other."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from msgspec.structs import replace
 
 from agent.replication.control_packets import parse
 from agent.replication.digests import MAX_OPEN, LogVerifier
-from agent.replication.frame_builder import FrameBuilder
 from agent.replication.log import Log
 from agent.replication.neighbors import GREETING, BroadcastCursors, Meetings, Neighbors
 from agent.replication.peers import PeerTable
@@ -18,7 +17,7 @@ from agent.replication.replica import ASK_AGAIN, LONGEST, MANY, TRIES, Replica
 from protocol import packet_index
 from protocol.errors import ProtocolError
 from protocol.packet_codec import encode
-from protocol.packets import DIGEST_WINDOW, FromFirst, Held, Near
+from protocol.packets import DIGEST_WINDOW, FromFirst, Near
 from tests.agent.replication.network import entries, entry
 
 sizes = st.lists(st.integers(1, 30), max_size=12)
@@ -58,16 +57,6 @@ def test_a_log_continues_where_it_was_cut(lengths: list[int], data: st.DataObjec
     assert len(log) == left + len(units)
 
 
-def test_a_builder_stops_at_the_budget_and_a_shorter_packet_still_fits() -> None:
-    builder = FrameBuilder(4)
-    long, short = encode([Held(1, 300)]), encode([Near(1)])
-    builder.add(long)
-    assert builder.payload == b""
-    for _ in range(3):
-        builder.add(short)
-    assert builder.payload == short + short
-
-
 @pytest.mark.parametrize(
     ("budget", "first", "end", "payload", "after"),
     [(7, 0, 3, b"--abcde", 2), (4, 0, 3, b"", 0), (9, 2, 2, b"", 2), (None, 1, 3, b"--defghi", 3)],
@@ -77,9 +66,8 @@ def test_entries_go_in_as_far_as_they_fit_and_no_header_stands_alone(
 ) -> None:
     log = Log()
     log.append([b"abc", b"de", b"fghi"])
-    builder = FrameBuilder(budget)
-    assert builder.add_entries(log, first, b"--", end) == after
-    assert builder.payload == payload
+    assert log.read(first, budget, end, b"--") == payload
+    assert log.offset_after(first, max(0, len(payload) - 2)) == after
 
 
 def test_a_frame_is_split_into_control_packets_and_entries_behind_their_headers() -> None:
