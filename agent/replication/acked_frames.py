@@ -23,7 +23,7 @@ from agent.replication.control_packets import ParsedFrame, header, offer, offset
 from agent.replication.peers import NEVER
 from agent.replication.policies import MAX_WAIT, Offer, Rounds
 from agent.replication.replica import Rejected, Replica
-from protocol import packets
+from protocol import packet_index, packets
 from protocol.errors import ProtocolError
 from protocol.messages import OutgoingFrame, RoundReport
 from protocol.packets import From, Held
@@ -75,7 +75,7 @@ class AckedFrames(Replication):
         """Note which parts of the frames were on the air, and process the received frames."""
         sent = {each.frame: each.sent for each in report.sent}
         for number, frame in enumerate(self._frames):
-            self._note_sent(frame.receiver, parse(frame.payload[: sent.get(number, 0)]))
+            self._note_sent(frame.receiver, parse(packet_index.fitting(frame.payload, sent.get(number, 0))))
         self._frames = []
         for delivery in report.deliveries:
             self._receive(delivery.sender, delivery.payload)

@@ -24,7 +24,7 @@ from agent.replication.neighbors import BroadcastCursors, Meetings, Neighbors
 from agent.replication.peers import Table, raise_lengths
 from agent.replication.replica import Rejected, Replica
 from agent.replication.reports import Reports
-from protocol import packet_codec
+from protocol import packet_codec, packet_index
 from protocol.errors import ProtocolError
 from protocol.messages import EVERYONE, OutgoingFrame, RoundReport
 from protocol.packets import AnyPacket, From, Gone, Held, LogDigest, Near
@@ -136,7 +136,7 @@ class Gossip(Replication):
 
     def _note_sent(self, size: int) -> None:
         """Read the part of this round's frame that was on the air, its first `size` bytes, as receivers do."""
-        frame = parse(self._frame[:size])
+        frame = parse(packet_index.fitting(self._frame, size))
         for control in frame.controls:
             match control:
                 case Near(robot) | Gone(robot):
