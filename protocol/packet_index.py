@@ -98,6 +98,14 @@ def ends(frame: bytes) -> Sequence[int]:
     return index_of(frame).ends
 
 
+def fitting(frame: bytes, room: int) -> bytes:
+    """Return the packets at the beginning of a frame that fit into `room` bytes; ProtocolError as `index_of`."""
+    if len(frame) <= room:
+        return frame
+    index = index_of(frame)
+    return frame[index.bytes_of(0, index.count_fitting(room))]
+
+
 def split(frame: bytes) -> list[bytes]:
     """Split a frame into its packets; ProtocolError as `ends`."""
     return [frame[begin:end] for begin, end in pairwise((0, *ends(frame)))]

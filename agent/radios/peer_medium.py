@@ -44,7 +44,7 @@ from protocol.messages import (
     SendReport,
 )
 from protocol.nanoseconds import SECOND
-from protocol.packet_index import index_of
+from protocol.packet_index import fitting
 
 LENGTH_FIELD = 1
 MAX_BROADCAST = 255
@@ -163,7 +163,7 @@ class PeerMedium:
                 raise ValueError(
                     "without a relay, a robot sends one frame per step, to all: dissemination = gossip"
                 )
-            gossip = _fitting(frame.payload, self._space - len(broadcast))
+            gossip = fitting(frame.payload, self._space - len(broadcast))
             sent.append(SendReport(position, len(gossip)))
         self._sent = RoundReport(self._step, 0, [], sent, [], broadcast_sent=bool(broadcast))
         if broadcast or gossip:
@@ -245,11 +245,3 @@ class PeerMedium:
                 self._last_sent, self._step, self._robot, session, counter, len(sealed), broadcast, gossip
             )
         )
-
-
-def _fitting(packets: bytes, space: int) -> bytes:
-    """Return as many whole packets as fit into `space` bytes."""
-    if len(packets) <= space:
-        return packets
-    index = index_of(packets)
-    return packets[index.bytes_of(0, index.count_fitting(space))] if space > 0 else b""

@@ -16,22 +16,17 @@ retransmitted frame measures nothing (Karn).
 
 from __future__ import annotations
 
-from collections import defaultdict
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Iterator
 
-from agent.replication.base import Replication
-from agent.replication.control_packets import header, offer, offset, parse, report
-from agent.replication.frame_builder import FrameBuilder, limited
-from agent.replication.policies import Offer, Rounds
+from agent.replication.base import Replication, limited
+from agent.replication.control_packets import ParsedFrame, header, offer, offset, parse, report
+from agent.replication.peers import NEVER
+from agent.replication.policies import MAX_WAIT, Offer, Rounds
 from agent.replication.replica import Rejected, Replica
-from protocol import packets
+from protocol import packet_index, packets
 from protocol.errors import ProtocolError
 from protocol.messages import OutgoingFrame, RoundReport
 from protocol.packets import From, Held
-
-MAX_WAIT = 64
-"""Rounds between two transmissions at most, while no round trip is known."""
 
 MIN_TIMEOUT = 2
 """Minimum number of rounds until a report can come back."""
@@ -46,21 +41,6 @@ UNREACHABLE = 4
 """Transmissions without a report after which a peer is not waited for."""
 
 
-@dataclass(slots=True)
-class _Timer:
-    """Acknowledgments of one map by one peer, in rounds."""
-
-    reported: int = -MAX_WAIT
-    """When the peer last reported, unless entries were sent since."""
-    sent: int | None = None
-    """When the last frame was sent that no report followed."""
-    tries: int = 0
-    """Transmissions since the last report."""
-    wait: int = MIN_TIMEOUT
-    """The retransmission timeout."""
-    round_trip: int | None = None
-
-
 class AckedFrames(Replication):
     """One robot's unicast frames to all peers."""
 
@@ -69,75 +49,81 @@ class AckedFrames(Replication):
         self._rounds = rounds
         self._reports_due: set[tuple[int, int]] = set()
         """Peers that must be sent a report of a map, as pairs (peer, map)."""
-        self._timers: defaultdict[tuple[int, int], _Timer] = defaultdict(_Timer)
-        self._builders: list[FrameBuilder] = []
+        self._reported = self.peers.delivery_table(-RECENT)
+        """``_reported[peer, map]``: the round of the peer's last report."""
+        self._sent = self.peers.delivery_table()
+        """``_sent[peer, map]``: the round of the last transmission."""
+        self._round_trip = self.peers.delivery_table(NEVER)
+        """``_round_trip[peer, map]``: the rounds from a transmission to the report that followed it."""
+        self._frames: list[OutgoingFrame] = []
+        """The frames of this round."""
 
     def open_round(self, number: int, in_range: list[int], budget: int | None) -> list[OutgoingFrame]:
         """Return one frame for each peer that is to be sent anything."""
         rounds = self._rounds
         offers = rounds.open(number, in_range, budget)
         due = [each for each in offers if rounds.now >= rounds.due[each.peer, each.number]]
-        frames, self._builders, left = [], [], limited(budget)
+        self._frames, left = [], limited(budget)
         for peer in in_range:
-            builder = FrameBuilder(left)
-            self._fill(builder, peer, [each for each in due if each.peer == peer])
-            if builder.payload:
-                self._builders.append(builder)
-                frames.append(OutgoingFrame(peer, builder.payload))
-                left = max(0, left - len(builder.payload))
-        return frames
+            payload = self._frame_to(peer, [each for each in due if each.peer == peer], left)
+            if payload:
+                self._frames.append(OutgoingFrame(peer, payload))
+                left = max(0, left - len(payload))
+        return self._frames
 
     def close_round(self, report: RoundReport) -> list[Rejected]:
         """Note which parts of the frames were on the air, and process the received frames."""
         sent = {each.frame: each.sent for each in report.sent}
-        for frame, builder in enumerate(self._builders):
-            builder.sent(sent.get(frame, 0))
-        self._builders = []
+        for number, frame in enumerate(self._frames):
+            self._note_sent(frame.receiver, parse(packet_index.fitting(frame.payload, sent.get(number, 0))))
+        self._frames = []
         for delivery in report.deliveries:
             self._receive(delivery.sender, delivery.payload)
         return self.replica.take_rejected()
 
     def delivered(self) -> bool:
         """Return whether all peers in range reported to hold this robot's log, but for those that are `UNREACHABLE`."""
-        length, own, in_range = self.own_log.length, self.peers.own, self._rounds.in_range
-        return bool(in_range) and all(
-            self.peers.expected[peer, own] >= length or self._timers[peer, own].tries > UNREACHABLE
-            for peer in in_range
-        )
+        return self._rounds.delivered(UNREACHABLE)
 
     # --- sending
 
-    def _fill(self, builder: FrameBuilder, peer: int, offers: list[Offer]) -> None:
-        """Add reports, then offers, then entries to a peer's frame; only entries stop at the budget."""
+    def _frame_to(self, peer: int, offers: list[Offer], budget: int) -> bytes:
+        """Return a peer's frame: reports, then offers, then entries; only entries stop at the budget."""
+        frame = b""
         for number in sorted(number for receiver, number in self._reports_due if receiver == peer):
-            held = report(number, len(self.logs[number]))
-            builder.add(held, partial(self._reports_due.discard, (peer, number)))
+            frame += report(number, len(self.logs[number]))
         answered = []
         for each in offers:
-            if self._timers[peer, each.number].reported >= self._rounds.now - RECENT:
+            is_recent = self._reported[peer, each.number] >= self._rounds.now - RECENT
+            if is_recent and not self._rounds.tries[peer, each.number]:
                 answered.append(each)
             else:
-                builder.add(offer(each.number, each.first), partial(self._transmitted, peer, each.number))
+                frame += offer(each.number, each.first)
         for _, number, first in answered:
-            on_sent = partial(self._entries_sent, peer, number)
-            builder.add_entries(self.logs[number], first, header(number, first), on_sent)
+            frame += self.logs[number].read(first, budget - len(frame), head=header(number, first))
+        return frame
 
-    def _entries_sent(self, peer: int, number: int, _first: int, end: int) -> None:
-        """Entries of a map, before offset `end`, were on the air."""
-        self._transmitted(peer, number)
-        self._timers[peer, number].reported = -MAX_WAIT
-        if number == self.peers.own:
-            self.own_log.sent(end)
+    def _note_sent(self, peer: int, frame: ParsedFrame) -> None:
+        """Read the part of a frame to a peer that was on the air."""
+        for control in frame.controls:
+            if isinstance(control, Held):
+                self._reports_due.discard((peer, control.map))
+            elif isinstance(control, packets.Offer):
+                self._transmitted(peer, control.map)
+        for number, first, entries in self._sections(frame):
+            end = min(first + len(entries), len(self.logs[number]))
+            if end > first:  # else they were dropped meanwhile
+                self._transmitted(peer, number)
+                if number == self.peers.own:
+                    self.own_log.sent(end)
 
     def _transmitted(self, peer: int, number: int) -> None:
         """Start the retransmission timeout of a map; it doubles with every transmission that no report follows."""
-        timer = self._timers[peer, number]
-        timer.tries += 1
-        if timer.tries > 1:
-            longest = MAX_WAIT if timer.round_trip is None else max(MAX_TIMEOUT, 4 * timer.round_trip)
-            timer.wait = min(2 * timer.wait, longest)
-        timer.sent = self._rounds.now
-        self._rounds.due[peer, number] = self._rounds.now + timer.wait
+        round_trip = self._round_trip.item(peer, number)
+        timeout = min(max(MIN_TIMEOUT, round_trip + 1), MAX_TIMEOUT)
+        longest = MAX_WAIT if round_trip == NEVER else max(MAX_TIMEOUT, 4 * round_trip)
+        self._sent[peer, number] = self._rounds.now
+        self._rounds.postpone(peer, number, timeout, longest)
 
     # --- receiving
 
@@ -149,54 +135,37 @@ class AckedFrames(Replication):
             self.replica.reject(peer, self.peers.current[peer], str(error))
             return
         for control in parsed.controls:
-            if not isinstance(control, Held | packets.Offer | From) or control.map >= len(logs):
-                continue
-            if isinstance(control, Held):
-                self._reported(peer, control.map, offset(control, len(logs[control.map])))
-                continue
-            self._note_restart(peer, control.map)
-            if isinstance(control, packets.Offer):
-                self._owe_report(peer, control.map)
-        for head, entries in parsed.sections:
-            if head is None or head.map >= len(logs):
-                continue
-            number, length = head.map, len(logs[head.map])
-            first = offset(head, length)
-            end = first + len(entries)
-            if number == self.peers.own:
-                self.replica.check_own(peer, first, entries)
+            match control:
+                case Held(number, _) if number < len(logs):
+                    self._read_report(peer, number, offset(control, len(logs[number])))
+                case packets.Offer(number, _) if number < len(logs):
+                    self.peers.restarted(peer, number)
+                    self._owe_report(peer, number)
+                case From(number, _):
+                    self.peers.restarted(peer, number)
+        for number, first, entries in self._sections(parsed):
             self._owe_report(peer, number)
-            self.peers.expect(peer, number, self._possible(number, end))
-            if first <= length < end and number not in self.peers.own_maps:
-                self.replica.accept(peer, number, b"".join(entries[length - first :]))
+            self.peers.expect(peer, number, self._possible(number, first + len(entries)))
+            self.replica.receive(peer, number, first, entries)
+
+    def _sections(self, frame: ParsedFrame) -> Iterator[tuple[int, int, list[bytes]]]:
+        """Yield the map number, the first offset and the entries of each section of a frame that has a header."""
+        for head, entries in frame.sections:
+            if head is not None and head.map < len(self.logs):
+                yield head.map, offset(head, len(self.logs[head.map])), entries
 
     def _owe_report(self, peer: int, number: int) -> None:
         """A peer must be sent a report, unless its entries of that map are not accepted."""
         if number not in self.peers.own_maps and not self.replica.refuses(peer, number):
             self._reports_due.add((peer, number))
 
-    def _peer_dropped(self, peer: int, number: int, length: int) -> None:
-        super()._peer_dropped(peer, number, length)
-        self._rounds.due[peer, number] = self._rounds.now  # offer them at once
-        self._timers.pop((peer, number), None)
-
-    def _note_restart(self, peer: int, number: int) -> None:
-        """A peer that offers or sends a map of a new incarnation of its own lost all: none of its reports holds."""
-        if self.peers.restarted(peer, number):
-            self._rounds.due[peer] = 0
-            for each in range(len(self.logs)):
-                self._timers.pop((peer, each), None)
-
-    def _reported(self, peer: int, number: int, length: int) -> None:
+    def _read_report(self, peer: int, number: int, length: int) -> None:
         """A peer reports how many entries of a map it holds; after restarts, a late report may claim too many."""
         if self.peers.may_restart:
             self.peers.expected[peer, number] = 0
         self.peers.expect(peer, number, self._possible(number, length))
-        timer, now = self._timers[peer, number], self._rounds.now
-        timer.reported = now
-        if timer.sent is not None and (timer.tries == 1 or timer.round_trip is None):
-            timer.round_trip = now - timer.sent
-        timer.sent, timer.tries = None, 0
-        if timer.round_trip is not None:
-            timer.wait = min(max(MIN_TIMEOUT, timer.round_trip + 1), MAX_TIMEOUT)
-        self._rounds.due[peer, number] = now
+        rounds, tries = self._rounds, self._rounds.tries[peer, number]
+        if tries == 1 or (tries and self._round_trip[peer, number] == NEVER):
+            self._round_trip[peer, number] = rounds.now - self._sent[peer, number]
+        self._reported[peer, number] = rounds.due[peer, number] = rounds.now
+        rounds.tries[peer, number] = 0

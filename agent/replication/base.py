@@ -15,8 +15,14 @@ from agent.replication.digests import INTERVAL
 from agent.replication.replica import LONGEST, Rejected, Replica
 from protocol import packet_codec
 from protocol.errors import ProtocolError
+from protocol.message_fields import MAX_LOAD
 from protocol.messages import Delivery, OutgoingFrame, RoundReport
 from protocol.packets import Held, LogDigest
+
+
+def limited(budget: int | None) -> int:
+    """Return how many bytes of entries a robot sends in a phase with this budget (None: unlimited)."""
+    return MAX_LOAD if budget is None else min(budget, MAX_LOAD)
 
 
 class Replication(ABC):
@@ -88,7 +94,7 @@ class Replication(ABC):
     def announced(self) -> None:
         """Note that this step's broadcast was on the air."""
         if self.announces_digests:
-            self.own_log.digest_sent()
+            self.own_log.digest_length = 0
         for number in self.replica.maps_to_ask_for() if self.announces_requests else ():
             self.replica.asked(number)
 
@@ -113,7 +119,7 @@ class Replication(ABC):
         if turn > self._digest_turn:
             self._digest_turn = turn
             log.request_digest(log.length)
-        length = 0 if log.digest_length is None else min(log.digest_length, log.shared)
+        length = min(log.digest_length, log.shared)
         if not length:
             return b""
         return packet_codec.encode([verifier.digest(length, self.salt, complete=length == log.shared)])
@@ -126,5 +132,4 @@ class Replication(ABC):
         """A peer dropped the entries of a map from offset `length` on."""
         if number == self.peers.own:
             self.own_log.request_digest(length)
-        self.peers.expected[peer, number] = length
-        self.peers.acked[peer, number] = min(self.peers.acked.item(peer, number), length)
+        self.peers.dropped(peer, number, length)

@@ -12,7 +12,7 @@ sequence numbers.
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 from protocol import packet_codec, packet_index, packets
 from protocol.errors import ProtocolError
@@ -23,7 +23,7 @@ ROUND = packets.BLOCKS * packets.INDEX_WINDOW
 LEAST_HANDSHAKE = packets.Offer.size + packets.Answer.size
 """Bytes of an offer and the shortest answer."""
 
-NamesOffset = TypeVar("NamesOffset", packets.From, packets.Held)
+NamesOffset = type[packets.From] | type[packets.Held]
 
 
 def block_of(length: int) -> int:
@@ -40,10 +40,10 @@ def offer(number: int, expected: int) -> bytes:
 @lru_cache(maxsize=1 << 12)
 def read_offer(payload: bytes) -> packets.Offer:
     """Decode a frame that must be one offer; ProtocolError otherwise."""
-    read = packet_codec.handshake(payload)
-    if len(read) != 1 or not isinstance(read[0], packets.Offer):
-        raise ProtocolError("conn", 0, "expected one offer")
-    return read[0]
+    match packet_codec.handshake(payload):
+        case (packets.Offer() as offered,):
+            return offered
+    raise ProtocolError("conn", 0, "expected one offer")
 
 
 @lru_cache(maxsize=1024)
@@ -84,9 +84,7 @@ def report(number: int, length: int) -> bytes:
     return _shortest(number, length, packets.HeldFirst, packets.HeldEarly, packets.Held)
 
 
-def _shortest(
-    number: int, value: int, first: type[NamesOffset], early: type[NamesOffset], whole: type[NamesOffset]
-) -> bytes:
+def _shortest(number: int, value: int, first: NamesOffset, early: NamesOffset, whole: NamesOffset) -> bytes:
     """Encode map `number` and an offset in the shortest of three packets."""
     if number < packets.FIRST_MAPS and value < packets.FIRST:
         return packet_codec.encode([first(number, value)])

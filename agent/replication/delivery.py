@@ -20,7 +20,8 @@ from collections import defaultdict
 
 import numpy as np
 
-from agent.replication.peers import PeerTable, Table
+from agent.replication.peers import NEVER
+from agent.replication.replica import Replica
 from protocol.packets import Held
 
 PATIENCE = 6
@@ -32,26 +33,23 @@ SHARE = 8
 MIN_ROUND_TRIP, MAX_ROUND_TRIP = 2, 64
 """Steps until a report can come back: the minimum, and the maximum that is counted."""
 
-NEVER = -1
-"""The step of something that has not happened."""
-
 
 class Acks:
-    """Acknowledgments of all peers, by the medium (`reliable`) or by reports.
+    """Acknowledgments of all peers, by the medium (`PeerTable.reliable`) or by reports.
 
     On a reliable medium all peers in range receive what is on the air, so nothing times out, and nothing is stored.
     """
 
-    def __init__(self, peers: PeerTable, *, reliable: bool) -> None:
-        self.reliable = reliable
+    def __init__(self, replica: Replica) -> None:
+        peers = self._peers = replica.peers
         self.interval = PATIENCE
         """Steps within which a robot acknowledges entries; longer on a narrow medium."""
         self.turn = PATIENCE
         """Steps after which the next peer may forward entries that another lacks."""
-        self._peers = peers
-        if not reliable:
+        self._replica = replica
+        if not peers.reliable:
             peers.acked = peers.new_table()
-        self._expected_since: Table = np.full(peers.acked.shape, NEVER, np.int64)
+        self._expected_since = peers.delivery_table(NEVER)
         """The step since which a peer is expected to hold more than it acknowledged."""
         self._round_trip = np.full(peers.robots, MIN_ROUND_TRIP, np.int64)
         """Steps after which a report of each peer came back recently."""
@@ -60,15 +58,16 @@ class Acks:
 
     def begin_step(self, budget: int | None) -> None:
         """Adapt intervals to the bytes that the team may send in this step (None: no limit)."""
-        if budget and not self.reliable:
+        if budget and not self._peers.reliable:
             robots = self._peers.robots
             self.interval = max(PATIENCE, math.ceil(SHARE * Held.size * robots * (robots - 1) / budget))
             self.turn = 2 * int(self._round_trip.max()) + self.interval
 
-    def drop_late(self, step: int) -> None:
+    def drop_late(self) -> None:
         """Drop expectations whose retransmission timeout is over."""
-        if self.reliable:
+        if self._peers.reliable:
             return
+        step = self._replica.step
         expected, acked, since = self._peers.expected, self._peers.acked, self._expected_since
         open_ones = expected > acked
         since[~open_ones] = NEVER
@@ -77,12 +76,9 @@ class Acks:
         expected[late] = acked[late]
         since[late] = NEVER
 
-    def report_received(self, peer: int, number: int, length: int, step: int) -> None:
+    def report_received(self, peer: int, number: int, length: int) -> None:
         """Acknowledge entries, measure the round trip, and drop an expectation that the report contradicts."""
-        expected, acked = self._peers.expected, self._peers.acked
-        if self.reliable:
-            expected[peer, number] = length
-            return
+        expected, acked, step = self._peers.expected, self._peers.acked, self._replica.step
         before, since = int(acked[peer, number]), int(self._expected_since[peer, number])
         if length > before or self._peers.may_restart:
             acked[peer, number] = length
@@ -96,20 +92,11 @@ class Acks:
 
     def store(self, peer: int, number: int, first: int, entries: list[bytes]) -> None:
         """Store entries that came behind a gap; on a reliable medium their sender sends them again."""
-        if not self.reliable:
+        if not self._peers.reliable:
             self._stored[number] |= {offset: (peer, entry) for offset, entry in enumerate(entries, first)}
 
     def stored(self, number: int, length: int) -> tuple[int, bytes] | None:
         """Take the stored entry at offset `length`, with its sender; if there is none, drop those before it."""
-        stored = self._stored.get(number)
-        if stored and length not in stored:
-            self._stored[number] = {at: each for at, each in stored.items() if at > length}
-        return stored.pop(length, None) if stored else None
-
-    def restarted(self, peer: int) -> None:
-        """Expect nothing of a peer that lost its state."""
-        self._expected_since[peer] = NEVER
-
-    def dropped(self, peer: int, number: int) -> None:
-        """Expect nothing of entries that a peer dropped."""
-        self._expected_since[peer, number] = NEVER
+        stored = {at: each for at, each in self._stored[number].items() if at >= length}
+        self._stored[number] = stored
+        return stored.pop(length, None)

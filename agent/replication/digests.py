@@ -40,15 +40,10 @@ class LogVerifier:
         """Hash of the verified entries."""
         self._open: list[tuple[int, bool, LogDigest]] = []
         """Length, whether this log was longer when the digest of a complete one arrived, and the digest."""
-        self._complete = False
-        """Whether the last digest that was checked verified all entries of a complete log."""
+        self.complete_length = -1
+        """Number of entries if the last digest that was checked verified all that the author had sent, else -1."""
         self._end = (-1, 0)
         """Length and salt of the last digest of a complete log that was shorter than this one; -1 if there is none."""
-
-    @property
-    def complete(self) -> bool:
-        """Whether this log held all that its author had sent when the last digest was checked, and has not grown."""
-        return self._complete and self.length == len(self._log)
 
     def digest(self, length: int, salt: int, *, complete: bool) -> LogDigest:
         """Return the digest of the first `length` entries, no fewer than are verified.
@@ -77,11 +72,11 @@ class LogVerifier:
             if length < self.length:
                 continue
             if self.digest(length, digest.salt, complete=bool(digest.complete)) != digest:
-                self._complete = False
+                self.complete_length = -1
                 return False
             self._hash.update(self._log.read(self.length, None, length))
             self.length = length
-            self._complete = bool(digest.complete)
+            self.complete_length = length if digest.complete else -1
             if longer:  # entries behind the end are forged; if digests may be late, a second one must agree
                 (before, salt), self._end = self._end, (length, digest.salt)
                 if self._ordered or (before == length and salt != digest.salt):

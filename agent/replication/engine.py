@@ -48,9 +48,9 @@ def make_replication(
     """
     dissemination = PLUGINS.find(settings.replication.dissemination)
     reliable = not settings.replication.requires_acks
-    peers = PeerTable(settings.own_map, settings.robots, settings.maps)
-    replica = Replica(peers, consume, rebuild, ordered=reliable)
+    peers = PeerTable(settings.own_map, settings.robots, settings.maps, reliable=reliable)
+    replica = Replica(peers, consume, rebuild)
     if issubclass(dissemination, Gossip):
-        return Gossip(replica, dependencies, reliable=reliable)
+        return Gossip(replica, dependencies)
     rounds = Rounds(replica, dissemination(), forwards=settings.replication.forward_maps)
     return Handshakes(replica, rounds) if reliable else AckedFrames(replica, rounds)

@@ -16,38 +16,39 @@ this order:
 
 from __future__ import annotations
 
-from functools import partial
-
-from agent.replication.base import Replication
+from agent.replication.base import Replication, limited
 from agent.replication.control_packets import ParsedFrame, header, offset, parse, report
 from agent.replication.delivery import Acks
-from agent.replication.frame_builder import FrameBuilder
 from agent.replication.gossip_policy import Dependencies, GossipPolicy
 from agent.replication.neighbors import BroadcastCursors, Meetings, Neighbors
 from agent.replication.peers import Table, raise_lengths
 from agent.replication.replica import Rejected, Replica
 from agent.replication.reports import Reports
-from protocol import packet_codec
+from protocol import packet_codec, packet_index
 from protocol.errors import ProtocolError
 from protocol.messages import EVERYONE, OutgoingFrame, RoundReport
-from protocol.packets import From, Gone, Held, LogDigest, Near
+from protocol.packets import AnyPacket, From, Gone, Held, LogDigest, Near
 
 
 class Gossip(Replication):
-    """One robot's broadcasts, and its processing of those that it receives; `reliable`: the medium loses nothing."""
+    """One robot's broadcasts, and its processing of those that it receives."""
 
-    def __init__(self, replica: Replica, dependencies: Dependencies, *, reliable: bool) -> None:
+    def __init__(self, replica: Replica, dependencies: Dependencies) -> None:
         super().__init__(replica)
-        peers, robots = self.peers, self.peers.robots
+        peers, robots, reliable = self.peers, self.peers.robots, self.peers.reliable
         first_incarnation = peers.own < robots
         self.announces_digests, self.announces_requests = False, not reliable  # a late report is no request
-        self._acks = Acks(peers, reliable=reliable)
+        self._acks = Acks(replica)
         self._reports = Reports(replica, self._acks)
         self._neighbors = Neighbors(peers.robot, robots)
         self._meetings = Meetings(robots, settled=first_incarnation)
         self._cursors = BroadcastCursors(robots, known=first_incarnation, reliable=reliable)
-        self._policy = GossipPolicy(replica, self._neighbors, dependencies)
-        self._builder = FrameBuilder()
+        self._policy = GossipPolicy(replica, self._neighbors, self._acks, dependencies)
+        self._frame = b""
+        """The broadcast of this round, of `_budget` bytes at most."""
+        self._budget = 0
+        self._owed: list[int] = []
+        """Peers to which the reports of this round's frame were owed."""
         self._idle_since = 0
         """The last step in which this robot had nothing to send, or sent something; without ranks of entries, also one
         in which the rest of a budget was too small for it."""
@@ -61,28 +62,21 @@ class Gossip(Replication):
             self._meetings.begin_step(step, in_range)
             self._cursors.begin_step(in_range)
             self._acks.begin_step(budget)
-        for dropped in self.replica.take_dropped():
+        for dropped in self.replica.dropped:
             self._reports.dropped(dropped)
-        self._acks.drop_late(step)
+        self.replica.dropped.clear()
+        self._acks.drop_late()
         lengths = self.replica.lengths()
-        self._policy.compare(step, self._meetings.known(in_range), lengths)
-        self._builder = FrameBuilder(budget)
+        self._policy.compare(self._meetings.known(in_range), lengths)
+        self._frame, self._budget = b"", limited(budget)
         if not in_range:
             return []
         self._add_reports(lengths)
-        self._policy.serve(self._add_range, self._acks.turn)
-        payload = self._builder.payload
-        if not payload:
-            self._builder = FrameBuilder()  # without handlers, which refer to this object
-            if number == 0 or self.urgency is None:
-                self._idle_since = step
-        self.priority = self._policy.priority(
-            len(payload),
-            step - self._idle_since,
-            unfinished=self.own_log.is_unfinished,
-            urgency=self.urgency if self.own_log.has_unsent else None,
-        )
-        return [OutgoingFrame(EVERYONE, payload)] if payload else []
+        self._policy.serve(self._add_range)
+        if not self._frame and (number == 0 or self.urgency is None):
+            self._idle_since = step
+        self.priority = self._policy.priority(len(self._frame), step - self._idle_since, self.urgency)
+        return [OutgoingFrame(EVERYONE, self._frame)] if self._frame else []
 
     def close_round(self, report: RoundReport) -> list[Rejected]:
         """Update the tables by the parts that were on the air, and accept the entries that arrived."""
@@ -92,16 +86,17 @@ class Gossip(Replication):
                 frames.append((delivery.sender, parse(delivery.payload)))
             except ProtocolError as error:
                 self._reject_frame(delivery.sender, str(error))
-        for peer, frame in frames:
-            self._note_restart(peer, frame)
-        for peer, frame in frames:  # reports describe the state before this round
-            self._read_reports(peer, frame)
+        controls = [(peer, control) for peer, frame in frames for control in frame.controls]
+        for peer, control in controls:
+            if isinstance(control, From):
+                self._note_restart(peer, control.map)
+        for peer, control in controls:  # reports describe the state before this round
+            self._read_report(peer, control)
         sent = max((each.sent for each in report.sent), default=0)
-        self._builder.sent(sent)
+        self._note_sent(sent)
         if sent:
             self._idle_since = self.replica.step
-        self._builder = FrameBuilder()
-        controls = [(peer, control) for peer, frame in frames for control in frame.controls]
+        self._frame = b""
         for peer, control in controls:
             if isinstance(control, LogDigest):
                 self.replica.receive_digest(peer, control)
@@ -112,54 +107,64 @@ class Gossip(Replication):
 
     def delivered(self) -> bool:
         """Return whether peers are in range and all of this robot's log has been on the air."""
-        return bool(self._neighbors.in_range) and not self.own_log.has_unsent
+        return bool(self._neighbors.in_range) and self.own_log.shared == self.own_log.length
 
     # --- sending
 
     def _add_reports(self, lengths: Table) -> None:
         """Add reports of this robot's range and of its log lengths to the frame."""
-        builder, neighbors, owed = self._builder, self._neighbors, self._meetings.owed()
-        for robot, here in neighbors.news():
-            near = packet_codec.encode([Near(robot) if here else Gone(robot)])
-            if builder.fits(near):
-                builder.add(near, partial(neighbors.inform, robot, here))
-        digest = self._next_digest()
-        if digest and builder.fits(digest):
-            builder.add(digest, self.own_log.digest_sent)
-        end = 0
-        for number in self._reports.due(lengths, owed, parted=neighbors.have_parted):
-            held = report(number, len(self.logs[number]))
-            if builder.fits(held):
-                receivers = neighbors.receivers(self.peers.robot)
-                end = builder.add(held, partial(self._reports.sent, number, receivers))
-        if owed:
-            builder.add_marker(end, partial(self._meetings.on, "informed", *owed))
+        self._owed = sorted(self._meetings.owed)
+        for robot, here in self._neighbors.news:
+            self._add(packet_codec.encode([Near(robot) if here else Gone(robot)]))
+        self._add(self._next_digest())
+        for number in self._reports.due(lengths, self._owed, parted=self._neighbors.have_parted):
+            self._add(report(number, len(self.logs[number])))
+
+    def _add(self, packet: bytes) -> None:
+        """Add a packet to the frame if it fits."""
+        if len(self._frame) + len(packet) <= self._budget:
+            self._frame += packet
 
     def _add_range(self, number: int, first: int, end: int) -> int:
         """Add entries of a map to the frame, behind a header where one is needed; return the offset after the last."""
-        own = number == self.peers.own
-        in_range = self._neighbors.in_range
-        continues = own and not self._builder.has_entries and self._cursors.known(first, in_range)
-        head = b"" if continues else header(number, first)
-        return self._builder.add_entries(
-            self.logs[number], first, head, partial(self._entries_sent, number), end
-        )
+        log, in_range = self.logs[number], self._neighbors.in_range
+        is_known = number == self.peers.own and self._cursors.known(first, in_range)
+        head = b"" if is_known and not parse(self._frame).sections else header(number, first)
+        added = log.read(first, self._budget - len(self._frame), end, head)
+        self._frame += added
+        return log.offset_after(first, len(added) - len(head)) if added else first
 
-    def _entries_sent(self, number: int, first: int, end: int) -> None:
-        """Entries `first` to `end` - 1 of a map were on the air."""
-        self._note_receivers(self.peers.robot, number, first, end)
-        if number == self.peers.own:
-            self._cursors.sent(end, self._neighbors.in_range)
-            self.own_log.sent(end)
-        elif self.peers.author(number) == self.peers.robot:
-            self._cursors.sent_earlier_incarnation()
+    def _note_sent(self, size: int) -> None:
+        """Read the part of this round's frame that was on the air, its first `size` bytes, as receivers do."""
+        frame = parse(packet_index.fitting(self._frame, size))
+        for control in frame.controls:
+            match control:
+                case Near(robot) | Gone(robot):
+                    self._neighbors.inform(robot, here=isinstance(control, Near))
+                case LogDigest():
+                    self.own_log.digest_length = 0
+                case Held(number, _):
+                    self._reports.sent(number, self._neighbors.near[self.peers.robot])
+        unsent = parse(self._frame).controls[len(frame.controls) :]
+        if self._frame and not any(isinstance(control, Held) for control in unsent):
+            self._meetings.on("informed", *self._owed)
+        for head, entries in frame.sections:
+            number = self.peers.own if head is None else head.map
+            first = self._cursors.own if head is None else offset(head, len(self.logs[number]))
+            end = first + len(entries)
+            self._note_receivers(self.peers.robot, number, first, end)
+            if number == self.peers.own:
+                self._cursors.sent(end, self._neighbors.in_range)
+                self.own_log.sent(end)
+            elif self.peers.author(number) == self.peers.robot:
+                self._cursors.sent(end, [])  # receivers may take an earlier log for the current one
 
     def _note_receivers(self, sender: int, number: int, first: int, end: int) -> None:
         """Note that all in range of a sender received entries `first` to `end` - 1 of a map, if they held those before.
 
         If this robot holds the entries, they know that.
         """
-        receivers = self._neighbors.receivers(sender)
+        receivers = self._neighbors.near[sender]
         raise_lengths(self.peers.expected.T[number], receivers, first, end)
         if len(self.logs[number]) >= end:
             self._reports.inform(receivers, number, end)
@@ -168,43 +173,35 @@ class Gossip(Replication):
 
     def _reject_frame(self, peer: int, reason: str) -> None:
         """Reject a frame that is malformed; where the peer's next broadcast begins is no longer known."""
-        self._cursors.missed(peer)
+        self._cursors.others.pop(peer, None)
         self.replica.reject(peer, self.peers.current[peer], reason)
 
-    def _peer_dropped(self, peer: int, number: int, length: int) -> None:
-        super()._peer_dropped(peer, number, length)
-        self._acks.dropped(peer, number)
-
-    def _note_restart(self, peer: int, frame: ParsedFrame) -> None:
+    def _note_restart(self, peer: int, number: int) -> None:
         """A peer that broadcasts a map of a new incarnation of its own lost its state."""
-        for control in frame.controls:
-            if isinstance(control, From) and self.peers.restarted(peer, control.map):
-                for part in (self._acks, self._reports, self._cursors, self._neighbors):
-                    part.restarted(peer)
-                self._meetings.on("restarted", peer)
+        if self.peers.restarted(peer, number):
+            self._cursors.forget(peer)
+            self._neighbors.restarted(peer)
+            self._reports.restarted(peer)
+            self._meetings.on("restarted", peer)
 
-    def _read_reports(self, peer: int, frame: ParsedFrame) -> None:
-        """Note a peer's range and its log lengths; reject the peer's entries if it sends other control packets."""
+    def _read_report(self, peer: int, control: AnyPacket) -> None:
+        """Note a peer's range or a log length; reject the peer's entries if it sends another control packet."""
         logs, robots = self.logs, self.peers.robots
-        for control in frame.controls:
-            match control:
-                case Near(robot) | Gone(robot) if robot < robots:
-                    self._neighbors.near[peer, robot] = isinstance(control, Near)
-                case Held(number, _) as held if number < len(logs) and (
-                    number != peer or self.peers.may_restart
-                ):
-                    length = self._possible(number, offset(held, len(logs[number])))
-                    dropped = length < self.peers.expected.item(peer, number)
-                    if dropped and number == self.peers.own and self._acks.reliable:
-                        self.own_log.request_digest(length)
-                    self._acks.report_received(peer, number, length, self.replica.step)
-                    self._meetings.on("reported", peer)
-                case LogDigest():
-                    pass
-                case From(number, _) if number < len(logs):
-                    pass
-                case other:
-                    self._reject_frame(peer, f"{other} is not valid in gossip of {robots} robots")
+        match control:
+            case Near(robot) | Gone(robot) if robot < robots:
+                self._neighbors.near[peer, robot] = robot == peer or isinstance(control, Near)
+            case Held(number, _) if number < len(logs) and (number != peer or self.peers.may_restart):
+                length = self._possible(number, offset(control, len(logs[number])))
+                if self.peers.reliable and length < self.peers.expected.item(peer, number):
+                    self._peer_dropped(peer, number, length)
+                self._acks.report_received(peer, number, length)
+                self._meetings.on("reported", peer)
+            case LogDigest():
+                pass
+            case From(number, _) if number < len(logs):
+                pass
+            case _:
+                self._reject_frame(peer, f"{control} is not valid in gossip of {robots} robots")
 
     def _read_entries(self, peer: int, head: From | None, entries: list[bytes]) -> None:
         """Accept new entries of a map, and note which peers received them and know that this robot did."""
@@ -212,26 +209,24 @@ class Gossip(Replication):
         if number >= len(self.logs):
             return
         log, replica, reports = self.logs[number], self.replica, self._reports
-        first = self._cursors.of(peer) if head is None else offset(head, log.length)
+        first = self._cursors.others.get(peer) if head is None else offset(head, log.length)
         if first is None:
-            reports.gaps.add(number)
+            reports.gaps[number] = True
             return
-        if number == self.peers.own:
-            replica.check_own(peer, first, entries)
+        length = log.length
+        replica.receive(peer, number, first, entries)
         end = max(first, self._possible(number, first + len(entries)))
         if end == first:
             return
         if number == self.peers.current[peer]:
             self._cursors.received(peer, end)
         self.peers.acknowledge(peer, number, end)
-        (reports.gaps.add if first > log.length else reports.gaps.discard)(number)
-        if first > log.length and not replica.refuses(peer, number):
+        reports.gaps[number] = first > length
+        if first > length and not replica.refuses(peer, number):
             self._acks.store(peer, number, first, entries)
-        if end <= log.length:
-            reports.repeated.add(number)
-        elif first <= log.length and number not in self.peers.own_maps:
-            replica.accept(peer, number, b"".join(entries[log.length - first :]))
+        if end <= length:
+            reports.repeated[number] = True
         self._note_receivers(peer, number, first, end)
         while (stored := self._acks.stored(number, log.length)) is not None:
-            reports.gaps.add(number)
+            reports.gaps[number] = True
             replica.accept(stored[0], number, stored[1])

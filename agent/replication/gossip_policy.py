@@ -16,6 +16,7 @@ from operator import attrgetter
 import numpy as np
 
 from agent.encodings.base import Dependency
+from agent.replication.delivery import Acks
 from agent.replication.neighbors import Neighbors
 from agent.replication.peers import Table
 from agent.replication.replica import Replica
@@ -51,17 +52,19 @@ MAX_LENGTH = 1 << 62
 class GossipPolicy:
     """What peers in range lack, since when, and which of that this robot broadcasts."""
 
-    def __init__(self, replica: Replica, neighbors: Neighbors, dependencies: Dependencies) -> None:
+    def __init__(
+        self, replica: Replica, neighbors: Neighbors, acks: Acks, dependencies: Dependencies
+    ) -> None:
+        self._replica = replica
         self._peers = replica.peers
         self._logs = replica.logs
         self._neighbors = neighbors
+        self._acks = acks
         self._dependencies = dependencies
         self._lacks: dict[int, dict[int, int]] = {}
         """By peer and map number: how many entries this robot holds that the peer should not hold yet."""
         self._since = self._peers.new_table()
         """``_since[peer, map]``: the step since which the peer lacks some."""
-        self._step = 0
-        self._turn = 0
         self._served: int | None = None
         """The peer that this round's frame serves first."""
         self._sent: dict[int, tuple[int, int]] = {}
@@ -69,9 +72,8 @@ class GossipPolicy:
         self._too_long: set[tuple[int, int]] = set()
         """Map numbers and first offsets of entries for which this round's frame has no room."""
 
-    def compare(self, step: int, known: list[int], lengths: Table) -> None:
+    def compare(self, known: list[int], lengths: Table) -> None:
         """Compare log lengths with the version vectors of the peers in range whose report is not awaited."""
-        self._step = step
         before, self._lacks = self._lacks, {}
         current = self._peers.current
         missing: Table = _missing(np.array(known, np.int64), self._peers.expected.T, lengths)
@@ -79,11 +81,11 @@ class GossipPolicy:
             if number != current[peer]:
                 self._lacks.setdefault(peer, {})[number] = count
                 if number not in before.get(peer, ()):
-                    self._since[peer, number] = step
+                    self._since[peer, number] = self._replica.step
 
-    def serve(self, add: Add, turn: int) -> None:
-        """Add what peers lack to this round's frame; `turn`: steps after which one more robot forwards that, too."""
-        self._turn, self._served, self._sent, self._too_long = turn, None, {}, set()
+    def serve(self, add: Add) -> None:
+        """Add what peers lack to this round's frame."""
+        self._served, self._sent, self._too_long = None, {}, set()
         held: dict[int, list[int]] = {peer: self._peers.expected[peer].tolist() for peer in self._lacks}
         for peer in sorted(held, key=lambda each: (-sum(held[each]), each)):
             will_hold, lacks = held[peer], self._lacks[peer]
@@ -122,7 +124,7 @@ class GossipPolicy:
             end = min(end, low)
         if first < end and (number == self._peers.own or self._is_forwarder(peer, number)):
             is_too_long = (number, first) in self._too_long
-            end = first if is_too_long else add(number, first, min(end, len(self._logs[number])))
+            end = first if is_too_long else add(number, first, end)
             if end > first:
                 low, high = self._sent.get(number, (first, end))
                 self._sent[number] = min(low, first), max(high, end)
@@ -133,7 +135,7 @@ class GossipPolicy:
     def _is_forwarder(self, peer: int, number: int) -> bool:
         """Return whether it is this robot's turn to forward what a peer lacks of a map.
 
-        Candidates hold more of the map and are in range of the peer. After each `turn` steps, one more forwards it.
+        Candidates hold more of the map and are in range of the peer. After each `Acks.turn`, one more forwards it.
         """
         current, expected, robots = self._peers.current, self._peers.expected, self._peers.robots
         candidates = [
@@ -144,23 +146,23 @@ class GossipPolicy:
         ]
         candidates.append(self._peers.robot)
         candidates.sort(key=lambda each: (current[each] != number, (each - number) % robots))
-        waited = self._step - self._since.item(peer, number)
-        return candidates.index(self._peers.robot) <= waited // self._turn
+        waited = self._replica.step - self._since.item(peer, number)
+        return candidates.index(self._peers.robot) <= waited // self._acks.turn
 
-    def priority(self, size: int, waited: int, *, unfinished: bool, urgency: float | None) -> int:
+    def priority(self, size: int, waited: int, urgency: float | None) -> int:
         """Return the priority of this round's frame, of `size` bytes, which waited for some steps.
 
-        If robots have been out of range: the more the peer holds that is served first, the higher. Else `unfinished`
-        frames come first: a part of the entries appended last has been on the air, and the rest has not. Others rank by
-        `urgency` and the steps that they waited, or else by how few entries the peer lacks, and by their size.
+        If robots have been out of range: the more the peer holds that is served first, the higher. Else frames come
+        first if a part of the entries appended last has been on the air, and the rest has not. Others rank by `urgency`
+        of own entries and the steps that they waited, or else by how few entries the peer lacks, and by their size.
         """
-        served = self._served
+        served, log = self._served, self._replica.own_log
         if self._neighbors.have_parted:
             held = 0 if served is None else int(self._peers.expected[served].sum())
             priority = min(MAX_HELD_PRIORITY, held // HELD_PER_PRIORITY)
-        elif unfinished:
+        elif log.last_append < log.shared < log.length:
             return MAX_PRIORITY
-        elif urgency is not None:
+        elif urgency is not None and log.shared < log.length:
             return min(MAX_PRIORITY - 1, int(max(1.0, urgency) * (1 + waited)))
         else:
             lacks = 0 if served is None else sum(self._lacks[served].values())

@@ -12,20 +12,16 @@ from typing import Literal
 
 import msgspec
 
-from agent.replication.base import Replication
+from agent.replication.base import Replication, limited
 from agent.replication.control_packets import answer, block_of, offer, read_answer, read_offer
-from agent.replication.frame_builder import limited
-from agent.replication.policies import Rounds
+from agent.replication.policies import MAX_WAIT, Rounds
 from agent.replication.replica import Rejected, Replica
 from protocol.errors import ProtocolError
 from protocol.messages import Delivery, OutgoingFrame, RoundReport
 from protocol.packet_codec import DECLINE
 
-MAX_WAIT = 64
-"""Rounds that an offer is postponed at most."""
-
-STUBBORN = 4
-"""A peer that refused this robot's map so often that offers wait for more rounds than these counts as up to date."""
+STUBBORN = 2
+"""A peer that refused this robot's map more often than this in a row counts as up to date."""
 
 State = Literal["idle", "offered", "sending", "refused", "taking", "declining"]
 Event = Literal["news", "behind", "level", "declined", "first offer", "unwanted offer"]
@@ -64,8 +60,6 @@ class Handshakes(Replication):
     def __init__(self, replica: Replica, rounds: Rounds) -> None:
         super().__init__(replica)
         self._rounds = rounds
-        self._waits = self.peers.new_table() + 1
-        """``_waits[peer, map]``: rounds for which a map is not offered to the peer after its next refusal."""
         self._offered: dict[tuple[int, int], Connection] = {}
         self._answered: dict[int, Connection] = {}
         self._received: dict[int, Connection] = {}
@@ -123,14 +117,12 @@ class Handshakes(Replication):
 
     def close_round(self, report: RoundReport) -> list[Rejected]:
         """Update the peer table by the bytes that were carried, and accept the data that arrived."""
-        received = []
         for carried in report.connections:
-            if carried.connection in self._received:
-                received += [self._received[carried.connection]] if carried.offer else []
-            elif carried.answer and carried.connection in self._answered:
-                self._settle(self._answered[carried.connection], carried.data)
-        for connection in received:
-            self._note_restart(connection.peer, connection.number)
+            if carried.answer and (answered := self._answered.get(carried.connection)):
+                self._settle(answered, carried.data)
+        for carried in report.connections:
+            if carried.offer and (received := self._received.get(carried.connection)):
+                self.peers.restarted(received.peer, received.number)
         for delivery in report.deliveries:
             taken, sender = self._received.get(delivery.connection), delivery.sender
             if taken is None or taken.state != "taking":
@@ -141,11 +133,7 @@ class Handshakes(Replication):
 
     def delivered(self) -> bool:
         """Return whether all peers in range hold this robot's log, and there are any; see `STUBBORN`."""
-        own, length, in_range = self.peers.own, self.own_log.length, self._rounds.in_range
-        expected = self.peers.expected[:, own].tolist()
-        return bool(in_range) and all(
-            expected[peer] == length or self._waits[peer, own] > STUBBORN for peer in in_range
-        )
+        return self._rounds.delivered(STUBBORN)
 
     def _read_answer(self, connection: Connection, payload: bytes) -> Event:
         """Note the peer's log length, and compare it with this robot's."""
@@ -160,20 +148,10 @@ class Handshakes(Replication):
         """An answer was carried, and so many bytes of data after it."""
         pair, reached = (connection.peer, connection.number), connection.length
         if connection.state == "refused":
-            wait = self._waits.item(pair)
-            self._rounds.due[pair], self._waits[pair] = self._rounds.now + wait, min(2 * wait, MAX_WAIT)
+            self._rounds.postpone(*pair, 1, MAX_WAIT)
         elif connection.state == "sending":
-            self._waits[pair] = 1
+            self._rounds.tries[pair] = 0
             reached = self.logs[connection.number].offset_after(reached, sent)
         if connection.number == self.peers.own:
             self.own_log.sent(reached)
         self.peers.expect(*pair, reached)
-
-    def _peer_dropped(self, peer: int, number: int, length: int) -> None:
-        super()._peer_dropped(peer, number, length)
-        self._rounds.due[peer, number], self._waits[peer, number] = 0, 1  # offer them at once
-
-    def _note_restart(self, peer: int, number: int) -> None:
-        """A peer that offers a map of a new incarnation of its own lost all entries that it was sent."""
-        if self.peers.restarted(peer, number):
-            self._rounds.due[peer], self._waits[peer] = 0, 1

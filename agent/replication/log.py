@@ -43,13 +43,16 @@ class Log:
         del self._ends[length:]
         self.length = len(self._ends)
 
-    def read(self, first: int, budget: int | None = None, end: int | None = None) -> bytes:
-        """Return whole entries from `first` on, before `end`, that fit into `budget` bytes (None: no limit)."""
+    def read(self, first: int, budget: int | None = None, end: int | None = None, head: bytes = b"") -> bytes:
+        """Return whole entries from `first` on, before `end`, behind a header; no header if there are no entries.
+
+        Both fit into `budget` bytes (None: no limit).
+        """
         begin = self._begin(first)
         stop = len(self._bytes) if end is None else self._begin(min(end, len(self)))
-        if budget is not None and begin + budget < stop:
-            stop = self._begin(self.offset_after(first, budget))
-        return bytes(self._bytes[begin:stop])
+        if budget is not None and begin + budget - len(head) < stop:
+            stop = self._begin(self.offset_after(first, budget - len(head)))
+        return head + self._bytes[begin:stop] if begin < stop else b""
 
     def offset_after(self, first: int, size: int) -> int:
         """Return the offset after the whole entries in the `size` bytes that begin with entry `first`."""
@@ -70,18 +73,8 @@ class OwnLog(Log):
         """Offset before which other robots may hold entries; those from there on may change."""
         self.last_append = 0
         """Offset of the entries that were appended last."""
-        self.digest_length: int | None = None
-        """Number of entries whose digest is due, after some time or if a peer may hold others; None: none is due."""
-
-    @property
-    def has_unsent(self) -> bool:
-        """Whether some entries have not been on the air."""
-        return self.shared < self.length
-
-    @property
-    def is_unfinished(self) -> bool:
-        """Whether some of the entries appended last have been on the air, and the rest has not."""
-        return self.last_append < self.shared < self.length
+        self.digest_length = 0
+        """Number of entries whose digest is due, after some time or if a peer may hold others; 0: none is due."""
 
     def append(self, entries: list[bytes]) -> None:
         """Add entries at the end."""
@@ -100,10 +93,6 @@ class OwnLog(Log):
     def sent(self, end: int) -> None:
         """Note that other robots may hold the entries before offset `end` now."""
         self.shared = max(self.shared, end)
-
-    def digest_sent(self) -> None:
-        """Note that the digest was on the air."""
-        self.digest_length = None
 
     def request_digest(self, length: int) -> None:
         """Send a digest of the first `length` entries, or of fewer if that is requested already."""

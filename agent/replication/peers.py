@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 from protocol.arrays import Bools, Int64s
 from protocol.kernels import kernel
 
+NEVER = -1
+"""The time of something that has not happened, and the duration of something that has not been measured."""
+
 Table = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
@@ -20,13 +23,15 @@ Mask = NDArray[np.bool_]
 class PeerTable:
     """One robot's knowledge of its peers' logs. Tables have a row for each robot and a column for each map number.
 
-    `own`: the number of this robot's map; `maps`: how many maps the team may write.
+    `own`: the number of this robot's map; `maps`: how many maps the team may write; `reliable`: the medium loses
+    nothing, and keeps the order of a robot's frames.
     """
 
-    def __init__(self, own: int, robots: int, maps: int) -> None:
+    def __init__(self, own: int, robots: int, maps: int, *, reliable: bool = True) -> None:
         self.own = own
         self.robots = robots
         self.maps = maps
+        self.reliable = reliable
         self.robot = self.author(own)
         """This robot."""
         self.own_maps = range(own, maps, robots)
@@ -40,6 +45,8 @@ class PeerTable:
         """``expected[peer, map]``: entries that the peer should hold by now."""
         self.acked = self.expected
         """``acked[peer, map]``: entries that the peer certainly holds; the same table where nothing is lost."""
+        self._deliveries: list[tuple[Table, int]] = []
+        """The tables of `delivery_table`, with the values that they start from."""
 
     def author(self, number: int) -> int:
         """Return the robot that writes a map."""
@@ -48,6 +55,14 @@ class PeerTable:
     def new_table(self) -> Table:
         """Return a table of zeros, which takes no memory before it is used; columns are contiguous, as maps arrive."""
         return np.zeros((self.maps, self.robots), np.int64).T
+
+    def delivery_table(self, start: int = 0) -> Table:
+        """Return a table of the state of deliveries, which begins again from `start` where a peer loses entries."""
+        table = self.new_table()
+        if start:
+            table[:] = start
+        self._deliveries.append((table, start))
+        return table
 
     def expect(self, peer: int, number: int, length: int) -> None:
         """Note that a peer should hold at least so many entries of a map."""
@@ -66,7 +81,16 @@ class PeerTable:
             return False
         self.current[peer] = number
         self.expected[peer] = self.acked[peer] = 0
+        for table, start in self._deliveries:
+            table[peer] = start
         return True
+
+    def dropped(self, peer: int, number: int, length: int) -> None:
+        """Note that a peer dropped the entries of a map from offset `length` on."""
+        self.expected[peer, number] = length
+        self.acked[peer, number] = min(self.acked.item(peer, number), length)
+        for table, start in self._deliveries:
+            table[peer, number] = start
 
 
 @kernel

@@ -15,6 +15,9 @@ from agent.replication.replica import Replica
 GOSSIP = "gossip"
 """The name of the dissemination without offers (`agent.replication.gossip`)."""
 
+MAX_WAIT = 64
+"""The most rounds for which an offer is postponed, if no round trip is known."""
+
 CROWD = 16
 """Robots in range of each other above which ``backoff`` bounds handshakes by the medium's capacity."""
 
@@ -41,8 +44,10 @@ class Rounds:
         self.in_range: list[int] = []
         self.budget: int | None = None
         """Bytes left of the step's budget; None: no limit."""
-        self.due = self.peers.new_table()
+        self.due = self.peers.delivery_table()
         """``due[peer, map]``: the round before which a map is not offered to the peer again."""
+        self.tries = self.peers.delivery_table()
+        """``tries[peer, map]``: offers that the peer refused in a row, or transmissions that no report followed."""
         self.next_peer = self.peers.robot + 1
         """The peer that a crowd's bounded offers go on with."""
         self._replica = replica
@@ -62,6 +67,20 @@ class Rounds:
         if not self._forwards:
             lengths[np.arange(len(lengths)) != self.peers.own] = 0
         return self._dissemination.offers(self, lengths) if in_range and lengths.any() else []
+
+    def postpone(self, peer: int, number: int, first_wait: int, longest: int) -> None:
+        """Offer a map to a peer again after `first_wait` rounds; they double with each further try, up to `longest`."""
+        tries = self.tries.item(peer, number)
+        self.due[peer, number] = self.now + min(first_wait << tries, longest)
+        self.tries[peer, number] = tries + 1
+
+    def delivered(self, most_tries: int) -> bool:
+        """Return whether peers are in range, and each should hold this robot's log, or had over `most_tries` tries."""
+        own, length = self.peers.own, self._replica.own_log.length
+        expected, tries = self.peers.expected[:, own].tolist(), self.tries[:, own]
+        return bool(self.in_range) and all(
+            expected[peer] >= length or tries[peer] > most_tries for peer in self.in_range
+        )
 
 
 class OfferDissemination(ABC):

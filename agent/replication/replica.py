@@ -58,14 +58,14 @@ class Rejected(NamedTuple):
 class Replica:
     """Logs by map number, and the number of entries that peers hold of each.
 
-    `rebuild` is called after decoded entries were dropped; `ordered`: frames of a robot arrive in their order.
+    `rebuild` is called after decoded entries were dropped.
     """
 
-    def __init__(self, peers: PeerTable, consume: Consume, rebuild: Rebuild, *, ordered: bool = True) -> None:
+    def __init__(self, peers: PeerTable, consume: Consume, rebuild: Rebuild) -> None:
         self.peers = peers
         self.own_log = OwnLog()
         self.logs = [self.own_log if number == peers.own else Log() for number in range(peers.maps)]
-        self.verifiers = [LogVerifier(log, ordered=ordered) for log in self.logs]
+        self.verifiers = [LogVerifier(log, ordered=peers.reliable) for log in self.logs]
         self.step = 0
         """Steps so far."""
         self._requests: dict[int, tuple[int, int, int]] = {}
@@ -79,8 +79,8 @@ class Replica:
         """Peers that sent entries of each map which are not verified."""
         self._failed: dict[int, tuple[int, int]] = {}
         """Length of a log at which entries could not be decoded, and how often."""
-        self._dropped: set[int] = set()
-        """Maps of which entries were dropped since the last call of `take_dropped`."""
+        self.dropped: set[int] = set()
+        """Numbers of the maps of which entries were dropped, until the caller removes them."""
         self._consume = consume
         self._rebuild = rebuild
         self._rejected: list[Rejected] = []
@@ -117,6 +117,14 @@ class Replica:
         self._verify(number)
         return True
 
+    def receive(self, peer: int, number: int, first: int, entries: list[bytes]) -> None:
+        """Accept those of a peer's entries, from offset `first` on, that are next in the log of a map."""
+        length = len(self.logs[number])
+        if number == self.peers.own:
+            self._check_own(peer, first, entries)
+        elif first <= length < first + len(entries) and number not in self.peers.own_maps:
+            self.accept(peer, number, b"".join(entries[length - first :]))
+
     def receive_digest(self, peer: int, digest: LogDigest) -> None:
         """Take the digest that a peer broadcasts of its own log."""
         number = self.peers.current[peer]
@@ -136,11 +144,6 @@ class Replica:
         else:
             self._ask(number, length + 1)
 
-    def take_dropped(self) -> set[int]:
-        """Return the numbers of the maps of which entries were dropped since the last call."""
-        dropped, self._dropped = self._dropped, set()
-        return dropped
-
     def take_rejected(self) -> list[Rejected]:
         """Return the rejections since the last call."""
         rejected, self._rejected = self._rejected, []
@@ -149,7 +152,8 @@ class Replica:
     def maps_to_ask_for(self) -> list[int]:
         """Return the numbers of the maps to ask for in this step: entries of them were dropped, and have not come."""
         for number, (length, _, _) in list(self._requests.items()):
-            if len(self.logs[number]) >= length or self.verifiers[number].complete:
+            held = len(self.logs[number])
+            if held >= length or held == self.verifiers[number].complete_length:
                 del self._requests[number]
         return [number for number, (_, step, _) in self._requests.items() if self.step >= step]
 
@@ -159,7 +163,7 @@ class Replica:
             length, _, wait = self._requests[number]
             self._requests[number] = length, self.step + wait, min(2 * wait, LONGEST)
 
-    def check_own(self, peer: int, first: int, entries: list[bytes]) -> None:
+    def _check_own(self, peer: int, first: int, entries: list[bytes]) -> None:
         """Compare entries of this robot's log that a peer sent, from offset `first` on; report forged ones."""
         if self.own_log.read(min(first, len(self.own_log)), None, first + len(entries)) != b"".join(entries):
             self.own_log.request_digest(first + len(entries))
@@ -174,13 +178,12 @@ class Replica:
             for peer in self._senders.pop(number, ()):
                 self._suspicions.pop((peer, number), None)
         elif verified is False:
-            author = self.peers.author(number)
-            senders = self._senders[number]
-            forwarded = "forwarded entries that their author did not write, or they were damaged"
-            for peer in sorted(senders - {author}) or sorted(senders):
-                self._suspect(
-                    peer, number, "entries were damaged on the air" if peer == author else forwarded
-                )
+            forwarders = self._senders[number] - {self.peers.author(number)}
+            reason = "entries were damaged on the air"
+            if forwarders:
+                reason = "forwarded entries that their author did not write, or they were damaged"
+            for peer in sorted(forwarders or self._senders[number]):
+                self._suspect(peer, number, reason)
             self._drop(number)
 
     def _suspect(self, peer: int, number: int, reason: str) -> None:
@@ -198,7 +201,7 @@ class Replica:
         self._senders.pop(number, None)
         self._failed.pop(number, None)
         self._ask(number, before)
-        self._dropped.add(number)
+        self.dropped.add(number)
         self._rebuild([log.read(0) for log in self.logs])
 
     def _ask(self, number: int, length: int) -> None:

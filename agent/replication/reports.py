@@ -34,9 +34,9 @@ class Reports:
         self._acks = acks
         self._informed = replica.peers.new_table()
         """``_informed[peer, map]``: entries that the peer knows this robot to hold."""
-        self.gaps: set[int] = set()
+        self.gaps: Mask = np.zeros(replica.peers.maps, np.bool_)
         """Maps of which entries came behind others that this robot lacks."""
-        self.repeated: set[int] = set()
+        self.repeated: Mask = np.zeros(replica.peers.maps, np.bool_)
         """Maps of which entries came that this robot held, so their sender lacks its report."""
         self._steps: Table = np.full(replica.peers.maps, -PATIENCE, np.int64)
         """The step of each map's last report."""
@@ -49,37 +49,32 @@ class Reports:
         `lengths`: of this robot's logs. `owed`: the peers to which meetings owe reports. `parted`: whether any robot
         has been out of range before.
         """
-        peers, step, reliable = self._replica.peers, self._replica.step, self._acks.reliable
+        peers, step = self._replica.peers, self._replica.step
         is_turn = parted and step % REFRESH == peers.robot % REFRESH
-        asked = self._replica.maps_to_ask_for() if reliable else []
-        if reliable and not (owed or self.gaps or is_turn or asked):
+        asked = self._replica.maps_to_ask_for() if peers.reliable else []
+        if peers.reliable and not (owed or is_turn or asked or self.gaps.any()):
             return []
         waited = step - self._steps
-        due = np.zeros(peers.maps, np.bool_)
+        due = self.gaps & (waited >= (PATIENCE if peers.reliable else GAP_REPORTS))
         for peer in owed:
             due |= self._informed[peer] < lengths
-        for number in self.gaps:
-            due[number] |= waited[number] >= (PATIENCE if reliable else GAP_REPORTS)
         if is_turn:
             numbers = np.arange(peers.maps)
             in_turn = numbers % peers.robots == step // REFRESH % peers.robots
             due |= in_turn & ((numbers < peers.robots) | (lengths > 0))
         due[asked] = True
-        if not reliable:
-            news = lengths > self._lengths
-            news[list(self.repeated)] = True
+        if not peers.reliable:
+            news = self.repeated | (lengths > self._lengths)
             due |= news & (waited >= self._acks.interval)
         due[peers.own] = False
-        numbers_due: list[int] = due.nonzero()[0].tolist()
-        return numbers_due
+        return [int(number) for number in due.nonzero()[0]]
 
     def sent(self, number: int, receivers: Mask) -> None:
         """Note that a report was on the air."""
         self._replica.asked(number)
         self._steps[number] = self._replica.step
         self._lengths[number] = length = len(self._replica.logs[number])
-        self.gaps.discard(number)
-        self.repeated.discard(number)
+        self.gaps[number] = self.repeated[number] = False
         self.inform(receivers, number, length)
 
     def inform(self, peers: Mask, number: int, length: int) -> None:
@@ -89,7 +84,7 @@ class Reports:
     def dropped(self, number: int) -> None:
         """Note that this robot dropped entries of a map, so peers know that it holds more than it does."""
         self._lengths[number] = length = len(self._replica.logs[number])
-        self.repeated.discard(number)
+        self.repeated[number] = False
         self._informed[:, number] = np.minimum(self._informed[:, number], length)
 
     def restarted(self, peer: int) -> None:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from protocol.errors import ProtocolError
 from protocol.packet_codec import decode, encode
-from protocol.packet_index import ends, index_of, split
+from protocol.packet_index import ends, fitting, index_of, split
 from protocol.packets import ALL_KINDS, AnyPacket
 from tests.protocol.test_packets import EXAMPLES, streams
 
@@ -62,6 +62,10 @@ def test_every_wrong_bit_is_found(packet: AnyPacket) -> None:
 def test_fitting_packets_are_the_longest_prefix_within_a_limit(stream: list[AnyPacket], limit: int) -> None:
     ends = [len(encode(stream[: count + 1])) for count in range(len(stream))]
     assert index_of(encode(stream)).count_fitting(limit) == sum(end <= limit for end in ends)
+    assert (
+        fitting(encode(stream), limit)
+        == encode(stream)[: max([end for end in ends if end <= limit], default=0)]
+    )
 
 
 @given(streams, st.data())

@@ -149,7 +149,7 @@ def test_an_author_reports_a_forgery_of_its_log_and_sends_a_digest(name: str, ac
 
     engine.salt = 7
     assert receive(header(0, 1) + entry(0, 1) + entry(0, 2)) == []
-    assert engine.own_log.digest_length is None
+    assert engine.own_log.digest_length == 0
     assert receive(header(0, 1) + forgery(entry(0, 1))) == [FORGER]
     assert engine.own_log.digest_length == 2
     assert receive(header(0, 2) + entry(0, 2) + entry(0, 3)) == [FORGER], "it wrote no entry 3"

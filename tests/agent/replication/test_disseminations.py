@@ -12,7 +12,7 @@ from protocol import packet_index
 from protocol.errors import ProtocolError
 from protocol.messages import ConnectionReport, Delivery, RoundReport, SendReport
 from protocol.packet_codec import encode
-from protocol.packets import Answer, HeldFirst, Offer
+from protocol.packets import Answer, FromFirst, HeldFirst, Offer
 from tests.agent.replication.network import (
     VARIANTS,
     Network,
@@ -150,6 +150,27 @@ def test_entries_are_not_retracted_once_they_were_on_the_air(name: str) -> None:
         report = Delivery(1, encode([HeldFirst(0, 0)]))
         each.close_round(RoundReport(1, number, [], sent, [report], False))
     assert not each.own_log.retract(1), "it was lost perhaps, but perhaps not"
+
+
+@pytest.mark.parametrize("name", ["backoff", "thesis"])
+@pytest.mark.parametrize("count", range(5))
+def test_only_the_packets_of_an_acknowledged_frame_that_were_on_the_air_count_as_sent(
+    name: str, count: int
+) -> None:
+    each = engine(name, acks=True)
+    each.own_log.append(entries(0, 0, 2))
+    received = [Delivery(1, encode([Offer(1, 0)])), Delivery(1, encode([HeldFirst(0, 0)]))]
+    each.open_round(0, [1], None)
+    each.close_round(RoundReport(1, 0, [], [], received, False))
+    (frame,) = each.open_round(1, [1], None)
+    written = encode([HeldFirst(1, 0), FromFirst(0, 0)]) + b"".join(entries(0, 0, 2))
+    assert frame.payload == written
+    size = [0, *packet_index.ends(written)][count]
+    each.close_round(RoundReport(1, 1, [], [SendReport(0, size)], [], False))
+    assert each.own_log.shared == max(0, count - 2)
+    again = [each.payload for each in each.open_round(2, [1], None)]
+    left = b"" if count > 2 else written[2:]
+    assert again == [payload for payload in [written[: 0 if count else 2] + left] if payload]
 
 
 @pytest.mark.parametrize(("name", "acks"), VARIANTS)

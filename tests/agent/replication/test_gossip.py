@@ -26,6 +26,7 @@ from protocol.packets import (
     Gone,
     Held,
     HeldFirst,
+    LogDigest,
     Near,
     Offer,
     Save,
@@ -239,6 +240,46 @@ def test_a_log_is_delivered_once_it_was_on_the_air_with_a_peer_in_range() -> Non
     assert maker.delivered()
     step(network, {0: [], 1: []})
     assert not maker.delivered()
+
+
+@pytest.mark.parametrize("cut", range(10))
+def test_packets_of_a_frame_that_were_not_on_the_air_are_sent_again_and_no_others(cut: int) -> None:
+    """Robots 2 and 3 are out of range; robot 1, which has come into range, is to receive a report, too."""
+    each = engine(0, 4)
+    each.open_round(0, [], None)
+    each.own_log.append(entries(0, 0, 2))
+    each.logs[2].append(entries(2, 0, 2))
+    for _ in range(GREETING + 2):
+        (frame,) = each.open_round(0, [1], None)
+    reports = encode([Gone(2), Gone(3), HeldFirst(2, 2)])
+    own, others = b"".join(entries(0, 0, 2)), b"".join(entries(2, 0, 2))
+    headers = [encode([FromFirst(of, 0)]) for of in (0, 2)]
+    assert frame.payload == reports + headers[0] + own + headers[1] + others
+    size = [0, *packet_index.ends(frame.payload)][cut]
+    each.close_round(closing(sent=size))
+    assert each.own_log.shared == [0, 0, 0, 0, 0, 1, 2, 2, 2, 2][cut]
+    again = b"".join(frame.payload for frame in each.open_round(0, [1], None))
+    assert [part for part in packet_codec.decode(again) if not isinstance(part, From)] == [
+        part for part in packet_codec.decode(frame.payload[size:]) if not isinstance(part, From)
+    ]
+
+
+def test_a_packet_that_does_not_fit_is_left_out_and_a_shorter_one_still_goes() -> None:
+    gone, digest, report = 2, LogDigest.size, 2
+    for budget, sizes in (
+        (gone + digest + report, [gone, digest, report]),
+        (digest, [gone, report]),
+        (1, []),
+    ):
+        each = engine(0, 3)
+        each.salt = 7
+        each.open_round(0, [], None)
+        each.own_log.append(entries(0, 0, 1))
+        each.own_log.sent(1)
+        each.own_log.request_digest(1)
+        each.logs[2].append(entries(2, 0, 1))
+        payload = b"".join(frame.payload for frame in each.open_round(0, [1], budget))
+        assert [len(packet) for packet in packet_index.split(payload)] == sizes
 
 
 def test_an_unfinished_append_has_the_highest_priority_and_waiting_raises_it() -> None:

@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.replication.handshakes import MAX_WAIT, Connection
+from agent.replication.handshakes import Connection
 from agent.replication.log import Log
+from agent.replication.policies import MAX_WAIT
 from protocol import packet_codec
 from protocol.messages import ConnectionReport, Delivery
 from protocol.packet_codec import encode

@@ -1,4 +1,4 @@
-"""Logs, frame builders, and the tables of neighbors: the parts that know nothing of each other."""
+"""Logs, frames, and the tables of neighbors: the parts that know nothing of each other."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from msgspec.structs import replace
 
 from agent.replication.control_packets import parse
 from agent.replication.digests import MAX_OPEN, LogVerifier
-from agent.replication.frame_builder import FrameBuilder
 from agent.replication.log import Log
 from agent.replication.neighbors import GREETING, BroadcastCursors, Meetings, Neighbors
 from agent.replication.peers import PeerTable
@@ -18,7 +17,7 @@ from agent.replication.replica import ASK_AGAIN, LONGEST, MANY, TRIES, Replica
 from protocol import packet_index
 from protocol.errors import ProtocolError
 from protocol.packet_codec import encode
-from protocol.packets import DIGEST_WINDOW, FromFirst, Held, Near
+from protocol.packets import DIGEST_WINDOW, FromFirst, Near
 from tests.agent.replication.network import entries, entry
 
 sizes = st.lists(st.integers(1, 30), max_size=12)
@@ -58,17 +57,6 @@ def test_a_log_continues_where_it_was_cut(lengths: list[int], data: st.DataObjec
     assert len(log) == left + len(units)
 
 
-def test_a_builder_stops_at_the_budget_and_a_shorter_packet_still_fits() -> None:
-    builder = FrameBuilder(4)
-    long, short = encode([Held(1, 300)]), encode([Near(1)])
-    assert not builder.fits(long)
-    for _ in range(2):
-        assert builder.fits(short)
-        builder.add(short, lambda: None)
-    assert not builder.fits(short)
-    assert builder.payload == short + short
-
-
 @pytest.mark.parametrize(
     ("budget", "first", "end", "payload", "after"),
     [(7, 0, 3, b"--abcde", 2), (4, 0, 3, b"", 0), (9, 2, 2, b"", 2), (None, 1, 3, b"--defghi", 3)],
@@ -78,33 +66,8 @@ def test_entries_go_in_as_far_as_they_fit_and_no_header_stands_alone(
 ) -> None:
     log = Log()
     log.append([b"abc", b"de", b"fghi"])
-    builder = FrameBuilder(budget)
-    assert builder.add_entries(log, first, b"--", lambda *_: None, end) == after
-    assert builder.payload == payload
-
-
-@pytest.mark.parametrize(
-    ("sent", "expected"),
-    [
-        (0, []),
-        (2, ["near"]),
-        (4, ["near"]),
-        (7, ["near", (0, 1)]),
-        (9, ["near", (0, 2)]),
-        (12, ["near", (0, 2)]),
-        (16, ["near", (0, 2), (2, 3)]),
-    ],
-)
-def test_handlers_run_for_the_parts_that_were_on_the_air(sent: int, expected: list[object]) -> None:
-    log = Log()
-    log.append([b"abc", b"de", b"fghi"])
-    ran: list[object] = []
-    builder = FrameBuilder()
-    builder.add(b"nn", lambda: ran.append("near"))
-    builder.add_entries(log, 0, b"--", lambda first, end: ran.append((first, end)), 2)
-    builder.add_entries(log, 2, b"---", lambda first, end: ran.append((first, end)), 3)
-    builder.sent(sent)
-    assert ran == expected
+    assert log.read(first, budget, end, b"--") == payload
+    assert log.offset_after(first, max(0, len(payload) - 2)) == after
 
 
 def test_a_frame_is_split_into_control_packets_and_entries_behind_their_headers() -> None:
@@ -121,11 +84,11 @@ def test_a_frame_is_split_into_control_packets_and_entries_behind_their_headers(
 def test_all_robots_are_neighbors_until_they_report_otherwise() -> None:
     neighbors = Neighbors(0, 4)
     neighbors.begin_step([1, 2, 3])
-    assert neighbors.news() == []
+    assert neighbors.news == []
     assert not neighbors.have_parted
-    assert np.flatnonzero(neighbors.near[2]).tolist() == [0, 1, 3]
+    assert np.flatnonzero(neighbors.near[2]).tolist() == [0, 1, 2, 3], "a robot knows what it broadcasts"
     neighbors.near[2, 3] = False
-    assert np.flatnonzero(neighbors.near[2]).tolist() == [0, 1]
+    assert np.flatnonzero(neighbors.near[2]).tolist() == [0, 1, 2]
     assert neighbors.near[3, 2]
     assert not neighbors.near[2, 3]
 
@@ -133,15 +96,15 @@ def test_all_robots_are_neighbors_until_they_report_otherwise() -> None:
 def test_a_departure_is_news_until_all_in_range_received_it() -> None:
     neighbors = Neighbors(0, 4)
     neighbors.begin_step([1])
-    assert neighbors.news() == [(2, False), (3, False)]
+    assert neighbors.news == [(2, False), (3, False)]
     neighbors.inform(3, here=False)
-    assert neighbors.news() == [(2, False)]
+    assert neighbors.news == [(2, False)]
     neighbors.begin_step([1, 2])
-    assert neighbors.news() == [(3, False)]
+    assert neighbors.news == [(3, False)]
     neighbors.inform(3, here=False)
-    assert neighbors.news() == []
+    assert neighbors.news == []
     neighbors.begin_step([1, 2, 3])
-    assert neighbors.news() == [(3, True)]
+    assert neighbors.news == [(3, True)]
 
 
 def test_a_robot_that_restarts_has_received_and_sent_nothing() -> None:
@@ -149,42 +112,42 @@ def test_a_robot_that_restarts_has_received_and_sent_nothing() -> None:
     neighbors.near[1, 2] = False
     neighbors.begin_step([1])
     neighbors.inform(2, here=False)
-    assert neighbors.news() == []
+    assert neighbors.news == []
     neighbors.restarted(1)
     assert neighbors.near[1, 2]
-    assert neighbors.news() == [(2, False)]
+    assert neighbors.news == [(2, False)]
 
 
 def test_robots_that_meet_owe_reports_and_await_one() -> None:
     meetings = Meetings(4, settled=True)
     meetings.begin_step(1, [1, 2])
-    assert (meetings.owed(), meetings.known([1, 2])) == ([], [1, 2]), "all logs are empty at first"
+    assert (meetings.owed, meetings.known([1, 2])) == (set(), [1, 2]), "all logs are empty at first"
     meetings.begin_step(2, [1, 3])
-    assert (meetings.owed(), meetings.known([1, 3])) == ([3], [1])
+    assert (meetings.owed, meetings.known([1, 3])) == ({3}, [1])
     meetings.on("reported", 3)
-    assert (meetings.owed(), meetings.known([1, 3])) == ([3], [1, 3])
+    assert (meetings.owed, meetings.known([1, 3])) == ({3}, [1, 3])
     meetings.on("informed", 3)
     meetings.on("restarted", 1)
-    assert (meetings.owed(), meetings.known([1, 3])) == ([1], [1, 3])
+    assert (meetings.owed, meetings.known([1, 3])) == ({1}, [1, 3])
     for step in range(3, 4 + GREETING):
         meetings.begin_step(step, [2])
-        assert (meetings.owed(), meetings.known([2])) == ([2], [])
+        assert (meetings.owed, meetings.known([2])) == ({2}, [])
     meetings.begin_step(4 + GREETING, [2])
-    assert (meetings.owed(), meetings.known([2])) == ([2], [2]), "a silent peer is not waited for"
+    assert (meetings.owed, meetings.known([2])) == ({2}, [2]), "a silent peer is not waited for"
     meetings.begin_step(5 + GREETING, [])
-    assert meetings.owed() == []
+    assert meetings.owed == set()
 
 
 def test_cursors_are_known_to_robots_that_were_in_range_ever_since() -> None:
     cursors = BroadcastCursors(3, known=True, reliable=True)
     assert cursors.known(0, [1, 2])
-    assert cursors.of(1) == 0
+    assert cursors.others[1] == 0
     cursors.begin_step([1])
     cursors.sent(5, [1])
     cursors.received(1, 3)
     assert cursors.known(5, [1])
     assert not cursors.known(5, [1, 2])
-    assert (cursors.of(1), cursors.of(2)) == (3, None)
+    assert cursors.others == {1: 3}
     unreliable = BroadcastCursors(3, known=True, reliable=False)
     unreliable.sent(5, [1])
     assert not unreliable.known(5, [1])
@@ -262,9 +225,9 @@ def test_a_digest_that_matches_clears_its_forwarders_and_one_that_does_not_drops
     assert replica.accept(2, 2, entry(2, 2))
     replica.take_rejected()
     replica.receive_digest(1, author.digest(2, 6, complete=False))
-    assert replica.take_dropped() == set(), "robot 1 can vouch for its own log alone"
+    assert replica.dropped == set(), "robot 1 can vouch for its own log alone"
     replica.receive_digest(2, author.digest(2, 6, complete=False))
-    assert replica.take_dropped() == {2}
+    assert replica.dropped == {2}
     assert packet_index.split(replica.logs[2].read(0)) == entries(2, 0, 1)
     assert [each.peer for each in replica.take_rejected()] == [1], "the author is not suspected"
     assert replica.maps_to_ask_for() == []
