@@ -20,7 +20,7 @@ import polars as pl
 
 from deploy.study import checked_parquet
 from protocol.files import check_regular
-from worldsim.atomic_files import DISK_ERRORS, write_whole
+from worldsim.atomic_files import DISK_ERRORS, link_target, write_whole
 
 Row = dict[str, Any]
 """A run: key, settings and metrics by column; nested metrics have dotted names."""
@@ -46,7 +46,9 @@ class Results:
     """
 
     def __init__(self, file: Path | None) -> None:
-        file = file.resolve() if file is not None and file.is_symlink() else file
+        if file is not None:
+            with _named(file):
+                file = link_target(file)
         self._file = file
         self._added: dict[str, Row] = {}
         self._is_behind = False

@@ -72,6 +72,38 @@ def test_the_command_prints_the_table_and_writes_runs_means_and_pictures(tmp_pat
     assert Image.open(picture).width == pytest.approx(8.8 / 2.54 * 90, abs=1)
 
 
+def test_sweep_writes_the_files_that_links_in_a_read_only_directory_lead_to(tmp_path: Path) -> None:
+    links = tmp_path / "links"
+    links.mkdir()
+    runs, means = links / "runs.parquet", links / "means.csv"
+    for link in (runs, means):
+        link.symlink_to(Path("..") / link.name)
+    links.chmod(0o555)
+    try:
+        chosen = "--set", "robots=[2]", "--seeds", 1, "--jobs", 1
+        code, _, errors = command(write(tmp_path, EXPERIMENT), "--out", runs, "--table", means, *chosen)
+    finally:
+        links.chmod(0o755)
+    assert code == 0 and len(pl.read_parquet(tmp_path / "runs.parquet")) > 0, errors
+    assert not (tmp_path / "means.csv").is_symlink() and len(pl.read_csv(tmp_path / "means.csv")) > 0
+    assert {each for each in links.iterdir() if each.is_symlink()} == set(links.iterdir()) == {runs, means}
+
+
+@pytest.mark.parametrize(
+    ("target", "reason"),
+    [
+        ("/proc/sys/a.parquet", "nothing can be written in /proc/sys; name another"),
+        ("/nonexist/a.parquet", "no such folder: /nonexist"),
+        ("link.parquet", "Too many levels of symbolic links; name another"),
+    ],
+)
+def test_sweep_checks_the_file_that_a_link_leads_to(tmp_path: Path, target: str, reason: str) -> None:
+    link = tmp_path / "link.parquet"
+    link.symlink_to(target)
+    code, table, errors = command(write(tmp_path, EXPERIMENT), "--out", link)
+    assert (code, table) == (2, "") and f"out = {link}: {reason}" in errors
+
+
 @pytest.mark.parametrize(
     ("words", "output"),
     [
