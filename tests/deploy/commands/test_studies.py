@@ -246,6 +246,23 @@ def test_ctrl_c_while_the_fork_server_starts_stops_a_sweep(tmp_path: Path) -> No
     assert f"stopped; the same command continues from {out}" in errors and "Traceback" not in errors
 
 
+def test_ctrl_c_while_pictures_are_drawn_says_how_to_continue_and_leaves_no_part_of_a_file(
+    tmp_path: Path,
+) -> None:
+    out, means = tmp_path / "all.parquet", tmp_path / "means.csv"
+    plots = '[[plot]]\nx = "robots"\ny = "steps"\n' * 40
+    words = "--table", means, "--plot", tmp_path / "a.png", "--formats", "pdf,svg", "--seeds", "1"
+    sweeping = sweeping_in_a_group(write(tmp_path, EXPERIMENT + plots), out, *map(str, words))
+    while not means.exists():
+        assert sweeping.poll() is None
+        time.sleep(0.02)
+    os.killpg(sweeping.pid, signal.SIGINT)
+    _, errors = sweeping.communicate(timeout=60)
+    assert (sweeping.returncode, len(pl.read_parquet(out))) == (130, 4)
+    assert f"stopped; the same command continues from {out}" in errors and "Traceback" not in errors
+    assert [each.name for each in tmp_path.glob(".*")] == [".all.parquet.lock"]
+
+
 TIMES = ("wall_s", "steps_per_s", "work_us_median")
 
 
