@@ -79,6 +79,7 @@ class Kernel:
             dispatcher = import_numba().njit(cache=True, error_model="numpy")(self.function)
             _add_to_key(dispatcher._cache, self.digest)
         except RuntimeError:  # the cache has no directory that can be written
+            _compilation.warn_of_no_cache()
             dispatcher = import_numba().njit(error_model="numpy")(self.function)
         with _before_compiling(dispatcher, self._prepare):
             try:
@@ -277,6 +278,7 @@ class _Compilation:
         """Kernels being compiled: a kernel, those that it calls, and so on."""
         self._began = 0.0
         self._package = ""
+        self._has_warned = False
 
     def begin(self, package: str) -> None:
         """Report that a kernel of `package` comes next: on a terminal for each kernel, else once per package."""
@@ -288,13 +290,19 @@ class _Compilation:
             _print(f"compiling for this machine, once: {done} of {len(_kernels)} kernels, now {package}")
         self._package = package
 
+    def warn_of_no_cache(self) -> None:
+        """Report that compiled kernels cannot be kept: once, and if it is known, before the work that is lost."""
+        if not self.is_single and not self._has_warned:
+            self._has_warned = True
+            _print(NO_CACHE, last=True)
+
     def finish_one(self) -> None:
         """After a kernel that no other kernel waits for, compile all remaining ones."""
         if self._depth == 1 and not self.is_single:
             load_all()
             report_compiled(compiled())
             if not cache_folder():
-                _print(NO_CACHE, last=True)
+                self.warn_of_no_cache()
             self.seconds += time.perf_counter() - self._began
         self._depth -= 1
 

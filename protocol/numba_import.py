@@ -6,6 +6,7 @@ import importlib
 import os
 import sys
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 
@@ -17,9 +18,27 @@ def check_compiler() -> None:
         )
 
 
+def user_cache() -> str:
+    """Return the user's cache directory; empty if the user has no home directory.
+
+    A relative or empty XDG_CACHE_HOME is ignored, as its specification says.
+    """
+    for place in (os.environ.get("XDG_CACHE_HOME", ""), os.path.expanduser("~/.cache")):  # noqa: PTH111  Path raises without a home
+        if Path(place).is_absolute():
+            return place
+    return ""
+
+
 @cache
 def import_numba() -> Any:
-    """Import numba without scipy.linalg, which takes 18 MB, and which only np.cov and np.corrcoef need in kernels."""
+    """Import numba without scipy.linalg, which takes 18 MB, and which only np.cov and np.corrcoef need in kernels.
+
+    numba's cache never is in the working directory: without a home directory, numba would make one named ``~`` there.
+    """
+    if os.environ.get("XDG_CACHE_HOME") or not user_cache():
+        os.environ["XDG_CACHE_HOME"] = user_cache() or os.devnull
+    else:
+        os.environ.pop("XDG_CACHE_HOME", None)  # it may be empty
     import numba  # noqa: PLC0415  takes half a second, which only computing commands need
 
     linear_algebra = "scipy.linalg"

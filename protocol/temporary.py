@@ -28,9 +28,22 @@ def temporary_folder() -> Iterator[Path]:
         os.close(lock)
 
 
+def system_folder() -> str:
+    """Return the system's directory for temporary files; ValueError if there is none that can be written."""
+    try:
+        return tempfile.gettempdir()
+    except FileNotFoundError:
+        raise ValueError(
+            "no directory for temporary files can be written: set the environment variable TMPDIR to one that can"
+        ) from None
+
+
 def make_folder(parent: str | None = None) -> tuple[Path, int]:
-    """Make a directory in `parent`, by default the system's; return it, and the file that locks it while it is open."""
-    parent = parent or tempfile.gettempdir()
+    """Make a directory in `parent`, by default the system's; return it, and the file that locks it while it is open.
+
+    ValueError if there is no directory for temporary files.
+    """
+    parent = parent or system_folder()
     _remove_abandoned(Path(parent))
     while True:
         folder = Path(tempfile.mkdtemp(prefix=PREFIX, dir=parent))

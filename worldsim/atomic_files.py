@@ -16,17 +16,33 @@ DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.ENOMEM)
 def write_whole(path: Path, write: Callable[[BinaryIO], object]) -> None:
     """Write a file under a temporary name in the same directory, then rename it atomically.
 
+    If `path` is a symbolic link, the file that it leads to is written, and the link remains.
+
     Raises OSError if the file cannot be written; the error names `path`, which stays unchanged.
     """
-    beside = path.with_name(f".{path.name}.{os.getpid()}")
+    file_path = link_target(path)
+    beside = file_path.with_name(f".{file_path.name}.{os.getpid()}")
     try:
         with naming(path):
             with beside.open("wb") as file:
                 write(file)
-            beside.replace(path)
+            beside.replace(file_path)
     finally:
         with contextlib.suppress(OSError):  # where nothing can be written, nothing can be removed
             beside.unlink(missing_ok=True)
+
+
+def link_target(path: Path) -> Path:
+    """Return the file that a symbolic link leads to, which need not exist, or `path` itself if it is no link.
+
+    Raises OSError if the links form a loop.
+    """
+    if not path.is_symlink():
+        return path
+    target = Path(os.path.realpath(path))
+    if target.is_symlink():
+        raise OSError(errno.ELOOP, os.strerror(errno.ELOOP), str(path))
+    return target
 
 
 @contextlib.contextmanager

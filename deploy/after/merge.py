@@ -2,9 +2,11 @@
 
 Each robot recorded by the clock of its host. Robots on one host have one clock. A frame that one robot sent and another
 received gives the difference of their clocks, plus the time that the frame took. The smallest difference in each
-direction has the least delay; half the difference of both is the offset of the clocks, as in NTP (RFC 5905, section 8),
-and half their sum bounds its error. Clocks are aligned along the pairs with the smallest sums of bounds; those of
-robots that exchanged no frames, by the time of day. Drift is not corrected.
+direction has the least delay; half the difference of both is the offset of the clocks, as in NTP (RFC 5905, section 8).
+If both clocks run equally fast, half their sum bounds its error. Drift is not corrected, but the bound contains it:
+each frame bounds the difference of the clocks at its time, and `MAX_DRIFT_PPM` bounds how fast the difference changes.
+Clocks are aligned along the pairs with the smallest sums of bounds; those of robots that exchanged no frames, by the
+time of day.
 """
 
 from __future__ import annotations
@@ -37,6 +39,9 @@ from protocol.nanoseconds import SECOND
 
 UNKNOWN = 1 << 62
 """The bound of an error about which nothing is known."""
+
+MAX_DRIFT_PPM = 500
+"""Drift of two clocks against each other, at most, in parts per million: MAXFREQ of RFC 5905."""
 
 START = "start-*"
 """Directories of the starts of a robot, in its record directory."""
@@ -222,18 +227,52 @@ def _clock_difference(one: Recording, other: Recording) -> tuple[int, int] | Non
     clock = one.record.setup.clock
     if clock and clock == other.record.setup.clock:
         return 0, 0
-    there, back = _delays(one, other), _delays(other, one)
+    there = [(sent, received - sent) for sent, received in _times(one, other)]
+    back = [(received, received - sent) for sent, received in _times(other, one)]
     if there and back:
-        return (min(there) - min(back)) // 2, max(0, min(there) + min(back)) // 2
+        offset = (_least(there) - _least(back)) // 2
+        return offset, _error_bound(there, back, offset)
     if there or back:
-        return (min(there) if there else -min(back)), UNKNOWN
+        return (_least(there) if there else -_least(back)), UNKNOWN
     return None
 
 
-def _delays(sender: Recording, receiver: Recording) -> list[int]:
-    """Return the delay of each frame between two robots, plus how far the receiver's clock is ahead."""
+Delays = Sequence[tuple[int, int]]
+"""Frames in one direction: the time by the clock of the first robot; the delay plus the difference of the clocks."""
+
+
+def _least(delays: Delays) -> int:
+    return min(delay for _, delay in delays)
+
+
+def _error_bound(there: Delays, back: Delays, offset: int) -> int:
+    """Return by how much the difference of two clocks may differ from `offset`, at the times of all frames.
+
+    No frame arrives before it is sent, so each frame bounds the difference at its time from one side.
+    """
+    times = sorted({time for time, _ in (*there, *back)})
+    pairs = zip(_limits(there, times), _limits(back, times), strict=True)
+    return max(max(ahead - offset, behind + offset) for ahead, behind in pairs)
+
+
+def _limits(delays: Delays, times: Sequence[int]) -> list[int]:
+    """Return how far the receiver's clock is ahead at most, at each of some sorted times."""
+    least: dict[int, int] = {}
+    for time, delay in delays:
+        least[time] = min(delay, least.get(time, delay))
+    limits = [least.get(time, UNKNOWN) for time in times]
+    for order in (range(1, len(times)), range(len(times) - 2, -1, -1)):
+        step = order.step
+        for at in order:
+            apart = abs(times[at] - times[at - step])
+            limits[at] = min(limits[at], limits[at - step] + apart * MAX_DRIFT_PPM // 1_000_000)
+    return limits
+
+
+def _times(sender: Recording, receiver: Recording) -> list[tuple[int, int]]:
+    """Return when each frame between two robots was sent, and received, by the clock of each."""
     return [
-        receiver.received[number].time_ns - line.time_ns
+        (line.time_ns, receiver.received[number].time_ns)
         for number, line in sender.sent.items()
         if number in receiver.received
     ]

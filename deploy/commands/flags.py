@@ -18,6 +18,7 @@ from deploy.commands.console import fail
 from deploy.commands.flag_values import items
 from deploy.commands.viewing import Viewing
 from deploy.run.exit_codes import BAD_INPUT
+from worldsim.atomic_files import link_target
 
 Command = Callable[..., None]
 Flag = inspect.Parameter
@@ -95,15 +96,25 @@ def file_option(metavar: str, help: str) -> Any:
     suffixes = re.findall(r"\.\w+", metavar)
 
     def check(flag: typer.CallbackParam, path: Path | None) -> Path | None:
-        if path is not None and path.suffix not in suffixes:
-            fail(f"{flag.name} = {path}: must end in {' or '.join(suffixes)}", BAD_INPUT)
-        if path is not None and not path.parent.is_dir():
-            fail(f"{flag.name} = {path}: no such folder: {path.parent}", BAD_INPUT)
-        if path is not None and not os.access(path.parent, os.W_OK):
-            fail(f"{flag.name} = {path}: nothing can be written in {path.parent}; name another", BAD_INPUT)
+        if path is not None and (reason := _why_not_written(path, suffixes)):
+            fail(f"{flag.name} = {path}: {reason}", BAD_INPUT)
         return path
 
     return typer.Option(metavar=metavar, callback=check, help=help)
+
+
+def _why_not_written(path: Path, suffixes: Sequence[str]) -> str:
+    """Return why a file cannot be written, or the file that a link leads to; empty if it can."""
+    if path.suffix not in suffixes:
+        return f"must end in {' or '.join(suffixes)}"
+    try:
+        folder = link_target(path).parent
+        if not folder.is_dir():
+            return f"no such folder: {folder}"
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        return f"{reason}; name another"
+    return "" if os.access(folder, os.W_OK) else f"nothing can be written in {folder}; name another"
 
 
 ShareFlag = Annotated[

@@ -7,6 +7,8 @@ import signal
 import sys
 from types import FrameType
 
+from protocol.signals import is_importing
+
 INTERRUPTED = 130
 """Exit code after Ctrl-C, as that of a process that the signal ended."""
 
@@ -34,11 +36,9 @@ def _open_closed_streams() -> None:
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    """Raise KeyboardInterrupt; during an import, which would print or replace it, end this process instead."""
-    while frame is not None:
-        if frame.f_code.co_filename.startswith("<frozen importlib"):
-            os._exit(INTERRUPTED)
-        frame = frame.f_back
+    """Raise KeyboardInterrupt; during an import, end this process: commands that must not lose data prevent this."""
+    if is_importing(frame):
+        os._exit(INTERRUPTED)
     signal.default_int_handler(number, None)
 
 

@@ -84,11 +84,10 @@ def sweep(
         raise ValueError(f"plot = {plot}: {experiment} has no table [[plot]]; add one, or omit --plot")
     read = experiments.quickened(read) if quick else read
     read = experiments.override(experiments.choose(read, variant or []), settings)
-    with Results(out) as results:
+    with stopping(out), Results(out) as results:
         done = Sweep(cases(read), results, read)
         try:
-            with stopping(out):
-                done.make(jobs=jobs, scheduler=scheduler, retry=retry)
+            done.make(jobs=jobs, scheduler=scheduler, retry=retry)
         finally:
             report_sweep(done)
             if table is not None and done.rows:
@@ -141,8 +140,8 @@ def reproduce(
     settings = {"seed": list(range(seeds))} if seeds is not None else {}
     found = reproduction.requested(claim or [], quick=quick, settings=settings)
     runs = out / reproduction.RUNS
-    with open_results(runs) as results:
-        with stopping(runs), counting(errors, "reproduce") as report:
+    with stopping(runs), open_results(runs) as results:
+        with counting(errors, "reproduce") as report:
             done = reproduction.reproduce(
                 found, results, workers(jobs, scheduler), report, quick=quick, retry=retry
             )
@@ -200,10 +199,10 @@ def compare(
         done = comparison.compare(
             compared, seeds=seeds, metric=metric, jobs=jobs, scheduler=scheduler, out=runs, **settings
         )
-    report_sweep(done.sweep)
-    for sentence in done.verdicts:
-        screen.print(f"{sentence}.")
-    files = done.write(out, style)
+        report_sweep(done.sweep)
+        for sentence in done.verdicts:
+            screen.print(f"{sentence}.")
+        files = done.write(out, style)
     screen.print(f"Results: {out} (start with {files[0]} and {files[1]})")
     end_study(done.sweep.failures)
 
@@ -266,9 +265,9 @@ def size(
             ],
             range=names(range_, "range", RANGES), **common, **settings,
         )  # fmt: skip
-    report_sweep(done.sweep)
-    screen.print(done.sentence)
-    files = done.write(out, style)
+        report_sweep(done.sweep)
+        screen.print(done.sentence)
+        files = done.write(out, style)
     screen.print(f"Results: {out} (start with {files[0]})")
     end_study(done.sweep.failures, 0 if done.enough is not None else 1)
 
@@ -288,9 +287,10 @@ def size_radios(
     settings |= other_settings(texts, radio_sizing.size_radios, settings)
     with stopping(common["out"]):
         done = radio_sizing.size_radios(map_, radios, **common, **settings)
-    report_failures(done.failures)
-    print_table(done.lines)
-    for sentence in done.sentences:
-        screen.print(sentence)
-    screen.print(f"Results: {out} (start with {done.write(out, style)[0]})")
+        report_failures(done.failures)
+        print_table(done.lines)
+        for sentence in done.sentences:
+            screen.print(sentence)
+        files = done.write(out, style)
+    screen.print(f"Results: {out} (start with {files[0]})")
     end_study(done.failures, 0 if any(answer.is_enough for answer in done.answers) else 1)

@@ -58,14 +58,11 @@ def tune(
         settings=named_values(set_ or [], "set", "robots=6"),
     )
     search.check()
-    with (
-        open_results(out / RUNS) as results,
-        stopping(out / RUNS),
-        counting(errors, "tune", announce=True) as report,
-    ):
-        done = tuning.tune(search, results, workers(jobs, scheduler), report)
-    write_table(done.table, out / TRIALS)
-    write_whole(out / RECORD, lambda file: file.write(done.record.encode()))
+    with stopping(out / RUNS), open_results(out / RUNS) as results:
+        with counting(errors, "tune", announce=True) as report:
+            done = tuning.tune(search, results, workers(jobs, scheduler), report)
+        write_table(done.table, out / TRIALS)
+        write_whole(out / RECORD, lambda file: file.write(done.record.encode()))
     print_table(done.lines)
     screen.print(done.sentence)
     screen.print(f"Results: {out} (start with {out / TRIALS} and {out / RECORD})")

@@ -13,20 +13,20 @@ import fcntl
 import hashlib
 import os
 import shlex
-import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 from deploy.scenario.errors import ScenarioError
+from protocol.temporary import system_folder
 
 LOCK, STOP = "robot.lock", "stop"
 POLL_S = 0.1
 
 
 def registry() -> Path:
-    """Return the directory that names the robots of this user; ScenarioError if it is another user's."""
-    folder = Path(tempfile.gettempdir()) / f"murmur-robots-{os.getuid()}"
+    """Return the directory that names the robots of this user; ValueError if it is another user's, or there is none."""
+    folder = Path(system_folder()) / f"murmur-robots-{os.getuid()}"
     folder.mkdir(mode=0o700, exist_ok=True)
     status = folder.lstat()
     if status.st_uid != os.getuid() or not folder.is_dir() or folder.is_symlink():

@@ -151,7 +151,7 @@ FIELD = {
     "team_map_held, worst_team_map_held": "share of the free cells of the team's map that are free on a robot's "
     "planning map: mean and minimum over all robots; also by robot, in `robot_maps`",
     "frames, frames_lost": "sealed frames of the radio, and those that no robot recorded as received",
-    "clock_error_s": "bound of the error with which the robots' clocks were aligned, seconds; null: unknown",
+    "clock_error_s": "bound of the error of the robots' aligned clocks, with their drift, seconds; null: unknown",
 }
 """Keys of ``summary.json`` that only robots in the field have; keys that need a true map are null there."""
 

@@ -13,6 +13,7 @@ import hashlib
 import json
 import os
 import shlex
+import shutil
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from itertools import count
@@ -90,12 +91,20 @@ def create(out: Path | None, plan: Plan) -> Path:
     try:
         write_inputs(out, plan)
     except OSError:
-        for file in out.iterdir():
-            file.unlink()
-        if is_new:
-            out.rmdir()
+        discard(out, is_new=is_new)
         raise
     return out
+
+
+def discard(out: Path, *, is_new: bool) -> None:
+    """Remove what has been written of a run that did not begin, and its directory if that `is_new`."""
+    for each in out.iterdir():
+        if each.is_dir():
+            shutil.rmtree(each)
+        else:
+            each.unlink()
+    if is_new:
+        out.rmdir()
 
 
 def _next_free(plan: Plan) -> Path:

@@ -27,6 +27,7 @@ from deploy.run.ssh import Fleet
 from deploy.scenario import plan as plans
 from deploy.scenario import plugins
 from deploy.scenario.effective_radio import effective_radio
+from deploy.scenario.errors import ScenarioError
 from deploy.scenario.plan import Plan
 from protocol import keys as names
 from protocol.kernels import compilation_s
@@ -36,6 +37,10 @@ from worldsim.pace import Pace
 
 MOST_REPEATS = 2
 """How often a run that breaks off is repeated without getting further."""
+
+
+class HubError(ScenarioError):
+    """The hub cannot listen at its address; nothing has been run or written."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +60,7 @@ class RunOptions:
 def execute(plan: Plan, options: RunOptions, out: Path | None, *, keep: bool) -> tuple[Result, str]:
     """Run a plan and write its results; return them, and why the run failed: empty if it did not, or was interrupted.
 
-    `out` is the run directory, by default a new one; without `keep`, nothing is written.
+    `out` is the run directory, by default a new one; without `keep`, nothing is written. HubError if nothing was run.
     """
     for note in _notes(plan):
         options.notify(note)
@@ -63,16 +68,23 @@ def execute(plan: Plan, options: RunOptions, out: Path | None, *, keep: bool) ->
     interrupt = Interrupt(options.notify, control.resume if control is not None else (lambda: None))
     if control is not None:
         control.attach(plan, options.pace, may_kill=hosts is None)
+    remote = None
+    if hosts is not None:
+        remote = Fleet(hosts, scenario.robots, options.notify, plugins.on_robots(scenario))
     if scenario.bus == "zenoh":
         load_fork_server()
     with (
-        Fleet(hosts, scenario.robots, options.notify, plugins.on_robots(scenario))
-        if hosts is not None
-        else contextlib.nullcontext() as fleet,
+        remote or contextlib.nullcontext() as fleet,
         interrupt.caught() if keep else contextlib.nullcontext(),
     ):
+        is_new = out is None or not out.exists()
         folder = run_directory.create(out, plan) if keep else None
-        result, failure = _Execution(options, folder, fleet, interrupt).complete(plan)
+        try:
+            result, failure = _Execution(options, folder, fleet, interrupt).complete(plan)
+        except HubError:
+            if folder is not None:
+                run_directory.discard(folder, is_new=is_new)
+            raise
     return result, "" if interrupt.came else failure
 
 
@@ -92,9 +104,15 @@ class _Execution:
     interrupt: Interrupt
 
     def complete(self, plan: Plan) -> tuple[Result, str]:
-        """Run a plan to its end, write the results, and return them, and why the run failed (`_failure`)."""
+        """Run a plan to its end, write the results, and return them, and why the run failed (`_failure`).
+
+        HubError if nothing was run.
+        """
         began, compiled_s = time.perf_counter(), compilation_s()
         plan, outcome = self._run(plan)
+        if outcome.hub_fault:
+            advice = "start the run again" if self.fleet is None else "give another port in the hosts file"
+            raise HubError(f"{outcome.hub_fault}; nothing has been run or written: {advice}")
         wall_s = time.perf_counter() - began - (compilation_s() - compiled_s)
         result = conclude(plan, outcome, self.directory, wall_s)
         if self.directory is not None and self.options.window is not None and outcome.view_fault:

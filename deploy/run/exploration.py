@@ -77,7 +77,7 @@ def explore(
     Raises
     ------
     ScenarioError
-        The scenario is invalid, or a host cannot run its robots; nothing has been started.
+        The scenario is invalid, a host cannot run its robots, or another program has the hub's port; nothing has run.
     RunFailed
         World or relay ended unexpectedly, or all robots did; `RunFailed.result` has the results until then. A run that
         loses some of its robots has a result, with the exit code `BROKEN_OFF`.

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import os
-import signal
 import stat
 from collections.abc import Callable, Iterator
+from types import FrameType
 
 from deploy.record.records import RecorderNode
-from protocol.signals import ending_signals, handled
+from protocol.signals import ending_signals, handled, is_importing, send_again
 
 REASON = "interrupted"
 
@@ -26,13 +26,19 @@ def _leave_lost_terminal() -> None:
 
 @contextlib.contextmanager
 def signals_as_ctrl_c() -> Iterator[None]:
-    """Make SIGTERM and SIGHUP raise KeyboardInterrupt, so that resources are released (main thread only)."""
+    """Make Ctrl-C, SIGTERM and SIGHUP raise KeyboardInterrupt, so that resources are released (main thread only).
 
-    def interrupt(*_: object) -> None:
+    During an import, they take effect at its end.
+    """
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
         _leave_lost_terminal()
-        raise KeyboardInterrupt
+        if is_importing(frame):
+            send_again(number)
+        else:
+            raise KeyboardInterrupt
 
-    with handled([number for number in ending_signals() if number != signal.SIGINT], interrupt):
+    with handled(ending_signals(), interrupt):
         yield
 
 

@@ -67,6 +67,8 @@ class Outcome:
 
     records: Records
     deaths: dict[str, str]
+    hub_fault: str = ""
+    """Why the hub cannot listen at its address, so that nothing was run; empty if it listened."""
     view_fault: str = ""
     """Error of the viewer, without which the run continued; empty if there was none."""
     failures: list[OSError] = field(default_factory=list)
@@ -124,7 +126,7 @@ def run(
         processes = stack.enter_context(ProcessTable(folder, timeout_s))
         if fleet is not None:
             stack.enter_context(fleet.running(rendezvous.credentials, folder))
-        table: dict[str, Callable[[], None]] = {
+        table: dict[str, Callable[..., None]] = {
             names.RELAY: partial(
                 serve_relay, rendezvous, plan.radio, timeout_s, world.pause_s,
                 captures=capture is not None, may_return=plan.incarnations > 1,
@@ -135,7 +137,8 @@ def run(
         supervisor = _Supervisor(processes, table, fleet)
         stack.enter_context(announced(live, rendezvous.credentials[names.VIEW], port))
         try:
-            supervisor.start()
+            if (fault := supervisor.start()) or supervisor.deaths:
+                return Outcome(no_records(plan), supervisor.deaths, hub_fault=fault)
             if show is not None:
                 _start_viewer(processes, rendezvous, show)
         except ConnectionError as error:
@@ -169,7 +172,7 @@ class _Supervisor:
     """Starts, restarts and ends the processes of a run, and collects the unexpected ends."""
 
     def __init__(
-        self, processes: ProcessTable, table: dict[str, Callable[[], None]], fleet: Fleet | None
+        self, processes: ProcessTable, table: dict[str, Callable[..., None]], fleet: Fleet | None
     ) -> None:
         self.deaths = processes.deaths
         """Processes and hosts that ended unexpectedly, each with its crash report."""
@@ -180,10 +183,28 @@ class _Supervisor:
         self._reported: set[str] = set()
         """Robots whose processes have ended, which the relay knows."""
 
-    def start(self) -> None:
-        """Start all processes; ConnectionError if that fails."""
+    def start(self) -> str:
+        """Start all processes, the others once the hub listens; return why it cannot listen, empty if it does.
+
+        If the relay ends before, the others are not started, and `deaths` has its crash report. ConnectionError if a
+        process cannot be started.
+        """
+        here, there = multiprocessing.Pipe(duplex=False)
+        with contextlib.closing(here):
+            with contextlib.closing(there):
+                relay = partial(self._table[names.RELAY], opened=there)
+                self._processes.start(names.RELAY, relay)
+            fault = None
+            with contextlib.suppress(EOFError):
+                fault = str(here.recv())
+        if fault != "":
+            self._processes.await_end(names.RELAY, FAREWELL_S)
+            self.check()
+            return fault or ""
         for name, task in self._table.items():
-            self._processes.start(name, task)
+            if name != names.RELAY:
+                self._processes.start(name, task)
+        return ""
 
     def apply(self, event: FaultEvent) -> None:
         """Apply a fault to a robot's process: expect its end, or restart it."""

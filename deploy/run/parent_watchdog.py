@@ -17,10 +17,12 @@ import time
 from functools import cache
 from multiprocessing import util
 
-from protocol.temporary import make_folder
+from protocol.temporary import make_folder, system_folder
 
 LONGEST = 45
 """Maximum characters of the system's temporary directory: the path of a socket in it may have 107."""
+USUAL = "/tmp"
+"""Used instead of a longer one."""
 FOLDER = "MURMUR_FORK_SERVER"
 """Environment variable with the launcher's process number and directory, set for the fork server only."""
 GRACE_S = 5.0
@@ -29,9 +31,20 @@ GRACE_S = 5.0
 
 @cache
 def open_folder() -> str:
-    """Return the directory in whose subdirectory the fork server listens; this process holds it until it ends."""
-    parent = tempfile.gettempdir()
-    folder, _ = make_folder(parent if len(parent) <= LONGEST else "/tmp")
+    """Return the directory in whose subdirectory the fork server listens; this process holds it until it ends.
+
+    ValueError if there is no such directory.
+    """
+    parent = system_folder()
+    try:
+        folder, _ = make_folder(parent if len(parent) <= LONGEST else USUAL)
+    except OSError as error:
+        if len(parent) <= LONGEST:
+            raise
+        raise ValueError(
+            f"TMPDIR = {parent}: has more than {LONGEST} characters, too many for sockets in it, and {USUAL} cannot be "
+            f"written ({error.strerror}): name a shorter directory"
+        ) from None
     # After multiprocessing has removed its subdirectory, with priority -100.
     util.Finalize(None, shutil.rmtree, args=(folder,), kwargs={"ignore_errors": True}, exitpriority=-200)
     usual, tempfile.tempdir = tempfile.tempdir, str(folder)

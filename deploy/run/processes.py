@@ -94,10 +94,20 @@ def serve_relay(
     *,
     captures: bool,
     may_return: bool,
+    opened: Connection,
 ) -> None:
-    """Serve as the hub and relay of a run until all participants have left; they must join in time."""
+    """Serve as the hub and relay of a run until all participants have left; they must join in time.
+
+    `opened` is sent an empty text once the hub listens, or else why it cannot.
+    """
     run = rendezvous.run
-    with closing(open_hub(run, rendezvous.endpoint, rendezvous.credentials, rendezvous.certificate)) as bus:
+    try:
+        hub = open_hub(run, rendezvous.endpoint, rendezvous.credentials, rendezvous.certificate)
+    except ConnectionError as error:
+        opened.send(str(error))
+        raise
+    opened.send("")
+    with closing(hub) as bus:
         relay(
             bus, run, settings, reply_timeout_s, pause_s,
             waits=False, captures=captures, may_return=may_return,

@@ -58,12 +58,21 @@ def _line(item: Any, keys: Mapping[str, list[str]]) -> str:
     for theirs, ours in _WORDING.items():
         message = message.replace(theirs, ours)
     path = [part for part in item["loc"] if isinstance(part, str)]
-    wanted = f"a table of {', '.join(keys['.'.join(path)])}" if ".".join(path) in keys else "a table"
-    message = re.sub(r"a dictionary or an instance of \w+", wanted, message)
+    known = keys.get(".".join(path), [])
+    wanted = f"a table of {', '.join(known)}" if known else "a table"
+    message = re.sub(r"a (dictionary|table) or (an )?instance of \w+", wanted, message)
     if item["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
         return f"{key}: unknown setting; {there_are(keys['.'.join(path[:-1])], path[-1])}"
     if item["type"] == "missing":
         return f"{key} is missing"
+    if item["type"] == "value_error" and isinstance(item["input"], Mapping) and known and path:
+        named = re.match(r"(\w+)(?: =|:) ", message)
+        if named and named[1] in known:
+            return f"{key}.{message}"
+        if not message.startswith(
+            "must be "
+        ):  # it is about some keys of the table, not about the table as a value
+            return f"{key}: {message}"
     return f"{key} = {shown(item['input'])}: {message}" if key else message
 
 

@@ -7,6 +7,8 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import zenoh
+
 from deploy.run.interrupt import Interrupt
 from deploy.scenario.plan import Plan
 from deploy.serve.ros_robot import RosRobot
@@ -54,7 +56,7 @@ def serve(
 
     Further signals do not interrupt the end: nodes that are not closed would keep the process alive.
 
-    ConnectionError without a router, or if its address is in use; ValueError if the address is malformed.
+    ConnectionError without a router; ValueError if its address is malformed, or in use.
     """
     began_ns = time.time_ns() - time.monotonic_ns()
 
@@ -66,7 +68,7 @@ def serve(
     interrupt = Interrupt()
     with interrupt.caught(), contextlib.ExitStack() as stack:
         if settings.own_router:
-            stack.callback(open_router(settings.router).close)
+            stack.callback(_router(settings.router).close)
         robots = []
         for number, robot in enumerate(swarm.robots):
             node = stack.enter_context(_node(settings, settings.namespaces[number]))
@@ -90,6 +92,16 @@ def serve(
                     each.publish(stamp_ns, now_ns)
             time.sleep(max(0, swarm.next_ns - clock_ns()) / SECOND)
     return swarm
+
+
+def _router(address: str) -> zenoh.Session:
+    """Open a router; ValueError if it cannot listen there."""
+    try:
+        return open_router(address)
+    except ConnectionError as error:
+        raise ValueError(
+            f"{error}; name another one with --listen, or --router {address} if a Zenoh router runs there"
+        ) from None
 
 
 def _node(settings: ServeSettings, namespace: str) -> Ros2Node:

@@ -20,7 +20,8 @@ import polars as pl
 
 from deploy.study import checked_parquet
 from protocol.files import check_regular
-from worldsim.atomic_files import DISK_ERRORS, write_whole
+from protocol.signals import held
+from worldsim.atomic_files import DISK_ERRORS, link_target, write_whole
 
 Row = dict[str, Any]
 """A run: key, settings and metrics by column; nested metrics have dotted names."""
@@ -46,7 +47,9 @@ class Results:
     """
 
     def __init__(self, file: Path | None) -> None:
-        file = file.resolve() if file is not None and file.is_symlink() else file
+        if file is not None:
+            with _named(file):
+                file = link_target(file)
         self._file = file
         self._added: dict[str, Row] = {}
         self._is_behind = False
@@ -135,15 +138,15 @@ class Results:
         return dict(found.iter_rows())
 
     def write(self) -> None:
-        """Write the file."""
+        """Write the file, even if Ctrl-C comes meanwhile."""
         if self._file is not None:
             began = time.monotonic()
-            with _named(self._file):
+            with held(), _named(self._file):
                 data = checked_parquet.serialize(self.frame)
                 write_whole(self._file, lambda opened: opened.write(data))
-            self._is_behind = False
-            self._written = time.monotonic()
-            self._took = self._written - began
+                self._is_behind = False
+                self._written = time.monotonic()
+                self._took = self._written - began
 
 
 def open_results(out: Path | str | None) -> Results:

@@ -19,6 +19,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, cast
 
+from protocol.numba_import import user_cache
+
 MODULE = "murmur_kernels"
 """Name of the extension module."""
 
@@ -60,8 +62,8 @@ def folders() -> list[Path]:
     tree = f"murmur_{hashlib.sha256(str(_HERE).encode()).hexdigest()[:16]}"
     if place := os.environ.get("NUMBA_CACHE_DIR"):
         return [Path(place) / tree]
-    user = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")  # noqa: PTH111  Path raises without a home
-    return [_HERE.parent / "__pycache__", Path(user) / "numba" / tree]
+    places = [_HERE.parent / "__pycache__"]
+    return [*places, Path(user) / "numba" / tree] if (user := user_cache()) else places
 
 
 @cache

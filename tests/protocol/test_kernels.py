@@ -106,7 +106,26 @@ def test_without_a_directory_for_the_cache_kernels_work_and_the_user_is_advised(
     nowhere = {"NUMBA_CACHE_DIR": "", "HOME": str(file), "XDG_CACHE_HOME": str(file / "cache")}
     done = call(code, FOLDER, **nowhere)
     assert done.stdout.split() == ["12", "True"]
-    assert "set NUMBA_CACHE_DIR to a writable directory" in done.stderr.splitlines()[-1]
+    first, *others = done.stderr.splitlines()
+    assert "set NUMBA_CACHE_DIR to a writable directory" in first, (
+        "before the compilation, which takes minutes"
+    )
+    assert others and "NUMBA_CACHE_DIR" not in " ".join(others)
+
+
+@pytest.mark.parametrize(
+    ("home", "cache"), [("relative", ""), ("relative", "too"), ("", ""), ("", "relative")]
+)
+def test_kernels_are_never_cached_in_the_working_directory(tmp_path: Path, home: str, cache: str) -> None:
+    code, here = tmp_path / "code", tmp_path / "here"
+    code.mkdir()
+    here.mkdir()
+    (code / "sums.py").write_text(MODULE)
+    (code / "__pycache__").write_text("no directory, so that it cannot be written, not even by root")
+    places = {"NUMBA_CACHE_DIR": "", "HOME": home or str(tmp_path / "home"), "XDG_CACHE_HOME": cache}
+    done = call(code, f"import os; os.chdir({str(here)!r})\n{FOLDER}", **places)
+    assert ("set NUMBA_CACHE_DIR" in done.stderr) == bool(home), "without a home, the user is advised"
+    assert done.stdout.split()[0] == "12" and not list(here.iterdir())
 
 
 def test_a_kernel_that_calls_kernels_of_the_cache_can_be_compiled(tmp_path: Path) -> None:

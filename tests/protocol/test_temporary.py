@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 import subprocess
 import sys
 from pathlib import Path
@@ -44,3 +45,21 @@ def test_directory_of_a_killed_process_is_removed_and_that_of_a_running_one_stay
         process.kill()
     with temporary_folder() as folder:
         assert set(tmp_path.iterdir()) == {others, folder}
+
+
+def test_without_a_directory_for_temporary_files_the_error_says_how_to_name_one() -> None:
+    code = """
+from protocol.temporary import make_folder
+try:
+    make_folder()
+except ValueError as error:
+    print(error)
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0)),  # no file can be written
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert (
+        "no directory for temporary files can be written: set the environment variable TMPDIR" in done.stdout
+    )

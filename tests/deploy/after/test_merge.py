@@ -11,8 +11,8 @@ import pytest
 from msgspec import structs
 from pyarrow import parquet
 
-from deploy.after.merge import UNKNOWN, align, join, merge, read_recording
-from deploy.record.link_records import FRAMES
+from deploy.after.merge import MAX_DRIFT_PPM, UNKNOWN, FrameId, Recording, align, join, merge, read_recording
+from deploy.record.link_records import FRAMES, FrameLine
 from netshaper import capture, pcapng
 from netshaper.ledger import CAUSES
 from protocol.nanoseconds import SECOND
@@ -118,6 +118,29 @@ def test_clocks_of_robots_that_exchanged_no_frames_agree_by_the_time_of_day(fold
     offsets, error = align([dataclasses.replace(one, received={}), silent, three])
     assert error >= UNKNOWN
     assert offsets[1] == AHEAD[0] - AHEAD[1]
+
+
+@pytest.mark.parametrize("drift_ppm", [0, 10, 100, -400])
+def test_the_bound_of_the_error_contains_the_drift_of_a_clock(folder: Path, drift_ppm: int) -> None:
+    # For an hour, the robots send a frame every ten seconds each, and it takes 5 ms.
+    def drifting(time: int) -> int:
+        return time + AHEAD[1] + time * drift_ppm // 1_000_000
+
+    delay, recordings = SECOND // 200, []
+    for number, clock in ((0, int), (1, drifting)):
+        sent, received = {}, {}
+        for count in range(720):
+            sender, time = count % 2, count * 5 * SECOND
+            frame = FrameId(sender, 1, count)
+            if sender == number:
+                sent[frame] = FrameLine(number, clock(time), 1, sender, 1, count, 9, 0, 0)
+            else:
+                received[frame] = FrameLine(number, clock(time + delay), 1, sender, 1, count, 9, 0, 0)
+        record = read_recording(start_of(folder, number)).record
+        recordings.append(Recording(record, sent, received, {}))
+    (_, offset), error = align(recordings)
+    worst = max(abs(drifting(time) + offset - time) for time in (0, 3595 * SECOND))
+    assert worst <= error <= worst + 2 * delay + 10 * SECOND * MAX_DRIFT_PPM // 1_000_000
 
 
 def test_robots_on_one_host_have_one_clock(folder: Path) -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import socket
+from pathlib import Path
+
 import pytest
 
 pytest.importorskip("rosbags", reason="rosbags is not installed: pip install 'murmur-robots[ros2]'")
@@ -37,3 +40,14 @@ def test_bad_input_is_explained(arguments: str, reason: str) -> None:
     result = murmur("serve-ros2", *arguments.split())
     assert result.exit_code == 2
     assert reason in " ".join(result.stderr.split())
+
+
+def test_an_address_in_use_is_refused_before_files_are_written(tmp_path: Path) -> None:
+    folder = tmp_path / "robots"
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        address = f"tcp/127.0.0.1:{other.getsockname()[1]}"
+        result = murmur("serve-ros2", "--map", "em", "--listen", address, "--write-robots", str(folder))
+    assert result.exit_code == 2 and not folder.exists()
+    output = " ".join(result.stderr.split())
+    assert f"cannot listen at {address}: the address is in use, or not one of this host" in output
+    assert f"name another one with --listen, or --router {address} if a Zenoh router runs there" in output

@@ -72,6 +72,38 @@ def test_the_command_prints_the_table_and_writes_runs_means_and_pictures(tmp_pat
     assert Image.open(picture).width == pytest.approx(8.8 / 2.54 * 90, abs=1)
 
 
+def test_sweep_writes_the_files_that_links_in_a_read_only_directory_lead_to(tmp_path: Path) -> None:
+    links = tmp_path / "links"
+    links.mkdir()
+    runs, means = links / "runs.parquet", links / "means.csv"
+    for link in (runs, means):
+        link.symlink_to(Path("..") / link.name)
+    links.chmod(0o555)
+    try:
+        chosen = "--set", "robots=[2]", "--seeds", 1, "--jobs", 1
+        code, _, errors = command(write(tmp_path, EXPERIMENT), "--out", runs, "--table", means, *chosen)
+    finally:
+        links.chmod(0o755)
+    assert code == 0 and len(pl.read_parquet(tmp_path / "runs.parquet")) > 0, errors
+    assert not (tmp_path / "means.csv").is_symlink() and len(pl.read_csv(tmp_path / "means.csv")) > 0
+    assert {each for each in links.iterdir() if each.is_symlink()} == set(links.iterdir()) == {runs, means}
+
+
+@pytest.mark.parametrize(
+    ("target", "reason"),
+    [
+        ("/proc/sys/a.parquet", "nothing can be written in /proc/sys; name another"),
+        ("/nonexist/a.parquet", "no such folder: /nonexist"),
+        ("link.parquet", "Too many levels of symbolic links; name another"),
+    ],
+)
+def test_sweep_checks_the_file_that_a_link_leads_to(tmp_path: Path, target: str, reason: str) -> None:
+    link = tmp_path / "link.parquet"
+    link.symlink_to(target)
+    code, table, errors = command(write(tmp_path, EXPERIMENT), "--out", link)
+    assert (code, table) == (2, "") and f"out = {link}: {reason}" in errors
+
+
 @pytest.mark.parametrize(
     ("words", "output"),
     [
@@ -212,6 +244,23 @@ def test_ctrl_c_while_the_fork_server_starts_stops_a_sweep(tmp_path: Path) -> No
     assert sweeping.returncode == 130
     assert_none_is_left(sweeping.pid)
     assert f"stopped; the same command continues from {out}" in errors and "Traceback" not in errors
+
+
+def test_ctrl_c_while_pictures_are_drawn_says_how_to_continue_and_leaves_no_part_of_a_file(
+    tmp_path: Path,
+) -> None:
+    out, means = tmp_path / "all.parquet", tmp_path / "means.csv"
+    plots = '[[plot]]\nx = "robots"\ny = "steps"\n' * 40
+    words = "--table", means, "--plot", tmp_path / "a.png", "--formats", "pdf,svg", "--seeds", "1"
+    sweeping = sweeping_in_a_group(write(tmp_path, EXPERIMENT + plots), out, *map(str, words))
+    while not means.exists():
+        assert sweeping.poll() is None
+        time.sleep(0.02)
+    os.killpg(sweeping.pid, signal.SIGINT)
+    _, errors = sweeping.communicate(timeout=60)
+    assert (sweeping.returncode, len(pl.read_parquet(out))) == (130, 4)
+    assert f"stopped; the same command continues from {out}" in errors and "Traceback" not in errors
+    assert [each.name for each in tmp_path.glob(".*")] == [".all.parquet.lock"]
 
 
 TIMES = ("wall_s", "steps_per_s", "work_us_median")

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from deploy.field.dropped_frames import SEVERAL, DropAdvice
+from deploy.field.dropped_frames import MANY, SEVERAL, DropAdvice
 
 
 def test_each_reason_is_explained_once_after_several_frames() -> None:
     advice = DropAdvice(robot=1, robots=3)
-    assert list(advice.new({"not authentic": SEVERAL - 1, "replayed": 99})) == []
-    (text,) = advice.new({"not authentic": SEVERAL, "replayed": 99})
+    assert list(advice.new({"not authentic": SEVERAL - 1, "replayed": MANY - 1})) == []
+    (text,) = advice.new({"not authentic": SEVERAL, "replayed": MANY - 1})
     assert "another key, or settings that differ" in text
     (text,) = advice.new({"not authentic": 50, "own number": SEVERAL})
-    assert "its own number, 1: give each robot another `robot`" in text
+    assert (
+        "its own number, 1: give each robot of a team another `robot`, and each team a key of its own" in text
+    )
     (text,) = advice.new({"not authentic": 60, "own number": 9, "unknown sender": SEVERAL})
     assert "the size of its team, 3" in text
+    (text,) = advice.new({"not authentic": 60, "own number": 9, "replayed": MANY})
+    assert "Two other robots have the same `robot` and key" in text and "a session file was lost" in text
     assert list(advice.new({"not authentic": 99, "own number": 99, "unknown sender": 99})) == []

@@ -53,7 +53,7 @@ from tests.deploy.field.robot_processes import settings, write
         ({"grid": {"x": 0.0, "y": 0.0, "width_m": 5.0}}, "grid.height_m is missing"),
         (
             {"grid": {"x": 0.0, "y": 0.0, "width_m": 1e5, "height_m": 5.0}},
-            "width_m: is 1000000 cells of 0.1 m",
+            "robot.toml: grid.width_m: is 1000000 cells of 0.1 m",
         ),
         ({"ros2": {}}, "ros2.map_pose is missing"),
         ({"ros2": {"map_pose": [0, 0]}}, "ros2.map_pose"),
@@ -64,11 +64,16 @@ from tests.deploy.field.robot_processes import settings, write
         ({"ros2": {"map_pose": [0.0, 0.0, 0.0], "distro": "foxy"}}, "ros2.distro = 'foxy': must be 'humble'"),
         (
             {"ros2": {"map_pose": [0.0, 0.0, 0.0], "goal_pose": "", "navigate_to_pose": ""}},
-            "goal_pose and navigate_to_pose are both empty",
+            "ros2: goal_pose and navigate_to_pose are both empty",
         ),
         (
             {"ros2": {"map_pose": [0.0, 0.0, 0.0], "scan": "", "map": ""}},
-            "scan and map are both empty, so that the robot has no readings",
+            "ros2: scan and map are both empty, so that the robot has no readings",
+        ),
+        ({"ros2": 3}, "ros2 = 3: must be a table of map_pose, router, domain"),
+        (
+            {"ros2": {"map_pose": [0.0, 0.0, 0.0], "router": "x"}},
+            "robot.toml: ros2.router = 'x': must be as tcp/localhost:7447",
         ),
         *(
             ({"ros2": {"map_pose": [0.0, 0.0, 0.0], **names}}, message)

@@ -6,6 +6,7 @@ import json
 import os
 import resource
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -26,6 +27,7 @@ from deploy.record import run_directory
 from deploy.record.records import Records
 from deploy.record.summary import summarize
 from deploy.run import exploration
+from deploy.run.execution import HubError
 from deploy.run.exit_codes import BROKEN_OFF, EXPLORED, NOT_FINISHED
 from deploy.run.in_memory import MemoryRun
 from deploy.run.result import Result
@@ -359,6 +361,22 @@ def test_an_interrupt_ends_a_run_after_its_step_with_everything_written(
         path.name for path in (tmp_path / "run").iterdir()
     }
     assert signal.getsignal(number) == handler
+
+
+@pytest.mark.parametrize("exists", [False, True])
+def test_a_run_whose_port_another_program_takes_ends_at_once_and_leaves_no_files(
+    floor: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, exists: bool
+) -> None:
+    out = tmp_path / "run"
+    if exists:
+        out.mkdir()
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        monkeypatch.setattr("deploy.run.rendezvous.free_port", lambda: other.getsockname()[1])
+        with pytest.raises(
+            HubError, match=r"the hub cannot listen at tcp/127\.0\.0\.1:\d+: Address already in"
+        ):
+            exploration.explore(map=floor, robots=2, out=out)
+    assert [*tmp_path.rglob("*")] == ([out] if exists else [])
 
 
 @pytest.mark.parametrize("bus", ["memory", "zenoh"])

@@ -73,6 +73,13 @@ def test_a_link_to_a_table_is_the_table(tmp_path: Path) -> None:
     assert link.is_symlink() and len(pl.read_parquet(file)) == 1
 
 
+def test_a_loop_of_links_is_rejected(tmp_path: Path) -> None:
+    link = tmp_path / "link.parquet"
+    link.symlink_to(link)
+    with pytest.raises(ValueError, match=r"link\.parquet: Too many levels of symbolic links; name a file"):
+        Results(link)
+
+
 @pytest.mark.parametrize("content", [b"", b"notes", b"PAR1 and no more"])
 def test_a_file_that_is_no_table_is_rejected_and_not_changed(tmp_path: Path, content: bytes) -> None:
     file = tmp_path / "notes.txt"
