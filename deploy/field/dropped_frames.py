@@ -9,7 +9,7 @@ from agent.radios.sealing import Reason
 SEVERAL = 3
 """Frames dropped for a reason before it is explained: a radio may damage single ones."""
 
-_EQUAL = "robots, starts, map_encoding and its options, tolerance, and the size and resolution of [grid]"
+_EQUAL = "the version of Murmur, robots, starts, map_encoding and its options, tolerance, and [grid]"
 
 ADVICE: Mapping[Reason, str] = {
     "unknown sender": "drops frames of robots beyond the size of its team, {robots}: all robots need the same `robots`",

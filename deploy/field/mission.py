@@ -18,7 +18,7 @@ from agent.radios.transport import Transport, wait
 from agent.replication.control_packets import parse
 from deploy.field.dropped_frames import DropAdvice
 from deploy.field.robot_file import RobotFile
-from deploy.field.robot_plan import agent_settings, pose_guard, robot_setup
+from deploy.field.robot_plan import agent_settings, common_values, pose_guard, robot_setup
 from deploy.field.ros2_robot import Ros2Robot
 from deploy.field.running import running
 from deploy.record.field_records import FieldRecorder
@@ -125,7 +125,7 @@ class Mission:
         try:
             self._field = FieldRobot(
                 agent, settings.radio, files, ros, transport, pose_guard(settings), time.monotonic_ns(),
-                say, self._end_step,
+                say, self._end_step, common_values(settings),
             )  # fmt: skip
         except JournalError as error:
             raise ValueError(
