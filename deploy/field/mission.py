@@ -17,6 +17,7 @@ from agent.radios.team_key import read_key
 from agent.radios.transport import Transport, wait
 from agent.replication.control_packets import parse
 from deploy.field.dropped_frames import DropAdvice
+from deploy.field.range_report import RangeReport
 from deploy.field.robot_file import RobotFile
 from deploy.field.robot_plan import agent_settings, common_values, pose_guard, robot_setup
 from deploy.field.ros2_robot import Ros2Robot
@@ -138,6 +139,8 @@ class Mission:
         self._step = 0
         self._drop_advice = DropAdvice(settings.robot, settings.robots)
         self._began = time.monotonic_ns()
+        timeout = settings.radio.timing().neighbor_timeout
+        self._range_report = RangeReport(settings.robots - 1, timeout, self._began)
         self._known_in_range: dict[int, int] = {}
         """Cells that this robot knew when each teammate was last in range."""
         self._worked_ns = time.process_time_ns()
@@ -218,6 +221,10 @@ class Mission:
             self._say(status)
         for advice in self._drop_advice.new(field.medium.dropped):
             self._say(advice)
+        if self._settings.robots > 1:
+            ended = field.medium.neighbors.ended()
+            for line in self._range_report.new(neighbors, ended, field.unsent, time.monotonic_ns()):
+                self._say(line)
         worked, self._worked_ns = self._worked_ns, time.process_time_ns()
         self._recorder.note(step, field, status, (self._worked_ns - worked) // 1000)
         self._publish(status)
