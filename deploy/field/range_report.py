@@ -7,11 +7,11 @@ from collections.abc import Collection, Iterator
 from protocol.nanoseconds import SECOND
 
 UNSENT = 3
-"""Frames that the radio has not taken before its user is told: the buffer of a modem may be full now and then."""
+"""Frames that the radio has not taken from which its user gets a line: the buffer of a modem may be full now and then."""
 
 
 class RangeReport:
-    """Lines about the radio of a robot; without them, a robot that nobody receives looks like any other.
+    """Lines about the radio of a robot; without them, a robot that receives nothing looks like any other.
 
     `teammates`: number of teammates. `timeout`: how long a teammate counts as in range. `began`: when the robot began.
     All times are in nanoseconds.
@@ -20,7 +20,7 @@ class RangeReport:
     def __init__(self, teammates: int, timeout: int, began: int) -> None:
         self._teammates, self._timeout, self._began = teammates, timeout, began
         self._shown: tuple[list[int], list[int]] = [], []
-        """The teammates in range, and those that have ended, of which the user was told last."""
+        """The teammates in range, and those that have ended, in the last line."""
         self._says_alone = False
         self._has_failed = False
 
