@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterator
 from protocol.nanoseconds import SECOND
 
 UNSENT = 3
-"""Frames that the radio has not taken from which its user gets a line: the buffer of a modem may be full now and then."""
+"""Frames not taken by the radio that are worth a line: the buffer of a modem may be full now and then."""
 
 
 class RangeReport:
@@ -42,9 +42,9 @@ class RangeReport:
             text += f"; ended: {_numbers(ended)}"
         if is_alone:
             text += (
-                f"; this robot has received nothing for {self._timeout / SECOND:g} s, and explores alone: "
+                f"; this robot has accepted no frame for {self._timeout / SECOND:g} s, and explores alone: "
             )
-            text += "compare [radio] of all robots"
+            text += "compare [radio] and the keys of all robots"
         return text
 
 
