@@ -1,4 +1,4 @@
-"""Why a robot in the field stands still: checks of its key, its router, and what its ROS 2 nodes send.
+"""Why a robot in the field stands still: checks of its key, its radio, its router, and what its ROS 2 nodes send.
 
 Each check returns its finding, or raises `Trouble`, which says what is wrong and how to fix it.
 """
@@ -11,9 +11,10 @@ from collections.abc import Callable, Iterator
 from functools import partial
 
 from agent.radios.team_key import KeyFileError, read_key
+from agent.radios.transport import TransportError
 from deploy.field.connection import make_body, map_pose
 from deploy.field.listener import ENOUGH_MESSAGES, LISTEN_S, Listener, ReceivedTopic
-from deploy.field.robot_file import RobotFile
+from deploy.field.robot_file import RobotFile, radio_text
 from deploy.field.robot_plan import map_frame
 from protocol.nanoseconds import SECOND
 from protocol.ros2.graph import Graph
@@ -82,6 +83,7 @@ class RobotDoctor:
     def checks(self) -> Iterator[tuple[str, Callable[[], str]]]:
         """Return all checks by name, in the order in which they must be made."""
         yield "key", self.key
+        yield "radio", self.radio
         yield "start pose", self.start_pose
         yield "router", self.router
         yield "nodes", self.nodes
@@ -107,6 +109,14 @@ class RobotDoctor:
         except KeyFileError as error:
             raise Trouble(str(error)) from None
         return f"{self._file.key}, which only its owner can read"
+
+    def radio(self) -> str:
+        """Check that the interface or the port can be used; only `murmur robot` shows which teammates it receives."""
+        try:
+            self._settings.radio.check_transport()
+        except TransportError as error:
+            raise Trouble(str(error)) from None
+        return radio_text(self._settings)
 
     def start_pose(self) -> str:
         """Check that the robot's map frame lies on the team's grid."""

@@ -41,9 +41,8 @@ class RangeReport:
         if ended:
             text += f"; ended: {_numbers(ended)}"
         if is_alone:
-            text += (
-                f"; this robot has accepted no frame for {self._timeout / SECOND:g} s, and explores alone: "
-            )
+            seconds = f"{self._timeout / SECOND:.3g} s"
+            text += f"; this robot has accepted no frame for {seconds}, and explores alone: "
             text += "compare [radio] and the keys of all robots"
         return text
 

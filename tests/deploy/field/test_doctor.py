@@ -11,6 +11,8 @@ import pytest
 
 from agent.radios.team_key import create_key
 from deploy.field import connection, listener
+from deploy.field.doctor import RobotDoctor, Trouble
+from deploy.field.robot_file import RobotFile, RobotSettings
 from protocol.ros2.messages import LASER_SCAN, POSE_STAMPED
 from protocol.ros2.node import Ros2Node
 from protocol.ros2.qos import DEFAULT, SENSOR
@@ -22,7 +24,20 @@ from tests.deploy.field.ros_house_node import RosHouseNode
 
 SECOND = 10**9
 AT_ORIGIN = Pose(0.0, 0.0, 0.0)
-ALL = ["key", "start pose", "router", "nodes", "tf", "tf_static", "scan", "map", "frames", "clocks", "goals"]
+ALL = [
+    "key",
+    "radio",
+    "start pose",
+    "router",
+    "nodes",
+    "tf",
+    "tf_static",
+    "scan",
+    "map",
+    "frames",
+    "clocks",
+    "goals",
+]
 
 
 @pytest.fixture(autouse=True)
@@ -97,7 +112,27 @@ def test_without_a_router_the_other_checks_are_skipped(
         "failed no Zenoh router answers at tcp/127.0.0.1:9 "
         "[fix: start it with: ros2 run rmw_zenoh_cpp rmw_zenohd; or set ros2.router]"
     )
-    assert all(findings[name] == "skipped no router answers" for name in ALL[3:])
+    assert all(findings[name] == "skipped no router answers" for name in ALL[4:])
+
+
+@pytest.mark.parametrize(
+    ("radio", "problem"),
+    [
+        ({"medium": "udp", "interface": "wlan-9"}, "interface 'wlan-9' does not exist; there are: "),
+        (
+            {"medium": "serial", "serial_port": "/dev/none", "preset": "lora-sf9"},
+            "port /dev/none: No such file or directory",
+        ),
+        (
+            {"medium": "serial", "serial_port": "/etc/passwd", "preset": "lora-sf9"},
+            "port /etc/passwd is no serial port",
+        ),
+    ],
+)
+def test_a_radio_that_cannot_be_used_is_found(radio: dict[str, Any], problem: str, tmp_path: Path) -> None:
+    doctor = RobotDoctor(RobotFile(RobotSettings(**settings() | {"radio": radio}), tmp_path))
+    with pytest.raises(Trouble, match=f"^{problem}"):
+        doctor.radio()
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ def test_each_change_of_the_teammates_in_range_is_reported_once() -> None:
     assert list(report.new([2], [], 0, 8 * SECOND)) == []
     assert list(report.new([0, 2], [], 0, 9 * SECOND)) == ["teammates in range: 0, 2"]
     (lost,) = report.new([], [], 0, 60 * SECOND)
-    assert lost.startswith("teammates in range: none; this robot has received nothing for 32 s")
+    assert lost.startswith("teammates in range: none; this robot has accepted no frame for 32 s")
     assert list(report.new([], [], 0, 99 * SECOND)) == []
     assert list(report.new([0], [], 0, 100 * SECOND)) == ["teammates in range: 0"]
 
@@ -22,7 +22,7 @@ def test_a_robot_that_has_never_received_a_teammate_says_so_after_the_timeout() 
     report = RangeReport(2, timeout=32 * SECOND, began=5 * SECOND)
     assert list(report.new([], [], 0, 37 * SECOND - 1)) == []
     (alone,) = report.new([], [], 0, 37 * SECOND)
-    assert "received nothing for 32 s, and explores alone: compare [radio]" in alone
+    assert "accepted no frame for 32 s, and explores alone: compare [radio]" in alone
     assert list(report.new([], [], 0, 38 * SECOND)) == []
 
 
@@ -31,7 +31,7 @@ def test_a_robot_whose_teammates_have_all_ended_needs_no_advice() -> None:
     assert list(report.new([0], [2], 0, 50 * SECOND)) == ["teammates in range: 0; ended: 2"]
     assert list(report.new([], [0, 2], 0, 51 * SECOND)) == ["teammates in range: none; ended: 0, 2"]
     (lost,) = report.new([], [2], 0, 90 * SECOND)
-    assert "ended: 2; this robot has received nothing" in lost
+    assert "ended: 2; this robot has accepted no frame" in lost
 
 
 def test_frames_that_the_radio_does_not_take_are_reported_once() -> None:
