@@ -22,10 +22,12 @@ class RangeReport:
         self._shown: tuple[list[int], list[int]] = [], []
         """The teammates in range, and those that have ended, in the last line."""
         self._says_alone = False
+        self._has_received = False
         self._has_failed = False
 
     def new(self, in_range: Collection[int], ended: Collection[int], unsent: int, now: int) -> Iterator[str]:
         """Yield what has changed; `unsent` are the frames so far that the radio has not taken."""
+        self._has_received |= bool(in_range or ended)
         state = sorted(in_range), sorted(ended)
         is_alone = not in_range and len(ended) < self._teammates and now - self._began >= self._timeout
         if state != self._shown or is_alone > self._says_alone:
@@ -42,8 +44,8 @@ class RangeReport:
             text += f"; ended: {_numbers(ended)}"
         if is_alone:
             seconds = f"{self._timeout / SECOND:.3g} s"
-            text += f"; this robot has accepted no frame for {seconds}, and explores alone: "
-            text += "compare [radio] and the keys of all robots"
+            text += f"; this robot has accepted no frame for {seconds}, and explores alone"
+            text += "" if self._has_received else ": compare [radio] and the keys of all robots"
         return text
 
 
