@@ -127,6 +127,8 @@ class RobotDoctor:
             raise Trouble(f"map_pose = {where} is outside of the grid", GRID)
         if self._names.map_pose == (0.0, 0.0, 0.0) and self._settings.robots > 1:
             return f"{where}; right for one robot of the team only, which starts at the origin of the common frame"
+        if _looks_like_radians(degrees):
+            return f"{where} in the common frame; map_pose is in degrees, but {degrees:g} looks like radians"
         return f"{where} in the common frame"
 
     def router(self) -> str:
@@ -275,3 +277,9 @@ class RobotDoctor:
         if self._listener is None:
             raise SkippedError("no router answers")
         return self._listener
+
+
+def _looks_like_radians(angle: float) -> bool:
+    """Return whether an angle is a multiple of an eighth of a turn in radians, rounded to two digits or more."""
+    eighths = round(angle / (math.pi / 4))
+    return eighths != 0 and abs(angle - eighths * math.pi / 4) <= 0.006 and abs(angle) < 7

@@ -136,6 +136,17 @@ def test_a_radio_that_cannot_be_used_is_found(radio: dict[str, Any], problem: st
 
 
 @pytest.mark.parametrize(
+    ("angle", "warns"),
+    [(1.57, True), (-3.1416, True), (0.79, True), (0.0, False), (90.0, False), (2.0, False)],
+)
+def test_a_heading_in_radians_is_pointed_out(angle: float, warns: bool, tmp_path: Path) -> None:
+    data = settings(robots=2)
+    data["ros2"]["map_pose"] = [1.0, 0.0, angle]
+    doctor = RobotDoctor(RobotFile(RobotSettings(**data), tmp_path))
+    assert doctor.start_pose().endswith("looks like radians") == warns
+
+
+@pytest.mark.parametrize(
     ("changes", "expected"),
     [
         (
