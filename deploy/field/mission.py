@@ -19,7 +19,7 @@ from agent.replication.control_packets import parse
 from deploy.field.dropped_frames import DropAdvice
 from deploy.field.range_report import RangeReport
 from deploy.field.robot_file import RobotFile
-from deploy.field.robot_plan import agent_settings, common_values, pose_guard, robot_setup
+from deploy.field.robot_plan import absent_s, agent_settings, common_values, pose_guard, robot_setup
 from deploy.field.ros2_robot import Ros2Robot
 from deploy.field.running import running
 from deploy.record.field_records import FieldRecorder
@@ -242,8 +242,8 @@ class Mission:
         }
 
     def _absent(self) -> set[int]:
-        """Return the teammates that have not been received for `absent_s`, and are not waited for."""
-        since = time.monotonic_ns() - round(self._settings.absent_s * SECOND)
+        """Return the teammates that have not been received for a long time (`absent_s`), and are not waited for."""
+        since = time.monotonic_ns() - round(absent_s(self._settings) * SECOND)
         last = self._field.medium.neighbors.last
         return {robot for robot in self._teammates if (last(robot) or self._began) <= since}
 
@@ -259,7 +259,7 @@ class Mission:
         if not lacking:
             return EXPLORED
         names = ", ".join(map(str, lacking))
-        silence = f"robots not received for {self._settings.absent_s:g} s lack this robot's map: {names}"
+        silence = f"robots not received for {absent_s(self._settings):g} s lack this robot's map: {names}"
         return f"nothing is left to explore; {silence}"
 
     def _activity(self) -> str:

@@ -279,8 +279,9 @@ def radio_text(settings: RobotSettings) -> str:
     limits = f"{radio.rate:,} bytes per second, frames of at most {radio.longest:,} bytes"
     if radio.duty_cycle < 1:
         full = 3600 * radio.duty_cycle * SECOND / radio.airtime(radio.longest)
-        limits += f", {100 * radio.duty_cycle:g} % of each hour ({full:.0f} full frames)"
-    return f"{where}; {limits}; teammates are out of range after {radio.timing().neighbor_timeout / SECOND:.3g} s"
+        limits += f", {100 * radio.duty_cycle:g} % of each hour (full frames: {full:.3g})"
+    timeout = radio.timing().neighbor_timeout / SECOND
+    return f"{where}; {limits}; teammates are out of range after {timeout:,.1f} s"
 
 
 def load_robot(path: Path) -> RobotFile:

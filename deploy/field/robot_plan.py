@@ -66,6 +66,14 @@ def agent_settings(settings: RobotSettings, laser: Laser) -> Settings:
     )
 
 
+def absent_s(settings: RobotSettings) -> float:
+    """Return the seconds of silence after which a teammate is not waited for at the end.
+
+    On a slow radio, a teammate counts as in range for longer than `RobotSettings.absent_s`, and is waited for so long.
+    """
+    return max(settings.absent_s, settings.radio.timing().neighbor_timeout / SECOND)
+
+
 def common_values(settings: RobotSettings) -> tuple[float, float, str]:
     """Return what teammates must have in common besides the settings of their control logic (`agent.field`).
 

@@ -238,12 +238,12 @@ def test_the_check_says_what_the_robots_map_is_made_of(scan: str, source: str, t
         (
             {"medium": "udp", "interface": "lo"},
             "UDP on interface lo, address 239.77.85.82, port 7785; 116,822 bytes per second, frames of at most "
-            "1,400 bytes; teammates are out of range after 32 s",
+            "1,400 bytes; teammates are out of range after 32.0 s",
         ),
         (
             {"medium": "serial", "serial_port": "/dev/ttyUSB0", "preset": "lora-sf9", "duty_cycle": 0.01},
             "modem at /dev/ttyUSB0, 57600 baud; 169 bytes per second, frames of at most 115 bytes, 1 % of each hour "
-            "(53 full frames); teammates are out of range after 230 s",
+            "(full frames: 53.2); teammates are out of range after 229.8 s",
         ),
     ],
 )
