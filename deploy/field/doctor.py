@@ -259,12 +259,18 @@ class RobotDoctor:
         all_topics = self._graph.names(Kind.PUBLISHER).items()
         similar = [topic for topic, types in all_topics if received.type_name in types]
         if similar:
-            return Trouble(
-                f"nothing publishes {received.topic}", f"set ros2.{name} to one of: {', '.join(similar)}"
-            )
+            fix = f"set ros2.{name} to one of: {', '.join(similar)}{self._other_namespaces(name, similar)}"
+            return Trouble(f"nothing publishes {received.topic}", fix)
         return Trouble(
             f"nothing publishes {received.topic}", f"start the node that publishes it{ABSENT.get(name, '')}"
         )
+
+    def _other_namespaces(self, name: str, topics: list[str]) -> str:
+        """Return advice if topics have the right name in other namespaces; empty if none has."""
+        relative = f"/{getattr(self._names, name)}"
+        found = sorted(topic.removesuffix(relative)[1:] for topic in topics if topic.endswith(relative))
+        spaces = " or ".join(f'"{space}"' for space in found)
+        return f"; or, if all topics are missing, set ros2.namespace = {spaces}" if found else ""
 
     def _fitting(self, name: str, kind: Kind, type_name: str) -> list[EndpointToken]:
         """Return the endpoints of a topic or service that have this distribution's definition of its type."""

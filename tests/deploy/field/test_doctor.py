@@ -159,6 +159,13 @@ def test_a_heading_in_radians_is_pointed_out(angle: float, warns: bool, tmp_path
             },
         ),
         (
+            {"namespace": "r1"},
+            {
+                "scan": "nothing publishes /r1/scan [fix: set ros2.scan to one of: /r0/scan; or, if all topics are "
+                'missing, set ros2.namespace = "r0"]',
+            },
+        ),
+        (
             {"domain": 3},
             {
                 "nodes": "no node is visible in domain 3 [fix: nodes are visible in domain 0: set ros2.domain]",
