@@ -9,6 +9,9 @@ from agent.radios.sealing import Reason
 SEVERAL = 3
 """Frames dropped for a reason before it is explained: a radio may damage single ones."""
 
+SEVERAL_REPLAYED = 5
+"""The same for frames that were received before: a network may repeat some."""
+
 _EQUAL = "the version of Murmur, robots, starts, map_encoding and its options, tolerance, and [grid]"
 
 ADVICE: Mapping[Reason, str] = {
@@ -16,6 +19,8 @@ ADVICE: Mapping[Reason, str] = {
     "own number": "drops frames of another robot with its own number, {robot}: give each robot another `robot`",
     "not authentic": "drops frames that are not authentic: the sender has another key, or settings that differ from "
     f"this robot's. These must be equal: {_EQUAL}; with map_encoding scans or slam-toolbox, also the lasers",
+    "replayed": "drops frames whose numbers it has received before: a teammate has lost its session file, so that all "
+    "robots need a new key; or something repeats frames",
 }
 """What to say of each reason that the user's settings may cause."""
 
@@ -30,6 +35,7 @@ class DropAdvice:
     def new(self, dropped: Mapping[str, int]) -> Iterator[str]:
         """Yield advice on frames that were dropped since the start, by reason (`PeerMedium.dropped`)."""
         for reason, text in ADVICE.items():
-            if dropped.get(reason, 0) >= SEVERAL and reason not in self._given:
+            several = SEVERAL_REPLAYED if reason == "replayed" else SEVERAL
+            if dropped.get(reason, 0) >= several and reason not in self._given:
                 self._given.add(reason)
                 yield text.format(robot=self._robot, robots=self._robots)
