@@ -14,7 +14,7 @@ a pose that has jumped (`agent.pose_guard`).
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -72,8 +72,8 @@ def field_settings(settings: Settings, options: LinkOptions) -> Settings:
     return replace(settings, replication=replication, medium=medium)
 
 
-def team_context(settings: Settings) -> bytes:
-    """Return a hash of the settings that all robots of a team must have in common (`agent.radios.sealing`).
+def team_context(settings: Settings, others: Sequence[float | str] = ()) -> bytes:
+    """Return a hash of what all robots of a team must have in common (`agent.radios.sealing`): settings, and `others`.
 
     Encodings that send scans need equal lasers: a receiver cannot read scans of a laser that it does not know.
     Exact scans are predicted from the hardware of their author and the limits of the medium.
@@ -90,6 +90,7 @@ def team_context(settings: Settings) -> bytes:
         settings.shares_tiles,
         settings.laser if is_scan else None,
         None if settings.shares_tiles else (settings.bodies, settings.beams, settings.medium),
+        *others,
     )
     return hashlib.sha256(msgspec.json.encode(common)).digest()[:8]
 
@@ -118,6 +119,7 @@ class FieldRobot:
 
     `settings` are those of a run with gossip; `now` is the time in nanoseconds. The constructor begins a new
     incarnation of the robot, and a new session of its radio. `report` is called with each error of a teammate, as text.
+    `common` is what teammates must have in common with this robot besides settings (`team_context`).
     """
 
     def __init__(
@@ -131,9 +133,10 @@ class FieldRobot:
         now: int,
         report: ReportError = lambda _: None,
         record: Callable[[int, list[FrameRecord]], object] = lambda _step, _records: None,
+        common: Sequence[float | str] = (),
     ) -> None:
         settings = files.identity.begin(field_settings(settings, options))
-        key, session, context = files.key, files.session, team_context(settings)
+        key, session, context = files.key, files.session, team_context(settings, common)
         self.robot = Robot(settings)
         self.medium = PeerMedium(
             settings.robot,

@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from agent.radios.pacing import ALWAYS, DutyCycle, Pacer
 from agent.radios.peer_medium import FRAME_OVERHEAD, WORTHWHILE, Timing
-from agent.radios.serial_modem import BAUD_RATES, SerialModem
+from agent.radios.serial_modem import BAUD_RATES, SerialModem, check_port
 from agent.radios.transport import Transport
 from agent.radios.udp import GROUP, MAX_DATAGRAM, PORT, UdpRadio
 from protocol.bounds import Range, check_bounds, check_ranges
@@ -158,6 +158,13 @@ class LinkOptions:
         size = min(self.longest, WORTHWHILE)
         on_air_s = self.airtime(size) / SECOND
         return max(size / self.rate, on_air_s / self.duty_cycle if self.duty_cycle < 1 else 0.0)
+
+    def check_transport(self) -> None:
+        """Raise TransportError if the interface or the port cannot be used; a serial port is not opened."""
+        if self.medium == "udp":
+            self.open_transport().close()
+        else:
+            check_port(Path(self.serial_port))
 
     def open_transport(self) -> Transport:
         """Open the interface or the port; TransportError if that fails."""

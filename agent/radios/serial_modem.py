@@ -7,8 +7,10 @@ that it receives as one frame, and write each received frame as one line; docs/f
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import os
+import stat
 import termios
 import tty
 from pathlib import Path
@@ -20,6 +22,22 @@ BAUD_RATES = (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200, 230400)
 
 _CHUNK, _CHUNKS = 1 << 12, 64
 """Bytes of one read, and reads of one call of `SerialModem.receive` at most."""
+
+
+def check_port(port: Path) -> None:
+    """Raise TransportError if there is no such port, or this process may not use it; it is not opened.
+
+    To open a port resets some modems.
+    """
+    try:
+        mode = port.stat().st_mode
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else str(error)
+        raise TransportError(f"port {port}: {reason}") from None
+    if not stat.S_ISCHR(mode):
+        raise TransportError(f"port {port} is no serial port")
+    if not os.access(port, os.R_OK | os.W_OK):
+        raise TransportError(f"port {port}: {os.strerror(errno.EACCES)}")
 
 
 class SerialModem:

@@ -8,8 +8,12 @@ from typing import Any, ClassVar
 from agent.settings import Settings
 from agent.strategies.base import Decision, Situation, Strategy
 
-PATIENCE = 100
-"""Steps without any delivery after which a robot gives up: entries are left, or no teammate is in range."""
+PATIENCE = 300
+"""Steps without any delivery after which a robot gives up: entries are left, or no teammate is in range.
+
+Longer than the longest retransmission timeout on a medium of 50 B per step and more (`agent.replication.delivery`): the
+last acknowledgment may be lost.
+"""
 
 
 class Playback(Strategy):

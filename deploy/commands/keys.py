@@ -48,10 +48,14 @@ def keys(
 
     known_as = address or ["127.0.0.1"]
     made = certificates.make(robots, known_as, days, _routers(router or [], robots))
-    written = certificates.write(made, directory)
+    try:
+        written = certificates.write(made, directory)
+    except FileExistsError as error:
+        raise ScenarioError(f"{error.filename} already exists, and is kept; name a new directory") from None
+    host = f"[{known_as[0]}]" if ":" in known_as[0] else known_as[0]
     screen.print(
         f"{len(written)} files in {directory}, for a hub at {', '.join(known_as)}; valid for {days} days.\n"
-        f"Next: murmur run netshaper --keys {directory}"
+        f"Next: murmur run netshaper SCENARIO --listen {host}:7447 --keys {directory}"
     )
 
 

@@ -29,7 +29,7 @@ def robot(
     The robot explores until nothing is left and its teammates hold its map. It stands still at the end, on Ctrl-C, on
     murmur stop, and while no readings arrive. Exit codes: 0 explored, 1 not finished, 2 bad input, 3 aborted.
     """
-    from deploy.field.robot_file import EXAMPLE, load_robot, source  # noqa: PLC0415
+    from deploy.field.robot_file import EXAMPLE, load_robot, radio_text, source  # noqa: PLC0415
 
     if example:
         print(EXAMPLE.read_text(encoding="utf-8"), end="")
@@ -45,6 +45,7 @@ def robot(
         read_key(settings.key)
         screen.print(f"{file}: robot {settings.settings.robot} of {settings.settings.robots}, no errors")
         screen.print(f"the robot's part of the team's map comes from {source(settings.settings)}")
+        screen.print(f"radio: {radio_text(settings.settings)}")
         return
     from deploy.field.mission import explore  # noqa: PLC0415
 

@@ -1,4 +1,4 @@
-"""Why a robot in the field stands still: checks of its key, its router, and what its ROS 2 nodes send.
+"""Why a robot in the field stands still: checks of its key, its radio, its router, and what its ROS 2 nodes send.
 
 Each check returns its finding, or raises `Trouble`, which says what is wrong and how to fix it.
 """
@@ -11,9 +11,10 @@ from collections.abc import Callable, Iterator
 from functools import partial
 
 from agent.radios.team_key import KeyFileError, read_key
+from agent.radios.transport import TransportError
 from deploy.field.connection import make_body, map_pose
 from deploy.field.listener import ENOUGH_MESSAGES, LISTEN_S, Listener, ReceivedTopic
-from deploy.field.robot_file import RobotFile
+from deploy.field.robot_file import RobotFile, radio_text
 from deploy.field.robot_plan import map_frame
 from protocol.nanoseconds import SECOND
 from protocol.ros2.graph import Graph
@@ -82,6 +83,7 @@ class RobotDoctor:
     def checks(self) -> Iterator[tuple[str, Callable[[], str]]]:
         """Return all checks by name, in the order in which they must be made."""
         yield "key", self.key
+        yield "radio", self.radio
         yield "start pose", self.start_pose
         yield "router", self.router
         yield "nodes", self.nodes
@@ -108,6 +110,14 @@ class RobotDoctor:
             raise Trouble(str(error)) from None
         return f"{self._file.key}, which only its owner can read"
 
+    def radio(self) -> str:
+        """Check that the interface or the port can be used; only `murmur robot` shows which teammates it receives."""
+        try:
+            self._settings.radio.check_transport()
+        except TransportError as error:
+            raise Trouble(str(error)) from None
+        return radio_text(self._settings)
+
     def start_pose(self) -> str:
         """Check that the robot's map frame lies on the team's grid."""
         x, y, degrees = self._names.map_pose
@@ -117,6 +127,8 @@ class RobotDoctor:
             raise Trouble(f"map_pose = {where} is outside of the grid", GRID)
         if self._names.map_pose == (0.0, 0.0, 0.0) and self._settings.robots > 1:
             return f"{where}; right for one robot of the team only, which starts at the origin of the common frame"
+        if _looks_like_radians(degrees):
+            return f"{where} in the common frame; map_pose is in degrees, but {degrees:g} looks like radians"
         return f"{where} in the common frame"
 
     def router(self) -> str:
@@ -247,12 +259,18 @@ class RobotDoctor:
         all_topics = self._graph.names(Kind.PUBLISHER).items()
         similar = [topic for topic, types in all_topics if received.type_name in types]
         if similar:
-            return Trouble(
-                f"nothing publishes {received.topic}", f"set ros2.{name} to one of: {', '.join(similar)}"
-            )
+            fix = f"set ros2.{name} to one of: {', '.join(similar)}{self._other_namespaces(name, similar)}"
+            return Trouble(f"nothing publishes {received.topic}", fix)
         return Trouble(
             f"nothing publishes {received.topic}", f"start the node that publishes it{ABSENT.get(name, '')}"
         )
+
+    def _other_namespaces(self, name: str, topics: list[str]) -> str:
+        """Return advice if topics have the right name in other namespaces; empty if none has."""
+        relative = f"/{getattr(self._names, name)}"
+        found = sorted(topic.removesuffix(relative)[1:] for topic in topics if topic.endswith(relative))
+        spaces = " or ".join(f'"{space}"' for space in found)
+        return f"; or, if all topics are missing, set ros2.namespace = {spaces}" if found else ""
 
     def _fitting(self, name: str, kind: Kind, type_name: str) -> list[EndpointToken]:
         """Return the endpoints of a topic or service that have this distribution's definition of its type."""
@@ -265,3 +283,9 @@ class RobotDoctor:
         if self._listener is None:
             raise SkippedError("no router answers")
         return self._listener
+
+
+def _looks_like_radians(angle: float) -> bool:
+    """Return whether an angle is a multiple of an eighth of a turn in radians, rounded to two digits or more."""
+    eighths = round(angle / (math.pi / 4))
+    return eighths != 0 and abs(angle - eighths * math.pi / 4) <= 0.006 and abs(angle) < 7

@@ -8,17 +8,18 @@ from agent.radios.sealing import Reason
 
 SEVERAL = 3
 """Frames dropped for a reason before it is explained: a radio may damage single ones."""
-MANY = 30
-"""The same for frames that were received twice: networks duplicate some."""
 
-_EQUAL = "robots, starts, map_encoding and its options, tolerance, and the size and resolution of [grid]"
+SEVERAL_REPLAYED = 10
+"""The same for frames that were received before: a network may repeat some."""
+
+_EQUAL = "the version of Murmur, robots, starts, map_encoding and its options, tolerance, and [grid]"
 
 ADVICE: Mapping[Reason, str] = {
     "unknown sender": "drops frames of robots beyond the size of its team, {robots}: all robots need the same `robots`",
     "own number": "drops frames of another robot with its own number, {robot}: give each robot of a team another "
     "`robot`, and each team a key of its own",
-    "replayed": "drops frames with numbers that it has received before. Two other robots have the same `robot` and "
-    "key: give each another `robot`, and each team a key of its own; or a session file was lost or restored: create a "
+    "replayed": "drops frames with numbers that it has received before: two other robots have the same `robot` and key, "
+    "so give each another `robot`, and each team a key of its own; or a session file was lost or restored, so create a "
     "new key; or a stranger sends recorded frames again, without effect",
     "not authentic": "drops frames that are not authentic: the sender has another key, or settings that differ from "
     f"this robot's. These must be equal: {_EQUAL}; with map_encoding scans or slam-toolbox, also the lasers",
@@ -36,9 +37,7 @@ class DropAdvice:
     def new(self, dropped: Mapping[str, int]) -> Iterator[str]:
         """Yield advice on frames that were dropped since the start, by reason (`PeerMedium.dropped`)."""
         for reason, text in ADVICE.items():
-            if (
-                dropped.get(reason, 0) >= (MANY if reason == "replayed" else SEVERAL)
-                and reason not in self._given
-            ):
+            several = SEVERAL_REPLAYED if reason == "replayed" else SEVERAL
+            if dropped.get(reason, 0) >= several and reason not in self._given:
                 self._given.add(reason)
                 yield text.format(robot=self._robot, robots=self._robots)

@@ -17,8 +17,9 @@ from agent.radios.team_key import read_key
 from agent.radios.transport import Transport, wait
 from agent.replication.control_packets import parse
 from deploy.field.dropped_frames import DropAdvice
+from deploy.field.range_report import RangeReport
 from deploy.field.robot_file import RobotFile
-from deploy.field.robot_plan import agent_settings, pose_guard, robot_setup
+from deploy.field.robot_plan import absent_s, agent_settings, common_values, pose_guard, robot_setup
 from deploy.field.ros2_robot import Ros2Robot
 from deploy.field.running import running
 from deploy.record.field_records import FieldRecorder
@@ -125,7 +126,7 @@ class Mission:
         try:
             self._field = FieldRobot(
                 agent, settings.radio, files, ros, transport, pose_guard(settings), time.monotonic_ns(),
-                say, self._end_step,
+                say, self._end_step, common_values(settings),
             )  # fmt: skip
         except JournalError as error:
             raise ValueError(
@@ -138,6 +139,8 @@ class Mission:
         self._step = 0
         self._drop_advice = DropAdvice(settings.robot, settings.robots)
         self._began = time.monotonic_ns()
+        timeout = settings.radio.timing().neighbor_timeout
+        self._range_report = RangeReport(settings.robots - 1, timeout, self._began)
         self._known_in_range: dict[int, int] = {}
         """Cells that this robot knew when each teammate was last in range."""
         self._worked_ns = time.process_time_ns()
@@ -218,6 +221,10 @@ class Mission:
             self._say(status)
         for advice in self._drop_advice.new(field.medium.dropped):
             self._say(advice)
+        if self._settings.robots > 1:
+            ended = field.medium.neighbors.ended()
+            for line in self._range_report.new(neighbors, ended, field.unsent, time.monotonic_ns()):
+                self._say(line)
         worked, self._worked_ns = self._worked_ns, time.process_time_ns()
         self._recorder.note(step, field, status, (self._worked_ns - worked) // 1000)
         self._publish(status)
@@ -235,8 +242,8 @@ class Mission:
         }
 
     def _absent(self) -> set[int]:
-        """Return the teammates that have not been received for `absent_s`, and are not waited for."""
-        since = time.monotonic_ns() - round(self._settings.absent_s * SECOND)
+        """Return the teammates that have not been received for a long time (`absent_s`), and are not waited for."""
+        since = time.monotonic_ns() - round(absent_s(self._settings) * SECOND)
         last = self._field.medium.neighbors.last
         return {robot for robot in self._teammates if (last(robot) or self._began) <= since}
 
@@ -252,7 +259,7 @@ class Mission:
         if not lacking:
             return EXPLORED
         names = ", ".join(map(str, lacking))
-        silence = f"robots not received for {self._settings.absent_s:g} s lack this robot's map: {names}"
+        silence = f"robots not received for {absent_s(self._settings):g} s lack this robot's map: {names}"
         return f"nothing is left to explore; {silence}"
 
     def _activity(self) -> str:

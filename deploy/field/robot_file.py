@@ -25,6 +25,7 @@ from deploy.scenario.tables import (
 )
 from deploy.scenario.toml_files import read_toml
 from protocol.grid import MAX_ROBOTS, MAX_SIDE
+from protocol.nanoseconds import SECOND
 from protocol.packets import MAX_GOSSIP_MAPS
 from protocol.range_scans import MAX_REACH_M
 from protocol.ros2.names import check_node, qualified
@@ -266,6 +267,21 @@ def source(settings: RobotSettings) -> str:
         return f"laser scans on {names.scan!r}, with poses from {names.tf!r}"
     reach = f"{settings.sensor_range:g} m (sensor_range)"
     return f"its own map on {names.map!r}, up to {reach} around its poses from {names.tf!r}, as scan is empty"
+
+
+def radio_text(settings: RobotSettings) -> str:
+    """Return what a robot's radio may send, and when a teammate is out of range, as text."""
+    radio = settings.radio
+    if radio.medium == "udp":
+        where = f"UDP on interface {radio.interface}, address {radio.address}, port {radio.udp_port}"
+    else:
+        where = f"modem at {radio.serial_port}, {radio.baud} baud"
+    limits = f"{radio.rate:,} bytes per second, frames of at most {radio.longest:,} bytes"
+    if radio.duty_cycle < 1:
+        full = 3600 * radio.duty_cycle * SECOND / radio.airtime(radio.longest)
+        limits += f", {100 * radio.duty_cycle:g} % of each hour (full frames: {full:.3g})"
+    timeout = radio.timing().neighbor_timeout / SECOND
+    return f"{where}; {limits}; teammates are out of range after {timeout:,.1f} s"
 
 
 def load_robot(path: Path) -> RobotFile:

@@ -10,6 +10,7 @@ from agent.pose_guard import JUMP_M, PoseGuard
 from agent.replication.policies import GOSSIP
 from agent.settings import MediumSettings, ReplicationSettings, Settings
 from deploy.field.robot_file import RobotSettings
+from deploy.record.code_digest import code_digest
 from deploy.record.field_records import RobotSetup, clock_id
 from protocol.body import Body
 from protocol.budget import Budget
@@ -63,6 +64,24 @@ def agent_settings(settings: RobotSettings, laser: Laser) -> Settings:
         has_own_map=not settings.ros2.scan,
         incarnations=settings.starts,
     )
+
+
+def absent_s(settings: RobotSettings) -> float:
+    """Return the seconds of silence after which a teammate is not waited for at the end.
+
+    On a slow radio, a teammate counts as in range for longer than `RobotSettings.absent_s`, and is waited for so long.
+    """
+    return max(settings.absent_s, settings.radio.timing().neighbor_timeout / SECOND)
+
+
+def common_values(settings: RobotSettings) -> tuple[float, float, str]:
+    """Return what teammates must have in common besides the settings of their control logic (`agent.field`).
+
+    These are the left and lower edge of the grid, in meters, and the digest of the code: with another grid, maps of
+    teammates would appear at a wrong place, and other code may decode them to wrong maps.
+    """
+    grid = settings.grid
+    return grid.x + 0.0, grid.y + 0.0, code_digest()  # + 0.0: without the sign of -0.0
 
 
 def robot_setup(settings: RobotSettings, started: Settings) -> RobotSetup:

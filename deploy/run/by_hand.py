@@ -21,12 +21,13 @@ from typing import Any
 from deploy.dashboard.process import ViewTask, serve
 from deploy.dashboard.windows import Window, free_port
 from deploy.record import run_directory
+from deploy.record.code_digest import code_digest
 from deploy.record.records import RecorderNode, Records
 from deploy.run.hosts import MOST_PORT
 from deploy.run.interrupt import Interrupt
 from deploy.run.launch import Outcome, attend
 from deploy.run.processes import WorldTask, relay, serve_agent, serve_world
-from deploy.run.remote_agents import code_digest
+from deploy.run.remote_agents import STARTERS
 from deploy.run.result import Result, conclude
 from deploy.scenario import plan as plans
 from deploy.scenario.errors import ScenarioError
@@ -97,7 +98,7 @@ def _check_new(folder: Path) -> None:
 
 def _hand_out(credentials: Mapping[str, Credential], folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
-    code = code_digest()
+    code = code_digest(STARTERS)
     for name, credential in credentials.items():
         replace(credential, code=code).write(folder / f"{name}.json")
 
@@ -247,7 +248,7 @@ def _read(path: Path) -> Credential:
 
 def _check_code(read: Credential, where: str) -> None:
     """Raise ScenarioError if the relay runs other code: messages could be misread, or the digest differ."""
-    here = code_digest()
+    here = code_digest(STARTERS)
     if read.code not in ("", here):
         raise ScenarioError(
             f"{where}: its relay runs other code of Murmur ({read.code}; here {here}): "

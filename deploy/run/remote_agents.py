@@ -10,8 +10,6 @@ credential is a router's, the robots that it names join through this router; mes
 
 from __future__ import annotations
 
-import hashlib
-import importlib.util
 import json
 import os
 import select
@@ -25,6 +23,7 @@ from typing import Any
 
 from setproctitle import setproctitle
 
+from deploy.record.code_digest import code_digest
 from deploy.record.versions import versions
 from deploy.scenario import plugins as plugin_checks
 from protocol import keys as names
@@ -38,32 +37,11 @@ MAX_LOG = 2**22
 """Maximum bytes of a robot's output that are forwarded."""
 _PIECE = MAX_LINE // 8
 """Bytes of output per message; as JSON, a byte may take six."""
-PACKAGES = ("agent", "protocol")
-"""Packages that determine the behavior of a robot."""
 STARTERS = (
     "deploy.run.remote_agents", "deploy.run.processes", "deploy.run.process_table", "deploy.run.fork_server",
     "netshaper.access", "netshaper.router",
 )  # fmt: skip
 """Modules that start a robot and authenticate it."""
-
-
-def code_digest() -> str:
-    """Return the digest of the code that a robot runs: robots with equal digests behave equally."""
-    files = [(name, _file_of(name)) for name in STARTERS]
-    for package in PACKAGES:
-        root = _file_of(package).parent
-        files += [(f"{package}/{path.relative_to(root).as_posix()}", path) for path in root.rglob("*.py")]
-    digest = hashlib.sha256()
-    for name, path in sorted(files):
-        digest.update(f"{name}\0".encode() + hashlib.sha256(path.read_bytes()).digest())
-    return digest.hexdigest()[:16]
-
-
-def _file_of(module: str) -> Path:
-    """Return the file of a module without importing it."""
-    spec = importlib.util.find_spec(module)
-    assert spec is not None and spec.origin is not None
-    return Path(spec.origin)
 
 
 def hello(plugins: Mapping[str, str]) -> dict[str, Any]:
@@ -75,7 +53,7 @@ def hello(plugins: Mapping[str, str]) -> dict[str, Any]:
     found = versions()
     digests, missing = plugin_checks.digests(plugins) if plugins else ({}, {})
     return {
-        "murmur": found.pop("murmur-robots"), "code": code_digest(), "versions": found, "plugins": digests,
+        "murmur": found.pop("murmur-robots"), "code": code_digest(STARTERS), "versions": found, "plugins": digests,
         "missing": missing,
     }  # fmt: skip
 

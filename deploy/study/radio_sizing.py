@@ -27,7 +27,7 @@ from deploy.study.progress import Report, counting
 from deploy.study.results import Results, open_results
 from deploy.study.runs import PLACE, Case, StudyRuns, cases, make
 from deploy.study.sizing import METRICS, MIN_MAP_ACCURACY, SEEDS, Requirements
-from deploy.study.statistics import Interval, interval
+from deploy.study.statistics import Interval, interval, share
 from deploy.study.sweep import as_text, of_settings
 from deploy.study.tables import has_finished, short
 from protocol.presets import UNKNOWN, Limit, preset
@@ -110,6 +110,11 @@ class RadioSizing(StudyRuns):
         obeying = [a.radio for a in limited if applied[a.radio] <= a.limit.duty_cycle]
         others = [a.radio for a in limited if a.radio not in obeying]
         sentences = [f"The smallest team of which all runs explore {self.goal}."]
+        if runs := min((a.runs for a in self.answers if a.is_enough), default=0):
+            low = 100 * share(runs, runs).low
+            sentences.append(
+                f"{runs} of {runs} runs mean at least {low:.0f} % of all runs, with 95 % confidence."
+            )
         if obeying:
             sentences.append(
                 f"Duty cycles keep the legal limit ({', '.join(obeying)}); --set radio.duty_cycle=1 switches them off."

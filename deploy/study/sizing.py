@@ -57,11 +57,14 @@ class Requirements:
         if not 0 <= accuracy <= 1:
             raise ScenarioError(f"min_map_accuracy = {shown(accuracy)}: must be a share from 0 to 1, as 0.95")
 
+    def accuracy(self, row: Row) -> float:
+        """Return the accuracy that counts in a run: that of the worst map, or of the first robot's."""
+        return row["worst_map_accuracy" if self.finish == "all" else "map_accuracy"] or 0.0
+
     def are_met(self, row: Row) -> bool:
         """Return whether a run meets them."""
-        accuracy = row["worst_map_accuracy" if self.finish == "all" else "map_accuracy"] or 0.0
         in_time = self.deadline is None or row["steps"] <= self.deadline
-        return has_finished(row) and in_time and accuracy >= self.min_map_accuracy
+        return has_finished(row) and in_time and self.accuracy(row) >= self.min_map_accuracy
 
     def __str__(self) -> str:
         whose = "each robot's map" if self.finish == "all" else "the first robot's map"
@@ -79,6 +82,8 @@ class Option(NamedTuple):
     """Share of its runs that met the requirements (Wilson); failed runs did not."""
     steps: Interval
     """Steps of the finished runs."""
+    worst_map: float | None
+    """Minimum over the finished runs of the accuracy that counts; None if no run has finished."""
 
     def __str__(self) -> str:
         robots = "1 robot" if self.robots == 1 else f"{self.robots} robots"
@@ -119,8 +124,10 @@ class Sizing:
             )
         best = min(self.options, key=lambda o: (-o.met.mean, not o.steps.n, o.steps.mean))
         runs = f"{round(best.met.mean * best.met.n)} of {best.met.n} runs"
-        time = f", in {best.time}" if best.steps.n else ""
-        return f"None of these teams always explores {building} {goal}; the best has {best}: {runs}{time}."
+        result = ""
+        if best.worst_map is not None:
+            result = f", in {best.time}; its worst map is {100 * best.worst_map:.1f} % correct"
+        return f"None of these teams always explores {building} {goal}; the best has {best}: {runs}{result}."
 
     @property
     def table(self) -> pl.DataFrame:
@@ -223,6 +230,8 @@ def _options(done: Sweep, requirements: Requirements) -> list[Option]:
         team = {key: cases[0].place[key] for key in KEYS}
         rows = [row for row in done.rows if team.items() <= row["place"].items()]
         met = sum(map(requirements.are_met, rows))
-        steps = interval([row["steps"] for row in rows if has_finished(row)])
-        options.append(Option(**team, met=share(met, len(cases)), steps=steps))
+        finished = [row for row in rows if has_finished(row)]
+        steps = interval([row["steps"] for row in finished])
+        worst = min(map(requirements.accuracy, finished), default=None)
+        options.append(Option(**team, met=share(met, len(cases)), steps=steps, worst_map=worst))
     return options

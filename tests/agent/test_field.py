@@ -181,6 +181,7 @@ def test_frames_of_robots_with_other_maps_do_not_open(tmp_path: Path) -> None:
     real = replace(settings.body, laser=Laser(4, 0, 49152, 8000))
     noisy = replace(settings, bodies=(real,) * settings.robots)
     assert team_context(noisy) != team_context(settings)
+    assert len({team_context(settings, common) for common in ((), (0.0,), (0.5,), (0.5, "code"))}) == 4
     robot.medium.receive(Sealer(KEY, 1, 1, team_context(other)).seal(b""), 0)
     robot.medium.receive(Sealer(KEY, 1, 1, team_context(settings)).seal(b""), 0)
     assert robot.medium.dropped == {"not authentic": 1}

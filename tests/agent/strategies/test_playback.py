@@ -3,6 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from agent.replication.delivery import MAX_ROUND_TRIP, Acks
+from agent.replication.peers import PeerTable
 from agent.settings import EncodingSettings, ReplicationSettings, Settings
 from agent.strategies.base import Decision, Situation
 from agent.strategies.playback import PATIENCE, Playback
@@ -41,6 +43,12 @@ def test_a_robot_without_teammates_in_range_is_not_done() -> None:
 def test_a_robot_gives_up_after_many_steps_without_a_delivery(backlog: int, peers: tuple[int, ...]) -> None:
     found = decisions(*[(5, backlog)] * (PATIENCE + 1), peers=peers)
     assert [each.stalled for each in found] == [False] * PATIENCE + [True]
+
+
+def test_a_robot_gives_up_later_than_the_longest_retransmission_timeout() -> None:
+    acks = Acks(PeerTable(0, 8, 8), reliable=False)
+    acks.begin_step(budget=50)
+    assert 2 * MAX_ROUND_TRIP + acks.interval < PATIENCE
 
 
 def test_a_robot_neither_drives_nor_has_a_target() -> None:

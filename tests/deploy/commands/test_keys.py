@@ -33,7 +33,7 @@ def test_certificates_are_written_once(tmp_path: Path) -> None:
     assert f"13 files in {folder}, for a hub at hub.example, 10.0.0.1; valid for 30 days." in output
     again = murmur("keys", str(folder))
     assert again.exit_code == 2
-    assert "authority.pem: File exists" in again.stderr
+    assert "authority.pem already exists, and is kept; name a new directory" in again.stderr
 
 
 def test_an_address_with_a_port_is_refused(tmp_path: Path) -> None:

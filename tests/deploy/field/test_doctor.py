@@ -11,6 +11,8 @@ import pytest
 
 from agent.radios.team_key import create_key
 from deploy.field import connection, listener
+from deploy.field.doctor import RobotDoctor, Trouble
+from deploy.field.robot_file import RobotFile, RobotSettings
 from protocol.ros2.messages import LASER_SCAN, POSE_STAMPED
 from protocol.ros2.node import Ros2Node
 from protocol.ros2.qos import DEFAULT, SENSOR
@@ -22,7 +24,20 @@ from tests.deploy.field.ros_house_node import RosHouseNode
 
 SECOND = 10**9
 AT_ORIGIN = Pose(0.0, 0.0, 0.0)
-ALL = ["key", "start pose", "router", "nodes", "tf", "tf_static", "scan", "map", "frames", "clocks", "goals"]
+ALL = [
+    "key",
+    "radio",
+    "start pose",
+    "router",
+    "nodes",
+    "tf",
+    "tf_static",
+    "scan",
+    "map",
+    "frames",
+    "clocks",
+    "goals",
+]
 
 
 @pytest.fixture(autouse=True)
@@ -97,7 +112,38 @@ def test_without_a_router_the_other_checks_are_skipped(
         "failed no Zenoh router answers at tcp/127.0.0.1:9 "
         "[fix: start it with: ros2 run rmw_zenoh_cpp rmw_zenohd; or set ros2.router]"
     )
-    assert all(findings[name] == "skipped no router answers" for name in ALL[3:])
+    assert all(findings[name] == "skipped no router answers" for name in ALL[4:])
+
+
+@pytest.mark.parametrize(
+    ("radio", "problem"),
+    [
+        ({"medium": "udp", "interface": "wlan-9"}, "interface 'wlan-9' does not exist; there are: "),
+        (
+            {"medium": "serial", "serial_port": "/dev/none", "preset": "lora-sf9"},
+            "port /dev/none: No such file or directory",
+        ),
+        (
+            {"medium": "serial", "serial_port": "/etc/passwd", "preset": "lora-sf9"},
+            "port /etc/passwd is no serial port",
+        ),
+    ],
+)
+def test_a_radio_that_cannot_be_used_is_found(radio: dict[str, Any], problem: str, tmp_path: Path) -> None:
+    doctor = RobotDoctor(RobotFile(RobotSettings(**settings() | {"radio": radio}), tmp_path))
+    with pytest.raises(Trouble, match=f"^{problem}"):
+        doctor.radio()
+
+
+@pytest.mark.parametrize(
+    ("angle", "warns"),
+    [(1.57, True), (-3.1416, True), (0.79, True), (0.0, False), (90.0, False), (2.0, False)],
+)
+def test_a_heading_in_radians_is_pointed_out(angle: float, warns: bool, tmp_path: Path) -> None:
+    data = settings(robots=2)
+    data["ros2"]["map_pose"] = [1.0, 0.0, angle]
+    doctor = RobotDoctor(RobotFile(RobotSettings(**data), tmp_path))
+    assert doctor.start_pose().endswith("looks like radians") == warns
 
 
 @pytest.mark.parametrize(
@@ -110,6 +156,13 @@ def test_without_a_router_the_other_checks_are_skipped(
                 "scan": "nothing publishes /r0/lidar [fix: set ros2.scan to one of: /r0/scan]",
                 "map": "nothing publishes /r0/plan [fix: set ros2.map to one of: /r0/map]",
                 "goals": "no node takes goals over navigate_to_pose or target [fix: start nav2, or set ros2.",
+            },
+        ),
+        (
+            {"namespace": "r1"},
+            {
+                "scan": "nothing publishes /r1/scan [fix: set ros2.scan to one of: /r0/scan; or, if all topics are "
+                'missing, set ros2.namespace = "r0"]',
             },
         ),
         (

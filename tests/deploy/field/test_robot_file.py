@@ -238,6 +238,27 @@ def test_the_check_says_what_the_robots_map_is_made_of(scan: str, source: str, t
 
 
 @pytest.mark.parametrize(
+    ("radio", "text"),
+    [
+        (
+            {"medium": "udp", "interface": "lo"},
+            "UDP on interface lo, address 239.77.85.82, port 7785; 116,822 bytes per second, frames of at most "
+            "1,400 bytes; teammates are out of range after 32.0 s",
+        ),
+        (
+            {"medium": "serial", "serial_port": "/dev/ttyUSB0", "preset": "lora-sf9", "duty_cycle": 0.01},
+            "modem at /dev/ttyUSB0, 57600 baud; 169 bytes per second, frames of at most 115 bytes, 1 % of each hour "
+            "(full frames: 53.2); teammates are out of range after 229.8 s",
+        ),
+    ],
+)
+def test_the_check_says_what_the_radio_may_send(radio: dict[str, Any], text: str, tmp_path: Path) -> None:
+    file = write(tmp_path, settings() | {"radio": radio})
+    assert murmur("keys", "--team-key", str(tmp_path / "team.key")).exit_code == 0
+    assert murmur("robot", "--check", str(file)).stdout.splitlines()[2] == f"radio: {text}"
+
+
+@pytest.mark.parametrize(
     "router",
     [
         "tcp/[::1]:7447",

@@ -204,6 +204,7 @@ def test_all_robots_must_finish_with_an_accurate_map_unless_the_first_is_enough(
     first, each = (size("office", finish=finish, **tried, **alone, **QUIET) for finish in ("first", "all"))
     assert first.enough is not None
     assert each.enough is None
+    assert each.sentence.endswith("; its worst map is 90.0 % correct.")
 
 
 def test_the_shortest_range_of_a_finished_run_is_named() -> None:
