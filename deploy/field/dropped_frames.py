@@ -18,9 +18,9 @@ ADVICE: Mapping[Reason, str] = {
     "unknown sender": "drops frames of robots beyond the size of its team, {robots}: all robots need the same `robots`",
     "own number": "drops frames of another robot with its own number, {robot}: give each robot of a team another "
     "`robot`, and each team a key of its own",
-    "replayed": "drops frames with numbers that it has received before: two other robots have the same `robot` and key, "
-    "so give each another `robot`, and each team a key of its own; or a session file was lost or restored, so create a "
-    "new key; or a stranger sends recorded frames again, without effect",
+    "replayed": "drops frames with numbers that it has received before: two other robots have the same `robot` and "
+    "key, so give each another `robot`, and each team a key of its own; or a session file was lost or restored, so "
+    "create a new key; or a stranger sends recorded frames again, without effect",
     "not authentic": "drops frames that are not authentic: the sender has another key, or settings that differ from "
     f"this robot's. These must be equal: {_EQUAL}; with map_encoding scans or slam-toolbox, also the lasers",
 }
