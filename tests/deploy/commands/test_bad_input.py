@@ -125,7 +125,9 @@ def contents(folder: Path) -> dict[str, int]:
 
 
 EXPLORE = {
-    "--map missing.yaml": "missing.yaml: cannot be read (No such file or directory); give a map_server YAML file",
+    "--map missing.yaml": "missing.yaml: no such file, neither here nor in the directory that the environment",
+    "--map missing.png --resolution 0.1": "missing.png: no such file, neither here nor in",
+    "--map small": "unknown map 'small'; did you mean the file small.yaml?",
     "--map broken.yaml": "broken.yaml: is not YAML",
     "--map list.yaml": "list.yaml: contains no `key: value` lines; a map_server YAML file names image, resolution",
     "--map no-resolution.yaml": "no-resolution.yaml: resolution is missing",
@@ -253,7 +255,7 @@ OTHERS = {
     "map make caves --option rooms=3": "caves has no parameter 'rooms'; it has width_m, height_m",
     "map show caves --option clutter": "option = 'clutter': must be NAME=VALUE, as width_m=60",
     "map show caves --option seed=3": "option = 'seed=...': use --seed",
-    "map show missing.yaml": "missing.yaml: cannot be read",
+    "map show missing.yaml": "missing.yaml: no such file",
     "map show em --png nowhere/em.png": "png = nowhere/em.png: no such folder: nowhere",
     "map show em --png em.xyz": "png = em.xyz: must end in .png",
     "new strategy numpy": "name = 'numpy': would hide the Python module of this name",
