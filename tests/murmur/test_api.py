@@ -158,3 +158,5 @@ def test_a_file_of_a_strategy_is_told_how_its_class_is_named() -> None:
         ScenarioError, match=r"farthest\.py is a file: give the strategy in it as farthest:Class"
     ):
         Scenario(strategy="farthest.py")
+    with pytest.raises(ScenarioError, match=r"give the module without \.py, as farthest:Farthest"):
+        Scenario(strategy="farthest.py:Farthest")
