@@ -161,7 +161,7 @@ EXPLORE = {
     "--robots 0": "robots = 0: must be greater than or equal to 1",
     "--robots 65 --map-encoding polygons": "robots = 65: packets can address the maps of 64 robots",
     "--robots three": "Invalid value for '--robots'",
-    "--robots 30 --map small.yaml": "30 robots do not fit: 16 free cells lie 3 cells apart",
+    "--robots 30 --map small.yaml": "16 free cells lie 3 cells apart around (3, 6); name fewer robots, or a smaller",
     "--strategy best": "no strategy is called 'best'; there are: burgard,",
     "robots=3": "no such file, and no shipped scenario",
     "--strategy agent.strategies.meier:Meyer": "agent.strategies.meier has no Meyer; did you mean Meier?",
