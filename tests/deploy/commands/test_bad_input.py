@@ -256,6 +256,7 @@ OTHERS = {
     "map show caves --option clutter": "option = 'clutter': must be NAME=VALUE, as width_m=60",
     "map show caves --option seed=3": "option = 'seed=...': use --seed",
     "map show missing.yaml": "missing.yaml: no such file",
+    "merge file file --out joined": "file: is a file; name record directories of robots in the field (docs/",
     "map show em --png nowhere/em.png": "png = nowhere/em.png: no such folder: nowhere",
     "map show em --png em.xyz": "png = em.xyz: must end in .png",
     "new strategy numpy": "name = 'numpy': would hide the Python module of this name",
