@@ -34,7 +34,7 @@ from agent.team_state import TeamState
 from protocol import packet_codec, packet_index
 from protocol.body import narrowest_opening
 from protocol.cell_bytes import cells_to_bytes, points_to_bytes
-from protocol.errors import ProtocolError
+from protocol.errors import ProtocolError, shown
 from protocol.grid import Grid
 from protocol.message_fields import MAX_WAY_CELLS
 from protocol.messages import Move, RoundReport, Sense
@@ -212,7 +212,12 @@ class Robot:
         """
         if situation is None:
             situation = self.assess()
-        decision = self._completion.review(self.strategy.decide(situation), situation)
+        decided = self.strategy.decide(situation)
+        if not isinstance(decided, Decision):
+            raise TypeError(
+                f"strategy {self.strategy.name}: decide must return a Decision; it returned {shown(decided)}"
+            )
+        decision = self._completion.review(decided, situation)
         self._apply(decision)
         return Move(
             situation.step,

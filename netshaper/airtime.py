@@ -29,8 +29,9 @@ class BroadcastShare:
 
     The budget of a step is divided equally among the maps of all robots and the broadcasts. The first broadcast of a
     step may exceed this share, or none would fit into a narrow one. If it takes more than the part `BROADCAST_PART` of
-    the budget, the next steps pay for it: maps go first until then. States of teammates that a robot relays in its
-    broadcast are not paid for, since they would be too old later.
+    the budget, the next steps pay for it: maps go first until then. They also pay for what a step leaves of its budget
+    because no packet of a map fits beside broadcasts. States of teammates that a robot relays in its broadcast are not
+    paid for, since they would be too old later.
     """
 
     def __init__(self) -> None:
@@ -58,6 +59,10 @@ class BroadcastShare:
         """Record that broadcasts took `size` bytes."""
         self._left -= min(size, Pose.size + Target.size)
         self._share -= size
+
+    def book_unused(self, size: int) -> None:
+        """Record that a step left `size` bytes of its budget because no packet of a map fitted beside broadcasts."""
+        self._left -= size
 
 
 class Shares:

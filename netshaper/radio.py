@@ -337,6 +337,7 @@ class Radio:
         """Put all frames on the air, deliver those that have arrived by now, and report to their senders."""
         broadcasts, frames = self._admit(NEWS)
         waiting = self._send_broadcasts(broadcasts)
+        before = self._medium.carried
         reports: defaultdict[int, list[messages.SendReport]] = defaultdict(list)
         for frame in self._by_priority(frames):
             sender, receiver = frame.sender, frame.receiver
@@ -344,12 +345,25 @@ class Radio:
             sent = self._medium.carry(frame, receivers)
             self._shares.book(sender, sent)
             reports[sender].append(messages.SendReport(frame.position, sent))
+        if broadcasts and before and self._medium.carried == before:
+            self._pay_unused(frames)
         self._send_waiting(waiting)
         arrived = self._deliver_broadcasts()
         self._report({}, reports, arrived)
         self._next_round(
             busy=bool(arrived) or any(report.sent for mine in reports.values() for report in mine)
         )
+
+    def _pay_unused(self, frames: Sequence[Frame]) -> None:
+        """Let broadcasts pay for the rest of a budget that none of these frames could use.
+
+        That is so if a packet of them would have fitted before the broadcasts.
+        """
+        medium, budget = self._medium, self.settings.budget
+        rooms = ((budget.least(medium.airtime.own(frame.sender)), frame) for frame in frames)
+        tail = self.settings.checksum_bytes
+        if any(room.fits(frame.content.packets.sizes[0] + tail) for room, frame in rooms):
+            self._shares.broadcasts.book_unused(budget.minus(medium.carried).limit or 0)
 
     def _by_priority(self, frames: list[Frame]) -> list[Frame]:
         """Put frames into the order in which they go on the air: acknowledgments first, then by rank."""

@@ -182,6 +182,8 @@ class Plugins(Generic[Part]):
         where = f"{self.kind} {name!r}"
         if not module_name or not part_name:
             raise ValueError(f"{where}: must be package.module:{self._example}")
+        if module_name.endswith(".py"):
+            raise ValueError(f"{where}: give the module without .py, as {Path(module_name).stem}:{part_name}")
         _import_from_here()
         try:
             module = importlib.import_module(module_name)

@@ -54,7 +54,8 @@ def start_cells(
                 queue.append((nx, ny))
     if len(chosen) < robots:
         raise ValueError(
-            f"{robots} robots do not fit: {len(chosen)} free cells lie {spacing} cells apart around {first}"
+            f"{robots} robots do not fit: {len(chosen)} free cells lie {spacing} cells apart around {first}; name "
+            "fewer robots, or a smaller start_spacing or radius"
         )
     return chosen
 

@@ -31,6 +31,7 @@ from agent.strategies.base import Cell, Decision, Situation, Strategy
 from agent.strategies.homing import Homing
 from agent.strategies.options import option
 from protocol.arrays import Cells
+from protocol.errors import shown
 
 REPLANNING = ("at-goal", "at-once", "after-turn")
 """When a robot chooses a new target. ``at-goal``: at its target. ``at-once``: as soon as its target is no frontier any
@@ -248,7 +249,12 @@ class TargetStrategy(Strategy):
         chosen = self.choose(situation, goals, planner) if len(goals) else None
         if chosen is None:
             return None, len(goals) > 0
-        x, y = map(int, chosen)
+        try:
+            x, y = map(int, chosen)
+        except (TypeError, ValueError):
+            raise TypeError(
+                f"strategy {self.name}: choose must return a goal (x, y), or None; it returned {shown(chosen)}"
+            ) from None
         if not ((goals[:, 0] == x) & (goals[:, 1] == y)).any():
             raise ValueError(f"strategy {self.name} chose {x, y}, which is not one of its goals")
         return (x, y), True

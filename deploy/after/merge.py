@@ -125,6 +125,11 @@ def merge(folders: Sequence[Path | str], out: Path | str, *, view: bool = False)
 
 def starts_in(folder: Path) -> list[Path]:
     """Return the directories of all starts in the record directory of a robot, or the one that is a start itself."""
+    if folder.is_file():
+        raise ValueError(
+            f"{folder}: is a file; name record directories of robots in the field (docs/experiments.md tells how to "
+            "join tables of runs)"
+        )
     found = sorted(folder.glob(START), key=lambda each: (len(each.name), each.name))
     return found or [folder]
 

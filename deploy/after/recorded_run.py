@@ -1,4 +1,4 @@
-"""A finished run, read from its directory into Python: its summary and its tables."""
+"""A finished run, read from its directory into Python: its summary, tables, and maps."""
 
 from __future__ import annotations
 
@@ -10,6 +10,9 @@ from typing import TYPE_CHECKING, Any
 from deploy.after.archive import read
 from deploy.record.pandas_tables import to_pandas
 from deploy.record.run_directory import LEDGER, STEPS
+from deploy.scenario.plan import Plan
+from protocol.grid import Grid
+from worldsim.maps import load
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -23,6 +26,8 @@ class RecordedRun:
     directory: Path
     summary: dict[str, Any]
     """The figures of ``summary.json``."""
+    plan: Plan
+    """The plan of the run, derived from its scenario."""
 
     @cached_property
     def steps(self) -> pl.DataFrame:
@@ -33,6 +38,16 @@ class RecordedRun:
     def ledger(self) -> pl.DataFrame:
         """One row per frame and packet kind (``ledger.parquet``)."""
         return _frame(self.directory / LEDGER)
+
+    @cached_property
+    def maps(self) -> dict[str | int, Grid]:
+        """The maps at the end by name and robot, as `Result.maps`, from ``team.yaml`` and ``planning-rN.yaml``."""
+        named: dict[str | int, Grid] = {"truth": self.plan.map.cells} if self.plan.has_truth else {}
+        files = {"team": "team.yaml"} | {
+            robot: f"planning-r{robot}.yaml" for robot in range(self.plan.scenario.robots)
+        }
+        paths = {name: self.directory / file for name, file in files.items()}
+        return named | {name: load(path).cells for name, path in paths.items() if path.exists()}
 
     def to_pandas(self) -> dict[str, pd.DataFrame]:
         """Return the tables as pandas frames, as `Result.to_pandas` does."""
@@ -49,7 +64,7 @@ class RecordedRun:
 
 
 def read_run(directory: Path | str) -> RecordedRun:
-    """Read a run directory: its summary, and its tables as polars or pandas frames.
+    """Read a run directory: its summary, its tables as polars or pandas frames, and its maps as arrays.
 
     Parameters
     ----------
@@ -62,7 +77,7 @@ def read_run(directory: Path | str) -> RecordedRun:
         It is not a run directory, or a table is missing or damaged.
     """
     archive = read(Path(directory))
-    return RecordedRun(archive.directory, archive.summary)
+    return RecordedRun(archive.directory, archive.summary, archive.plan)
 
 
 def _frame(path: Path) -> pl.DataFrame:

@@ -117,7 +117,9 @@ def _sweep_settings(texts: list[str], seeds: int | None, test_seeds: int | None)
 @app.command(cls=GroupedCommand)
 @figure_flags
 def reproduce(
-    claim: Annotated[list[str] | None, argument("CLAIM...", "as B1 M4 (default: all 24)")] = None,
+    claim: Annotated[
+        list[str] | None, argument("CLAIM...", "as B1 M4, or files with a claim (default: all 24)")
+    ] = None,
     quick: Annotated[bool, switch("--quick", "fewer seeds and smaller grids")] = False,
     seeds: SeedsOption = None,
     jobs: JobsOption = None,

@@ -22,6 +22,10 @@ def find_map(name: str, seed: int, options: Mapping[str, float]) -> Map:
 
     Raises MapError if the map does not exist or cannot be read, or an option is unknown or missing.
     """
+    if name.endswith(FILES) and not Path(located(name)).exists():
+        raise MapError(
+            f"{name}: no such file, neither here nor in the directory that the environment variable MURMUR_MAPS names"
+        )
     if name.endswith(IMAGES):
         return maps.load_picture(located(name), **_image_options(name, options))
     if name.endswith(FILES) or Path(name).is_file():
@@ -37,6 +41,9 @@ def find_map(name: str, seed: int, options: Mapping[str, float]) -> Map:
     if Path(name).is_dir() and name not in generators.names():
         raise MapError(f"map = {name!r}: is a directory; give the YAML file of a map in it")
     if name not in generators.names():
+        for extension in FILES:
+            if Path(located(name + extension)).is_file():
+                raise MapError(f"unknown map {name!r}; did you mean the file {name}{extension}?")
         raise MapError(
             f"unknown map {name!r}; {there_are(generators.names(), name)}; or give the YAML file of a map, or an "
             "image and --resolution"

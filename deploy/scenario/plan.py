@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
+import numpy as np
+
 from agent.replication.policies import GOSSIP
 from agent.settings import MediumSettings, ReplicationSettings, Settings
 from agent.strategies.registry import strategy
@@ -22,12 +24,12 @@ from protocol import faults
 from protocol.body import Body, narrowest_opening
 from protocol.budget import Budget
 from protocol.errors import shown
-from protocol.grid import FREE, Cell, Mask, enlarge
+from protocol.grid import FREE, Cell, Grid, Mask, enlarge
 from worldsim.base import BaseWorld
-from worldsim.maps import Map, MapError, to_cell
+from worldsim.maps import Map, MapError, to_cell, to_world
 from worldsim.people import PeopleSettings
 from worldsim.recorded.world import RecordedWorld
-from worldsim.starts import check_free, jittered, start_cells
+from worldsim.starts import jittered, start_cells
 from worldsim.world import World, WorldSettings
 
 
@@ -216,11 +218,10 @@ def _starts(scenario: Scenario, world_map: Map, radii_cells: list[float]) -> lis
     jitter = scenario.start_jitter / world_map.resolution
     given: list[Cell] = []
     try:
-        first = None if scenario.start is None else _cell(world_map, scenario.start)
+        first = None if scenario.start is None else _start_cell(world_map, floor, scenario.start)
         for robot, point in enumerate(scenario.starts[: scenario.robots]):
             own_floor = enlarge(world_map.cells, radii_cells[robot])
-            cell = _cell(world_map, point)
-            check_free(own_floor, cell)
+            cell = _start_cell(world_map, own_floor, point)
             if jitter:
                 near = max(1, math.ceil(radii_cells[robot] + max(radii_cells[:robot], default=0.0)))
                 cell = jittered(own_floor, cell, jitter, scenario.seed, robot, given, near)
@@ -233,14 +234,38 @@ def _starts(scenario: Scenario, world_map: Map, radii_cells: list[float]) -> lis
             wide = narrowest_opening(max(radii_cells), world_map.resolution) - math.ceil(2 * max(radii_cells))
         return start_cells(floor, scenario.robots, scenario.seed, spacing, first, given, wide=wide)
     except ValueError as error:
-        is_drawn = scenario.start is None and not scenario.starts
-        hint = "" if is_drawn else f"; murmur map show {scenario.map} shows free cells"
-        raise ScenarioError(f"start on map {world_map.name}: {error}{hint}") from None
+        raise ScenarioError(f"start on map {world_map.name}: {error}") from None
 
 
-def _cell(world_map: Map, point: tuple[float, float]) -> Cell:
-    x, y = to_cell(world_map, *point)
-    return round(x), round(y)
+def _start_cell(world_map: Map, floor: Grid, point: tuple[float, float]) -> Cell:
+    """Return the cell of a start position in meters.
+
+    `floor` is the map for the center of the robot. Raises ValueError, in meters, if the position is outside the map, or
+    its cell is not free.
+    """
+    height, width = floor.shape
+    left, bottom = to_world(world_map, -0.5, height - 0.5)
+    right, top = to_world(world_map, width - 0.5, -0.5)
+    if not (left <= point[0] <= right and bottom <= point[1] <= top):
+        raise ValueError(
+            f"{_meters(*point)} is outside the map, which extends from {_meters(left, bottom)} to "
+            f"{_meters(right, top)} (meters)"
+        )
+    column, row = map(round, to_cell(world_map, *point))
+    x, y = min(max(column, 0), width - 1), min(max(row, 0), height - 1)
+    if floor[y, x] != FREE:
+        rows, columns = np.nonzero(floor == FREE)
+        hint = ""
+        if len(rows):
+            nearest = int(np.argmin((columns - x) ** 2 + (rows - y) ** 2))
+            hint = f"; the nearest free point is {_meters(*to_world(world_map, columns[nearest], rows[nearest]))}"
+        raise ValueError(f"{_meters(*point)} is not free: robots cannot start there{hint}")
+    return x, y
+
+
+def _meters(x: float, y: float) -> str:
+    """Write a position as ``--start`` takes it."""
+    return f"{round(x, 3):g},{round(y, 3):g}"
 
 
 def _check_apart(scenario: Scenario, given: list[Cell], radii_cells: list[float]) -> None:

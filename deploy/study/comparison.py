@@ -195,10 +195,15 @@ def _sentence(metric: str, finding: Finding) -> str:
     effect = finding.effect
     if not effect.n:
         return f"{one} and {other}: no pair of runs to compare"
-    bounds = "" if effect.low != effect.low else f" [{effect.low:.2f}, {effect.high:.2f}]"
+    bounds = "" if effect.low != effect.low else f" [{_ratio(effect.low)}, {_ratio(effect.high)}]"
     excluded = f", {finding.left_out} excluded as unfinished or 0" if finding.left_out else ""
     pairs = f"{effect.n} pairs{excluded}"
-    text = f"{effect.mean:.2f}{bounds} times the {metric} of {other} (p = {finding.p:.3g}, {pairs})"
+    text = f"{_ratio(effect.mean)}{bounds} times the {metric} of {other} (p = {finding.p:.3g}, {pairs})"
     if finding.verdict == UNDECIDED:
         return f"{one} and {other} have no significant difference: {one} has {text}"
     return f"{one} has {'less' if finding.verdict == HOLDS else 'more'} than {other}: {text}"
+
+
+def _ratio(value: float) -> str:
+    """A ratio with two decimals; below 0.1, with two significant digits."""
+    return f"{value:.2f}" if value >= 0.1 else f"{value:.2g}"

@@ -76,12 +76,23 @@ class Reproduction:
 
 
 def requested(names: Sequence[str], *, quick: bool, settings: dict[str, Any]) -> dict[str, list[Experiment]]:
-    """The experiments of some claims (default: all) by claim; ScenarioError for an unknown claim."""
+    """The experiments of some claims (default: all) by claim, and those of files with a claim by file.
+
+    ScenarioError for an unknown claim, or a file without one.
+    """
+    files = [name for name in names if name.endswith(".toml")]
     for name in names:
-        if name.upper() not in CLAIMS:
-            raise ScenarioError(f"no claim is called {name!r}; {there_are(CLAIMS, name)}")
+        if name.upper() not in CLAIMS and name not in files:
+            raise ScenarioError(
+                f"no claim is called {name!r}; {there_are(CLAIMS, name)}; or give a file with a claim"
+            )
     wanted = [name for name in CLAIMS if name in {each.upper() for each in names} or not names]
     found: dict[str, list[Experiment]] = {name: [] for name in wanted}
+    for name in files:
+        own = experiments.read(Path(name))
+        if own.claim is None:
+            raise ScenarioError(f"experiment {name} has no table [claim]; murmur sweep {name} runs it")
+        found[name] = [experiments.override(experiments.quickened(own) if quick else own, settings)]
     for path in sorted(SHIPPED.glob("*.toml")):
         experiment = experiments.read(path)
         claim = experiment.claim.id if experiment.claim is not None else None

@@ -102,6 +102,8 @@ def test_a_run_directory_gives_the_frames_of_its_result(tmp_path: Path) -> None:
     assert run.summary["digest"] == result.summary["digest"]
     assert run.steps.drop("work_us").equals(result.steps.drop("work_us"))
     assert run.ledger.equals(result.ledger)
+    assert list(run.maps) == list(result.maps)
+    assert all((run.maps[name] == grid).all() for name, grid in result.maps.items())
     for name, table in run.to_pandas().items():
         pandas.testing.assert_frame_equal(table, result.to_pandas()[name])
     with pytest.raises(ScenarioError, match=r"not a run directory: scenario\.toml is missing"):
@@ -158,3 +160,5 @@ def test_a_file_of_a_strategy_is_told_how_its_class_is_named() -> None:
         ScenarioError, match=r"farthest\.py is a file: give the strategy in it as farthest:Class"
     ):
         Scenario(strategy="farthest.py")
+    with pytest.raises(ScenarioError, match=r"give the module without \.py, as farthest:Farthest"):
+        Scenario(strategy="farthest.py:Farthest")

@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -112,27 +113,52 @@ def test_targets_leave_most_of_a_narrow_medium_to_news() -> None:
     assert carried["bytes"][carried["frame"] == NEWS].sum() == 40
 
 
-def broadcast_bytes(robots: int, budget: int, broadcast: bytes, steps: int, *, left: int = 2) -> list[int]:
-    """Return the bytes of broadcasts carried in each step, if robots always have one, and news that leave `left`."""
-    sending = {n: Sends(n, broadcast, entry(min(budget - 2 - left, 63))) for n in range(robots)}
+def broadcast_bytes(
+    robots: int, budget: int, broadcast: bytes, steps: int, *, left: int, has_short: bool = False
+) -> list[int]:
+    """Return the bytes of broadcasts carried in each step, if robots always have one, and news that leave `left`.
+
+    `has_short`: robot 0 has news of 3 bytes instead, of a lower priority.
+    """
+    long = entry(min(budget - 2 - left, 63))
+    sending = {n: Sends(n, broadcast, long, priority=1) for n in range(robots)}
+    if has_short:
+        sending[0] = Sends(0, broadcast, entry(1))
     network = Network(RadioSettings(robots, 0, math.inf, Budget(budget), 1, gossip=True), sending)
     cells = {number: (number, 0) for number in range(robots)}
     every = [network.step(step, cells).rows for step in range(1, steps + 1)]
     return [int(rows["bytes"][(rows["carried"] == 1) & (rows["frame"] == BROADCAST)].sum()) for rows in every]
 
 
+POSE = encode([packets.Pose(1, 2, 0)])
 POSE_AND_TARGET = encode([packets.Pose(1, 2, 0), Target(3, 4)])
 
 
-@given(st.integers(2, 12), st.integers(10, 41), st.sampled_from([POSE_AND_TARGET, encode([Target(3, 4)])]))
+def share_of_broadcasts(robots: int, budget: int) -> int:
+    return max(budget // BROADCAST_PART, budget // (robots + 1), 1)
+
+
+@given(
+    st.integers(2, 12), st.integers(10, 41), st.sampled_from([POSE_AND_TARGET, POSE, encode([Target(3, 4)])])
+)
 def test_poses_and_targets_take_a_sixth_of_a_narrow_budget_or_the_share_of_one_robot(
     robots: int, budget: int, broadcast: bytes
 ) -> None:
-    carried = broadcast_bytes(robots, budget, broadcast, 24)
-    share = max(budget // BROADCAST_PART, budget // (robots + 1), 1)
+    carried = broadcast_bytes(robots, budget, broadcast, 24, left=2, has_short=True)
+    share = share_of_broadcasts(robots, budget)
     assert max(carried) > 0
     assert sum(carried) <= 24 * share + len(broadcast)
     assert sum(carried) >= 24 * min(share, len(broadcast)) - share - len(broadcast)
+
+
+@given(st.integers(2, 12), st.integers(14, 41), st.sampled_from([POSE_AND_TARGET, POSE]))
+def test_poses_beside_which_no_news_fit_pay_for_the_whole_budget(
+    robots: int, budget: int, broadcast: bytes
+) -> None:
+    """Robots always have a pose, and news that leave three bytes: they exclude each other."""
+    carried = broadcast_bytes(robots, budget, broadcast, 60, left=3)
+    steps = 60 * share_of_broadcasts(robots, budget) / budget
+    assert steps - 1 <= np.count_nonzero(carried) <= steps + 1
 
 
 @given(st.integers(2, 12), st.integers(10, 17))
@@ -142,7 +168,7 @@ def test_a_target_that_waits_uses_what_news_leave(robots: int, budget: int) -> N
 
 @given(st.integers(2, 12), st.integers(42, 200))
 def test_a_wide_medium_carries_a_pose_and_a_target_in_each_step(robots: int, budget: int) -> None:
-    carried = broadcast_bytes(robots, budget, POSE_AND_TARGET, 8)
+    carried = broadcast_bytes(robots, budget, POSE_AND_TARGET, 8, left=2, has_short=True)
     size = len(POSE_AND_TARGET)
     frames = min(robots, max(1, budget // (robots + 1) // size))
     assert carried == 8 * [frames * size]

@@ -239,3 +239,8 @@ def test_a_strategy_may_choose_any_goal_and_nothing_else() -> None:
         own.chosen = wrong
         with pytest.raises(ValueError, match=r"strategy nearest chose .*, which is not one of its goals"):
             own.decide(robot_at(4))
+    for wrong in (3, (7, 1, 2), "14,1"):
+        own = Own({}, settings_for(CORRIDOR))
+        own.chosen = wrong
+        with pytest.raises(TypeError, match=r"choose must return a goal \(x, y\), or None; it returned"):
+            own.decide(robot_at(4))

@@ -120,6 +120,26 @@ def test_a_depot_is_the_first_received_pose_and_distances_add_up_from_pose_to_po
     assert situation.traveled == {0: 3.0, 1: 5.0 + 2.0}
 
 
+class Undecided(Strategy):
+    """Returns a cell instead of a decision."""
+
+    name = "undecided"
+    summary = "returns a cell instead of a decision"
+    source = "an example"
+
+    def decide(self, situation: Situation) -> Decision:
+        return situation.here  # type: ignore[return-value]
+
+
+def test_an_error_names_what_a_strategy_returned_instead_of_a_decision() -> None:
+    robot = make_robot(f"{__name__}:Undecided")
+    robot.perceive(sense(1))
+    with pytest.raises(
+        TypeError, match=r"strategy undecided: decide must return a Decision; it returned \(10, 10\)"
+    ):
+        robot.decide()
+
+
 def test_a_malformed_broadcast_is_a_fault_and_nothing_more() -> None:
     robot = make_robot("burgard")
     for frame in (

@@ -11,7 +11,7 @@ import pytest
 from deploy.scenario.errors import ScenarioError
 from deploy.scenario.plan import make
 from deploy.scenario.scenario import Scenario
-from protocol.grid import FREE
+from protocol.grid import FREE, OCCUPIED
 from worldsim.maps import Map
 
 HALL = Map("hall", np.full((100, 200), FREE, np.uint8), 0.1)
@@ -44,13 +44,25 @@ def test_jitter_moves_the_start_by_the_seed_and_no_farther_than_its_limit() -> N
     [
         ({"start_jitter": 1.0}, "set start or starts"),
         ({"starts": [(1.0, 1.0), (1.0, 1.0)]}, "robots 0 and 1 would start in the same place"),
-        ({"starts": [(-5.0, 1.0)]}, "is not free: robots cannot start there"),
+        ({"starts": [(-5.0, 1.0)]}, "-5,1 is outside the map, which extends from 0,0 to 20,10"),
         ({"starts": [1.0]}, "starts.0 = 1.0"),
     ],
 )
 def test_an_invalid_start_is_rejected(settings: dict[str, Any], message: str) -> None:
     with pytest.raises(ScenarioError, match=message):
         starts(robots=2, **settings)
+
+
+def test_a_start_in_a_wall_is_rejected_with_the_nearest_free_point() -> None:
+    cells = HALL.cells.copy()
+    cells[:, :2] = OCCUPIED
+    message = "0,3.04 is not free: robots cannot start there; the nearest free point is 0.25,3.05"
+    with pytest.raises(ScenarioError, match=message):
+        make(Scenario(robots=1, start=(0.0, 3.04)), Map("hall", cells, 0.1))
+
+
+def test_a_start_on_the_border_is_in_the_cell_beside_it() -> None:
+    assert starts(robots=2, starts=[(0.0, 0.0), (20.0, 10.0)]) == [(0, 99), (199, 0)]
 
 
 def test_without_collisions_robots_may_start_in_one_place() -> None:

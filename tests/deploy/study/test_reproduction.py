@@ -45,6 +45,20 @@ def test_an_unknown_claim_is_named() -> None:
         requested(["B9"], quick=True, settings={})
 
 
+def test_a_file_with_a_claim_is_an_experiment_of_its_own(tmp_path: Path) -> None:
+    shipped = (reproduction.SHIPPED / "claim-L1.toml").read_text()
+    file = tmp_path / "mine.toml"
+    file.write_text(shipped.replace("sensor_range = 2.5", "sensor_range = 4.0"))
+    found = requested(["L1", str(file)], quick=False, settings={"seed": [3]})
+    assert list(found) == ["L1", str(file)]
+    (own,), (other,) = found[str(file)], found["L1"]
+    assert own.claim is not None and own.claim == other.claim
+    assert (own.base["sensor_range"], other.base["sensor_range"]) == (4.0, 2.5)
+    assert own.grid["seed"] == [3]
+    with pytest.raises(ScenarioError, match=r"experiment lossy\.toml has no table \[claim\]; murmur sweep"):
+        requested(["lossy.toml"], quick=False, settings={})
+
+
 @pytest.mark.long
 def test_without_leaders_the_team_stalls_where_with_leaders_it_finishes(tmp_path: Path) -> None:
     stem = tmp_path / "docs"

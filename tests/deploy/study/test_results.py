@@ -30,6 +30,21 @@ def test_a_table_does_not_depend_on_the_order_of_its_runs(tmp_path: Path) -> Non
     assert first.equals(second) and first["seed"].to_list() == [0, 1, 2]
 
 
+def test_tables_joined_as_in_the_docs_are_a_table(tmp_path: Path) -> None:
+    """As in docs/experiments.md, The table of runs."""
+    files = [tmp_path / "mine.parquet", tmp_path / "theirs.parquet"]
+    for file, seeds, more in zip(files, ((0, 1), (1, 2)), ({}, {"bytes.rm": 3}), strict=True):
+        with Results(file) as table:
+            for seed in seeds:
+                table.add(row(f"k{seed}", seed, **more))
+    joined = pl.concat(map(pl.read_parquet, files), how="diagonal_relaxed").unique("key", maintain_order=True)
+    joined.write_parquet(tmp_path / "both.parquet")
+    with Results(tmp_path / "both.parquet") as table:
+        assert all(table.knows(f"k{seed}", "c") for seed in range(3))
+        table.add(row("k3", 3))
+    assert results.read(tmp_path / "both.parquet")["seed"].to_list() == [0, 1, 2, 3]
+
+
 def test_runs_are_on_the_disk_before_the_table_is_closed(tmp_path: Path) -> None:
     file = tmp_path / "a.parquet"
     with Results(file) as table:

@@ -153,7 +153,7 @@ def test_dotted_keys_of_the_grid_set_one_key_of_a_table(tmp_path: Path) -> None:
         ({"variant": 3}, "--variant NAME chooses"),
         ({"robtos": 3}, "robtos: unknown setting"),
         ({"map": "nope"}, "variant = polygons): unknown map 'nope'"),
-        ({"map": "nope.yaml"}, "nope.yaml: cannot be read"),
+        ({"map": "nope.yaml"}, "nope.yaml: no such file"),
         ({"start": [0, 0]}, "start on map em"),
         ({"bus": "zenoh"}, "bus = 'zenoh': sweeps run on the memory bus; leave it out"),
     ],

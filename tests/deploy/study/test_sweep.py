@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -99,6 +100,17 @@ def test_scenarios_are_compared_in_pairs_with_a_verdict_and_pictures(tmp_path: P
     for file in done.write(tmp_path):
         assert file.stat().st_size > 100
     assert done._repr_html_().count("<img") == 2
+
+
+def test_small_ratios_have_two_significant_digits() -> None:
+    done = compare(
+        [ROOMS | {"map_encoding": each} for each in ("predictive", "scans")],
+        seeds=2,
+        metric="bytes.total",
+        **QUIET,
+    )
+    ratio = r"0\.0[0-9]*[1-9]"
+    assert re.search(rf": {ratio} \[{ratio}, {ratio}\] times the bytes\.total of scans", done.verdicts[0])
 
 
 def test_noisy_maps_are_compared_by_their_walls_and_their_agreement() -> None:
