@@ -135,5 +135,7 @@ class Completion:
 
     def _delivering_steps(self, situation: Situation) -> int:
         """Return for how many further steps it waits if teammates in range lack areas that it has found."""
-        has_news = bool(situation.peers) and self._encoding.has_news(delivered=self._replication.delivered())
+        has_news = bool(situation.peers) and self._encoding.has_news(
+            self._mapper.states, delivered=self._replication.delivered()
+        )
         return max(DELIVERY_STEPS, 2 * self._encoding.update_steps) if has_news else 0

@@ -93,10 +93,10 @@ class MapEncoding(ABC):
         the scan has changed it. `delivered`: teammates are in range, and all of them hold the whole log.
         """
 
-    def has_news(self, *, delivered: bool) -> bool:
+    def has_news(self, own: Grid, *, delivered: bool) -> bool:
         """Return whether teammates lack parts of this robot's map that would change their plans.
 
-        `delivered` is that of `encode_changes`. Only encodings that rank their packets know this.
+        `own` and `delivered` are those of `encode_changes`. Only encodings that rank their packets know this.
         """
         return False
 

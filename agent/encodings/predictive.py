@@ -146,9 +146,9 @@ class PredictiveEncoding(GridEncoding):
         self.is_settled = author.is_full
         return packets
 
-    def has_news(self, *, delivered: bool) -> bool:
+    def has_news(self, own: Grid, *, delivered: bool) -> bool:
         """Return whether teammates lack tiles that would change their plans."""
-        return self._author.has_news(delivered=delivered)
+        return self._author.has_news(own, self.log_odds, self.received, delivered=delivered)
 
     def retract_last(self) -> None:
         """Remove the last update from the log; its changes become pending again."""

@@ -34,8 +34,11 @@ class Author(ABC, Generic[AnyStream]):
     def has_changes(self) -> bool:
         """Whether changes may have to be encoded."""
 
-    def has_news(self, *, delivered: bool) -> bool:
-        """Return whether teammates lack changes that would change their plans; `delivered`: they hold the whole log."""
+    def has_news(self, own: Grid, log_odds: Int8Grid, received: Grid, *, delivered: bool) -> bool:
+        """Return whether teammates lack changes that would change their plans; `delivered`: they hold the whole log.
+
+        The grids are those of `is_due`.
+        """
         return False
 
     @abstractmethod

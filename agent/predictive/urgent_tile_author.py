@@ -59,9 +59,13 @@ class UrgentTileAuthor(TileAuthor):
         self._has_more = False
         """Whether there were more of them than it has."""
 
-    def has_news(self, *, delivered: bool) -> bool:
-        """Return whether teammates lack tiles of the first two kinds."""
-        return self._has_more or (self._is_worth_much and not delivered)
+    def has_news(self, own: Grid, log_odds: Int8Grid, received: Grid, *, delivered: bool) -> bool:
+        """Return whether teammates lack tiles of the first two kinds, or will once those that wait are ready."""
+        if self._has_more or (self._is_worth_much and not delivered):
+            return True
+        violate = self.stream.violations(own, log_odds, self._bound, self._waits().view(np.uint8))
+        values = tile_values(self.stream.target, received, violate.view(np.uint8))
+        return bool((values.cells >= LEAST_CELLS).any())
 
     def is_due(self, own: Grid, log_odds: Int8Grid, received: Grid) -> bool:
         """Return whether a ready tile violates the bound; those that fulfill it stop waiting."""

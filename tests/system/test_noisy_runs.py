@@ -51,7 +51,7 @@ def test_strategies_finish_with_real_sensors(strategy: str) -> None:
     assert run(strategy=strategy, laser={"preset": "utm-30lx"}).summary["finished"]
 
 
-@pytest.mark.parametrize("seed", [0, 3, 5])
+@pytest.mark.parametrize("seed", [0, 1, 3, 5, 10])
 def test_a_robot_reports_the_end_once_its_teammate_holds_the_areas_that_it_has_found(seed: int) -> None:
     noisy: dict[str, Any] = {"laser": {"preset": "utm-30lx"}, "pose": {"preset": "graph-slam"}}
     team = Team(

@@ -75,6 +75,10 @@ class Mapper:
                 most -= len(encoded[0])
         return updates
 
+    def has_news(self, *, delivered: bool) -> bool:
+        """Return whether the author has news for teammates."""
+        return self.author.has_news(self.own, self.log_odds, self.held, delivered=delivered)
+
     def retract(self) -> None:
         """Take back the last update, as the encoding does."""
         self.author.retract()
@@ -137,15 +141,17 @@ def test_new_cells_are_news_until_teammates_hold_them_and_other_corrections_are_
     mapper = Mapper(author=UrgentTileAuthor)
     mapper.stands = True
     assert not mapper.play() + mapper.play()
-    assert not mapper.author.has_news(delivered=True)
-    mapper.play(mapper.draw(LARGE, FREE), most=2.0)
-    assert mapper.author.has_news(delivered=True), "there are more tiles than the update has"
-    while mapper.author.has_news(delivered=True):
+    assert not mapper.has_news(delivered=True)
+    mapper.add(mapper.draw(LARGE, FREE))
+    assert mapper.has_news(delivered=True), "the tiles are not ready yet"
+    mapper.play(most=2.0)
+    assert mapper.has_news(delivered=True), "there are more tiles than the update has"
+    while mapper.has_news(delivered=True):
         assert mapper.play()
-    assert mapper.author.has_news(delivered=False)
+    assert mapper.has_news(delivered=False)
     mapper.play()
     assert mapper.play(mapper.draw((2, 2, 3, 3), OCCUPIED))
-    assert not mapper.author.has_news(delivered=False)
+    assert not mapper.has_news(delivered=False)
 
 
 def test_with_a_limited_budget_new_cells_are_sent_before_other_corrections() -> None:
