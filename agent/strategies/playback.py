@@ -8,12 +8,12 @@ from typing import Any, ClassVar
 from agent.settings import Settings
 from agent.strategies.base import Decision, Situation, Strategy
 
-PATIENCE = 300
-"""Steps without any delivery after which a robot gives up: entries are left, or no teammate is in range.
+PATIENCE = 100
+"""Steps without any delivery after which a robot gives up: entries are left, or no teammate is in range."""
 
-Longer than the longest retransmission timeout on a medium of 50 B per step and more (`agent.replication.delivery`): the
-last acknowledgment may be lost.
-"""
+LOSSY_PATIENCE = 300
+"""The same on a medium that may lose frames, where the last acknowledgment may be lost. It is longer than the longest
+retransmission timeout at 50 B per step and more (`agent.replication.delivery`)."""
 
 
 class Playback(Strategy):
@@ -27,6 +27,7 @@ class Playback(Strategy):
 
     def __init__(self, options: Mapping[str, Any], settings: Settings) -> None:
         super().__init__(options, settings)
+        self._patience = LOSSY_PATIENCE if settings.replication.requires_acks else PATIENCE
         self._progress = (-1, -1)
         self._progress_step = 0
 
@@ -41,6 +42,6 @@ class Playback(Strategy):
         return Decision(
             heading=situation.heading,
             explored=delivered and idle > 0,
-            stalled=not delivered and idle >= PATIENCE,
+            stalled=not delivered and idle >= self._patience,
             status=f"{situation.backlog} entries to deliver" if situation.backlog else "all delivered",
         )

@@ -5,23 +5,27 @@ import pytest
 
 from agent.replication.delivery import MAX_ROUND_TRIP, Acks
 from agent.replication.peers import PeerTable
+from agent.replication.replica import Replica
 from agent.settings import EncodingSettings, ReplicationSettings, Settings
 from agent.strategies.base import Decision, Situation
-from agent.strategies.playback import PATIENCE, Playback
+from agent.strategies.playback import LOSSY_PATIENCE, PATIENCE, Playback
 from agent.strategies.registry import strategies, strategy
 from protocol.body import Body
 
 
-def settings(robots: int) -> Settings:
+def settings(robots: int, *, lossy: bool = False) -> Settings:
     return Settings(
         robot=0, bodies=(Body(5.0, 360.0, 3.0),) * robots, width=4, height=4, beams=36, seed=0,
-        strategy="playback", encoding=EncodingSettings("predictive"), replication=ReplicationSettings("gossip"),
+        strategy="playback", encoding=EncodingSettings("predictive"),
+        replication=ReplicationSettings("gossip", requires_acks=lossy),
     )  # fmt: skip
 
 
-def decisions(*states: tuple[int, int], peers: tuple[int, ...] = (1,), robots: int = 2) -> list[Decision]:
+def decisions(
+    *states: tuple[int, int], peers: tuple[int, ...] = (1,), robots: int = 2, lossy: bool = False
+) -> list[Decision]:
     """Decisions of a robot whose log has these lengths and backlogs, step by step."""
-    robot = Playback({}, settings(robots))
+    robot = Playback({}, settings(robots, lossy=lossy))
     grid = np.zeros((4, 4), np.uint8)
     return [
         robot.decide(Situation(step, grid, 1, 1, peers=peers, log_entries=entries, backlog=backlog))
@@ -40,15 +44,18 @@ def test_a_robot_without_teammates_in_range_is_not_done() -> None:
 
 
 @pytest.mark.parametrize(("backlog", "peers"), [(3, (1,)), (0, ())])
-def test_a_robot_gives_up_after_many_steps_without_a_delivery(backlog: int, peers: tuple[int, ...]) -> None:
-    found = decisions(*[(5, backlog)] * (PATIENCE + 1), peers=peers)
-    assert [each.stalled for each in found] == [False] * PATIENCE + [True]
+@pytest.mark.parametrize(("lossy", "patience"), [(False, PATIENCE), (True, LOSSY_PATIENCE)])
+def test_a_robot_gives_up_after_many_steps_without_a_delivery(
+    backlog: int, peers: tuple[int, ...], lossy: bool, patience: int
+) -> None:
+    found = decisions(*[(5, backlog)] * (patience + 1), peers=peers, lossy=lossy)
+    assert [each.stalled for each in found] == [False] * patience + [True]
 
 
-def test_a_robot_gives_up_later_than_the_longest_retransmission_timeout() -> None:
-    acks = Acks(PeerTable(0, 8, 8), reliable=False)
+def test_on_a_lossy_medium_a_robot_gives_up_later_than_the_longest_retransmission_timeout() -> None:
+    acks = Acks(Replica(PeerTable(0, 8, 8, reliable=False), lambda *_: [], lambda _: None))
     acks.begin_step(budget=50)
-    assert 2 * MAX_ROUND_TRIP + acks.interval < PATIENCE
+    assert 2 * MAX_ROUND_TRIP + acks.interval < LOSSY_PATIENCE
 
 
 def test_a_robot_neither_drives_nor_has_a_target() -> None:
