@@ -73,7 +73,9 @@ def field_settings(settings: Settings, options: LinkOptions) -> Settings:
 
 
 def team_context(settings: Settings, others: Sequence[float | str] = ()) -> bytes:
-    """Return a hash of what all robots of a team must have in common (`agent.radios.sealing`): settings, and `others`.
+    """Return a hash of all values that must be equal on all robots of a team (`agent.radios.sealing`).
+
+    These are some of the settings, and `others`.
 
     Encodings that send scans need equal lasers: a receiver cannot read scans of a laser that it does not know.
     Exact scans are predicted from the hardware of their author and the limits of the medium.
@@ -119,7 +121,7 @@ class FieldRobot:
 
     `settings` are those of a run with gossip; `now` is the time in nanoseconds. The constructor begins a new
     incarnation of the robot, and a new session of its radio. `report` is called with each error of a teammate, as text.
-    `common` is what teammates must have in common with this robot besides settings (`team_context`).
+    `common`: further values that must be equal on all robots of the team (`team_context`).
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""Which teammates a robot receives, and whether its radio takes its frames: lines for its user, on each change."""
+"""Lines for the user of a robot: which teammates it receives, and whether its radio accepts its frames."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterator
 from protocol.nanoseconds import SECOND
 
 UNSENT = 3
-"""Frames not taken by the radio that are worth a line: the buffer of a modem may be full now and then."""
+"""Frames that the radio has not accepted, before the user is warned: the buffer of a modem may sometimes be full."""
 
 
 class RangeReport:
@@ -26,17 +26,17 @@ class RangeReport:
         self._has_failed = False
 
     def new(self, in_range: Collection[int], ended: Collection[int], unsent: int, now: int) -> Iterator[str]:
-        """Yield what has changed; `unsent` are the frames so far that the radio has not taken."""
+        """Yield a line for each change; `unsent` counts the frames that the radio has not accepted since the start."""
         self._has_received |= bool(in_range or ended)
         state = sorted(in_range), sorted(ended)
         is_alone = not in_range and len(ended) < self._teammates and now - self._began >= self._timeout
-        if state != self._shown or is_alone > self._says_alone:
+        if state != self._shown or (is_alone and not self._says_alone):
             yield self._text(*state, is_alone=is_alone)
             self._shown = state
         self._says_alone = is_alone
         if unsent >= UNSENT and not self._has_failed:
             self._has_failed = True
-            yield f"the radio has not taken {unsent} frames: is the interface up, or the modem connected?"
+            yield f"the radio has not accepted {unsent} frames: is the interface up, or the modem connected?"
 
     def _text(self, in_range: list[int], ended: list[int], *, is_alone: bool) -> str:
         text = f"teammates in range: {_numbers(in_range) or 'none'}"

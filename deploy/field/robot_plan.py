@@ -75,7 +75,7 @@ def absent_s(settings: RobotSettings) -> float:
 
 
 def common_values(settings: RobotSettings) -> tuple[float, float, str]:
-    """Return what teammates must have in common besides the settings of their control logic (`agent.field`).
+    """Return the values, besides settings of the control logic, that must be equal on all robots (`agent.field`).
 
     These are the left and lower edge of the grid, in meters, and the digest of the code: with another grid, maps of
     teammates would appear at a wrong place, and other code may decode them to wrong maps.

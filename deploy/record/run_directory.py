@@ -97,7 +97,7 @@ def create(out: Path | None, plan: Plan) -> Path:
 
 
 def discard(out: Path, *, is_new: bool) -> None:
-    """Remove what has been written of a run that did not begin, and its directory if that `is_new`."""
+    """Remove the files of a run that did not begin, and its directory if it `is_new`; nothing else is in there."""
     for each in out.iterdir():
         if each.is_dir():
             shutil.rmtree(each)

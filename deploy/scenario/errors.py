@@ -69,9 +69,7 @@ def _line(item: Any, keys: Mapping[str, list[str]]) -> str:
         named = re.match(r"(\w+)(?: =|:) ", message)
         if named and named[1] in known:
             return f"{key}.{message}"
-        if not message.startswith(
-            "must be "
-        ):  # it is about some keys of the table, not about the table as a value
+        if not message.startswith("must be "):  # it concerns keys of the table, not its type
             return f"{key}: {message}"
     return f"{key} = {shown(item['input'])}: {message}" if key else message
 

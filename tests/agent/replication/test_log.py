@@ -86,7 +86,7 @@ def test_all_robots_are_neighbors_until_they_report_otherwise() -> None:
     neighbors.begin_step([1, 2, 3])
     assert neighbors.news == []
     assert not neighbors.have_parted
-    assert np.flatnonzero(neighbors.near[2]).tolist() == [0, 1, 2, 3], "a robot knows what it broadcasts"
+    assert np.flatnonzero(neighbors.near[2]).tolist() == [0, 1, 2, 3], "each robot is in its own range"
     neighbors.near[2, 3] = False
     assert np.flatnonzero(neighbors.near[2]).tolist() == [0, 1, 2]
     assert neighbors.near[3, 2]

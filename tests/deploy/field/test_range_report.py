@@ -38,5 +38,5 @@ def test_frames_that_the_radio_does_not_take_are_reported_once() -> None:
     report = RangeReport(2, timeout=32 * SECOND, began=0)
     assert list(report.new([], [], UNSENT - 1, SECOND)) == []
     (failing,) = report.new([], [], UNSENT, 2 * SECOND)
-    assert f"has not taken {UNSENT} frames" in failing
+    assert f"has not accepted {UNSENT} frames" in failing
     assert list(report.new([], [], 2 * UNSENT, 3 * SECOND)) == []
