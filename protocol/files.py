@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import shlex
 import stat
 from io import BufferedReader
 from pathlib import Path
@@ -30,6 +31,22 @@ def check_regular(path: Path) -> None:
     for is_kind, kind in _KINDS:
         if is_kind(mode):
             raise OSError(errno.EINVAL, f"is a {kind}, not a file", str(path))
+
+
+def exposure(path: Path, mode: int | None = None, what: str = "it") -> str:
+    """Return that other users may use a secret file, and the command that changes it; empty if only its owner may.
+
+    `mode` is that of the file if it is open already; `what` is what they may use. A missing file is not exposed.
+    """
+    if mode is None:
+        try:
+            mode = path.stat().st_mode
+        except (OSError, ValueError):
+            return ""
+    if not mode & 0o077:
+        return ""
+    change = f"chmod 600 {shlex.quote(str(path))}"
+    return f"{path} has mode {mode & 0o777:03o}, so other users may use {what}: {change}"
 
 
 def open_file(path: Path) -> BufferedReader:

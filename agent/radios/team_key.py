@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import os
 import secrets
-import shlex
 import stat
 from pathlib import Path
 
 from agent.radios.sealing import KEY_BYTES
+from protocol.files import exposure
 
 
 class KeyFileError(ValueError):
@@ -50,10 +50,8 @@ def read_key(path: Path) -> bytes:
             raise KeyFileError(f"{path} is not a regular file")
         if status.st_uid not in (0, os.geteuid()):
             raise KeyFileError(f"{path} belongs to another user (uid {status.st_uid}): chown it to this one")
-        if status.st_mode & 0o077:
-            mode = f"{status.st_mode & 0o777:03o}"
-            change = f"chmod 600 {shlex.quote(str(path))}"
-            raise KeyFileError(f"{path} has mode {mode}, so other users may use the key: {change}")
+        if exposed := exposure(path, status.st_mode, "the key"):
+            raise KeyFileError(exposed)
         text = os.read(file, 4 * KEY_BYTES)
     finally:
         os.close(file)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Annotated
@@ -12,6 +13,7 @@ from deploy.commands.console import errors, progress, report_result, screen
 from deploy.commands.flag_values import named_values
 from deploy.commands.flags import JsonFlag, OutOption, ViewAs, argument, command_family, option, subcommands
 from deploy.scenario.scenario import load
+from protocol.files import exposure
 
 app = command_family()
 run_app = subcommands(app, "run", "Start one process of a run by hand (see docs/several-terminals.md).")
@@ -35,6 +37,7 @@ def run_netshaper(
     """Start the radio relay and hub, which all other processes join; it writes their credentials."""
     from deploy.run.by_hand import serve_netshaper  # noqa: PLC0415
 
+    _warn_of_exposed(sorted(keys.glob("*.key")) if keys is not None else [])
     serve_netshaper(load(scenario, {}), listen, credentials, screen.print, keys)
 
 
@@ -46,6 +49,7 @@ def run_worldsim(
     """Start the world simulator, with the map and the clock; the run begins when all processes have joined."""
     from deploy.run.by_hand import serve_worldsim  # noqa: PLC0415
 
+    _warn_of_exposed([credential])
     serve_worldsim(load(scenario, {}), credential)
 
 
@@ -56,6 +60,7 @@ def run_agent(
     """Start one robot; it receives its settings over the bus."""
     from deploy.run.by_hand import serve_robot  # noqa: PLC0415
 
+    _warn_of_exposed([credential])
     serve_robot(credential)
 
 
@@ -80,6 +85,7 @@ def run_router(
     """Start a router, whose robots share one connection to the hub (docs/hosts.md)."""
     from deploy.run.by_hand import serve_routing  # noqa: PLC0415
 
+    _warn_of_exposed([credential])
     serve_routing(credential, listen, credentials, screen.print)
 
 
@@ -94,6 +100,7 @@ def run_view(
     from deploy.dashboard.windows import Window  # noqa: PLC0415
     from deploy.run.by_hand import serve_viewer  # noqa: PLC0415
 
+    _warn_of_exposed([credential])
     with closing(Window(view_as, errors.print)) as window:
         serve_viewer(load(scenario, {}), credential, out, window)
 
@@ -108,6 +115,15 @@ def run_recorder(
     """Start the recorder, which writes the run directory at the end."""
     from deploy.run.by_hand import serve_recorder  # noqa: PLC0415
 
+    _warn_of_exposed([credential])
     with progress(shown=not as_json) as watch:
         result = serve_recorder(load(scenario, {}), credential, out, watch, errors.print)
     raise typer.Exit(report_result(result, as_json=as_json))
+
+
+def _warn_of_exposed(secrets: Sequence[Path]) -> None:
+    """Warn of private keys and credentials with which other users could join in the name of a participant."""
+    exposed = [text for path in secrets if (text := exposure(path))]
+    if exposed:
+        others = f"; the same holds for {len(exposed) - 1} more files there" if exposed[1:] else ""
+        errors.print(f"warning: {exposed[0]}{others}")

@@ -146,3 +146,27 @@ def test_the_key_of_a_team_in_the_field_is_written_once(tmp_path: Path) -> None:
     again = murmur("keys", "--team-key", str(path))
     assert again.exit_code == 2
     assert "already exists" in again.stderr
+
+
+def test_keys_and_credentials_that_others_may_read_cause_a_warning(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "hand.toml").write_text("robots = 1\n")
+    murmur("keys", "keys", "--robots", "1", "--address", "10.0.0.1")
+    relay = ("run", "netshaper", "hand.toml", "--listen", "127.0.0.1:9", "--keys", "keys")
+    assert "warning" not in murmur(*relay).stderr
+    for key in (tmp_path / "keys").glob("*.key"):
+        key.chmod(0o644)
+    refused = murmur(*relay)
+    warning = "warning: keys/r0.key has mode 644, so other users may use it: chmod 600 keys/r0.key"
+    assert f"{warning}; the same holds for 4 more files there\n" in refused.stderr
+    credential = tmp_path / "r0.json"
+    credential.write_text("{}")
+    credential.chmod(0o640)
+    for command in ("agent", "router"):
+        refused = murmur("run", command, "--credential", "r0.json")
+        assert refused.exit_code == 2
+        assert (
+            "warning: r0.json has mode 640, so other users may use it: chmod 600 r0.json\n" in refused.stderr
+        )
