@@ -113,6 +113,7 @@ def merge(folders: Sequence[Path | str], out: Path | str, *, view: bool = False)
         "frames": len(frames),
         "frames_lost": sum(not each.receivers for each in frames.values()),
         "clock_error_s": error / SECOND if error < UNKNOWN else None,
+        "isolated_robots": isolated(recordings),
     }
     run_directory.create(out, plan)
     failures = _write_capture(out / CAPTURE, plan, logs)
@@ -222,6 +223,12 @@ def join(recordings: Sequence[Recording], offsets: Sequence[int]) -> dict[FrameI
                 if not was_sent:
                     frame.receivers.add(recording.robot)
     return dict(sorted(frames.items(), key=lambda item: (item[1].time_ns, item[0])))
+
+
+def isolated(recordings: Sequence[Recording]) -> list[int]:
+    """Return the robots that exchanged no frame with another one, as far as their records show it."""
+    heard = {(each.robot, frame.sender) for each in recordings for frame in each.received}
+    return sorted({each.robot for each in recordings}.difference(*heard))
 
 
 def _clock_difference(one: Recording, other: Recording) -> tuple[int, int] | None:

@@ -152,6 +152,7 @@ FIELD = {
     "planning map: mean and minimum over all robots; also by robot, in `robot_maps`",
     "frames, frames_lost": "sealed frames of the radio, and those that no robot recorded as received",
     "clock_error_s": "bound of the error of the robots' aligned clocks, with their drift, seconds; null: unknown",
+    "isolated_robots": "robots that exchanged no frame with another one, as far as their records show it",
 }
 """Keys of ``summary.json`` that only robots in the field have; keys that need a true map are null there."""
 

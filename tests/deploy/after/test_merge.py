@@ -120,6 +120,25 @@ def test_clocks_of_robots_that_exchanged_no_frames_agree_by_the_time_of_day(fold
     assert offsets[1] == AHEAD[0] - AHEAD[1]
 
 
+def test_robots_that_exchanged_no_frames_with_others_are_named(folder: Path, tmp_path: Path) -> None:
+    complete = merge([folder / f"r{number}" for number in range(3)], tmp_path / "team")
+    assert complete.summary["isolated_robots"] == []
+    plan = small_plan(side_m=10.0, map_encoding="predictive", dissemination="gossip", robots=3, seed=1)
+    team = RecordedTeam(plan, MemoryAir(3, Faults(loss=1.0)), tmp_path, dict(enumerate(AHEAD)))
+    for _ in range(10):
+        team.play()
+    for number in team.members:
+        team.end(number)
+    folders = [str(tmp_path / f"r{number}") for number in range(2)]
+    result = murmur("merge", *folders, "--out", str(tmp_path / "apart"))
+    assert result.exit_code == 0, result.stderr
+    assert (
+        "exchanged no frames with other robots: 0, 1; if they were in range, their [radio]" in result.stdout
+    )
+    alone = merge([folder / "r0"], tmp_path / "one-record")
+    assert alone.summary["isolated_robots"] == []  # it received frames of robots whose records are missing
+
+
 @pytest.mark.parametrize("drift_ppm", [0, 10, 100, -400])
 def test_the_bound_of_the_error_contains_the_drift_of_a_clock(folder: Path, drift_ppm: int) -> None:
     # For an hour, the robots send a frame every ten seconds each, and it takes 5 ms.
