@@ -168,6 +168,11 @@ class FieldRobot:
         """Called at the end of each step, with its number and the frames that were sent and received."""
         self._step = 0
 
+    @property
+    def has_jumped(self) -> bool:
+        """Whether the pose has jumped, and has not settled since."""
+        return self._guard.has_jumped
+
     def begin_step(self, step: int, now: int) -> None:
         """Take the body's readings, and schedule this step's frame."""
         self._step, self.begin = step, now

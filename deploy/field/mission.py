@@ -265,7 +265,12 @@ class Mission:
     def _activity(self) -> str:
         """Return what the robot does, as text."""
         if self._field.move is None:
-            return f"stands still: {self._ros.problem or 'its pose has jumped'}"
+            cause = (
+                "its pose has jumped"
+                if self._field.has_jumped
+                else "its pose was not known in time for this step"
+            )
+            return f"stands still: {self._ros.problem or cause}"
         return self._ros.problem or self._field.robot.status
 
     def _publish(self, status: str) -> None:

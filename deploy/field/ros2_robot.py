@@ -80,6 +80,8 @@ class Ros2Robot:
     @property
     def problem(self) -> str:
         """Why the robot stands still; empty if it does not have to."""
+        if not self._node.is_connected:
+            return f"the Zenoh router at {self._names.router} does not answer any more"
         if self._is_silent():
             return self._body.problem or self._body.silence
         if self._lacks_map():

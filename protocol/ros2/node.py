@@ -45,6 +45,12 @@ class Ros2Node:
         """The liveliness token of the node."""
         return self._link.node
 
+    @property
+    def is_connected(self) -> bool:
+        """Whether the router answers; after it was lost, Zenoh connects again as soon as it is back."""
+        info = self._session.info
+        return bool(info.routers_zid() or info.peers_zid())
+
     def publisher(self, topic: str, type_name: str, qos: Qos = DEFAULT) -> Publisher:
         """Declare a publisher."""
         return self._added(Publisher(self._link, topic, type_name, qos))

@@ -7,7 +7,7 @@ import math
 import signal
 import socket
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from agent.radios.team_key import create_key
 from deploy.after.merge import merge
 from deploy.after.report import write_report
 from protocol.grid import FREE
+from protocol.ros2.session import open_router
 from protocol.transforms import Pose
 from tests.agent.bodies.ros_house import house
 from tests.deploy.commands.office_floor import murmur
@@ -130,6 +131,34 @@ def test_a_robot_whose_scans_stop_stands_still_until_they_return(start: Any) -> 
     wait_until(lambda: "stands still: no laser scan arrives any more" in process.output)
     ros.sends_scans = True
     wait_until(lambda: ros.goals[-1] != pytest.approx((0.0, 0.0), abs=0.01))
+
+
+def test_a_robot_whose_scans_return_does_not_say_that_its_pose_has_jumped(start: Any) -> None:
+    ros, process = start(body={"drives": False}, dead_man_s=0.5)
+    wait_until(lambda: ros.goals)
+    for outage in range(1, 4):
+        ros.sends_scans = False
+        wait_until(lambda seen=outage: process.output.count("stands still: no laser scan") == seen)
+        ros.sends_scans = True
+        wait_until(lambda: not process.output.splitlines()[-1].startswith("stands still"))
+    assert "jumped" not in process.output
+
+
+def test_a_robot_whose_router_ends_says_so(tmp_path: Path) -> None:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        address = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    data = settings(address)
+    data["radio"] |= {"key": "team.key"}
+    create_key(tmp_path / "team.key")
+    with ExitStack() as opened:
+        router = opened.enter_context(closing(open_router(address)))
+        process = opened.enter_context(closing(RobotProcess(write(tmp_path, data))))
+        wait_until(lambda: "waiting: no laser scan has arrived" in process.output)
+        router.close()
+        wait_until(
+            lambda: f"waiting: the Zenoh router at {address} does not answer any more" in process.output
+        )
 
 
 def test_a_robot_without_a_map_gets_no_goals(start: Any) -> None:

@@ -272,12 +272,15 @@ def test_nodes_find_each_other_again_after_the_router_has_restarted() -> None:
         receiver.subscription("chatter", names.STRING, DEFAULT, collect(received))
         publisher = sender.publisher("chatter", names.STRING)
         wait_for_subscription(publisher)
+        assert receiver.is_connected
         router.close()
         spin_until(lambda: not publisher._publisher.matching_status.matching)
+        spin_until(lambda: not receiver.is_connected)
         router = open_router(address)
         message = sender.messages[names.STRING](data="again")
         spin_until(lambda: publisher.publish(message, 0) or received, receiver)
         spin_until(lambda: len(receiver.graph().nodes) == 2)
+        assert receiver.is_connected
     router.close()
 
 
