@@ -215,7 +215,8 @@ def join(recordings: Sequence[Recording], offsets: Sequence[int]) -> dict[FrameI
                 if frame.packets != recording.packets[number]:
                     raise ValueError(
                         f"{recording.record.folder}: frame {number.counter} of session {number.session} of robot "
-                        f"{number.sender} differs from that of another record: not one mission"
+                        f"{number.sender} differs from that of another record: not one mission; if the session file of "
+                        f"robot {number.sender} was lost between two starts, leave out the records of one of them"
                     )
                 if was_sent or not frame.was_sent:
                     frame.time_ns = time if was_sent else min(time, frame.time_ns)

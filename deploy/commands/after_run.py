@@ -204,6 +204,6 @@ def merge(
         screen.print(f"robot {robot}: {cause}")
     if summary["robots"] > 1 and (alone := summary["isolated_robots"]):
         screen.print(
-            f"exchanged no frames with other robots: {', '.join(map(str, alone))}; if they were in range, their [radio], "
-            "keys, or settings differ: murmur robot prints which to compare"
+            f"exchanged no frames with other robots: {', '.join(map(str, alone))}; if they were in range, their "
+            "[radio], keys, or settings differ: murmur robot prints which to compare"
         )

@@ -1,8 +1,8 @@
-"""Why a robot drops frames, and what its user can do: advice that is given once per reason."""
+"""Why a robot drops frames or messages, and what its user can do: advice that is given once per reason."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 
 from agent.radios.sealing import Reason
 
@@ -41,3 +41,26 @@ class DropAdvice:
             if dropped.get(reason, 0) >= several and reason not in self._given:
                 self._given.add(reason)
                 yield text.format(robot=self._robot, robots=self._robots)
+
+
+CONTRADICTION = (
+    "robots of one team contradict each other about a map, so that maps may lack parts: the record directory of a "
+    "robot was removed or replaced during the mission, or two robots have the same `robot`; stop all robots, and "
+    "start the mission again with a new record.folder on each"
+)
+"""What to say of malformed messages in frames that are authentic: the senders have the same settings and code."""
+
+
+class FaultReport:
+    """Shows each error in a teammate's message, and after the first one, what its user can do."""
+
+    def __init__(self, say: Callable[[str], object]) -> None:
+        self._say = say
+        self._is_explained = False
+
+    def __call__(self, text: str) -> None:
+        """Take an error as text."""
+        self._say(text)
+        if not self._is_explained:
+            self._is_explained = True
+            self._say(CONTRADICTION)

@@ -16,10 +16,17 @@ from agent.radios.peer_medium import FrameRecord
 from agent.radios.team_key import read_key
 from agent.radios.transport import Transport, wait
 from agent.replication.control_packets import parse
-from deploy.field.dropped_frames import DropAdvice
+from deploy.field.dropped_frames import DropAdvice, FaultReport
 from deploy.field.range_report import RangeReport
 from deploy.field.robot_file import RobotFile
-from deploy.field.robot_plan import absent_s, agent_settings, common_values, pose_guard, robot_setup
+from deploy.field.robot_plan import (
+    absent_s,
+    agent_settings,
+    common_values,
+    map_frame,
+    pose_guard,
+    robot_setup,
+)
 from deploy.field.ros2_robot import Ros2Robot
 from deploy.field.running import running
 from deploy.record.field_records import FieldRecorder
@@ -126,7 +133,7 @@ class Mission:
         try:
             self._field = FieldRobot(
                 agent, settings.radio, files, ros, transport, pose_guard(settings), time.monotonic_ns(),
-                say, self._end_step, common_values(settings),
+                FaultReport(say), self._end_step, common_values(settings),
             )  # fmt: skip
         except JournalError as error:
             raise ValueError(
@@ -214,7 +221,9 @@ class Mission:
         self._done_steps = self._done_steps + 1 if is_done else 0
         if self._ros.is_stuck() and robot.target is not None:
             seconds = self._settings.avoid_s
-            self._say(f"does not reach its target at {robot.target}: avoids it for {seconds:g} s or longer")
+            x, y = map_frame(self._settings).position(robot.target[0] + 0.5, robot.target[1] + 0.5)
+            where = f"({x:.2f}, {y:.2f}) m in the common frame"
+            self._say(f"does not reach its target at {where}: avoids it for {seconds:g} s or longer")
             robot.avoid(robot.target, max(1, round(seconds / self._settings.step_s)))
         if (status := self._activity()) != self._shown:
             self._shown = status

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from deploy.field.dropped_frames import SEVERAL, SEVERAL_REPLAYED, DropAdvice
+from deploy.field.dropped_frames import SEVERAL, SEVERAL_REPLAYED, DropAdvice, FaultReport
 
 
 def test_each_reason_is_explained_once_after_several_frames() -> None:
@@ -27,3 +27,14 @@ def test_a_teammate_that_has_lost_its_session_file_is_explained_after_more_frame
     (text,) = advice.new({"replayed": SEVERAL_REPLAYED})
     assert "a session file was lost or restored, so create a new key" in text
     assert list(advice.new({"replayed": 99})) == []
+
+
+def test_malformed_messages_of_authentic_frames_are_explained_once() -> None:
+    lines: list[str] = []
+    report = FaultReport(lines.append)
+    report("malformed message from robot 1: update 0, expected 1")
+    first, advice = lines
+    assert first == "malformed message from robot 1: update 0, expected 1"
+    assert "two robots have the same `robot`" in advice and "a new record.folder on each" in advice
+    report("malformed message from robot 0: no such entry")
+    assert lines[2:] == ["malformed message from robot 0: no such entry"]
