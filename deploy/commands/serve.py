@@ -48,15 +48,15 @@ def serve_ros2(
     rate: Annotated[float, option("HZ", "scans and transforms per second", ROS)] = 10.0,
     domain: Annotated[int, option("ID", "ROS_DOMAIN_ID", ROS)] = 0,
     distro: Annotated[str, option("NAME", "distribution, as jazzy or humble", ROS)] = "jazzy",
-    router: Annotated[
-        str | None, option("ADDRESS", "use this router, as tcp/localhost:7447; start none", ROS)
-    ] = None,
+    router: Annotated[str | None, option("ADDRESS", "use this router, and start none", ROS)] = None,
     listen: Annotated[
         str | None, option("ADDRESS", "of the router that it starts (default tcp/localhost:7447)", ROS)
     ] = None,
     sim_time: Annotated[
         bool, switch("--sim-time", "publish /clock, and use simulated time in stamps", ROS)
     ] = False,
+    no_slam: Annotated[bool, switch("--no-slam", "publish neither map nor map -> odom", ROS)] = False,
+    no_navigation: Annotated[bool, switch("--no-navigation", "take no goals, only cmd_vel", ROS)] = False,
     write_robots: Annotated[
         Path | None, option("DIR", "write a settings file for the agent of each robot, and a key", ROS)
     ] = None,
@@ -84,6 +84,7 @@ def serve_ros2(
         raise ValueError(f"rate = {rate:g}: must be {MIN_RATE:g} to {MAX_RATE:g} Hz")
     from deploy.scenario.plan import make  # noqa: PLC0415
     from deploy.serve.process import ServeSettings, serve  # noqa: PLC0415
+    from deploy.serve.ros_robot import Offers  # noqa: PLC0415
     from protocol.ros2.session import ROUTER  # noqa: PLC0415
 
     chosen = ServeSettings(
@@ -95,6 +96,7 @@ def serve_ros2(
         sim_time=sim_time,
         rate=rate,
         sees_robots=sees_robots,
+        offers=Offers(slam=not no_slam, navigation=not no_navigation),
     )
     files = _agent_files(write_robots, team, interface, chosen.namespaces)
 

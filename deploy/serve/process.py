@@ -11,7 +11,7 @@ import zenoh
 
 from deploy.run.interrupt import Interrupt
 from deploy.scenario.plan import Plan
-from deploy.serve.ros_robot import RosRobot
+from deploy.serve.ros_robot import ALL, Offers, RosRobot
 from deploy.serve.swarm import Swarm
 from protocol.errors import shown, there_are
 from protocol.nanoseconds import SECOND
@@ -42,6 +42,8 @@ class ServeSettings:
     """Steps of the simulation per second."""
     sees_robots: bool = False
     """Whether lasers measure the distance to other robots."""
+    offers: Offers = ALL
+    """What robots offer besides their driver."""
 
     def __post_init__(self) -> None:
         check_domain(self.domain)
@@ -56,7 +58,8 @@ def serve(
 
     Further signals do not interrupt the end: nodes that are not closed would keep the process alive.
 
-    ConnectionError without a router; ValueError if its address is malformed, or in use.
+    ConnectionError without a router; ValueError if its address is malformed, or in use, or if other nodes have the
+    names of the robots' nodes.
     """
     began_ns = time.time_ns() - time.monotonic_ns()
 
@@ -69,11 +72,13 @@ def serve(
     with interrupt.caught(), contextlib.ExitStack() as stack:
         if settings.own_router:
             stack.callback(_router(settings.router).close)
-        robots = []
+        robots: list[RosRobot] = []
         for number, robot in enumerate(swarm.robots):
             node = stack.enter_context(_node(settings, settings.namespaces[number]))
             least_m = plan.scenario.body_of(number).laser.min_range_m
-            robots.append(RosRobot(node, robot, least_m, warn, clock_ns()))
+            if not robots:
+                _check_names(node, settings)
+            robots.append(RosRobot(node, robot, least_m, warn, clock_ns(), settings.offers))
         clock = None
         if settings.sim_time:
             node = stack.enter_context(_node(settings, "/"))
@@ -102,6 +107,17 @@ def _router(address: str) -> zenoh.Session:
         raise ValueError(
             f"{error}; name another one with --listen, or --router {address} if a Zenoh router runs there"
         ) from None
+
+
+def _check_names(first: Ros2Node, settings: ServeSettings) -> None:
+    """Raise ValueError if nodes other than the `first` have names of this process: both would share all topics."""
+    ours = {f"/{each}/{NODE}" for each in settings.namespaces}
+    others = sorted({node.full_name for node in first.graph().nodes if node != first.token} & ours)
+    if others:
+        raise ValueError(
+            f"names = {','.join(settings.namespaces)}: in domain {settings.domain}, {', '.join(others)} exists "
+            "already, from another murmur serve-ros2; choose other --names, another --domain, or end that process"
+        )
 
 
 def _node(settings: ServeSettings, namespace: str) -> Ros2Node:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -36,11 +36,23 @@ _ERRORS = {Outcome.UNREACHABLE: NO_PLAN, Outcome.STUCK: NO_PROGRESS}
 _DURATION = "builtin_interfaces/msg/Duration"
 
 
+class Offers(NamedTuple):
+    """What a robot offers besides its driver: without them, nodes of the user do."""
+
+    slam: bool
+    """The map, and the transform from the map to odometry."""
+    navigation: bool
+    """Goals over the topic and the action."""
+
+
+ALL = Offers(slam=True, navigation=True)
+
+
 class RosRobot:
     """The topics and the action of one robot, on a node of its own in the robot's namespace.
 
     `least_range_m` is the range below which its laser measures nothing. `warn` receives a line about each message that
-    is ignored. `now_ns` is the time, in nanoseconds since 1970.
+    is ignored. `now_ns` is the time, in nanoseconds since 1970. `offers` says what it has besides its driver.
     """
 
     def __init__(
@@ -50,8 +62,9 @@ class RosRobot:
         least_range_m: float,
         warn: Callable[[str], object],
         now_ns: int,
+        offers: Offers = ALL,
     ) -> None:
-        self.node, self.robot = node, robot
+        self.node, self.robot, self._offers = node, robot, offers
         self._least_range_m, self._warn = least_range_m, warn
         self._now_ns = now_ns
         self._map: Any = None
@@ -66,10 +79,18 @@ class RosRobot:
         self._tf = node.publisher("tf", names.TRANSFORMS, TF)
         self._odom = node.publisher("odom", names.ODOMETRY)
         self._scan = node.publisher("scan", names.LASER_SCAN, SENSOR)
-        self._own_map = node.publisher("map", names.OCCUPANCY_GRID, LATCHED)
         node.subscription("cmd_vel", names.TWIST, DEFAULT, self._take_velocity)
-        node.subscription("goal_pose", names.POSE_STAMPED, DEFAULT, self._take_goal)
-        node.action_server("navigate_to_pose", NAVIGATE_TO_POSE, self._take_task, self._cancel)
+        node.subscription(
+            "cmd_vel",
+            names.TWIST_STAMPED,
+            DEFAULT,
+            lambda message, source: self._take_velocity(message.twist, source),
+        )
+        if offers.slam:
+            self._own_map = node.publisher("map", names.OCCUPANCY_GRID, LATCHED)
+        if offers.navigation:
+            node.subscription("goal_pose", names.POSE_STAMPED, DEFAULT, self._take_goal)
+            node.action_server("navigate_to_pose", NAVIGATE_TO_POSE, self._take_task, self._cancel)
 
     def receive(self, now_ns: int) -> None:
         """Take all messages that have arrived, at `now_ns` since 1970."""
@@ -79,12 +100,14 @@ class RosRobot:
     def publish(self, stamp_ns: int, now_ns: int) -> None:
         """Publish the robot's state at time `stamp_ns` of the robots' clock."""
         robot = self.robot
-        correction = robot.pose.then(robot.localization.odometry.inverse())
-        edges = (MAP, ODOM, correction), (ODOM, BASE, robot.localization.odometry)
+        odometry = robot.localization.odometry
+        edges = [(ODOM, BASE, odometry)]
+        if self._offers.slam:
+            edges.insert(0, (MAP, ODOM, robot.pose.then(odometry.inverse())))
         self._tf.publish(self.node.messages.transforms(edges, stamp_ns), now_ns)
         self._odom.publish(self._odometry(stamp_ns), now_ns)
         self._scan.publish(self._laser_scan(stamp_ns), now_ns)
-        if now_ns - self._map_ns >= MAP_NS:
+        if self._offers.slam and now_ns - self._map_ns >= MAP_NS:
             self._map_ns = now_ns
             self._publish_map(stamp_ns, now_ns)
         self._report(stamp_ns, now_ns)

@@ -42,6 +42,7 @@ TIME = "builtin_interfaces/msg/Time"
 TRANSFORM = "geometry_msgs/msg/TransformStamped"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 TWIST = "geometry_msgs/msg/Twist"
+TWIST_STAMPED = "geometry_msgs/msg/TwistStamped"
 
 
 class Messages:

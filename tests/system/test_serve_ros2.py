@@ -27,6 +27,7 @@ from protocol.ros2.messages import nanoseconds
 from protocol.ros2.node import Ros2Node
 from protocol.ros2.qos import DEFAULT, LATCHED, SENSOR, TF, TF_STATIC, Qos, Reliability
 from protocol.transforms import Pose
+from tests.deploy.commands.office_floor import murmur
 from tests.protocol.ros2.waiting import spin_until
 from tests.system.served_robots import Served, serving
 from worldsim import generators
@@ -152,3 +153,38 @@ def test_goals_and_velocities_drive_a_robot(client: Client) -> None:
     velocities.publish(twist, 1)
     client.until(lambda: client.odometry[-1].twist.twist.angular.z == 1.0)
     client.until(lambda: client.odometry[-1].twist.twist.angular.z != 1.0)
+
+
+def test_stamped_velocities_drive_a_robot_too(client: Client) -> None:
+    client.until(lambda: client.odometry)
+    velocities = client.node.publisher("cmd_vel", names.TWIST_STAMPED)
+    message = client.node.messages.new(names.TWIST_STAMPED)
+    message.twist.angular.z = -0.5
+    velocities.publish(message, 1)
+    client.until(lambda: client.odometry[-1].twist.twist.angular.z == -0.5)
+
+
+def test_a_second_server_with_the_same_names_is_refused(served: Served) -> None:
+    router = served.printed["router"]
+    result = murmur("serve-ros2", "--map", "em", "--router", router, "--domain", "9", "--names", "eve,bob,al")
+    assert result.exit_code == 2
+    assert "names = eve,bob,al: in domain 9, /bob/murmur_simulator exists already" in result.stderr
+
+
+def test_robots_can_leave_slam_and_navigation_to_the_users_nodes() -> None:
+    with serving("--map", "em", "--robots", "1", "--no-slam", "--no-navigation", "--json") as found:
+        node = found.node("client", "r0")
+        edges: list[tuple[str, str]] = []
+        node.subscription(
+            "tf",
+            names.TRANSFORMS,
+            TF,
+            lambda message, _: edges.extend(
+                (each.header.frame_id, each.child_frame_id) for each in message.transforms
+            ),
+        )
+        spin_until(lambda: len(edges) > 3, node)
+        assert set(edges) == {("odom", "base_link")}
+        graph = node.graph()
+        assert set(graph.topics) == {f"/r0/{name}" for name in ("cmd_vel", "odom", "scan", "tf", "tf_static")}
+        assert graph.services == {}
