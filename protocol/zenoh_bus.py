@@ -12,6 +12,7 @@ import contextlib
 import json
 import os
 import re
+import socket
 import threading
 import time
 from collections.abc import Iterator
@@ -38,6 +39,8 @@ import zenoh
 TICK_S = 0.25
 QUEUE = 1 << 16
 CONNECT_S = 10.0
+PROBE_S = 2.0
+"""Time limit for a connection that shows whether a program listens at all."""
 POLL_S = 0.002
 RECONNECT_S = 3.0
 """Time limit for a robot's connection to be restored after it was cut. The robot itself waits a second longer."""
@@ -327,13 +330,25 @@ def open_connected(config: zenoh.Config, credential: Credential) -> zenoh.Sessio
     try:
         return zenoh.open(config)
     except zenoh.ZError:
-        shown = "password" if credential.certificate is None else "certificate"
-        cause = f"no hub answers, or the {shown} is not valid for its run ({credential.run})"
-        if credential.certificate is not None:
-            cause = _invalid_now(credential.certificate) or cause
+        dated = "" if credential.certificate is None else _invalid_now(credential.certificate)
+        cause = dated or _refusal(credential)
         raise ConnectionError(
             f"{credential.name}: cannot join at {credential.hub} within {CONNECT_S:g} s: {cause}"
         ) from None
+
+
+def _refusal(credential: Credential) -> str:
+    """Return why the hub did not accept a credential: nothing listens at its address, or it has refused."""
+    host, _, port = credential.hub.partition("/")[2].rpartition(":")
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), PROBE_S).close()
+    except OSError as error:
+        reason = str(error.strerror or error)
+        return f"no hub answers ({reason}); does it run, and does its firewall admit this port?"
+    if credential.certificate is None:
+        return f"a program answers, but the password is not valid for its run ({credential.run})"
+    hub = f"the certificate of the hub names no {host}, or is of another run"
+    return f"a program answers, but the certificate is not valid for its run ({credential.run}); or {hub}"
 
 
 def _invalid_now(certificate: Certificate) -> str:

@@ -37,6 +37,11 @@ CLOCKS = (
     "synchronize the clocks of the robot's computers (chrony), and set use_sim_time on all nodes or on none"
 )
 
+ONE_ROBOT = (
+    "let one node send it; if these are several robots, give each a namespace, or a domain of its own (ROS_DOMAIN_ID), "
+    "and set ros2.namespace or ros2.domain"
+)
+
 FIXES = {
     "no transforms (tf)": "start SLAM; set ros2.map_frame and ros2.base_frame to the robot's names; if its transforms "
     'are outside of its namespace, set ros2.tf = "/tf" and ros2.tf_static = "/tf_static"',
@@ -180,6 +185,10 @@ class RobotDoctor:
                 f"{received.topic} is in frame {frame!r}, not {self._names.map_frame!r}",
                 f'set ros2.map_frame = "{frame}"',
             )
+        publishers = self._fitting(received.topic, Kind.PUBLISHER, received.type_name)
+        if name in ("scan", "map") and len(publishers) > 1:
+            senders = ", ".join(sorted(each.node.full_name for each in publishers))
+            raise Trouble(f"{len(publishers)} publishers send {received.topic}: {senders}", ONE_ROBOT)
         rate = f", {received.rate:.1f} per second" if name in ("scan", "tf") and received.rate else ""
         return f"{len(received.arrived)} messages on {received.topic}{rate}"
 

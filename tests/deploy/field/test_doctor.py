@@ -211,6 +211,16 @@ def test_a_silent_laser_and_a_key_for_all_users_are_found(play: Any, router: str
     assert findings["frames"].startswith("failed no laser scan has arrived")
 
 
+def test_two_robots_with_the_same_topics_are_found(play: Any, router: str, tmp_path: Path) -> None:
+    play()
+    play()
+    code, findings = examine(tmp_path, router)
+    assert code == 1
+    for name in ("scan", "map"):
+        assert f"2 publishers send /r0/{name}: /r0/house_robot, /r0/house_robot" in findings[name]
+        assert "if these are several robots, give each a namespace" in findings[name]
+
+
 @pytest.mark.parametrize(
     ("stamp", "finding"),
     [
