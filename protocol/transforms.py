@@ -1,7 +1,8 @@
 """Transforms between the frames of a robot, in the plane: what tf2 does in ROS, without height, roll, and pitch.
 
 A pose (x, y, yaw) of a frame in its parent is in meters and radians, counterclockwise. Between two poses, it is
-interpolated.
+interpolated. A frame may be upside down in its parent, as that of a laser that hangs below a plate: its pose is then
+that of its x axis, and its y axis points to the right of it.
 """
 
 from __future__ import annotations
@@ -47,15 +48,27 @@ def pose_of(x: float, y: float, q_x: float, q_y: float, q_z: float, q_w: float) 
 
     ValueError if the frame is tilted or upside down, or these are no position and rotation.
     """
+    pose, is_flipped = mounting_of(x, y, q_x, q_y, q_z, q_w)
+    if is_flipped:
+        raise ValueError("it is tilted or upside down; lasers must be level")
+    return pose
+
+
+def mounting_of(x: float, y: float, q_x: float, q_y: float, q_z: float, q_w: float) -> tuple[Pose, bool]:
+    """Return the pose in the plane of a frame with this position and quaternion, and whether it is upside down.
+
+    ValueError if the frame is tilted, or these are no position and rotation.
+    """
     norm = q_x * q_x + q_y * q_y + q_z * q_z + q_w * q_w
     if not 0.5 < norm < 2:
         raise ValueError("its rotation is no unit quaternion")
     if not (abs(x) <= FARTHEST_M and abs(y) <= FARTHEST_M):
         raise ValueError(f"its position is not a number, or beyond {FARTHEST_M:g} m")
-    if (q_w * q_w + q_z * q_z - q_x * q_x - q_y * q_y) / norm < LEAST_UPRIGHT:
+    upright = (q_w * q_w + q_z * q_z - q_x * q_x - q_y * q_y) / norm
+    if abs(upright) < LEAST_UPRIGHT:
         raise ValueError("it is tilted or upside down; lasers must be level")
     yaw = math.atan2(2 * (q_w * q_z + q_x * q_y), q_w * q_w + q_x * q_x - q_y * q_y - q_z * q_z)
-    return Pose(x, y, yaw)
+    return Pose(x, y, yaw), upright < 0
 
 
 @dataclass
@@ -64,6 +77,7 @@ class _Edge:
 
     parent: str
     is_static: bool
+    is_flipped: bool
     stamps: list[float] = field(default_factory=list)
     poses: list[Pose] = field(default_factory=list)
 
@@ -74,9 +88,14 @@ class TransformBuffer:
     def __init__(self) -> None:
         self._edges: dict[str, _Edge] = {}
 
-    def add(self, parent: str, child: str, stamp: float, pose: Pose, *, is_static: bool) -> None:
-        """Add the pose of a frame in its parent at a time; a frame keeps the parent that it had first."""
-        edge = self._edges.setdefault(child, _Edge(parent, is_static))
+    def add(
+        self, parent: str, child: str, stamp: float, pose: Pose, *, is_static: bool, is_flipped: bool = False
+    ) -> None:
+        """Add the pose of a frame in its parent at a time; a frame keeps the parent that it had first.
+
+        `is_flipped`: whether the frame is upside down there; it remains so.
+        """
+        edge = self._edges.setdefault(child, _Edge(parent, is_static, is_flipped))
         if edge.parent != parent or (edge.is_static and edge.poses):
             return
         at = bisect_right(edge.stamps, stamp)
@@ -110,6 +129,11 @@ class TransformBuffer:
         line = self.ancestors(frame)
         return root in line and all(self._edges[each].is_static for each in line[: line.index(root)])
 
+    def is_flipped(self, frame: str, root: str) -> bool:
+        """Return whether a frame is upside down in one of its ancestors."""
+        line = self.ancestors(frame)
+        return sum(self._edges[each].is_flipped for each in line[: line.index(root)]) % 2 == 1
+
     def newest(self, frame: str, root: str) -> float | None:
         """Return the newest time at which the pose of a frame in one of its ancestors may be known.
 
@@ -124,10 +148,11 @@ class TransformBuffer:
         found = Pose(0.0, 0.0, 0.0)
         line = self.ancestors(frame)
         for each in line[: line.index(root)]:
-            outer = self._at(self._edges[each], stamp)
+            edge = self._edges[each]
+            outer = self._at(edge, stamp)
             if outer is None:
                 return None
-            found = outer.then(found)
+            found = outer.then(Pose(found.x, -found.y, -found.yaw) if edge.is_flipped else found)
         return found
 
     def _at(self, edge: _Edge, stamp: float) -> Pose | None:

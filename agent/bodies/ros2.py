@@ -24,7 +24,7 @@ from protocol.messages import Move, Sense
 from protocol.nanoseconds import SECOND
 from protocol.range_scans import TURN, UNIT, Laser
 from protocol.ros2.messages import nanoseconds
-from protocol.transforms import Pose, TransformBuffer, frame_name, pose_of
+from protocol.transforms import Pose, TransformBuffer, frame_name, mounting_of
 
 HEADINGS = 8
 REMEMBERED_NS = 10 * SECOND
@@ -124,13 +124,13 @@ class Ros2Body(ABC):
             parent, child = frame_name(each.header.frame_id), frame_name(each.child_frame_id)
             place, turn = each.transform.translation, each.transform.rotation
             try:
-                pose = pose_of(place.x, place.y, turn.x, turn.y, turn.z, turn.w)
+                pose, is_flipped = mounting_of(place.x, place.y, turn.x, turn.y, turn.z, turn.w)
             except ValueError as error:
                 self._refused[child] = str(error)
                 continue
             stamp = nanoseconds(each.header.stamp)
             self._transforms.forget_after(child, stamp + BACK_NS)
-            self._transforms.add(parent, child, stamp, pose, is_static=is_static)
+            self._transforms.add(parent, child, stamp, pose, is_static=is_static, is_flipped=is_flipped)
             if not is_static:
                 self._transforms.forget(stamp - UNUSED_NS)
 

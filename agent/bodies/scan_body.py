@@ -40,7 +40,7 @@ class ScanBody(Ros2Body):
 
     @property
     def laser(self) -> Laser | None:
-        """The laser's beams, known from the first scan on."""
+        """The laser's beams, known from the first scan with a known pose on: the laser may hang upside down."""
         if self._beams is None:
             return None
         angles = self._beams.angles
@@ -50,7 +50,7 @@ class ScanBody(Ros2Body):
         """Take a message of ``scan``; one that is no scan is noted in `problem`."""
         if self._beams is None:
             try:
-                self._beams = _Beams.of(message)
+                _Beams.of(message, is_flipped=False)
             except ValueError as error:
                 self.problem = f"laser scan: {error}"
                 return
@@ -67,8 +67,12 @@ class ScanBody(Ros2Body):
             return
         for _ in range(number + 1):
             self._waiting.popleft()
+        if self._beams is None:
+            frame = frame_name(message.header.frame_id)
+            self._beams = _Beams.of(
+                message, is_flipped=self._transforms.is_flipped(frame, self._settings.map_frame)
+            )
         if self._accept(stamp, pose, "the laser"):
-            assert self._beams is not None
             self._ranges, self._is_new = self._beams.ranges(message), True
 
     def sense(self, step: int, *, measures: bool = True) -> Sense | None:
@@ -97,22 +101,28 @@ class ScanBody(Ros2Body):
 
 @dataclass(frozen=True)
 class _Beams:
-    """The beams of the first scan; later scans are read at these angles."""
+    """The beams of the first scan; later scans are read at these angles.
+
+    Angles are counterclockwise as seen from above; those of a laser that hangs upside down run the other way.
+    """
 
     angles: BeamAngles
     first: float
     increment: float
+    sign: int
+    """By which angles of messages are multiplied."""
 
     @classmethod
-    def of(cls, message: Any) -> _Beams:
+    def of(cls, message: Any, *, is_flipped: bool) -> _Beams:
         """Return the beams of a scan; ValueError if it is none."""
-        first, increment = float(message.angle_min), float(message.angle_increment)
-        return cls(BeamAngles.of(len(message.ranges), first, increment), first, increment)
+        sign = -1 if is_flipped else 1
+        first, increment = sign * float(message.angle_min), sign * float(message.angle_increment)
+        return cls(BeamAngles.of(len(message.ranges), first, increment), first, increment, sign)
 
     def ranges(self, message: Any) -> NDArray[np.uint16]:
         """Return the ranges of a scan in millimeters; beams that it lacks are no measurements."""
         meters = np.asarray(message.ranges, np.float64)
-        first, increment = float(message.angle_min), float(message.angle_increment)
+        first, increment = self.sign * float(message.angle_min), self.sign * float(message.angle_increment)
         here, there = (len(meters), first, increment), (self.angles.beams, self.first, self.increment)
         if not np.allclose(here, there, rtol=0, atol=1e-6):
             meters = self._nearest(meters, first, increment)

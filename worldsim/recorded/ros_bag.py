@@ -16,7 +16,7 @@ import numpy as np
 from protocol.errors import there_are
 from protocol.metric_scans import BeamAngles, millimeters
 from protocol.packages import require
-from protocol.transforms import Pose, TransformBuffer, frame_name, pose_of
+from protocol.transforms import Pose, TransformBuffer, frame_name, mounting_of
 from worldsim.recorded.log import LogError, RecordedLog
 
 SUFFIXES = (".bag", ".mcap", ".db3")
@@ -42,8 +42,8 @@ class _Content:
     def add_odometry(self, topic: str, message: Any) -> None:
         """Add an odometry message."""
         parent, child = frame_name(message.header.frame_id), frame_name(message.child_frame_id)
-        pose = self._pose(message.pose.pose, child)
-        if pose is not None:
+        pose, is_flipped = self._pose(message.pose.pose, child)
+        if pose is not None and not is_flipped:
             entry = _seconds(message.header.stamp), parent, child, pose
             self.odometry.setdefault(topic, []).append(entry)
 
@@ -51,20 +51,24 @@ class _Content:
         """Add a message of transforms."""
         for each in message.transforms:
             parent, child = frame_name(each.header.frame_id), frame_name(each.child_frame_id)
-            pose = self._pose(each.transform, child)
+            pose, is_flipped = self._pose(each.transform, child)
             if pose is not None:
-                self.transforms.add(parent, child, _seconds(each.header.stamp), pose, is_static=is_static)
+                stamp = _seconds(each.header.stamp)
+                self.transforms.add(parent, child, stamp, pose, is_static=is_static, is_flipped=is_flipped)
 
-    def _pose(self, message: Any, frame: str) -> Pose | None:
-        """Return the pose of a frame that a message of type Pose or Transform contains; None if it is refused."""
+    def _pose(self, message: Any, frame: str) -> tuple[Pose | None, bool]:
+        """Return the pose that a message of type Pose or Transform contains, and whether the frame is upside down.
+
+        None if it is refused.
+        """
         is_transform = hasattr(message, "translation")
         place = message.translation if is_transform else message.position
         turn = message.rotation if is_transform else message.orientation
         try:
-            return pose_of(place.x, place.y, turn.x, turn.y, turn.z, turn.w)
+            return mounting_of(place.x, place.y, turn.x, turn.y, turn.z, turn.w)
         except ValueError as error:
             self.refused[frame] = str(error)
-            return None
+            return None, False
 
 
 def read(path: Path, every: int, topic: str) -> RecordedLog:
@@ -142,7 +146,7 @@ def _log(path: Path, content: _Content) -> RecordedLog:
     scans = sorted(content.scans, key=lambda each: each[0])
     laser = frame_name(scans[0][1].header.frame_id)
     frame, root = _add_odometry(path, content, laser)
-    angles, reverse = _angles(path, scans)
+    angles, reverse = _angles(path, scans, -1 if content.transforms.is_flipped(frame, root) else 1)
     found = [(stamp, each, content.transforms.pose(frame, root, stamp)) for stamp, each in scans]
     placed = [(stamp, each, pose) for stamp, each, pose in found if pose is not None]
     if not placed:
@@ -207,13 +211,16 @@ def _fixed_frame(transforms: TransformBuffer, laser: str) -> str:
     return ""
 
 
-def _angles(path: Path, scans: list[tuple[float, Any]]) -> tuple[BeamAngles, bool]:
-    """Return the angles of all scans, and whether their beams run counterclockwise; LogError if they change."""
+def _angles(path: Path, scans: list[tuple[float, Any]], sign: int) -> tuple[BeamAngles, bool]:
+    """Return the angles of all scans, and whether their beams run counterclockwise; LogError if they change.
+
+    `sign` is -1 for a laser that hangs upside down, so that its angles run the other way.
+    """
     first, *_ = found = [
         (len(each.ranges), float(each.angle_min), float(each.angle_increment)) for _, each in scans
     ]
     try:
-        angles = BeamAngles.of(*first)
+        angles = BeamAngles.of(first[0], sign * first[1], sign * first[2])
     except ValueError as error:
         raise LogError(f"{path}: {error}") from None
     for number, here in enumerate(found, 1):
@@ -223,7 +230,7 @@ def _angles(path: Path, scans: list[tuple[float, Any]]) -> tuple[BeamAngles, boo
                 f"{path}: scan {number} has {_described(here)}, after scans of {_described(first)}: "
                 "the laser must stay the same"
             )
-    return angles, first[2] > 0
+    return angles, sign * first[2] > 0
 
 
 def _described(beams: tuple[int, float, float]) -> str:

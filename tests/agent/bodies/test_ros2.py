@@ -24,7 +24,7 @@ from protocol.cell_bytes import cells_to_bytes, points_to_bytes
 from protocol.grid import FREE, OCCUPIED, UNKNOWN
 from protocol.map_frame import MapFrame
 from protocol.messages import Move, Sense
-from protocol.range_scans import NO_MEASUREMENT, NOTHING, TURN, UNIT, RangeScan, decode_range_scan
+from protocol.range_scans import NO_MEASUREMENT, NOTHING, TURN, UNIT, RangeScan, beam_ends, decode_range_scan
 from protocol.ros2 import messages as names
 from protocol.ros2.messages import Messages
 from protocol.transforms import Pose
@@ -203,6 +203,29 @@ def test_a_tilted_laser_is_refused() -> None:
     body.add_scan(laser_scan([1.0] * 4))
     assert body.sense(1) is None
     assert body.problem == "frame 'laser': it is tilted or upside down; lasers must be level"
+
+
+def test_a_laser_that_hangs_upside_down_measures_the_same_walls() -> None:
+    mounts = [(Pose(0.25, 0.1, 0.5), False), (Pose(0.25, 0.1, 0.5), True)]
+    walls = []
+    for mount, hangs in mounts:
+        body = ScanBody(GRID, BodySettings(AT_ORIGIN))
+        message = transforms(("base_link", "plate", mount), ("plate", "laser", Pose(0.0, -0.2, 0.3)))
+        if hangs:  # the plate is turned about its x axis, and what hangs from it is mirrored
+            turn = message.transforms[0].transform.rotation
+            turn.x, turn.y, turn.z, turn.w = turn.w, turn.z, 0.0, 0.0
+            mirrored = transforms(("plate", "laser", Pose(0.0, 0.2, -0.3))).transforms[0]
+            message.transforms[1] = mirrored
+        body.add_transforms(message, is_static=True)
+        stand(body, Pose(1.0, 0.53, math.pi / 2))
+        angles = {"angle_min": -0.4, "angle_increment": 0.4}
+        if hangs:
+            angles = {"angle_min": 0.4, "angle_increment": -0.4}
+        body.add_scan(laser_scan([1.0, 2.0, 3.0, 4.0], **angles))
+        scan = scan_of(body, body.sense(1))
+        assert body.laser is not None
+        walls.append(beam_ends(scan, body.laser, GRID.resolution)[0])
+    assert np.abs(walls[0] - walls[1]).max() <= 2
 
 
 def test_a_robot_whose_pose_jumps_measures_nothing_until_it_settles() -> None:

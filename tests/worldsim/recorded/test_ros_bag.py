@@ -155,7 +155,7 @@ def test_an_error_names_what_a_bag_lacks(tmp_path: Path) -> None:
         bag.transform(2.0, "map", "laser", (0.0, 0.0, 0.0))
     with Bag(tmp_path / "tilted", "mcap") as bag:
         write_scans(bag)
-        bag.transform(1.0, "map", "laser", (0.0, 0.0, 1.0), roll=math.pi)
+        bag.transform(1.0, "map", "laser", (0.0, 0.0, 1.0), roll=math.pi / 2)
     with Bag(tmp_path / "odometries", "mcap") as bag:
         write_scans(bag)
         for topic in ("/left", "/right"):
@@ -188,6 +188,28 @@ def test_an_error_names_what_a_bag_lacks(tmp_path: Path) -> None:
     ):
         with pytest.raises(LogError, match=f"{name}: {error}"):
             read(tmp_path / name)
+
+
+def test_a_laser_that_hangs_upside_down_measures_the_same_walls(tmp_path: Path) -> None:
+    logs = []
+    for hangs in (False, True):
+        with Bag(place(tmp_path / str(hangs)), "mcap") as bag:
+            bag.transform(0.0, "base_link", "laser", MOUNT, static=True, roll=math.pi if hangs else 0.0)
+            for second, pose in enumerate(drive(6), 1):
+                ranges = distances(pose, FULL_CIRCLE)
+                bag.scan(
+                    second,
+                    ranges,
+                    first=math.pi if hangs else -math.pi,
+                    increment=math.radians(-2 if hangs else 2),
+                )
+            for second in range(8):
+                bag.transform(second, "map", "base_link", (second, 0.5, 0.3))
+        logs.append(read(place(tmp_path / str(hangs))))
+    level, upside_down = logs
+    assert np.allclose(level.poses, upside_down.poses)
+    assert level.angles == upside_down.angles
+    assert np.array_equal(level.ranges, upside_down.ranges)
 
 
 def test_frames_that_are_tilted_do_not_matter_unless_they_carry_the_laser(tmp_path: Path) -> None:
