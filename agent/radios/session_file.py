@@ -48,7 +48,8 @@ class SessionFile:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
         except OSError as error:
-            raise SessionFileError(f"{self.path}: {error.strerror}") from None
+            advice = "set radio.sessions to a directory that keeps its files and that this user may write"
+            raise SessionFileError(f"{self.path}: {error.strerror}; {advice}") from None
         try:
             self._begin(fingerprint)
         except Exception:

@@ -7,6 +7,7 @@ one host receive each other; the echo of a robot's own frame is removed.
 
 from __future__ import annotations
 
+import contextlib
 import ipaddress
 import socket
 import struct
@@ -38,22 +39,21 @@ class UdpRadio:
         self, interface: str, address: str = GROUP, port: int = PORT, longest: int = MAX_DATAGRAM
     ) -> None:
         self._longest = min(longest, MAX_DATAGRAM)
+        self._interface = interface
         self._destination = address, port
         self._sent: deque[bytes] = deque(maxlen=_ECHOES)
         try:
-            number = socket.if_nametoindex(interface)
+            self._number = socket.if_nametoindex(interface)
         except (OSError, ValueError):
             known = ", ".join(name for _, name in socket.if_nameindex())
             raise TransportError(f"interface {interface!r} does not exist; there are: {known}") from None
         try:
-            group = ipaddress.IPv4Address(address)
+            self._group = ipaddress.IPv4Address(address)
         except ValueError:
             raise TransportError(f"address {address!r} is no IPv4 address, as {GROUP}") from None
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
         try:
-            self._configure(interface, number, group)
+            self._socket = self._open(self._number)
         except OSError as error:
-            self._socket.close()
             reason = f"{address}, port {port}, on interface {interface}: {error.strerror}"
             raise TransportError(f"{reason}; is the interface up, with an IPv4 address?") from None
 
@@ -64,6 +64,7 @@ class UdpRadio:
         try:
             self._socket.sendto(frame, self._destination)
         except OSError:
+            self._return_to_interface()
             return False
         self._sent.append(frame)
         return True
@@ -90,19 +91,36 @@ class UdpRadio:
         """Close the socket."""
         self._socket.close()
 
-    def _configure(self, interface: str, number: int, group: ipaddress.IPv4Address) -> None:
+    def _return_to_interface(self) -> None:
+        """Open the socket anew if the interface has come back as another one, as a Wi-Fi stick that was plugged in."""
+        with contextlib.suppress(OSError):  # it is still gone, or has no address yet
+            number = socket.if_nametoindex(self._interface)
+            if number != self._number:
+                opened = self._open(number)
+                self._socket.close()
+                self._socket, self._number = opened, number
+
+    def _open(self, number: int) -> socket.socket:
+        """Return a new socket on the interface with this index; OSError if it, or the address, cannot be used."""
+        with contextlib.ExitStack() as stack:
+            own = socket.socket(socket.AF_INET, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
+            stack.callback(own.close)
+            self._configure(own, number)
+            stack.pop_all()
+        return own
+
+    def _configure(self, own: socket.socket, number: int) -> None:
         """Bind to interface and address; join the group, or allow broadcasts."""
-        own = self._socket
         own.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         if _BIND_TO_DEVICE is not None:
-            own.setsockopt(socket.SOL_SOCKET, _BIND_TO_DEVICE, interface.encode() + b"\0")
+            own.setsockopt(socket.SOL_SOCKET, _BIND_TO_DEVICE, self._interface.encode() + b"\0")
         own.setsockopt(socket.IPPROTO_IP, socket.IP_TTL, 1)
-        if group.is_multicast:
-            member = struct.pack("4s4si", group.packed, bytes(4), number)
+        if self._group.is_multicast:
+            member = struct.pack("4s4si", self._group.packed, bytes(4), number)
             own.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, member)
             own.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, member)
             own.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 1)
             own.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_LOOP, 1)
         else:
             own.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
-        own.bind((str(group), self._destination[1]))
+        own.bind(self._destination)

@@ -77,6 +77,10 @@ class Hosts:
         for host in (number, other):
             _ip("-n", self.names[host], "link", "set", "other0", "up")
 
+    def unplug_second_interface(self, number: int) -> None:
+        """Remove the interface ``other0`` of a host, and of the host at the other end of its cable."""
+        _ip("-n", self.names[number], "link", "del", "other0")
+
 
 @contextlib.contextmanager
 def hosts(count: int) -> Iterator[Hosts]:

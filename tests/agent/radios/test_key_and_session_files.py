@@ -155,3 +155,11 @@ def test_a_session_file_can_be_closed_twice(tmp_path: Path) -> None:
 def test_a_path_with_a_zero_byte_is_no_key_file() -> None:
     with pytest.raises(KeyFileError, match="null byte"):
         read_key(Path("team\0.key"))
+
+
+def test_a_directory_that_cannot_hold_the_session_file_is_named_with_the_setting_that_helps(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(SessionFileError, match=r"r0-\w+\.session: .*; set radio\.sessions to a directory"):
+        SessionFile(tmp_path / "file" / "r0.session", KEY, 0, 2)

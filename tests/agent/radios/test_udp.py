@@ -43,6 +43,15 @@ def arrived(end: UdpRadio) -> list[bytes]:
     return end.receive()
 
 
+def assert_arrives(frame: bytes, sender: UdpRadio, receiver: UdpRadio) -> None:
+    """Send a frame until it arrives: an interface that has just been set up drops the first ones."""
+    for _ in range(10 * PATIENCE_S):
+        assert sender.send(frame)
+        if select.select([receiver], [], [], 0.1)[0]:
+            break
+    assert set(receiver.receive()) == {frame}
+
+
 @needs_namespaces
 @pytest.mark.parametrize("address", [GROUP, BROADCAST])
 def test_a_frame_reaches_all_others_once_and_not_its_sender(net: Hosts, address: str) -> None:
@@ -69,6 +78,24 @@ def test_nothing_is_sent_or_received_on_another_interface(net: Hosts) -> None:
     assert other.receive() == two.receive() == []
     for end in (one, two, other, stranger):
         end.close()
+
+
+@needs_namespaces
+@pytest.mark.parametrize("address", [GROUP, "10.78.0.255"])
+def test_an_interface_that_was_removed_is_used_again_once_it_is_back(net: Hosts, address: str) -> None:
+    net.second_interface(2, 3)
+    one, two = radio(net, 2, "other0", address), radio(net, 3, "other0", address)
+    assert_arrives(b"before", one, two)
+    net.unplug_second_interface(2)
+    for _ in range(2):
+        assert not net.on(2, lambda: one.send(b"lost"))
+    net.second_interface(2, 3)
+    for number, end in ((2, one), (3, two)):
+        assert not net.on(number, lambda end=end: end.send(b"opens it again"))
+    assert_arrives(b"after", one, two)
+    for end in (one, two):
+        end.close()
+    net.unplug_second_interface(2)
 
 
 @needs_namespaces
