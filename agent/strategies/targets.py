@@ -246,7 +246,7 @@ class TargetStrategy(Strategy):
     def select(self, situation: Situation, planner: PathPlanner) -> tuple[Cell | None, bool]:
         """Return the chosen goal, and whether there are goals at all."""
         goals = self.goals(situation, planner)
-        chosen = self.choose(situation, goals, planner) if len(goals) else None
+        chosen = self.choose(situation, goals.copy(), planner) if len(goals) else None
         if chosen is None:
             return None, len(goals) > 0
         try:
