@@ -110,7 +110,8 @@ def discard(out: Path, *, is_new: bool) -> None:
 def _next_free(plan: Plan) -> Path:
     """Make a directory that no other run uses, even if several runs start at the same time."""
     scenario = plan.scenario
-    stem = f"{plan.map.name}-{scenario.map_encoding}-{scenario.robots}robots-seed{scenario.seed}"
+    encoding = scenario.map_encoding.replace(":", "-")
+    stem = f"{plan.map.name}-{encoding}-{scenario.robots}robots-seed{scenario.seed}"
     RUNS.mkdir(exist_ok=True)
     for number in count(1):
         directory = RUNS / (stem if number == 1 else f"{stem}-{number}")
