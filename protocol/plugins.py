@@ -41,6 +41,10 @@ MAIN = "__main__"
 """The module of a script or notebook. Other processes cannot import it."""
 
 
+class PluginError(TypeError, ValueError):
+    """A plug-in returned a wrong value; the message names the plug-in and the value."""
+
+
 @dataclass(frozen=True)
 class Plugins(Generic[Part]):
     """All parts of one kind that a scenario can name."""

@@ -73,8 +73,18 @@ def test_the_place_of_printed_output_and_a_team_that_stands_still_are_reported(t
 
 def test_goals_that_a_strategy_has_changed_are_no_goals(tmp_path: Path) -> None:
     done = run_strategy(tmp_path, SHIFTED)
-    assert "ValueError: strategy torn chose (1" in done.stderr
+    assert "last output: strategy torn chose (1" in done.stderr
     assert "which is not one of its goals" in done.stderr
+
+
+@pytest.mark.parametrize("bus", ["memory", "zenoh"])
+def test_a_wrong_value_of_a_strategy_is_reported_without_frames_of_murmur(tmp_path: Path, bus: str) -> None:
+    done = run_strategy(tmp_path, STRATEGY.replace("return self.worth(goals)", "return goals"), "--bus", bus)
+    first, *more = done.stderr.splitlines()
+    assert first.startswith(
+        "r0, r1 died: exit code 1; last output: strategy torn: choose must return a goal (x, y), or None; it returned "
+    )
+    assert not any("Traceback" in line or "File" in line for line in more)
 
 
 @pytest.mark.parametrize("bus", ["memory", "zenoh"])
