@@ -47,8 +47,12 @@ COMMAND = (
 
 def run_strategy(folder: Path, source: str, *more: str) -> subprocess.CompletedProcess[str]:
     (folder / "torn.py").write_text(source)
+    return murmur(folder, *COMMAND, *more)
+
+
+def murmur(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "deploy.commands.main", *COMMAND, *more],
+        [sys.executable, "-m", "deploy.commands.main", *words],
         capture_output=True,
         text=True,
         cwd=folder,
@@ -75,6 +79,14 @@ def test_goals_that_a_strategy_has_changed_are_no_goals(tmp_path: Path) -> None:
     done = run_strategy(tmp_path, SHIFTED)
     assert "last output: strategy torn chose (1" in done.stderr
     assert "which is not one of its goals" in done.stderr
+
+
+def test_a_replay_that_differs_names_the_strategy_because_it_may_draw_random_numbers(tmp_path: Path) -> None:
+    source = "import random\n" + STRATEGY.replace("x, y = goals[0]", "x, y = random.choice(goals)")
+    run_strategy(tmp_path, source, "--bus", "memory", "--steps", "2")
+    done = murmur(tmp_path, "replay", "--trust", "run")
+    assert done.returncode == 1
+    assert done.stderr.endswith("  torn:Torn may have changed since, draw random numbers, or read a clock\n")
 
 
 @pytest.mark.parametrize("bus", ["memory", "zenoh"])
