@@ -39,6 +39,7 @@ from protocol.grid import Grid
 from protocol.message_fields import MAX_WAY_CELLS
 from protocol.messages import Move, RoundReport, Sense
 from protocol.packets import SALTS, Held, LogDigest
+from protocol.plugins import PluginError
 
 ABOUT_LOGS = LogDigest, Held
 """Packets of a broadcast that concern logs; those before them concern the team."""
@@ -214,7 +215,7 @@ class Robot:
             situation = self.assess()
         decided = self.strategy.decide(situation)
         if not isinstance(decided, Decision):
-            raise TypeError(
+            raise PluginError(
                 f"strategy {self.strategy.name}: decide must return a Decision; it returned {shown(decided)}"
             )
         decision = self._completion.review(decided, situation)

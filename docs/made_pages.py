@@ -1,4 +1,7 @@
-"""Site pages generated when the site is built: columns of a run's files, messages of the bus, and notebooks."""
+"""Pages that are made from the code: files of a run, messages, packets (`python -m docs.made_pages` writes them).
+
+The notebooks become pages when the site is built.
+"""
 
 from __future__ import annotations
 
@@ -18,14 +21,16 @@ NOTEBOOKS = Path(__file__).parent / "notebooks"
 
 
 def on_files(files: Files, config: Any) -> Files:
-    """Add the generated pages; mkdocs calls this hook."""
-    files.append(File.generated(config, "reference/files.md", content=files_page()))
-    files.append(File.generated(config, "reference/messages.md", content=messages_page()))
-    files.append(File.generated(config, "reference/packets.md", content=packets_page()))
+    """Add the pages of the notebooks; mkdocs calls this hook."""
     for notebook in sorted(NOTEBOOKS.glob("*.ipynb")):
         name = f"notebooks/{notebook.stem}.md"
         files.append(File.generated(config, name, content=notebook_page(notebook)))
     return files
+
+
+def on_page_markdown(markdown: str, **_: Any) -> str:
+    """Let links to notebooks lead to their pages; mkdocs calls this hook."""
+    return markdown.replace(".ipynb)", ".md)")
 
 
 def files_page() -> str:
@@ -82,3 +87,17 @@ def notebook_page(path: Path) -> str:
         pages.append(text if cell["cell_type"] == "markdown" else f"```python\n{text}\n```")
     pages.insert(1, f"Open the notebook `docs/notebooks/{path.name}` in Jupyter to run it.")
     return "\n\n".join(pages) + "\n"
+
+
+REFERENCE = {"files.md": files_page, "messages.md": messages_page, "packets.md": packets_page}
+"""The pages in ``docs/reference`` that are made from the code."""
+
+
+def main() -> None:
+    """Write the pages of `REFERENCE`."""
+    for name, page in REFERENCE.items():
+        (Path(__file__).parent / "reference" / name).write_text(page(), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

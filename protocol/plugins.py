@@ -41,6 +41,10 @@ MAIN = "__main__"
 """The module of a script or notebook. Other processes cannot import it."""
 
 
+class PluginError(TypeError, ValueError):
+    """A plug-in returned a wrong value; the message names the plug-in and the value."""
+
+
 @dataclass(frozen=True)
 class Plugins(Generic[Part]):
     """All parts of one kind that a scenario can name."""
@@ -198,7 +202,8 @@ class Plugins(Generic[Part]):
             if module_name == MAIN:
                 raise ValueError(f"{where}: exists only in the script or notebook that defines it")
             there = [each for each, loaded in vars(module).items() if not self._mistake(loaded)]
-            raise ValueError(f"{where}: {module_name} has no {part_name}; {there_are(there, part_name)}")
+            others = there_are(there, part_name) if there else f"no {self.kind} is in {module}"
+            raise ValueError(f"{where}: {module_name} has no {part_name}; {others}")
         part = self._checked(getattr(module, part_name), where, part_name)
         self._check_name(part, name, where)
         return part

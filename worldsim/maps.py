@@ -80,7 +80,10 @@ class Map:
                 f"a cell has state {self.cells.max()}; the states are 0 unknown, 1 free, 2 occupied"
             )
         if not (self.cells == FREE).any():
-            raise MapError("no cell is free; check negate and the thresholds, or draw free space in white")
+            raise MapError(
+                "no cell is free; check negate and the thresholds, or draw free space in white "
+                "(transparent pixels count as dark)"
+            )
 
     @property
     def width(self) -> int:
@@ -96,6 +99,14 @@ class Map:
     def height(self) -> int:
         """Number of cells from top to bottom."""
         return int(self.cells.shape[0])
+
+    @property
+    def size(self) -> str:
+        """The size in cells and in meters, as text."""
+        width_m, height_m = self.width * self.resolution, self.height * self.resolution
+        return (
+            f"{self.width} x {self.height} cells of {self.resolution:g} m, {width_m:.1f} x {height_m:.1f} m"
+        )
 
     @property
     def diagonal_m(self) -> float:

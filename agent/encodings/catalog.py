@@ -13,7 +13,7 @@ from agent.encodings.zstd_maps import ZstdMapEncoding
 from agent.settings import Settings
 from protocol import packet_codec, packets
 from protocol.errors import ProtocolError, shown
-from protocol.plugins import Plugins
+from protocol.plugins import PluginError, Plugins
 
 ENCODINGS: dict[str, type[MapEncoding]] = {
     kind.name: kind
@@ -43,21 +43,21 @@ def encoding_class(name: str) -> type[MapEncoding]:
 
 
 def check_entries(encoding: MapEncoding, entries: object) -> None:
-    """Raise ValueError if what `MapEncoding.encode_changes` of a plug-in returned is no list of packets of maps."""
+    """Raise PluginError if what `MapEncoding.encode_changes` of a plug-in returned is no list of packets of maps."""
     name = type(encoding).name
     if ENCODINGS.get(name) is type(encoding):
         return
     where = f"map encoding {name!r}: encode_changes must return a list of packets of maps"
     hint = "protocol.scans.fragments(data, most) splits bytes of any format into such packets"
     if not isinstance(entries, list) or not all(isinstance(entry, bytes) for entry in entries):
-        raise ValueError(f"{where}, list[bytes]; it returned {shown(entries)}; {hint}")
+        raise PluginError(f"{where}, list[bytes]; it returned {shown(entries)}; {hint}")
     for entry in entries:
         try:
             kinds = [packet.name for packet in packet_codec.decode(entry)]
         except ProtocolError as error:
-            raise ValueError(f"{where}; {shown(entry)} is none: {error}; {hint}") from None
+            raise PluginError(f"{where}; {shown(entry)} is none: {error}; {hint}") from None
         if len(kinds) != 1 or kinds[0] not in packets.MAP_KINDS:
-            raise ValueError(f"{where}; {shown(entry)} is {' + '.join(kinds) or 'empty'}; {hint}")
+            raise PluginError(f"{where}; {shown(entry)} is {' + '.join(kinds) or 'empty'}; {hint}")
 
 
 def make_encoding(settings: Settings) -> MapEncoding:

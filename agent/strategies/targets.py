@@ -32,6 +32,7 @@ from agent.strategies.homing import Homing
 from agent.strategies.options import option
 from protocol.arrays import Cells
 from protocol.errors import shown
+from protocol.plugins import PluginError
 
 REPLANNING = ("at-goal", "at-once", "after-turn")
 """When a robot chooses a new target. ``at-goal``: at its target. ``at-once``: as soon as its target is no frontier any
@@ -246,17 +247,17 @@ class TargetStrategy(Strategy):
     def select(self, situation: Situation, planner: PathPlanner) -> tuple[Cell | None, bool]:
         """Return the chosen goal, and whether there are goals at all."""
         goals = self.goals(situation, planner)
-        chosen = self.choose(situation, goals, planner) if len(goals) else None
+        chosen = self.choose(situation, goals.copy(), planner) if len(goals) else None
         if chosen is None:
             return None, len(goals) > 0
         try:
             x, y = map(int, chosen)
         except (TypeError, ValueError):
-            raise TypeError(
+            raise PluginError(
                 f"strategy {self.name}: choose must return a goal (x, y), or None; it returned {shown(chosen)}"
             ) from None
         if not ((goals[:, 0] == x) & (goals[:, 1] == y)).any():
-            raise ValueError(f"strategy {self.name} chose {x, y}, which is not one of its goals")
+            raise PluginError(f"strategy {self.name} chose {x, y}, which is not one of its goals")
         return (x, y), True
 
     def stand(self, situation: Situation, planner: PathPlanner) -> Cell | None:

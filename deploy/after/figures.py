@@ -140,9 +140,8 @@ def compared(archives: dict[str, Archive]) -> Figure:
         steps, at = np.unique(archive.steps["step"], return_index=True)
         explored.plot(steps, 100 * archive.steps["team_seen"][at], color=color, linewidth=2, label=name)
         carried = _per_step(archive.ledger, archive.ledger["carried"].astype(bool), archive.last_step)
-        total = carried.sum() / 1000
         load.step(np.arange(1, len(carried) + 1), carried, color=color, linewidth=1, where="mid",
-                  label=f"{name}: {total:.0f} kB in total")  # fmt: skip
+                  label=f"{name}: {carried.sum():,} B in total")  # fmt: skip
     if len(budgets) == 1 and WORD_FOR_UNLIMITED not in budgets:
         load.axhline(float(*budgets), color=RED, linewidth=1.2, label="budget")
     explored.set(title="Explored", ylabel="% of reachable area, seen by the team", ylim=(0, 102))

@@ -8,6 +8,7 @@ from typing import Any
 
 from deploy.after.archive import Archive
 from deploy.record.map_pictures import counted
+from deploy.record.summary import percent
 from netshaper.ledger import CAUSES
 from protocol.packets import ALL_KINDS
 
@@ -187,4 +188,4 @@ def undelivered_rows(summary: dict[str, Any]) -> list[list[str]]:
 
 
 def _percent(share: float | None) -> str:
-    return "-" if share is None else f"{100 * share:.1f} %"
+    return "-" if share is None else percent(share)

@@ -122,6 +122,9 @@ def replay(
         screen.print(f"Replay matches: {result.summary['steps']} steps, digest {before['digest'][:16]}…")
     else:
         explain_difference(before, result.summary)
+        for part in plugins.named(scenario):
+            if part.name not in part.plugins.built_in:
+                errors.print(f"  {part.name} may have changed since, draw random numbers, or read a clock")
     raise typer.Exit(0 if same else 1)
 
 

@@ -16,6 +16,9 @@ from protocol.numba_import import check_compiler
 
 PACKAGE = "murmur-robots"
 
+DASHES = "\u2010\u2011\u2012\u2013\u2014\u2212"
+"""Characters that look like the hyphen of a flag: text programs write them instead."""
+
 
 class Entry(NamedTuple):
     """A command's module, and its line in the list of commands."""
@@ -87,7 +90,12 @@ class Commands(TyperGroup):
             return super().invoke(ctx)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Find a command; for an unknown name, suggest similar ones."""
+        """Find a command; for an unknown name, suggest similar ones. Reject flags with a dash instead of hyphens."""
+        for each in args:
+            if each.startswith(tuple(DASHES)):
+                ctx.fail(
+                    f"{each!r} begins with a dash; type it with hyphens, as --{each.strip(DASHES + '-')}"
+                )
         if args and args[0] not in COMMANDS and not args[0].startswith("-"):
             from protocol.errors import there_are  # noqa: PLC0415
 

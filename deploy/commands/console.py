@@ -16,6 +16,7 @@ from rich.console import Console
 from deploy.run.exit_codes import BAD_INPUT, BROKEN_OFF
 from deploy.run.failure import RunFailed
 from worldsim.atomic_files import DISK_ERRORS
+from worldsim.ending import OUT_OF_STEPS
 
 errors = Console(stderr=True, highlight=False, soft_wrap=True, markup=False)
 screen = Console(highlight=False, soft_wrap=True, markup=False)
@@ -24,7 +25,7 @@ screen = Console(highlight=False, soft_wrap=True, markup=False)
 
 def report_result(result: Any, *, as_json: bool) -> int:
     """Print the results of a run; return its exit code."""
-    from deploy.commands.terminal import summary_lines  # noqa: PLC0415
+    from deploy.commands.terminal import standstill, summary_lines  # noqa: PLC0415
     from deploy.record.run_directory import LOGS  # noqa: PLC0415
 
     report_deaths(result.deaths, result.directory / LOGS if result.directory is not None else None)
@@ -36,6 +37,8 @@ def report_result(result: Any, *, as_json: bool) -> int:
         errors.print(f"the connection of robot {robot} was cut in step {step} and restored")
     for fault in result.records.protocol_errors.texts[:5]:
         errors.print(f"protocol error: {fault}")
+    if result.summary["reason"] == OUT_OF_STEPS and (note := standstill(result.records)):
+        errors.print(note)
     if as_json:
         print(json.dumps(result.summary))
     else:

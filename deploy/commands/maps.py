@@ -65,9 +65,7 @@ def map_show(
     free = int((world_map.cells == 1).sum())
     screen.print(sketch(world_map.cells, screen))
     screen.print(
-        f"{world_map.name}: {world_map.width} x {world_map.height} cells of {world_map.resolution:g} m, "
-        f"{world_map.width * world_map.resolution:.1f} x {world_map.height * world_map.resolution:.1f} m, "
-        f"{free} free cells ({100 * free / world_map.cells.size:.0f} %), "
+        f"{world_map.name}: {world_map.size}, {free} free cells ({100 * free / world_map.cells.size:.0f} %), "
         f"diagonal {world_map.diagonal_m:.1f} m"
     )
     if png is not None:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import keyword
-import sys
-from importlib.metadata import packages_distributions
 from importlib.resources import files
+from importlib.util import find_spec
 from pathlib import Path
 from string import Template
 from typing import Annotated
@@ -49,11 +48,11 @@ def _write(template: str, name: str, flags: str, *settings: str) -> None:
         raise ValueError(f"name = {name!r}: must be lower-case letters, digits and hyphens, as my-way")
     for setting in settings:
         kinds()[setting].check_new(name)
-    if module in sys.stdlib_module_names or module in packages_distributions():
+    file, test = Path(f"{module}.py"), Path(f"test_{module}.py")
+    if not file.exists() and find_spec(module) is not None:
         raise ValueError(
             f"name = {name!r}: would hide the Python module of this name; choose another name, as my-{name}"
         )
-    file, test = Path(f"{module}.py"), Path(f"test_{module}.py")
     for path in (file, test):
         if path.exists():
             raise ValueError(f"{path}: already exists; choose another name")

@@ -56,17 +56,21 @@ KEYS = {
 }
 """Flags with another name or unit than their setting, by the name of the setting."""
 
+STUDIED = ("map_options.resolution", "laser.preset", "pose.preset", "people.number")
+"""Keys of `KEYS` with a flag in commands for many runs."""
+
 PARSERS: dict[str, Callable[[Any], Any]] = {"start": position, "step_s": duration_s}
 """Functions that return the value of a setting from that of its flag, where they differ."""
 
 
 def setting_flags(*without: str) -> Callable[[Command], Command]:
-    """Give a command a flag for each of `SETTINGS` but those in `without`.
+    """Give a command for many runs a flag for each of `SETTINGS` but those in `without`, and those of `STUDIED`.
 
     The command receives the settings that the user gave as the dictionary `settings`.
     """
-    flags = _derived_flags(without)
-    return lambda command: with_flags(command, flags, "settings", lambda **values: _given(values, {}))
+    own = {key: KEYS[key] for key in STUDIED}
+    flags = [*_derived_flags(without), *own.values()]
+    return lambda command: with_flags(command, flags, "settings", lambda **values: _given(values, own))
 
 
 def run_flags(*without: str, more: dict[str, Flag] | None = None) -> Callable[[Command], Command]:

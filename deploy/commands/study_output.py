@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -52,12 +53,32 @@ def end_study(failures: Collection[str], code: int = 0) -> NoReturn:
 
 
 def print_table(lines: list[list[str]]) -> None:
-    """Print a table, header first, as wide as the terminal or `FILE_WIDTH`; long text is wrapped."""
+    """Print a table, header first, as wide as the terminal or `FILE_WIDTH`.
+
+    A table that is wider is turned, with a line per column, if that is narrower; else long text is wrapped.
+    """
+    paper = screen if screen.is_terminal else Console(width=FILE_WIDTH, highlight=False, markup=False)
+    turned = [list(column) for column in zip(*lines, strict=True)]
+    turns = _width(lines) > max(paper.width, _width(turned))
+    lines = turned if turns else lines
+    if _width(lines) > paper.width:
+        first = _wrapped if turns else str
+        lines = [[*map(_wrapped, lines[0])], *([first(line[0]), *line[1:]] for line in lines[1:])]
     table = Table(*(Column(head, overflow="fold") for head in lines[0]), box=SIMPLE)
     for line in lines[1:]:
         table.add_row(*line)
-    paper = screen if screen.is_terminal else Console(width=FILE_WIDTH, highlight=False, markup=False)
     paper.print(table)
+
+
+def _width(lines: list[list[str]]) -> int:
+    """The width of a table without wrapped text: columns have two spaces between them and at both ends."""
+    columns = zip(*lines, strict=True)
+    return 2 + sum(3 + max(map(len, column)) for column in columns)
+
+
+def _wrapped(name: str) -> str:
+    """The name of a column, with each of its words on a line."""
+    return re.sub(r"(?<=[a-z])([_.])(?=[a-z])", r"\1\n", name)
 
 
 def report_failures(causes: dict[str, int]) -> None:

@@ -12,16 +12,23 @@ from rich.progress import BarColumn, Progress, ProgressColumn, TaskID, TextColum
 from rich.text import Text
 
 from deploy.record.records import Records
-from deploy.record.run_directory import PICTURE, PICTURES
+from deploy.record.run_directory import LOGS, PICTURE, PICTURES
+from deploy.record.summary import percent
 from deploy.scenario.plan import Plan
 
 Watch = Callable[[Plan, Records], object]
 
 KIND_LABELS = {
+    "ins": "inserted corners", "rep": "replaced corners", "del": "deleted corners", "em": "new objects",
+    "rm": "removed objects", "chg": "choices of an object",
     "conn": "replication control", "targ": "targets", "save": "ends of updates", "scan": "scans",
     "update": "map updates", "pose": "poses", "sum": "checksums",
 }  # fmt: skip
-"""Labels of packet kinds; edits of polygons (ins, rep, ...) keep the names of the thesis."""
+"""Labels of packet kinds."""
+
+
+STANDSTILL = 50
+"""Steps without a motion that are reported."""
 
 
 class _ProgressWithMessage(Progress):
@@ -91,6 +98,19 @@ def _replayed(summary: dict[str, Any]) -> str:
     return f"{first}, not finished: {summary['reason']}; {missing}."
 
 
+def standstill(records: Records) -> str:
+    """How many steps at the end of a run passed without a motion, and why; empty if they are few."""
+    if not records.world or not all(records.statuses):
+        return ""
+    driven = records.world[-1].driven
+    first = next(report.step for report in records.world if report.driven == driven)
+    if records.step - first < STANDSTILL:
+        return ""
+    has_target = any(statuses[-1].target_x >= 0 for statuses in records.statuses)
+    why = "none came closer to its target" if has_target else "none had a target"
+    return f"no robot moved in the last {records.step - first} steps: {why}"
+
+
 def summary_lines(summary: dict[str, Any], directory: Path | None, *, noisy: bool) -> list[str]:
     """The figures of a run as lines of text; with `noisy` sensors, also how well the walls on its maps fit."""
     lines = []
@@ -120,6 +140,8 @@ def summary_lines(summary: dict[str, Any], directory: Path | None, *, noisy: boo
     if directory is not None:
         shown = [str(directory / name) for name in (PICTURE, PICTURES) if (directory / name).exists()]
         lines.append(f"Results: {directory}" + (f" (pictures: {', '.join(shown)})" if shown else ""))
+        if (directory / LOGS).exists():
+            lines.append(f"Output of the processes: {directory / LOGS}")
     return lines
 
 
@@ -165,4 +187,4 @@ def _wall_line(summary: dict[str, Any]) -> list[str]:
 
 
 def _percent(share: float) -> str:
-    return f"{100 * share:.2f} %"
+    return percent(share, 2)

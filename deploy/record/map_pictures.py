@@ -23,6 +23,7 @@ from deploy.record import colors
 from deploy.record.colors import Color
 from deploy.record.map_errors import DIFFERENCES, ERRORS, compare, share_correct
 from deploy.record.records import Records
+from deploy.record.summary import percent
 from deploy.scenario.plan import Plan
 from protocol.grid import Grid
 from worldsim.atomic_files import write_whole
@@ -99,7 +100,7 @@ def maps_figure(plan: Plan, records: Records, summary: dict[str, Any]) -> Figure
     reachable = plan.reachable
     _show_errors(team, plan, compare(seen, plan.map.cells, reachable))
     team.tick_params(labelsize=7)
-    share = f": {_percent(summary['coverage'])}" if plan.has_truth else ""
+    share = f": {percent(summary['coverage'])}" if plan.has_truth else ""
     _set_title(team, f"seen by the team{share}", fontsize=11)
     size = min(11.0, 3.2 + 3.0 * panels[0].get_position().width * PAGE_WIDTH) if panels else 0
     for panel, robot in zip(panels, robots, strict=True):
@@ -109,7 +110,7 @@ def maps_figure(plan: Plan, records: Records, summary: dict[str, Any]) -> Figure
         for axis in (panel.xaxis, panel.yaxis):
             axis.set_visible(False)
         panel.spines[:].set(linewidth=0.6, color="#9aa1a9")
-        right = _percent(share_correct(errors, reachable))
+        right = percent(share_correct(errors, reachable))
         if size > 8:
             like = "correct" if plan.has_truth else "as the team's"
             title = f"robot {robot}: {right} {like}" + (", finished first" if is_first else "")
@@ -121,7 +122,7 @@ def maps_figure(plan: Plan, records: Records, summary: dict[str, Any]) -> Figure
     top = 1 - 0.26 / figure.get_figheight()
     figure.suptitle(
         f"{plan.map.name}: {counted(summary['robots'], 'robot')}, {summary['map_encoding']}, {medium}; "
-        f"{counted(summary['steps'], 'step')}, {summary['bytes']['total'] / 1000:.0f} kB transmitted",
+        f"{counted(summary['steps'], 'step')}, {summary['bytes']['total']:,} B transmitted",
         y=top, va="center",
     )  # fmt: skip
     _draw_legend(figure, records, ERRORS if plan.has_truth else DIFFERENCES)
@@ -264,7 +265,3 @@ def _show(axes: Axes, cells: NDArray[np.uint8], palette: ListedColormap, world_m
 def counted(number: int, noun: str) -> str:
     """A number with its noun in singular or plural."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.1f} %"

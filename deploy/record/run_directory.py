@@ -39,6 +39,7 @@ from deploy.scenario.scenario import Scenario, load, parse
 from netshaper import capture
 from netshaper.ledger import CAUSES, MALFORMED
 from protocol.files import open_file, read_file
+from protocol.grid import FREE
 from protocol.packets import ALL_KINDS
 from protocol.plugins import without_import
 from worldsim import maps
@@ -110,7 +111,8 @@ def discard(out: Path, *, is_new: bool) -> None:
 def _next_free(plan: Plan) -> Path:
     """Make a directory that no other run uses, even if several runs start at the same time."""
     scenario = plan.scenario
-    stem = f"{plan.map.name}-{scenario.map_encoding}-{scenario.robots}robots-seed{scenario.seed}"
+    encoding = scenario.map_encoding.replace(":", "-")
+    stem = f"{plan.map.name}-{encoding}-{scenario.robots}robots-seed{scenario.seed}"
     RUNS.mkdir(exist_ok=True)
     for number in count(1):
         directory = RUNS / (stem if number == 1 else f"{stem}-{number}")
@@ -238,7 +240,8 @@ def write_results(
     grids = {f"planning-r{robot}": grid for robot, grid in records.planning.items()}
     if records.own:
         grids = {"team": records.team_map(summary["refuted_maps"])} | grids
-    found = {name: Map(name, grid, plan.map.resolution, plan.map.origin) for name, grid in grids.items()}
+    place = plan.map.resolution, plan.map.origin
+    found = {name: Map(name, grid, *place) for name, grid in grids.items() if (grid == FREE).any()}
     writers: dict[str, Callable[[], object]] = {
         SUMMARY: write_summary,
         STEPS: lambda: write_table(out / STEPS, steps_table(plan, records)),
@@ -248,8 +251,7 @@ def write_results(
     if plan.scenario.clock == "wall":
         writers[MISSED] = lambda: missed_phases.write(out / MISSED, records.missed)
     for name, each in found.items():
-        if (each.cells == 1).any():
-            writers[f"{name}.yaml"] = partial(maps.save, each, out / f"{name}.yaml")
+        writers[f"{name}.yaml"] = partial(maps.save, each, out / f"{name}.yaml")
     if records.own:
         writers[PICTURE] = lambda: save(out / PICTURE, maps_figure(plan, records, summary), dpi=110)
     failed = [*failures]

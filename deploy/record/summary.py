@@ -23,11 +23,20 @@ from protocol.grid import FREE, OCCUPIED, Grid
 from protocol.messages import End
 from worldsim.recorded.world import Stretch
 
+MARGIN = 1e-9
+"""Largest rounding error of a computed share."""
+
 POLYGONS = "polygons"
 """The map encoding that approximates maps."""
 
 SCAN_VALUES, VALUE_BYTES = 362, 2
 """Size of a raw scan by the thesis' formula (section 6.3): 360 ranges and a position, sent to each teammate."""
+
+
+def percent(share: float, decimals: int = 1) -> str:
+    """A share as text, rounded; as 100 % only if it is complete."""
+    most = 100 - (10**-decimals if share < 1 - MARGIN else 0)
+    return f"{min(100 * share, most):.{decimals}f} %"
 
 
 def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from pathlib import Path
 from types import TracebackType
 
 from deploy.run.limits import out_of_memory
-from protocol.plugins import PACKAGES
+from protocol.plugins import PACKAGES, PluginError
 
 HEAD = "Traceback (most recent call last):"
 
@@ -21,8 +21,11 @@ _PACKAGES = ("/site-packages/", "/dist-packages/")
 def traceback_of(error: BaseException) -> str:
     """Return the traceback of an exception, from the first frame outside Murmur and the standard library.
 
-    Without such a frame, the traceback is complete. Without memory, there is only a line that says so.
+    Without such a frame, the traceback is complete. Without memory, and if a plug-in returned a wrong value, there is
+    only a line that says so.
     """
+    if isinstance(error, PluginError):
+        return " ".join(str(error).split())
     if isinstance(error, MemoryError):
         return out_of_memory()
     frames: TracebackType | None = error.__traceback__

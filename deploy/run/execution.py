@@ -28,6 +28,7 @@ from deploy.scenario import plan as plans
 from deploy.scenario import plugins
 from deploy.scenario.effective_radio import effective_radio
 from deploy.scenario.errors import ScenarioError
+from deploy.scenario.finding_maps import IMAGES
 from deploy.scenario.plan import Plan
 from protocol import keys as names
 from protocol.kernels import compilation_s
@@ -89,9 +90,10 @@ def execute(plan: Plan, options: RunOptions, out: Path | None, *, keep: bool) ->
 
 
 def _notes(plan: Plan) -> list[str]:
-    """Return notes for the user on the radio and the logs of a plan."""
-    radio = effective_radio(plan)
-    return ([radio] if radio else []) + list(plan.recording.notes if plan.recording is not None else ())
+    """Return notes for the user: the size of a map whose resolution the user gave, the radio, and the logs."""
+    is_picture = Path(plan.scenario.map).suffix.lower() in IMAGES
+    notes = [f"map: {plan.map.size}" if is_picture else "", effective_radio(plan)]
+    return [note for note in notes if note] + list(plan.recording.notes if plan.recording is not None else ())
 
 
 @dataclass(frozen=True, eq=False)

@@ -35,7 +35,7 @@ from deploy.run.processes import (
     silence_s,
 )
 from deploy.run.rendezvous import Rendezvous, behind, on_loopback
-from deploy.run.reply_timeout import RunningClock
+from deploy.run.reply_timeout import TIMED_OUT, RunningClock
 from deploy.run.ssh import Fleet
 from deploy.scenario.plan import Plan
 from netshaper.process import ENDED
@@ -239,14 +239,15 @@ class _Supervisor:
         for robot in lost.keys() - self._ended:
             self._ended.add(robot)
             if lost[robot] != ENDED:
-                self._processes.give_up(names.robot(robot))
+                self._processes.give_up(names.robot(robot), hangs=lost[robot].startswith(TIMED_OUT))
                 if self._fleet is not None:
                     self._fleet.give_up(names.robot(robot))
 
     def conclude(self, records: Records) -> None:
-        """Wait for processes that have left the bus to end, and remove the deaths that the relay's end caused."""
+        """End lost robots, wait for processes that leave, and remove the deaths that the end of the relay caused."""
         if records.end is not None and records.end.step < 0:
             time.sleep(POLL_S)  # the process ends a moment after it has left the bus
+        self.end_lost(records.lost)
         for robot, cause in records.lost.items():
             if cause == ENDED:
                 self._processes.await_end(names.robot(robot), FAREWELL_S)

@@ -31,6 +31,9 @@ _AWAITED = (names.RELAY, names.WORLD)
 GRACE_S = 1.0
 """Time limit for a child to end by itself before it is terminated, and then killed."""
 
+PRINTING_S = 0.2
+"""Time limit for a child that hangs to print the place in its code."""
+
 
 @dataclass
 class Child:
@@ -121,11 +124,14 @@ class ProcessTable:
             raise ConnectionError(f"cannot start {name}: {error.strerror}") from None
         self._children.append(Child(name, process, log, needed))
 
-    def give_up(self, name: str) -> None:
-        """Kill a child; its end is not an error."""
+    def give_up(self, name: str, *, hangs: bool = False) -> None:
+        """Kill a child; its end is not an error. A child that `hangs` first prints the place in its code."""
         for child in self._children:
             if child.name == name and child.needed and name not in self.deaths:
                 child.needed = False
+                if hangs and child.process.pid is not None:
+                    os.kill(child.process.pid, signal.SIGUSR1)
+                    child.process.join(PRINTING_S)
                 child.process.kill()
 
     def excuse(self, name: str) -> None:

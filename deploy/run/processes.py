@@ -5,6 +5,7 @@ The fork server imports this module before any bus is opened, so that robots sta
 
 from __future__ import annotations
 
+import faulthandler
 import os
 import signal
 import sys
@@ -273,15 +274,19 @@ def _serve_robot(bus: Bus, node: AgentNode, is_second: Callable[[], bool]) -> No
 
 
 def in_background(name: str, log: Path, serve: Callable[[], None]) -> None:
-    """Run `serve` as a child of the launcher: its output goes to `log`; the launcher handles Ctrl-C and SIGHUP."""
+    """Run `serve` as a child of the launcher: its output goes to `log`; the launcher handles Ctrl-C and SIGHUP.
+
+    On SIGUSR1, the child prints what each of its threads does.
+    """
     setproctitle(f"murmur {name}")
     parent_watchdog.end_with_parent(parent_watchdog.GRACE_S)
     for number in (signal.SIGINT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     try:
-        file = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+        file = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
         os.dup2(file, 1)
         os.dup2(file, 2)
+        faulthandler.register(signal.SIGUSR1, file=2)
     except FileNotFoundError:
         sys.exit(BROKEN_OFF)  # the launcher has ended and removed the directory
     except OSError as error:

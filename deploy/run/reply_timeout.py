@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 REPLY_TIMEOUT_S = 60.0
 """Default time limit for a robot's reply in a phase of the medium, or for its move."""
+TIMED_OUT = "timed out"
+"""Beginning of the cause of a robot's loss."""
 CHECK_S = 0.25
 GAP_S = 0.5
 """Longest time between two readings of a `RunningClock` that counts."""
@@ -56,5 +58,5 @@ class ReplyTimeout:
             self._phase, self._since = self._node.phase, now
         idle = now - self._since
         for robot in self._node.waiting_for() if idle > self._limit_s else []:
-            self._node.give_up_on(robot, f"timed out after {self._limit_s:g} s")
+            self._node.give_up_on(robot, f"{TIMED_OUT} after {self._limit_s:g} s")
         return idle

@@ -11,6 +11,7 @@ from worldsim import generators, maps
 from worldsim.maps import Map, MapError
 
 IMAGES = (".png", ".pgm")
+OTHER_IMAGES = (".jpg", ".jpeg", ".bmp", ".gif", ".tif", ".tiff", ".webp")
 FILES = (".yaml", ".yml", *IMAGES)
 """File name extensions of maps; all other names are those of generators."""
 
@@ -22,13 +23,16 @@ def find_map(name: str, seed: int, options: Mapping[str, float]) -> Map:
 
     Raises MapError if the map does not exist or cannot be read, or an option is unknown or missing.
     """
-    if name.endswith(FILES) and not Path(located(name)).exists():
+    extension = Path(name).suffix.lower()
+    if extension in FILES and not Path(located(name)).exists():
         raise MapError(
             f"{name}: no such file, neither here nor in the directory that the environment variable MURMUR_MAPS names"
         )
-    if name.endswith(IMAGES):
+    if extension in OTHER_IMAGES and Path(located(name)).is_file():
+        raise MapError(f"map = {name!r}: a map is a PNG or PGM image, or a YAML file; save the image as PNG")
+    if extension in IMAGES:
         return maps.load_picture(located(name), **_image_options(name, options))
-    if name.endswith(FILES) or Path(name).is_file():
+    if extension in FILES or Path(name).is_file():
         found = maps.load(located(name))
         if "resolution" in options:
             raise MapError(

@@ -68,6 +68,14 @@ def _plain(setting: str, value: Any) -> Any:
     return value
 
 
+def own_name(setting: str, value: str) -> str:
+    """Return the name that a plug-in given as ``module:Class`` has itself; all other values unchanged."""
+    try:
+        return str(getattr(kinds()[setting].find(value), "name", value)) if ":" in value else value
+    except (KeyError, ValueError):
+        return value
+
+
 def named(scenario: Scenario) -> Iterator[Named]:
     """Yield all parts that a scenario names."""
     for setting, plugins in kinds().items():

@@ -13,6 +13,7 @@ from deploy.scenario.hardware import PRESETS
 from deploy.scenario.radio_presets import RADIO_KEYS
 from protocol.errors import there_are
 from protocol.files import read_file
+from worldsim import generators
 
 NAMED = ("radio", *PRESETS)
 """Tables that a name can stand for: that of a preset."""
@@ -62,6 +63,9 @@ def read_toml(path: Path, kind: str, shipped: Path | None = None) -> tuple[Path,
 
     Raises ScenarioError if the file cannot be read, or is not TOML.
     """
+    is_generator = str(path) in generators.names() and not path.exists()
+    if kind == "scenario" and (is_generator or path.suffix.lower() in MAP_FILES):
+        raise ScenarioError(f"scenario {path}: is a map, not a scenario; give it as --map {path}")
     if shipped and len(path.parts) == 1 and not path.exists() and (shipped / path.name).exists():
         path = shipped / path.name
     try:
@@ -84,6 +88,6 @@ def beside(path: Path, named: Any) -> Any:
 
     A map file is searched in the directory of `path`, then in the directory of the environment variable MURMUR_MAPS.
     """
-    if not isinstance(named, str) or not named.endswith(MAP_FILES):
+    if not isinstance(named, str) or Path(named).suffix.lower() not in MAP_FILES:
         return named
     return located(named, path.parent)

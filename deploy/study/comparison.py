@@ -157,6 +157,8 @@ def _named(
     scenarios: Sequence[Scenario | dict[str, Any] | Path | str] | dict[str, dict[str, Any]],
 ) -> dict[str, dict[str, Any]]:
     """The settings of each scenario by a name: that of its file, or its differing settings."""
+    if isinstance(scenarios, str | Path):
+        raise ScenarioError(f"scenarios = {str(scenarios)!r}: must be a list, or a dict")
     if isinstance(scenarios, dict):
         return {name: plugins.plain_settings(keys) for name, keys in scenarios.items()}
     named: dict[str, dict[str, Any]] = {}
@@ -170,7 +172,11 @@ def _named(
         else:
             differing = {k: v for k, v in own.items() if any(other.get(k) != v for other in settings)}
             keyed = {k: f"{k} {v}" for k, v in differing.items()}
-            words = {k: v for k, v in differing.items() if isinstance(v, str) and v[:1].isalpha()}
+            words = {
+                k: plugins.own_name(k, v)
+                for k, v in differing.items()
+                if isinstance(v, str) and v[:1].isalpha()
+            }
             name = ", ".join((keyed | words).values()) or "plain"
             if name in named:
                 name = ", ".join(keyed.values())
@@ -183,10 +189,22 @@ def _named(
 def _settings(scenario: Scenario | dict[str, Any] | Path | str) -> dict[str, Any]:
     """The explicit settings of a scenario, without those that the comparison replaces."""
     if isinstance(scenario, str | Path):
+        _check_not_named(str(scenario))
         scenario = load(Path(scenario), {})
     if isinstance(scenario, Scenario):
         scenario = scenario.model_dump(mode="json", exclude_unset=True)
     return plugins.plain_settings({key: value for key, value in scenario.items() if key not in REPLACED})
+
+
+def _check_not_named(file: str) -> None:
+    """Raise ScenarioError if the name of a strategy, an encoding, or a radio stands for a file, which is missing."""
+    for setting, flag in (("strategy", "strategies"), ("map_encoding", "map-encodings"), ("radio", "radios")):
+        parts = plugins.kinds()["radio.preset" if setting == "radio" else setting]
+        if file in parts.built_in and not Path(file).exists():
+            raise ScenarioError(
+                f"{file!r}: is a {parts.kind}, not a scenario's file; use --{flag}, or in Python "
+                f"{{{setting!r}: {file!r}}}"
+            )
 
 
 def _sentence(metric: str, finding: Finding) -> str:
@@ -194,7 +212,8 @@ def _sentence(metric: str, finding: Finding) -> str:
     one, other = finding.rule.compare[VARIANT], finding.rule.to[VARIANT]
     effect = finding.effect
     if not effect.n:
-        return f"{one} and {other}: no pair of runs to compare"
+        why = f" ({finding.left_out} excluded as unfinished or 0)" if finding.left_out else ""
+        return f"{one} and {other}: no pair of runs to compare{why}"
     bounds = "" if effect.low != effect.low else f" [{_ratio(effect.low)}, {_ratio(effect.high)}]"
     excluded = f", {finding.left_out} excluded as unfinished or 0" if finding.left_out else ""
     pairs = f"{effect.n} pairs{excluded}"

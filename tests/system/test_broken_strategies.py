@@ -26,6 +26,10 @@ class Torn(TargetStrategy):
     def worth(self, goals):
         raise IndexError("index 7 of 7")
 """
+LOOP = STRATEGY.replace("return self.worth(goals)", "while True: pass")
+STILL = STRATEGY.replace("if situation.step > 2:", "if print(goals) is None:").replace("return self", "self")
+STILL = STILL.replace("self.worth(goals)", "return None")
+SHIFTED = STRATEGY.replace("return self.worth(goals)", "goals += 1000; x, y = goals[0]; return x, y")
 COMMAND = (
     "explore",
     "--map",
@@ -41,19 +45,65 @@ COMMAND = (
 )
 
 
+def run_strategy(folder: Path, source: str, *more: str) -> subprocess.CompletedProcess[str]:
+    (folder / "torn.py").write_text(source)
+    return murmur(folder, *COMMAND, *more)
+
+
+def murmur(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "deploy.commands.main", *words],
+        capture_output=True,
+        text=True,
+        cwd=folder,
+        env={"PYTHONPATH": str(Path(__file__).parents[2]), "PATH": "/usr/bin:/bin", "HOME": str(folder)},
+        check=False,
+    )
+
+
+def test_the_log_of_a_robot_that_never_decides_has_the_line_of_its_loop(tmp_path: Path) -> None:
+    done = run_strategy(tmp_path, LOOP, "--set", "reply_timeout_s=2")
+    assert "robot 0 was lost: timed out after 2 s" in done.stderr
+    assert done.stdout.endswith("Output of the processes: run/logs\n")
+    assert f'File "{tmp_path / "torn.py"}", line 9 in choose' in (tmp_path / "run/logs/r0.log").read_text()
+    assert Path(tmp_path / "run/logs/r0.log").stat().st_mode & 0o111 == 0, "not executable"
+
+
+def test_the_place_of_printed_output_and_a_team_that_stands_still_are_reported(tmp_path: Path) -> None:
+    done = run_strategy(tmp_path, STILL, "--steps", "60")
+    assert done.stdout.endswith("Output of the processes: run/logs\n")
+    assert done.stderr == "no robot moved in the last 59 steps: none had a target\n"
+
+
+def test_goals_that_a_strategy_has_changed_are_no_goals(tmp_path: Path) -> None:
+    done = run_strategy(tmp_path, SHIFTED)
+    assert "last output: strategy torn chose (1" in done.stderr
+    assert "which is not one of its goals" in done.stderr
+
+
+def test_a_replay_that_differs_names_the_strategy_because_it_may_draw_random_numbers(tmp_path: Path) -> None:
+    source = "import random\n" + STRATEGY.replace("x, y = goals[0]", "x, y = random.choice(goals)")
+    run_strategy(tmp_path, source, "--bus", "memory", "--steps", "2")
+    done = murmur(tmp_path, "replay", "--trust", "run")
+    assert done.returncode == 1
+    assert done.stderr.endswith("  torn:Torn may have changed since, draw random numbers, or read a clock\n")
+
+
+@pytest.mark.parametrize("bus", ["memory", "zenoh"])
+def test_a_wrong_value_of_a_strategy_is_reported_without_frames_of_murmur(tmp_path: Path, bus: str) -> None:
+    done = run_strategy(tmp_path, STRATEGY.replace("return self.worth(goals)", "return goals"), "--bus", bus)
+    first, *more = done.stderr.splitlines()
+    assert first.startswith(
+        "r0, r1 died: exit code 1; last output: strategy torn: choose must return a goal (x, y), or None; it returned "
+    )
+    assert not any("Traceback" in line or "File" in line for line in more)
+
+
 @pytest.mark.parametrize("bus", ["memory", "zenoh"])
 def test_an_exception_in_a_strategy_is_reported_with_only_the_author_s_frames(
     tmp_path: Path, bus: str
 ) -> None:
-    (tmp_path / "torn.py").write_text(STRATEGY)
-    done = subprocess.run(
-        [sys.executable, "-m", "deploy.commands.main", *COMMAND, "--bus", bus],
-        capture_output=True,
-        text=True,
-        cwd=tmp_path,
-        env={"PYTHONPATH": str(Path(__file__).parents[2]), "PATH": "/usr/bin:/bin", "HOME": str(tmp_path)},
-        check=False,
-    )
+    done = run_strategy(tmp_path, STRATEGY, "--bus", bus)
     assert done.returncode == 3, done.stderr
     lines = done.stderr.splitlines()
     assert lines[0] == "r0, r1 died: exit code 1; last output: Traceback (most recent call last):"

@@ -114,6 +114,8 @@ def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     room = np.zeros((10, 10), np.uint8)
     room[1:-1, 1:-1] = 255
     Image.fromarray(room).save(tmp_path / "room.png")
+    Image.new("RGBA", (10, 10), (0, 0, 0, 0)).save(tmp_path / "clear.PNG")
+    Image.new("L", (10, 10), 255).save(tmp_path / "plan.jpg")
     (tmp_path / "palette.png").write_bytes(png_without_palette())
     Credential("a", "r0", "tcp/127.0.0.1:1", "x").write(tmp_path / "r0.json")
     monkeypatch.chdir(tmp_path)
@@ -137,6 +139,13 @@ EXPLORE = {
     "--map wide.yaml": f"wide.png: is 2049 x 3 cells, and the maximum is {MAX_SIDE} x {MAX_SIDE}",
     "--map turned.yaml": "turned.yaml: origin is rotated by 1.0 rad; rotate the picture instead",
     "--map small.png": "an image has no resolution: give --resolution METERS (per cell), or the YAML",
+    "--map plan.jpg --resolution 0.1": "map = 'plan.jpg': a map is a PNG or PGM image, or a YAML file; save the",
+    "--map clear.PNG --resolution 0.1": "clear.PNG: no cell is free; check negate and the thresholds, or draw free "
+    "space in white (transparent pixels count as dark)",
+    "small.yaml": "scenario small.yaml: is a map, not a scenario; give it as --map small.yaml",
+    "office-plain": "scenario office-plain: is a map, not a scenario; give it as --map office-plain",
+    "\u2013robots 3": "'\u2013robots' begins with a dash; type it with hyphens, as --robots",
+    "--strategy test:Test": "strategy 'test:Test': test has no Test; no strategy is in <module 'test' from ",
     "--map small.yaml --resolution 0.1": "resolution = 0.1: small.yaml itself gives the size of its cells",
     "--map text.png --resolution 0.1": "text.png: is not a complete PGM or PNG picture",
     "--set robtos=3": "robtos: unknown setting; did you mean robots or robot or options?",
@@ -259,6 +268,7 @@ OTHERS = {
     "merge file file --out joined": "file: is a file; name record directories of robots in the field (docs/",
     "map show em --png nowhere/em.png": "png = nowhere/em.png: no such folder: nowhere",
     "map show em --png em.xyz": "png = em.xyz: must end in .png",
+    "new strategy test": "name = 'test': would hide the Python module of this name",
     "new strategy numpy": "name = 'numpy': would hide the Python module of this name",
     "compare --strategies meier,meier": "two of the scenarios are the same: strategy = meier",
     "compare --strategies meier,": "there is nothing to compare: give at least two scenarios",

@@ -34,6 +34,12 @@ def test_a_run_with_sensor_errors_prints_how_well_the_walls_fit(floor: str) -> N
     assert "Walls: " not in explore(floor, "--steps", "20").stdout
 
 
+def test_edits_of_polygons_are_named_in_words(floor: str) -> None:
+    printed = explore(floor, "--map-encoding", "polygons", "--steps", "3").stdout
+    assert "B (inserted corners " in printed
+    assert "choices of an object " in printed
+
+
 def test_json_output_is_one_object_and_nothing_else(floor: str) -> None:
     result = explore(floor, "--json", "--out", "run")
     summary: dict[str, Any] = json.loads(result.stdout)

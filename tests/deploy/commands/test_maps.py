@@ -22,6 +22,12 @@ def test_maps_can_be_made_shown_and_explored(floor: str) -> None:
     assert all(name in listed for name in generators.names())
 
 
+def test_the_size_of_a_picture_is_printed_because_its_resolution_may_be_in_a_wrong_unit(floor: str) -> None:
+    murmur("map", "make", "em", "--out", "hall.yaml")
+    explored = explore("hall.png", "--resolution", "0.1", "--steps", "1")
+    assert explored.stderr.startswith("map: 420 x 480 cells of 0.1 m, 42.0 x 48.0 m\n")
+
+
 def test_size_and_clutter_of_a_map_are_options(floor: str) -> None:
     murmur("map", "make", "caves", "--seed", "3", "--option", "width_m=20", "--option", "height_m=16")
     words = ["--seed", "3", "--option", "width_m=20", "--option", "height_m=16"]

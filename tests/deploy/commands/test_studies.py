@@ -11,12 +11,14 @@ import tomllib
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import polars as pl
 import psutil
 import pytest
 from PIL import Image
 from typer.testing import CliRunner
 
+from deploy.commands import study_output
 from deploy.commands.app import app
 from tests.deploy.study.small_experiment import EXPERIMENT, write
 
@@ -331,6 +333,50 @@ def test_teams_are_compared_by_the_command(tmp_path: Path) -> None:
     written = {file.name for file in (tmp_path / "c").iterdir()}
     assert written >= {"boxes.png", "curves.png", "means.csv", "runs.parquet"}
     assert written >= {"boxes.svg", "curves.svg", "means-table.tex"}
+
+
+def test_a_table_that_is_wider_than_the_terminal_is_turned_and_names_plug_ins_as_they_name_themselves(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "lazy.py").write_text(
+        "from agent.strategies.burgard import Nearest\n\n\n"
+        'class Lazy(Nearest):\n    name, summary, source = "lazy-walk", "as nearest", "our own"\n'
+    )
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(study_output, "FILE_WIDTH", 80)
+    words = ["--strategies", "lazy:Lazy,nearest", "--map", "em", "--robots", 1, "--seeds", 2, "--jobs", 1]
+    code, text, _ = command(*words, "--set", "steps=2", "--out", "c", of="compare")
+    assert code == 0
+    head, rule, *lines = text.splitlines()[2:]
+    assert head.split() == ["variant", "lazy-walk", "nearest"] and set(rule.strip()) == {
+        "\N{BOX DRAWINGS LIGHT HORIZONTAL}"
+    }
+    assert [line.split()[0] for line in lines[:4]] == ["n", "steps", "t90", "map_accuracy"]
+    assert "lazy-walk and nearest: no pair of runs to compare (2 excluded as unfinished or 0)." in lines
+    monkeypatch.setattr(study_output, "FILE_WIDTH", 40)
+    _, text, _ = command(*words, "--set", "steps=2", "--out", "c", of="compare")
+    assert {"mean_", "map_", "accuracy"} <= {
+        line.split()[0] for line in text.splitlines()[2:] if line.strip()
+    }
+
+
+def test_compare_has_flags_for_sensors_and_for_the_resolution_of_a_picture(tmp_path: Path) -> None:
+    room = np.zeros((60, 60), np.uint8)
+    room[3:-3, 3:-3] = 255
+    Image.fromarray(room).save(tmp_path / "room.png")
+    words = [
+        "--map",
+        tmp_path / "room.png",
+        "--resolution",
+        0.1,
+        "--laser",
+        "sick-lms",
+        "--pose",
+        "graph-slam",
+    ]
+    words += ["--strategies", "nearest,greedy", "--robots", 1, "--seeds", 2, "--jobs", 1, "--set", "steps=2"]
+    code, _, errors = command(*words, "--out", tmp_path / "c", of="compare")
+    assert code == 0, errors
 
 
 def test_size_prints_a_line_per_radio_and_progress_from_the_beginning(tmp_path: Path) -> None:

@@ -26,7 +26,7 @@ from deploy.record.map_errors import (
 )
 from deploy.record.map_pictures import PAGE_SHAPE, maps_figure, mark_steps
 from deploy.record.records import Records
-from deploy.record.summary import summarize
+from deploy.record.summary import percent, summarize
 from deploy.run.in_memory import MemoryRun
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from tests.deploy.small_run import small_plan, small_run
@@ -73,6 +73,28 @@ def test_any_number_of_robots_fits_a_page_and_no_panel_hides_another(robots: int
             assert apart
     width, height = figure.get_size_inches()
     assert PAGE_SHAPE / 2 < width / height < 2 * PAGE_SHAPE
+
+
+def test_the_title_has_the_bytes_that_a_small_team_transmits() -> None:
+    plan = small_plan(robots=2, steps=2)
+    records = MemoryRun(plan).complete()
+    summary = summarize(plan, records, 1.0)
+    title = maps_figure(plan, records, summary).get_suptitle()
+    assert title.endswith(f"; 2 steps, {summary['bytes']['total']} B transmitted")
+
+
+@pytest.mark.parametrize(
+    ("share", "decimals", "text"),
+    [
+        (1, 1, "100.0 %"),
+        (0.99999, 1, "99.9 %"),
+        (0.99999, 2, "99.99 %"),
+        (0.5, 2, "50.00 %"),
+        (1 - 1e-15, 2, "100.00 %"),
+    ],
+)
+def test_a_share_is_100_percent_only_if_it_is_complete(share: float, decimals: int, text: str) -> None:
+    assert percent(share, decimals) == text
 
 
 def test_a_panel_shows_the_errors_of_its_robots_map() -> None:

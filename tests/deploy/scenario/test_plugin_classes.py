@@ -143,7 +143,7 @@ def test_a_sweep_and_a_comparison_take_classes() -> None:
     done_too = compare(
         [{"strategy": First}, {"strategy": "nearest"}], seeds=2, jobs=1, progress=False, **SMALL
     )
-    assert {row["place"]["variant"] for row in done_too.sweep.rows} == {f"{HERE}:First", "nearest"}
+    assert {row["place"]["variant"] for row in done_too.sweep.rows} == {"first", "nearest"}
 
 
 MEIER = """from tests.deploy.scenario.test_plugin_classes import First

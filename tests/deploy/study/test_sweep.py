@@ -128,11 +128,34 @@ def test_noisy_maps_are_compared_by_their_walls_and_their_agreement() -> None:
     assert 0.9 < means["claimed_worst_wall_f1"] < 1
 
 
+@pytest.mark.parametrize(
+    ("scenarios", "hint"),
+    [
+        (
+            ["nearest", "greedy"],
+            "'nearest': is a strategy, not a scenario's file; use --strategies, or in Python {'str",
+        ),
+        (
+            ["cells", "scans"],
+            "'cells': is a map encoding, not a scenario's file; use --map-encodings, or in Python",
+        ),
+        (
+            ["ble", "wifi"],
+            "'ble': is a radio preset, not a scenario's file; use --radios, or in Python {'radio': 'ble'}",
+        ),
+        ("nearest,greedy", "scenarios = 'nearest,greedy': must be a list, or a dict"),
+    ],
+)
+def test_names_in_place_of_scenarios_are_explained(scenarios: Any, hint: str) -> None:
+    with pytest.raises(ScenarioError, match=re.escape(hint)):
+        compare(scenarios, seeds=2, **QUIET)
+
+
 def test_scenarios_of_files_and_objects_are_compared_by_their_names(tmp_path: Path) -> None:
     (tmp_path / "slow.toml").write_text('map = "em"\nspeed = 0.2\nsteps = 3\n')
     (tmp_path / "fast.toml").write_text('map = "em"\nspeed = 1.0\nsteps = 3\n')
     done = compare([tmp_path / "slow.toml", tmp_path / "fast.toml"], seeds=2, robots=1, **QUIET)
-    assert done.verdicts == ["slow and fast: no pair of runs to compare"]
+    assert done.verdicts == ["slow and fast: no pair of runs to compare (2 excluded as unfinished or 0)"]
     objects = [Scenario(map="em", steps=2, robots=1, map_encoding=name) for name in ("none", "predictive")]
     assert "none and predictive" in compare(objects, seeds=2, **QUIET).verdicts[0]
 
