@@ -21,6 +21,8 @@ from deploy.scenario import plugins
 from deploy.scenario.errors import ScenarioError
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import Scenario, check_incarnations, parse
+from deploy.scenario.thesis import with_thesis
+from deploy.scenario.toml_files import lay, remove_preset_keys
 from protocol.messages import Missed
 from worldsim.pace import Pace
 
@@ -72,7 +74,8 @@ def explore(
     check : bool
         Whether to raise RunFailed; else only `Result.exit_code` shows that the run failed.
     **settings
-        Settings that replace those of `scenario`: ``explore(robots=5, bandwidth=1000)``.
+        Settings that replace those of `scenario`: ``explore(robots=5, bandwidth=1000)``. A dotted name sets one key of
+        a table: ``explore(**{"radio.loss": 0.1})``. ``thesis=True`` is ``--thesis``.
 
     Raises
     ------
@@ -150,15 +153,22 @@ def _incarnations(scenario: Scenario, hosts: Hosts | None) -> int:
 
 
 def scenario_of(scenario: Scenario | None, settings: Mapping[str, Any]) -> Scenario:
-    """Return a scenario, or the defaults, with some settings replaced; ScenarioError lists all errors.
+    """Return a scenario, or the defaults, with some settings replaced, as `explore` describes them.
 
+    Raises ScenarioError, which lists all errors.
     Raises TypeError if `scenario` is not a Scenario.
     """
     if not isinstance(scenario, Scenario | None):
         raise TypeError(
             f"scenario = {scenario!r}: must be a Scenario; settings are given by name, as in "
-            "explore(map='office', robots=3), and deploy.scenario.scenario.load(Path('office.toml'), {}) reads a file"
+            "explore(map='office', robots=3), and murmur.load('office.toml') reads a file"
         )
     if scenario is not None and not settings:
         return scenario
-    return parse((scenario.model_dump(exclude_unset=True) if scenario is not None else {}) | dict(settings))
+    data = scenario.model_dump(exclude_unset=True) if scenario is not None else {}
+    given = plugins.plain_settings(settings)
+    if given.pop("thesis", False):
+        given = with_thesis(given, data)
+    remove_preset_keys(data, given)
+    lay(data, given, "scenario")
+    return parse(data)

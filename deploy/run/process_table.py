@@ -13,6 +13,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from multiprocessing import current_process
 from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 from typing import Self
@@ -61,7 +62,14 @@ def load_fork_server() -> None:
     """Start the fork server, and wait until it has loaded the kernels, which it compiles at the first use.
 
     All runs of this process share it. If it fails, the run reports that. KeyboardInterrupt ends it.
+
+    Raises ValueError if this process may not have children.
     """
+    if current_process().daemon:
+        raise ValueError(
+            "a worker of multiprocessing.Pool may not start processes: use concurrent.futures.ProcessPoolExecutor, "
+            "or, for a single run, bus = 'memory'"
+        )
     if fork_server.pid() is not None:
         return
     logs = Path(parent_watchdog.open_folder()) / "preload"

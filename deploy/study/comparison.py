@@ -157,6 +157,8 @@ def _named(
     scenarios: Sequence[Scenario | dict[str, Any] | Path | str] | dict[str, dict[str, Any]],
 ) -> dict[str, dict[str, Any]]:
     """The settings of each scenario by a name: that of its file, or its differing settings."""
+    if isinstance(scenarios, str | Path | Scenario):
+        raise ScenarioError(f"there is nothing to compare with {scenarios!r}: give a list of scenarios")
     if isinstance(scenarios, dict):
         return {name: plugins.plain_settings(keys) for name, keys in scenarios.items()}
     named: dict[str, dict[str, Any]] = {}

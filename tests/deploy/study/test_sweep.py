@@ -172,6 +172,7 @@ def test_studies_without_a_successful_run_raise_with_the_causes(tmp_path: Path) 
         compare(sides, seeds=2, out=out, **QUIET)
     with pytest.raises(RunFailed, match=r"^all runs failed: it broke \(2 runs\)$"):
         sweep(base=sides[0], seed=[0, 1], out=out, **QUIET)
+    assert len(sweep(base=sides[0], seed=[0, 1], out=out, retry=True, **QUIET).rows) == 2
 
 
 def test_the_smallest_sufficient_team_is_named(tmp_path: Path) -> None:
