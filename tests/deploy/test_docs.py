@@ -326,7 +326,8 @@ def test_links_between_documents_lead_somewhere(document: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "document", ["architecture.md", "bus.md", "protocol.md", "radios.md", "several-terminals.md"]
+    "document",
+    ["architecture.md", "bus.md", "contributing.md", "protocol.md", "radios.md", "several-terminals.md"],
 )
 def test_files_that_documents_name_are_there(document: str) -> None:
     text = (DOCS / document).read_text(encoding="utf-8")
