@@ -13,7 +13,6 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from multiprocessing import current_process
 from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 from typing import Self
@@ -65,11 +64,7 @@ def load_fork_server() -> None:
 
     Raises ValueError if this process may not have children.
     """
-    if current_process().daemon:
-        raise ValueError(
-            "a worker of multiprocessing.Pool may not start processes: use concurrent.futures.ProcessPoolExecutor, "
-            "or, for a single run, bus = 'memory'"
-        )
+    fork_server.check_process()
     if fork_server.pid() is not None:
         return
     logs = Path(parent_watchdog.open_folder()) / "preload"

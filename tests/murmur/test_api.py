@@ -205,10 +205,34 @@ def test_in_a_worker_that_may_not_start_processes_the_error_names_what_can(
         lambda: explore(map="em", steps=2, out=tmp_path / "run"),
         lambda: murmur.sweep(map="em", steps=2, seed=[0], progress=False),
     ):
-        with pytest.raises(ValueError, match=r"a worker of multiprocessing\.Pool .*ProcessPoolExecutor"):
+        with pytest.raises(
+            ValueError, match=r"a worker of multiprocessing\.Pool .*ProcessPoolExecutor with .*spawn"
+        ):
             call()
     assert not (tmp_path / "run").exists()
     assert explore(keep=False, **SMALL).summary["digest"] == small().summary["digest"]
+
+
+@pytest.mark.slow
+def test_in_a_process_forked_after_a_run_with_processes_the_error_names_what_can() -> None:
+    script = """
+import os, murmur
+size = {"map": "em", "robots": 1, "steps": 2, "keep": False}
+murmur.explore(**size)
+if os.fork():
+    os.wait()
+else:
+    print(murmur.explore(bus="memory", **size).exit_code)
+    try:
+        murmur.explore(**size)
+    except ValueError as error:
+        print(error)
+    os._exit(0)
+"""
+    done = subprocess.run([sys.executable, "-uc", script], capture_output=True, text=True, check=True)
+    code, error = done.stdout.splitlines()
+    assert code == "1"
+    assert error.startswith("this process was forked from one in which runs had processes")
 
 
 @pytest.mark.parametrize(
