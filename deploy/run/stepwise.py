@@ -161,6 +161,9 @@ class Steps:
             raise RuntimeError("the run has not ended: iterate over all steps first")
         return self._result
 
+    def __repr__(self) -> str:
+        return f"<Steps of {self.plan.scenario.robots} robots on {self.plan.map.name}>"
+
     def _state(self, number: int) -> Step:
         records, resolution = self._run.records, self.plan.map.resolution
         report = next(each for each in reversed(records.world) if each.step == number)
