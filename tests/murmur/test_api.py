@@ -178,6 +178,9 @@ def test_help_and_completion_have_the_public_names_only() -> None:
 def test_a_scenario_file_is_named_by_text_or_path() -> None:
     assert murmur.load("office.toml") == murmur.load(Path("office.toml"), {"robots": None})
     assert murmur.load("office.toml", {"radio.loss": 0.1, "robots": 2}).robots == 2
+    for file in ("office.toml", Path("office.toml")):
+        plan = murmur.steps(file, **{"radio.loss": 0.1}).plan
+        assert plan.scenario == murmur.load(file, {"radio.loss": 0.1, "bus": "memory"})
 
 
 def test_settings_have_the_names_and_the_effect_that_they_have_on_the_command_line() -> None:
@@ -247,6 +250,7 @@ else:
         (lambda: murmur.sweep(seed=[0], metrics=["step"]), "'step' is not a metric"),
         (lambda: murmur.sweep(seed=[0], out="runs.csv"), r"out = 'runs\.csv': .*must end in \.parquet"),
         (lambda: murmur.size("em", radio=["wifi", "ble"]), "size_radios tests several radios"),
+        (lambda: murmur.explore(hosts="elsewhere.toml"), "hosts elsewhere.toml: no such file"),
         (lambda: murmur.merge("elsewhere", "team"), "elsewhere is not the record of a robot"),
     ],
 )
