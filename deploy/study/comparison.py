@@ -19,6 +19,8 @@ from deploy.study import plots
 from deploy.study.claims import HOLDS, UNDECIDED, Finding, Rule, judge
 from deploy.study.experiment import first_seeds
 from deploy.study.figure_style import DEFAULT, FigureStyle
+from deploy.study.measures import EXPLORATION
+from deploy.study.measures import METRICS as MEASURED
 from deploy.study.plots import BOXES, CURVES, Plot
 from deploy.study.results import write_table
 from deploy.study.runs import StudyRuns
@@ -123,7 +125,7 @@ def compare(
     variants, settings = _named(scenarios), plugins.plain_settings(settings)
     if len(variants) < 2:
         raise ScenarioError("there is nothing to compare: give at least two scenarios")
-    check(metric, ())
+    check(metric, (), MEASURED[EXPLORATION])
     for keys in variants.values() if "radio" in settings else ():
         remove_preset_keys(keys, {"radio": ""})
     taken = [key for key in settings if any(key in keys for keys in variants.values())]

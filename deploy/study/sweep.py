@@ -18,7 +18,7 @@ from deploy.study import experiment as experiments
 from deploy.study import paper_tables, plots
 from deploy.study.experiment import Experiment
 from deploy.study.figure_style import DEFAULT, FigureStyle
-from deploy.study.measures import EXPLORED
+from deploy.study.measures import EXPLORATION, METRICS
 from deploy.study.progress import counting
 from deploy.study.results import open_results
 from deploy.study.runs import StudyRuns, cases, make
@@ -131,7 +131,7 @@ def sweep(
     if experiment is None:
         metrics = experiments.listed("metrics", metrics)
         for metric in metrics:
-            check(metric, variants or {}, EXPLORED)
+            check(metric, variants or {}, METRICS[EXPLORATION])
         read = of_settings("sweep", base or {}, settings, variants or {"plain": {}}, metrics)
     else:
         if base or variants:
