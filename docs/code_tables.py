@@ -1,4 +1,4 @@
-"""Tables in docs that follow from code: settings and settings of hosts.
+"""Tables in docs that follow from code: settings, settings of hosts, presets of radios, lasers, and poses.
 
 Run ``python -m docs.code_tables`` after a change; `tests/deploy/test_docs.py` compares pages and code.
 """
@@ -20,9 +20,10 @@ from deploy.scenario.hardware import RobotOverride
 from deploy.scenario.scenario import Scenario
 from deploy.scenario.tables import ChangeTable, FaultTable
 from netshaper.radio_options import RadioOptions
+from protocol.presets import PRESETS
 from worldsim.people_options import PeopleOptions
 from worldsim.recorded.options import RecordingOptions
-from worldsim.sensor_options import LaserOptions, PoseOptions
+from worldsim.sensor_options import LASERS, POSES, LaserOptions, PoseOptions
 
 DOCS = Path(__file__).parent
 
@@ -79,20 +80,67 @@ def host_settings() -> Iterator[tuple[str, str, str]]:
     yield from _fields(Host, "host.")
 
 
-def updated(page: str, head: str, rows: Iterable[tuple[str, ...]]) -> str:
-    """Return the page with the rows of the table below a head line replaced."""
-    table = "".join(f"| {' | '.join(row)} |\n" for row in rows)
-    return re.sub(rf"(?<={re.escape(head)}\n)(\|[-|]*\n)(\|[^\n]*\n)*", lambda match: match[1] + table, page)
+def radios() -> Iterator[tuple[str, ...]]:
+    """Yield the row of each radio preset."""
+    for name, preset in PRESETS.items():
+        assert preset.link is not None
+        yield (
+            f"`{name}`", preset.description, f"{preset.bits_per_s:,}", f"{preset.bandwidth:,}", f"{preset.frame_bytes}",
+            f"{1000 * preset.frame_s:.1f}", ", ".join(str(preset.link.range_m(walls)) for walls in (0, 2, 4)),
+            f"{preset.link.db_per_wall:g}",
+            f"{100 * preset.limit.duty_cycle:g} %" if preset.limit.duty_cycle < 1 else "none",
+        )  # fmt: skip
+
+
+def lasers() -> Iterator[tuple[str, ...]]:
+    """Yield the row of each laser."""
+    for name, keys in LASERS.items():
+        laser = LaserOptions(**{key: value for key, value in keys.items() if key != "field_of_view"})
+        share = f" + {100 * laser.range_error_share:g} %" if laser.range_error_share else ""
+        yield (
+            f"`{name}`", f"{1000 * laser.range_error_m:g} mm{share}" if keys else "none",
+            f"{laser.short:g}", f"{laser.missing:g}", f"{laser.mixed:g}",
+            f"{laser.min_range_m:g} to {laser.max_range_m:g}" if keys else "-",
+            f"{laser.beams}, {keys['field_of_view']:g} degrees" if keys else "`beams`, `field_of_view`",
+        )  # fmt: skip
+
+
+def poses() -> Iterator[tuple[str, ...]]:
+    """Yield the row of each localization method."""
+    for name, keys in POSES.items():
+        pose = PoseOptions(**keys)
+        position, heading = f"{100 * pose.position_error_m:g} cm", f"{pose.heading_error_deg:g} degrees"
+        yield f"`{name}`", position if keys else "0", heading if keys else "0"
+
+
+def pages() -> dict[Path, str]:
+    """Return the pages with tables from code, each with the text that it should have."""
+    found: dict[Path, str] = {}
+    for name, head, rows in (
+        ("settings.md", "| setting | default |", _coded(settings())),
+        ("hosts.md", "| setting | default |", _coded(host_settings())),
+        ("radios.md", "| name | radio |", radios()),
+        ("real-sensors.md", "| name | range error |", lasers()),
+        ("real-sensors.md", "| name | position, ", poses()),
+    ):
+        page = DOCS / name
+        found[page] = _updated(found.get(page) or page.read_text(encoding="utf-8"), head, rows)
+    return found
 
 
 def main() -> None:
     """Rewrite the tables in the pages."""
-    for name, head, rows in (
-        ("settings.md", "| setting | default | meaning |", _coded(settings())),
-        ("hosts.md", "| setting | default | meaning |", _coded(host_settings())),
-    ):
-        page = DOCS / name
-        page.write_text(updated(page.read_text(encoding="utf-8"), head, rows), encoding="utf-8")
+    for page, text in pages().items():
+        page.write_text(text, encoding="utf-8")
+
+
+def _updated(page: str, head: str, rows: Iterable[tuple[str, ...]]) -> str:
+    """Return the page with other rows in the table whose first line begins with `head`."""
+    table = "".join(f"| {' | '.join(row)} |\n" for row in rows)
+    pattern = rf"^({re.escape(head)}.*\n\|[-|]*\n)(\|.*\n)*"
+    text, count = re.subn(pattern, lambda match: match[1] + table, page, flags=re.M)
+    assert count == 1, f"{count} tables begin with {head}"
+    return text
 
 
 def _fields(kind: Any, prefix: str) -> Iterator[tuple[str, str, str]]:

@@ -14,10 +14,12 @@ import math
 from bisect import insort
 from collections import Counter
 from collections.abc import Container, Iterable
+from typing import Literal, get_args
 
 from protocol.messages import FaultEvent
 
-KINDS = ("death", "kill", "restart", "stop", "mute", "deaf")
+Kind = Literal["death", "kill", "restart", "stop", "mute", "deaf"]
+KINDS: tuple[Kind, ...] = get_args(Kind)
 
 RADIO_KINDS = ("mute", "deaf")
 """Kinds that affect only a robot's radio; the relay applies them, and the world all others."""

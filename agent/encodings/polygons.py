@@ -48,9 +48,9 @@ class PolygonEncoding(MapEncoding):
             settings.medium.reach_cells,
             settings.width,
             settings.height,
-            options.medium_use,
-            options.bytes_per_split or None,
-            options.splits_per_step or None,
+            medium_use=options.medium_use,
+            bytes_per_split=options.bytes_per_split or None,
+            fixed=options.splits_per_step or None,
         )
         self._outdated = True
         self._updated: set[int] = set()

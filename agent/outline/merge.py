@@ -1,7 +1,7 @@
 """Merging of teammates' approximations with the self-explored grid into the planning grid (section 5.2, Algorithm 9).
 
-`agent.outline.five_stages` follows Figure 5.6 stage by stage. `TeamMap` computes the same grid faster, and independent
-of the order of approximations. Each approximation is drawn as claims about cells (`agent.outline.claims`). The claims
+`TeamMap` computes the grid of Figure 5.6 (stage by stage: `deploy.bench.five_stages`) faster, and independent of the
+order of approximations. Each approximation is drawn as claims about cells (`agent.outline.claims`). The claims
 of all teammates are counted, and the strongest claim about a cell decides:
 
     occupied inside edge > free inside edge > occupied outside edge > free area > beside a wall

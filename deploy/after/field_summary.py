@@ -18,9 +18,10 @@ from protocol.grid import FREE, OCCUPIED
 from protocol.messages import End
 
 NEEDS_TRUTH = (
-    "explored_at", "coverage", "map_accuracy", "claimed_map_accuracy", "t50", "t90", "t95", "t99",
-    "longest_path_95", "longest_path_99", "overlap", "overlap_sum", "seen_std", "range_m",
-    "raw_scan_bytes", "approximation_error", "approximation_error_net", "over_budget_steps",
+    "explored_at", "known_at", "coverage", "map_accuracy", "mean_map_accuracy", "worst_map_accuracy",
+    "claimed_map_accuracy", "claimed_mean_map_accuracy", "claimed_worst_map_accuracy", "t50", "t90", "t95", "t99",
+    "longest_path_95", "longest_path_99", "overlap", "overlap_sum", "seen_std", "range_m", "raw_scan_bytes",
+    "approximation_error", "approximation_error_net", "over_budget_steps", "duty_cycle",
 )  # fmt: skip
 """Keys that are null: they need a true map, the distances of a relay, or a budget per step."""
 
@@ -52,6 +53,7 @@ def summarize_field(plan: Plan, records: Records, starts: Sequence[FieldStart]) 
         "worst_team_map_held": min(held, default=None),
         "refuted_maps": [],
         "bus": "field",
+        "finish": "all",
         "missed_steps": sum(late),
         "missed_steps_by_robot": late,
         "missed_phases": 0,

@@ -83,7 +83,7 @@ class Joined:
     """Whether its sender recorded it, so that `time_ns` is the time at which it was sent."""
 
 
-def merge(folders: Sequence[Path | str], out: Path | str, *, view: bool = False) -> Result:
+def merge(folders: Sequence[Path | str] | Path | str, out: Path | str, *, view: bool = False) -> Result:
     """Join the records of robots into the new run directory `out`, and return the run, as `murmur.explore` does.
 
     With `view`, also write a recording for the dashboard. A folder is the record of one start of a robot, or the record
@@ -100,7 +100,8 @@ def merge(folders: Sequence[Path | str], out: Path | str, *, view: bool = False)
     """
     out = Path(out)
     run_directory.check_free(out)
-    recordings = [read_recording(each) for folder in folders for each in starts_in(Path(folder))]
+    named = [folders] if isinstance(folders, str | Path) else folders
+    recordings = [read_recording(each) for folder in named for each in starts_in(Path(folder))]
     if not recordings:
         raise ValueError("folders is empty: name the record directory of at least one robot")
     offsets, error = align(recordings)

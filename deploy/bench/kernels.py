@@ -21,7 +21,6 @@ from agent.outline.approximation import approximation, repair
 from agent.outline.claims import Drawing
 from agent.outline.contour import contours
 from agent.outline.edits import NumberedPolygons, edit_packets
-from agent.outline.five_stages import five_stages
 from agent.outline.merge import TeamMap
 from agent.outline.objects import Objects
 from agent.outline.polygons import Polygons
@@ -32,6 +31,7 @@ from agent.settings import EncodingSettings, MediumSettings, ReplicationSettings
 from deploy.bench import baselines
 from deploy.bench.estimation import estimation
 from deploy.bench.explorations import SAMPLES, Moment, beams, explore, office, samples
+from deploy.bench.five_stages import five_stages
 from deploy.bench.measurement import Measurement, compare, timed
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan

@@ -76,7 +76,11 @@ _DEFAULTS = Scenario().model_dump()
 
 
 def case(seed: int) -> ChaosCase:
-    """Draw a case."""
+    """Draw a case.
+
+    A new kind of fault draws from a generator of its own, by a new purpose, so that all seeds keep their other faults:
+    a further draw from an existing one, or a further value to choose from, would replace all cases.
+    """
     draw = keyed_random(seed, "storm")
     robots = int(draw.integers(2, 6))
     map_encoding = str(draw.choice(["polygons", "polygons", "scans", "predictive"]))

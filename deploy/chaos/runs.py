@@ -43,14 +43,14 @@ class Verdict:
     def line(self) -> str:
         """Case and result in one line of text."""
         case, scenario = self.case, self.case.scenario
-        byzantine = f", byzantine robots {list(case.byzantine)}" if case.byzantine else ""
-        byzantine += f", damaged frames to robots {list(case.flipped)}" if case.flipped else ""
-        byzantine += ", a false map of robot {}: {}".format(*case.false_map) if case.false_map else ""
-        byzantine += f", long messages of robots {list(case.heavy)}" if case.heavy else ""
-        byzantine += f", {len(case.cuts)} cut connections" if self.as_processes else ""
+        hostile = f", byzantine robots {list(case.byzantine)}" if case.byzantine else ""
+        hostile += f", damaged frames to robots {list(case.flipped)}" if case.flipped else ""
+        hostile += ", a false map of robot {}: {}".format(*case.false_map) if case.false_map else ""
+        hostile += f", long messages of robots {list(case.heavy)}" if case.heavy else ""
+        hostile += f", {len(case.cuts)} cut connections" if self.as_processes else ""
         return (
             f"seed {case.seed}: {scenario.robots} robots on {scenario.map}, {scenario.strategy}, "
-            f"{scenario.map_encoding}, {scenario.dissemination}, {len(scenario.fault)} faults{byzantine}: "
+            f"{scenario.map_encoding}, {scenario.dissemination}, {len(scenario.fault)} faults{hostile}: "
             f"{self.steps} steps, known {self.known:.3f}, digest {self.digest[:12]}"
         )
 

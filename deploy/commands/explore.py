@@ -16,7 +16,7 @@ from deploy.commands.flags import argument, command_family, option, switch, view
 from deploy.commands.scenario_flags import run_flags
 from deploy.commands.viewing import Viewing
 from deploy.scenario.scenario import SHIPPED, Scenario, load
-from deploy.scenario.thesis import STRATEGY, thesis_settings
+from deploy.scenario.thesis import with_thesis
 from deploy.scenario.toml_files import read_toml
 
 app = command_family()
@@ -62,8 +62,7 @@ def explore(
         settings["options"] = named_values(options, "option", "beta=0.5")
     if thesis:
         in_file = {} if scenario is None else read_toml(scenario, "scenario", SHIPPED)[1]
-        settings = {"strategy": in_file.get("strategy", STRATEGY)} | settings
-        settings |= thesis_settings(settings)
+        settings = with_thesis(settings, in_file)
     chosen = load(scenario, settings)
     choices = {"out": out, "pace": pace, "restart": restart}
     raise typer.Exit(run_live(chosen, viewing, hosts, choices, pictures=pictures, as_json=as_json))

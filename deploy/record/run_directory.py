@@ -297,8 +297,8 @@ def steps_table(plan: Plan, records: Records) -> Any:
                 if status.target_x >= 0:
                     target = to_world(plan.map, status.target_x, status.target_y)
                     row |= {"target_x": target[0], "target_y": target[1]}
-            for name, values in columns.items():
-                values.append(row.get(name))
+            for name, value in (dict.fromkeys(columns) | row).items():
+                columns[name].append(value)
     return table(columns, STEP_COLUMNS)
 
 

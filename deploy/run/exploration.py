@@ -14,13 +14,16 @@ from deploy.run.control import Control
 from deploy.run.execution import RunOptions, execute
 from deploy.run.failure import RunFailed
 from deploy.run.hosts import Hosts
+from deploy.run.hosts import load as load_hosts
 from deploy.run.in_memory import check_clock
 from deploy.run.result import Result
 from deploy.scenario import plan as plans
 from deploy.scenario import plugins
 from deploy.scenario.errors import ScenarioError
 from deploy.scenario.plan import Plan
-from deploy.scenario.scenario import Scenario, check_incarnations, parse
+from deploy.scenario.scenario import Scenario, check_incarnations, load, parse
+from deploy.scenario.thesis import with_thesis
+from deploy.scenario.toml_files import lay, remove_preset_keys
 from protocol.messages import Missed
 from worldsim.pace import Pace
 
@@ -29,7 +32,7 @@ INCARNATIONS = 4
 
 
 def explore(
-    scenario: Scenario | None = None,
+    scenario: Scenario | Path | str | None = None,
     *,
     out: Path | str | None = None,
     keep: bool = True,
@@ -37,7 +40,7 @@ def explore(
     notify: Callable[[str], object] = lambda _: None,
     window: Window | None = None,
     pace: float | None = None,
-    hosts: Hosts | None = None,
+    hosts: Hosts | Path | str | None = None,
     control: Control | None = None,
     restart: bool = False,
     missed: Sequence[Missed] | None = None,
@@ -48,8 +51,8 @@ def explore(
 
     Parameters
     ----------
-    scenario : Scenario, optional
-        The scenario; default settings if omitted.
+    scenario : Scenario, Path or str, optional
+        The scenario, or its file, as ``"office.toml"``; default settings if omitted.
     out : Path or str, optional
         The run directory; a new one under ``runs`` if omitted.
     keep : bool
@@ -60,8 +63,8 @@ def explore(
         Shows the run live, and records the view in the run directory.
     pace : float, optional
         Maximum steps per second.
-    hosts : Hosts, optional
-        Other hosts that robots run on.
+    hosts : Hosts, Path or str, optional
+        Other hosts that robots run on, or the file that describes them (docs/hosts.md).
     control : Control, optional
         Pauses the run, kills robots, and changes the radio; the result's scenario contains these events.
     restart : bool
@@ -72,7 +75,8 @@ def explore(
     check : bool
         Whether to raise RunFailed; else only `Result.exit_code` shows that the run failed.
     **settings
-        Settings that replace those of `scenario`: ``explore(robots=5, bandwidth=1000)``.
+        Settings that replace those of `scenario`: ``explore(robots=5, bandwidth=1000)``. A dotted name sets one key of
+        a table: ``explore(**{"radio.loss": 0.1})``. ``thesis=True`` is ``--thesis``.
 
     Raises
     ------
@@ -88,6 +92,7 @@ def explore(
     """
     _check_output(out, window, keep=keep)
     limits.check_memory()
+    hosts = load_hosts(Path(hosts)) if isinstance(hosts, Path | str) else hosts
     options = RunOptions(watch, notify, window, pace, hosts, control, restart, missed)
     plan = _planned(scenario_of(scenario, settings), options, keep=keep)
     result, failure = execute(plan, options, Path(out) if out is not None else None, keep=keep)
@@ -149,16 +154,24 @@ def _incarnations(scenario: Scenario, hosts: Hosts | None) -> int:
     return incarnations
 
 
-def scenario_of(scenario: Scenario | None, settings: Mapping[str, Any]) -> Scenario:
-    """Return a scenario, or the defaults, with some settings replaced; ScenarioError lists all errors.
+def scenario_of(scenario: Scenario | Path | str | None, settings: Mapping[str, Any]) -> Scenario:
+    """Return a scenario, or the defaults, with some settings replaced, as `explore` describes them.
 
-    Raises TypeError if `scenario` is not a Scenario.
+    Raises ScenarioError, which lists all errors; TypeError if `scenario` is neither a Scenario nor a file.
     """
+    if isinstance(scenario, Path) or (isinstance(scenario, str) and scenario.endswith(".toml")):
+        scenario = load(scenario)
     if not isinstance(scenario, Scenario | None):
         raise TypeError(
             f"scenario = {scenario!r}: must be a Scenario; settings are given by name, as in "
-            "explore(map='office', robots=3), and deploy.scenario.scenario.load(Path('office.toml'), {}) reads a file"
+            "explore(map='office', robots=3), and explore('office.toml') reads a file"
         )
     if scenario is not None and not settings:
         return scenario
-    return parse((scenario.model_dump(exclude_unset=True) if scenario is not None else {}) | dict(settings))
+    data = scenario.model_dump(exclude_unset=True) if scenario is not None else {}
+    given = plugins.plain_settings(settings)
+    if given.pop("thesis", False):
+        given = with_thesis(given, data)
+    remove_preset_keys(data, given)
+    lay(data, given, "scenario")
+    return parse(data)

@@ -24,6 +24,7 @@ PRELOADED = ["deploy.run.parent_watchdog", "deploy.run.preload"]
 _IGNORED = (signal.SIGINT, signal.SIGHUP)
 _LOCK = threading.Lock()
 """Held while children start: threads may have studies of their own."""
+_IMPORTED_BY = os.getpid()
 
 
 def context() -> ForkServerContext:
@@ -31,6 +32,23 @@ def context() -> ForkServerContext:
     made = multiprocessing.get_context("forkserver")
     made.set_forkserver_preload(PRELOADED)
     return made
+
+
+def check_process() -> None:
+    """Raise ValueError if this process may not have children.
+
+    In a process that was forked from one with threads of Zenoh or polars, these libraries would wait forever.
+    """
+    if multiprocessing.current_process().daemon:
+        reason = "a worker of multiprocessing.Pool may not start processes"
+    elif pid() is not None and os.getpid() != _IMPORTED_BY:
+        reason = "this process was forked from one in which runs had processes, so it may not start any"
+    else:
+        return
+    raise ValueError(
+        f"{reason}: use concurrent.futures.ProcessPoolExecutor with mp_context=multiprocessing.get_context('spawn'), "
+        "or, for a single run, bus = 'memory'"
+    )
 
 
 @contextlib.contextmanager

@@ -64,7 +64,10 @@ def load_fork_server() -> None:
     """Start the fork server, and wait until it has loaded the kernels, which it compiles at the first use.
 
     All runs of this process share it. If it fails, the run reports that. KeyboardInterrupt ends it.
+
+    Raises ValueError if this process may not have children.
     """
+    fork_server.check_process()
     if fork_server.pid() is not None:
         return
     logs = Path(parent_watchdog.open_folder()) / "preload"

@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -161,6 +162,9 @@ class Steps:
             raise RuntimeError("the run has not ended: iterate over all steps first")
         return self._result
 
+    def __repr__(self) -> str:
+        return f"<Steps of {self.plan.scenario.robots} robots on {self.plan.map.name}>"
+
     def _state(self, number: int) -> Step:
         records, resolution = self._run.records, self.plan.map.resolution
         report = next(each for each in reversed(records.world) if each.step == number)
@@ -182,12 +186,12 @@ class Steps:
         )
 
 
-def steps(scenario: Scenario | None = None, **settings: Any) -> Steps:
+def steps(scenario: Scenario | Path | str | None = None, **settings: Any) -> Steps:
     """Start a run in this process that advances with each step that the caller requests.
 
-    `settings` replace those of `scenario`, or the defaults: ``steps(robots=5, bandwidth=1000)``. The bus is always
-    ``memory``. The returned iterator yields a `Step` after each step, and has the `result` at the end: with the digest
-    that `explore` gives.
+    `scenario` and `settings` are those of `explore`: ``steps(robots=5, bandwidth=1000)``. The bus is always ``memory``.
+    The returned iterator yields a `Step` after each step, and has the `result` at the end: with the digest that
+    `explore` gives.
 
     Raises ScenarioError if the scenario cannot be run.
 

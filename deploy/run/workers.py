@@ -151,7 +151,12 @@ class Cluster:
 
 
 def workers(jobs: int | None, scheduler: str | None) -> Workers:
-    """Return a cluster's workers if its scheduler is given, else `jobs` processes, by default one per core."""
+    """Return a cluster's workers if its scheduler is given, else `jobs` processes, by default one per core.
+
+    Raises ValueError if `jobs` is not a number of processes.
+    """
+    if jobs is not None and jobs < 1:
+        raise ValueError(f"jobs = {jobs}: must be a number of processes, at least 1")
     return LocalPool(jobs or os.cpu_count() or 1) if scheduler is None else Cluster(scheduler)
 
 

@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from operator import attrgetter
+from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from deploy.scenario.errors import ScenarioError
@@ -49,13 +50,15 @@ def kinds() -> dict[str, Plugins[Any]]:
 def plain_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return settings as a TOML file has them.
 
-    Names replace classes of plug-ins, and numbers and lists replace those of numpy, pandas, and polars, also within
-    lists and tables. Raises ValueError as `Plugins.name_of`.
+    Names replace classes of plug-ins, text replaces paths, and numbers and lists replace those of numpy, pandas, and
+    polars, also within lists and tables. Raises ValueError as `Plugins.name_of`.
     """
     return {setting: _plain(setting, value) for setting, value in settings.items()}
 
 
 def _plain(setting: str, value: Any) -> Any:
+    if isinstance(value, PurePath):
+        return str(value)
     if isinstance(value, type):
         return kinds()[setting].name_of(value) if setting in kinds() else value
     for convert in ("tolist", "to_list"):  # numpy and pandas, polars

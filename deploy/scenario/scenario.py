@@ -197,7 +197,7 @@ def check_incarnations(scenario: Scenario, incarnations: int) -> None:
         )
 
 
-def load(path: Path | None, overrides: dict[str, Any]) -> Scenario:
+def load(path: Path | str | None, overrides: Mapping[str, Any] | None = None) -> Scenario:
     """Read a scenario file (None: only defaults) and apply the overrides that are not None.
 
     A file name alone that does not exist refers to a shipped scenario. The path of a map is relative to the file
@@ -207,7 +207,7 @@ def load(path: Path | None, overrides: dict[str, Any]) -> Scenario:
     """
     data: dict[str, Any] = {}
     if path is not None:
-        path, data = read_toml(path, "scenario", SHIPPED)
+        path, data = read_toml(Path(path), "scenario", SHIPPED)
         if "map" in data:
             data["map"] = beside(path, data["map"])
         recording = data.get("recording")
@@ -215,9 +215,10 @@ def load(path: Path | None, overrides: dict[str, Any]) -> Scenario:
             data["recording"] = recording | {
                 "files": [str(path.parent / str(name)) for name in recording["files"]]
             }
-    remove_preset_keys(data, overrides)
+    given = {key: value for key, value in (overrides or {}).items() if value is not None}
+    remove_preset_keys(data, given)
     where = f"scenario {path}" if path is not None else "scenario"
-    lay(data, {key: value for key, value in overrides.items() if value is not None}, where)
+    lay(data, given, where)
     return parse(data, where)
 
 

@@ -12,6 +12,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from netshaper.radio_options import MIN_FRAME
 from protocol.budget import WORD_FOR_UNLIMITED
 from protocol.errors import shown
+from protocol.faults import KINDS, TEMPORARY, Kind
 from protocol.messages import FaultEvent
 
 MAX_TOLERANCE = 4
@@ -138,11 +139,9 @@ class FaultTable(Table):
 
     step: Whole = Field(ge=1, le=MAX_INTEGER, description="the fault occurs at the start of this step")
     robot: Whole = Field(ge=0, le=MAX_INTEGER, description="the robot's number, from 0")
-    kind: Literal["death", "kill", "restart", "stop", "mute", "deaf"] = Field(
-        description="death, kill, restart, stop, mute, deaf"
-    )
+    kind: Kind = Field(description=", ".join(KINDS))
     steps: Whole = Field(
-        0, ge=0, le=MAX_INTEGER, description="duration in steps of stop, mute and deaf; 0: permanent"
+        0, ge=0, le=MAX_INTEGER, description=f"duration in steps of {', '.join(TEMPORARY)}; 0: permanent"
     )
 
     @property

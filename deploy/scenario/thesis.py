@@ -14,6 +14,15 @@ PLAIN_OPTIONS: dict[str, dict[str, Any]] = {"meier": {"herding": False}}
 """Strategy options that switch off our additions: the rule against herding is not in the thesis."""
 
 
+def with_thesis(settings: Mapping[str, Any], scenario: Mapping[str, Any]) -> dict[str, Any]:
+    """Return `settings`, and those of the thesis' plain rules where they have none (``--thesis``).
+
+    These replace values of the `scenario` over which the settings are laid, but not its strategy.
+    """
+    chosen = {"strategy": scenario.get("strategy", STRATEGY), **settings}
+    return chosen | thesis_settings(chosen)
+
+
 def thesis_settings(given: Mapping[str, Any]) -> dict[str, Any]:
     """Return the settings for the thesis' plain rules, by dotted names, for `deploy.scenario.toml_files.lay`.
 

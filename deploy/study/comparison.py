@@ -19,6 +19,8 @@ from deploy.study import plots
 from deploy.study.claims import HOLDS, UNDECIDED, Finding, Rule, judge
 from deploy.study.experiment import first_seeds
 from deploy.study.figure_style import DEFAULT, FigureStyle
+from deploy.study.measures import EXPLORATION
+from deploy.study.measures import METRICS as MEASURED
 from deploy.study.plots import BOXES, CURVES, Plot
 from deploy.study.results import write_table
 from deploy.study.runs import StudyRuns
@@ -123,7 +125,7 @@ def compare(
     variants, settings = _named(scenarios), plugins.plain_settings(settings)
     if len(variants) < 2:
         raise ScenarioError("there is nothing to compare: give at least two scenarios")
-    check(metric, ())
+    check(metric, (), MEASURED[EXPLORATION])
     for keys in variants.values() if "radio" in settings else ():
         remove_preset_keys(keys, {"radio": ""})
     taken = [key for key in settings if any(key in keys for keys in variants.values())]
@@ -157,7 +159,7 @@ def _named(
     scenarios: Sequence[Scenario | dict[str, Any] | Path | str] | dict[str, dict[str, Any]],
 ) -> dict[str, dict[str, Any]]:
     """The settings of each scenario by a name: that of its file, or its differing settings."""
-    if isinstance(scenarios, str | Path):
+    if isinstance(scenarios, str | Path | Scenario):
         raise ScenarioError(f"scenarios = {str(scenarios)!r}: must be a list, or a dict")
     if isinstance(scenarios, dict):
         return {name: plugins.plain_settings(keys) for name, keys in scenarios.items()}

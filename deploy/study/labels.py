@@ -22,7 +22,8 @@ NAMES: Final = {
 
 UNITS: Final = {
     "t50": "steps", "t90": "steps", "t95": "steps", "t99": "steps", "explored_at": "steps", "known_at": "steps",
-    "missed_phases": "phases", "protocol_errors": "errors", "tolerance": "cells",
+    "scans": "scans", "bytes_per_scan": "bytes per scan", "steps_after_scans": "steps", "backlog": "log entries",
+    "backlog_after_scans": "log entries", "missed_phases": "phases", "protocol_errors": "errors", "tolerance": "cells",
     "coverage": "share of reachable cells", "explored": "share of reachable cells",
     "approximation_error": "share of cells", "approximation_error_net": "share of cells",
     "overlap": "share of seen cells", "overlap_sum": "share of seen cells", "seen_std": "share of reachable cells",

@@ -172,9 +172,11 @@ EXPLORED = (
     "load.first_quarter", "load.last_quarter", "load.emerging", "load.rendezvous",
     "known.bytes", "known.raw_scan_bytes", "known.scan_values",
 )  # fmt: skip
+RECORDED = "scans", "bytes_per_scan", "steps_after_scans", "backlog_after_scans", "backlog"
+"""Metrics that only recorded runs have."""
 
 METRICS: dict[str, tuple[str, ...]] = {
-    EXPLORATION: EXPLORED,
+    EXPLORATION: (*EXPLORED, *RECORDED),
     "agreement": (
         *EXPLORED, "agreement.planning", "agreement.least", "agreement.last", "agreement.own",
     ),

@@ -154,6 +154,8 @@ def open_results(out: Path | str | None) -> Results:
     if out is None:
         return Results(None)
     file = Path(out)
+    if file.suffix != ".parquet":
+        raise ValueError(f"out = {str(out)!r}: is a Parquet file; its name must end in .parquet")
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:

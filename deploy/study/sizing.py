@@ -201,6 +201,8 @@ def size(
     --------
     deploy.study.sweep.sweep : the other parameters, and the errors
     """
+    if isinstance(radio := settings.get("radio"), list | tuple):
+        raise ScenarioError(f"radio = {radio!r}: sets bandwidth and range; size_radios tests several radios")
     grid: dict[str, list[Any]] = {
         "robots": sorted(listed("robots", robots)),
         "bandwidth": sorted(

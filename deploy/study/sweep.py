@@ -18,10 +18,11 @@ from deploy.study import experiment as experiments
 from deploy.study import paper_tables, plots
 from deploy.study.experiment import Experiment
 from deploy.study.figure_style import DEFAULT, FigureStyle
+from deploy.study.measures import EXPLORATION, METRICS
 from deploy.study.progress import counting
 from deploy.study.results import open_results
 from deploy.study.runs import StudyRuns, cases, make
-from deploy.study.tables import DEFAULT_METRICS, VARIANT, Table, described, means, short, tabulate
+from deploy.study.tables import DEFAULT_METRICS, VARIANT, Table, check, described, means, short, tabulate
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -89,6 +90,7 @@ def sweep(
     jobs: int | None = None,
     scheduler: str | None = None,
     out: Path | str | None = None,
+    retry: bool = False,
     progress: bool = True,
     **settings: Any,
 ) -> Sweep:
@@ -112,6 +114,8 @@ def sweep(
         Address of a Dask scheduler; its workers make the runs instead.
     out : Path or str, optional
         File of the table of runs (parquet); runs in it are not repeated.
+    retry : bool
+        Whether to repeat failed runs of the table.
     progress : bool
         Whether to show progress and the remaining time.
     **settings
@@ -124,27 +128,34 @@ def sweep(
     RunFailed
         All runs failed. `Sweep.failures` has the causes if only some did.
     """
-    settings = plugins.plain_settings(settings)
     if experiment is None:
-        base = plugins.plain_settings(base or {})
-        variants = {name: plugins.plain_settings(keys) for name, keys in (variants or {}).items()}
-        read = of_settings("sweep", base, settings, variants or {"plain": {}}, metrics)
+        metrics = experiments.listed("metrics", metrics)
+        for metric in metrics:
+            check(metric, variants or {}, METRICS[EXPLORATION])
+        read = of_settings("sweep", base or {}, settings, variants or {"plain": {}}, metrics)
     else:
         if base or variants:
             raise ScenarioError("base and variants: only without an experiment, which has its own")
         read = experiment if isinstance(experiment, Experiment) else experiments.read(Path(experiment))
-        read = experiments.override(experiments.quickened(read) if quick else read, settings)
-    return run(read, jobs=jobs, scheduler=scheduler, out=out, progress=progress)
+        read = experiments.quickened(read) if quick else read
+        read = experiments.override(read, plugins.plain_settings(settings))
+    return run(read, jobs=jobs, scheduler=scheduler, out=out, retry=retry, progress=progress)
 
 
 def run(
-    experiment: Experiment, *, jobs: int | None, scheduler: str | None, out: Path | str | None, progress: bool
+    experiment: Experiment,
+    *,
+    jobs: int | None,
+    scheduler: str | None,
+    out: Path | str | None,
+    retry: bool = False,
+    progress: bool,
 ) -> Sweep:
     """Run an experiment; parameters and errors as for `sweep`."""
     todo = cases(experiment)
     with open_results(out) as results:
         done = Sweep(todo, results, experiment)
-        done.make(jobs=jobs, scheduler=scheduler, progress=progress)
+        done.make(jobs=jobs, scheduler=scheduler, progress=progress, retry=retry)
     if not done.rows and done.failures:
         raise RunFailed(f"all runs failed: {as_text(done.failures)}")
     return done
@@ -163,6 +174,8 @@ def of_settings(
     metrics: Sequence[str],
 ) -> Experiment:
     """Make an experiment of settings; the lists become its grid."""
+    base, settings = plugins.plain_settings(base), plugins.plain_settings(settings)
+    variants = {key: plugins.plain_settings(keys) for key, keys in variants.items()}
     grid = {
         key: experiments.listed(key, values)
         for key, values in settings.items()

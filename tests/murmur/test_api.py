@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import multiprocessing
+import pydoc
+import re
 import subprocess
 import sys
+from collections.abc import Callable
 from functools import cache
 from html.parser import HTMLParser
 from pathlib import Path
@@ -18,6 +22,7 @@ from deploy.record.columns import LEDGER, STEPS
 from deploy.scenario.errors import ScenarioError
 from murmur import Result, Scenario, explore, read_run
 from protocol.grid import FREE
+from protocol.presets import PRESETS
 
 SMALL = {"map": "em", "robots": 2, "bus": "memory", "steps": 12}
 
@@ -162,3 +167,95 @@ def test_a_file_of_a_strategy_is_told_how_its_class_is_named() -> None:
         Scenario(strategy="farthest.py")
     with pytest.raises(ScenarioError, match=r"give the module without \.py, as farthest:Farthest"):
         Scenario(strategy="farthest.py:Farthest")
+
+
+def test_help_and_completion_have_the_public_names_only() -> None:
+    assert dir(murmur) == sorted(murmur.__all__)
+    page = pydoc.plain(pydoc.render_doc(murmur))
+    assert {"explore", "sweep", "read_run"} <= set(re.findall(r"^    (\w+)\(", page, re.M))
+
+
+def test_a_scenario_file_is_named_by_text_or_path() -> None:
+    assert murmur.load("office.toml") == murmur.load(Path("office.toml"), {"robots": None})
+    assert murmur.load("office.toml", {"radio.loss": 0.1, "robots": 2}).robots == 2
+    for file in ("office.toml", Path("office.toml")):
+        plan = murmur.steps(file, **{"radio.loss": 0.1}).plan
+        assert plan.scenario == murmur.load(file, {"radio.loss": 0.1, "bus": "memory"})
+
+
+def test_settings_have_the_names_and_the_effect_that_they_have_on_the_command_line() -> None:
+    late = Scenario(radio={"delay": 2}, start_spacing=0.2, **SMALL)
+    lossy = explore(late, keep=False, **{"radio.loss": 0.1}).plan.scenario
+    assert (lossy.radio.delay, lossy.radio.loss, lossy.start_spacing) == (2, 0.1, 0.2)
+    other = explore(Scenario(radio="lora-sf9", **SMALL), keep=False, radio="wifi").plan.scenario
+    assert (other.bandwidth, other.radio.frame_bytes) == (PRESETS["wifi"].bandwidth, 1500)
+    thesis = explore(map_encoding="scans", thesis=True, keep=False, **SMALL).plan.scenario
+    assert (thesis.map_encoding, thesis.dissemination, thesis.strategy) == ("scans", "thesis", "meier")
+    assert thesis.options == {"herding": False}
+    with pytest.raises(ScenarioError, match=r"radio\.lost: unknown|radio = .*lost"):
+        murmur.steps(**{"radio.lost": 0.1})
+
+
+def test_a_map_may_be_a_path(tmp_path: Path) -> None:
+    assert Scenario(map=tmp_path / "hall.yaml").map == str(tmp_path / "hall.yaml")
+
+
+def test_in_a_worker_that_may_not_start_processes_the_error_names_what_can(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setitem(multiprocessing.current_process()._config, "daemon", True)  # type: ignore[attr-defined]
+    for call in (
+        lambda: explore(map="em", steps=2, out=tmp_path / "run"),
+        lambda: murmur.sweep(map="em", steps=2, seed=[0], progress=False),
+    ):
+        with pytest.raises(
+            ValueError, match=r"a worker of multiprocessing\.Pool .*ProcessPoolExecutor with .*spawn"
+        ):
+            call()
+    assert not (tmp_path / "run").exists()
+    assert explore(keep=False, **SMALL).summary["digest"] == small().summary["digest"]
+
+
+@pytest.mark.slow
+def test_in_a_process_forked_after_a_run_with_processes_the_error_names_what_can() -> None:
+    script = """
+import os, murmur
+size = {"map": "em", "robots": 1, "steps": 2, "keep": False}
+murmur.explore(**size)
+if os.fork():
+    os.wait()
+else:
+    print(murmur.explore(bus="memory", **size).exit_code)
+    try:
+        murmur.explore(**size)
+    except ValueError as error:
+        print(error)
+    os._exit(0)
+"""
+    done = subprocess.run([sys.executable, "-uc", script], capture_output=True, text=True, check=True)
+    code, error = done.stdout.splitlines()
+    assert code == "1"
+    assert error.startswith("this process was forked from one in which runs had processes")
+
+
+@pytest.mark.parametrize(
+    ("call", "problem"),
+    [
+        (lambda: murmur.compare("office.toml"), "give a list of scenarios"),
+        (
+            lambda: murmur.compare([{"seed": 0}, {"robots": 2}], jobs=0),
+            "jobs = 0: must be a number of processes",
+        ),
+        (lambda: murmur.sweep(seed=[0], metrics="steps"), r"metrics = 'steps': must be a list of values"),
+        (lambda: murmur.sweep(seed=[0], metrics=["step"]), "'step' is not a metric"),
+        (lambda: murmur.sweep(seed=[0], out="runs.csv"), r"out = 'runs\.csv': .*must end in \.parquet"),
+        (lambda: murmur.size("em", radio=["wifi", "ble"]), "size_radios tests several radios"),
+        (lambda: murmur.explore(hosts="elsewhere.toml"), "hosts elsewhere.toml: no such file"),
+        (lambda: murmur.merge("elsewhere", "team"), "elsewhere is not the record of a robot"),
+    ],
+)
+def test_arguments_without_a_meaning_are_explained_before_any_run(
+    call: Callable[[], object], problem: str
+) -> None:
+    with pytest.raises(ValueError, match=problem):
+        call()

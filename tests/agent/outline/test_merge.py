@@ -13,12 +13,12 @@ from agent.outline.approximation import approximation, repair
 from agent.outline.claims import THESIS, Drawing
 from agent.outline.contour import contours
 from agent.outline.edits import NumberedPolygons
-from agent.outline.five_stages import UNDEFINED, five_stages
 from agent.outline.merge import ErrorCount, TeamMap, approximation_error, rendered
 from agent.outline.objects import Objects
 from agent.outline.polygons import Polygons
 from agent.outline.receiver import Receiver
 from agent.outline.simplify import refine
+from deploy.bench.five_stages import UNDEFINED, five_stages
 from protocol.boxes import NO_BOXES, Boxes
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.packet_codec import encode

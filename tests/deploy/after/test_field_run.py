@@ -16,6 +16,7 @@ from deploy.after.archive import Archive, read
 from deploy.after.field_summary import NEEDS_TRUTH
 from deploy.after.merge import merge
 from deploy.after.report import write_report
+from deploy.record.columns import FIELD, SUMMARY
 from deploy.record.field_records import END, MAPS, SETUP, STEP_LINES, read_field_record
 from deploy.run.exit_codes import NOT_FINISHED
 from deploy.run.result import Result
@@ -125,6 +126,7 @@ def test_maps_over_time_end_with_those_of_the_robots(mission: Mission, archive: 
 def test_figures_that_need_a_true_map_are_null_and_agreement_is_not(merged: Result, archive: Archive) -> None:
     summary = archive.summary
     assert {summary[key] for key in NEEDS_TRUTH} == {None}
+    assert set(summary) == set(", ".join([*SUMMARY, *FIELD]).split(", "))
     assert summary["claimed_mean_wall_f1"] is None
     assert (summary["finished"], summary["first_robot"], merged.exit_code) == (False, 0, NOT_FINISHED)
     assert summary["reason"] == "robot 1: stopped by SIGINT; robot 2: no end was recorded"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 
 import numpy as np
@@ -48,6 +49,16 @@ def test_a_case_follows_from_its_seed() -> None:
     assert {cut.reset for each in drawn for cut in each.cuts} == {False, True}
     for each in drawn:
         assert all(fault.step + fault.steps <= CALM for fault in each.scenario.fault)
+
+
+def test_a_seed_names_the_same_case_in_all_versions() -> None:
+    """Reports of failures name seeds; `deploy.chaos.case.case` says how to add a fault."""
+    drawn = [case(seed) for seed in range(60)]
+    faults = [(fault.step, fault.robot, fault.kind) for each in drawn for fault in each.scenario.fault]
+    hostile = [(each.byzantine, each.flipped, each.false_map, each.heavy, len(each.cuts)) for each in drawn]
+    settings = [(each.scenario.map, each.scenario.bandwidth, each.scenario.strategy) for each in drawn]
+    text = repr((faults, hostile, settings))
+    assert hashlib.sha256(text.encode()).hexdigest()[:12] == "6038f9f95c7d"
 
 
 def test_cases_on_a_narrow_medium_have_exact_maps_or_a_tolerance() -> None:

@@ -26,6 +26,13 @@ def test_each_file_has_the_described_columns(tmp_path: Path) -> None:
         ]
 
 
+def test_each_column_has_values(tmp_path: Path) -> None:
+    missed_phases.write(tmp_path / MISSED, [Missed(1, "offers", 1, [0])])
+    for name in FILES:
+        rows = parquet.read_table((tmp_path if name == MISSED else small_directory()) / name)
+        assert [each for each in rows.column_names if rows[each].null_count == len(rows)] == []
+
+
 def test_the_relay_writes_the_described_ledger() -> None:
     assert [column.name for column in FILES["ledger.parquet"]] == list(ROW.names or ())
     assert CAUSES[0] == ""

@@ -65,6 +65,7 @@ def test_a_run_that_is_left_leaves_nothing() -> None:
     assert threading.active_count() == threads
     next(steps(**SMALL))
     gc.collect()
+    assert repr(run) == "<Steps of 2 robots on em>"
     assert repr(step) == f"<step 3: {100 * step.explored:.1f} % explored, 2 robots, {step.carried} bytes>"
     assert repr(step.robots[0]).startswith("<robot 0 at (")
 

@@ -17,6 +17,7 @@ from deploy.study import measures, runs
 from deploy.study.results import Results
 from deploy.study.runs import Case
 from tests.deploy.study.small_experiment import EXPERIMENT, write
+from tests.test_shape import imports, modules
 from worldsim import generators, maps
 
 
@@ -57,6 +58,16 @@ def test_finished_runs_are_kept_and_not_repeated(tmp_path: Path) -> None:
     assert [each["seed"] for each in found] == [case.scenario.seed for case in todo]
     assert all(each["steps"] == each["most_steps"] == 6 for each in found)
     assert len(pl.read_parquet(keep)) == len(todo)
+
+
+def test_tables_of_runs_notice_changes_of_all_modules_that_measures_import() -> None:
+    trees, found, todo = modules(), set[str](), [measures.__name__]
+    while todo:
+        if (name := todo.pop()) in trees and name not in found:
+            found.add(name)
+            todo += imports(trees[name], set(trees))
+    files = {f"{name.replace('.', '/')}.py" for name in found}
+    assert [file for file in files if not file.startswith(runs.SOURCES)] == []
 
 
 def test_equal_runs_are_made_once(tmp_path: Path) -> None:

@@ -11,9 +11,12 @@ import polars as pl
 import pytest
 
 import murmur
+from deploy.record.columns import RECORDED
 from deploy.scenario.errors import ScenarioError
+from deploy.study import labels
 from murmur import RunFailed, Scenario, compare, size, sweep
 from tests.deploy.study.small_experiment import EXPERIMENT, write
+from tests.worldsim.recorded.made_logs import write_carmen
 
 ROOMS: dict[str, Any] = {
     "map": "leader-rooms", "robots": 3, "sensor_range": 2.5, "speed": 1.0, "map_encoding": "scans",
@@ -160,6 +163,19 @@ def test_scenarios_of_files_and_objects_are_compared_by_their_names(tmp_path: Pa
     assert "none and predictive" in compare(objects, seeds=2, **QUIET).verdicts[0]
 
 
+def test_recorded_runs_are_compared_by_the_keys_that_only_they_have(tmp_path: Path) -> None:
+    log = str(write_carmen(tmp_path / "room.log", scans=4))
+    common: dict[str, Any] = {"recording": {"files": [log]}, "robots": 2}
+    sides = {name: {"map_encoding": name} for name in ("predictive", "scans")}
+    done = compare(sides, seeds=2, metric="bytes_per_scan", **common, **QUIET)
+    assert [row["bytes_per_scan"] == row["bytes.total"] / row["scans"] for row in done.sweep.rows] == 4 * [
+        True
+    ]
+    assert "times the bytes_per_scan of scans" in done.verdicts[0]
+    for name in ", ".join(RECORDED).split(", "):
+        assert name == "logs" or labels.unit(name), name
+
+
 @pytest.mark.parametrize(
     ("scenarios", "settings", "message"),
     [
@@ -195,6 +211,7 @@ def test_studies_without_a_successful_run_raise_with_the_causes(tmp_path: Path) 
         compare(sides, seeds=2, out=out, **QUIET)
     with pytest.raises(RunFailed, match=r"^all runs failed: it broke \(2 runs\)$"):
         sweep(base=sides[0], seed=[0, 1], out=out, **QUIET)
+    assert len(sweep(base=sides[0], seed=[0, 1], out=out, retry=True, **QUIET).rows) == 2
 
 
 def test_the_smallest_sufficient_team_is_named(tmp_path: Path) -> None:

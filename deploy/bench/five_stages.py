@@ -1,4 +1,4 @@
-"""Algorithm 9 line by line, in the stages of Figure 5.6: the reference for `agent.outline.merge`."""
+"""Algorithm 9 line by line, in the stages of Figure 5.6: baseline and reference of `agent.outline.merge`."""
 
 from __future__ import annotations
 
