@@ -241,7 +241,7 @@ else:
 @pytest.mark.parametrize(
     ("call", "problem"),
     [
-        (lambda: murmur.compare("office.toml"), "give a list of scenarios"),
+        (lambda: murmur.compare("office.toml"), "must be a list, or a dict"),
         (
             lambda: murmur.compare([{"seed": 0}, {"robots": 2}], jobs=0),
             "jobs = 0: must be a number of processes",
