@@ -183,7 +183,10 @@ class Block(Packet, frozen=True):
 
 
 class From(Packet, frozen=True):
-    """Gossip: entries of a map's log follow, the first of them at offset `index`, modulo `GOSSIP_WINDOW`."""
+    """Gossip: entries of a map's log follow, the first of them at offset `index`, modulo `GOSSIP_WINDOW`.
+
+    Without entries, in front of a `Held` of the same map: the first entry that the sender holds behind a gap.
+    """
 
     name, size, code = "conn", 5, "11110110"
     map: GossipMap
@@ -207,7 +210,7 @@ class FromFirst(From, frozen=True):
 
 
 class Held(Packet, frozen=True):
-    """Gossip: the sender holds `index` entries of a map's log, modulo `GOSSIP_WINDOW`."""
+    """Gossip: the sender holds `index` entries of a map's log, modulo `GOSSIP_WINDOW`; of its own, it asks for reports."""
 
     name, size, code = "conn", 5, "11110111"
     map: GossipMap

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
@@ -132,6 +133,11 @@ class LinkOptions:
         if not self._preset:
             return size * SECOND // self.rate
         return round(preset(self._preset).airtime_s(size) * SECOND)
+
+    def transit_steps(self, step_s: float) -> int:
+        """Return the steps of `step_s` seconds within which a frame arrives, its back-off included; at least 1."""
+        longest = (BACKOFF_FRAMES + 1) * self.airtime(self.longest)
+        return max(1, math.ceil(longest / (step_s * SECOND)))
 
     def timing(self) -> Timing:
         """Return the durations in nanoseconds; ValueError if they do not fit each other."""

@@ -106,13 +106,15 @@ def nearest(number: int, length: int, window: int) -> int:
 
 
 class ParsedFrame(NamedTuple):
-    """A frame's control packets, and its entries behind their headers.
+    """A frame's control packets, headers among them, and its entries behind their headers.
 
-    Entries without a header continue the sender's own log where its last frame ended.
+    Entries without a header continue the sender's own log where its last frame ended. `named`: the headers without
+    entries, by which the sender names an offset of a log.
     """
 
     controls: list[packets.AnyPacket]
     sections: list[tuple[packets.From | None, list[bytes]]]
+    named: list[packets.From]
 
 
 @lru_cache(maxsize=64)
@@ -132,4 +134,5 @@ def parse(frame: bytes) -> ParsedFrame:
         if isinstance(controls[-1], packets.From):
             entries = []
             sections.append((controls[-1], entries))
-    return ParsedFrame(controls, [section for section in sections if section[1]])
+    filled = [section for section in sections if section[1]]
+    return ParsedFrame(controls, filled, [head for head, those in sections if head and not those])

@@ -2,15 +2,16 @@
 
 On a reliable medium, which loses nothing, the send report is the acknowledgment. If the medium may lose, delay,
 repeat or reorder frames, a broadcast only raises the number of entries that a peer is *expected* to hold. Peers
-acknowledge by `Held` reports (`reports`), or by sending entries themselves. An expectation that is not acknowledged
-within the retransmission timeout is dropped, so the entries are broadcast again:
+acknowledge by reports (`reports`), or by sending entries themselves. Only entries that a report shows to be lost are
+sent again, as with negative acknowledgments (NORM, RFC 5740):
 
     event                                                       reaction
-    entries came behind a gap                                   store them until the gap is filled
-    a report, more than a round trip after the broadcast,       drop the expectation
-    acknowledges no more entries than before
-    no report for two round trips and the interval in which     drop the expectation
-    the peer may postpone it
+    entries came behind a gap                                   store them until the gap is filled, report the gap
+    a peer reports a gap                                        send the entries of the gap again
+    a peer reports fewer entries than expected, without a gap,  send all entries again from there on
+    longer after the last broadcast than frames may take
+    a peer has not acknowledged this robot's map for `turn`     ask for reports (`Acks.silent`)
+    steps
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from collections import defaultdict
 
 import numpy as np
 
-from agent.replication.peers import NEVER
+from agent.replication.peers import NEVER, Mask, raise_lengths
 from agent.replication.replica import Replica
 from protocol.packets import Held
 
@@ -29,9 +30,6 @@ PATIENCE = 6
 
 SHARE = 8
 """The part of the medium that all reports together may take, as a divisor; as for receivers of RTP (RFC 3550)."""
-
-MIN_ROUND_TRIP, MAX_ROUND_TRIP = 2, 64
-"""Steps until a report can come back: the minimum, and the maximum that is counted."""
 
 
 class Acks:
@@ -44,15 +42,26 @@ class Acks:
         peers = self._peers = replica.peers
         self.interval = PATIENCE
         """Steps within which a robot acknowledges entries; longer on a narrow medium."""
+        self.urgent_interval = PATIENCE
+        """Steps after which a map may be reported again if entries are missing."""
         self.turn = PATIENCE
-        """Steps after which the next peer may forward entries that another lacks."""
+        """Steps after which a robot asks a silent peer for a report, and after which the next peer may forward entries
+        that another lacks."""
         self._replica = replica
         if not peers.reliable:
             peers.acked = peers.new_table()
-        self._expected_since = peers.delivery_table(NEVER)
-        """The step since which a peer is expected to hold more than it acknowledged."""
-        self._round_trip = np.full(peers.robots, MIN_ROUND_TRIP, np.int64)
-        """Steps after which a report of each peer came back recently."""
+        self._sent_at = peers.delivery_table(NEVER)
+        """The step in which a peer was last sent entries that it has not acknowledged."""
+        self._asked_at = NEVER
+        """The step in which this robot last asked for reports of its map."""
+        self._repaired_at = peers.delivery_table(NEVER)
+        """The step in which a peer was last sent the entries of a gap."""
+        self._reported_at = peers.delivery_table(NEVER)
+        """The step of a peer's last report."""
+        self._gap_ends = peers.delivery_table()
+        """The offset of the first entry behind a gap in a peer's log; 0: there is no gap."""
+        self._sent_end = peers.delivery_table()
+        """The offset after the last entry that a peer was sent: it should hold so many once its gap is filled."""
         self._stored: defaultdict[int, dict[int, tuple[int, bytes]]] = defaultdict(dict)
         """Entries of each map that came behind a gap, by offset, with their senders."""
 
@@ -61,39 +70,74 @@ class Acks:
         if budget and not self._peers.reliable:
             robots = self._peers.robots
             self.interval = max(PATIENCE, math.ceil(SHARE * Held.size * robots * (robots - 1) / budget))
-            self.turn = 2 * int(self._round_trip.max()) + self.interval
+            self.urgent_interval = max(2, self.interval // 4)
+            self.turn = self.interval + PATIENCE
 
-    def drop_late(self) -> None:
-        """Drop expectations whose retransmission timeout is over."""
+    def sent(self, number: int, receivers: Mask, first: int, end: int) -> None:
+        """Note that receivers were sent entries `first` to `end` - 1 of a map, by which their gaps may be filled."""
+        expected = self._peers.expected.T[number]
+        raise_lengths(expected, receivers, first, end)
         if self._peers.reliable:
             return
-        step = self._replica.step
-        expected, acked, since = self._peers.expected, self._peers.acked, self._expected_since
-        open_ones = expected > acked
-        since[~open_ones] = NEVER
-        since[open_ones & (since == NEVER)] = step
-        late = open_ones & (step - since > 2 * self._round_trip[:, None] + self.interval)
-        expected[late] = acked[late]
-        since[late] = NEVER
+        sent_end, gap_ends, step = self._sent_end.T[number], self._gap_ends.T[number], self._replica.step
+        gap_ends[receivers & (gap_ends == 0) & (expected < first)] = first
+        raise_lengths(sent_end, receivers, 0, end)
+        filled = (gap_ends > 0) & (expected >= gap_ends)
+        expected[filled] = np.maximum(expected, sent_end)[filled]
+        self._repaired_at.T[number][filled] = step
+        gap_ends[filled] = 0
+        self._sent_at.T[number][receivers & (expected > self._peers.acked.T[number])] = step
 
-    def report_received(self, peer: int, number: int, length: int) -> None:
-        """Acknowledge entries, measure the round trip, and drop an expectation that the report contradicts."""
+    def gap_end(self, peer: int, number: int) -> int:
+        """Return the offset of the first entry of a map that a peer holds behind a gap; 0: it is known of none."""
+        return self._gap_ends.item(peer, number)
+
+    def waited(self, peer: int, number: int, since: int) -> int:
+        """Return for how many steps after `since` a peer has lacked entries for certain."""
+        end = self._replica.step if self._peers.reliable else self._reported_at.item(peer, number)
+        return max(0, end - since)
+
+    def silent(self, in_range: list[int]) -> bool:
+        """Return whether a peer in range has not acknowledged entries of this robot's log for `turn` steps."""
+        own, latest = self._peers.own, self._replica.step - self.turn
+        if self._peers.reliable or self._asked_at >= latest:
+            return False
+        is_open = self._peers.expected.T[own] > self._peers.acked.T[own]
+        return bool((is_open & (self._sent_at.T[own] < latest))[in_range].any())
+
+    def asked(self) -> None:
+        """Note that this robot asked for reports of its map."""
+        self._asked_at = self._replica.step
+
+    def report_received(self, peer: int, number: int, length: int, gap_end: int = 0) -> None:
+        """Take a report that a peer holds so many entries of a map, and those from `gap_end` on if there is a gap."""
         expected, acked, step = self._peers.expected, self._peers.acked, self._replica.step
-        before, since = int(acked[peer, number]), int(self._expected_since[peer, number])
-        if length > before or self._peers.may_restart:
+        if length > acked.item(peer, number) or self._peers.may_restart:
             acked[peer, number] = length
-            if since != NEVER and length > before:
-                round_trip = max(step - since, int(self._round_trip[peer]) - 1)
-                self._round_trip[peer] = min(max(round_trip, MIN_ROUND_TRIP), MAX_ROUND_TRIP)
-                self._expected_since[peer, number] = step
-        if since != NEVER and length <= before and step - since >= self._round_trip[peer]:
+        self._reported_at[peer, number] = step
+        if 0 < self.gap_end(peer, number) <= length:
+            self._gap_ends[peer, number] = 0
+            self._peers.expect(peer, number, self._sent_end.item(peer, number))
+        before = int(expected.item(peer, number))
+        is_gap = gap_end > length
+        sent_at = (self._repaired_at if is_gap else self._sent_at).item(peer, number)
+        if length <= before and (sent_at == NEVER or step - sent_at > self._peers.round_trip):
             expected[peer, number] = length
+            self._gap_ends[peer, number] = gap_end if is_gap else 0
         self._peers.expect(peer, number, length)
 
     def store(self, peer: int, number: int, first: int, entries: list[bytes]) -> None:
         """Store entries that came behind a gap; on a reliable medium their sender sends them again."""
         if not self._peers.reliable:
             self._stored[number] |= {offset: (peer, entry) for offset, entry in enumerate(entries, first)}
+
+    def gaps(self) -> list[int]:
+        """Return the numbers of the maps of which entries are stored behind a gap."""
+        return [number for number, stored in self._stored.items() if stored]
+
+    def first_stored(self, number: int) -> int | None:
+        """Return the offset of the first entry of a map that is stored behind a gap; None if there is none."""
+        return min(self._stored[number], default=None)
 
     def stored(self, number: int, length: int) -> tuple[int, bytes] | None:
         """Take the stored entry at offset `length`, with its sender; if there is none, drop those before it."""

@@ -47,8 +47,10 @@ def make_replication(
     `rebuild` decodes all logs again after entries were dropped.
     """
     dissemination = PLUGINS.find(settings.replication.dissemination)
-    reliable = not settings.replication.requires_acks
-    peers = PeerTable(settings.own_map, settings.robots, settings.maps, reliable=reliable)
+    reliable, round_trip = not settings.replication.requires_acks, settings.replication.round_trip
+    peers = PeerTable(
+        settings.own_map, settings.robots, settings.maps, reliable=reliable, round_trip=round_trip
+    )
     replica = Replica(peers, consume, rebuild)
     if issubclass(dissemination, Gossip):
         return Gossip(replica, dependencies)

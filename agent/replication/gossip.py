@@ -21,7 +21,7 @@ from agent.replication.control_packets import ParsedFrame, header, offset, parse
 from agent.replication.delivery import Acks
 from agent.replication.gossip_policy import Dependencies, GossipPolicy
 from agent.replication.neighbors import BroadcastCursors, Meetings, Neighbors
-from agent.replication.peers import Table, raise_lengths
+from agent.replication.peers import Table
 from agent.replication.replica import Rejected, Replica
 from agent.replication.reports import Reports
 from protocol import packet_codec, packet_index
@@ -65,7 +65,6 @@ class Gossip(Replication):
         for dropped in self.replica.dropped:
             self._reports.dropped(dropped)
         self.replica.dropped.clear()
-        self._acks.drop_late()
         lengths = self.replica.lengths()
         self._policy.compare(self._meetings.known(in_range), lengths)
         self._frame, self._budget = b"", limited(budget)
@@ -90,8 +89,10 @@ class Gossip(Replication):
         for peer, control in controls:
             if isinstance(control, From):
                 self._note_restart(peer, control.map)
-        for peer, control in controls:  # reports describe the state before this round
-            self._read_report(peer, control)
+        for peer, frame in frames:  # reports describe the state before this round
+            named = {head.map: head for head in frame.named}
+            for control in frame.controls:
+                self._read_report(peer, control, named)
         sent = max((each.sent for each in report.sent), default=0)
         self._note_sent(sent)
         if sent:
@@ -118,7 +119,11 @@ class Gossip(Replication):
             self._add(packet_codec.encode([Near(robot) if here else Gone(robot)]))
         self._add(self._next_digest())
         for number in self._reports.due(lengths, self._owed, parted=self._neighbors.have_parted):
-            self._add(report(number, len(self.logs[number])))
+            stored = self._acks.first_stored(number)
+            gap = b"" if stored is None else header(number, stored)
+            self._add(gap + report(number, len(self.logs[number])))
+        if self._acks.silent(self._neighbors.in_range):
+            self._add(report(self.peers.own, self.own_log.shared))
 
     def _add(self, packet: bytes) -> None:
         """Add a packet to the frame if it fits."""
@@ -143,6 +148,8 @@ class Gossip(Replication):
                     self._neighbors.inform(robot, here=isinstance(control, Near))
                 case LogDigest():
                     self.own_log.digest_length = 0
+                case Held(number, _) if number == self.peers.own:
+                    self._acks.asked()
                 case Held(number, _):
                     self._reports.sent(number, self._neighbors.near[self.peers.robot])
         unsent = parse(self._frame).controls[len(frame.controls) :]
@@ -165,7 +172,7 @@ class Gossip(Replication):
         If this robot holds the entries, they know that.
         """
         receivers = self._neighbors.near[sender]
-        raise_lengths(self.peers.expected.T[number], receivers, first, end)
+        self._acks.sent(number, receivers, first, end)
         if len(self.logs[number]) >= end:
             self._reports.inform(receivers, number, end)
 
@@ -184,17 +191,26 @@ class Gossip(Replication):
             self._reports.restarted(peer)
             self._meetings.on("restarted", peer)
 
-    def _read_report(self, peer: int, control: AnyPacket) -> None:
-        """Note a peer's range or a log length; reject the peer's entries if it sends another control packet."""
+    def _read_report(self, peer: int, control: AnyPacket, named: dict[int, From]) -> None:
+        """Note a peer's range or a log length; reject the peer's entries if it sends another control packet.
+
+        `named`: by map, the headers of its frame without entries. Behind a report, such a header names the first entry
+        behind a gap. By a report of its own map, a peer asks for reports.
+        """
         logs, robots = self.logs, self.peers.robots
         match control:
             case Near(robot) | Gone(robot) if robot < robots:
                 self._neighbors.near[peer, robot] = robot == peer or isinstance(control, Near)
-            case Held(number, _) if number < len(logs) and (number != peer or self.peers.may_restart):
+            case Held(number, _) if number < len(logs) and (number != peer or not self.peers.reliable):
                 length = self._possible(number, offset(control, len(logs[number])))
+                if not self.peers.reliable:
+                    self._reports.urgent[number] |= number == self.peers.current[peer] or length > len(
+                        logs[number]
+                    )
                 if self.peers.reliable and length < self.peers.expected.item(peer, number):
                     self._peer_dropped(peer, number, length)
-                self._acks.report_received(peer, number, length)
+                gap_end = offset(named[number], len(logs[number])) if number in named else 0
+                self._acks.report_received(peer, number, length, gap_end)
                 self._meetings.on("reported", peer)
             case LogDigest():
                 pass
@@ -211,7 +227,7 @@ class Gossip(Replication):
         log, replica, reports = self.logs[number], self.replica, self._reports
         first = self._cursors.others.get(peer) if head is None else offset(head, log.length)
         if first is None:
-            reports.gaps[number] = True
+            reports.urgent[number] = True
             return
         length = log.length
         replica.receive(peer, number, first, entries)
@@ -221,12 +237,11 @@ class Gossip(Replication):
         if number == self.peers.current[peer]:
             self._cursors.received(peer, end)
         self.peers.acknowledge(peer, number, end)
-        reports.gaps[number] = first > length
+        if self.peers.reliable:
+            reports.urgent[number] = first > length
         if first > length and not replica.refuses(peer, number):
             self._acks.store(peer, number, first, entries)
-        if end <= length:
-            reports.repeated[number] = True
         self._note_receivers(peer, number, first, end)
         while (stored := self._acks.stored(number, log.length)) is not None:
-            reports.gaps[number] = True
+            reports.urgent[number] = True
             replica.accept(stored[0], number, stored[1])

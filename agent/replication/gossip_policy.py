@@ -67,6 +67,8 @@ class GossipPolicy:
         """``_since[peer, map]``: the step since which the peer lacks some."""
         self._served: int | None = None
         """The peer that this round's frame serves first."""
+        self._repairs = False
+        """Whether this round's frame has entries of a gap."""
         self._sent: dict[int, tuple[int, int]] = {}
         """The range of each map that is in this round's frame."""
         self._too_long: set[tuple[int, int]] = set()
@@ -87,13 +89,29 @@ class GossipPolicy:
         """Add what peers lack to this round's frame."""
         self._served, self._sent, self._too_long = None, {}, set()
         held: dict[int, list[int]] = {peer: self._peers.expected[peer].tolist() for peer in self._lacks}
-        for peer in sorted(held, key=lambda each: (-sum(held[each]), each)):
-            will_hold, lacks = held[peer], self._lacks[peer]
+        order = sorted(held, key=lambda each: (-sum(held[each]), each))
+        for peer, will_hold in held.items():
             will_hold[self._peers.current[peer]] = MAX_LENGTH
+        repairs = [] if self._peers.reliable else self._gaps()
+        for peer, number, end in repairs:
+            self._bring(add, peer, held[peer], number, end)
+        self._repairs = bool(self._sent)
+        for peer in order:
+            will_hold, lacks = held[peer], self._lacks[peer]
             for number in sorted(lacks, key=lambda each: (each != self._peers.own, lacks[each], each)):
-                self._bring(add, peer, will_hold, number, len(self._logs[number]))
+                if not self._acks.gap_end(peer, number):
+                    self._bring(add, peer, will_hold, number, len(self._logs[number]))
             if self._served is None and self._sent:
                 self._served = peer
+
+    def _gaps(self) -> list[tuple[int, int, int]]:
+        """Return the gaps in the logs of peers: the peer, the map number, and the end of the gap."""
+        return [
+            (peer, number, end)
+            for peer, lacks in sorted(self._lacks.items())
+            for number in sorted(lacks)
+            if (end := min(self._acks.gap_end(peer, number), len(self._logs[number])))
+        ]
 
     def _bring(self, add: Add, peer: int, will_hold: list[int], number: int, end: int) -> None:
         """Send the entries of a map before offset `end` that a peer lacks, each range behind those on which it depends.
@@ -146,7 +164,7 @@ class GossipPolicy:
         ]
         candidates.append(self._peers.robot)
         candidates.sort(key=lambda each: (current[each] != number, (each - number) % robots))
-        waited = self._replica.step - self._since.item(peer, number)
+        waited = self._acks.waited(peer, number, self._since.item(peer, number))
         return candidates.index(self._peers.robot) <= waited // self._acks.turn
 
     def priority(self, size: int, waited: int, urgency: float | None) -> int:
@@ -162,6 +180,8 @@ class GossipPolicy:
             priority = min(MAX_HELD_PRIORITY, held // HELD_PER_PRIORITY)
         elif log.last_append < log.shared < log.length:
             return MAX_PRIORITY
+        elif self._repairs:
+            return MAX_PRIORITY - 1
         elif urgency is not None and log.shared < log.length:
             return min(MAX_PRIORITY - 1, int(max(1.0, urgency) * (1 + waited)))
         else:

@@ -24,14 +24,18 @@ class PeerTable:
     """One robot's knowledge of its peers' logs. Tables have a row for each robot and a column for each map number.
 
     `own`: the number of this robot's map; `maps`: how many maps the team may write; `reliable`: the medium loses
-    nothing, and keeps the order of a robot's frames.
+    nothing, and keeps the order of a robot's frames; `round_trip`: steps from a broadcast in which
+    reports may still come that do not count it.
     """
 
-    def __init__(self, own: int, robots: int, maps: int, *, reliable: bool = True) -> None:
+    def __init__(
+        self, own: int, robots: int, maps: int, *, reliable: bool = True, round_trip: int = 0
+    ) -> None:
         self.own = own
         self.robots = robots
         self.maps = maps
         self.reliable = reliable
+        self.round_trip = round_trip
         self.robot = self.author(own)
         """This robot."""
         self.own_maps = range(own, maps, robots)

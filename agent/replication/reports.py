@@ -3,10 +3,10 @@
     situation                                              a report is due
     a meeting owes reports (`neighbors.Meetings`)          at once, of all maps of which the peer may know less
     entries were dropped (`replica`), reliable medium      when the replica asks for them again
-    entries came behind a gap                              at once, and every few steps until the gap is filled
+    entries came behind a gap                              at once, and again as further ones come
+    a peer asks for a report, or reports more entries      at once
     some robot has been out of range before                of one map, in turn, every `REFRESH` steps
-    peers acknowledge entries, and some are new,           within the interval of `delivery.Acks`
-    or came though this robot held them
+    peers acknowledge entries, and some are new            within the interval of `delivery.Acks`
 
 On a lossy medium, robots ask for dropped entries in their broadcasts (`base.Replication.announcements`).
 """
@@ -19,8 +19,9 @@ from agent.replication.delivery import PATIENCE, Acks
 from agent.replication.peers import Mask, Table, raise_lengths
 from agent.replication.replica import Replica
 
-GAP_REPORTS = 2
-"""Steps after which a gap is reported again where the medium may lose the report; elsewhere `PATIENCE`."""
+QUICK_REPEATS, MAX_DELAY = 8, 64
+"""How often a gap is reported again after an urgent interval each (`Acks.urgent_interval`); then after two, three, and
+more, up to a maximum: the entries may not exist."""
 
 REFRESH = 16
 """Steps after which a robot that has not always had all others in range reports one more map."""
@@ -34,14 +35,14 @@ class Reports:
         self._acks = acks
         self._informed = replica.peers.new_table()
         """``_informed[peer, map]``: entries that the peer knows this robot to hold."""
-        self.gaps: Mask = np.zeros(replica.peers.maps, np.bool_)
-        """Maps of which entries came behind others that this robot lacks."""
-        self.repeated: Mask = np.zeros(replica.peers.maps, np.bool_)
-        """Maps of which entries came that this robot held, so their sender lacks its report."""
+        self.urgent: Mask = np.zeros(replica.peers.maps, np.bool_)
+        """Maps of which this robot lacks entries, or for whose report a peer asked."""
         self._steps: Table = np.full(replica.peers.maps, -PATIENCE, np.int64)
         """The step of each map's last report."""
         self._lengths: Table = np.zeros(replica.peers.maps, np.int64)
         """The length of the log in it."""
+        self._repeats: Table = np.zeros(replica.peers.maps, np.int64)
+        """How often this length has been reported again."""
 
     def due(self, lengths: Table, owed: list[int], *, parted: bool) -> list[int]:
         """Return the numbers of the maps to report in this round, ascending.
@@ -52,10 +53,12 @@ class Reports:
         peers, step = self._replica.peers, self._replica.step
         is_turn = parted and step % REFRESH == peers.robot % REFRESH
         asked = self._replica.maps_to_ask_for() if peers.reliable else []
-        if peers.reliable and not (owed or is_turn or asked or self.gaps.any()):
+        if peers.reliable and not (owed or is_turn or asked or self.urgent.any()):
             return []
         waited = step - self._steps
-        due = self.gaps & (waited >= (PATIENCE if peers.reliable else GAP_REPORTS))
+        self.urgent[self._acks.gaps()] = True
+        delays = 1 if peers.reliable else (self._repeats - QUICK_REPEATS).clip(1, MAX_DELAY)
+        due = self.urgent & (waited >= self._acks.urgent_interval * delays)
         for peer in owed:
             due |= self._informed[peer] < lengths
         if is_turn:
@@ -64,8 +67,7 @@ class Reports:
             due |= in_turn & ((numbers < peers.robots) | (lengths > 0))
         due[asked] = True
         if not peers.reliable:
-            news = self.repeated | (lengths > self._lengths)
-            due |= news & (waited >= self._acks.interval)
+            due |= (lengths > self._lengths) & (waited >= self._acks.interval)
         due[peers.own] = False
         return [int(number) for number in due.nonzero()[0]]
 
@@ -73,8 +75,10 @@ class Reports:
         """Note that a report was on the air."""
         self._replica.asked(number)
         self._steps[number] = self._replica.step
-        self._lengths[number] = length = len(self._replica.logs[number])
-        self.gaps[number] = self.repeated[number] = False
+        length = len(self._replica.logs[number])
+        self._repeats[number] = self._repeats[number] + 1 if length == self._lengths[number] else 0
+        self._lengths[number] = length
+        self.urgent[number] = False
         self.inform(receivers, number, length)
 
     def inform(self, peers: Mask, number: int, length: int) -> None:
@@ -84,7 +88,6 @@ class Reports:
     def dropped(self, number: int) -> None:
         """Note that this robot dropped entries of a map, so peers know that it holds more than it does."""
         self._lengths[number] = length = len(self._replica.logs[number])
-        self.repeated[number] = False
         self._informed[:, number] = np.minimum(self._informed[:, number], length)
 
     def restarted(self, peer: int) -> None:

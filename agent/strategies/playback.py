@@ -12,8 +12,8 @@ PATIENCE = 100
 """Steps without any delivery after which a robot gives up: entries are left, or no teammate is in range."""
 
 LOSSY_PATIENCE = 300
-"""The same on a medium that may lose frames, where the last acknowledgment may be lost. It is longer than the longest
-retransmission timeout at 50 B per step and more (`agent.replication.delivery`)."""
+"""The same on a medium that may lose frames, where the last acknowledgment may be lost. Until then, a robot of
+eight asks silent teammates five times for a report at 50 B per step (`agent.replication.delivery`)."""
 
 
 class Playback(Strategy):

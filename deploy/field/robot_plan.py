@@ -57,7 +57,7 @@ def agent_settings(settings: RobotSettings, laser: Laser) -> Settings:
         seed=settings.seed,
         strategy=settings.strategy,
         encoding=settings.encoding,
-        replication=ReplicationSettings(GOSSIP),
+        replication=ReplicationSettings(GOSSIP, round_trip=2 * settings.radio.transit_steps(settings.step_s)),
         medium=MediumSettings(Budget(team_bytes)),
         options=settings.options,
         resolution=cell,

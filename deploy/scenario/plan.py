@@ -176,6 +176,7 @@ def _robot_settings(
         scenario.dissemination,
         forward_maps=scenario.forward_maps,
         requires_acks=not radio.perfect or (radio.gossip and may_be_deaf),
+        round_trip=2 * (scenario.radio.delay + scenario.radio.jitter),
         digests=scenario.digests,
     )
     medium = MediumSettings(radio.budget, radio.range_cells, radio.packet_bytes)

@@ -49,6 +49,7 @@ def make_engine(
     dissemination: str = "backoff",
     *,
     requires_acks: bool = False,
+    round_trip: int = 0,
     incarnations: int = 1,
     dependencies: Dependencies = lambda _number: (),
     rebuild: Rebuild = lambda _logs: None,
@@ -57,7 +58,8 @@ def make_engine(
     settings = Settings(
         robot=robot, bodies=(Body(1.0, 360.0, 1.0),) * robots, width=1, height=1, beams=4, seed=0,
         strategy="meier", encoding=EncodingSettings("none"),
-        replication=ReplicationSettings(dissemination, requires_acks=requires_acks), incarnations=incarnations,
+        replication=ReplicationSettings(dissemination, requires_acks=requires_acks, round_trip=round_trip),
+        incarnations=incarnations,
     )  # fmt: skip
     return make_replication(settings, consume, dependencies, rebuild)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,6 +11,7 @@ from hypothesis import strategies as st
 
 from agent.encodings.base import Dependency
 from agent.replication.base import Replication
+from agent.replication.control_packets import parse
 from agent.replication.delivery import PATIENCE
 from agent.replication.gossip_policy import HELD_PER_PRIORITY, MAX_PRIORITY
 from agent.replication.neighbors import GREETING
@@ -32,7 +35,16 @@ from protocol.packets import (
     Save,
     Target,
 )
-from tests.agent.replication.network import Network, entries, entry, everyone, line, make_engine, random_reach
+from tests.agent.replication.network import (
+    Network,
+    Transmission,
+    entries,
+    entry,
+    everyone,
+    line,
+    make_engine,
+    random_reach,
+)
 
 seeds = st.integers(0, 2**32 - 1)
 APART = {0: [1], 1: [0], 2: []}
@@ -375,6 +387,78 @@ def test_no_entries_are_sent_whose_predecessors_all_in_range_lack() -> None:
 
 
 # Where only peers acknowledge.
+
+
+def entry_bytes(played: list[list[Transmission]]) -> int:
+    """Bytes of entries on the air."""
+    frames = [each.frames[0][: each.carried[0]] for sent in played for each in sent]
+    return sum(len(b"".join(those)) for frame in frames for _, those in parse(frame).sections)
+
+
+def play(network: Network, steps: int, lose: Callable[[int, int, int], bool]) -> int:
+    """Play steps of one round, of 60 bytes; return the bytes of entries that were on the air.
+
+    `lose`: whether the frame of a step is lost on its way from one robot to another.
+    """
+    size = 0
+    for now in range(steps):
+        network.tamper = lambda sender, receiver, _map, payload, now=now: (  # type: ignore[misc]
+            b"" if lose(now, sender, receiver) else payload
+        )
+        if now < 12:
+            network.append(0, 3)
+        size += entry_bytes(network.step(everyone(3), 60, 1))
+        network.check()
+    return size
+
+
+@given(st.integers(1, 10), st.integers(1, 3))
+def test_only_the_entries_of_lost_frames_are_sent_again_and_at_most_one_frame_more(
+    first: int, count: int
+) -> None:
+    network = Network(3, "gossip", acks=True)
+    lost = range(first, first + count)
+    size = play(network, 60, lambda now, sender, receiver: (sender, receiver) == (0, 2) and now in lost)
+    assert network.complete()
+    missing = sum(map(len, entries(0, 3 * first, 3 * min(12, first + count))))
+    again = size - sum(map(len, network.written(0)))
+    assert missing <= again <= missing + max(map(len, network.written(0))) * 3
+
+
+def test_if_reports_are_lost_robots_ask_for_them_and_send_no_entries_again() -> None:
+    network = Network(3, "gossip", acks=True)
+    size = play(network, 40, lambda now, sender, _receiver: sender == 2 and now < 30)
+    assert size == sum(map(len, network.written(0)))
+    assert network.complete()
+    assert network.engines[0].undelivered() == 0
+
+
+@pytest.mark.parametrize(("round_trip", "waited", "again"), [(0, 1, True), (4, 4, False), (4, 5, True)])
+def test_reports_that_may_have_been_under_way_with_the_entries_show_no_loss(
+    round_trip: int, waited: int, again: bool
+) -> None:
+    each = make_engine(0, 2, lambda *_: [], "gossip", requires_acks=True, round_trip=round_trip)
+    each.own_log.append(entries(0, 0, 2))
+    (frame,) = each.open_round(0, [1], None)
+    each.close_round(closing(sent=len(frame.payload)))
+    for left in reversed(range(waited)):
+        each.open_round(0, [1], None)
+        each.close_round(closing() if left else closing((1, encode([HeldFirst(0, 0)]))))
+    assert bool(each.open_round(1, [1], None)) == again
+
+
+def test_a_gap_that_nobody_fills_is_reported_more_and_more_rarely() -> None:
+    each = engine(1, 2, acks=True)
+    reported = []
+    for now in range(1200):
+        sent = each.open_round(0, [0], 50)
+        reported += [now] * bool(sent)
+        forged = [(0, encode([FromFirst(0, 9)]) + entry(0, 9))] if now == 0 else []
+        each.close_round(closing(*forged, sent=len(sent[0].payload) if sent else 0))
+    gaps = np.diff(reported)
+    assert gaps[:8].tolist() == [2] * 8
+    assert gaps[-1] > 40
+    assert (np.diff(gaps) >= 0).all()
 
 
 def test_entries_that_came_behind_a_gap_are_kept_until_it_is_filled() -> None:

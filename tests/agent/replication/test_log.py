@@ -72,11 +72,12 @@ def test_entries_go_in_as_far_as_they_fit_and_no_header_stands_alone(
 
 def test_a_frame_is_split_into_control_packets_and_entries_behind_their_headers() -> None:
     own, others = entries(0, 0, 2), entries(1, 5, 8)
-    controls, sections = parse(
-        encode([Near(1)]) + b"".join(own) + encode([FromFirst(1, 5)]) + b"".join(others)
+    controls, sections, named = parse(
+        encode([Near(1)]) + b"".join(own) + encode([FromFirst(2, 9), FromFirst(1, 5)]) + b"".join(others)
     )
-    assert controls == [Near(1), FromFirst(1, 5)]
+    assert controls == [Near(1), FromFirst(2, 9), FromFirst(1, 5)]
     assert sections == [(None, own), (FromFirst(1, 5), others)]
+    assert named == [FromFirst(2, 9)]
     with pytest.raises(ProtocolError):
         parse(b"\xff")
 
