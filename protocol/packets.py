@@ -210,7 +210,10 @@ class FromFirst(From, frozen=True):
 
 
 class Held(Packet, frozen=True):
-    """Gossip: the sender holds `index` entries of a map's log, modulo `GOSSIP_WINDOW`; of its own, it asks for reports."""
+    """Gossip: the sender holds `index` entries of a map's log, modulo `GOSSIP_WINDOW`.
+
+    If it is the sender's own map, it asks for reports of this map.
+    """
 
     name, size, code = "conn", 5, "11110111"
     map: GossipMap

@@ -70,7 +70,7 @@ class Acks:
         if budget and not self._peers.reliable:
             robots = self._peers.robots
             self.interval = max(PATIENCE, math.ceil(SHARE * Held.size * robots * (robots - 1) / budget))
-            self.urgent_interval = max(2, self.interval // 4)
+            self.urgent_interval = max(2, self.interval // SHARE)
             self.turn = self.interval + PATIENCE
 
     def sent(self, number: int, receivers: Mask, first: int, end: int) -> None:
