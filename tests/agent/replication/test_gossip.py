@@ -447,7 +447,7 @@ def test_reports_that_may_have_been_under_way_with_the_entries_show_no_loss(
     assert bool(each.open_round(1, [1], None)) == again
 
 
-def test_a_gap_that_nobody_fills_is_reported_more_and_more_rarely() -> None:
+def test_a_gap_that_no_robot_fills_is_reported_more_and_more_rarely() -> None:
     each = engine(1, 2, acks=True)
     reported = []
     for now in range(1200):
