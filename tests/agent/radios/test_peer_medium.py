@@ -212,6 +212,14 @@ def test_a_preset_gives_frames_rate_and_airtime() -> None:
     assert lora.timing().neighbor_timeout == 4 * lora.timing().hello
 
 
+def test_a_frame_and_its_back_off_take_several_steps_on_a_slow_radio() -> None:
+    lora = LinkOptions("serial", preset="lora-sf9", serial_port="/dev/ttyUSB0", duty_cycle=0.01)
+    seconds = 5 * lora.airtime(lora.longest) / SECOND
+    assert lora.transit_steps(0.2) - 1 < seconds / 0.2 <= lora.transit_steps(0.2)
+    assert lora.transit_steps(60.0) == 1
+    assert LinkOptions("udp", interface="wlan0").transit_steps(1.0) == 1
+
+
 def test_a_robot_that_must_save_for_a_frame_sends_packets_and_no_hellos() -> None:
     options = dataclasses.replace(OPTIONS, bytes_per_s=2)
     end = medium(0, options)

@@ -136,3 +136,10 @@ def test_no_robot_sends_more_than_its_duty_cycle_allows() -> None:
         explore(parse(ROOMS | {"steps": 3, "bandwidth": "unlimited"}), keep=False).summary["duty_cycle"]
         is None
     )
+
+
+def test_robots_wait_for_reports_as_long_as_frames_and_answers_may_be_under_way() -> None:
+    plan = plans.make(office(delay=3, jitter=2))
+    assert [settings.replication.round_trip for settings in plan.robot_settings.values()] == [
+        10
+    ] * plan.scenario.robots
