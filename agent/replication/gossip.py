@@ -194,20 +194,21 @@ class Gossip(Replication):
     def _read_report(self, peer: int, control: AnyPacket, named: dict[int, From]) -> None:
         """Note a peer's range or a log length; reject the peer's entries if it sends another control packet.
 
-        `named`: by map, the headers of its frame without entries. Behind a report, such a header names the first entry
-        behind a gap. By a report of its own map, a peer asks for reports.
+        `named`: by map, the headers of its frame without entries. In front of a report, such a header names the first
+        entry behind a gap. By a report of its own map, a peer asks for reports of it.
         """
-        logs, robots = self.logs, self.peers.robots
+        logs, robots, is_lossy = self.logs, self.peers.robots, not self.peers.reliable
         match control:
             case Near(robot) | Gone(robot) if robot < robots:
                 self._neighbors.near[peer, robot] = robot == peer or isinstance(control, Near)
-            case Held(number, _) if number < len(logs) and (number != peer or not self.peers.reliable):
+            case Held(number, _) if number < len(logs) and (
+                number != peer or self.peers.may_restart or is_lossy
+            ):
                 length = self._possible(number, offset(control, len(logs[number])))
-                if not self.peers.reliable:
-                    self._reports.urgent[number] |= number == self.peers.current[peer] or length > len(
-                        logs[number]
-                    )
-                if self.peers.reliable and length < self.peers.expected.item(peer, number):
+                if is_lossy:
+                    is_question = number == self.peers.current[peer]
+                    self._reports.urgent[number] |= is_question or length > len(logs[number])
+                elif length < self.peers.expected.item(peer, number):
                     self._peer_dropped(peer, number, length)
                 gap_end = offset(named[number], len(logs[number])) if number in named else 0
                 self._acks.report_received(peer, number, length, gap_end)

@@ -3,7 +3,7 @@
     situation                                              a report is due
     a meeting owes reports (`neighbors.Meetings`)          at once, of all maps of which the peer may know less
     entries were dropped (`replica`), reliable medium      when the replica asks for them again
-    entries came behind a gap                              at once, and again as further ones come
+    entries came behind a gap                              at once, and every few steps until the gap is filled
     a peer asks for a report, or reports more entries      at once
     some robot has been out of range before                of one map, in turn, every `REFRESH` steps
     peers acknowledge entries, and some are new            within the interval of `delivery.Acks`

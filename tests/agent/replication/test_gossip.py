@@ -386,6 +386,18 @@ def test_no_entries_are_sent_whose_predecessors_all_in_range_lack() -> None:
     assert network.length(2, 0) == 9
 
 
+@pytest.mark.parametrize(
+    ("acks", "incarnations", "valid"), [(False, 1, False), (False, 2, True), (True, 1, True)]
+)
+def test_a_robot_reports_its_own_map_only_after_a_restart_or_to_ask_for_reports(
+    acks: bool, incarnations: int, valid: bool
+) -> None:
+    each = make_engine(0, 2, lambda *_: [], "gossip", requires_acks=acks, incarnations=incarnations)
+    each.open_round(0, [1], None)
+    rejected = each.close_round(closing((1, encode([HeldFirst(1, 0)]))))
+    assert bool(rejected) != valid
+
+
 # Where only peers acknowledge.
 
 
