@@ -109,6 +109,7 @@ def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     for name, text in FILES.items():
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text(text)
+        (tmp_path / name).chmod(0o600)  # others may not read credentials
     for name, shape, shade in (("small", (10, 10), 255), ("dark", (10, 10), 0), ("wide", (3, 2049), 255)):
         Image.fromarray(np.full(shape, shade, np.uint8)).save(tmp_path / f"{name}.png")
     room = np.zeros((10, 10), np.uint8)
