@@ -64,7 +64,8 @@ class Neighbors:
     """Which robots are in range of each other, and so received a broadcast.
 
     Each robot reports arrivals and departures in its own range (`Near`, `Gone`) until all peers in range have received
-    that; where frames may be lost, it repeats the reports in turn. Until a robot reports otherwise, it counts as in range of all.
+    that; where frames may be lost, it repeats the reports in turn. Until a robot reports otherwise, it
+    counts as in range of all.
     """
 
     def __init__(self, robot: int, robots: int) -> None:
