@@ -23,7 +23,7 @@ from agent.replication.gossip_policy import Dependencies, GossipPolicy
 from agent.replication.neighbors import BroadcastCursors, Meetings, Neighbors
 from agent.replication.peers import Table
 from agent.replication.replica import Rejected, Replica
-from agent.replication.reports import Reports
+from agent.replication.reports import REFRESH, Reports
 from protocol import packet_codec, packet_index
 from protocol.errors import ProtocolError
 from protocol.messages import EVERYONE, OutgoingFrame, RoundReport
@@ -62,6 +62,8 @@ class Gossip(Replication):
             self._meetings.begin_step(step, in_range)
             self._cursors.begin_step(in_range)
             self._acks.begin_step(budget)
+            if not self.peers.reliable and self._neighbors.have_parted and self._reports.is_turn():
+                self._neighbors.repeat(step // REFRESH % self.peers.robots)
         for dropped in self.replica.dropped:
             self._reports.dropped(dropped)
         self.replica.dropped.clear()

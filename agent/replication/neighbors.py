@@ -64,7 +64,8 @@ class Neighbors:
     """Which robots are in range of each other, and so received a broadcast.
 
     Each robot reports arrivals and departures in its own range (`Near`, `Gone`) until all peers in range have received
-    that. Until a robot reports otherwise, it counts as in range of all.
+    that; where frames may be lost, it repeats the reports in turn. Until a robot reports otherwise, it
+    counts as in range of all.
     """
 
     def __init__(self, robot: int, robots: int) -> None:
@@ -95,6 +96,12 @@ class Neighbors:
         """Note that the peers in range received this robot's report about another robot."""
         self._informed[self.in_range, other] = here
         self._compare()
+
+    def repeat(self, other: int) -> None:
+        """Report again whether another robot is in range: peers may have missed that."""
+        if other != self._robot:
+            self._informed[self.in_range, other] = not self.near[self._robot, other]
+            self._compare()
 
     def restarted(self, peer: int) -> None:
         """Note that a peer lost its state: it has received and sent no reports."""

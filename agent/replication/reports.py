@@ -24,7 +24,8 @@ QUICK_REPEATS, MAX_DELAY = 8, 64
 more, up to a maximum: the entries may not exist."""
 
 REFRESH = 16
-"""Steps after which a robot that has not always had all others in range reports one more map."""
+"""Steps after which a robot that has not always had all others in range reports one more map, and on a lossy medium
+whether one more robot is in its range."""
 
 
 class Reports:
@@ -44,6 +45,10 @@ class Reports:
         self._repeats: Table = np.zeros(replica.peers.maps, np.int64)
         """How often this length has been reported again."""
 
+    def is_turn(self) -> bool:
+        """Return whether this step is this robot's turn to repeat a report."""
+        return self._replica.step % REFRESH == self._replica.peers.robot % REFRESH
+
     def due(self, lengths: Table, owed: list[int], *, parted: bool) -> list[int]:
         """Return the numbers of the maps to report in this round, ascending.
 
@@ -51,7 +56,7 @@ class Reports:
         has been out of range before.
         """
         peers, step = self._replica.peers, self._replica.step
-        is_turn = parted and step % REFRESH == peers.robot % REFRESH
+        is_turn = parted and self.is_turn()
         asked = self._replica.maps_to_ask_for() if peers.reliable else []
         if peers.reliable and not (owed or is_turn or asked or self.urgent.any()):
             return []

@@ -445,6 +445,18 @@ def test_if_reports_are_lost_robots_ask_for_them_and_send_no_entries_again() -> 
     assert network.engines[0].undelivered() == 0
 
 
+@pytest.mark.parametrize("acks", [False, True])
+def test_if_frames_may_be_lost_a_robot_repeats_which_robots_are_in_its_range(acks: bool) -> None:
+    each = engine(0, 3, acks=acks)
+    reported: list[object] = []
+    for _ in range(2 * 3 * REFRESH):
+        sent = each.open_round(0, [1], None)
+        payload = b"".join(frame.payload for frame in sent)
+        reported += [p for p in packet_codec.decode(payload) if isinstance(p, Near | Gone)]
+        each.close_round(closing(sent=len(payload)))
+    assert reported == ([Gone(2), *2 * [Near(1), Gone(2)]] if acks else [Gone(2)])
+
+
 @pytest.mark.parametrize(("round_trip", "waited", "again"), [(0, 1, True), (4, 4, False), (4, 5, True)])
 def test_reports_that_may_have_been_under_way_with_the_entries_show_no_loss(
     round_trip: int, waited: int, again: bool
