@@ -40,7 +40,7 @@ class ReplicationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=Tru
     requires_acks: bool = False
     """Whether only a peer's acknowledgment shows a delivery: the medium may lose frames, or peers may be deaf."""
     round_trip: int = 0
-    """Steps for which a frame and the answer to it are under way at most, besides the step of sending."""
+    """The most steps for which a frame and the answer to it are under way, besides the step of sending."""
     digests: bool = False
     """Whether the robot broadcasts digests of its log (`agent.replication.digests`)."""
     checks_reach: bool = True

@@ -34,9 +34,10 @@ def check_regular(path: Path) -> None:
 
 
 def exposure(path: Path, mode: int | None = None, what: str = "it") -> str:
-    """Return that other users may use a secret file, and the command that changes it; empty if only its owner may.
+    """Return a warning that other users may use a secret file, with the command that changes this.
 
-    `mode` is that of the file if it is open already; `what` is what they may use. A missing file is not exposed.
+    Empty if only the owner may, or if there is no such file. `mode`: the file's mode, if the caller has opened the file
+    already. `what`: the name of the secret in the warning.
     """
     if mode is None:
         try:

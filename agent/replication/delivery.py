@@ -10,8 +10,8 @@ sent again, as with negative acknowledgments (NORM, RFC 5740):
     a peer reports a gap                                        send the entries of the gap again
     a peer reports fewer entries than expected, without a gap,  send all entries again from there on
     longer after the last broadcast than frames may take
-    a peer has not acknowledged this robot's map for `turn`     ask for reports (`Acks.silent`)
-    steps
+    a peer has not acknowledged what it was sent of this        ask for reports (`Acks.silent`)
+    robot's log for `turn` steps
 """
 
 from __future__ import annotations
@@ -89,11 +89,11 @@ class Acks:
         self._sent_at.T[number][receivers & (expected > self._peers.acked.T[number])] = step
 
     def gap_end(self, peer: int, number: int) -> int:
-        """Return the offset of the first entry of a map that a peer holds behind a gap; 0: it is known of none."""
+        """Return the offset of the first entry of a map that a peer holds behind a gap; 0: no gap is known."""
         return self._gap_ends.item(peer, number)
 
     def waited(self, peer: int, number: int, since: int) -> int:
-        """Return for how many steps after `since` a peer has lacked entries for certain."""
+        """Return for how many steps after `since` a peer has lacked entries; on a lossy medium, by its last report."""
         end = self._replica.step if self._peers.reliable else self._reported_at.item(peer, number)
         return max(0, end - since)
 

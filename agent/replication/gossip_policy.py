@@ -171,8 +171,9 @@ class GossipPolicy:
         """Return the priority of this round's frame, of `size` bytes, which waited for some steps.
 
         If robots have been out of range: the more the peer holds that is served first, the higher. Else frames come
-        first if a part of the entries appended last has been on the air, and the rest has not. Others rank by `urgency`
-        of own entries and the steps that they waited, or else by how few entries the peer lacks, and by their size.
+        first if a part of the entries appended last has been on the air, and the rest has not; then those that fill a
+        gap. Others rank by `urgency` of own entries and the steps that they waited, or else by how few entries the peer
+        lacks, and by their size.
         """
         served, log = self._served, self._replica.own_log
         if self._neighbors.have_parted:

@@ -24,8 +24,8 @@ class PeerTable:
     """One robot's knowledge of its peers' logs. Tables have a row for each robot and a column for each map number.
 
     `own`: the number of this robot's map; `maps`: how many maps the team may write; `reliable`: the medium loses
-    nothing, and keeps the order of a robot's frames; `round_trip`: steps from a broadcast in which
-    reports may still come that do not count it.
+    nothing, and keeps the order of a robot's frames; `round_trip`: the most steps after a broadcast in
+    which a report may arrive that its sender sent before it received the broadcast.
     """
 
     def __init__(

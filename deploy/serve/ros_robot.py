@@ -52,7 +52,7 @@ class RosRobot:
     """The topics and the action of one robot, on a node of its own in the robot's namespace.
 
     `least_range_m` is the range below which its laser measures nothing. `warn` receives a line about each message that
-    is ignored. `now_ns` is the time, in nanoseconds since 1970. `offers` says what it has besides its driver.
+    is ignored. `now_ns` is the time, in nanoseconds since 1970. `offers`: which services it has besides its driver.
     """
 
     def __init__(

@@ -64,6 +64,23 @@ def make_engine(
     return make_replication(settings, consume, dependencies, rebuild)
 
 
+def engine(robot: int, robots: int, *, acks: bool = False, lie: bytes = b"") -> Replication:
+    """An engine of gossip that can decode everything but `lie`."""
+
+    def consume(peer: int, map_id: object, frame: bytes) -> list[int]:
+        if frame == lie:
+            raise ProtocolError("entry", 0, "a lie")
+        return list(packet_index.ends(frame))
+
+    return make_engine(robot, robots, consume, "gossip", requires_acks=acks)
+
+
+def closing(*frames: tuple[int, bytes], sent: int | None = None) -> RoundReport:
+    """The report of a round: the frames that arrived, with their senders, and the bytes sent of this robot's frame."""
+    reports = [] if sent is None else [SendReport(0, sent)]
+    return RoundReport(1, 0, [], reports, [Delivery(*each) for each in frames], False)
+
+
 def entry(robot: int, number: int) -> bytes:
     """Entry `number` of a robot's log: unlike all others, and of one of several lengths."""
     return encode([Fragment(struct.pack(">BI", robot, number) + bytes(number % 4))])
