@@ -10,8 +10,8 @@ sent again, as with negative acknowledgments (NORM, RFC 5740):
     a peer reports a gap                                        send the entries of the gap again
     a peer reports fewer entries than expected, without a gap,  send all entries again from there on
     longer after the last broadcast than frames may take
-    a peer has not acknowledged what it was sent of this        ask for reports (`Acks.silent`)
-    robot's log for `turn` steps
+    a peer has not acknowledged what it was sent of a map for   ask for reports of this map (`Acks.unacknowledged`)
+    `turn` steps
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from collections import defaultdict
 
 import numpy as np
 
-from agent.replication.peers import NEVER, Mask, raise_lengths
+from agent.replication.peers import NEVER, Mask, Table, raise_lengths
 from agent.replication.replica import Replica
 from protocol.packets import Held
 
@@ -30,6 +30,10 @@ PATIENCE = 6
 
 SHARE = 8
 """The part of the medium that all reports together may take, as a divisor; as for receivers of RTP (RFC 3550)."""
+
+
+WINDOW = 4096
+"""Entries behind the end of a log up to which entries are stored: a forger cannot fill the memory."""
 
 
 class Acks:
@@ -52,8 +56,9 @@ class Acks:
             peers.acked = peers.new_table()
         self._sent_at = peers.delivery_table(NEVER)
         """The step in which a peer was last sent entries that it has not acknowledged."""
-        self._asked_at = NEVER
-        """The step in which this robot last asked for reports of its map."""
+        self._asked_at: Table = np.full(peers.maps, NEVER, np.int64)
+        """The step in which this robot last sent entries of each map, or asked for reports of it; `NEVER`: it need not
+        ask."""
         self._repaired_at = peers.delivery_table(NEVER)
         """The step in which a peer was last sent the entries of a gap."""
         self._reported_at = peers.delivery_table(NEVER)
@@ -97,17 +102,26 @@ class Acks:
         end = self._replica.step if self._peers.reliable else self._reported_at.item(peer, number)
         return max(0, end - since)
 
-    def silent(self, in_range: list[int]) -> bool:
-        """Return whether a peer in range has not acknowledged entries of this robot's log for `turn` steps."""
-        own, latest = self._peers.own, self._replica.step - self.turn
-        if self._peers.reliable or self._asked_at >= latest:
-            return False
-        is_open = self._peers.expected.T[own] > self._peers.acked.T[own]
-        return bool((is_open & (self._sent_at.T[own] < latest))[in_range].any())
+    def broadcast(self, number: int) -> None:
+        """Note that this robot sent entries of a map."""
+        self._asked_at[number] = self._replica.step
 
-    def asked(self) -> None:
-        """Note that this robot asked for reports of its map."""
-        self._asked_at = self._replica.step
+    def unacknowledged(self, in_range: list[int]) -> Mask:
+        """Return for each map whether a peer in range has not acknowledged entries of it that it was sent.
+
+        This robot was the last to send these entries, `turn` steps ago or earlier.
+        """
+        latest = self._replica.step - self.turn
+        unacknowledged = (self._asked_at > NEVER) & (self._asked_at < latest)
+        late = unacknowledged.nonzero()[0]
+        expected, acked = self._peers.expected.T[late], self._peers.acked.T[late]
+        is_open = (expected > acked) & (self._sent_at.T[late] < latest)
+        unacknowledged[late] = is_open[:, in_range].any(axis=1)
+        return unacknowledged
+
+    def asked(self, number: int) -> None:
+        """Note that this robot asked for reports of a map: of its own it asks again and again, of others once."""
+        self._asked_at[number] = self._replica.step if number == self._peers.own else NEVER
 
     def report_received(self, peer: int, number: int, length: int, gap_end: int = 0) -> None:
         """Take a report that a peer holds so many entries of a map, and those from `gap_end` on if there is a gap."""
@@ -126,9 +140,13 @@ class Acks:
             self._gap_ends[peer, number] = gap_end if is_gap else 0
         self._peers.expect(peer, number, length)
 
+    def lacks(self, lengths: Table, in_range: list[int]) -> Mask:
+        """Return for each map whether a peer in range certainly holds more entries of it than this robot."""
+        return np.asarray((self._peers.acked[in_range] > lengths).any(axis=0))
+
     def store(self, peer: int, number: int, first: int, entries: list[bytes]) -> None:
         """Store entries that came behind a gap; on a reliable medium their sender sends them again."""
-        if not self._peers.reliable:
+        if not self._peers.reliable and first < len(self._replica.logs[number]) + WINDOW:
             self._stored[number] |= {offset: (peer, entry) for offset, entry in enumerate(entries, first)}
 
     def gaps(self) -> list[int]:
@@ -141,6 +159,7 @@ class Acks:
 
     def stored(self, number: int, length: int) -> tuple[int, bytes] | None:
         """Take the stored entry at offset `length`, with its sender; if there is none, drop those before it."""
-        stored = {at: each for at, each in self._stored[number].items() if at >= length}
-        self._stored[number] = stored
+        stored = self._stored[number]
+        if stored and length not in stored:
+            self._stored[number] = {at: each for at, each in stored.items() if at > length}
         return stored.pop(length, None)

@@ -120,12 +120,12 @@ class Gossip(Replication):
         for robot, here in self._neighbors.news:
             self._add(packet_codec.encode([Near(robot) if here else Gone(robot)]))
         self._add(self._next_digest())
-        for number in self._reports.due(lengths, self._owed, parted=self._neighbors.have_parted):
+        in_range, parted = self._neighbors.in_range, self._neighbors.have_parted
+        for number in self._reports.due(lengths, in_range, self._owed, parted=parted):
             stored = self._acks.first_stored(number)
             gap = b"" if stored is None else header(number, stored)
-            self._add(gap + report(number, len(self.logs[number])))
-        if self._acks.silent(self._neighbors.in_range):
-            self._add(report(self.peers.own, self.own_log.shared))
+            length = self.own_log.shared if number == self.peers.own else len(self.logs[number])
+            self._add(gap + report(number, length))
 
     def _add(self, packet: bytes) -> None:
         """Add a packet to the frame if it fits."""
@@ -150,9 +150,8 @@ class Gossip(Replication):
                     self._neighbors.inform(robot, here=isinstance(control, Near))
                 case LogDigest():
                     self.own_log.digest_length = 0
-                case Held(number, _) if number == self.peers.own:
-                    self._acks.asked()
                 case Held(number, _):
+                    self._acks.asked(number)
                     self._reports.sent(number, self._neighbors.near[self.peers.robot])
         unsent = parse(self._frame).controls[len(frame.controls) :]
         if self._frame and not any(isinstance(control, Held) for control in unsent):
@@ -162,6 +161,7 @@ class Gossip(Replication):
             first = self._cursors.own if head is None else offset(head, len(self.logs[number]))
             end = first + len(entries)
             self._note_receivers(self.peers.robot, number, first, end)
+            self._acks.broadcast(number)
             if number == self.peers.own:
                 self._cursors.sent(end, self._neighbors.in_range)
                 self.own_log.sent(end)
@@ -202,7 +202,8 @@ class Gossip(Replication):
         logs, robots, is_lossy = self.logs, self.peers.robots, not self.peers.reliable
         match control:
             case Near(robot) | Gone(robot) if robot < robots:
-                self._neighbors.near[peer, robot] = robot == peer or isinstance(control, Near)
+                self._neighbors.near[peer, robot] = is_near = robot == peer or isinstance(control, Near)
+                self._neighbors.have_parted |= is_lossy and not is_near
             case Held(number, _) if number < len(logs) and (
                 number != peer or self.peers.may_restart or is_lossy
             ):

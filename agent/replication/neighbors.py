@@ -73,7 +73,7 @@ class Neighbors:
         self.in_range: list[int] = []
         """The robots in this robot's range in this step."""
         self.have_parted = False
-        """Whether any robot has ever been out of range."""
+        """Whether any robot has ever been out of this robot's range; where frames may be lost, or out of a peer's."""
         self.near: Mask = np.ones((robots, robots), np.bool_)
         """``near[robot, other]``: whether `other` is in a robot's range, as is the robot itself, so it knows what the
         robot broadcasts; as to peers, by their reports."""

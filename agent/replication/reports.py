@@ -4,7 +4,9 @@
     a meeting owes reports (`neighbors.Meetings`)          at once, of all maps of which the peer may know less
     entries were dropped (`replica`), reliable medium      when the replica asks for them again
     entries came behind a gap                              at once, and every few steps until the gap is filled
-    a peer asks for a report, or reports more entries      at once
+    a peer reports more entries                            at once, and every `Acks.turn` steps until they arrive
+    a peer asks for a report                               at once
+    this robot asks for reports (`Acks.unacknowledged`)    of the map concerned
     some robot has been out of range before                of one map, in turn, every `REFRESH` steps
     peers acknowledge entries, and some are new            within the interval of `delivery.Acks`
 
@@ -49,11 +51,11 @@ class Reports:
         """Return whether this step is this robot's turn to repeat a report."""
         return self._replica.step % REFRESH == self._replica.peers.robot % REFRESH
 
-    def due(self, lengths: Table, owed: list[int], *, parted: bool) -> list[int]:
+    def due(self, lengths: Table, in_range: list[int], owed: list[int], *, parted: bool) -> list[int]:
         """Return the numbers of the maps to report in this round, ascending.
 
         `lengths`: of this robot's logs. `owed`: the peers to which meetings owe reports. `parted`: whether any robot
-        has been out of range before.
+        has been out of another's range before.
         """
         peers, step = self._replica.peers, self._replica.step
         is_turn = parted and self.is_turn()
@@ -72,8 +74,11 @@ class Reports:
             due |= in_turn & ((numbers < peers.robots) | (lengths > 0))
         due[asked] = True
         if not peers.reliable:
+            due |= self._acks.lacks(lengths, in_range) & (waited >= self._acks.turn * delays)
             due |= (lengths > self._lengths) & (waited >= self._acks.interval)
         due[peers.own] = False
+        if not peers.reliable:
+            due |= self._acks.unacknowledged(in_range)
         return [int(number) for number in due.nonzero()[0]]
 
     def sent(self, number: int, receivers: Mask) -> None:

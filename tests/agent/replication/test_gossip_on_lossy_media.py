@@ -9,11 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from agent.replication.base import Replication
 from agent.replication.control_packets import parse
+from agent.replication.delivery import WINDOW
 from agent.replication.reports import REFRESH
 from protocol import packet_codec, packet_index
 from protocol.packet_codec import encode
-from protocol.packets import FromFirst, Gone, HeldFirst, Near
+from protocol.packets import From, FromFirst, Gone, HeldFirst, Near
 from tests.agent.replication.network import (
     Network,
     Transmission,
@@ -80,6 +82,54 @@ def test_if_frames_may_be_lost_a_robot_repeats_which_robots_are_in_its_range(ack
         reported += [p for p in packet_codec.decode(payload) if isinstance(p, Near | Gone)]
         each.close_round(closing(sent=len(payload)))
     assert reported == ([Gone(2), *2 * [Near(1), Gone(2)]] if acks else [Gone(2)])
+
+
+def broadcasts(each: Replication, in_range: list[int], steps: int, *first: tuple[int, bytes]) -> list[bytes]:
+    """An engine's broadcasts in some steps, all on the air; `first`: the frames that it receives in the first step."""
+    sent = []
+    for now in range(steps):
+        frame = b"".join(frame.payload for frame in each.open_round(0, in_range, None))
+        each.close_round(closing(*(() if now else first), sent=len(frame)))
+        sent.append(frame)
+    return sent
+
+
+def reports(frames: list[bytes]) -> list[HeldFirst]:
+    """The reports of map 0 in frames, in order."""
+    packets = [packet for frame in frames for packet in packet_codec.decode(frame)]
+    return [packet for packet in packets if isinstance(packet, HeldFirst) and packet.map == 0]
+
+
+def test_a_forwarder_asks_a_silent_peer_once_for_a_report_by_one_of_its_own() -> None:
+    forwarder = engine(1, 3, acks=True)
+    broadcasts(forwarder, [0], 10, (0, encode([FromFirst(0, 0)]) + b"".join(entries(0, 0, 3))))
+    lacks = (2, encode([HeldFirst(0, 0)]))
+    assert any(entry(0, 2) in frame for frame in broadcasts(forwarder, [2], 6, lacks))
+    asked = broadcasts(forwarder, [2], REFRESH)
+    assert not any(entry(0, 2) in frame for frame in asked)
+    assert HeldFirst(0, 3) in reports(asked)
+    assert len(reports(broadcasts(forwarder, [2], 10 * REFRESH))) <= 4, "reports in turn only"
+
+
+def test_a_robot_reports_what_it_lacks_until_the_entries_arrive_or_its_peer_leaves() -> None:
+    each = engine(2, 3, acks=True)
+    asked = reports(broadcasts(each, [0, 1], 100, (1, encode([HeldFirst(0, 3)]))))
+    assert set(asked) == {HeldFirst(0, 0)}
+    assert len(asked) > 4
+    broadcasts(each, [0, 1], 20, (1, encode([FromFirst(0, 0)]) + b"".join(entries(0, 0, 3))))
+    assert not reports(broadcasts(each, [0, 1], 100))
+
+
+def test_a_robot_between_others_that_are_apart_repeats_its_reports() -> None:
+    each = engine(1, 3, acks=True)
+    assert not any(broadcasts(each, [0, 2], 100))
+    assert any(broadcasts(each, [0, 2], 100, (0, encode([Gone(2)]))))
+
+
+def test_entries_far_behind_a_gap_are_not_stored() -> None:
+    each = engine(1, 2, acks=True)
+    (_, sent) = broadcasts(each, [0], 2, (0, encode([From(0, 2 * WINDOW)]) + entry(0, 0)))
+    assert packet_codec.decode(sent) == [HeldFirst(0, 0)]
 
 
 @pytest.mark.parametrize(("round_trip", "waited", "again"), [(0, 1, True), (4, 4, False), (4, 5, True)])
