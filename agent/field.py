@@ -36,8 +36,7 @@ from agent.radios.transport import Transport
 from agent.replication.policies import GOSSIP
 from agent.robot import Robot
 from agent.settings import Settings
-from agent.strategies.base import Cell
-from protocol.grid import FINE
+from protocol.grid import FINE, Cell
 from protocol.messages import Move, Sense
 from protocol.nanoseconds import SECOND
 

@@ -28,14 +28,14 @@ from agent.replication.digests import INTERVAL
 from agent.replication.engine import make_replication
 from agent.replication.replica import Rejected
 from agent.settings import Settings
-from agent.strategies.base import Cell, Decision, Pose, Situation
+from agent.strategies.base import Decision, Pose, Situation
 from agent.strategies.registry import strategy
 from agent.team_state import TeamState
 from protocol import packet_codec, packet_index
 from protocol.body import narrowest_opening
 from protocol.cell_bytes import cells_to_bytes, points_to_bytes
 from protocol.errors import ProtocolError, shown
-from protocol.grid import Grid
+from protocol.grid import Cell, Grid
 from protocol.message_fields import MAX_WAY_CELLS
 from protocol.messages import Move, RoundReport, Sense
 from protocol.packets import SALTS, Held, LogDigest

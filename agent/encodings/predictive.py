@@ -32,7 +32,7 @@ from agent.predictive.shared_decoder import CachedReader, SharedDecoderCache
 from agent.predictive.stream import Stream
 from agent.settings import Settings
 from protocol.errors import ProtocolError
-from protocol.grid import Grid
+from protocol.grid import Cell, Grid
 from protocol.packet_codec import encode
 from protocol.packets import UPDATE_NUMBERS, Update
 from protocol.range_scans import RangeScan
@@ -323,7 +323,7 @@ class PredictiveEncoding(GridEncoding):
         """Dependencies of the decoded updates of a log, where they exceed those of the update before."""
         return self._dependencies[map_id]
 
-    def scan_cell(self, map_id: int) -> tuple[int, int] | None:
+    def scan_cell(self, map_id: int) -> Cell | None:
         """Cell (x, y) of the last scan in a log."""
         return self._streams[map_id].pose if map_id in self._streams else None
 

@@ -16,7 +16,7 @@ from agent.mapping.estimator import LEAST, MOST, SETTLED, Estimator, Int8Grid
 from agent.settings import Settings
 from protocol.boxes import NO_BOX, Box
 from protocol.cell_bytes import cells_from_bytes
-from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, check_cell, ray_table
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Cell, Grid, check_cell, ray_table
 from protocol.messages import Sense
 from protocol.own_map import OwnMapPart, decode_own_map
 from protocol.range_scans import (
@@ -162,7 +162,7 @@ def _near_cells(laser: Laser, resolution: float) -> int:
     return int(min(near, 0.5 / apart)) if laser.beams > 1 else 0
 
 
-def cell_ahead(sense: Sense, radius_cells: float) -> tuple[int, int]:
+def cell_ahead(sense: Sense, radius_cells: float) -> Cell:
     """Return the cell that a robot of this radius touches in the direction in which it drove."""
     angle, reach = sense.heading * math.pi / 4, radius_cells + 1
     return sense.x + round(reach * math.cos(angle)), sense.y + round(reach * math.sin(angle))

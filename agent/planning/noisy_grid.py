@@ -25,7 +25,7 @@ from agent.planning.frontier import frontier_cells
 from agent.planning.path_planner import PathPlanner
 from protocol.arrays import Cells
 from protocol.body import Body
-from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Cell, Grid
 from protocol.kernels import kernel
 from protocol.range_scans import TURN, Laser
 
@@ -67,7 +67,7 @@ class NoisyGrid:
         """The planning grid of the last call of `clean`."""
         self._wide: Grid = np.empty((height, width), np.uint8)
         """The same without narrow gaps and openings."""
-        self._here: tuple[int, int] | None = None
+        self._here: Cell | None = None
 
     def drive(self, x: int, y: int) -> None:
         """Note that the robot has driven straight to cell (x, y)."""

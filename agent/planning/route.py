@@ -6,7 +6,7 @@ import numpy as np
 
 from agent.planning.path_planner import PathPlanner
 from protocol.arrays import Cells
-from protocol.grid import FINE, FREE, Grid
+from protocol.grid import FINE, FREE, Cell, Grid
 from protocol.kernels import kernel
 
 _NOWHERE = np.empty((0, 2), np.int32)
@@ -19,7 +19,7 @@ class Route:
         self.cells: Cells = _NOWHERE
         """The cells of the way, without the robot's own cell: int32 array, shape (n, 2)."""
 
-    def lead(self, planner: PathPlanner, start: tuple[int, int], end: tuple[int, int]) -> bool:
+    def lead(self, planner: PathPlanner, start: Cell, end: Cell) -> bool:
         """Plan a best way from `start` to `end`; return whether there is one. Without one, the route is empty."""
         found = planner.path(start, end)
         self.cells = _NOWHERE if found is None else found
@@ -35,7 +35,7 @@ class Route:
         if done:
             self.cells = self.cells[done:]
 
-    def is_open(self, floor: Grid, start: tuple[int, int]) -> bool:
+    def is_open(self, floor: Grid, start: Cell) -> bool:
         """Return whether the remaining cells from `start` on are free on `floor`, and both beside each diagonal."""
         return bool(_is_open(floor, *start, self.cells))
 
@@ -61,7 +61,7 @@ def _is_open(floor: Grid, x: int, y: int, cells: Cells) -> bool:
     return True
 
 
-def straighten(floor: Grid, start: tuple[int, int], cells: Cells) -> Cells:
+def straighten(floor: Grid, start: Cell, cells: Cells) -> Cells:
     """Straighten a way by ray shooting: from each corner straight to the farthest visible cell of the way.
 
     A cell is visible if a straight, 8-connected line of free cells leads to it, and the cells beside its diagonal steps
@@ -126,7 +126,7 @@ def crossed(start: tuple[int, int], points: Cells, most: float) -> Cells:
     Lines that begin after more than `most` cells are left out. `start` and `points`, shape (n, 2), are in thousandths
     of a cell.
     """
-    found: list[tuple[int, int]] = []
+    found: list[Cell] = []
     at = start
     last = (at[0] + FINE // 2) // FINE, (at[1] + FINE // 2) // FINE
     for x, y in points.tolist():

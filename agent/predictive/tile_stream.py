@@ -24,7 +24,7 @@ from agent.predictive.scan_updates import code_pose
 from agent.predictive.stream import Stream
 from agent.predictive.tiles import code_tiles, start_model
 from protocol.boxes import Box, box_of
-from protocol.grid import Grid
+from protocol.grid import Cell, Grid
 
 
 class TileStream(Stream):
@@ -54,7 +54,7 @@ class TileStream(Stream):
         return bound.apply(own, log_odds, self.grid, tiles, self.target, self._changed)
 
     def encode(
-        self, own: Grid, log_odds: Int8Grid, bound: Bound, tiles: Grid, pose: tuple[int, int]
+        self, own: Grid, log_odds: Int8Grid, bound: Bound, tiles: Grid, pose: Cell
     ) -> tuple[bytes, DecodedUpdate] | None:
         """Encode an update after which the cells of some tiles fulfill the bound.
 
@@ -79,7 +79,7 @@ class TileStream(Stream):
 
         return self._encode(write)
 
-    def size(self, own: Grid, log_odds: Int8Grid, bound: Bound, tiles: Grid, pose: tuple[int, int]) -> int:
+    def size(self, own: Grid, log_odds: Int8Grid, bound: Bound, tiles: Grid, pose: Cell) -> int:
         """Return the bytes of the update that `encode` would return, 0 for None; the stream is unchanged."""
         encoded = self.encode(own, log_odds, bound, tiles, pose)
         if encoded is None:

@@ -13,9 +13,7 @@ import numpy as np
 from agent.settings import Settings
 from agent.strategies.options import read_options
 from protocol.arrays import Cells
-from protocol.grid import UNKNOWN, Grid
-
-Cell = tuple[int, int]
+from protocol.grid import UNKNOWN, Cell, Grid
 
 _FACES = ((1, 0, 0), (0, 1, 2), (-1, 0, 4), (0, -1, 6))
 """The four neighbors (dx, dy), and the heading toward each in eighths of a turn."""

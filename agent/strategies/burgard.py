@@ -22,11 +22,12 @@ from agent.planning.measured_distances import MeasuredDistances
 from agent.planning.path_planner import PathPlanner
 from agent.planning.utility import proximity, utilities
 from agent.settings import Settings
-from agent.strategies.base import Cell, Decision, Situation
+from agent.strategies.base import Decision, Situation
 from agent.strategies.options import option
 from agent.strategies.targets import BarringParts, TargetStrategy
 from agent.strategies.team import Table, TeamStrategy
 from protocol.arrays import Cells, Floats
+from protocol.grid import Cell
 
 SUB_TEAMS = ("in-range", "connected")
 """The robots that decide together. ``in-range``: robots in range of each other. ``connected``, as in the paper: also

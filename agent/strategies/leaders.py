@@ -27,10 +27,10 @@ from agent.planning.route import Route, corners, crossed
 from agent.planning.visibility import shortest_way
 from agent.planning.yielding import MOBILE, YieldBehavior
 from agent.settings import Settings
-from agent.strategies.base import Cell, Decision, Situation, Strategy
+from agent.strategies.base import Decision, Situation, Strategy
 from agent.strategies.options import option
 from protocol.arrays import Cells, FloatRows
-from protocol.grid import FINE
+from protocol.grid import FINE, Cell
 
 STALL_STEPS = 60
 """A robot is stalled after this many steps without a change of its map or its place."""

@@ -17,11 +17,12 @@ from agent.planning.best_frontier import TradeOff
 from agent.planning.path_planner import PathPlanner
 from agent.planning.utility import utilities
 from agent.settings import Settings
-from agent.strategies.base import Cell, Decision, Situation
+from agent.strategies.base import Decision, Situation
 from agent.strategies.options import option
 from agent.strategies.past_targets import PastTargets
 from agent.strategies.targets import SINGLE_CANDIDATE, BarringParts, TargetStrategy
 from protocol.arrays import Cells, Floats
+from protocol.grid import Cell
 
 
 @dataclass(frozen=True)

@@ -20,10 +20,11 @@ import numpy as np
 
 from agent.planning.gain import information_gain
 from agent.planning.path_planner import PathPlanner
-from agent.strategies.base import Cell, Situation
+from agent.strategies.base import Situation
 from agent.strategies.options import option, with_defaults
 from agent.strategies.targets import SINGLE_CANDIDATE, Clash, Parts, TargetStrategy, is_searched
 from protocol.arrays import Cells, Floats
+from protocol.grid import Cell
 
 
 @dataclass(frozen=True)

@@ -20,9 +20,10 @@ from agent.planning.assignment import Assignment, Costs
 from agent.planning.path_planner import PathPlanner
 from agent.planning.utility import in_sight
 from agent.settings import Settings
-from agent.strategies.base import Cell, Situation, array_of
+from agent.strategies.base import Situation, array_of
 from agent.strategies.targets import Clash, TargetStrategy, is_searched
 from protocol.arrays import Cells
+from protocol.grid import Cell
 from protocol.keyed_random import keyed_random
 
 PLAN_ALONE_AFTER = 20

@@ -11,10 +11,8 @@ from numpy.typing import NDArray
 
 from agent.planning.cost_field import costs
 from agent.planning.frontier import Floor
-from protocol.grid import FREE, Grid
+from protocol.grid import FREE, Cell, Grid
 from worldsim.motion import TAKEN_BY_ROBOT, mark_near
-
-Cell = tuple[int, int]
 
 
 class Way(NamedTuple):

@@ -7,12 +7,12 @@ from typing import Any
 import pytest
 
 from agent.robot import Robot
-from agent.strategies.base import Cell, Pose, Situation
+from agent.strategies.base import Pose, Situation
 from agent.strategies.burgard import Burgard
 from agent.team_state import RelayedState
 from netshaper.admission import is_broadcast
 from protocol import packet_codec, packets
-from protocol.grid import ray_table
+from protocol.grid import Cell, ray_table
 from protocol.messages import RoundReport, Sense
 from protocol.packets import Passed, Target
 from tests.agent.planning.planning_references import drawn, settings_for
