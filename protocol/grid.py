@@ -29,6 +29,9 @@ OCCUPIED = 2
 FINE = 1000
 """Units per cell of positions finer than cells: way points, and offsets from the center of a cell."""
 
+HEADINGS = 8
+"""Headings per full turn; heading 0 points along +x, 2 along +y."""
+
 MAX_SIDE = 2048
 """The longest side of a grid, in cells; packets cannot represent a longer one."""
 
@@ -42,6 +45,9 @@ Mask = NDArray[np.bool_]
 
 Cell = tuple[int, int]
 """Column and row of a cell."""
+
+Point = tuple[int, int]
+"""A position (x, y) in 1 / `FINE` cell; the center of cell (0, 0) is at (0, 0)."""
 
 _REACH = 0.5
 """Half the side of a cell, in cells."""
@@ -142,6 +148,11 @@ def _walk(directions: Int64Rows, range_cells: float) -> tuple[Int32Rows, Int32s]
             end += 1
         start[beam + 1] = end
     return cells[: start[-1]].copy(), start
+
+
+def cell_of(point: Point) -> Cell:
+    """Return the cell of a point; a border belongs to the cell on its right, or below."""
+    return (point[0] + FINE // 2) // FINE, (point[1] + FINE // 2) // FINE
 
 
 def disc(radius_cells: float) -> Mask:

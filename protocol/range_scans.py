@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from protocol.arrays import Bools, Int32Rows, Int64Rows, Int64s, Uint16s
 from protocol.errors import ProtocolError
-from protocol.grid import MAX_SIDE
+from protocol.grid import FINE, HEADINGS, MAX_SIDE
 from protocol.kernels import kernel
 
 UNIT = 256
@@ -81,6 +81,16 @@ class RangeScan:
     def y(self) -> int:
         """Row of the robot's cell."""
         return self.place[1] // UNIT
+
+
+def cell_offset(units: int) -> int:
+    """Return a coordinate in 1 / `UNIT` cell as `Sense` has it: in 1 / `FINE` cell from the center of its cell."""
+    return (units % UNIT * FINE + FINE // 2) // UNIT - FINE // 2
+
+
+def nearest_heading(heading: int) -> int:
+    """Return an angle in 1 / `TURN` as `Sense` has it: the nearest of `HEADINGS`."""
+    return round(heading * HEADINGS / TURN) % HEADINGS
 
 
 def encode_range_scan(scan: RangeScan) -> bytes:

@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from protocol.arrays import BoolRows, Bools
 from protocol.body import Body, narrowest_opening
 from protocol.cell_bytes import cells_from_bytes, cells_to_bytes, points_from_bytes
-from protocol.grid import FINE, FREE, Cell, Grid, Mask, RayTable, disc, enlarge, ray_table
+from protocol.grid import FINE, FREE, HEADINGS, Cell, Grid, Mask, RayTable, cell_of, disc, enlarge, ray_table
 from protocol.kernels import kernel
 from protocol.keyed_random import keyed_random
 from protocol.messages import FaultEvent, Move, Sense
 from protocol.scans import NONE, draw
 from worldsim import motion
 from worldsim.base import BaseWorld
-from worldsim.laser import FULL_TURN, HEADINGS, cast
+from worldsim.laser import FULL_TURN, cast
 from worldsim.people import People, PeopleSettings, RobotDisc
 from worldsim.range_laser import NO_DISCS
 from worldsim.sensors import Sensors, SensorSettings
@@ -152,7 +152,7 @@ class World(BaseWorld):
             return [], motion.INTERFERENCE
         body, start, offset = self.settings.bodies[robot], self.cells[robot], self.offsets[robot]
         floor, way = self.floors[body.radius_cells], body.speed + self._carry[robot]
-        marked = self._mark_others(robot, way, [motion.cell_of(point) for point in points] or path)
+        marked = self._mark_others(robot, way, [cell_of(point) for point in points] or path)
         if points:
             point = start[0] * FINE + offset[0], start[1] * FINE + offset[1]
             result = motion.glide(floor, self._taken, point, points, way)
@@ -163,7 +163,7 @@ class World(BaseWorld):
         self._carry[robot] = result.carry
         self.driven[robot] += result.length
         if result.length:
-            x, y = self.cells[robot] = motion.cell_of(result.point)
+            x, y = self.cells[robot] = cell_of(result.point)
             self.offsets[robot] = result.point[0] - x * FINE, result.point[1] - y * FINE
         # Robots with real sensors face the wall that stops them, and mark it. Others see it once they turn toward it.
         faces_wall = self._sensors is not None and result.bump != (0, 0)

@@ -16,7 +16,7 @@ from agent.mapping.estimator import LEAST, MOST, SETTLED, Estimator, Int8Grid
 from agent.settings import Settings
 from protocol.boxes import NO_BOX, Box
 from protocol.cell_bytes import cells_from_bytes
-from protocol.grid import FREE, OCCUPIED, UNKNOWN, Cell, Grid, check_cell, ray_table
+from protocol.grid import FREE, HEADINGS, OCCUPIED, UNKNOWN, Cell, Grid, check_cell, ray_table
 from protocol.messages import Sense
 from protocol.own_map import OwnMapPart, decode_own_map
 from protocol.range_scans import (
@@ -120,7 +120,7 @@ class GivenMapper(Mapper):
         if sense.own_map:
             change = self._apply(decode_own_map(sense.own_map, *self.states.shape), except_for=here.box)
         place = round((sense.x + 0.5) * UNIT), round((sense.y + 0.5) * UNIT)
-        scan = RangeScan(place, sense.heading * TURN // 8, np.empty(0, np.uint16))
+        scan = RangeScan(place, sense.heading * TURN // HEADINGS, np.empty(0, np.uint16))
         return scan, change.joined(self._apply(here))
 
     def _apply(self, part: OwnMapPart, except_for: Box | None = None) -> Change:

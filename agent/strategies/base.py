@@ -29,6 +29,12 @@ def array_of(cells: Collection[Cell]) -> Cells:
     return np.fromiter(chain.from_iterable(cells), np.int32, 2 * len(cells)).reshape(-1, 2)
 
 
+def cell_at(cells: Cells, index: int | np.integer[Any]) -> Cell:
+    """Return one of some cells, given as an array of shape (n, 2)."""
+    x, y = cells[index].tolist()
+    return x, y
+
+
 class Pose(NamedTuple):
     """The cell that a teammate broadcast as its pose, and whether it leads."""
 

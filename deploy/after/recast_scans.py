@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.after.archive import Archive
-from protocol.grid import ray_table
+from protocol.grid import HEADINGS, ray_table
 from protocol.scans import Readings
-from worldsim.laser import HEADINGS, cast
+from worldsim.laser import cast
 from worldsim.maps import to_cell
 
 

@@ -14,10 +14,15 @@ from numpy.typing import NDArray
 
 from protocol.grid import FREE, Grid
 from protocol.messages import Move, Sense
-from protocol.range_scans import NO_MEASUREMENT, TURN, UNIT, RangeScan, encode_range_scan
+from protocol.range_scans import (
+    NO_MEASUREMENT,
+    UNIT,
+    RangeScan,
+    cell_offset,
+    encode_range_scan,
+    nearest_heading,
+)
 from worldsim.base import BaseWorld
-from worldsim.laser import HEADINGS
-from worldsim.sensors import offset
 from worldsim.world import WorldSettings
 
 END_OF_LOG = "end of the log"
@@ -102,5 +107,5 @@ class RecordedWorld(BaseWorld):
         before, self._places[robot] = self._places[robot], scan.place
         self.driven[robot] += math.dist(before, scan.place) / UNIT
         self.cells[robot] = scan.x, scan.y
-        self.offsets[robot] = offset(scan.place[0]), offset(scan.place[1])
-        self.headings[robot] = round(scan.heading * HEADINGS / TURN) % HEADINGS
+        self.offsets[robot] = cell_offset(scan.place[0]), cell_offset(scan.place[1])
+        self.headings[robot] = nearest_heading(scan.heading)
