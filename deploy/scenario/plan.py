@@ -7,8 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-import numpy as np
-
 from agent.replication.policies import GOSSIP
 from agent.settings import MediumSettings, ReplicationSettings, Settings
 from agent.strategies.registry import strategy
@@ -29,6 +27,7 @@ from worldsim.base import BaseWorld
 from worldsim.maps import Map, MapError, to_cell, to_world
 from worldsim.people import PeopleSettings
 from worldsim.recorded.world import RecordedWorld
+from worldsim.regions import nearest_cell
 from worldsim.starts import jittered, start_cells
 from worldsim.world import World, WorldSettings
 
@@ -255,11 +254,8 @@ def _start_cell(world_map: Map, floor: Grid, point: tuple[float, float]) -> Cell
     column, row = map(round, to_cell(world_map, *point))
     x, y = min(max(column, 0), width - 1), min(max(row, 0), height - 1)
     if floor[y, x] != FREE:
-        rows, columns = np.nonzero(floor == FREE)
-        hint = ""
-        if len(rows):
-            nearest = int(np.argmin((columns - x) ** 2 + (rows - y) ** 2))
-            hint = f"; the nearest free point is {_meters(*to_world(world_map, columns[nearest], rows[nearest]))}"
+        nearest = nearest_cell(floor == FREE, (x, y))
+        hint = f"; the nearest free point is {_meters(*to_world(world_map, *nearest))}" if nearest else ""
         raise ValueError(f"{_meters(*point)} is not free: robots cannot start there{hint}")
     return x, y
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from protocol.grid import FREE, Grid
-from worldsim.largest_part import largest_part
+from worldsim.regions import largest_part
 
 SIGMA = 1.5
 """Standard deviation of the Gaussian in cells."""

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.grid import FREE, MAX_SIDE, OCCUPIED, UNKNOWN, Grid, Mask
-from worldsim.largest_part import largest_part
 from worldsim.maps import MapError
+from worldsim.regions import largest_part
 
 _SIXTEENTHS = 16
 
