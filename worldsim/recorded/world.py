@@ -66,7 +66,7 @@ class RecordedWorld(BaseWorld):
         self._seen = np.zeros(truth.size, np.bool_)
         self._places = [each.scan(0).place for each in stretches]
 
-    def share_seen(self, _robot: int) -> float:
+    def share_seen(self, robot: int) -> float:
         """Return the share of the map's free cells that the team knows."""
         return self.seen_cells / self.reachable_cells
 
@@ -83,7 +83,7 @@ class RecordedWorld(BaseWorld):
         if robot not in self.cells:
             self.cells[robot] = self._last_cells[robot]
 
-    def move_robots(self, _moves: Mapping[int, Move]) -> Iterator[tuple[int, Sense]]:
+    def move_robots(self, moves: Mapping[int, Move]) -> Iterator[tuple[int, Sense]]:
         """Begin the next step; return an iterator over the scans of this step."""
         self.step += 1
         return iter([(robot, self._sense(robot)) for robot in self.active_robots()])
