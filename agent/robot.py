@@ -46,7 +46,7 @@ ABOUT_LOGS = LogDigest, Held
 
 
 @dataclass(frozen=True)
-class Fault:
+class PeerError:
     """A malformed or inconsistent message from a teammate, or a map that others contradict."""
 
     peer: int
@@ -79,7 +79,7 @@ class Robot:
         self.target: Cell | None = None
         self.status = ""
         """Its current activity, as text."""
-        self.faults: list[Fault] = []
+        self.peer_errors: list[PeerError] = []
         self.disbelieved: set[int] = set()
         """Teammates whose maps were so often contradicted that they were left out of the planning grid."""
         self._doubted_steps: dict[int, int] = {}
@@ -173,12 +173,12 @@ class Robot:
         try:
             received = packet_codec.broadcast(payload)
         except ProtocolError as error:
-            self.faults.append(Fault(peer, str(error)))
+            self.peer_errors.append(PeerError(peer, str(error)))
             return
         about_logs = [each for each in received if isinstance(each, ABOUT_LOGS)]
         errors = team.receive_broadcast(peer, received[: len(received) - len(about_logs)])
         if errors:
-            self.faults += [Fault(peer, reason) for reason in errors]
+            self.peer_errors += [PeerError(peer, reason) for reason in errors]
         for each in about_logs:
             self._report(self.replication.receive_announcement(peer, each))
         pose = team.broadcast_pose(peer)
@@ -252,7 +252,7 @@ class Robot:
         self._doubted_steps = {peer: self._doubted_steps.get(peer, 0) + 1 for peer in doubted}
         wait = INTERVAL * self.settings.robots if self.settings.replication.digests else 0
         new = {peer for peer, steps in self._doubted_steps.items() if steps > wait} - self.disbelieved
-        self.faults += [Fault(peer, doubted[peer], "false map") for peer in sorted(new)]
+        self.peer_errors += [PeerError(peer, doubted[peer], "false map") for peer in sorted(new)]
         self.disbelieved |= new
 
     def _apply(self, decision: Decision) -> None:
@@ -265,8 +265,8 @@ class Robot:
             self._publish()
 
     def _report(self, rejections: list[Rejected]) -> None:
-        """Note rejected map updates as faults of their senders."""
-        self.faults += [Fault(rejected.peer, rejected.reason) for rejected in rejections]
+        """Note rejected map updates as errors of their senders."""
+        self.peer_errors += [PeerError(rejected.peer, rejected.reason) for rejected in rejections]
 
     def _publish(self) -> None:
         """Append all withheld entries to the log."""

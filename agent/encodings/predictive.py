@@ -38,8 +38,8 @@ from protocol.packets import UPDATE_NUMBERS, Update
 from protocol.range_scans import RangeScan
 from protocol.scans import Change, Scan
 
-PATIENCE = 8
-"""Steps for which a robot waits until updates on which its own ones depend have arrived again."""
+RETURN_STEPS = 8
+"""Steps for which a robot waits until dropped updates on which its own ones depend have arrived again."""
 
 
 class PredictiveEncoding(GridEncoding):
@@ -169,14 +169,14 @@ class PredictiveEncoding(GridEncoding):
     def _withdraw_invalid(self) -> list[bytes]:
         """Withdraw this robot's updates from the first one on whose bases are not there; return the packets for that.
 
-        Dropped updates usually arrive again within `PATIENCE` steps, and then nothing is wrong.
+        Dropped updates usually arrive again within `RETURN_STEPS` steps, and then nothing is wrong.
         """
         if not self._bases_changed:
             return []
         map_id, log = self.settings.own_map, self._logs[self.settings.own_map]
         updates = self._histories[map_id].between(0, len(self._histories[map_id]))
         valid = next((at for at, each in enumerate(updates) if not self._has_bases(each)), len(updates))
-        if valid < len(updates) and self._bases_changed < PATIENCE:
+        if valid < len(updates) and self._bases_changed < RETURN_STEPS:
             self._bases_changed += 1
             return []
         self._bases_changed = 0
