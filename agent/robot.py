@@ -14,9 +14,6 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from agent.announcements import Announcements
 from agent.completion import Completion
 from agent.encodings.base import MapEncoding
@@ -35,7 +32,7 @@ from protocol import packet_codec, packet_index
 from protocol.body import narrowest_opening
 from protocol.cell_bytes import cells_to_bytes, points_to_bytes
 from protocol.errors import ProtocolError, shown
-from protocol.grid import Cell, Grid
+from protocol.grid import Cell, Grid, Mask
 from protocol.message_fields import MAX_WAY_CELLS
 from protocol.messages import Move, RoundReport, Sense
 from protocol.packets import SALTS, Held, LogDigest
@@ -120,7 +117,7 @@ class Robot:
         return self._encoding.shared_map(self.own, self.planning)
 
     @property
-    def settled(self) -> NDArray[np.bool_]:
+    def settled(self) -> Mask:
         """The cells of the self-explored grid of whose state it is certain, shape (h, w)."""
         return self._mapper.settled()
 

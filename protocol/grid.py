@@ -39,6 +39,10 @@ MAX_ROBOTS = 256
 """The largest team. Offers can name the maps of fewer robots (`protocol.packets.MAX_MAPS`)."""
 
 Grid = Annotated[NDArray[np.uint8], "uint8[:,::1]"]
+"""States of cells, or other small numbers, indexed ``grid[y, x]``."""
+
+ReadOnlyGrid = Annotated[NDArray[np.uint8], "Array(uint8, 2, 'C', readonly=True)"]
+"""A grid that a kernel does not write, so that read-only arrays fit."""
 
 Mask = NDArray[np.bool_]
 """A flag for each cell of a grid, indexed ``mask[y, x]``."""
@@ -175,9 +179,7 @@ def enlarge(grid: Grid, radius_cells: float) -> Grid:
 
 
 @kernel
-def _grow(
-    grid: Annotated[NDArray[np.uint8], "Array(uint8, 2, 'C', readonly=True)"], widths: Int64s, out: Grid
-) -> None:
+def _grow(grid: ReadOnlyGrid, widths: Int64s, out: Grid) -> None:
     """Turn free cells of `out` within a disc around an occupied cell of `grid` into occupied ones.
 
     `widths`: for each row of the disc, how many cells it extends to either side; -1: the row has none. Only cells at

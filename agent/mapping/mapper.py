@@ -10,13 +10,12 @@ import math
 from abc import ABC, abstractmethod
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.mapping.estimator import LEAST, MOST, SETTLED, Estimator, Int8Grid
 from agent.settings import Settings
 from protocol.boxes import NO_BOX, Box
 from protocol.cell_bytes import cells_from_bytes
-from protocol.grid import FREE, HEADINGS, OCCUPIED, UNKNOWN, Cell, Grid, check_cell, ray_table
+from protocol.grid import FREE, HEADINGS, OCCUPIED, UNKNOWN, Cell, Grid, Mask, check_cell, ray_table
 from protocol.messages import Sense
 from protocol.own_map import OwnMapPart, decode_own_map
 from protocol.range_scans import (
@@ -58,9 +57,9 @@ class Mapper(ABC):
         ProtocolError if the readings do not fit the robot's laser; nothing has changed then.
         """
 
-    def settled(self) -> NDArray[np.bool_]:
+    def settled(self) -> Mask:
         """Return the cells of whose state the robot is certain, shape (h, w): with exact readings, all known ones."""
-        known: NDArray[np.bool_] = self.states != UNKNOWN
+        known: Mask = self.states != UNKNOWN
         return known
 
 
@@ -100,7 +99,7 @@ class EstimatingMapper(Mapper):
         self.known_cells = self._estimator.known_cells
         return scan, change
 
-    def settled(self) -> NDArray[np.bool_]:
+    def settled(self) -> Mask:
         """Return the cells whose log odds are far from 0."""
         return np.abs(self._estimator.log_odds) >= SETTLED
 

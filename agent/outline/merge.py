@@ -33,7 +33,6 @@ from __future__ import annotations
 from collections.abc import Collection, Set
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.memo_cache import NO_CACHE, MemoCache
 from agent.outline.approximation import approximation
@@ -57,7 +56,7 @@ from agent.outline.objects import Objects
 from agent.outline.polygons import Polygons
 from protocol.arrays import BoolRows, Int32s, Uint8
 from protocol.boxes import NO_BOXES, Boxes, clip, union, whole_grid
-from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, Mask
 from protocol.kernels import kernel
 
 
@@ -161,7 +160,7 @@ class ErrorCount:
         self._drawing = drawing
         self._cache = cache
         self._drawn: DrawnClaims | None = None
-        self._wrong: NDArray[np.bool_] = np.zeros((0, 0), np.bool_)
+        self._wrong: Mask = np.zeros((0, 0), np.bool_)
         self._count = 0
 
     def count(

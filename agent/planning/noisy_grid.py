@@ -18,14 +18,13 @@ import math
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.planning.avoided import AvoidedTargets
 from agent.planning.frontier import frontier_cells
 from agent.planning.path_planner import PathPlanner
 from protocol.arrays import Cells
 from protocol.body import Body
-from protocol.grid import FREE, OCCUPIED, UNKNOWN, Cell, Grid
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Cell, Grid, Mask
 from protocol.kernels import kernel
 from protocol.range_scans import TURN, Laser
 
@@ -105,7 +104,7 @@ class NoisyGrid:
         self._update(planning)
         return self._without_avoided(self._without_specks(self._wide.copy()))
 
-    def clean_optimistic(self, planning: Grid, doubtful: NDArray[np.bool_]) -> Grid:
+    def clean_optimistic(self, planning: Grid, doubtful: Mask) -> Grid:
         """Return the same as if all doubtful walls, shape (h, w), were free; no target is avoided."""
         optimistic, found = np.where(doubtful, np.uint8(FREE), planning), np.empty_like(planning)
         _without_gaps(optimistic, self._narrow, self._marks, found)
@@ -137,7 +136,7 @@ class NoisyGrid:
             self.avoided.draw(grid, self._here)
         return grid
 
-    def _doubtful_walls(self, planning: Grid, own: Grid) -> NDArray[np.bool_]:
+    def _doubtful_walls(self, planning: Grid, own: Grid) -> Mask:
         """Return the walls of teammates' maps near the robot that its own map has as free, shape (h, w)."""
         doubtful = np.zeros(planning.shape, np.bool_)
         if self._here is not None:

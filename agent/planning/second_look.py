@@ -18,7 +18,7 @@ from agent.planning.frontier import frontier_cells
 from agent.planning.path_planner import PathPlanner
 from agent.settings import Settings
 from protocol.arrays import Cells
-from protocol.grid import FREE, OCCUPIED, Cell, Grid
+from protocol.grid import FREE, OCCUPIED, Cell, Grid, Mask
 
 PATIENCE = 20
 """Steps for which a robot looks, besides the time that it needs to drive there: people move on, and fade from maps."""
@@ -109,12 +109,12 @@ class SecondLook:
         closed = planner.floor[way[:, 1], way[:, 0]] != FREE
         return way[: int(np.argmax(closed))] if closed.any() else way
 
-    def _doubtful(self, grid: Grid) -> NDArray[np.bool_]:
+    def _doubtful(self, grid: Grid) -> Mask:
         """Return the doubtful walls, shape (h, w)."""
         from scipy import ndimage  # noqa: PLC0415  slow to import, and needed only near the end of a run
 
         walls = grid == OCCUPIED
         labels, _ = ndimage.label(walls, np.ones((3, 3)))
         small = np.bincount(labels.ravel())[labels] <= self._small
-        doubtful: NDArray[np.bool_] = walls & (small | (self._free_steps >= LASTING))
+        doubtful: Mask = walls & (small | (self._free_steps >= LASTING))
         return doubtful

@@ -9,10 +9,9 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.mapping.block_bound import BlockBound
-from agent.mapping.bound import TILE, Bound, tiles_of
+from agent.mapping.bound import TILE, Bound, TileMask, tiles_of
 from agent.mapping.estimator import Int8Grid
 from agent.predictive import block_tiles, contexts
 from agent.predictive.block_tiles import code_block_tiles
@@ -44,7 +43,7 @@ class TileStream(Stream):
         self.bases: list[Box] = []
         """Boxes of the other maps' updates on which the last encoded update was the first to depend."""
 
-    def violations(self, own: Grid, log_odds: Int8Grid, bound: Bound, tiles: Grid) -> NDArray[np.bool_]:
+    def violations(self, own: Grid, log_odds: Int8Grid, bound: Bound, tiles: Grid) -> TileMask:
         """Return which of the marked tiles violate the bound; the parameters are those of `encode`."""
         self._apply(own, log_odds, bound, tiles)
         return self._changed.astype(np.bool_)

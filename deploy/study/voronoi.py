@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from protocol.grid import FREE, Grid
+from protocol.grid import FREE, Grid, Mask
 from worldsim.regions import largest_part
 
 SIGMA = 1.5
@@ -28,8 +28,6 @@ SMOOTHINGS = 3
 
 ISLAND_M2 = 0.1
 """Area in square meters below which an object within the free space is removed from a map before it is measured."""
-
-Mask = NDArray[np.bool_]
 
 
 class Pixels(NamedTuple):
