@@ -6,6 +6,7 @@ Beams start at the robot's position and at angles around its heading (`Laser`). 
 
 from __future__ import annotations
 
+import math
 import struct
 from dataclasses import dataclass
 from functools import lru_cache
@@ -62,6 +63,11 @@ class Laser(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     def angles(self) -> NDArray[np.int64]:
         """Angle of each beam relative to the heading, in 1 / `TURN`."""
         return self.first + np.arange(self.beams, dtype=np.int64) * self.span // max(self.beams - 1, 1)
+
+    @property
+    def spacing_rad(self) -> float:
+        """Angle between neighboring beams, in radians."""
+        return 2 * math.pi * self.span / TURN / max(self.beams - 1, 1)
 
 
 @dataclass(frozen=True)

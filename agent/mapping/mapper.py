@@ -157,8 +157,7 @@ def add_scan(estimator: Estimator, scan: RangeScan, laser: Laser, resolution: fl
 def _near_cells(laser: Laser, resolution: float) -> int:
     """Return the distance in cells up to which beams are at most half a cell apart, and `NEAR_M` at most."""
     near = min(NEAR_M, laser.reach_mm / 1000) / resolution
-    apart = 2 * math.pi * laser.span / TURN / max(laser.beams - 1, 1)
-    return int(min(near, 0.5 / apart)) if laser.beams > 1 else 0
+    return int(min(near, 0.5 / laser.spacing_rad)) if laser.beams > 1 else 0
 
 
 def cell_ahead(sense: Sense, radius_cells: float) -> Cell:

@@ -26,7 +26,6 @@ from protocol.arrays import Cells
 from protocol.body import Body
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Cell, Grid, Mask
 from protocol.kernels import kernel
-from protocol.range_scans import TURN, Laser
 
 LEAST_CELLS = 2
 """Cells of the shortest frontier that is worth exploring, at least."""
@@ -158,13 +157,8 @@ def shortest_frontier(bodies: Iterable[Body]) -> int:
 
     Planning grids contain the scans of the whole team, so the coarsest laser of all robots counts.
     """
-    longest = max(FEW_BEAMS * _cells_apart(body.laser, body.range_cells) for body in bodies if body.laser)
+    longest = max(FEW_BEAMS * (body.laser.spacing_rad * body.range_cells) for body in bodies if body.laser)
     return max(LEAST_CELLS, min(math.ceil(longest), LONGEST_SPECK))
-
-
-def _cells_apart(laser: Laser, range_cells: float) -> float:
-    """Return the distance in cells between the ends of neighboring beams at the sensor range."""
-    return 2 * math.pi * laser.span / TURN / max(laser.beams - 1, 1) * range_cells
 
 
 @kernel
