@@ -65,6 +65,5 @@ class ChosenGoals(TargetStrategy):
 
     def choose(self, situation: Situation, goals: Cells, planner: PathPlanner) -> Cell | None:
         """Return the chosen goal; without one, the robot stays where it is."""
-        del situation, goals, planner
         goal, self.goal = self.goal, None
         return goal
