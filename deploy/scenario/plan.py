@@ -148,21 +148,21 @@ def _check_people(world_map: Map, settings: WorldSettings) -> None:
 def _radio_settings(scenario: Scenario, world_map: Map, range_m: float, incarnations: int) -> RadioSettings:
     hardware = [scenario.body_of(number) for number in range(scenario.robots)]
     return RadioSettings(
-        scenario.robots,
-        scenario.seed,
-        range_m / world_map.resolution,
-        Budget.parse(scenario.bandwidth),
-        scenario.rounds,
-        scenario.dissemination == GOSSIP,
-        incarnations,
-        scenario.radio,
-        world_map.resolution,
-        world_map.cells if RADIO_MODELS.find(scenario.radio.model).needs_walls else None,
-        tuple(robot.send_bytes or scenario.radio.send_bytes for robot in hardware),
-        tuple(robot.receive_bytes or scenario.radio.receive_bytes for robot in hardware),
-        scenario.changes(world_map.diagonal_m),
-        tuple(fault for fault in scenario.faults if fault.kind in faults.RADIO_KINDS),
-        scenario.step_ns,
+        robots=scenario.robots,
+        seed=scenario.seed,
+        range_cells=range_m / world_map.resolution,
+        budget=Budget.parse(scenario.bandwidth),
+        rounds=scenario.rounds,
+        gossip=scenario.dissemination == GOSSIP,
+        incarnations=incarnations,
+        options=scenario.radio,
+        cell_m=world_map.resolution,
+        walls=world_map.cells if RADIO_MODELS.find(scenario.radio.model).needs_walls else None,
+        send=tuple(robot.send_bytes or scenario.radio.send_bytes for robot in hardware),
+        receive=tuple(robot.receive_bytes or scenario.radio.receive_bytes for robot in hardware),
+        changes=scenario.changes(world_map.diagonal_m),
+        faults=tuple(fault for fault in scenario.faults if fault.kind in faults.RADIO_KINDS),
+        step_ns=scenario.step_ns,
     )
 
 
