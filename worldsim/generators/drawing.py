@@ -128,7 +128,7 @@ def enclose(cells: Grid, wall: int) -> None:
     """
     from scipy import ndimage  # noqa: PLC0415  slow to import, and listing names needs none
 
-    near = ndimage.binary_dilation(cells == FREE, np.ones((3, 3), bool), iterations=wall)
+    near = ndimage.maximum_filter(cells == FREE, 2 * wall + 1, mode="constant")
     cells[near & (cells == UNKNOWN)] = OCCUPIED
     free = cells == FREE
     cells[free & ~largest_part(free)] = OCCUPIED
