@@ -61,15 +61,15 @@ class Robot:
         """The self-explored grid."""
         self.planning: Grid = self.own.copy()
         """The planning grid: the self-explored one merged with teammates' maps."""
-        narrow = narrowest_opening(settings.body.radius_cells, settings.resolution)
         self._noisy_grid = None
         if settings.laser is not None:
-            shortest = shortest_frontier(settings.bodies)
-            radius = settings.body.radius_cells
+            radius, shortest = settings.body.radius_cells, shortest_frontier(settings.bodies)
+            narrow = narrowest_opening(radius, settings.resolution)
             self._noisy_grid = NoisyGrid(settings.height, settings.width, narrow, shortest, radius)
         self._encoding = make_encoding(settings)
         self._encoding.use_log_odds(self._mapper.log_odds)
         self._team = TeamState(settings)
+        # No methods: a run whose robots refer to themselves would stay in memory until the garbage collector runs.
         consume = partial(_consume, self._encoding, self._team)
         rebuild = partial(_rebuild, self._encoding, self._team)
         self.replication = make_replication(settings, consume, self._encoding.dependencies, rebuild)
