@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from agent.bodies.own_map import OwnMap
 from agent.pose_guard import JUMP_M, PoseGuard
 from protocol.cell_bytes import cells_from_bytes, points_from_bytes
-from protocol.grid import FINE
+from protocol.grid import FINE, Cell
 from protocol.map_frame import MapFrame
 from protocol.messages import Move, Sense
 from protocol.nanoseconds import SECOND
@@ -140,7 +140,7 @@ class Ros2Body(ABC):
         except ValueError as error:
             self.problem = f"map: {error}"
 
-    def goal(self, move: Move, target: tuple[int, int] | None = None) -> Pose | None:
+    def goal(self, move: Move, target: Cell | None = None) -> Pose | None:
         """Return where a robot is to drive, in its map frame; None if it stays.
 
         That is its target, to which it finds its own way, or else the end of the move. If the robot's map does not know

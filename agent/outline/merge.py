@@ -56,7 +56,7 @@ from agent.outline.objects import Objects
 from agent.outline.polygons import Polygons
 from protocol.arrays import BoolRows, Int32s, Uint8
 from protocol.boxes import NO_BOXES, Boxes, clip, union, whole_grid
-from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, Mask
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Cell, Grid, Mask
 from protocol.kernels import kernel
 
 
@@ -141,7 +141,7 @@ def approximation_error(own: Grid, polygons: Polygons, drawing: Drawing = THESIS
     return int(np.count_nonzero(own != rendered(polygons, drawing)))
 
 
-def exact_error(own: Grid, robot: tuple[int, int], drawing: Drawing = THESIS) -> int:
+def exact_error(own: Grid, robot: Cell, drawing: Drawing = THESIS) -> int:
     """Count what `approximation_error` is for the exact contours of a grid: the part that is not due to coarseness.
 
     Free edges of inside objects alone cover 1 to 3 % of the cells, which hides the effect of the splitting frequency.
