@@ -11,8 +11,8 @@ from collections.abc import Sequence
 
 from agent.replication.policies import GOSSIP
 from agent.settings import Settings
-from agent.strategies.base import Cell
 from protocol import packets
+from protocol.grid import Cell
 
 REPEAT_POSE = 10
 """Steps after which a robot that stands still repeats its pose."""

@@ -36,8 +36,7 @@ from agent.radios.transport import Transport
 from agent.replication.policies import GOSSIP
 from agent.robot import Robot
 from agent.settings import Settings
-from agent.strategies.base import Cell
-from protocol.grid import FINE
+from protocol.grid import FINE, Cell
 from protocol.messages import Move, Sense
 from protocol.nanoseconds import SECOND
 
@@ -206,9 +205,9 @@ class FieldRobot:
         else:
             self.move = None
             self._body.stop()
-        for fault in self.robot.faults:
-            self._report(f"{fault.kind} from robot {fault.peer}: {fault.reason}")
-        self.robot.faults.clear()
+        for error in self.robot.peer_errors:
+            self._report(f"{error.kind} from robot {error.peer}: {error.reason}")
+        self.robot.peer_errors.clear()
         records, self.medium.records = self.medium.records, []
         self.record(self._step, records)
         self._files.session.sync()

@@ -17,6 +17,7 @@ from msgspec.structs import replace
 
 from agent.journal import Journal, JournalError
 from agent.settings import Settings
+from protocol.grid import Cell
 
 
 class Incarnation(msgspec.Struct, frozen=True, tag=True, array_like=True, forbid_unknown_fields=True):
@@ -43,7 +44,7 @@ class Identity:
 
     def __init__(self, journal: Journal) -> None:
         self._journal = journal
-        self._home: tuple[int, int] | None = None
+        self._home: Cell | None = None
 
     def begin(self, settings: Settings) -> Settings:
         """Begin an incarnation: record it, and return the settings with its number and the home cell.

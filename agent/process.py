@@ -168,9 +168,9 @@ class AgentNode:
         move = robot.decide(situation)
         work = round(1e6 * (self._work + time.perf_counter() - began))
         self._bus.put(self._keys.body(names.WORLD, self._name), pack(move))
-        for fault in robot.faults:
-            self._report_error(f"{fault.kind} from {names.robot(fault.peer)}: {fault.reason}")
-        robot.faults.clear()
+        for error in robot.peer_errors:
+            self._report_error(f"{error.kind} from {names.robot(error.peer)}: {error.reason}")
+        robot.peer_errors.clear()
         x, y = robot.target or (-1, -1)
         backlog = robot.replication.undelivered()
         exact = robot.exact_error()

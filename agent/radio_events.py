@@ -24,8 +24,9 @@ ReportError = Callable[[str], None]
 def respond(robot: Robot, event: MediumEvent, report_error: ReportError) -> RobotFrames | None:
     """Pass an event to a robot; return the frames that it sends in response, None if the relay expects none."""
     if isinstance(event, Open):
-        broadcast = robot.announce(event.peers) if event.round == 0 else None
-        return open_round(robot.replication, event, broadcast or b"" if event.peers else b"")
+        # Without teammates in range, too: the robot notes whom it has lost.
+        broadcast = (event.round == 0 and robot.announce(event.peers)) or b""
+        return open_round(robot.replication, event, broadcast if event.peers else b"")
     if isinstance(event, PhaseDelivery):
         return continue_round(robot.replication, event, report_error)
     if isinstance(event, Broadcasts):

@@ -14,9 +14,6 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from agent.announcements import Announcements
 from agent.completion import Completion
 from agent.encodings.base import MapEncoding
@@ -28,14 +25,14 @@ from agent.replication.digests import INTERVAL
 from agent.replication.engine import make_replication
 from agent.replication.replica import Rejected
 from agent.settings import Settings
-from agent.strategies.base import Cell, Decision, Pose, Situation
+from agent.strategies.base import Decision, Pose, Situation
 from agent.strategies.registry import strategy
 from agent.team_state import TeamState
 from protocol import packet_codec, packet_index
 from protocol.body import narrowest_opening
 from protocol.cell_bytes import cells_to_bytes, points_to_bytes
 from protocol.errors import ProtocolError, shown
-from protocol.grid import Grid
+from protocol.grid import Cell, Grid, Mask
 from protocol.message_fields import MAX_WAY_CELLS
 from protocol.messages import Move, RoundReport, Sense
 from protocol.packets import SALTS, Held, LogDigest
@@ -46,7 +43,7 @@ ABOUT_LOGS = LogDigest, Held
 
 
 @dataclass(frozen=True)
-class Fault:
+class PeerError:
     """A malformed or inconsistent message from a teammate, or a map that others contradict."""
 
     peer: int
@@ -64,22 +61,22 @@ class Robot:
         """The self-explored grid."""
         self.planning: Grid = self.own.copy()
         """The planning grid: the self-explored one merged with teammates' maps."""
-        narrow = narrowest_opening(settings.body.radius_cells, settings.resolution)
         self._noisy_grid = None
         if settings.laser is not None:
-            shortest = shortest_frontier(settings.bodies)
-            radius = settings.body.radius_cells
+            radius, shortest = settings.body.radius_cells, shortest_frontier(settings.bodies)
+            narrow = narrowest_opening(radius, settings.resolution)
             self._noisy_grid = NoisyGrid(settings.height, settings.width, narrow, shortest, radius)
         self._encoding = make_encoding(settings)
         self._encoding.use_log_odds(self._mapper.log_odds)
         self._team = TeamState(settings)
+        # No methods: a run whose robots refer to themselves would stay in memory until the garbage collector runs.
         consume = partial(_consume, self._encoding, self._team)
         rebuild = partial(_rebuild, self._encoding, self._team)
         self.replication = make_replication(settings, consume, self._encoding.dependencies, rebuild)
         self.target: Cell | None = None
         self.status = ""
         """Its current activity, as text."""
-        self.faults: list[Fault] = []
+        self.peer_errors: list[PeerError] = []
         self.disbelieved: set[int] = set()
         """Teammates whose maps were so often contradicted that they were left out of the planning grid."""
         self._doubted_steps: dict[int, int] = {}
@@ -120,7 +117,7 @@ class Robot:
         return self._encoding.shared_map(self.own, self.planning)
 
     @property
-    def settled(self) -> NDArray[np.bool_]:
+    def settled(self) -> Mask:
         """The cells of the self-explored grid of whose state it is certain, shape (h, w)."""
         return self._mapper.settled()
 
@@ -173,12 +170,12 @@ class Robot:
         try:
             received = packet_codec.broadcast(payload)
         except ProtocolError as error:
-            self.faults.append(Fault(peer, str(error)))
+            self.peer_errors.append(PeerError(peer, str(error)))
             return
         about_logs = [each for each in received if isinstance(each, ABOUT_LOGS)]
         errors = team.receive_broadcast(peer, received[: len(received) - len(about_logs)])
         if errors:
-            self.faults += [Fault(peer, reason) for reason in errors]
+            self.peer_errors += [PeerError(peer, reason) for reason in errors]
         for each in about_logs:
             self._report(self.replication.receive_announcement(peer, each))
         pose = team.broadcast_pose(peer)
@@ -252,7 +249,7 @@ class Robot:
         self._doubted_steps = {peer: self._doubted_steps.get(peer, 0) + 1 for peer in doubted}
         wait = INTERVAL * self.settings.robots if self.settings.replication.digests else 0
         new = {peer for peer, steps in self._doubted_steps.items() if steps > wait} - self.disbelieved
-        self.faults += [Fault(peer, doubted[peer], "false map") for peer in sorted(new)]
+        self.peer_errors += [PeerError(peer, doubted[peer], "false map") for peer in sorted(new)]
         self.disbelieved |= new
 
     def _apply(self, decision: Decision) -> None:
@@ -265,8 +262,8 @@ class Robot:
             self._publish()
 
     def _report(self, rejections: list[Rejected]) -> None:
-        """Note rejected map updates as faults of their senders."""
-        self.faults += [Fault(rejected.peer, rejected.reason) for rejected in rejections]
+        """Note rejected map updates as errors of their senders."""
+        self.peer_errors += [PeerError(rejected.peer, rejected.reason) for rejected in rejections]
 
     def _publish(self) -> None:
         """Append all withheld entries to the log."""

@@ -15,6 +15,7 @@ from agent.encoding_options import PolygonOptions, PredictiveOptions
 from protocol.body import Body
 from protocol.budget import UNLIMITED, Budget
 from protocol.errors import ProtocolError
+from protocol.grid import Cell
 from protocol.message_fields import SideLength
 from protocol.range_scans import Laser
 
@@ -90,7 +91,7 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=Tru
     """Largest number of incarnations of a robot: one, and one more for each restart (`agent.identity`)."""
     incarnation: int = 0
     """Number of this incarnation, from 0."""
-    home: tuple[int, int] | None = None
+    home: Cell | None = None
     """Start cell of the first incarnation; None: the start cell of this one."""
     record_maps: bool = False
     """Whether to report map changes to the recorder."""

@@ -15,9 +15,9 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 from agent.settings import Settings
-from agent.strategies.base import Cell, Pose, Situation
+from agent.strategies.base import Pose, Situation
 from protocol import packets
-from protocol.grid import Grid
+from protocol.grid import Cell, Grid
 from protocol.messages import Sense
 
 PLACED = packets.Pose, packets.Target, packets.Passed

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import reduce
 
+from netshaper.settings import RadioSettings
 from protocol.budget import UNLIMITED, Budget
 from protocol.nanoseconds import SECOND
 from protocol.packet_index import PacketIndex
@@ -126,61 +126,34 @@ class DutyCycle:
         self._used.append((self._step, airtime))
 
 
-@dataclass(frozen=True)
-class Saving:
-    """The budget that can be saved: that of `steps` steps in total, and at least `least` bytes.
-
-    By default, unused budget lapses at the end of the step.
-    """
-
-    steps: int = 1
-    least: int = 0
-
-    def capacity(self, rate: int) -> int:
-        """Return the bytes that can be saved of `rate` bytes per step."""
-        return max(self.steps * rate, self.least)
-
-
 class Airtime:
     """Budgets of a step: the shared one, and those of each robot.
 
     A byte takes airtime of its sender and of all robots in range. With one shared budget these are all robots; with
     spatial reuse a byte counts only in the sender's neighborhood, and no neighborhood exceeds the budget. Each budget
     is a token bucket that a step refills.
-
-    `reuse`: whether each neighborhood has the `budget`, in bytes per step; else the team has it. `send`, `receive`:
-    bytes per step that each robot can send and receive; 0: no limit. `duty_cycle`: share of each hour in which a robot
-    may send; 1: no limit. `saving`: budgets that are not used up.
     """
 
-    def __init__(
-        self,
-        budget: Budget,
-        robots: int,
-        *,
-        reuse: bool = False,
-        send: Sequence[int] = (),
-        receive: Sequence[int] = (),
-        duty_cycle: float = 1.0,
-        saving: Saving | None = None,
-    ) -> None:
-        self._reuse = reuse
-        self._saving = saving or Saving()
+    def __init__(self, settings: RadioSettings) -> None:
+        options, robots = settings.options, settings.robots
+        self._reuse = options.reuse
+        self._saving = settings.saving
         self._now = 0
         """The time in nanoseconds, if a step lasts a second."""
-        self._senders = [self._bucket(most) for most in send or [0] * robots]
+        self._senders = [self._bucket(most) for most in settings.send or [options.send_bytes] * robots]
         """Bytes that each robot itself can send; None: no limit."""
-        self._can_receive = receive or [0] * robots
+        self._can_receive = settings.receive or [options.receive_bytes] * robots
+        """Bytes per step that each robot can receive; 0: no limit."""
         self.limits_reception = any(self._can_receive)
         """Whether a robot's reception is limited."""
         self._robots = robots
-        hour = HOUR_S * self._saving.steps
-        self._duty_cycles = [DutyCycle(duty_cycle, hour) for _ in range(robots)] if duty_cycle < 1 else []
-        self.set_budget(budget)
+        share, hour = options.duty_cycle, HOUR_S * self._saving.steps
+        self._duty_cycles = [DutyCycle(share, hour) for _ in range(robots)] if share < 1 else []
+        self.set_budget(settings.budget)
         self._neighbors: Mapping[int, Sequence[int]] = {}
         self._buckets: list[list[TokenBucket]] = [[] for _ in range(robots)]
         """The buckets from which each robot's bytes are taken in this step."""
-        self.left = budget
+        self.left = settings.budget
         """The remaining budget that the whole team shares."""
         self._received = [0] * robots
 

@@ -12,7 +12,8 @@ import numpy as np
 from netshaper.ledger import CAUSES, EVERYONE, FIRST_ON_AIR, LINK, MALFORMED, ROW
 from protocol.arrays import Int64Rows, ReadOnlyInt32s, ReadOnlyUint8s
 from protocol.kernels import kernel
-from protocol.packet_index import KINDS, PacketIndex
+from protocol.packet_index import PacketIndex
+from protocol.packets import ALL_KINDS
 
 ROUND, CONNECTION, FRAME, SENDER, RECEIVER, MAP, VERDICT, COMMENT, RECEIVERS, BYTES, PACKETS = range(11)
 COLUMNS = 11
@@ -141,7 +142,7 @@ class FrameLog:
         log = self.rows()
         kinds = np.frombuffer(b"".join([content.packets.kinds for content in self.contents]), np.uint8)
         sizes = np.frombuffer(b"".join([content.packets.sizes for content in self.contents]), np.int32)
-        counted = _count(log, kinds, sizes, KINDS)
+        counted = _count(log, kinds, sizes, len(ALL_KINDS))
         frames = log[counted[:, 0]]
         rows = np.empty(len(counted), ROW)
         names = ("round", "connection", "frame", "sender", "receiver", "map", "cause")

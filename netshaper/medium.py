@@ -57,19 +57,10 @@ class Medium:
     """The medium of a run."""
 
     def __init__(self, settings: RadioSettings) -> None:
-        options = settings.options
-        self.airtime = Airtime(
-            settings.budget,
-            settings.robots,
-            reuse=options.reuse,
-            send=settings.send or [options.send_bytes] * settings.robots,
-            receive=settings.receive or [options.receive_bytes] * settings.robots,
-            duty_cycle=options.duty_cycle,
-            saving=settings.saving,
-        )
+        self.airtime = Airtime(settings)
         self.carried = 0
         """Bytes that were on the air in this step."""
-        self._channel = Channel(options, settings.seed, settings.robots)
+        self._channel = Channel(settings.options, settings.seed, settings.robots)
         self._perfect = settings.perfect
         self._frame_limit = settings.frame_limit
         self._receives_whole = settings.perfect and settings.frame_limit.unlimited

@@ -25,12 +25,10 @@ class PhaseClock:
 
     def deadline(self, phase: Phase, now_ns: int) -> int | None:
         """Return the time at which the phase ends, in nanoseconds; None: it has no deadline."""
-        del phase, now_ns
         return None
 
     def missed(self, phase: Phase) -> Collection[int]:
         """Return the robots that do not answer in time in this phase, which has just begun; at most once."""
-        del phase
         return ()
 
 

@@ -111,11 +111,11 @@ class RelayNode:
             try:
                 self._take(sender, rights.read(key, payload), payload)
             except ProtocolError as error:
-                self._fault(sender, str(error))
+                self._report_error(sender, str(error))
         while missed := self._clock.missed(self._radio.phase):
             self._continue_without(missed)
         for robot, reason in self._radio.protocol_errors:
-            self._fault(names.robot(robot), reason)
+            self._report_error(names.robot(robot), reason)
         self._radio.protocol_errors.clear()
         self.done = self.shutting_down and not self._present
 
@@ -156,7 +156,7 @@ class RelayNode:
             return
         if robot is not None and self._begun and not self._may_return:
             self._put(name, pack(messages.Shutdown()))
-            self._fault(name, "joined again after it was lost; it may not start again in this run")
+            self._report_error(name, "joined again after it was lost; it may not start again in this run")
             return
         if self._resend is not None and not self._begun:
             self._resend(name)
@@ -298,7 +298,7 @@ class RelayNode:
         """Send a packed message to a participant on the control plane."""
         self._bus.put(self._keys.control(name, names.RELAY), payload)
 
-    def _fault(self, name: str, reason: str) -> None:
+    def _report_error(self, name: str, reason: str) -> None:
         """Report a protocol error; give up on a robot that causes too many in a step."""
         self._protocol_errors[name] += 1
         if self._protocol_errors[name] <= MAX_PROTOCOL_ERRORS:

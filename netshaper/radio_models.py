@@ -41,7 +41,7 @@ class Disc(RadioModel):
     name = "disc"
     needs_walls = False
 
-    def links(self, settings: RadioSettings, _step: int, places: Places) -> Links:
+    def links(self, settings: RadioSettings, step: int, places: Places) -> Links:
         """Return the links of a step."""
         return connectivity.disc(places, settings.range_cells)
 
@@ -51,7 +51,7 @@ class LineOfSight(RadioModel):
 
     name = "line-of-sight"
 
-    def links(self, settings: RadioSettings, _step: int, places: Places) -> Links:
+    def links(self, settings: RadioSettings, step: int, places: Places) -> Links:
         """Return the links of a step."""
         return connectivity.line_of_sight(places, settings.range_cells, _walls(settings))
 
@@ -61,7 +61,7 @@ class LogDistance(RadioModel):
 
     name = "log-distance"
 
-    def links(self, settings: RadioSettings, _step: int, places: Places) -> Links:
+    def links(self, settings: RadioSettings, step: int, places: Places) -> Links:
         """Return the links of a step."""
         options = settings.options
         extra = connectivity.shadowing(places, settings.cell_m, settings.seed, options)

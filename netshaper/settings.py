@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from netshaper.airtime import Saving
 from netshaper.radio_options import MIN_FRAME, RadioOptions
 from protocol import packets
 from protocol.budget import UNLIMITED, Budget
@@ -20,6 +19,21 @@ MIN_EXTRA = 64
 
 EXTRA_PER_MAP = Held.size + Offer.size + Passed.size + Target.size
 """Bytes of reports on a map, and of its robot's pose and target; a frame may exceed the budget by them."""
+
+
+@dataclass(frozen=True)
+class Saving:
+    """The budget that can be saved: that of `steps` steps in total, and at least `least` bytes.
+
+    By default, unused budget lapses at the end of the step.
+    """
+
+    steps: int = 1
+    least: int = 0
+
+    def capacity(self, rate: int) -> int:
+        """Return the bytes that can be saved of `rate` bytes per step."""
+        return max(self.steps * rate, self.least)
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,6 +29,9 @@ OCCUPIED = 2
 FINE = 1000
 """Units per cell of positions finer than cells: way points, and offsets from the center of a cell."""
 
+HEADINGS = 8
+"""Headings per full turn; heading 0 points along +x, 2 along +y."""
+
 MAX_SIDE = 2048
 """The longest side of a grid, in cells; packets cannot represent a longer one."""
 
@@ -36,12 +39,19 @@ MAX_ROBOTS = 256
 """The largest team. Offers can name the maps of fewer robots (`protocol.packets.MAX_MAPS`)."""
 
 Grid = Annotated[NDArray[np.uint8], "uint8[:,::1]"]
+"""States of cells, or other small numbers, indexed ``grid[y, x]``."""
+
+ReadOnlyGrid = Annotated[NDArray[np.uint8], "Array(uint8, 2, 'C', readonly=True)"]
+"""A grid that a kernel does not write, so that read-only arrays fit."""
 
 Mask = NDArray[np.bool_]
 """A flag for each cell of a grid, indexed ``mask[y, x]``."""
 
 Cell = tuple[int, int]
 """Column and row of a cell."""
+
+Point = tuple[int, int]
+"""A position (x, y) in 1 / `FINE` cell; the center of cell (0, 0) is at (0, 0)."""
 
 _REACH = 0.5
 """Half the side of a cell, in cells."""
@@ -144,6 +154,11 @@ def _walk(directions: Int64Rows, range_cells: float) -> tuple[Int32Rows, Int32s]
     return cells[: start[-1]].copy(), start
 
 
+def cell_of(point: Point) -> Cell:
+    """Return the cell of a point; a border belongs to the cell on its right, or below."""
+    return (point[0] + FINE // 2) // FINE, (point[1] + FINE // 2) // FINE
+
+
 def disc(radius_cells: float) -> Mask:
     """Return the cells that a disc-shaped robot in the middle cell touches, as a square mask."""
     side = np.arange(-int(radius_cells + _REACH), int(radius_cells + _REACH) + 1)
@@ -164,9 +179,7 @@ def enlarge(grid: Grid, radius_cells: float) -> Grid:
 
 
 @kernel
-def _grow(
-    grid: Annotated[NDArray[np.uint8], "Array(uint8, 2, 'C', readonly=True)"], widths: Int64s, out: Grid
-) -> None:
+def _grow(grid: ReadOnlyGrid, widths: Int64s, out: Grid) -> None:
     """Turn free cells of `out` within a disc around an occupied cell of `grid` into occupied ones.
 
     `widths`: for each row of the disc, how many cells it extends to either side; -1: the row has none. Only cells at

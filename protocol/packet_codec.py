@@ -12,6 +12,7 @@ from protocol.packets import (
     ALL_KINDS,
     DECLINED,
     HANDSHAKE_SIZE,
+    LAYOUT_OF,
     LAYOUTS,
     LENGTH_HEAD,
     AnyPacket,
@@ -31,7 +32,6 @@ _PACKETS: dict[str, Callable[..., AnyPacket]] = {kind.__name__: kind for kind in
 _BY_FIRST_BYTE = [
     next((layout for layout in LAYOUTS if layout.starts_with(byte)), None) for byte in range(256)
 ]
-_LAYOUT = {layout.packet: layout for layout in LAYOUTS if layout.content is None}
 _WITH_CONTENT = {
     kind: [layout for layout in LAYOUTS if layout.packet == kind.__name__] for kind in (Fragment, Update)
 }
@@ -65,7 +65,7 @@ def encode(packets: Iterable[Packet]) -> bytes:
     """Write packets one after the other; ProtocolError if the value of a field does not fit its bits."""
     out = bytearray()
     for packet in packets:
-        content, layout = b"", _LAYOUT.get(type(packet).__name__)
+        content, layout = b"", LAYOUT_OF.get(type(packet))
         if layout is None:
             assert isinstance(packet, Fragment | Update)
             content, layout = packet.data, _layout_for(packet, len(out))

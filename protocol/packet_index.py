@@ -18,12 +18,11 @@ import numpy as np
 from protocol.arrays import Int32Rows, Int64Rows, ReadOnlyUint8s, Uint8s
 from protocol.kernels import kernel
 from protocol.packet_codec import LAYOUT_BY_BYTE, decode
-from protocol.packets import ALL_KINDS, LENGTH_HEAD
+from protocol.packets import LENGTH_HEAD
 
 TABLE: Int64Rows = np.array(LAYOUT_BY_BYTE, np.int64)
 """Layout of the packets that start with each byte, shape (256, 7); columns as in `LAYOUT_BY_BYTE`."""
 
-KINDS = len(ALL_KINDS)
 MAX_CACHED_BYTES = 1 << 16
 """Maximum size of a frame in caches, so that the frames of a sender cannot fill the memory."""
 

@@ -353,15 +353,10 @@ def _declared(kind: type[Packet]) -> Layout:
     return Layout(kind.__name__, kind.name, kind.size, kind.code, declared)
 
 
-_LAYOUT: dict[type[Packet], Layout] = {
+LAYOUT_OF: dict[type[Packet], Layout] = {
     kind: _declared(kind) for kind in get_args(AnyPacket) if kind not in (Fragment, Update)
 }
-
-
-def layout_of(kind: type[Packet]) -> Layout:
-    """Return the layout of a packet without content."""
-    return _LAYOUT[kind]
-
+"""The layouts of packets without content."""
 
 _NUMBER = ("number", Bits(1, "u", "number of the update, modulo 2"))
 
@@ -391,10 +386,10 @@ _UPDATES = (
     _with_content(Update, "11110100", (_length(8),), SHORT_UPDATE_DATA + 1, UPDATE_DATA),
 )
 
-LAYOUTS: tuple[Layout, ...] = (*_LAYOUT.values(), *_FRAGMENTS, *_UPDATES)
+LAYOUTS: tuple[Layout, ...] = (*LAYOUT_OF.values(), *_FRAGMENTS, *_UPDATES)
 """All layouts: one for each packet without content, several for each with."""
 
-MAX_AGE = (1 << dict(_LAYOUT[Passed].fields)["age"].width) - 1
+MAX_AGE = (1 << dict(LAYOUT_OF[Passed].fields)["age"].width) - 1
 """The greatest age that `Passed` can give, in steps."""
 
 HANDSHAKE_SIZE = 3 * Answer.size

@@ -6,6 +6,7 @@ Beams start at the robot's position and at angles around its heading (`Laser`). 
 
 from __future__ import annotations
 
+import math
 import struct
 from dataclasses import dataclass
 from functools import lru_cache
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 from protocol.arrays import Bools, Int32Rows, Int64Rows, Int64s, Uint16s
 from protocol.errors import ProtocolError
-from protocol.grid import MAX_SIDE
+from protocol.grid import FINE, HEADINGS, MAX_SIDE
 from protocol.kernels import kernel
 
 UNIT = 256
@@ -63,6 +64,11 @@ class Laser(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         """Angle of each beam relative to the heading, in 1 / `TURN`."""
         return self.first + np.arange(self.beams, dtype=np.int64) * self.span // max(self.beams - 1, 1)
 
+    @property
+    def spacing_rad(self) -> float:
+        """Angle between neighboring beams, in radians."""
+        return 2 * math.pi * self.span / TURN / max(self.beams - 1, 1)
+
 
 @dataclass(frozen=True)
 class RangeScan:
@@ -81,6 +87,16 @@ class RangeScan:
     def y(self) -> int:
         """Row of the robot's cell."""
         return self.place[1] // UNIT
+
+
+def cell_offset(units: int) -> int:
+    """Return a coordinate in 1 / `UNIT` cell as `Sense` has it: in 1 / `FINE` cell from the center of its cell."""
+    return (units % UNIT * FINE + FINE // 2) // UNIT - FINE // 2
+
+
+def nearest_heading(heading: int) -> int:
+    """Return an angle in 1 / `TURN` as `Sense` has it: the nearest of `HEADINGS`."""
+    return round(heading * HEADINGS / TURN) % HEADINGS
 
 
 def encode_range_scan(scan: RangeScan) -> bytes:

@@ -50,7 +50,7 @@ def pose_of(x: float, y: float, q_x: float, q_y: float, q_z: float, q_w: float) 
     """
     pose, is_flipped = mounting_of(x, y, q_x, q_y, q_z, q_w)
     if is_flipped:
-        raise ValueError("it is tilted or upside down; lasers must be level")
+        raise ValueError("it is upside down")
     return pose
 
 
@@ -66,7 +66,7 @@ def mounting_of(x: float, y: float, q_x: float, q_y: float, q_z: float, q_w: flo
         raise ValueError(f"its position is not a number, or beyond {FARTHEST_M:g} m")
     upright = (q_w * q_w + q_z * q_z - q_x * q_x - q_y * q_y) / norm
     if abs(upright) < LEAST_UPRIGHT:
-        raise ValueError("it is tilted or upside down; lasers must be level")
+        raise ValueError("it is tilted; it must be level")
     yaw = math.atan2(2 * (q_w * q_z + q_x * q_y), q_w * q_w + q_x * q_x - q_y * q_y - q_z * q_z)
     return Pose(x, y, yaw), upright < 0
 

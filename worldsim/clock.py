@@ -25,7 +25,6 @@ class StepClock:
 
     def deadline(self, now_ns: int) -> int | None:
         """Return the time at which `tick` should be called, in nanoseconds; None: never."""
-        del now_ns
         return None
 
     def tick(self, now_ns: int) -> None:
@@ -33,12 +32,10 @@ class StepClock:
 
     def begin(self, step: int) -> Collection[int]:
         """Begin a step; return the robots that take no part in it, because they still work on an earlier one."""
-        del step
         return ()
 
     def is_late(self, robot: int, step: int) -> bool:
         """Return whether the move of a robot for a step came too late; then it does not count."""
-        del robot, step
         return False
 
     def is_over(self, moved: int, active: int) -> bool:
@@ -97,7 +94,7 @@ class WallClock(StepClock):
             self._owed[robot] = later
         return step in owed
 
-    def is_over(self, _moved: int, _active: int) -> bool:
+    def is_over(self, moved: int, active: int) -> bool:
         """Return whether the time of the step is over."""
         return self._is_over
 

@@ -5,12 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from protocol.arrays import Int32Rows, Int32s
-from protocol.grid import FREE, Grid, Mask, RayTable
+from protocol.grid import FREE, HEADINGS, Grid, Mask, RayTable
 from protocol.kernels import kernel
 from protocol.scans import HIT, NONE, Readings
-
-HEADINGS = 8
-"""Headings per full turn; heading 0 points along +x, 2 along +y."""
 
 FULL_TURN = 360.0
 

@@ -15,10 +15,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.grid import FINE, FREE, Cell, Grid, Mask
-
-Point = tuple[int, int]
-"""A position (x, y) in thousandths of a cell."""
+from protocol.grid import FINE, FREE, HEADINGS, Cell, Grid, Mask, Point, cell_of
 
 Taken = NDArray[np.uint8] | Mask
 """Cells that a center may not enter: bits that say why, or a mask of cells near robots."""
@@ -89,11 +86,6 @@ def drive(
     return Motion((x * FINE, y * FINE), direction, cells, length, blocked, carry, bump)
 
 
-def cell_of(point: Point) -> Cell:
-    """Return the cell of a point; a border belongs to the cell on its right, or below."""
-    return (point[0] + FINE // 2) // FINE, (point[1] + FINE // 2) // FINE
-
-
 def glide(truth: Grid, taken: Taken, start: Point, points: list[Point], way: float) -> Motion:
     """Move one robot along straight lines between waypoints, for at most `way` cells.
 
@@ -157,7 +149,7 @@ def swept(start: Cell, cells: list[Cell]) -> list[Cell]:
 
 def heading_of(dx: int, dy: int) -> int:
     """Return the heading of a step to a neighbor, in eighths of a turn from +x toward +y."""
-    return round(math.atan2(dy, dx) / (math.pi / 4)) % 8
+    return round(math.atan2(dy, dx) / (math.pi / 4)) % HEADINGS
 
 
 @lru_cache(maxsize=64)

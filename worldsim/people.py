@@ -17,8 +17,8 @@ from protocol.arrays import BoolRows, Cells, FloatRows
 from protocol.grid import FREE, Cell, Grid, Mask, enlarge
 from protocol.kernels import kernel
 from protocol.keyed_random import keyed_random
-from worldsim.largest_part import largest_part
 from worldsim.motion import TAKEN_BY_PERSON, TAKEN_BY_ROBOT, drive, mark_near
+from worldsim.regions import largest_part
 
 WAIT = 2
 """Steps for which a person waits for a robot to move out of the way."""

@@ -12,12 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.arrays import Bools, FloatRows
-from protocol.grid import FINE, Cell, Grid, Mask
+from protocol.grid import FINE, HEADINGS, Cell, Grid, Mask, Point
 from protocol.keyed_random import keyed_random
 from protocol.messages import Sense
-from protocol.range_scans import NO_MEASUREMENT, TURN, UNIT, Laser, RangeScan, encode_range_scan
-from worldsim.laser import HEADINGS
-from worldsim.motion import Point
+from protocol.range_scans import NO_MEASUREMENT, TURN, UNIT, Laser, RangeScan, cell_offset, encode_range_scan
 from worldsim.pose_error import PoseError
 from worldsim.range_laser import NO_DISCS, RangeLaser
 from worldsim.sensor_options import LaserOptions, PoseOptions
@@ -91,7 +89,7 @@ class Sensors:
         scan = RangeScan((x, y), (turn + error_turn) % TURN, ranges)
         return Sense(
             step, scan.x, scan.y, exact.heading, b"", b"", exact.blocked,
-            offset(x), offset(y), encode_range_scan(scan),
+            cell_offset(x), cell_offset(y), encode_range_scan(scan),
         )  # fmt: skip
 
     def beam_degrees(self, robot: int) -> NDArray[np.float64]:
@@ -102,8 +100,3 @@ class Sensors:
 def _units(cell: int, offset: int) -> int:
     """Return a position, given as a cell and thousandths of a cell from its center, in 1 / `UNIT` cell."""
     return (cell * FINE + FINE // 2 + offset) * UNIT // FINE
-
-
-def offset(units: int) -> int:
-    """Return a position as thousandths of a cell from the center of its cell."""
-    return (units % UNIT * FINE + FINE // 2) // UNIT - FINE // 2

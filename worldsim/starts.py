@@ -9,7 +9,7 @@ import numpy as np
 
 from protocol.grid import FREE, Cell, Grid, Mask
 from protocol.keyed_random import keyed_random
-from worldsim.largest_part import largest_part
+from worldsim.regions import largest_part, nearest_cell, part_with
 
 
 def start_cells(
@@ -71,13 +71,9 @@ def _wide_cell(cells: Mask, cell: Cell, width: int) -> Cell:
         return cell
     square = np.ones((width, width), np.bool_)
     largest = largest_part(ndimage.binary_erosion(cells, square))
-    if not largest.any():
-        return cell
     if ndimage.binary_dilation(largest, square)[cell[1], cell[0]]:
         return cell
-    rows, columns = np.nonzero(largest)
-    nearest = int(np.argmin((columns - cell[0]) ** 2 + (rows - cell[1]) ** 2))
-    return int(columns[nearest]), int(rows[nearest])
+    return nearest_cell(largest, cell) or cell
 
 
 def jittered(
@@ -87,11 +83,8 @@ def jittered(
 
     Raises ValueError if `cell` is not free, or no cell near it is far enough from the others.
     """
-    from scipy import ndimage  # noqa: PLC0415  slow to import, and few commands need it
-
     check_free(truth, cell)
-    labels, _ = ndimage.label(truth == FREE)
-    ys, xs = np.nonzero(labels == labels[cell[1], cell[0]])
+    ys, xs = np.nonzero(part_with(truth == FREE, cell))
     near = (xs - cell[0]) ** 2 + (ys - cell[1]) ** 2 <= most * most
     for x, y in others:
         near &= np.maximum(np.abs(xs - x), np.abs(ys - y)) >= spacing

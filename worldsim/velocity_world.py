@@ -15,14 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.arrays import Uint16s
-from protocol.grid import FINE, FREE, Cell, Grid, Mask, enlarge, ray_table
+from protocol.grid import FINE, FREE, HEADINGS, Cell, Grid, Mask, Point, cell_of, enlarge, ray_table
 from protocol.keyed_random import keyed_random
 from protocol.map_frame import MapFrame
 from protocol.range_scans import UNIT
 from protocol.scans import draw
 from protocol.transforms import Pose
-from worldsim.laser import HEADINGS, cast
-from worldsim.motion import NOT_BLOCKED, TAKEN_BY_ROBOT, Point, cell_of, clear, glide, mark_near
+from worldsim.laser import cast
+from worldsim.motion import NOT_BLOCKED, TAKEN_BY_ROBOT, clear, glide, mark_near
 from worldsim.people import People, PeopleSettings, RobotDisc
 from worldsim.range_laser import NO_DISCS, RangeLaser
 from worldsim.world import WorldSettings, reachable_by_team

@@ -13,16 +13,17 @@ from numpy.typing import NDArray
 from protocol.arrays import BoolRows, Bools
 from protocol.body import Body, narrowest_opening
 from protocol.cell_bytes import cells_from_bytes, cells_to_bytes, points_from_bytes
-from protocol.grid import FINE, FREE, Cell, Grid, Mask, RayTable, disc, enlarge, ray_table
+from protocol.grid import FINE, FREE, HEADINGS, Cell, Grid, Mask, RayTable, cell_of, disc, enlarge, ray_table
 from protocol.kernels import kernel
 from protocol.keyed_random import keyed_random
 from protocol.messages import FaultEvent, Move, Sense
 from protocol.scans import NONE, draw
 from worldsim import motion
 from worldsim.base import BaseWorld
-from worldsim.laser import FULL_TURN, HEADINGS, cast
+from worldsim.laser import FULL_TURN, cast
 from worldsim.people import People, PeopleSettings, RobotDisc
 from worldsim.range_laser import NO_DISCS
+from worldsim.regions import nearest_cell, part_with, wide_part
 from worldsim.sensors import Sensors, SensorSettings
 
 MOVES_AS_PLANNED = 0.7
@@ -96,14 +97,11 @@ class World(BaseWorld):
         """Put a removed robot back where it was, or into the nearest free cell if that one is taken."""
         if robot in self.cells:
             return
-        x, y = self.cells[robot] = self._last_cells[robot]
+        last = self.cells[robot] = self._last_cells[robot]
         floor = self.floors[self.settings.bodies[robot].radius_cells] == FREE
         marked = self._mark_others(robot, math.inf)
-        rows, columns = np.nonzero(floor & self.reachable & (self._taken == 0))
+        self.cells[robot] = nearest_cell(floor & self.reachable & (self._taken == 0), last) or last
         motion.clear(marked)
-        if len(rows):
-            nearest = int(np.argmin((columns - x) ** 2 + (rows - y) ** 2))
-            self.cells[robot] = int(columns[nearest]), int(rows[nearest])
         self.offsets[robot] = 0, 0
         self._carry[robot] = 0.0
 
@@ -152,7 +150,7 @@ class World(BaseWorld):
             return [], motion.INTERFERENCE
         body, start, offset = self.settings.bodies[robot], self.cells[robot], self.offsets[robot]
         floor, way = self.floors[body.radius_cells], body.speed + self._carry[robot]
-        marked = self._mark_others(robot, way, [motion.cell_of(point) for point in points] or path)
+        marked = self._mark_others(robot, way, [cell_of(point) for point in points] or path)
         if points:
             point = start[0] * FINE + offset[0], start[1] * FINE + offset[1]
             result = motion.glide(floor, self._taken, point, points, way)
@@ -163,7 +161,7 @@ class World(BaseWorld):
         self._carry[robot] = result.carry
         self.driven[robot] += result.length
         if result.length:
-            x, y = self.cells[robot] = motion.cell_of(result.point)
+            x, y = self.cells[robot] = cell_of(result.point)
             self.offsets[robot] = result.point[0] - x * FINE, result.point[1] - y * FINE
         # Robots with real sensors face the wall that stops them, and mark it. Others see it once they turn toward it.
         faces_wall = self._sensors is not None and result.bump != (0, 0)
@@ -300,37 +298,9 @@ def reachable_by(truth: Grid, start: Cell, radius_cells: float) -> Mask:
     from scipy import ndimage  # noqa: PLC0415  slow to import, and few commands need it
 
     floor = enlarge(truth, radius_cells)
-    found = reachable_from(floor, start)
+    found = part_with(floor == FREE, start)
     if floor is truth:
         return found
     covered: Mask = ndimage.binary_dilation(found, disc(radius_cells))
     covered &= truth == FREE
     return covered
-
-
-def wide_part(cells: Mask, start: Cell, width: int) -> Mask:
-    """Return the cells that a square of `width` cells covers if it moves within `cells`, shape (h, w).
-
-    It begins as near as possible to `start`. All cells are returned if no such square fits.
-    """
-    from scipy import ndimage  # noqa: PLC0415  slow to import, and few commands need it
-
-    square = np.ones((width, width), np.bool_)
-    places, _ = ndimage.label(ndimage.binary_erosion(cells, square))
-    rows, columns = np.nonzero(places)
-    if not len(rows):
-        return cells
-    nearest = int(np.argmin((columns - start[0]) ** 2 + (rows - start[1]) ** 2))
-    first = places[rows[nearest], columns[nearest]]
-    covered: Mask = ndimage.binary_dilation(places == first, square)
-    return covered
-
-
-def reachable_from(truth: Grid, start: Cell) -> Mask:
-    """Return the free cells that a robot can reach from `start`: its 4-connected component, as corners are not cut."""
-    from scipy import ndimage  # noqa: PLC0415  slow to import, and few commands need it
-
-    labels, _ = ndimage.label(truth == FREE)
-    found: Mask = labels == labels[start[1], start[0]]
-    found &= truth == FREE
-    return found

@@ -9,7 +9,7 @@ import numpy as np
 
 from agent.planning.frontier import frontier_cells
 from protocol.arrays import Cells
-from protocol.grid import FREE, Grid
+from protocol.grid import FREE, Cell, Grid
 from protocol.map_frame import MapFrame
 from protocol.ros2.messages import MARKERS, POINT, Messages
 from protocol.transforms import Pose
@@ -35,7 +35,7 @@ class Layer(NamedTuple):
     color: tuple[float, float, float]
 
 
-def layers(grid: Grid, target: tuple[int, int] | None, teammates: Sequence[tuple[int, int]]) -> list[Layer]:
+def layers(grid: Grid, target: Cell | None, teammates: Sequence[Cell]) -> list[Layer]:
     """Return the markers of a robot: a grid's frontiers, its target, and the cells of its teammates."""
     frontier = frontier_cells(grid, grid == FREE)
     own = np.array([target] if target else [], np.int32).reshape(-1, 2)

@@ -18,15 +18,14 @@ from numpy.typing import NDArray
 from agent.bodies.own_map import OwnMap
 from agent.pose_guard import JUMP_M, PoseGuard
 from protocol.cell_bytes import cells_from_bytes, points_from_bytes
-from protocol.grid import FINE
+from protocol.grid import FINE, Cell
 from protocol.map_frame import MapFrame
 from protocol.messages import Move, Sense
 from protocol.nanoseconds import SECOND
-from protocol.range_scans import TURN, UNIT, Laser
+from protocol.range_scans import UNIT, Laser, cell_offset, nearest_heading
 from protocol.ros2.messages import nanoseconds
 from protocol.transforms import Pose, TransformBuffer, frame_name, mounting_of
 
-HEADINGS = 8
 REMEMBERED_NS = 10 * SECOND
 """Age up to which transforms are kept, relative to the last known pose."""
 UNUSED_NS = 60 * SECOND
@@ -141,7 +140,7 @@ class Ros2Body(ABC):
         except ValueError as error:
             self.problem = f"map: {error}"
 
-    def goal(self, move: Move, target: tuple[int, int] | None = None) -> Pose | None:
+    def goal(self, move: Move, target: Cell | None = None) -> Pose | None:
         """Return where a robot is to drive, in its map frame; None if it stays.
 
         That is its target, to which it finds its own way, or else the end of the move. If the robot's map does not know
@@ -172,13 +171,13 @@ class Ros2Body(ABC):
         """Return cell and heading of the sensor as `Sense` has them."""
         assert self._here is not None
         x, y = self._here
-        return x // UNIT, y // UNIT, round(self._heading * HEADINGS / TURN) % HEADINGS
+        return x // UNIT, y // UNIT, nearest_heading(self._heading)
 
     def _offsets(self) -> tuple[int, int]:
         """Return the position of the sensor within its cell as `Sense` has it."""
         assert self._here is not None
         x, y = self._here
-        return _offset(x), _offset(y)
+        return cell_offset(x), cell_offset(y)
 
     def _accept(self, stamp: int, pose: Pose, what: str) -> bool:
         """Take a new pose of the sensor, called `what`; return whether it is plausible, and lies on the grid."""
@@ -204,8 +203,3 @@ class Ros2Body(ABC):
         self.problem = f"no transforms (tf) from {root!r} to {what} {frame!r}; only {known}"
         if top in self._refused:
             self.problem = f"frame {top!r}: {self._refused[top]}"
-
-
-def _offset(units: int) -> int:
-    """Return a position as thousandths of a cell from the center of its cell."""
-    return (units % UNIT * FINE + FINE // 2) // UNIT - FINE // 2

@@ -14,7 +14,7 @@ from agent.mapping.estimator import Int8Grid
 from agent.outline.polygons import Polygons
 from agent.settings import Settings
 from protocol.errors import ProtocolError
-from protocol.grid import Grid
+from protocol.grid import Cell, Grid
 from protocol.range_scans import RangeScan
 from protocol.scans import Change, Scan
 
@@ -149,7 +149,7 @@ class MapEncoding(ABC):
         """
         return planning
 
-    def scan_cell(self, map_id: int) -> tuple[int, int] | None:
+    def scan_cell(self, map_id: int) -> Cell | None:
         """Cell (x, y) of the last scan that a map's log reports; None if logs do not report where scans were taken."""
         return None
 

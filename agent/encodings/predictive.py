@@ -32,14 +32,14 @@ from agent.predictive.shared_decoder import CachedReader, SharedDecoderCache
 from agent.predictive.stream import Stream
 from agent.settings import Settings
 from protocol.errors import ProtocolError
-from protocol.grid import Grid
+from protocol.grid import Cell, Grid
 from protocol.packet_codec import encode
 from protocol.packets import UPDATE_NUMBERS, Update
 from protocol.range_scans import RangeScan
 from protocol.scans import Change, Scan
 
-PATIENCE = 8
-"""Steps for which a robot waits until updates on which its own ones depend have arrived again."""
+RETURN_STEPS = 8
+"""Steps for which a robot waits until dropped updates on which its own ones depend have arrived again."""
 
 
 class PredictiveEncoding(GridEncoding):
@@ -169,14 +169,14 @@ class PredictiveEncoding(GridEncoding):
     def _withdraw_invalid(self) -> list[bytes]:
         """Withdraw this robot's updates from the first one on whose bases are not there; return the packets for that.
 
-        Dropped updates usually arrive again within `PATIENCE` steps, and then nothing is wrong.
+        Dropped updates usually arrive again within `RETURN_STEPS` steps, and then nothing is wrong.
         """
         if not self._bases_changed:
             return []
         map_id, log = self.settings.own_map, self._logs[self.settings.own_map]
         updates = self._histories[map_id].between(0, len(self._histories[map_id]))
         valid = next((at for at, each in enumerate(updates) if not self._has_bases(each)), len(updates))
-        if valid < len(updates) and self._bases_changed < PATIENCE:
+        if valid < len(updates) and self._bases_changed < RETURN_STEPS:
             self._bases_changed += 1
             return []
         self._bases_changed = 0
@@ -323,7 +323,7 @@ class PredictiveEncoding(GridEncoding):
         """Dependencies of the decoded updates of a log, where they exceed those of the update before."""
         return self._dependencies[map_id]
 
-    def scan_cell(self, map_id: int) -> tuple[int, int] | None:
+    def scan_cell(self, map_id: int) -> Cell | None:
         """Cell (x, y) of the last scan in a log."""
         return self._streams[map_id].pose if map_id in self._streams else None
 

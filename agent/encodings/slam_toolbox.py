@@ -89,8 +89,7 @@ class LocalizedScans(RangeScans):
         for name, text in texts.items():
             message[name], message[f"{name}.size"] = text.encode(), len(text) + 1
         first, span = FULL_TURN * laser.first / TURN, FULL_TURN * laser.span / TURN
-        between = span / max(laser.beams - 1, 1)
-        message["limits"] = first, first + span, between, 0.0, 0.0, 0.0, laser.reach_mm / 1000
+        message["limits"] = first, first + span, laser.spacing_rad, 0.0, 0.0, 0.0, laser.reach_mm / 1000
         message["beams"] = laser.beams
         message["offset"][:, 6] = 1.0
         message["covariance"][:, [0, 7, 35]] = 1.0

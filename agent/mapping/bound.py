@@ -26,6 +26,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from agent.mapping.blocks import BLOCK, is_covered
 from agent.mapping.estimator import Int8Grid
@@ -44,6 +45,10 @@ _REMOVE, _WALLS, _FREE, _FILL, _CLOSE = range(5)
 """Phases, in this order: remove walls that the robot has not found (2), add walls (1), add free cells (3), also those
 that have lost their wall, fill incomplete (4) and changed tiles, close gaps (5). A removed wall is never the only copy
 of a settled wall, because it has no wall of the robot's own grid within the tolerance."""
+
+
+TileMask = NDArray[np.bool_]
+"""A flag for each tile of a grid, shape (tile rows, tile columns)."""
 
 
 def tiles_of(height: int, width: int) -> tuple[int, int]:

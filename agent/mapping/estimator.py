@@ -14,15 +14,13 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.arrays import Bools, Int32Rows
+from protocol.arrays import Bools, Int16Rows, Int16s, Int32Rows
 from protocol.boxes import NO_BOX, Box
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.kernels import kernel
 from protocol.range_scans import Vector
 from protocol.scans import Change
 
-Int16Grid = Annotated[NDArray[np.int16], "int16[:,::1]"]
-Int16s = Annotated[NDArray[np.int16], "int16[::1]"]
 Int8Grid = Annotated[NDArray[np.int8], "int8[:,::1]"]
 
 PASS, STRUCK = -8, 17
@@ -101,7 +99,7 @@ def _mark(marks: Int16s, place: int, vote: int) -> None:
 
 
 @kernel
-def _mark_beams(marks: Int16Grid, x: int, y: int, ends: Int32Rows, hits: Bools) -> Box:
+def _mark_beams(marks: Int16Rows, x: int, y: int, ends: Int32Rows, hits: Bools) -> Box:
     """Count the votes of beams between exact positions, for each cell; return a box around the cells."""
     height, width = marks.shape
     flat = marks.reshape(marks.size)
@@ -135,7 +133,7 @@ def _mark_beams(marks: Int16Grid, x: int, y: int, ends: Int32Rows, hits: Bools) 
 
 
 @kernel
-def _apply(log_odds: Int8Grid, states: Grid, marks: Int16Grid, box: Box) -> tuple[int, int, Box]:
+def _apply(log_odds: Int8Grid, states: Grid, marks: Int16Rows, box: Box) -> tuple[int, int, Box]:
     """Change the log odds and states of the marked cells in a box, and clear the marks.
 
     Returns the number of cells that became known, the number of cells whose state or settledness changed, and a box

@@ -10,13 +10,12 @@ import math
 from abc import ABC, abstractmethod
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.mapping.estimator import LEAST, MOST, SETTLED, Estimator, Int8Grid
 from agent.settings import Settings
 from protocol.boxes import NO_BOX, Box
 from protocol.cell_bytes import cells_from_bytes
-from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, check_cell, ray_table
+from protocol.grid import FREE, HEADINGS, OCCUPIED, UNKNOWN, Cell, Grid, Mask, check_cell, ray_table
 from protocol.messages import Sense
 from protocol.own_map import OwnMapPart, decode_own_map
 from protocol.range_scans import (
@@ -58,9 +57,9 @@ class Mapper(ABC):
         ProtocolError if the readings do not fit the robot's laser; nothing has changed then.
         """
 
-    def settled(self) -> NDArray[np.bool_]:
+    def settled(self) -> Mask:
         """Return the cells of whose state the robot is certain, shape (h, w): with exact readings, all known ones."""
-        known: NDArray[np.bool_] = self.states != UNKNOWN
+        known: Mask = self.states != UNKNOWN
         return known
 
 
@@ -100,7 +99,7 @@ class EstimatingMapper(Mapper):
         self.known_cells = self._estimator.known_cells
         return scan, change
 
-    def settled(self) -> NDArray[np.bool_]:
+    def settled(self) -> Mask:
         """Return the cells whose log odds are far from 0."""
         return np.abs(self._estimator.log_odds) >= SETTLED
 
@@ -120,7 +119,7 @@ class GivenMapper(Mapper):
         if sense.own_map:
             change = self._apply(decode_own_map(sense.own_map, *self.states.shape), except_for=here.box)
         place = round((sense.x + 0.5) * UNIT), round((sense.y + 0.5) * UNIT)
-        scan = RangeScan(place, sense.heading * TURN // 8, np.empty(0, np.uint16))
+        scan = RangeScan(place, sense.heading * TURN // HEADINGS, np.empty(0, np.uint16))
         return scan, change.joined(self._apply(here))
 
     def _apply(self, part: OwnMapPart, except_for: Box | None = None) -> Change:
@@ -158,11 +157,10 @@ def add_scan(estimator: Estimator, scan: RangeScan, laser: Laser, resolution: fl
 def _near_cells(laser: Laser, resolution: float) -> int:
     """Return the distance in cells up to which beams are at most half a cell apart, and `NEAR_M` at most."""
     near = min(NEAR_M, laser.reach_mm / 1000) / resolution
-    apart = 2 * math.pi * laser.span / TURN / max(laser.beams - 1, 1)
-    return int(min(near, 0.5 / apart)) if laser.beams > 1 else 0
+    return int(min(near, 0.5 / laser.spacing_rad)) if laser.beams > 1 else 0
 
 
-def cell_ahead(sense: Sense, radius_cells: float) -> tuple[int, int]:
+def cell_ahead(sense: Sense, radius_cells: float) -> Cell:
     """Return the cell that a robot of this radius touches in the direction in which it drove."""
     angle, reach = sense.heading * math.pi / 4, radius_cells + 1
     return sense.x + round(reach * math.cos(angle)), sense.y + round(reach * math.sin(angle))

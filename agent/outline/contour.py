@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 from agent.outline.polygons import LEFT, RIGHT, SIDE_X, SIDE_Y, Polygons, Symbols
 from protocol.arrays import Int16Rows, Int32s, Int64s, Uint8s
 from protocol.boxes import Boxes, clip, whole_grid
-from protocol.grid import FREE, OCCUPIED, Grid
+from protocol.grid import FREE, OCCUPIED, Cell, Grid
 from protocol.kernels import kernel
 
 
-def contours(grid: Grid, robot: tuple[int, int]) -> Polygons:
+def contours(grid: Grid, robot: Cell) -> Polygons:
     """Extract the contours of the free space around the robot, as `Tracer.contours` of a single grid."""
     return Tracer(grid.shape).contours(grid, robot)
 
@@ -44,7 +44,7 @@ class Tracer:
         self._ends = np.empty((height, width + 1), np.int16)
         self._counts = np.zeros(height, np.int64)
 
-    def contours(self, grid: Grid, robot: tuple[int, int], changed: Boxes | None = None) -> Polygons:
+    def contours(self, grid: Grid, robot: Cell, changed: Boxes | None = None) -> Polygons:
         """Extract the contours of the free space around the robot.
 
         `grid` is the self-explored grid, shape (height, width), `robot` the robot's cell (x, y). Outside of the boxes

@@ -31,6 +31,7 @@ from protocol.kernels import kernel
 from protocol.packet_codec import LAYOUT_BY_BYTE, packet_at
 from protocol.packets import (
     ALL_KINDS,
+    LAYOUT_OF,
     MAX_VERTICES,
     Change,
     Delete,
@@ -40,7 +41,6 @@ from protocol.packets import (
     Remove,
     Replace,
     Save,
-    layout_of,
 )
 
 _EDITS = [ALL_KINDS.index(kind.name) for kind in get_args(Edit)]
@@ -51,12 +51,12 @@ _INSERT, _REPLACE, _CHANGE, _SAVE = (int(kind.code, 2) for kind in (Insert, Repl
 """First bytes of packets."""
 _DELETE, _REMOVE = int(Delete.code, 2), int(Remove.code, 2)
 """The four bits with which packets start."""
-_INDEX_AT, _X_AT, _Y_AT, _SIDE_AT, _OCCUPIED_AT = layout_of(Insert).shifts
-_OBJECT_AT, _COUNT_AT, _INSIDE_AT = layout_of(Emerge).shifts
-(_DELETED_AT,) = layout_of(Delete).shifts
-(_REMOVED_AT,) = layout_of(Remove).shifts
+_INDEX_AT, _X_AT, _Y_AT, _SIDE_AT, _OCCUPIED_AT = LAYOUT_OF[Insert].shifts
+_OBJECT_AT, _COUNT_AT, _INSIDE_AT = LAYOUT_OF[Emerge].shifts
+(_DELETED_AT,) = LAYOUT_OF[Delete].shifts
+(_REMOVED_AT,) = LAYOUT_OF[Remove].shifts
 """Left shifts of fields in packets."""
-_VERTEX_SPARE, _OBJECT_SPARE = ((1 << layout_of(kind).spare) - 1 for kind in (Insert, Emerge))
+_VERTEX_SPARE, _OBJECT_SPARE = ((1 << LAYOUT_OF[kind].spare) - 1 for kind in (Insert, Emerge))
 """Masks of the bits that must be zero."""
 
 SMALL = 3

@@ -18,20 +18,20 @@ from agent.outline.alignment import Cycles, align, align_lists, match_objects, m
 from agent.outline.polygons import Polygons, Symbols
 from protocol.arrays import Int32Rows, Int32s, Int64s, Uint8s
 from protocol.kernels import kernel
-from protocol.packets import MAX_OBJECTS, Change, Delete, Emerge, Insert, Remove, Replace, Save, layout_of
+from protocol.packets import LAYOUT_OF, MAX_OBJECTS, Change, Delete, Emerge, Insert, Remove, Replace, Save
 
 _INSERT, _DELETE, _EMERGE, _CHANGE, _REMOVE, _SAVE = (
     kind.size for kind in (Insert, Delete, Emerge, Change, Remove, Save)
 )
 """Bytes of packets."""
 _INSERT_CODE, _REPLACE_CODE, _DELETE_CODE, _EMERGE_CODE, _CHANGE_CODE, _REMOVE_CODE, _SAVE_CODE = (
-    layout_of(kind).fixed[1] for kind in (Insert, Replace, Delete, Emerge, Change, Remove, Save)
+    LAYOUT_OF[kind].fixed[1] for kind in (Insert, Replace, Delete, Emerge, Change, Remove, Save)
 )
 """Packets as numbers, with all fields 0."""
-_INDEX_AT, _X_AT, _Y_AT, _SIDE_AT, _OCCUPIED_AT = layout_of(Insert).shifts
-_OBJECT_AT, _COUNT_AT, _INSIDE_AT = layout_of(Emerge).shifts
-(_DELETED_AT,) = layout_of(Delete).shifts
-(_REMOVED_AT,) = layout_of(Remove).shifts
+_INDEX_AT, _X_AT, _Y_AT, _SIDE_AT, _OCCUPIED_AT = LAYOUT_OF[Insert].shifts
+_OBJECT_AT, _COUNT_AT, _INSIDE_AT = LAYOUT_OF[Emerge].shifts
+(_DELETED_AT,) = LAYOUT_OF[Delete].shifts
+(_REMOVED_AT,) = LAYOUT_OF[Remove].shifts
 """Left shifts of fields in packets."""
 _RECREATED = _REMOVE + _EMERGE
 """Bytes, besides the vertices, of an object that is removed and created instead of changed."""

@@ -33,7 +33,6 @@ from __future__ import annotations
 from collections.abc import Collection, Set
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.memo_cache import NO_CACHE, MemoCache
 from agent.outline.approximation import approximation
@@ -57,7 +56,7 @@ from agent.outline.objects import Objects
 from agent.outline.polygons import Polygons
 from protocol.arrays import BoolRows, Int32s, Uint8
 from protocol.boxes import NO_BOXES, Boxes, clip, union, whole_grid
-from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Cell, Grid, Mask
 from protocol.kernels import kernel
 
 
@@ -142,7 +141,7 @@ def approximation_error(own: Grid, polygons: Polygons, drawing: Drawing = THESIS
     return int(np.count_nonzero(own != rendered(polygons, drawing)))
 
 
-def exact_error(own: Grid, robot: tuple[int, int], drawing: Drawing = THESIS) -> int:
+def exact_error(own: Grid, robot: Cell, drawing: Drawing = THESIS) -> int:
     """Count what `approximation_error` is for the exact contours of a grid: the part that is not due to coarseness.
 
     Free edges of inside objects alone cover 1 to 3 % of the cells, which hides the effect of the splitting frequency.
@@ -161,7 +160,7 @@ class ErrorCount:
         self._drawing = drawing
         self._cache = cache
         self._drawn: DrawnClaims | None = None
-        self._wrong: NDArray[np.bool_] = np.zeros((0, 0), np.bool_)
+        self._wrong: Mask = np.zeros((0, 0), np.bool_)
         self._count = 0
 
     def count(

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.arrays import Int32s
+from protocol.grid import Cell
 from protocol.kernels import kernel
 
 BELOW, RIGHT, ABOVE, LEFT = 0, 1, 2, 3
@@ -80,7 +81,7 @@ class Polygons:
 
 
 @kernel
-def cell_of(symbol: Symbol) -> tuple[int, int]:
+def cell_of(symbol: Symbol) -> Cell:
     """Return the cell (x, y) of a vertex."""
     return (symbol >> 3 & 0xFFF) - 1, (symbol >> 15) - 1
 

@@ -13,15 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Cell, Grid
 
 MOST_TIMES = 3
 """Failures at one place after which a robot does not try again."""
 
 MARGIN_CELLS = 1.5
 """Cells beyond the robot's radius in which no obstacle is drawn, since the robot stands there."""
-
-Cell = tuple[int, int]
 
 
 @dataclass

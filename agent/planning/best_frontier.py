@@ -27,7 +27,7 @@ from agent.planning.cost_field import (
 from agent.planning.frontier import Floor, is_enclosed, is_frontier
 from agent.planning.utility import in_sight
 from protocol.arrays import Bools, Cells, Floats
-from protocol.grid import Grid
+from protocol.grid import Cell, Grid
 from protocol.kernels import kernel
 
 
@@ -49,9 +49,7 @@ class TradeOff(NamedTuple):
 _TradeOff = tuple[Cells, Floats, Floats, float, float]
 
 
-def best_frontier(
-    floor: Floor, grid: Grid, x: int, y: int, trade_off: TradeOff
-) -> tuple[tuple[int, int], Cells] | None:
+def best_frontier(floor: Floor, grid: Grid, x: int, y: int, trade_off: TradeOff) -> tuple[Cell, Cells] | None:
     """Find the frontier cell of the largest U - beta V among those that can be reached from (x, y).
 
     The result equals that of `agent.planning.utility.utilities` and `agent.planning.cost_field.costs` for all cells. Of

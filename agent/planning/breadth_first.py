@@ -12,13 +12,13 @@ from numpy.typing import ArrayLike
 
 from agent.planning.cost_field import STEPS
 from protocol.arrays import Cells, Floats
-from protocol.grid import FREE, UNKNOWN, Grid
+from protocol.grid import FREE, UNKNOWN, Cell, Grid
 from protocol.kernels import kernel
 
 
 def first_by_hops(
-    floor: Grid, grid: Grid, start: tuple[int, int], taken: Cells, ranges: ArrayLike
-) -> tuple[tuple[int, int], Cells] | None:
+    floor: Grid, grid: Grid, start: Cell, taken: Cells, ranges: ArrayLike
+) -> tuple[Cell, Cells] | None:
     """Find the first frontier cell of a breadth-first search from `start`, and the way to it.
 
     `floor` has the cells that the robot may enter, its own cell included. `taken` are the targets of teammates; each

@@ -19,7 +19,7 @@ from agent.planning.clusters import Clusters, cluster_groups
 from agent.planning.path_planner import PathPlanner
 from agent.planning.utility import sees
 from protocol.arrays import Bools, Cells, Int64s
-from protocol.grid import Grid
+from protocol.grid import Cell, Grid
 from protocol.kernels import kernel
 
 CANDIDATES = ("cells", "rfe", "anr", "breadth-first", "hops")
@@ -48,8 +48,8 @@ def goal_candidates(kind: str, frontier: Cells, range_cells: float, robots: int)
 def searched_candidate(
     kind: str,
     planner: PathPlanner,
-    here: tuple[int, int],
-    targets: Sequence[tuple[int, int]],
+    here: Cell,
+    targets: Sequence[Cell],
     ranges: ArrayLike,
 ) -> Cells:
     """Return the goal that a search from the robot's cell `here` finds; no cell only if no frontier cell is reachable.

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from agent.planning.frontier import Floor, is_enclosed, is_frontier
 from protocol.arrays import Bools, Cells, FloatRows, Floats, Int32Rows, Int32s, Int64s, Uint8s
-from protocol.grid import FREE, Grid
+from protocol.grid import FREE, Cell, Grid
 from protocol.kernels import kernel
 
 Field = FloatRows
@@ -72,9 +72,7 @@ def workspace(cells: int) -> Workspace:
     return np.full(cells, FAR, np.int64), np.zeros(cells, np.uint8), np.empty(cells, np.int32)
 
 
-def way_between(
-    floor: Floor, start: tuple[int, int], end: tuple[int, int], length: float = math.inf
-) -> Cells | None:
+def way_between(floor: Floor, start: Cell, end: Cell, length: float = math.inf) -> Cells | None:
     """Return the cells of a shortest way between two cells, without the start; None if there is none.
 
     The way equals that of `way` on a whole field, but the search ends at `end`. If its `length` is known, in cells as
@@ -105,7 +103,7 @@ def costs_to(floor: Floor, x: int, y: int, cells: Cells) -> Floats:
 
 def nearest_first(
     floor: Floor, grid: Grid, x: int, y: int, taken: Cells, ranges: ArrayLike
-) -> tuple[tuple[int, int], Cells] | None:
+) -> tuple[Cell, Cells] | None:
     """Find the frontier cell nearest to (x, y) that is out of range of every `taken` cell.
 
     Without one, the nearest of all frontier cells. The search ends with the bucket of this cell. Of equally near cells

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import numpy as np
-from numpy.typing import NDArray
 
 from protocol.arrays import BoolRows, Bools, Cells, Int32Rows
-from protocol.grid import FREE, UNKNOWN, Grid
+from protocol.grid import FREE, UNKNOWN, Grid, ReadOnlyGrid
 from protocol.kernels import kernel
 
 
@@ -91,7 +88,7 @@ def is_enclosed(free: Bools, cell: int, stride: int) -> bool:
 
 
 @kernel
-def _laid_out(grid: Annotated[NDArray[np.uint8], "Array(uint8, 2, 'C', readonly=True)"]) -> Bools:
+def _laid_out(grid: ReadOnlyGrid) -> Bools:
     height, width = grid.shape
     free = np.zeros((height + 2) * (width + 2), np.bool_)
     for y in range(height):

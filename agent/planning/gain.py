@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from protocol.arrays import Cells, Floats, Int32Rows, Int32s, Int64s
-from protocol.grid import OCCUPIED, UNKNOWN, Grid, ray_table
+from protocol.grid import OCCUPIED, UNKNOWN, Cell, Grid, ray_table
 from protocol.kernels import kernel
 
 BEAMS = 92
@@ -27,7 +27,7 @@ def information_gain(
     grid: Grid,
     cells: Cells,
     range_cells: float,
-    others: Sequence[tuple[int, int]],
+    others: Sequence[Cell],
     ranges: ArrayLike | None = None,
 ) -> Int64s:
     """Count the unknown cells within range of each of `cells` and out of range of all `others`, shape (n,).

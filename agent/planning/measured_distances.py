@@ -14,7 +14,7 @@ import numpy as np
 
 from agent.planning.utility import in_sight
 from protocol.arrays import Cells, Floats, Int32Rows, Int32s, Int64s
-from protocol.grid import OCCUPIED, UNKNOWN, Grid, ray_table
+from protocol.grid import OCCUPIED, UNKNOWN, Cell, Grid, ray_table
 from protocol.kernels import kernel
 
 
@@ -26,7 +26,7 @@ class MeasuredDistances:
         self._counts = np.zeros(math.ceil(longest) + 1, np.int64)
         """Beams by the whole part of their length in cells; those without a hit count at the last place."""
 
-    def add(self, grid: Grid, cell: tuple[int, int], range_cells: float) -> None:
+    def add(self, grid: Grid, cell: Cell, range_cells: float) -> None:
         """Cast the beams of a robot in a cell; beams that end in unknown cells do not count."""
         table = ray_table(range_cells, self._beams)
         _cast(grid, cell[0], cell[1], table.cells, table.start, self._counts)

@@ -18,16 +18,14 @@ import math
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.planning.avoided import AvoidedTargets
 from agent.planning.frontier import frontier_cells
 from agent.planning.path_planner import PathPlanner
 from protocol.arrays import Cells
 from protocol.body import Body
-from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Cell, Grid, Mask
 from protocol.kernels import kernel
-from protocol.range_scans import TURN, Laser
 
 LEAST_CELLS = 2
 """Cells of the shortest frontier that is worth exploring, at least."""
@@ -67,7 +65,7 @@ class NoisyGrid:
         """The planning grid of the last call of `clean`."""
         self._wide: Grid = np.empty((height, width), np.uint8)
         """The same without narrow gaps and openings."""
-        self._here: tuple[int, int] | None = None
+        self._here: Cell | None = None
 
     def drive(self, x: int, y: int) -> None:
         """Note that the robot has driven straight to cell (x, y)."""
@@ -105,7 +103,7 @@ class NoisyGrid:
         self._update(planning)
         return self._without_avoided(self._without_specks(self._wide.copy()))
 
-    def clean_optimistic(self, planning: Grid, doubtful: NDArray[np.bool_]) -> Grid:
+    def clean_optimistic(self, planning: Grid, doubtful: Mask) -> Grid:
         """Return the same as if all doubtful walls, shape (h, w), were free; no target is avoided."""
         optimistic, found = np.where(doubtful, np.uint8(FREE), planning), np.empty_like(planning)
         _without_gaps(optimistic, self._narrow, self._marks, found)
@@ -137,7 +135,7 @@ class NoisyGrid:
             self.avoided.draw(grid, self._here)
         return grid
 
-    def _doubtful_walls(self, planning: Grid, own: Grid) -> NDArray[np.bool_]:
+    def _doubtful_walls(self, planning: Grid, own: Grid) -> Mask:
         """Return the walls of teammates' maps near the robot that its own map has as free, shape (h, w)."""
         doubtful = np.zeros(planning.shape, np.bool_)
         if self._here is not None:
@@ -159,13 +157,8 @@ def shortest_frontier(bodies: Iterable[Body]) -> int:
 
     Planning grids contain the scans of the whole team, so the coarsest laser of all robots counts.
     """
-    longest = max(FEW_BEAMS * _cells_apart(body.laser, body.range_cells) for body in bodies if body.laser)
+    longest = max(FEW_BEAMS * (body.laser.spacing_rad * body.range_cells) for body in bodies if body.laser)
     return max(LEAST_CELLS, min(math.ceil(longest), LONGEST_SPECK))
-
-
-def _cells_apart(laser: Laser, range_cells: float) -> float:
-    """Return the distance in cells between the ends of neighboring beams at the sensor range."""
-    return 2 * math.pi * laser.span / TURN / max(laser.beams - 1, 1) * range_cells
 
 
 @kernel

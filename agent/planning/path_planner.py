@@ -17,13 +17,11 @@ from agent.planning.frontier import Floor, Regions
 from agent.planning.jump_point_search import GoalCosts
 from agent.planning.occupancy import barred, entry_costs, weighted_costs
 from protocol.arrays import Cells, FloatRows, Floats
-from protocol.grid import OCCUPIED, Grid, enlarge
+from protocol.grid import OCCUPIED, Cell, Grid, enlarge
 
 COSTS = ("shortest", "weighted")
 """Cost of a way. ``shortest``: its length. ``weighted``: its length times the occupancy of a smoothed map, so that ways
 keep away from walls (Burgard et al. 2005, section II-A)."""
-
-Cell = tuple[int, int]
 
 
 class PathPlanner:

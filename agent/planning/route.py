@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from itertools import zip_longest
+
 import numpy as np
 
 from agent.planning.path_planner import PathPlanner
 from protocol.arrays import Cells
-from protocol.grid import FINE, FREE, Grid
+from protocol.grid import FINE, FREE, Cell, Grid, Point, cell_of
 from protocol.kernels import kernel
 
 _NOWHERE = np.empty((0, 2), np.int32)
@@ -19,7 +21,7 @@ class Route:
         self.cells: Cells = _NOWHERE
         """The cells of the way, without the robot's own cell: int32 array, shape (n, 2)."""
 
-    def lead(self, planner: PathPlanner, start: tuple[int, int], end: tuple[int, int]) -> bool:
+    def lead(self, planner: PathPlanner, start: Cell, end: Cell) -> bool:
         """Plan a best way from `start` to `end`; return whether there is one. Without one, the route is empty."""
         found = planner.path(start, end)
         self.cells = _NOWHERE if found is None else found
@@ -35,7 +37,7 @@ class Route:
         if done:
             self.cells = self.cells[done:]
 
-    def is_open(self, floor: Grid, start: tuple[int, int]) -> bool:
+    def is_open(self, floor: Grid, start: Cell) -> bool:
         """Return whether the remaining cells from `start` on are free on `floor`, and both beside each diagonal."""
         return bool(_is_open(floor, *start, self.cells))
 
@@ -61,7 +63,7 @@ def _is_open(floor: Grid, x: int, y: int, cells: Cells) -> bool:
     return True
 
 
-def straighten(floor: Grid, start: tuple[int, int], cells: Cells) -> Cells:
+def straighten(floor: Grid, start: Cell, cells: Cells) -> Cells:
     """Straighten a way by ray shooting: from each corner straight to the farthest visible cell of the way.
 
     A cell is visible if a straight, 8-connected line of free cells leads to it, and the cells beside its diagonal steps
@@ -96,44 +98,38 @@ def is_line_free(floor: Grid, x: int, y: int, to_x: int, to_y: int) -> bool:
     return True
 
 
-def corners(floor: Grid, start: tuple[int, int], cells: Cells) -> Cells:
+def corners(floor: Grid, start: Point, cells: Cells) -> Cells:
     """Return the waypoints of a way that may leave the centers of cells: its bends and its end.
 
     `start` and the result, shape (m, 2), are in thousandths of a cell. The first of `cells` is a neighbor of the
     robot's cell. If no straight line leads to it, the center of the robot's own cell comes first.
     """
-    points = cells * FINE
-    found: list[Cells] = []
-    at = np.array(start, np.int32)
-    if len(points) and not _is_line_clear(floor, *map(int, at), *map(int, points[0])):
-        at = (at + FINE // 2) // FINE * FINE
+    points = [(x * FINE, y * FINE) for x, y in cells.tolist()]
+    found: list[Point] = []
+    at = start
+    if points and not _is_line_clear(floor, *at, *points[0]):
+        x, y = cell_of(at)
+        at = x * FINE, y * FINE
         found.append(at)
-    next_one = 0
-    while next_one < len(points):
-        while next_one + 1 < len(points) and _is_line_clear(
-            floor, *map(int, at), *map(int, points[next_one + 1])
-        ):
-            next_one += 1
-        at = points[next_one]
-        found.append(at)
-        next_one += 1
+    for point, ahead in zip_longest(points, points[1:]):
+        if ahead is None or not _is_line_clear(floor, *at, *ahead):
+            at = point
+            found.append(at)
     return np.array(found, np.int32).reshape(-1, 2)
 
 
-def crossed(start: tuple[int, int], points: Cells, most: float) -> Cells:
+def crossed(start: Point, points: Cells, most: float) -> Cells:
     """Return the cells that the lines from point to point cross, in order: int32 array, shape (m, 2).
 
     Lines that begin after more than `most` cells are left out. `start` and `points`, shape (n, 2), are in thousandths
     of a cell.
     """
-    found: list[tuple[int, int]] = []
-    at = start
-    last = (at[0] + FINE // 2) // FINE, (at[1] + FINE // 2) // FINE
+    found: list[Cell] = []
+    at, last = start, cell_of(start)
     for x, y in points.tolist():
         pieces = max(1, max(abs(x - at[0]), abs(y - at[1])) // (FINE // 10))
         for piece in range(1, pieces + 1):
-            ahead = at[0] + (x - at[0]) * piece // pieces, at[1] + (y - at[1]) * piece // pieces
-            cell = (ahead[0] + FINE // 2) // FINE, (ahead[1] + FINE // 2) // FINE
+            cell = cell_of((at[0] + (x - at[0]) * piece // pieces, at[1] + (y - at[1]) * piece // pieces))
             if cell != last:
                 found.append(cell)
                 last = cell

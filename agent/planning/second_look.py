@@ -18,7 +18,7 @@ from agent.planning.frontier import frontier_cells
 from agent.planning.path_planner import PathPlanner
 from agent.settings import Settings
 from protocol.arrays import Cells
-from protocol.grid import FREE, OCCUPIED, Grid
+from protocol.grid import FREE, OCCUPIED, Cell, Grid, Mask
 
 PATIENCE = 20
 """Steps for which a robot looks, besides the time that it needs to drive there: people move on, and fade from maps."""
@@ -61,7 +61,7 @@ class SecondLook:
         if self._busy_steps >= BUSY:
             self._steps_left = math.inf
 
-    def way(self, grid: Grid, here: tuple[int, int]) -> Cells | None:
+    def way(self, grid: Grid, here: Cell) -> Cells | None:
         """Return the cells of a way to where the robot looks again, without the start.
 
         None if nothing is cut off, or if the robot has looked for long enough: it has called this once per step.
@@ -73,7 +73,7 @@ class SecondLook:
             self._steps_left = min(self._steps_left, PATIENCE + len(way) / self._speed) - 1
         return way
 
-    def _way(self, grid: Grid, here: tuple[int, int]) -> Cells | None:
+    def _way(self, grid: Grid, here: Cell) -> Cells | None:
         from scipy import ndimage  # noqa: PLC0415  slow to import, and needed only near the end of a run
 
         planner = PathPlanner(grid, radius_cells=self._radius)
@@ -96,7 +96,7 @@ class SecondLook:
         return _NOWHERE if way is None else way
 
     def _way_to_doubtful_wall(
-        self, grid: Grid, here: tuple[int, int], frontier: Cells, planner: PathPlanner
+        self, grid: Grid, here: Cell, frontier: Cells, planner: PathPlanner
     ) -> Cells | None:
         """Return the open part of the way to a frontier cell that doubtful walls close; None if there is none."""
         without = np.where(self._doubtful(grid), np.uint8(FREE), grid)
@@ -109,12 +109,12 @@ class SecondLook:
         closed = planner.floor[way[:, 1], way[:, 0]] != FREE
         return way[: int(np.argmax(closed))] if closed.any() else way
 
-    def _doubtful(self, grid: Grid) -> NDArray[np.bool_]:
+    def _doubtful(self, grid: Grid) -> Mask:
         """Return the doubtful walls, shape (h, w)."""
         from scipy import ndimage  # noqa: PLC0415  slow to import, and needed only near the end of a run
 
         walls = grid == OCCUPIED
         labels, _ = ndimage.label(walls, np.ones((3, 3)))
         small = np.bincount(labels.ravel())[labels] <= self._small
-        doubtful: NDArray[np.bool_] = walls & (small | (self._free_steps >= LASTING))
+        doubtful: Mask = walls & (small | (self._free_steps >= LASTING))
         return doubtful

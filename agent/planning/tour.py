@@ -5,6 +5,8 @@ The solution is that of Held and Karp (1962), in fast-tsp. `agent.planning.lin_k
 
 from __future__ import annotations
 
+from itertools import permutations
+
 import fast_tsp
 import numpy as np
 
@@ -26,10 +28,8 @@ def open_tour(from_start: Floats, between: FloatRows, to_end: Floats) -> list[in
     """
     count = len(from_start)
     if count <= 2:
-        both = [(from_start[0], [0])] if count == 1 else [
-            (from_start[one] + between[one, 1 - one] + to_end[1 - one], [one, 1 - one]) for one in (0, 1)
-        ]  # fmt: skip
-        return min(both)[1]
+        orders = [list(order) for order in permutations(range(count))]
+        return min(orders, key=lambda it: from_start[it[0]] + between[it[0], it[-1]] + to_end[it[-1]])
     # A closed tour with two more nodes: the start, node n, and a way back, node n + 1. The way back costs nothing
     # to the start and much to a goal, so the tour uses it once, and the goals form one path.
     most = (count + 2) * max(from_start.max(), between.max(), to_end.max(), 1e-9)

@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from protocol.arrays import Cells, Floats, Int32s
-from protocol.grid import OCCUPIED, Grid
+from protocol.grid import OCCUPIED, Cell, Grid
 from protocol.kernels import kernel
 
 
 def utilities(
     grid: Grid,
     cells: Cells,
-    targets: Sequence[tuple[int, int]] | Cells,
+    targets: Sequence[Cell] | Cells,
     range_cells: ArrayLike,
     weights: Sequence[float] | Floats | None = None,
 ) -> Floats:

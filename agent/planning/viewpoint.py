@@ -14,7 +14,7 @@ import numpy as np
 
 from agent.planning.path_planner import PathPlanner
 from protocol.arrays import Bools, Cells, Floats, Int32Rows, Int32s, Int64s
-from protocol.grid import FREE, UNKNOWN, Grid, RayTable
+from protocol.grid import FREE, UNKNOWN, Cell, Grid, RayTable
 from protocol.kernels import kernel
 
 _BEGUN = 1 / 2
@@ -28,7 +28,7 @@ _OUTSIDE = 255
 
 
 def viewpoint_cells(
-    grid: Grid, goal: tuple[int, int], around: RayTable, reach: float, among: Cells | None = None
+    grid: Grid, goal: Cell, around: RayTable, reach: float, among: Cells | None = None
 ) -> Cells:
     """Find all cells from which a beam reaches an unknown 4-neighbor of a goal over free cells, row by row.
 
@@ -83,8 +83,8 @@ def _arrivals(around: RayTable, reach: float) -> _Arrivals:
 
 
 def best_viewpoint(
-    planner: PathPlanner, here: tuple[int, int], views: Iterable[Cells | None], goals: Cells, step: float
-) -> tuple[int, int] | None:
+    planner: PathPlanner, here: Cell, views: Iterable[Cells | None], goals: Cells, step: float
+) -> Cell | None:
     """Choose the viewpoint of the first goal of a tour with the shortest way through it and on through the tour.
 
     Goals that are visible from this viewpoint as well need no further way. The robot, in cell `here`, scans at the end
@@ -147,9 +147,7 @@ def _are_selected(cells: Cells, selection: Cells) -> Bools:
 
 
 @kernel
-def _trace_back(
-    grid: Grid, center: tuple[int, int], arrivals: _Arrivals, tests_all: bool, candidates: Cells
-) -> Cells:
+def _trace_back(grid: Grid, center: Cell, arrivals: _Arrivals, tests_all: bool, candidates: Cells) -> Cells:
     """Return the cells from which a beam reaches an unknown neighbor of the goal `center`, row by row.
 
     Each beam is followed backwards, if its last step comes from a free cell. Unless `tests_all`, only the candidates

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from protocol.arrays import Cells, Int64Rows, Int64s
-from protocol.grid import FINE, FREE, Grid
+from protocol.grid import FINE, FREE, Grid, Point
 from protocol.kernels import kernel
 
 MARGIN = 100
@@ -21,7 +21,7 @@ MARGIN = 100
 _HALF = FINE // 2
 
 
-def shortest_way(floor: Grid, start: tuple[int, int], goals: Cells, most: float) -> Cells | None:
+def shortest_way(floor: Grid, start: Point, goals: Cells, most: float) -> Cells | None:
     """Find the shortest way to the center of the nearest of `goals`, free cells, over cells that the robot may enter.
 
     `start` is the robot's position in thousandths of a cell; if it is too close to an obstacle, the way begins at the

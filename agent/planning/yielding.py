@@ -12,6 +12,7 @@ import numpy as np
 
 from agent.planning.path_planner import PathPlanner
 from agent.planning.route import Route
+from protocol.grid import Cell
 from protocol.keyed_random import keyed_random
 
 MOBILE = ("robot", "person")
@@ -28,8 +29,6 @@ FARTHEST = 4
 
 GIVE_UP = 10
 """Number of stops in one cell after which the robot chooses another target."""
-
-Cell = tuple[int, int]
 
 
 class YieldBehavior:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from protocol.arrays import Int32Rows
 from protocol.boxes import Box
+from protocol.grid import Cell
 from protocol.kernels import kernel
 
 
@@ -45,7 +46,7 @@ class DecodedUpdate:
     """Dependencies that the update names, by ascending map ID."""
     ends: tuple[int, ...] = ()
     """Number of updates of each map on which the update depends, named or not; 0 of its own map."""
-    pose: tuple[int, int] | None = None
+    pose: Cell | None = None
     """Cell of the author's last scan; None before the first."""
     key: bytes = b""
     """Hash of the messages on which this content depends (`key_of`)."""

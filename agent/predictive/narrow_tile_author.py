@@ -16,9 +16,8 @@ Of each kind, those with the most value per byte go first.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from agent.mapping.bound import Bound
+from agent.mapping.bound import Bound, TileMask
 from agent.mapping.estimator import Int8Grid
 from agent.predictive.tile_stream import TileStream
 from agent.predictive.tile_value import TileValues
@@ -50,7 +49,7 @@ class NarrowTileAuthor(UrgentTileAuthor):
         """Whether more tiles wait than the last update has."""
         return self._is_full
 
-    def _order(self, values: TileValues, useful: NDArray[np.bool_]) -> Int64s:
+    def _order(self, values: TileValues, useful: TileMask) -> Int64s:
         complete = self._complete(values, useful)
         less = self._violate & ~useful & (values.cells > 0)
         kinds = complete, useful & ~complete, less

@@ -11,7 +11,7 @@ from agent.predictive.history import DecodedUpdate
 from agent.predictive.scan_stream import ScanStream
 from agent.predictive.scan_updates import REPORTED
 from protocol.boxes import Box, bounding_box
-from protocol.grid import UNKNOWN, Grid
+from protocol.grid import UNKNOWN, Cell, Grid
 from protocol.kernels import kernel
 from protocol.range_scans import RangeScan
 from protocol.scans import Change, Scan
@@ -27,7 +27,7 @@ CELLS_PER_BYTE = 3
 class _Pending:
     """Input of the next update: cells from which the robot scanned, and where its grid has changed since the last."""
 
-    poses: list[tuple[int, int]] = field(default_factory=list)
+    poses: list[Cell] = field(default_factory=list)
     boxes: list[Box] = field(default_factory=list)
     steps: int = 0
 

@@ -34,7 +34,7 @@ from agent.predictive.wall_model import no_model, start_model
 from protocol.arrays import Uint8s
 from protocol.boxes import NO_BOX, Box, bounding_box
 from protocol.errors import ProtocolError
-from protocol.grid import UNKNOWN, Grid, RayTable
+from protocol.grid import UNKNOWN, Cell, Grid, RayTable
 from protocol.packets import Update
 
 NO_LIMIT = 1 << 40
@@ -93,7 +93,7 @@ class ScanStream(Stream):
         """Box in which the author's self-explored grid may differ from the reported one, after an incomplete update."""
 
     def encode(
-        self, own: Grid, poses: Sequence[tuple[int, int]], box: Box, *, most: float = math.inf
+        self, own: Grid, poses: Sequence[Cell], box: Box, *, most: float = math.inf
     ) -> tuple[bytes, DecodedUpdate, int] | None:
         """Encode an update of what has changed in a self-explored grid, up to a limit.
 
@@ -116,7 +116,7 @@ class ScanStream(Stream):
         return None if encoded is None else (*encoded, scans)
 
     def _write(
-        self, coder: Coder, own: Grid, poses: Sequence[tuple[int, int]], box: Box, most: float
+        self, coder: Coder, own: Grid, poses: Sequence[Cell], box: Box, most: float
     ) -> tuple[DecodedUpdate | None, int]:
         """Encode an update and apply it to the grid; return it, None if empty, and the number of covered poses."""
         motion, grid, scratch = self._motion, self.grid, self._scratch
@@ -196,7 +196,7 @@ class ScanStream(Stream):
         is_full = changed > 0 and _place(coder) >= self._last_byte - LEAST_SCAN
         return self.is_cut or is_full or scans == MAX_SCANS
 
-    def _find_new_cells(self, own: Grid, poses: Sequence[tuple[int, int]]) -> list[NDArray[np.int32]]:
+    def _find_new_cells(self, own: Grid, poses: Sequence[Cell]) -> list[NDArray[np.int32]]:
         """Return the cells that each scan reveals and no later one, as indices of the flat grid."""
         grid = self.grid
         counted, found, end = np.zeros(grid.shape, np.bool_), np.empty(grid.size, np.int32), 0
@@ -219,7 +219,7 @@ class ScanStream(Stream):
         first = contexts.MORE_SCANS_NARROW if self.is_narrow else contexts.MORE_SCANS
         return int(code_bit(coder, first + min(scans, 3), more, REST_MOST))
 
-    def _choose_bases(self, coder: Coder, own: Grid, poses: Sequence[tuple[int, int]], box: Box) -> list[Box]:
+    def _choose_bases(self, coder: Coder, own: Grid, poses: Sequence[Cell], box: Box) -> list[Box]:
         """Encode the dependencies; return boxes in which they contradict the self-explored grid."""
         reach = self._reach
         centers = [*poses, self.pose] if self.is_cut and self.pose else poses

@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 
 from agent.predictive.history import DecodedUpdate, History
 from agent.predictive.stream import Stream
+from protocol.grid import Cell
 
 MAX_DECODERS = 4
 """Decoders kept per log; a dropped one that is needed again restarts from the beginning of the log."""
@@ -83,7 +84,7 @@ class CachedReader:
         self._map_id = map_id
 
     @property
-    def pose(self) -> tuple[int, int] | None:
+    def pose(self) -> Cell | None:
         """Cell (x, y) of the author's last scan; None before the first."""
         last = self._histories[self._map_id].last
         return last.pose if last is not None else None

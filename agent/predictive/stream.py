@@ -39,7 +39,7 @@ from agent.predictive.scan_updates import REPORTED, SCANS, STATE, Motion, X, Y, 
 from protocol.arrays import Bools, Cells, Int32s, Int64s, Uint8s
 from protocol.boxes import NO_BOX, Box
 from protocol.errors import ProtocolError
-from protocol.grid import UNKNOWN, Grid, check_cell
+from protocol.grid import UNKNOWN, Cell, Grid, check_cell
 from protocol.kernels import kernel
 from protocol.packets import Update
 
@@ -104,7 +104,7 @@ class Stream(ABC):
         """Cells written by the last update, as flat indices, and their previous values, in the order of writing."""
 
     @property
-    def pose(self) -> tuple[int, int] | None:
+    def pose(self) -> Cell | None:
         """Cell (x, y) of the author's last scan; None before the first."""
         return (int(self._motion[X]), int(self._motion[Y])) if self._motion[SCANS] else None
 
@@ -250,7 +250,7 @@ class Stream(ABC):
             self._overlay(update)
         return updates
 
-    def _read_pose(self, coder: Coder) -> tuple[int, int]:
+    def _read_pose(self, coder: Coder) -> Cell:
         """Decode the cell of a scan; ProtocolError if it lies outside the grid."""
         self._code_pose(coder, 0, 0)
         x, y = int(self._motion[X]), int(self._motion[Y])

@@ -14,9 +14,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from agent.mapping.bound import TILE, Bound, tiles_of
+from agent.mapping.bound import TILE, Bound, TileMask, tiles_of
 from agent.mapping.estimator import Int8Grid
 from agent.predictive.author import Author
 from agent.predictive.history import DecodedUpdate
@@ -69,7 +68,7 @@ class TileAuthor(Author[TileStream]):
         """The step since which each tile has been waiting; `_NEVER` if it fulfills the bound."""
         self._encoded = self._waiting_since
         """`_waiting_since` before the last update."""
-        self._chosen: NDArray[np.bool_] = np.zeros(shape, np.bool_)
+        self._chosen: TileMask = np.zeros(shape, np.bool_)
         """The tiles that `encode` chose last."""
 
     @property
@@ -103,7 +102,7 @@ class TileAuthor(Author[TileStream]):
         is_late = (self._waiting_since[violate] <= self._step - self._longest_wait).any()
         return bool((stands_still or is_late) and self._step >= self._last_step + self._interval)
 
-    def _drop_fulfilled(self, own: Grid, log_odds: Int8Grid) -> NDArray[np.bool_]:
+    def _drop_fulfilled(self, own: Grid, log_odds: Int8Grid) -> TileMask:
         """Return the ready tiles that violate the bound; those that fulfill it stop waiting."""
         ready = self._ready()
         if not ready.any():
@@ -112,15 +111,15 @@ class TileAuthor(Author[TileStream]):
         self._waiting_since[ready & ~violate] = _NEVER
         return violate
 
-    def _ready(self) -> NDArray[np.bool_]:
+    def _ready(self) -> TileMask:
         """Return the tiles that may be encoded."""
         is_quiet = self._changed <= self._step - self.quiet_steps
         is_late = self._waiting_since <= self._step - self._longest_wait
         return self._waits() & (is_quiet | is_late)
 
-    def _waits(self) -> NDArray[np.bool_]:
+    def _waits(self) -> TileMask:
         """Return the tiles that wait."""
-        waits: NDArray[np.bool_] = self._waiting_since != _NEVER
+        waits: TileMask = self._waiting_since != _NEVER
         return waits
 
     def encode(self, own: Grid, log_odds: Int8Grid, most: float) -> tuple[bytes, DecodedUpdate] | None:
@@ -138,7 +137,7 @@ class TileAuthor(Author[TileStream]):
         since[chosen] = _NEVER
         return encoded
 
-    def _choose(self, own: Grid, log_odds: Int8Grid, most: float) -> NDArray[np.bool_]:
+    def _choose(self, own: Grid, log_odds: Int8Grid, most: float) -> TileMask:
         """Return the tiles of the next update: those that are ready, or the first ones to wait."""
         chosen = self._ready()
         places = np.flatnonzero(chosen)

@@ -9,10 +9,9 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agent.mapping.block_bound import BlockBound
-from agent.mapping.bound import TILE, Bound, tiles_of
+from agent.mapping.bound import TILE, Bound, TileMask, tiles_of
 from agent.mapping.estimator import Int8Grid
 from agent.predictive import block_tiles, contexts
 from agent.predictive.block_tiles import code_block_tiles
@@ -24,7 +23,7 @@ from agent.predictive.scan_updates import code_pose
 from agent.predictive.stream import Stream
 from agent.predictive.tiles import code_tiles, start_model
 from protocol.boxes import Box, box_of
-from protocol.grid import Grid
+from protocol.grid import Cell, Grid
 
 
 class TileStream(Stream):
@@ -44,7 +43,7 @@ class TileStream(Stream):
         self.bases: list[Box] = []
         """Boxes of the other maps' updates on which the last encoded update was the first to depend."""
 
-    def violations(self, own: Grid, log_odds: Int8Grid, bound: Bound, tiles: Grid) -> NDArray[np.bool_]:
+    def violations(self, own: Grid, log_odds: Int8Grid, bound: Bound, tiles: Grid) -> TileMask:
         """Return which of the marked tiles violate the bound; the parameters are those of `encode`."""
         self._apply(own, log_odds, bound, tiles)
         return self._changed.astype(np.bool_)
@@ -54,7 +53,7 @@ class TileStream(Stream):
         return bound.apply(own, log_odds, self.grid, tiles, self.target, self._changed)
 
     def encode(
-        self, own: Grid, log_odds: Int8Grid, bound: Bound, tiles: Grid, pose: tuple[int, int]
+        self, own: Grid, log_odds: Int8Grid, bound: Bound, tiles: Grid, pose: Cell
     ) -> tuple[bytes, DecodedUpdate] | None:
         """Encode an update after which the cells of some tiles fulfill the bound.
 
@@ -79,7 +78,7 @@ class TileStream(Stream):
 
         return self._encode(write)
 
-    def size(self, own: Grid, log_odds: Int8Grid, bound: Bound, tiles: Grid, pose: tuple[int, int]) -> int:
+    def size(self, own: Grid, log_odds: Int8Grid, bound: Bound, tiles: Grid, pose: Cell) -> int:
         """Return the bytes of the update that `encode` would return, 0 for None; the stream is unchanged."""
         encoded = self.encode(own, log_odds, bound, tiles, pose)
         if encoded is None:

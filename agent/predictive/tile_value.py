@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.mapping.bound import TILE
+from agent.mapping.bound import TILE, TileMask
 from protocol.arrays import Floats
 from protocol.grid import FREE, UNKNOWN, Grid
 from protocol.kernels import kernel
@@ -35,7 +35,7 @@ class TileValues:
     """New cells of each tile, and `FRONTIER_CELLS` for each frontier cell that it closes."""
     size: NDArray[np.float64]
     """Its approximate bytes in an update."""
-    is_complete: NDArray[np.bool_]
+    is_complete: TileMask
     """Whether few of its new cells are frontier cells: else, it will probably change soon."""
 
 

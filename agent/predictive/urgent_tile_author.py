@@ -20,9 +20,8 @@ that have finished stand still, so their last tiles arrive before the run ends.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from agent.mapping.bound import Bound
+from agent.mapping.bound import Bound, TileMask
 from agent.mapping.estimator import Int8Grid
 from agent.predictive.history import DecodedUpdate
 from agent.predictive.tile_author import LONGEST_WAIT, TileAuthor
@@ -51,7 +50,7 @@ class UrgentTileAuthor(TileAuthor):
 
     def __init__(self, stream: TileStream, bound: Bound) -> None:
         super().__init__(stream, bound)
-        self._violate: NDArray[np.bool_] = np.zeros(self._changed.shape, np.bool_)
+        self._violate: TileMask = np.zeros(self._changed.shape, np.bool_)
         """The ready tiles that violate the bound, as of the last call of `is_due`."""
         self._values: TileValues | None = None
         self._is_worth_much = False
@@ -78,7 +77,7 @@ class UrgentTileAuthor(TileAuthor):
             return False
         return True
 
-    def _waits_long(self) -> NDArray[np.bool_]:
+    def _waits_long(self) -> TileMask:
         """Return the tiles that may be encoded even if they are worth nothing."""
         is_quiet = self._changed <= self._step - WORTHLESS_QUIET_STEPS
         is_late = self._waiting_since <= self._step - WORTHLESS_LONGEST_WAIT
@@ -96,11 +95,11 @@ class UrgentTileAuthor(TileAuthor):
         """Whether the robot is where it was in the last step."""
         return self._arrived < self._step
 
-    def _ready(self) -> NDArray[np.bool_]:
+    def _ready(self) -> TileMask:
         """Return the tiles that may be encoded."""
         return self._waits() if self._stands_still else super()._ready()
 
-    def _choose(self, own: Grid, log_odds: Int8Grid, most: float) -> NDArray[np.bool_]:
+    def _choose(self, own: Grid, log_odds: Int8Grid, most: float) -> TileMask:
         """Return the tiles of this step's update; none if it has been encoded: a second one could not be retracted."""
         values, chosen = self._values, np.zeros_like(self._violate)
         if values is None or self._last_step == self._step:
@@ -111,7 +110,7 @@ class UrgentTileAuthor(TileAuthor):
         self._is_worth_much, self._has_more = bool(useful.any()), bool((useful & ~chosen).any())
         return chosen
 
-    def _order(self, values: TileValues, useful: NDArray[np.bool_]) -> Int64s:
+    def _order(self, values: TileValues, useful: TileMask) -> Int64s:
         """Return the tiles of one kind, by their flat indices, those first that are to be sent first.
 
         `useful` marks the tiles of the first two kinds.
@@ -122,7 +121,7 @@ class UrgentTileAuthor(TileAuthor):
         complete = self._complete(values, useful)
         return most_per_byte(values, complete if complete.any() else useful)
 
-    def _complete(self, values: TileValues, useful: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def _complete(self, values: TileValues, useful: TileMask) -> TileMask:
         """Return the tiles of the first kind."""
         is_late = self._waiting_since <= self._step - LONGEST_WAIT
         return useful & (values.is_complete | is_late | self._stands_still)
@@ -133,7 +132,7 @@ class UrgentTileAuthor(TileAuthor):
         return max(1, int(np.searchsorted(sizes, most, side="right")))
 
 
-def most_per_byte(values: TileValues, tiles: NDArray[np.bool_]) -> Int64s:
+def most_per_byte(values: TileValues, tiles: TileMask) -> Int64s:
     """Return some tiles, by their flat indices, those with the most value per byte first."""
     places = np.flatnonzero(tiles)
     rates = values.cells.reshape(-1)[places] / values.size.reshape(-1)[places]

@@ -13,9 +13,7 @@ import numpy as np
 from agent.settings import Settings
 from agent.strategies.options import read_options
 from protocol.arrays import Cells
-from protocol.grid import UNKNOWN, Grid
-
-Cell = tuple[int, int]
+from protocol.grid import UNKNOWN, Cell, Grid
 
 _FACES = ((1, 0, 0), (0, 1, 2), (-1, 0, 4), (0, -1, 6))
 """The four neighbors (dx, dy), and the heading toward each in eighths of a turn."""
@@ -29,6 +27,12 @@ NO_CELLS = np.empty((0, 2), np.int32)
 def array_of(cells: Collection[Cell]) -> Cells:
     """Return cells as an array of shape (n, 2), in half the time of `numpy.array`."""
     return np.fromiter(chain.from_iterable(cells), np.int32, 2 * len(cells)).reshape(-1, 2)
+
+
+def cell_at(cells: Cells, index: int | np.integer[Any]) -> Cell:
+    """Return one of some cells, given as an array of shape (n, 2)."""
+    x, y = cells[index].tolist()
+    return x, y
 
 
 class Pose(NamedTuple):

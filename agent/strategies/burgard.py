@@ -22,11 +22,12 @@ from agent.planning.measured_distances import MeasuredDistances
 from agent.planning.path_planner import PathPlanner
 from agent.planning.utility import proximity, utilities
 from agent.settings import Settings
-from agent.strategies.base import Cell, Decision, Situation
+from agent.strategies.base import Decision, Situation, cell_at
 from agent.strategies.options import option
 from agent.strategies.targets import BarringParts, TargetStrategy
 from agent.strategies.team import Table, TeamStrategy
 from protocol.arrays import Cells, Floats
+from protocol.grid import Cell
 
 SUB_TEAMS = ("in-range", "connected")
 """The robots that decide together. ``in-range``: robots in range of each other. ``connected``, as in the paper: also
@@ -70,8 +71,7 @@ class Nearest(TargetStrategy):
 
     def choose(self, situation: Situation, goals: Cells, planner: PathPlanner) -> Cell | None:
         """Return the goal of least cost; of equal goals the first, row by row."""
-        best = goals[np.argmin(planner.costs(*situation.here)[goals[:, 1], goals[:, 0]])]
-        return int(best[0]), int(best[1])
+        return cell_at(goals, np.argmin(planner.costs(*situation.here)[goals[:, 1], goals[:, 0]]))
 
 
 class CoordinatedStrategy(TeamStrategy):

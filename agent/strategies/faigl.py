@@ -30,11 +30,12 @@ from agent.planning.lin_kernighan import chained_tour
 from agent.planning.path_planner import PathPlanner
 from agent.planning.route import straighten
 from agent.planning.tour import LONGEST, open_tour
-from agent.strategies.base import Cell, Situation
+from agent.strategies.base import Situation
 from agent.strategies.options import option, with_defaults
 from agent.strategies.targets import Clash, Parts
 from agent.strategies.team import Table, TeamStrategy, unclaimed
 from protocol.arrays import Bools, Cells, Floats, Int64s
+from protocol.grid import Cell
 
 SMALL_SEGMENTS = ("last", "dropped")
 """When to visit frontier segments of at most two cells: after all others, or never."""

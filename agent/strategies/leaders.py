@@ -27,10 +27,10 @@ from agent.planning.route import Route, corners, crossed
 from agent.planning.visibility import shortest_way
 from agent.planning.yielding import MOBILE, YieldBehavior
 from agent.settings import Settings
-from agent.strategies.base import Cell, Decision, Situation, Strategy
+from agent.strategies.base import Decision, Situation, Strategy, cell_at
 from agent.strategies.options import option
 from protocol.arrays import Cells, FloatRows
-from protocol.grid import FINE
+from protocol.grid import FINE, Cell, Point, cell_of
 
 STALL_STEPS = 60
 """A robot is stalled after this many steps without a change of its map or its place."""
@@ -160,10 +160,10 @@ class FieldStrategy(Strategy):
                 robots, self._field, self.settings.body.speed * size, drifts,
             )  # fmt: skip
             gap = (frontier[:, 0] - at[0]) ** 2 + (frontier[:, 1] - at[1]) ** 2
-            target = frontier[np.argmin(gap)]
+            target = cell_at(frontier, np.argmin(gap))
             points = np.rint(path * FINE).astype(np.int32)
         return Decision(
-            target=(int(target[0]), int(target[1])),
+            target=target,
             points=points,
             heading=self.heading(situation, is_there=True),
             stalled=stalled,
@@ -193,7 +193,7 @@ class FieldStrategy(Strategy):
         """Return whether this robot leads."""
 
     def straight_way(
-        self, planner: PathPlanner, start: tuple[int, int], frontier: Cells, length: float
+        self, planner: PathPlanner, start: Point, frontier: Cells, length: float
     ) -> Cells | None:
         """Return waypoints of a way in the continuous plane to the frontier; None: over cells.
 
@@ -201,11 +201,10 @@ class FieldStrategy(Strategy):
         """
         return None
 
-    def _lead(self, situation: Situation, planner: PathPlanner, frontier: Cells) -> tuple[Cells, Cells]:
+    def _lead(self, situation: Situation, planner: PathPlanner, frontier: Cells) -> tuple[Cell, Cells]:
         """Return the closest frontier cell, and waypoints of the shortest way to it."""
         costs = planner.costs(*situation.here)[frontier[:, 1], frontier[:, 0]]
-        target = frontier[np.argmin(costs)]
-        goal = int(target[0]), int(target[1])
+        goal = cell_at(frontier, np.argmin(costs))
         self._route.drive_to(*situation.here)
         stopped = situation.blocked in MOBILE
         self._yielding.note(self._route, situation.here, situation.step, stopped=stopped)
@@ -219,9 +218,10 @@ class FieldStrategy(Strategy):
         if points is None:
             points = corners(planner.floor, start, self._route.cells)
         else:
-            target = (points[-1] + FINE // 2) // FINE
+            x, y = points[-1].tolist()
+            goal = cell_of((x, y))
         self._route.cells = crossed(start, points, self.settings.body.speed)
-        return target, points
+        return goal, points
 
     def _is_stalled(self, situation: Situation, at: tuple[float, float]) -> bool:
         """Whether neither the robot's place nor its map has changed for `STALL_STEPS`."""
@@ -277,7 +277,7 @@ class Leaders(FieldStrategy):
         return elect(robot, self.leads, sensed, self.options.first, dynamic=self.options.dynamic)
 
     def straight_way(
-        self, planner: PathPlanner, start: tuple[int, int], frontier: Cells, length: float
+        self, planner: PathPlanner, start: Point, frontier: Cells, length: float
     ) -> Cells | None:
         """Return the way by a visibility graph, with ``way = "visibility"``."""
         if self.options.way != "visibility":

@@ -17,11 +17,12 @@ from agent.planning.best_frontier import TradeOff
 from agent.planning.path_planner import PathPlanner
 from agent.planning.utility import utilities
 from agent.settings import Settings
-from agent.strategies.base import Cell, Decision, Situation
+from agent.strategies.base import Decision, Situation, cell_at
 from agent.strategies.options import option
 from agent.strategies.past_targets import PastTargets
 from agent.strategies.targets import SINGLE_CANDIDATE, BarringParts, TargetStrategy
 from protocol.arrays import Cells, Floats
+from protocol.grid import Cell
 
 
 @dataclass(frozen=True)
@@ -73,8 +74,7 @@ class Meier(TargetStrategy):
         targets, weights, ranges = self._counted(situation)
         worth = utilities(situation.grid, goals, targets, ranges, weights)
         cost = planner.costs(*situation.here)[goals[:, 1], goals[:, 0]] / self.settings.scale_cells
-        best = int(np.argmax(worth - self.options.beta * cost))
-        return int(goals[best, 0]), int(goals[best, 1])
+        return cell_at(goals, np.argmax(worth - self.options.beta * cost))
 
     def _counted(self, situation: Situation) -> tuple[Cells, Floats, Floats]:
         """Return the teammates' targets that lower utilities, the weight of each, and the sensor range of its robot.

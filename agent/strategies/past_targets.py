@@ -8,8 +8,8 @@ their maps.
 from __future__ import annotations
 
 from agent.planning.frontier import is_frontier
-from agent.strategies.base import Cell, Situation
-from protocol.grid import UNKNOWN, Grid
+from agent.strategies.base import Situation
+from protocol.grid import UNKNOWN, Cell, Grid
 
 
 class PastTargets:

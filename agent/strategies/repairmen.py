@@ -44,12 +44,12 @@ from agent.planning.team_tours import Task, team_tours
 from agent.planning.viewpoint import best_viewpoint, tour_viewpoints
 from agent.planning.yielding import MEMORY
 from agent.settings import Settings
-from agent.strategies.base import Cell, Situation, array_of
+from agent.strategies.base import Situation, array_of
 from agent.strategies.options import option
 from agent.strategies.targets import Parts
 from agent.strategies.team import PLAN_ALONE_AFTER, Table, TeamStrategy
 from protocol.arrays import Cells, FloatRows, Floats, Int64s
-from protocol.grid import Grid, ray_table
+from protocol.grid import Cell, Grid, ray_table
 from protocol.kernels import kernel
 
 PLENTY = 1 / 8

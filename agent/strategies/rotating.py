@@ -20,10 +20,11 @@ import numpy as np
 
 from agent.planning.gain import information_gain
 from agent.planning.path_planner import PathPlanner
-from agent.strategies.base import Cell, Situation
+from agent.strategies.base import Situation, cell_at
 from agent.strategies.options import option, with_defaults
 from agent.strategies.targets import SINGLE_CANDIDATE, Clash, Parts, TargetStrategy, is_searched
 from protocol.arrays import Cells, Floats
+from protocol.grid import Cell
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,7 @@ class StopScanReplan(TargetStrategy):
 
     def choose(self, situation: Situation, goals: Cells, planner: PathPlanner) -> Cell | None:
         """Return the cell that the search has found."""
-        return int(goals[0, 0]), int(goals[0, 1])
+        return cell_at(goals, 0)
 
 
 class ScanReplan(StopScanReplan):
@@ -99,8 +100,7 @@ class ShengBid(TargetStrategy):
 
     def choose(self, situation: Situation, goals: Cells, planner: PathPlanner) -> Cell | None:
         """Return the goal of the largest bid; of equal goals the first, row by row."""
-        best = goals[np.argmax(self.bids(situation, goals, planner))]
-        return int(best[0]), int(best[1])
+        return cell_at(goals, np.argmax(self.bids(situation, goals, planner)))
 
     def bids(self, situation: Situation, goals: Cells, planner: PathPlanner) -> Floats:
         """Return the bid of each goal, shape (n,): Eq. (1), g = w1 I - w2 D + w3 lambda.

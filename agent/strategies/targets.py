@@ -27,11 +27,12 @@ from agent.planning.route import Route
 from agent.planning.utility import in_sight
 from agent.planning.yielding import MOBILE, YieldBehavior
 from agent.settings import Settings
-from agent.strategies.base import Cell, Decision, Situation, Strategy
+from agent.strategies.base import Decision, Situation, Strategy
 from agent.strategies.homing import Homing
 from agent.strategies.options import option
 from protocol.arrays import Cells
 from protocol.errors import shown
+from protocol.grid import Cell
 from protocol.plugins import PluginError
 
 REPLANNING = ("at-goal", "at-once", "after-turn")

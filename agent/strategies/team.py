@@ -20,9 +20,10 @@ from agent.planning.assignment import Assignment, Costs
 from agent.planning.path_planner import PathPlanner
 from agent.planning.utility import in_sight
 from agent.settings import Settings
-from agent.strategies.base import Cell, Situation, array_of
+from agent.strategies.base import Situation, array_of, cell_at
 from agent.strategies.targets import Clash, TargetStrategy, is_searched
 from protocol.arrays import Cells
+from protocol.grid import Cell
 from protocol.keyed_random import keyed_random
 
 PLAN_ALONE_AFTER = 20
@@ -111,7 +112,7 @@ class TeamStrategy(TargetStrategy):
         if goal < 0:
             return None
         self._waited = 0
-        chosen = int(goals[goal, 0]), int(goals[goal, 1])
+        chosen = cell_at(goals, goal)
         planner.note_cost(situation.here, chosen, table.costs.item(own, goal))
         return chosen
 

@@ -33,7 +33,7 @@ SETTINGS = ("robots", "seed", "strategy", "map_encoding", "bandwidth")
 """Settings that a run's scenario and its summary both have."""
 
 AFTER_BORDER = 0.5 + 1e-6
-"""From the border of a cell to its center, in cells, and more than floats are wrong: as in `worldsim.motion.cell_of`,
+"""From the border of a cell to its center, in cells, and more than floats are wrong: as in `protocol.grid.cell_of`,
 a border belongs to the cell on its right, or below."""
 
 

@@ -257,8 +257,8 @@ def _take_steps(records: Records, plan: Plan, starts: Sequence[FieldStart], time
             poses.append((robot, line.x_mm or 0, line.y_mm or 0, line.heading or 0))
             records.statuses[robot].append(
                 RobotStatus(
-                    step, line.target_x, line.target_y, line.known_cells, 0, -1, line.backlog,
-                    clip(line.status or ""), line.work_us,
+                    step, line.target_x, line.target_y, line.known_cells, error=0, exact_error=-1,
+                    backlog=line.backlog, status=clip(line.status or ""), work_us=line.work_us,
                 )
             )  # fmt: skip
         records.world.append(

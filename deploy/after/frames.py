@@ -23,7 +23,7 @@ from deploy.after.figures import draw_explored, draw_load
 from deploy.after.frame_legend import draw_axes, draw_legend, font
 from deploy.record.colors import CELLS, GREY, IN_RANGE, INK, PAPER, SIGNAL, mix, robot_color
 from deploy.record.map_pictures import counted
-from protocol.grid import FREE, UNKNOWN, Grid
+from protocol.grid import FREE, UNKNOWN, Grid, Mask
 from worldsim.maps import to_cell
 
 WIDTH = 1280
@@ -124,11 +124,9 @@ class Frames:
         label = f"{what}: {100 * seen:.0f} % seen"
         draw.text((self._world_at[0], px(HEAD + LABEL / 2)), label, INK, font(px(12)), "lm")
 
-    def _draw_robots_maps(
-        self, frame: Image.Image, draw: ImageDraw.ImageDraw, step: int
-    ) -> NDArray[np.bool_]:
+    def _draw_robots_maps(self, frame: Image.Image, draw: ImageDraw.ImageDraw, step: int) -> Mask:
         """Draw each robot's map; return the cells that any robot knows."""
-        known: NDArray[np.bool_] = np.zeros(self._archive.plan.map.cells.shape, np.bool_)
+        known: Mask = np.zeros(self._archive.plan.map.cells.shape, np.bool_)
         px = self._px
         rows = self._archive.rows_of(step)
         here = {int(robot): k for k, robot in enumerate(rows["robot"])}
@@ -162,7 +160,7 @@ class Frames:
             self._thumbs[robot] = kept
         return kept[1], kept[2]
 
-    def _world(self, step: int, known: NDArray[np.bool_]) -> Image.Image:
+    def _world(self, step: int, known: Mask) -> Image.Image:
         """The true map with paths, targets, links and robots."""
         cells = _PALETTE[self._archive.plan.map.cells].astype(np.float64)
         cells[~known] = cells[~known] * (1 - VEIL) + np.array(GREY) * VEIL

@@ -11,12 +11,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deploy.after.archive import Archive
-from protocol.grid import ray_table
+from protocol.grid import HEADINGS, Mask, ray_table
 from protocol.scans import Readings
-from worldsim.laser import HEADINGS, cast
+from worldsim.laser import cast
 from worldsim.maps import to_cell
 
 
@@ -50,12 +49,12 @@ class Lasers:
                 x, y = to_cell(world, steps["x"][row], steps["y"][row])
                 heading = round(steps["heading"][row] * HEADINGS / 360) % HEADINGS
                 places.append((int(steps["robot"][row]), round(x), round(y), heading))
-            standing: NDArray[np.bool_] = np.zeros(world.cells.shape, np.bool_)
+            standing: Mask = np.zeros(world.cells.shape, np.bool_)
             for _, x, y, _ in places:
                 standing[y, x] = True
             yield int(steps["step"][first]), [self._scan(standing, *place) for place in sorted(places)]
 
-    def _scan(self, standing: NDArray[np.bool_], robot: int, x: int, y: int, heading: int) -> Rescan:
+    def _scan(self, standing: Mask, robot: int, x: int, y: int, heading: int) -> Rescan:
         truth, body = self._archive.plan.map.cells, self._bodies[robot]
         readings = cast(truth, standing, self.ray_tables[robot], x, y, heading, body.field_of_view)
         return Rescan(robot, x, y, heading, readings)

@@ -9,9 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.bench.measurement import timed
-from protocol.grid import FREE, OCCUPIED, Grid, RayTable
-
-Cell = tuple[int, int]
+from protocol.grid import FREE, OCCUPIED, Cell, Grid, RayTable
 
 
 def scan_in_numpy(truth: Grid, beams: RayTable, cell: Cell, known: Grid) -> None:

@@ -14,7 +14,7 @@ from deploy.run.recording_bus import record_senses
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import Scenario
-from protocol.grid import Grid, RayTable, ray_table
+from protocol.grid import Cell, Grid, RayTable, ray_table
 from protocol.messages import Sense
 from protocol.scans import Change, Scan
 from worldsim import generators
@@ -25,8 +25,6 @@ SIDE_M = 30.0
 
 SAMPLES = 40
 """Number of moments of an exploration, evenly spaced, at which a kernel is measured."""
-
-Cell = tuple[int, int]
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,7 @@ from deploy.bench.measurement import Measurement, compare, timed
 from deploy.scenario import plan as plans
 from deploy.scenario.plan import Plan
 from deploy.scenario.scenario import Scenario
-from protocol.grid import Grid
+from protocol.grid import Cell, Grid
 from protocol.packages import require
 from protocol.scans import draw
 from worldsim import maps
@@ -154,7 +154,7 @@ def _merging(moments: Sequence[Moment], polygons: Sequence[Sequence[Polygons]]) 
     yield compare(f"{name}, none changed", "ms", none_changed, "all changed", all_changed)
 
 
-def _costs(grid: Grid, cell: tuple[int, int]) -> Field:
+def _costs(grid: Grid, cell: Cell) -> Field:
     return costs(Floor(grid), *cell)
 
 

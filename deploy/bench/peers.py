@@ -16,8 +16,7 @@ from typing import Any
 from deploy.bench.measurement import Measurement, compare
 from deploy.study import experiment as experiments
 from deploy.study.labels import unit
-from deploy.study.results import Row
-from deploy.study.runs import PLACE
+from deploy.study.results import PLACE, Row
 from deploy.study.sweep import as_text, run
 from deploy.study.tables import VARIANT, key_of, metric_value
 

@@ -24,7 +24,7 @@ from deploy.bench.measurement import Measurement, timed
 from deploy.run.in_memory import MemoryRun
 from deploy.scenario import plan as plans
 from deploy.scenario.scenario import Scenario
-from protocol.grid import Grid
+from protocol.grid import Cell, Grid
 from protocol.packages import require
 
 ROBOTS = 8
@@ -59,7 +59,7 @@ def replanning() -> Iterator[Measurement]:
 class DecisionTimer:
     """Measures the processor time of decisions in which a robot chooses a target."""
 
-    last: tuple[Grid, tuple[int, int]]
+    last: tuple[Grid, Cell]
     """Planning grid and robot cell of the last one."""
 
     def __init__(self) -> None:

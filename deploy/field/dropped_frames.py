@@ -51,7 +51,7 @@ CONTRADICTION = (
 """What to say of malformed messages in frames that are authentic: the senders have the same settings and code."""
 
 
-class FaultReport:
+class ErrorReporter:
     """Shows each error in a teammate's message, and after the first one, what its user can do."""
 
     def __init__(self, say: Callable[[str], object]) -> None:

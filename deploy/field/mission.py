@@ -16,7 +16,7 @@ from agent.radios.peer_medium import FrameRecord
 from agent.radios.team_key import read_key
 from agent.radios.transport import Transport, wait
 from agent.replication.control_packets import parse
-from deploy.field.dropped_frames import DropAdvice, FaultReport
+from deploy.field.dropped_frames import DropAdvice, ErrorReporter
 from deploy.field.range_report import RangeReport
 from deploy.field.robot_file import RobotFile
 from deploy.field.robot_plan import (
@@ -133,7 +133,7 @@ class Mission:
         try:
             self._field = FieldRobot(
                 agent, settings.radio, files, ros, transport, pose_guard(settings), time.monotonic_ns(),
-                FaultReport(say), self._end_step, common_values(settings),
+                ErrorReporter(say), self._end_step, common_values(settings),
             )  # fmt: skip
         except JournalError as error:
             raise ValueError(

@@ -17,7 +17,7 @@ from deploy.field.connection import make_body, map_pose, open_node, sources
 from deploy.field.goals import GoalSender
 from deploy.field.robot_file import RobotSettings
 from deploy.field.robot_plan import map_frame
-from protocol.grid import Grid
+from protocol.grid import Cell, Grid
 from protocol.messages import Move, Sense
 from protocol.nanoseconds import SECOND
 from protocol.range_scans import Laser
@@ -107,7 +107,7 @@ class Ros2Robot:
         sense = self._body.sense(step, measures=self.measures)
         return None if self._is_silent() or self._body.has_jumped else sense
 
-    def move(self, move: Move, target: tuple[int, int] | None) -> None:
+    def move(self, move: Move, target: Cell | None) -> None:
         """Send the goal of a move if it has changed, or cancel it."""
         goal = None if self._is_silent() or self._lacks_map() else self._body.goal(move, target)
         changed = self._tracker.change(goal)

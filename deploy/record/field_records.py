@@ -33,7 +33,7 @@ from deploy.record.link_records import LinkRecorder, Nanoseconds
 from deploy.record.versions import versions
 from protocol.errors import ProtocolError
 from protocol.files import open_file, read_file
-from protocol.grid import OCCUPIED
+from protocol.grid import HEADINGS, OCCUPIED
 from protocol.map_parts import FinalMaps
 from protocol.message_codec import pack, unpacker
 from protocol.message_fields import MAX_PAYLOAD
@@ -46,7 +46,6 @@ FINAL_MAPS, END = "maps.npz", "end.json"
 BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 """Linux: the number of this start of the host, whose monotonic clock all its processes share."""
 LENGTH = struct.Struct("<I")
-HEADINGS = 8
 
 
 class RobotSetup(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

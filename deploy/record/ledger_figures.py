@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from netshaper.airtime import Saving
 from netshaper.ledger import CAUSES
+from netshaper.settings import Saving
 from protocol.budget import Budget
 from protocol.messages import Change
 from protocol.packets import ALL_KINDS

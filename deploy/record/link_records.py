@@ -26,12 +26,11 @@ from deploy.record.arrow_tables import write_table
 from deploy.record.growing_file import GrowingFile, close_all, read_rows
 from deploy.record.run_directory import CAPTURE, LEDGER, ledger_table
 from netshaper import capture
+from netshaper.admission import content_of
 from netshaper.frame_log import Content, Frame, FrameLog
 from netshaper.ledger import BROADCAST, CAUSES, EVERYONE, NEWS, ROW
-from protocol.errors import ProtocolError
 from protocol.grid import MAX_ROBOTS
 from protocol.message_fields import MAX_STEPS
-from protocol.packet_index import NO_PACKETS, index_of
 
 FRAMES = "frames.csv"
 
@@ -61,7 +60,9 @@ class FrameLine(NamedTuple):
 
 def contents(broadcast: bytes, gossip: bytes) -> list[Content]:
     """Return the parts of a frame that are not empty, for a log."""
-    return [_content(kind, packets) for kind, packets in ((BROADCAST, broadcast), (NEWS, gossip)) if packets]
+    return [
+        content_of(kind, packets) for kind, packets in ((BROADCAST, broadcast), (NEWS, gossip)) if packets
+    ]
 
 
 def frame_log(robot: int, records: Sequence[FrameRecord]) -> FrameLog:
@@ -114,10 +115,3 @@ class LinkRecorder:
 def read_frames(folder: Path) -> list[FrameLine]:
     """Read ``frames.csv``, up to its last whole line; ValueError if it is no such file, or damaged."""
     return read_rows(folder / FRAMES, FrameLine)
-
-
-def _content(kind: int, packets: bytes) -> Content:
-    try:
-        return Content(kind, packets, index_of(packets))
-    except ProtocolError as error:
-        return Content(kind, packets, NO_PACKETS, -1, str(error))

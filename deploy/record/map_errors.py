@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, Mask
 
 IRRELEVANT, RIGHT, WALL, FALSE_WALL, UNSEEN, WRONG_FREE = range(6)
 """Unknown and unreachable; correctly free; correctly not free; and the three errors."""
@@ -17,7 +17,7 @@ DIFFERENCES = {FALSE_WALL: "wall, free for the team", UNSEEN: "unknown", WRONG_F
 """Text of the same differences if the true map is unknown, and the team's map replaces it."""
 
 
-def compare(grid: Grid, truth: Grid, reachable: NDArray[np.bool_]) -> NDArray[np.uint8]:
+def compare(grid: Grid, truth: Grid, reachable: Mask) -> NDArray[np.uint8]:
     """Classify each cell of a robot's map, from `IRRELEVANT` to `WRONG_FREE`; all arrays have shape (h, w).
 
     `grid` and `truth` have unknown, free and occupied cells. `reachable` are the free cells that can be explored;
@@ -33,6 +33,6 @@ def compare(grid: Grid, truth: Grid, reachable: NDArray[np.bool_]) -> NDArray[np
     return found
 
 
-def share_correct(errors: NDArray[np.uint8], reachable: NDArray[np.bool_]) -> float:
+def share_correct(errors: NDArray[np.uint8], reachable: Mask) -> float:
     """The share of the reachable cells that are correct on a map."""
     return float((errors[reachable] == RIGHT).mean())

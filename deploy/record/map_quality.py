@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, maximum_filter
 
 from deploy.scenario.plan import Plan
-from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
+from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid, Mask
 
-Mask = NDArray[np.bool_]
 Figures = dict[str, float | None]
 """Figures by name; None where there is nothing to compare."""
 

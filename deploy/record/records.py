@@ -19,7 +19,7 @@ from protocol import keys as names
 from protocol import messages, rights
 from protocol.bus import Bus, Message
 from protocol.errors import ProtocolError
-from protocol.grid import Grid
+from protocol.grid import Grid, Mask
 from protocol.keys import Keys
 from protocol.message_codec import pack
 from protocol.rights import MAX_PROTOCOL_ERRORS, TOO_MANY_BYTES, TOO_MANY_ERRORS
@@ -66,7 +66,7 @@ class Records:
     """The final planning grids of these robots."""
     shared: dict[int, Grid] = field(default_factory=dict)
     """Their final shared grids."""
-    settled: dict[int, NDArray[np.bool_]] = field(default_factory=dict)
+    settled: dict[int, Mask] = field(default_factory=dict)
     """The cells of their self-explored grids of which they are certain."""
     lost: dict[int, str] = field(default_factory=dict)
     """The cause of each unexpected failure, by robot."""

@@ -12,14 +12,14 @@ from agent.completion import sure_after
 from deploy.record import map_quality, missed_phases
 from deploy.record.ledger_figures import budgets, duty_cycle, over_budget, per_kind, undelivered
 from deploy.record.map_code import map_code_figures
-from deploy.record.map_quality import Figures, Mask
+from deploy.record.map_quality import Figures
 from deploy.record.records import Records
 from deploy.record.team_effort import longest_path_m, overlaps, report_at
 from deploy.record.versions import versions
 from deploy.scenario.plan import Plan
 from netshaper.airtime import HOUR_S
 from netshaper.ledger import sort_rows
-from protocol.grid import FREE, OCCUPIED, Grid
+from protocol.grid import FREE, OCCUPIED, Grid, Mask
 from protocol.messages import End
 from worldsim.recorded.world import Stretch
 

@@ -9,9 +9,8 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from protocol.grid import FREE, Grid
+from protocol.grid import FREE, Grid, Mask
 from protocol.messages import WorldReport
 
 
@@ -25,7 +24,7 @@ def longest_path_m(report: WorldReport | None) -> float | None:
     return max(report.driven) / 1000 if report is not None else None
 
 
-def overlaps(own: Collection[Grid], reachable: NDArray[np.bool_]) -> dict[str, float]:
+def overlaps(own: Collection[Grid], reachable: Mask) -> dict[str, float]:
     """Return how much of the reachable cells several robots have seen, from their self-explored grids.
 
     `overlap`: share of the cells seen by the team that several robots have seen. `overlap_sum`: cells that each robot

@@ -113,8 +113,8 @@ def run(
     """
     timeout_s = plan.scenario.reply_timeout_s
     world = WorldTask(
-        plan.make_world(), plan.scenario.steps, 1000 * plan.map.resolution, pace, free, timeout_s, revive, gate,
-        plan.incarnations,
+        plan.make_world(), plan.scenario.steps, 1000 * plan.map.resolution, pace, free, timeout_s,
+        revive=revive, gate=gate, incarnations=plan.incarnations,
     )  # fmt: skip
     port = show.task.port if show is not None else None
     with contextlib.ExitStack() as stack:

@@ -29,7 +29,7 @@ from protocol.grid import FREE, OCCUPIED, UNKNOWN, Cell, Grid, Mask, enlarge, ra
 from protocol.scans import draw
 from worldsim.laser import cast
 from worldsim.motion import drive
-from worldsim.world import reachable_from
+from worldsim.regions import part_with
 
 Indices = NDArray[np.int32]
 
@@ -60,7 +60,7 @@ class KnownBuilding:
         beams: int = 360,
         radius_cells: float = 0.0,
     ) -> None:
-        standable = reachable_from(enlarge(truth, radius_cells), start)
+        standable = part_with(enlarge(truth, radius_cells) == FREE, start)
         self._required: Mask = binary_dilation(standable)
         self.floor: Grid = np.where(standable, FREE, OCCUPIED).astype(np.uint8)
         """Shape (h, w): the cells where a robot may stand are free, all others occupied."""

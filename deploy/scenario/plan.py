@@ -7,8 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-import numpy as np
-
 from agent.replication.policies import GOSSIP
 from agent.settings import MediumSettings, ReplicationSettings, Settings
 from agent.strategies.registry import strategy
@@ -29,6 +27,7 @@ from worldsim.base import BaseWorld
 from worldsim.maps import Map, MapError, to_cell, to_world
 from worldsim.people import PeopleSettings
 from worldsim.recorded.world import RecordedWorld
+from worldsim.regions import nearest_cell
 from worldsim.starts import jittered, start_cells
 from worldsim.world import World, WorldSettings
 
@@ -149,21 +148,21 @@ def _check_people(world_map: Map, settings: WorldSettings) -> None:
 def _radio_settings(scenario: Scenario, world_map: Map, range_m: float, incarnations: int) -> RadioSettings:
     hardware = [scenario.body_of(number) for number in range(scenario.robots)]
     return RadioSettings(
-        scenario.robots,
-        scenario.seed,
-        range_m / world_map.resolution,
-        Budget.parse(scenario.bandwidth),
-        scenario.rounds,
-        scenario.dissemination == GOSSIP,
-        incarnations,
-        scenario.radio,
-        world_map.resolution,
-        world_map.cells if RADIO_MODELS.find(scenario.radio.model).needs_walls else None,
-        tuple(robot.send_bytes or scenario.radio.send_bytes for robot in hardware),
-        tuple(robot.receive_bytes or scenario.radio.receive_bytes for robot in hardware),
-        scenario.changes(world_map.diagonal_m),
-        tuple(fault for fault in scenario.faults if fault.kind in faults.RADIO_KINDS),
-        scenario.step_ns,
+        robots=scenario.robots,
+        seed=scenario.seed,
+        range_cells=range_m / world_map.resolution,
+        budget=Budget.parse(scenario.bandwidth),
+        rounds=scenario.rounds,
+        gossip=scenario.dissemination == GOSSIP,
+        incarnations=incarnations,
+        options=scenario.radio,
+        cell_m=world_map.resolution,
+        walls=world_map.cells if RADIO_MODELS.find(scenario.radio.model).needs_walls else None,
+        send=tuple(robot.send_bytes or scenario.radio.send_bytes for robot in hardware),
+        receive=tuple(robot.receive_bytes or scenario.radio.receive_bytes for robot in hardware),
+        changes=scenario.changes(world_map.diagonal_m),
+        faults=tuple(fault for fault in scenario.faults if fault.kind in faults.RADIO_KINDS),
+        step_ns=scenario.step_ns,
     )
 
 
@@ -255,11 +254,8 @@ def _start_cell(world_map: Map, floor: Grid, point: tuple[float, float]) -> Cell
     column, row = map(round, to_cell(world_map, *point))
     x, y = min(max(column, 0), width - 1), min(max(row, 0), height - 1)
     if floor[y, x] != FREE:
-        rows, columns = np.nonzero(floor == FREE)
-        hint = ""
-        if len(rows):
-            nearest = int(np.argmin((columns - x) ** 2 + (rows - y) ** 2))
-            hint = f"; the nearest free point is {_meters(*to_world(world_map, columns[nearest], rows[nearest]))}"
+        nearest = nearest_cell(floor == FREE, (x, y))
+        hint = f"; the nearest free point is {_meters(*to_world(world_map, *nearest))}" if nearest else ""
         raise ValueError(f"{_meters(*point)} is not free: robots cannot start there{hint}")
     return x, y
 

@@ -11,10 +11,8 @@ from numpy.typing import NDArray
 
 from agent.planning.cost_field import costs
 from agent.planning.frontier import Floor
-from protocol.grid import FREE, Grid
+from protocol.grid import FREE, Cell, Grid, Mask
 from worldsim.motion import TAKEN_BY_ROBOT, mark_near
-
-Cell = tuple[int, int]
 
 
 class Way(NamedTuple):
@@ -41,7 +39,7 @@ class Others:
     returns the ways of robots that go first: those with lower numbers, or if its argument is true, all.
     """
 
-    taken: Callable[[], NDArray[np.bool_]]
+    taken: Callable[[], Mask]
     ways: Callable[[bool], list[Way]]
 
 

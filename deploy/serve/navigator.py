@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.serve.giving_way import Others, pocket
-from protocol.grid import FINE, FREE, Grid
+from protocol.grid import FINE, FREE, Cell, Grid
 from protocol.map_frame import MapFrame
 from protocol.range_scans import UNIT
 from protocol.transforms import Pose
@@ -57,7 +57,7 @@ class Outcome(Enum):
 class Retreat:
     """The cell that a robot leaves, for everyone or for lower numbers only; where it waits, and for how long."""
 
-    left: tuple[int, int]
+    left: Cell
     everyone: bool
     pocket: Pose
     lasted_s: float = 0.0
@@ -173,7 +173,7 @@ class Navigator:
         self.path, self._planned_on = shortest_way(floor, start, end), floor
         return bool(len(self.path)) or start == end
 
-    def _nearest(self, start: tuple[int, int], goal: Pose, floor: Grid) -> tuple[int, int] | None:
+    def _nearest(self, start: Cell, goal: Pose, floor: Grid) -> Cell | None:
         """Return the cell nearest to a goal that a robot may enter and reach; None if it is too far."""
         column, row = self._place(goal)
         reach = TOLERANCE_M / self._frame.resolution
@@ -235,7 +235,7 @@ class Navigator:
         """Return a position in cells; the center of cell (0, 0) is at (0.5, 0.5)."""
         return np.array(self._frame.place(pose)) / UNIT
 
-    def _cell(self, pose: Pose) -> tuple[int, int]:
+    def _cell(self, pose: Pose) -> Cell:
         x, y = self._frame.place(pose)
         return x // UNIT, y // UNIT
 

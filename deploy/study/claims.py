@@ -45,7 +45,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
 from deploy.study import statistics
-from deploy.study.results import Row
+from deploy.study.results import PLACE, Row
 from deploy.study.statistics import NO_EVIDENCE, SIGNIFICANT, Evidence, Interval
 from deploy.study.tables import VARIANT, check, check_keys, has_finished, key_of, levels_of, metric_value
 
@@ -201,8 +201,8 @@ def _tests(rule: Rule, rows: Sequence[Row]) -> list[tuple[Rule, dict[str, Any], 
     """The tests of a rule, one per cell: the rule, the cell, the evidence, and the number of excluded runs or pairs."""
     cells: dict[str, tuple[dict[str, Any], list[Row]]] = {}
     for row in rows:
-        if all(row["place"].get(key) in values for key, values in rule.where.items()):
-            cell = {key: row["place"][key] for key in rule.by}
+        if all(row[PLACE].get(key) in values for key, values in rule.where.items()):
+            cell = {key: row[PLACE][key] for key in rule.by}
             cells.setdefault(repr(cell), (cell, []))[1].append(row)
     if not cells:
         return [(rule, {}, NO_EVIDENCE, 0)]
@@ -249,9 +249,7 @@ def _trend(rule: Rule, rows: Sequence[Row], key: str, sign: int) -> tuple[Eviden
 def _order(rule: Rule, rows: Sequence[Row], key: str) -> tuple[Evidence, int]:
     found, wanted = [], []
     for level, rank in rule.ranks.items():
-        of_level = [
-            row for row in rows if level in (str(row["place"][key]), Path(str(row["place"][key])).stem)
-        ]
+        of_level = [row for row in rows if level in (str(row[PLACE][key]), Path(str(row[PLACE][key])).stem)]
         values = [value for value in _values(rule, of_level).values() if value is not None]
         if values:
             found.append(float(np.mean(values)))
@@ -270,7 +268,7 @@ def _exactly(values: NDArray[np.float64], low: float, high: float) -> Evidence:
 
 
 def _side(rows: Sequence[Row], choice: dict[str, Any]) -> list[Row]:
-    return [row for row in rows if all(row["place"].get(key) == value for key, value in choice.items())]
+    return [row for row in rows if all(row[PLACE].get(key) == value for key, value in choice.items())]
 
 
 def _values(
@@ -280,7 +278,7 @@ def _values(
     name = rule.metric.removeprefix(SPREAD)
     values: dict[Any, float | None] = {}
     for row in rows:
-        place = {key: value for key, value in row["place"].items() if key not in ignored}
+        place = {key: value for key, value in row[PLACE].items() if key not in ignored}
         counts = rule.all_runs or has_finished(row)
         values[key_of(place)] = metric_value(row, name) if counts else None
     if name != rule.metric:

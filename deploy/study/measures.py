@@ -27,7 +27,6 @@ from deploy.run.offline_bound import known_map_steps
 from deploy.scenario.plan import Plan
 from deploy.study.recovery import recovery
 from netshaper.ledger import KIND_NUMBER
-from protocol.budget import WORD_FOR_UNLIMITED
 from protocol.grid import FREE, UNKNOWN, Grid
 from protocol.keyed_random import keyed_random
 
@@ -221,11 +220,11 @@ def _load(plan: Plan, records: Records, carried: NDArray[np.int64]) -> Metrics:
     after the first ten steps.
     """
     quarter = max(1, len(carried) // 4)
-    budget = plan.scenario.bandwidth
+    budget = plan.radio.budget.limit
     shares: Metrics = {name: None for name in EXPLORED if name.startswith("load.")}
-    if budget != WORD_FOR_UNLIMITED and budget and len(carried):
-        shares["load.first_quarter"] = float(carried[:quarter].mean() / int(budget))
-        shares["load.last_quarter"] = float(carried[-quarter:].mean() / int(budget))
+    if budget and len(carried):
+        shares["load.first_quarter"] = float(carried[:quarter].mean() / budget)
+        shares["load.last_quarter"] = float(carried[-quarter:].mean() / budget)
     rows = records.ledger()
     born = np.zeros(len(carried) + 1, np.int64)
     chosen = rows[(rows["kind"] == KIND_NUMBER["em"]) & (rows["carried"] == 1)]

@@ -32,7 +32,7 @@ import numpy as np
 from deploy.study import figure_layout, labels
 from deploy.study.figure_style import DEFAULT, FigureStyle
 from deploy.study.measures import SERIES
-from deploy.study.results import Results, Row
+from deploy.study.results import PLACE, Results, Row
 from deploy.study.statistics import interval
 from deploy.study.tables import VARIANT, check, check_keys, has_finished, levels_of, metric_value, short
 
@@ -89,7 +89,7 @@ def draw(plot: Plot, rows: Sequence[Row], results: Results, style: FigureStyle =
     """Draw the runs of an experiment; `results` holds their series."""
     from matplotlib.figure import Figure  # noqa: PLC0415  half a second to import
 
-    rows = [row for row in rows if all(row["place"][key] in plot.where[key] for key in plot.where)]
+    rows = [row for row in rows if all(row[PLACE][key] in plot.where[key] for key in plot.where)]
     panels = (levels_of(rows, plot.panels) if plot.panels else []) or [None]
     lines = levels_of(rows, plot.lines) if plot.lines else [None]
     columns, (width, height) = style.layout(len(panels))
@@ -240,7 +240,7 @@ def _name(line: Any) -> str | None:
 
 def _of(rows: Sequence[Row], key: str, value: Any) -> list[Row]:
     """The rows with a value of a key; all rows if the value is None."""
-    return [row for row in rows if value is None or row["place"][key] == value]
+    return [row for row in rows if value is None or row[PLACE][key] == value]
 
 
 def _number(value: object) -> float | None:

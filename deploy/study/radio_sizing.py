@@ -24,8 +24,8 @@ from deploy.study.figure_style import DEFAULT, FigureStyle
 from deploy.study.paper_tables import write_result
 from deploy.study.plots import Plot
 from deploy.study.progress import Report, counting
-from deploy.study.results import Results, open_results
-from deploy.study.runs import PLACE, Case, StudyRuns, cases, make
+from deploy.study.results import PLACE, Results, open_results
+from deploy.study.runs import Case, StudyRuns, cases, make
 from deploy.study.sizing import METRICS, MIN_MAP_ACCURACY, SEEDS, Requirements
 from deploy.study.statistics import Interval, interval, share
 from deploy.study.sweep import as_text, of_settings

@@ -26,6 +26,9 @@ from worldsim.atomic_files import DISK_ERRORS, link_target, write_whole
 Row = dict[str, Any]
 """A run: key, settings and metrics by column; nested metrics have dotted names."""
 
+PLACE = "place"
+"""Key of a row for its position in an experiment: values of the grid's keys, and its variant; not in the table."""
+
 KEY, CODE, ERROR = "key", "code", "error"
 IDENTITY = (KEY, CODE, ERROR)
 """Columns of every table: the run's key, the version of the code, and the error (null: none)."""

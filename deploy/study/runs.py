@@ -33,14 +33,11 @@ from deploy.scenario.toml_files import lay
 from deploy.study.experiment import Experiment, settings_of
 from deploy.study.measures import MEASURES
 from deploy.study.progress import Report
-from deploy.study.results import CODE, ERROR, KEY, Results, Row
+from deploy.study.results import CODE, ERROR, KEY, PLACE, Results, Row
 from deploy.study.tables import VARIANT
 from worldsim.maps import Map
 
 MEMORY = "memory"
-
-PLACE = "place"
-"""Key of a row for its position in an experiment: values of the grid's keys, and its variant."""
 
 MOST_STEPS = "most_steps"
 """Column of the setting `steps`; the column ``steps`` is the exploration time."""

@@ -17,7 +17,7 @@ from deploy.study.experiment import first_seeds, listed
 from deploy.study.figure_style import DEFAULT, FigureStyle
 from deploy.study.paper_tables import write_result
 from deploy.study.plots import Plot
-from deploy.study.results import Row
+from deploy.study.results import PLACE, Row
 from deploy.study.runs import Case
 from deploy.study.statistics import Interval, interval, share
 from deploy.study.sweep import Sweep, of_settings, run
@@ -230,7 +230,7 @@ def _options(done: Sweep, requirements: Requirements) -> list[Option]:
     options = []
     for _, cases in sorted(teams.items()):
         team = {key: cases[0].place[key] for key in KEYS}
-        rows = [row for row in done.rows if team.items() <= row["place"].items()]
+        rows = [row for row in done.rows if team.items() <= row[PLACE].items()]
         met = sum(map(requirements.are_met, rows))
         finished = [row for row in rows if has_finished(row)]
         steps = interval([row["steps"] for row in finished])

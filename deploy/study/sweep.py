@@ -20,7 +20,7 @@ from deploy.study.experiment import Experiment
 from deploy.study.figure_style import DEFAULT, FigureStyle
 from deploy.study.measures import EXPLORATION, METRICS
 from deploy.study.progress import counting
-from deploy.study.results import open_results
+from deploy.study.results import PLACE, open_results
 from deploy.study.runs import StudyRuns, cases, make
 from deploy.study.tables import DEFAULT_METRICS, VARIANT, Table, check, described, means, short, tabulate
 
@@ -49,8 +49,8 @@ class Sweep(StudyRuns):
         return pl.DataFrame(
             [
                 {name: short(value) if isinstance(value, str | dict | list) else value
-                 for name, value in row["place"].items()}
-                | {name: value for name, value in row.items() if name != "place" and name not in row["place"]}
+                 for name, value in row[PLACE].items()}
+                | {name: value for name, value in row.items() if name != PLACE and name not in row[PLACE]}
                 for row in self.rows
             ],
             infer_schema_length=None,

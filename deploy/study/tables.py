@@ -16,7 +16,7 @@ from typing import Annotated, Any
 import polars as pl
 from pydantic import Field
 
-from deploy.study.results import Row
+from deploy.study.results import PLACE, Row
 from deploy.study.statistics import five_numbers, interval, share
 from netshaper.ledger import CAUSES
 from protocol.packets import ALL_KINDS
@@ -169,12 +169,12 @@ def _cells(
 
     Different methods are never averaged: their keys are added if the runs differ in them.
     """
-    added = [key for key in METHODS if len({repr(run["place"].get(key)) for run in runs}) > 1]
+    added = [key for key in METHODS if len({repr(run[PLACE].get(key)) for run in runs}) > 1]
     keys = list(dict.fromkeys([*table.keys, *added]))
-    twins = {key_of(run["place"]): run for run in runs}
+    twins = {key_of(run[PLACE]): run for run in runs}
     members: dict[tuple[str, ...], list[Row]] = {}
     for run in runs:
-        members.setdefault(tuple(short(run["place"][key]) for key in keys), []).append(run)
+        members.setdefault(tuple(short(run[PLACE][key]) for key in keys), []).append(run)
     return keys, [
         (dict(zip(keys, cell, strict=True)), [_statistics(table, name, some, twins) for name in table.values])
         for cell, some in members.items()
@@ -239,14 +239,14 @@ def _value(summary: Row, text: str, twins: dict[Any, Row]) -> float | None:
     value = metric_value(summary, name)
     if not against or value is None:
         return value
-    twin = twins.get(key_of(summary["place"] | {VARIANT: against}))
+    twin = twins.get(key_of(summary[PLACE] | {VARIANT: against}))
     other = metric_value(twin, name) if twin is not None else None
     return value / other if other else None
 
 
 def levels_of(runs: Sequence[Row], key: str) -> list[Any]:
     """The values of a key, in the order of the grid."""
-    return list({repr(run["place"][key]): run["place"][key] for run in runs}.values())
+    return list({repr(run[PLACE][key]): run[PLACE][key] for run in runs}.values())
 
 
 def short(value: object) -> str:

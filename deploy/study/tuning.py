@@ -29,8 +29,8 @@ from deploy.run.failure import RunFailed
 from deploy.run.workers import Workers
 from deploy.study.experiment import Experiment
 from deploy.study.progress import Report
-from deploy.study.results import Results
-from deploy.study.runs import MOST_STEPS, PLACE, StudyRuns, cases, make
+from deploy.study.results import PLACE, Results
+from deploy.study.runs import MOST_STEPS, StudyRuns, cases, make
 from deploy.study.statistics import Interval, interval
 from deploy.study.sweep import as_text
 from deploy.study.tables import VARIANT, Table, has_finished

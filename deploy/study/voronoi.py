@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from protocol.grid import FREE, Grid
-from worldsim.largest_part import largest_part
+from protocol.grid import FREE, Grid, Mask
+from worldsim.regions import largest_part
 
 SIGMA = 1.5
 """Standard deviation of the Gaussian in cells."""
@@ -28,8 +28,6 @@ SMOOTHINGS = 3
 
 ISLAND_M2 = 0.1
 """Area in square meters below which an object within the free space is removed from a map before it is measured."""
-
-Mask = NDArray[np.bool_]
 
 
 class Pixels(NamedTuple):

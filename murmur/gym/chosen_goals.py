@@ -11,10 +11,11 @@ import numpy as np
 from agent.planning.gain import information_gain
 from agent.planning.path_planner import PathPlanner
 from agent.settings import Settings
-from agent.strategies.base import Cell, Situation
+from agent.strategies.base import Situation
 from agent.strategies.options import with_defaults
 from agent.strategies.targets import SINGLE_CANDIDATE, Parts, TargetStrategy
 from protocol.arrays import Cells, Floats, Int64s
+from protocol.grid import Cell
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +65,5 @@ class ChosenGoals(TargetStrategy):
 
     def choose(self, situation: Situation, goals: Cells, planner: PathPlanner) -> Cell | None:
         """Return the chosen goal; without one, the robot stays where it is."""
-        del situation, goals, planner
         goal, self.goal = self.goal, None
         return goal

@@ -14,13 +14,13 @@ from functools import cached_property
 import msgspec
 import numpy as np
 
-from agent.strategies.base import Cell, Situation
+from agent.strategies.base import Situation
 from deploy.run.in_memory import MemoryRun
 from deploy.run.launch import Outcome
 from deploy.run.result import Result, conclude
 from deploy.scenario.plan import Plan
 from murmur.gym.chosen_goals import Candidates, ChosenGoals
-from protocol.grid import Grid
+from protocol.grid import Cell, Grid
 from worldsim.ending import OUT_OF_STEPS
 
 STRATEGY = f"{ChosenGoals.__module__}:{ChosenGoals.__qualname__}"

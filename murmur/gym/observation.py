@@ -8,9 +8,9 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.strategies.base import Cell
 from deploy.scenario.plan import Plan
 from murmur.gym.episode import Episode
+from protocol.grid import Cell
 
 Observation = dict[str, NDArray[Any]]
 

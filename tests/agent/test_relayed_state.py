@@ -7,12 +7,12 @@ from typing import Any
 import pytest
 
 from agent.robot import Robot
-from agent.strategies.base import Cell, Pose, Situation
+from agent.strategies.base import Pose, Situation
 from agent.strategies.burgard import Burgard
 from agent.team_state import RelayedState
 from netshaper.admission import is_broadcast
 from protocol import packet_codec, packets
-from protocol.grid import ray_table
+from protocol.grid import Cell, ray_table
 from protocol.messages import RoundReport, Sense
 from protocol.packets import Passed, Target
 from tests.agent.planning.planning_references import drawn, settings_for
@@ -72,7 +72,7 @@ class Line:
             self.robots[one].close_round(report)
         for robot in self.robots:
             robot.decide()
-            assert not robot.faults
+            assert not robot.peer_errors
 
     def in_range(self, one: int, two: int) -> bool:
         return 0 <= two < len(self.robots) and not (self.broken and {one, two} == {0, 1})
@@ -141,7 +141,7 @@ def test_a_relayed_state_circulates_no_longer_than_through_a_chain_of_all_robots
 def test_a_relayed_state_of_an_unknown_robot_or_cell_is_a_fault(frame: list[packets.AnyPacket]) -> None:
     robot = Robot(settings_for(GRID, robot=2, robots=3, strategy="burgard", map_encoding="scans"))
     robot.receive_broadcast(1, packet_codec.encode(frame))
-    assert len(robot.faults) == 1
+    assert len(robot.peer_errors) == 1
 
 
 @pytest.mark.parametrize("frame", [

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from fractions import Fraction
 from itertools import pairwise
+from typing import Any
 
 from hypothesis import given
 from hypothesis import strategies as st
 
-from netshaper.airtime import HOUR_S, RECENT, WHOLE_STEP, Airtime, Saving, Shares, cut_into_frames
+from netshaper.airtime import HOUR_S, RECENT, WHOLE_STEP, Airtime, Shares, cut_into_frames
+from netshaper.radio_options import RadioOptions
+from netshaper.settings import RadioSettings
 from protocol import packet_index
 from protocol.budget import UNLIMITED, Budget
+from protocol.nanoseconds import SECOND
 from protocol.packet_codec import encode
 from protocol.packets import Fragment
 
@@ -41,18 +45,23 @@ def test_without_a_limit_no_robot_is_deferred() -> None:
     assert shares.rank(0, 1, UNLIMITED) < shares.rank(1, 0, UNLIMITED)
 
 
+def airtime(budget: Budget, robots: int, **settings: Any) -> Airtime:
+    """Return the airtime of a radio."""
+    return Airtime(RadioSettings(robots, 0, 1.0, budget, **settings))
+
+
 LINE = {0: [1], 1: [0, 2], 2: [1, 3], 3: [2]}
 
 
 def test_one_budget_is_spent_by_all() -> None:
-    air = Airtime(Budget(100), 4)
+    air = airtime(Budget(100), 4)
     air.next_step(LINE)
     air.book(0, 60)
     assert [air.room(robot).limit for robot in range(4)] == [40] * 4
 
 
 def test_with_spatial_reuse_robots_out_of_range_share_no_airtime() -> None:
-    air = Airtime(Budget(100), 4, reuse=True)
+    air = airtime(Budget(100), 4, options=RadioOptions(reuse=True))
     air.next_step(LINE)
     air.book(0, 60)
     assert [air.room(robot).limit for robot in range(4)] == [40, 40, 40, 100]
@@ -62,7 +71,7 @@ def test_with_spatial_reuse_robots_out_of_range_share_no_airtime() -> None:
 
 @given(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 50)), max_size=30))
 def test_no_neighborhood_exceeds_the_budget(transmissions: list[tuple[int, int]]) -> None:
-    air = Airtime(Budget(100), 4, reuse=True)
+    air = airtime(Budget(100), 4, options=RadioOptions(reuse=True))
     air.next_step(LINE)
     around = dict.fromkeys(LINE, 0)
     for robot, size in transmissions:
@@ -84,7 +93,7 @@ def test_no_hour_has_more_airtime_than_the_duty_cycle_and_the_rest_may_be_used_a
     share: float, transmissions: list[tuple[int, int, int]]
 ) -> None:
     """A plain reference adds up the airtime of the last hour at each step, at a bandwidth that changes."""
-    air = Airtime(Budget(1000), 2, duty_cycle=share)
+    air = airtime(Budget(1000), 2, options=RadioOptions(duty_cycle=share))
     sent: list[tuple[int, Fraction]] = []
     now, allowed = 0, Fraction(round(share * HOUR_S * WHOLE_STEP), WHOLE_STEP)
     for wait, bandwidth, wanted in transmissions:
@@ -102,14 +111,14 @@ def test_no_hour_has_more_airtime_than_the_duty_cycle_and_the_rest_may_be_used_a
 
 
 def test_an_unlimited_bandwidth_has_no_duty_cycle() -> None:
-    air = Airtime(Budget(100), 1, duty_cycle=0.01)
+    air = airtime(Budget(100), 1, options=RadioOptions(duty_cycle=0.01))
     air.set_budget(UNLIMITED)
     air.next_step({0: []})
     assert air.room(0) == UNLIMITED
 
 
 def test_a_small_budget_per_step_is_saved_for_a_frame() -> None:
-    air = Airtime(Budget(6), 2, send=[0, 4], saving=Saving(steps=1, least=16))
+    air = airtime(Budget(6), 2, send=(0, 4), step_ns=SECOND)
     room = []
     for step in range(5):
         air.next_step({0: [1], 1: [0]})
@@ -120,7 +129,7 @@ def test_a_small_budget_per_step_is_saved_for_a_frame() -> None:
 
 
 def test_saved_budgets_of_neighborhoods_and_robots_are_separate() -> None:
-    air = Airtime(Budget(10), 4, reuse=True, saving=Saving(steps=5))
+    air = airtime(Budget(10), 4, options=RadioOptions(reuse=True), step_ns=SECOND // 5)
     air.next_step(LINE)
     air.book(0, 45)
     assert [air.room(robot).limit for robot in range(4)] == [5, 5, 5, 50]
@@ -129,7 +138,7 @@ def test_saved_budgets_of_neighborhoods_and_robots_are_separate() -> None:
 
 
 def test_a_robot_sends_and_receives_no_more_than_its_limits() -> None:
-    air = Airtime(UNLIMITED, 2, send=[50, 0], receive=[0, 30])
+    air = airtime(UNLIMITED, 2, send=(50, 0), receive=(0, 30))
     air.next_step({0: [1], 1: [0]})
     assert (air.room(0), air.room(1)) == (Budget(50), UNLIMITED)
     air.book(0, 20)

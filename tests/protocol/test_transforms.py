@@ -59,8 +59,8 @@ def test_a_circle_of_frames_ends() -> None:
     ("quaternion", "error"),
     [
         ((0.0, 0.0, 0.0, 0.0), "no unit quaternion"),
-        ((1.0, 0.0, 0.0, 0.0), "tilted or upside down"),
-        ((math.sin(0.3), 0.0, 0.0, math.cos(0.3)), "tilted or upside down"),
+        ((1.0, 0.0, 0.0, 0.0), "upside down"),
+        ((math.sin(0.3), 0.0, 0.0, math.cos(0.3)), "tilted; it must be level"),
         ((math.nan, 0.0, 0.0, 1.0), "no unit quaternion"),
     ],
 )

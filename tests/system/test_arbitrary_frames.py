@@ -161,7 +161,9 @@ def test_hostile_data_never_stops_a_robot_nor_changes_a_saved_state(frames: list
             assert encode([Save()]) in packet_index.split(frame)
             assert BYZANTINE not in robot.replication.replica.distrusted
         assert robot.replication.replica.distrusted <= {BYZANTINE}
-        assert robot.replication.replica.distrusted <= {fault.peer for fault in robot.faults} <= {BYZANTINE}
+        assert (
+            robot.replication.replica.distrusted <= {error.peer for error in robot.peer_errors} <= {BYZANTINE}
+        )
         assert canonical(robot.polygons[2]) == meant
         assert robot.decide().step == step
 
@@ -179,12 +181,12 @@ def test_a_robot_whose_own_map_contradicts_a_forged_copy_is_not_distrusted() -> 
     robot.perceive(sensed(1))
     receive(1, BYZANTINE, 2, forged)
     receive(2, 2, 2, maps[1])
-    assert [fault.peer for fault in robot.faults] == [2]
+    assert [error.peer for error in robot.peer_errors] == [2]
     assert robot.replication.replica.distrusted == set()
     receive(3, 2, 1, maps[0])
     assert canonical(robot.polygons[1]) == honest_updates()[0][1]
     receive(4, BYZANTINE, 2, encode([Save(), Save()]))
-    assert [fault.peer for fault in robot.faults] == [2, BYZANTINE]
+    assert [error.peer for error in robot.peer_errors] == [2, BYZANTINE]
 
 
 def test_a_robot_that_forwards_one_of_two_versions_of_a_byzantine_robot_s_map_is_not_distrusted() -> None:
@@ -204,10 +206,10 @@ def test_a_robot_that_forwards_one_of_two_versions_of_a_byzantine_robot_s_map_is
     receive(honest, BYZANTINE, BYZANTINE, outline(6) + encode([Change(0, 5, 1), Delete(5), Save()]))
     passed_on = honest.replication.logs[BYZANTINE].read(len(deceived.replication.logs[BYZANTINE]), None)
     receive(deceived, 0, BYZANTINE, passed_on)
-    assert [fault.peer for fault in deceived.faults] == [0]
+    assert [error.peer for error in deceived.peer_errors] == [0]
     assert deceived.replication.replica.distrusted == set()
     receive(deceived, 0, BYZANTINE, passed_on)
-    assert len(deceived.faults) == 1, "this map is not accepted from that robot again"
+    assert len(deceived.peer_errors) == 1, "this map is not accepted from that robot again"
     receive(deceived, 0, 0, honest_updates()[0][0])
     assert canonical(deceived.polygons[0]) == honest_updates()[0][1]
 

@@ -82,8 +82,8 @@ def test_a_byzantine_robot_is_reported_and_honest_robots_still_share_their_maps(
     for number in (0, 2):
         robot = team.members[number].robot
         assert robot.replication.replica.distrusted <= {BYZANTINE}
-        assert {fault.peer for fault in robot.faults} == {BYZANTINE}
-        assert robot.faults[0].reason
+        assert {error.peer for error in robot.peer_errors} == {BYZANTINE}
+        assert robot.peer_errors[0].reason
         assert team.held(number, 2 - number) == team.held(2 - number, 2 - number)
         if case != "all of the building":  # a robot that repeats this claim later may have been everywhere
             assert team.held(number, BYZANTINE) is None
@@ -168,7 +168,7 @@ def test_malformed_broadcasts_do_not_keep_honest_robots_from_sharing_their_maps(
             assert wrong.mean() < 0.01
     for robot in honest:
         assert not (team.truth != robot.own)[robot.own != UNKNOWN].any()
-        assert {fault.peer for fault in robot.faults} <= {BYZANTINE}
+        assert {error.peer for error in robot.peer_errors} <= {BYZANTINE}
 
 
 class Garbler(Member):
@@ -207,7 +207,7 @@ def test_one_byzantine_robot_among_eight_does_not_stop_the_others(kind: str) -> 
     seen = np.max([robot.own for robot in honest], axis=0)
     for robot in honest:
         assert ((robot.planning != seen) & (seen != UNKNOWN)).mean() < 0.01
-        assert {fault.peer for fault in robot.faults} <= {BYZANTINE}
+        assert {error.peer for error in robot.peer_errors} <= {BYZANTINE}
 
 
 def test_a_malformed_entry_is_reported() -> None:
@@ -219,8 +219,8 @@ def test_a_malformed_entry_is_reported() -> None:
     team.explore(10)
     for number in (0, 2):
         robot = team.members[number].robot
-        assert {fault.peer for fault in robot.faults} == {BYZANTINE}
-        assert robot.faults[0].reason
+        assert {error.peer for error in robot.peer_errors} == {BYZANTINE}
+        assert robot.peer_errors[0].reason
 
 
 class Decliner(Member):

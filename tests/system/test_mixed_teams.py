@@ -81,7 +81,7 @@ def test_whoever_holds_the_logs_decodes_the_maps_of_all_sensors(kind: str, map_e
             unseen = robot.own == UNKNOWN
             received += int((planning[unseen] != UNKNOWN).sum())
             assert np.array_equal(robot.planning[unseen], planning[unseen])
-    assert not [fault for robot in team.robots for fault in robot.faults]
+    assert not [error for robot in team.robots for error in robot.peer_errors]
     assert received
 
 

@@ -20,7 +20,7 @@ def explored(**settings: Any) -> Team:
     )
     team.explore(600)
     assert any(move.explored for move in team.moves.values())
-    assert not [fault for robot in team.robots for fault in robot.faults]
+    assert not [error for robot in team.robots for error in robot.peer_errors]
     return team
 
 
@@ -83,7 +83,7 @@ def test_every_sent_byte_is_carried_or_cut_within_the_budget(map_encoding: str, 
         assert sent == carried + cut == team.sent_bytes[step]
         assert carried <= 150
     assert (rows["frame"] == NEWS).any()
-    assert not [fault for robot in team.robots for fault in robot.faults]
+    assert not [error for robot in team.robots for error in robot.peer_errors]
 
 
 @pytest.mark.parametrize("map_encoding", ["predictive", "scans", "cells", "zstd-maps"])
@@ -110,7 +110,7 @@ def test_gossip_forwards_more_maps_than_offers_can_name() -> None:
     )
     team.explore(2)
     assert all(len(robot.replication.logs[65]) for robot in team.robots)
-    assert not [fault for robot in team.robots for fault in robot.faults]
+    assert not [error for robot in team.robots for error in robot.peer_errors]
 
 
 def test_predictive_updates_imply_poses_so_that_fewer_pose_packets_are_sent() -> None:

@@ -56,7 +56,7 @@ def test_whoever_holds_the_logs_of_a_robot_decodes_its_map(settings: dict[str, A
             received += int((planning[unseen] != UNKNOWN).sum())
             assert np.array_equal(robot.planning[unseen], planning[unseen])
             assert np.array_equal(robot.shared, shared)
-    assert not [fault for robot in team.robots for fault in robot.faults]
+    assert not [error for robot in team.robots for error in robot.peer_errors]
     assert received or settings["bandwidth"] == 5
 
 

@@ -12,10 +12,11 @@ from protocol.body import Body
 from protocol.grid import FREE, OCCUPIED
 from protocol.range_scans import TURN, Laser
 from tests.worldsim.random_walls import random_walls
+from worldsim.regions import wide_part
 from worldsim.sensor_options import LaserOptions, PoseOptions
 from worldsim.sensors import RobotSensors, SensorSettings
 from worldsim.starts import start_cells
-from worldsim.world import World, WorldSettings, reachable_by, wide_part
+from worldsim.world import World, WorldSettings, reachable_by
 
 Cell = tuple[int, int]
 seeds = st.integers(0, 2**32 - 1)

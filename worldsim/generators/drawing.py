@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.grid import FREE, MAX_SIDE, OCCUPIED, UNKNOWN, Grid, Mask
-from worldsim.largest_part import largest_part
 from worldsim.maps import MapError
+from worldsim.regions import largest_part
 
 _SIXTEENTHS = 16
 
@@ -126,12 +126,9 @@ def enclose(cells: Grid, wall: int) -> None:
 
     Walls are `wall` cells thick, without diagonal gaps.
     """
-    near = cells == FREE
-    for _ in range(wall):
-        around = np.pad(near, 1)
-        near = around[:-2, 1:-1] | near | around[2:, 1:-1]
-        around = np.pad(near, 1)
-        near = around[1:-1, :-2] | near | around[1:-1, 2:]
+    from scipy import ndimage  # noqa: PLC0415  slow to import, and listing names needs none
+
+    near = ndimage.maximum_filter(cells == FREE, 2 * wall + 1, mode="constant")
     cells[near & (cells == UNKNOWN)] = OCCUPIED
     free = cells == FREE
     cells[free & ~largest_part(free)] = OCCUPIED

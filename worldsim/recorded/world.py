@@ -14,10 +14,15 @@ from numpy.typing import NDArray
 
 from protocol.grid import FREE, Grid
 from protocol.messages import Move, Sense
-from protocol.range_scans import NO_MEASUREMENT, TURN, UNIT, RangeScan, encode_range_scan
+from protocol.range_scans import (
+    NO_MEASUREMENT,
+    UNIT,
+    RangeScan,
+    cell_offset,
+    encode_range_scan,
+    nearest_heading,
+)
 from worldsim.base import BaseWorld
-from worldsim.laser import HEADINGS
-from worldsim.sensors import offset
 from worldsim.world import WorldSettings
 
 END_OF_LOG = "end of the log"
@@ -61,7 +66,7 @@ class RecordedWorld(BaseWorld):
         self._seen = np.zeros(truth.size, np.bool_)
         self._places = [each.scan(0).place for each in stretches]
 
-    def share_seen(self, _robot: int) -> float:
+    def share_seen(self, robot: int) -> float:
         """Return the share of the map's free cells that the team knows."""
         return self.seen_cells / self.reachable_cells
 
@@ -78,7 +83,7 @@ class RecordedWorld(BaseWorld):
         if robot not in self.cells:
             self.cells[robot] = self._last_cells[robot]
 
-    def move_robots(self, _moves: Mapping[int, Move]) -> Iterator[tuple[int, Sense]]:
+    def move_robots(self, moves: Mapping[int, Move]) -> Iterator[tuple[int, Sense]]:
         """Begin the next step; return an iterator over the scans of this step."""
         self.step += 1
         return iter([(robot, self._sense(robot)) for robot in self.active_robots()])
@@ -102,5 +107,5 @@ class RecordedWorld(BaseWorld):
         before, self._places[robot] = self._places[robot], scan.place
         self.driven[robot] += math.dist(before, scan.place) / UNIT
         self.cells[robot] = scan.x, scan.y
-        self.offsets[robot] = offset(scan.place[0]), offset(scan.place[1])
-        self.headings[robot] = round(scan.heading * HEADINGS / TURN) % HEADINGS
+        self.offsets[robot] = cell_offset(scan.place[0]), cell_offset(scan.place[1])
+        self.headings[robot] = nearest_heading(scan.heading)

@@ -202,7 +202,7 @@ def test_a_tilted_laser_is_refused() -> None:
     body.add_transforms(message, is_static=True)
     body.add_scan(laser_scan([1.0] * 4))
     assert body.sense(1) is None
-    assert body.problem == "frame 'laser': it is tilted or upside down; lasers must be level"
+    assert body.problem == "frame 'laser': it is tilted; it must be level"
 
 
 def test_a_laser_that_hangs_upside_down_measures_the_same_walls() -> None:

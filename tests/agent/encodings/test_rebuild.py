@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from agent.encodings.base import MapEncoding
 from agent.encodings.catalog import make_encoding
-from agent.encodings.predictive import PATIENCE
+from agent.encodings.predictive import RETURN_STEPS
 from deploy.scenario.plan import Plan
 from protocol.errors import ProtocolError
 from protocol.grid import UNKNOWN, Grid, ray_table
@@ -128,7 +128,7 @@ def test_own_updates_that_depended_on_dropped_ones_are_withdrawn_for_all_robots(
     assert any(each.requires for each in deceived.dependencies(0))
     written = len(log)
     deceived.rebuild([b"".join(log), b"".join(true), b""], STEPS)
-    for step in range(STEPS, STEPS + 2 * PATIENCE):
+    for step in range(STEPS, STEPS + 2 * RETURN_STEPS):
         log += look(deceived, own, 44 + step)
     numbers = [each for each in decode(b"".join(log[written:])) if isinstance(each, Update) and not each.data]
     assert numbers, "empty updates withdraw the others"

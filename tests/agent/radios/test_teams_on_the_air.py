@@ -104,7 +104,7 @@ def test_a_stranger_and_a_replaying_attacker_change_nothing(tmp_path: Path) -> N
         dropped = member.medium.dropped
         assert dropped["replayed"] > 20
         assert dropped["not authentic"] > 20
-        assert not member.robot.faults
+        assert not member.robot.peer_errors
 
 
 def test_a_restarted_robot_continues_and_frames_of_its_former_life_are_dropped(tmp_path: Path) -> None:

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from agent.planning.path_planner import PathPlanner
-from agent.strategies.base import Cell, Pose, Situation
+from agent.strategies.base import Pose, Situation
 from agent.strategies.burgard import Nearest
 from agent.strategies.homing import HOME_AFTER
 from agent.strategies.registry import strategy
 from agent.strategies.team import PLAN_ALONE_AFTER
 from protocol.body import Body
-from protocol.grid import FREE, UNKNOWN, Grid
+from protocol.grid import FREE, UNKNOWN, Cell, Grid
 from tests.agent.planning.planning_references import drawn, settings_for
 from tests.agent.strategies.deciding import CORRIDOR, decide, make_strategy, robot_at
 

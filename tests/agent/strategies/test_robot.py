@@ -79,7 +79,7 @@ def test_a_pose_and_a_target_go_in_one_broadcast_and_are_understood() -> None:
     assert [packet.name for packet in packet_codec.decode(frame)] == ["pose", "targ"]
     assert len(frame) == 7
     other.receive_broadcast(0, frame)
-    assert not other.faults
+    assert not other.peer_errors
 
 
 def test_a_pose_contains_whether_the_robot_leads() -> None:
@@ -148,7 +148,7 @@ def test_a_malformed_broadcast_is_a_fault_and_nothing_more() -> None:
         b"\xff",
     ):
         robot.receive_broadcast(1, frame)
-    assert len(robot.faults) == 3
+    assert len(robot.peer_errors) == 3
     robot.perceive(sense(1))
     robot.decide()
 
@@ -240,6 +240,6 @@ def test_entries_that_depend_on_unsent_entries_do_no_harm() -> None:
         victim.perceive(sense(step, 12 + step))
         (frame,) = victim.replication.open_round(0, [1], None)
         victim.close_round(RoundReport(step, 0, [], [SendReport(0, len(frame.payload))], [], False))
-    assert not victim.faults
+    assert not victim.peer_errors
     victim.decide()
     assert (victim.planning == victim.own)[victim.own != 0].all()

@@ -26,11 +26,10 @@ from deploy.bench import (
     replanning,
     scale,
 )
-from deploy.bench.explorations import Cell
 from deploy.bench.measurement import Measurement, compare
 from deploy.bench.registry import run_benchmarks
 from deploy.commands.app import app
-from protocol.grid import FREE, OCCUPIED, Grid, ray_table
+from protocol.grid import FREE, OCCUPIED, Cell, Grid, ray_table
 from protocol.scans import draw
 from worldsim import generators
 from worldsim.laser import cast

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from deploy.field.dropped_frames import SEVERAL, SEVERAL_REPLAYED, DropAdvice, FaultReport
+from deploy.field.dropped_frames import SEVERAL, SEVERAL_REPLAYED, DropAdvice, ErrorReporter
 
 
 def test_each_reason_is_explained_once_after_several_frames() -> None:
@@ -31,7 +31,7 @@ def test_a_teammate_that_has_lost_its_session_file_is_explained_after_more_frame
 
 def test_malformed_messages_of_authentic_frames_are_explained_once() -> None:
     lines: list[str] = []
-    report = FaultReport(lines.append)
+    report = ErrorReporter(lines.append)
     report("malformed message from robot 1: update 0, expected 1")
     first, advice = lines
     assert first == "malformed message from robot 1: update 0, expected 1"
