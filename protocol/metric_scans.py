@@ -72,8 +72,11 @@ class MetricScan:
 
     def has_beams_of(self, other: MetricScan, tolerance: float) -> bool:
         """Return whether the beams have the same number as those of another scan, and nearly the same angles."""
-        here, there = ((len(each.ranges), each.first, each.increment) for each in (self, other))
-        return np.allclose(here, there, rtol=0, atol=tolerance)
+        return (
+            len(self.ranges) == len(other.ranges)
+            and abs(self.first - other.first) <= tolerance
+            and abs(self.increment - other.increment) <= tolerance
+        )
 
     def at_angles_of(self, other: MetricScan) -> MetricScan:
         """Return the scan with the range that is nearest to each angle of another one; NaN where there is none."""

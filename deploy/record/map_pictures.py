@@ -139,7 +139,7 @@ def _reference(plan: Plan) -> tuple[str, str, dict[int, str]]:
     if not plan.has_truth:
         return "the team's map", "as the team's", DIFFERENCES
     if plan.recording is not None:
-        return "the map of all scans", "as by all scans", SCAN_DIFFERENCES
+        return "the map of all scans", "equal", SCAN_DIFFERENCES
     return "the world", "correct", ERRORS
 
 

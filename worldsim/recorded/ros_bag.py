@@ -4,6 +4,7 @@ The pose of a scan is that of its frame at the time of the scan, in the frame `m
 else in `odom`. Odometry messages count as transforms, where tf has none for the same frame. If nothing says where the
 laser is on the robot, it is where the odometry is. Without odometry, any other frame in which the laser moves is used.
 
+If robots have namespaces, only topics in those around the scans count: frames of several robots may have equal names.
 Times are those in the headers of messages. Messages without one were sent when they were recorded.
 """
 
@@ -98,11 +99,15 @@ def read(path: Path, every: int, topic: str) -> RecordedLog:
 
 
 def _repair(path: Path) -> str:
-    """Return how to repair a bag whose recorder was killed; empty if no tool is known."""
+    """Return what may help: the bag of a single file, or a tool for bags whose recorder was killed."""
     files = [path] if path.is_file() else sorted(path.iterdir())
+    whole = path.is_file() and (path.parent / "metadata.yaml").is_file()
+    hints = [f"it is a file of the bag {path.parent}, which may be readable"] if whole else []
     if any(file.suffix == ".mcap" for file in files):
-        return "; mcap recover (https://mcap.dev) repairs files that were cut off"
-    return "; rosbag reindex repairs bags that were cut off" if path.suffix == ".bag" else ""
+        hints.append("mcap recover (https://mcap.dev) repairs files that were cut off")
+    elif path.suffix == ".bag":
+        hints.append("rosbag reindex repairs bags that were cut off")
+    return "".join(f"; {hint}" for hint in hints)
 
 
 def _scan_topic(path: Path, connections: list[Any], topic: str) -> str:
@@ -125,11 +130,10 @@ def _scan_topic(path: Path, connections: list[Any], topic: str) -> str:
 def _content(reader: Any, topic: str, every: int) -> _Content:
     """Read scans, transforms, and odometry."""
     content = _Content()
-    wanted = [
-        each
-        for each in reader.connections
-        if each.topic == topic or each.msgtype in TRANSFORMS or each.msgtype == ODOMETRY
-    ]
+    of_robot = {topic}
+    for is_one in (_is_static, _is_transform, lambda each: each.msgtype == ODOMETRY):
+        of_robot |= _around(topic, {each.topic for each in reader.connections if is_one(each)})
+    wanted = [each for each in reader.connections if each.topic in of_robot]
     count = 0
     for connection, nanoseconds, raw in reader.messages(connections=wanted):
         is_scan = connection.topic == topic
@@ -142,8 +146,21 @@ def _content(reader: Any, topic: str, every: int) -> _Content:
         elif connection.msgtype == ODOMETRY:
             content.add_odometry(connection.topic, message, recorded)
         else:
-            content.add_transforms(message, recorded, is_static=connection.topic.endswith("tf_static"))
+            content.add_transforms(message, recorded, is_static=_is_static(connection))
     return content
+
+
+def _is_static(connection: Any) -> bool:
+    return connection.msgtype in TRANSFORMS and connection.topic.endswith("tf_static")
+
+
+def _is_transform(connection: Any) -> bool:
+    return connection.msgtype in TRANSFORMS and not _is_static(connection)
+
+
+def _around(scan: str, topics: set[str]) -> set[str]:
+    """Return the topics in namespaces around a topic of scans, as those of its robot; all if there are none."""
+    return {each for each in topics if scan.startswith(f"{each.rpartition('/')[0]}/")} or topics
 
 
 def _log(path: Path, content: _Content) -> RecordedLog:

@@ -167,8 +167,9 @@ class Bag:
         *,
         static: bool = False,
         roll: float = 0.0,
+        namespace: str = "",
     ) -> None:
-        """Write a transform, on /tf or /tf_static."""
+        """Write a transform, on /tf or /tf_static behind a namespace."""
         x, y, _ = pose
         moved = self.make(
             "geometry_msgs/msg/Transform",
@@ -181,7 +182,8 @@ class Bag:
             child_frame_id=child,
             transform=moved,
         )
-        self.write("/tf_static" if static else "/tf", "tf2_msgs/TFMessage", stamp, transforms=[stamped])
+        topic = f"{namespace}/tf_static" if static else f"{namespace}/tf"
+        self.write(topic, "tf2_msgs/TFMessage", stamp, transforms=[stamped])
 
     def odometry(
         self, stamp: float, pose: PoseTuple, *, child: str = "base_link", topic: str = "/odom"

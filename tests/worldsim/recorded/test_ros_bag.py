@@ -325,3 +325,29 @@ def test_poses_may_be_in_a_frame_of_any_name(tmp_path: Path) -> None:
     assert log.notes == (
         f"{place(tmp_path)}: poses are those in frame 'world', as there is neither map nor odom",
     )
+
+
+def test_robots_with_namespaces_may_have_frames_of_equal_names(tmp_path: Path) -> None:
+    with Bag(tmp_path / "tf", "mcap") as bag, Bag(tmp_path / "odometry", "mcap") as other:
+        for robot in (1, 2):
+            space = f"/robot{robot}"
+            bag.transform(0.0, "base_link", "laser", (0.1 * robot, 0, 0), static=True, namespace=space)
+            for second in range(3):
+                bag.transform(second, "odom", "base_link", (10.0 * robot + second, 0, 0), namespace=space)
+                other.odometry(second, (10.0 * robot + second, 0.0, 0.0), topic=f"{space}/odom")
+                for each in (bag, other):
+                    each.scan(second, [1.0, 2.0], topic=f"{space}/scan")
+    for robot in (1, 2):
+        x = read(tmp_path / "tf", topic=f"/robot{robot}/scan").poses[:, 0]
+        assert np.allclose(x, 10.1 * robot + np.arange(3))
+        x = read(tmp_path / "odometry", topic=f"/robot{robot}/scan").poses[:, 0]
+        assert np.allclose(x, 10.0 * robot + np.arange(3))
+
+
+def test_an_error_of_a_file_names_the_bag_that_it_belongs_to(tmp_path: Path) -> None:
+    with Bag(place(tmp_path), "mcap") as bag:
+        write_scans(bag)
+    file = place(tmp_path) / "run.mcap"
+    file.write_bytes(file.read_bytes()[:500])
+    with pytest.raises(LogError, match=f"not a readable bag: .*; it is a file of the bag {place(tmp_path)}"):
+        read(file)
