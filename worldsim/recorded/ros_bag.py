@@ -185,6 +185,11 @@ def _log(path: Path, content: _Content) -> RecordedLog:
             continue
         scan = MetricScan.of_message(each, is_flipped=transforms.is_flipped(frame, root))
         placed.append((scan, pose, stamp))
+    if not placed and gaps:
+        raise LogError(
+            f"{path}: no poses: all scans lie between transforms from {root} to {frame} that are more than "
+            f"{LONGEST_GAP_S:g} s apart"
+        )
     if not placed:
         first, last = transforms.times(frame, root)
         raise LogError(
@@ -199,9 +204,14 @@ def _log(path: Path, content: _Content) -> RecordedLog:
         )
         if number
     ]
-    if root.rpartition("/")[2] not in FIXED_FRAMES:
+    fixed = root.rpartition("/")[2]
+    if fixed not in FIXED_FRAMES:
         notes.append(
             f"{path}: poses are those in frame {root!r}, as there is neither {' nor '.join(FIXED_FRAMES)}"
+        )
+    elif fixed != FIXED_FRAMES[0]:
+        notes.append(
+            f"{path}: poses are those of odometry, in frame {root!r}: their errors grow, and robots share no frame"
         )
     name = path.name.removesuffix(path.suffix) if path.is_file() else path.name
     found, poses, stamps = zip(*placed, strict=True)

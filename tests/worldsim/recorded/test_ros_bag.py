@@ -56,6 +56,7 @@ def test_poses_follow_the_odometry_where_there_is_no_tf(tmp_path: Path, kind: st
             bag.odometry(second, (0.25 * second, 1.0, 0.0))
     log = read(place(tmp_path, kind))
     assert np.allclose(log.poses, [(0.25 * second, 1.0, 0.0) for second in range(1, 7)])
+    assert "poses are those of odometry, in frame 'odom': their errors grow" in log.notes[0]
 
 
 def test_static_transforms_say_where_the_laser_is_on_the_robot_with_odometry(tmp_path: Path) -> None:
@@ -151,6 +152,10 @@ def test_an_error_names_what_a_bag_lacks(tmp_path: Path) -> None:
     with Bag(tmp_path / "no_static", "mcap") as bag:
         write_scans(bag)
         bag.transform(0.0, "odom", "base_link", MOUNT)
+    with Bag(tmp_path / "rare", "mcap") as bag:
+        write_scans(bag)
+        for second in (0, 10):
+            bag.transform(second, "map", "laser", (second, 0.0, 0.0))
     with Bag(tmp_path / "set_back", "mcap") as bag:
         for number, second in enumerate((10, 11, 12, 4, 5)):
             bag.recorded = 100.0 + number
@@ -189,6 +194,7 @@ def test_an_error_names_what_a_bag_lacks(tmp_path: Path) -> None:
             "no poses: the transforms from map to laser are not of the time of any scan: they are of 100.0 to 100.0 s, "
             "and scans of 1.0 to 6.0 s",
         ),
+        ("rare", "no poses: all scans lie between transforms from map to laser that are more than 2 s apart"),
         ("set_back", "the time jumps back by 8 s at scan 4, .*; cut it there .*, and replay one part"),
         ("two_maps", "scans of frame 'left' have poses in 'left/map', and those of 'right' in 'right/map'"),
         ("tilted", "frame 'laser': it is tilted or upside down"),
