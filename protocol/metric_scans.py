@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,23 +42,69 @@ class BeamAngles:
         return f"{self.beams} beams from {360 * right / TURN:.1f} to {360 * left / TURN:.1f} degrees"
 
 
-def millimeters(
-    ranges: NDArray[np.floating], *, least: float, nothing: float, reverse: bool
-) -> NDArray[np.uint16]:
-    """Convert ranges from meters to the form of `protocol.range_scans`.
+@dataclass(frozen=True, eq=False)
+class MetricScan:
+    """One scan in meters and radians; its angles are counterclockwise as seen from above."""
 
-    Ranges of at least `nothing` meters show that a beam met nothing; there is no such limit if it is not above zero.
-    Those below `least`, not above zero, or not a number are no measurements; a `least` that is not a number excludes
-    none. With `reverse`, the last beam becomes the first.
-    """
-    limit = min(nothing if nothing > 0 else math.inf, NOTHING / 1000)
-    meters = np.asarray(ranges, np.float64)[::-1] if reverse else np.asarray(ranges, np.float64)
-    with np.errstate(invalid="ignore"):
-        measured = ~(meters < least) & (meters > 0)
-        met = measured & (meters < limit)
-    found = np.where(measured, NOTHING, NO_MEASUREMENT).astype(np.uint16)
-    found[met] = np.maximum(np.rint(1000 * meters[met]), 1).astype(np.uint16)
-    return found
+    ranges: NDArray[np.floating]
+    first: float
+    """Angle of the first beam, relative to the heading."""
+    increment: float
+    """Angle from each beam to the next one; negative if they run clockwise."""
+    least: float
+    """Ranges below it are no measurements; if it is not a number, it excludes none."""
+    nothing: float
+    """From this range on, a beam met nothing; there is no such limit if it is not above zero."""
+
+    @classmethod
+    def of_message(cls, message: Any, *, is_flipped: bool) -> MetricScan:
+        """Return the scan of a message of type LaserScan; the angles of a flipped laser run the other way."""
+        sign = -1 if is_flipped else 1
+        first, increment = sign * float(message.angle_min), sign * float(message.angle_increment)
+        return cls(
+            np.asarray(message.ranges), first, increment, float(message.range_min), float(message.range_max)
+        )
+
+    @property
+    def angles(self) -> BeamAngles:
+        """The angles of its beams; ValueError if they are not those of a laser."""
+        return BeamAngles.of(len(self.ranges), self.first, self.increment)
+
+    def has_beams_of(self, other: MetricScan, tolerance: float) -> bool:
+        """Return whether the beams have the same number as those of another scan, and nearly the same angles."""
+        return (
+            len(self.ranges) == len(other.ranges)
+            and abs(self.first - other.first) <= tolerance
+            and abs(self.increment - other.increment) <= tolerance
+        )
+
+    def at_angles_of(self, other: MetricScan) -> MetricScan:
+        """Return the scan with the range that is nearest to each angle of another one; NaN where there is none."""
+        if self.has_beams_of(other, 1e-6):
+            return self
+        found = np.full(len(other.ranges), np.nan)
+        wanted = other.first + np.arange(len(found)) * other.increment
+        with np.errstate(all="ignore"):
+            turn = np.rint(2 * math.pi / np.abs(np.float64(self.increment)))
+            index = np.rint((wanted - self.first) / self.increment) % turn
+        exists = index < len(self.ranges)
+        found[exists] = np.asarray(self.ranges)[index[exists].astype(np.int64)]
+        return replace(self, ranges=found, first=other.first, increment=other.increment)
+
+    def millimeters(self) -> NDArray[np.uint16]:
+        """Return the ranges in the form of `protocol.range_scans`: millimeters, by ascending angle there.
+
+        Ranges that are not above zero, or not a number, are no measurements either.
+        """
+        limit = min(self.nothing if self.nothing > 0 else math.inf, NOTHING / 1000)
+        meters = np.asarray(self.ranges, np.float64)
+        meters = meters[::-1] if self.increment > 0 else meters
+        with np.errstate(invalid="ignore"):
+            measured = ~(meters < self.least) & (meters > 0)
+            met = measured & (meters < limit)
+        found = np.where(measured, NOTHING, NO_MEASUREMENT).astype(np.uint16)
+        found[met] = np.maximum(np.rint(1000 * meters[met]), 1).astype(np.uint16)
+        return found
 
 
 def _units(radians: float) -> int:

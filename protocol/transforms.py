@@ -14,6 +14,8 @@ from typing import NamedTuple
 
 LEAST_UPRIGHT = math.cos(math.radians(20))
 """Cosine of the largest angle between the vertical axes of two frames."""
+STILL = 0.05
+"""Meters and radians by which a frame may have moved between two poses that count as equal."""
 FARTHEST_M = 1e9
 """Largest coordinate of a frame, in meters: larger ones are errors of a sender."""
 
@@ -117,6 +119,11 @@ class TransformBuffer:
         end = bisect_right(edge.stamps, stamp)
         del edge.stamps[end:], edge.poses[end:]
 
+    @property
+    def frames(self) -> list[str]:
+        """All frames that have a parent, or are one."""
+        return sorted({*self._edges, *(edge.parent for edge in self._edges.values())})
+
     def ancestors(self, frame: str) -> list[str]:
         """Return a frame, its parent, and so on up to the root."""
         found = [frame]
@@ -134,6 +141,21 @@ class TransformBuffer:
         line = self.ancestors(frame)
         return sum(self._edges[each].is_flipped for each in line[: line.index(root)]) % 2 == 1
 
+    def has_moved(self, frame: str, root: str) -> bool:
+        """Return whether a frame, or one between it and one of its ancestors, had more than one pose."""
+        line = self.ancestors(frame)
+        edges = [self._edges[each] for each in line[: line.index(root)]]
+        return any(_is_apart(edge.poses[0], pose) for edge in edges for pose in edge.poses)
+
+    def times(self, frame: str, root: str) -> tuple[float, float]:
+        """Return the first and the last time at which the pose of a frame in one of its ancestors may be known."""
+        line = self.ancestors(frame)
+        edges = [self._edges[each] for each in line[: line.index(root)]]
+        moving = [edge.stamps for edge in edges if not edge.is_static]
+        return max((each[0] for each in moving), default=-math.inf), min(
+            (each[-1] for each in moving), default=math.inf
+        )
+
     def newest(self, frame: str, root: str) -> float | None:
         """Return the newest time at which the pose of a frame in one of its ancestors may be known.
 
@@ -143,19 +165,22 @@ class TransformBuffer:
         edges = [self._edges[each] for each in line[: line.index(root)]]
         return min((edge.stamps[-1] for edge in edges if not edge.is_static), default=None)
 
-    def pose(self, frame: str, root: str, stamp: float) -> Pose | None:
-        """Return the pose of a frame in one of its ancestors at a time; None if it was not known before and after."""
+    def pose(self, frame: str, root: str, stamp: float, *, longest_gap: float = math.inf) -> Pose | None:
+        """Return the pose of a frame in one of its ancestors at a time; None if it was not known before and after.
+
+        Also None if a frame moved between two poses that are more than `longest_gap` apart in time.
+        """
         found = Pose(0.0, 0.0, 0.0)
         line = self.ancestors(frame)
         for each in line[: line.index(root)]:
             edge = self._edges[each]
-            outer = self._at(edge, stamp)
+            outer = self._at(edge, stamp, longest_gap)
             if outer is None:
                 return None
             found = outer.then(Pose(found.x, -found.y, -found.yaw) if edge.is_flipped else found)
         return found
 
-    def _at(self, edge: _Edge, stamp: float) -> Pose | None:
+    def _at(self, edge: _Edge, stamp: float, longest_gap: float) -> Pose | None:
         """Interpolate a pose."""
         if edge.is_static:
             return edge.poses[0]
@@ -167,10 +192,18 @@ class TransformBuffer:
         if after == 0:
             return None
         before, later = edge.poses[after - 1], edge.poses[after]
-        share = (stamp - edge.stamps[after - 1]) / (edge.stamps[after] - edge.stamps[after - 1])
+        gap = edge.stamps[after] - edge.stamps[after - 1]
+        if gap > longest_gap and _is_apart(before, later):
+            return None
+        share = (stamp - edge.stamps[after - 1]) / gap
         turn = math.remainder(later.yaw - before.yaw, 2 * math.pi)
         return Pose(
             before.x + share * (later.x - before.x),
             before.y + share * (later.y - before.y),
             before.yaw + share * turn,
         )
+
+
+def _is_apart(one: Pose, other: Pose) -> bool:
+    turn = math.remainder(other.yaw - one.yaw, 2 * math.pi)
+    return math.dist(one[:2], other[:2]) > STILL or abs(turn) > STILL

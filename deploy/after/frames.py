@@ -120,7 +120,9 @@ class Frames:
         now = f"step {step} of {self.last_step}, {step * scenario.step_s:g} s"
         draw.text((self._width - px(MARGIN), px(24)), now, INK, font(px(15), bold=True), "rm")
         seen = float(self._archive.rows_of(step)["team_seen"].max(initial=0.0))
-        what = "the building" if self._archive.plan.has_truth else "the team's map at the end"
+        plan = self._archive.plan
+        what = "the building" if plan.recording is None else "the map of all scans"
+        what = what if plan.has_truth else "the team's map at the end"
         label = f"{what}: {100 * seen:.0f} % seen"
         draw.text((self._world_at[0], px(HEAD + LABEL / 2)), label, INK, font(px(12)), "lm")
 

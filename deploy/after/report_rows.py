@@ -8,7 +8,7 @@ from typing import Any
 
 from deploy.after.archive import Archive
 from deploy.record.map_pictures import counted
-from deploy.record.summary import percent
+from deploy.record.summary import percent, replayed
 from netshaper.ledger import CAUSES
 from protocol.packets import ALL_KINDS
 
@@ -82,6 +82,8 @@ def abstract(summary: dict[str, Any]) -> str:
     medium = "unlimited bandwidth" if isinstance(budget, str) else f"at most {budget} bytes per step"
     reach = "in the field" if summary["range_m"] is None else f"range {summary['range_m']:.1f} m"
     radio = f"Radio: {medium}, {reach}; map encoding: {summary['map_encoding']}."
+    if "scans" in summary:
+        return f"{replayed(summary)} {radio}"
     if summary["finished"]:
         first = f"robot {summary['first_robot']} finished first"
         return f"Explored in {summary['steps']} steps; {first}. {radio}"
@@ -103,15 +105,35 @@ def figure_rows(summary: dict[str, Any]) -> list[list[str]]:
 
 
 def _true_map_figures(summary: dict[str, Any]) -> list[list[str]]:
-    """What needs a true map; of robots in the field, how much of the team's map each robot has instead."""
+    """What needs a true map, or that of all scans; of robots in the field, how much of the team's map each has."""
     if summary.get("clock") == "field":
         mean, worst = (_percent(summary[name]) for name in ("team_map_held", "worst_team_map_held"))
         return [["free cells of the team's map that a robot has", f"mean {mean}, worst {worst}"]]
+    seen, right = "reachable cells seen by the team", "map accuracy"
+    if "scans" in summary:
+        seen, right = (
+            "free cells of the map of all scans that the team saw",
+            "map accuracy, relative to that map",
+        )
     return [
-        ["reachable cells seen by the team", _percent(summary["coverage"])],
-        ["map accuracy", _accuracy(summary)],
+        *_recorded_figures(summary),
+        [seen, _percent(summary["coverage"])],
+        [right, _accuracy(summary)],
         ["team had seen 90 %, 99 %", f"step {summary['t90'] or '-'}, step {summary['t99'] or '-'}"],
         ["steps over the budget", str(summary["over_budget_steps"])],
+    ]
+
+
+def _recorded_figures(summary: dict[str, Any]) -> list[list[str]]:
+    """What the maps of a log have cost; nothing of a simulated run."""
+    if "scans" not in summary:
+        return []
+    per_scan = "-" if summary["bytes_per_scan"] is None else f"{summary['bytes_per_scan']} bytes"
+    late = f"{summary['steps_after_scans']} steps" if summary["finished"] else "never"
+    return [
+        ["replayed", f"{summary['scans']} scans of {', '.join(summary['logs'])}"],
+        ["transmitted per scan", per_scan],
+        ["after the last scan, teammates held all maps within", late],
     ]
 
 

@@ -37,7 +37,8 @@ def report_result(result: Any, *, as_json: bool) -> int:
         errors.print(f"the connection of robot {robot} was cut in step {step} and restored")
     for fault in result.records.protocol_errors.texts[:5]:
         errors.print(f"protocol error: {fault}")
-    if result.summary["reason"] == OUT_OF_STEPS and (note := standstill(result.records)):
+    is_simulated = "scans" not in result.summary
+    if is_simulated and result.summary["reason"] == OUT_OF_STEPS and (note := standstill(result.records)):
         errors.print(note)
     if as_json:
         print(json.dumps(result.summary))

@@ -27,7 +27,9 @@ NOT_PLAYED = (
 LOG_FLAGS = {
     "recording.every": flag("every", int, option("K", "replay each K-th scan (default 1)", LOG)),
     "recording.pace": flag("pace", str, option("|".join(PACES), f"{PACE_HELP} (default scan)", LOG)),
-    "recording.topic": flag("topic", str, option("TOPIC", "the laser, if a bag has several", LOG)),
+    "recording.topic": flag(
+        "topic", str, option("TOPIC", "the laser, if a bag has several; A,B: a robot for each of them", LOG)
+    ),
     "recording.resolution": flag(
         "resolution", float, option("METERS", "cell size of the map (default 0.1)", LOG)
     ),

@@ -162,7 +162,9 @@ def reproduce(
 @setting_flags("map", "seed", "bus")
 @figure_flags
 def compare(
-    scenario: Annotated[list[Path] | None, argument("A.toml B.toml ...", "scenarios to compare")] = None,
+    scenario: Annotated[
+        list[Path] | None, argument("A.toml B.toml ...", "scenarios to compare, or one with a flag below")
+    ] = None,
     strategies: Annotated[str | None, option("A,B,...", "strategies to compare")] = None,
     map_encodings: Annotated[str | None, option("A,B,...", "map encodings to compare")] = None,
     radios: Annotated[str | None, option("A,B,...", "radio presets to compare")] = None,
@@ -179,6 +181,8 @@ def compare(
 ) -> None:
     """Compare scenarios, strategies, map encodings or radios on the same seeds, with confidence intervals.
 
+    With one scenario file, the others are compared with its settings, as radios for a log.
+
     Exit code 3: runs failed.
     """
     from deploy.study import comparison  # noqa: PLC0415
@@ -189,11 +193,17 @@ def compare(
         ("radio", "radios", radios),
     ]  # fmt: skip
     given = [(key, names(text, flag, ())) for key, flag, text in choices if text is not None]
-    if len(given) + bool(scenario) != 1:
-        raise ValueError("give either scenario files, --strategies, --map-encodings or --radios")
+    files = scenario or []
+    if len(given) > 1 or not (given or files) or (given and len(files) > 1):
+        raise ValueError(
+            "give either scenario files, --strategies, --map-encodings or --radios, or one scenario file and one of "
+            "these flags"
+        )
     if twice := [key for key, _ in given if key in settings]:
         raise ValueError(f"{twice[0]} = {settings[twice[0]]!r}: is compared; remove this flag")
-    compared: Any = [{key: name} for key, values in given for name in values] or scenario or []
+    compared: Any = files or [{key: name} for key, values in given for name in values]
+    if files and given:
+        compared = comparison.varied(files[0], *given[0])
     if map_:
         settings["map"] = map_ if len(map_) > 1 else map_[0]
     runs = out / "runs.parquet"
@@ -245,6 +255,11 @@ def size(
 
     Exit code 1: none of them is sufficient; 3: runs failed.
     """
+    if any(text.startswith("recording") for text in set_ or []):
+        raise ValueError(
+            "recording: murmur size lets teams explore a building; for a log, compare radios instead: murmur compare "
+            "SCENARIO.toml --radios lora-sf9,zigbee (docs/recorded.md)"
+        )
     common: dict[str, Any] = {
         "robots": whole_numbers(robots, "robots", MAX_ROBOTS), "deadline": deadline, "finish": finish,
         "min_map_accuracy": min_map_accuracy, "seeds": seeds, "jobs": jobs, "scheduler": scheduler,

@@ -13,7 +13,7 @@ from rich.text import Text
 
 from deploy.record.records import Records
 from deploy.record.run_directory import LOGS, PICTURE, PICTURES
-from deploy.record.summary import percent
+from deploy.record.summary import percent, replayed
 from deploy.scenario.plan import Plan
 
 Watch = Callable[[Plan, Records], object]
@@ -87,17 +87,6 @@ def progress(
         bar.stop()
 
 
-def _replayed(summary: dict[str, Any]) -> str:
-    """Return how much of a log was replayed, and whether teammates hold all maps."""
-    first = f"Replayed {summary['scans']} scans in {summary['steps']} steps"
-    late = summary["steps_after_scans"]
-    if summary["finished"]:
-        when = f"{late} steps after the last scan" if late else "in the step of the last scan"
-        return f"{first}; teammates held all maps {when}. {summary['bytes_per_scan']} B per scan."
-    missing = f"teammates lack {summary['backlog']} log entries"
-    return f"{first}, not finished: {summary['reason']}; {missing}."
-
-
 def standstill(records: Records) -> str:
     """How many steps at the end of a run passed without a motion, and why; empty if they are few."""
     if not records.world or not all(records.statuses):
@@ -115,7 +104,7 @@ def summary_lines(summary: dict[str, Any], directory: Path | None, *, noisy: boo
     """The figures of a run as lines of text; with `noisy` sensors, also how well the walls on its maps fit."""
     lines = []
     if "scans" in summary:
-        lines.append(_replayed(summary))
+        lines.append(replayed(summary))
     elif summary["finished"]:
         by = " by all robots" if summary["finish"] == "all" else ""
         lines.append(
@@ -146,15 +135,19 @@ def summary_lines(summary: dict[str, Any], directory: Path | None, *, noisy: boo
 
 
 def _accuracy_line(summary: dict[str, Any]) -> list[str]:
-    """How much of the area is right on the robots' maps: mean, worst robot, and the first to finish."""
+    """How much of the area is right on the robots' maps: mean, worst robot, and the first to finish.
+
+    The map of all scans of a recorded run may be wrong itself.
+    """
+    name = "Map accuracy, relative to that map" if "scans" in summary else "Map accuracy"
     accuracies = {robot: each["map_accuracy"] for robot, each in summary["robot_maps"].items()}
     if not accuracies:
         return []
     worst = min(accuracies, key=accuracies.__getitem__)
     least = _percent(accuracies[worst])
     if accuracies[worst] == max(accuracies.values()):
-        return [f"Map accuracy: {least}{' on each robot' if len(accuracies) > 1 else ''}."]
-    text = f"Map accuracy: mean {_percent(summary['mean_map_accuracy'])}, worst {least} (robot {worst})"
+        return [f"{name}: {least}{' on each robot' if len(accuracies) > 1 else ''}."]
+    text = f"{name}: mean {_percent(summary['mean_map_accuracy'])}, worst {least} (robot {worst})"
     first = summary["first_robot"]
     if first is not None and summary["map_accuracy"] is not None:
         text += f", first to finish {_percent(summary['map_accuracy'])} (robot {first})"
@@ -176,7 +169,8 @@ def _wall_line(summary: dict[str, Any]) -> list[str]:
     parts = []
     if (f1 := summary["claimed_mean_wall_f1"]) is not None:
         worst = _percent(summary["claimed_worst_wall_f1"])
-        parts.append(f"F1 {_percent(f1)} within one cell of the true ones (worst robot {worst})")
+        which = "those of that map" if "scans" in summary else "the true ones"
+        parts.append(f"F1 {_percent(f1)} within one cell of {which} (worst robot {worst})")
     if (held := summary["walls_within_tolerance"]) is not None:
         cells, worst = summary["tolerance"], _percent(summary["worst_walls_within_tolerance"])
         plural = "" if cells == 1 else "s"

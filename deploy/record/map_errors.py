@@ -16,6 +16,13 @@ ERRORS = {FALSE_WALL: "false wall", UNSEEN: "unknown", WRONG_FREE: "false floor"
 DIFFERENCES = {FALSE_WALL: "wall, free for the team", UNSEEN: "unknown", WRONG_FREE: "free, not for the team"}
 """Text of the same differences if the true map is unknown, and the team's map replaces it."""
 
+SCAN_DIFFERENCES = {
+    FALSE_WALL: "wall, free by all scans",
+    UNSEEN: "unknown",
+    WRONG_FREE: "free, not by all scans",
+}
+"""Text of the same differences if the map of all scans replaces it."""
+
 
 def compare(grid: Grid, truth: Grid, reachable: Mask) -> NDArray[np.uint8]:
     """Classify each cell of a robot's map, from `IRRELEVANT` to `WRONG_FREE`; all arrays have shape (h, w).

@@ -21,7 +21,13 @@ from PIL import Image
 
 from deploy.record import colors
 from deploy.record.colors import Color
-from deploy.record.map_errors import DIFFERENCES, ERRORS, compare, share_correct
+from deploy.record.map_errors import (
+    DIFFERENCES,
+    ERRORS,
+    SCAN_DIFFERENCES,
+    compare,
+    share_correct,
+)
 from deploy.record.records import Records
 from deploy.record.summary import percent
 from deploy.scenario.plan import Plan
@@ -94,7 +100,7 @@ def maps_figure(plan: Plan, records: Records, summary: dict[str, Any]) -> Figure
     figure, (world, team, *panels) = _page(len(robots), plan.map.height / plan.map.width)
     show_grid(world, plan.map, plan.map.cells)
     draw_paths(world, plan, records)
-    what = "the world" if plan.has_truth else "the team's map"
+    what, like, differences = _reference(plan)
     _set_title(world, f"{what} and the robots' paths", fontsize=11)
     seen = records.team_map(summary["refuted_maps"])
     reachable = plan.reachable
@@ -112,7 +118,6 @@ def maps_figure(plan: Plan, records: Records, summary: dict[str, Any]) -> Figure
         panel.spines[:].set(linewidth=0.6, color="#9aa1a9")
         right = percent(share_correct(errors, reachable))
         if size > 8:
-            like = "correct" if plan.has_truth else "as the team's"
             title = f"robot {robot}: {right} {like}" + (", finished first" if is_first else "")
         else:
             title = f"{robot}: {right}" + (" \N{CHECK MARK}" if is_first else "")
@@ -125,8 +130,17 @@ def maps_figure(plan: Plan, records: Records, summary: dict[str, Any]) -> Figure
         f"{counted(summary['steps'], 'step')}, {summary['bytes']['total']:,} B transmitted",
         y=top, va="center",
     )  # fmt: skip
-    _draw_legend(figure, records, ERRORS if plan.has_truth else DIFFERENCES)
+    _draw_legend(figure, records, differences)
     return figure
+
+
+def _reference(plan: Plan) -> tuple[str, str, dict[int, str]]:
+    """Return what robots' maps are compared with, what cells are called that agree, and the differences."""
+    if not plan.has_truth:
+        return "the team's map", "as the team's", DIFFERENCES
+    if plan.recording is not None:
+        return "the map of all scans", "equal", SCAN_DIFFERENCES
+    return "the world", "correct", ERRORS
 
 
 def show_grid(axes: Axes, world_map: Map, grid: Grid) -> None:

@@ -39,6 +39,17 @@ def percent(share: float, decimals: int = 1) -> str:
     return f"{min(100 * share, most):.{decimals}f} %"
 
 
+def replayed(summary: dict[str, Any]) -> str:
+    """Return how much of a log a recorded run has replayed, and whether teammates hold all maps."""
+    first = f"Replayed {summary['scans']} scans in {summary['steps']} steps"
+    late = summary["steps_after_scans"]
+    if summary["finished"]:
+        when = f"{late} steps after the last scan" if late else "in the step of the last scan"
+        return f"{first}; teammates held all maps {when}. {summary['bytes_per_scan']} B per scan."
+    missing = f"teammates lack {summary['backlog']} log entries"
+    return f"{first}, not finished: {summary['reason']}; {missing}."
+
+
 def summarize(plan: Plan, records: Records, wall_s: float) -> dict[str, Any]:
     """Compute ``summary.json`` from the records; metrics that an aborted run does not have are null."""
     scenario = plan.scenario

@@ -30,7 +30,7 @@ def bodies_of(
         hardware = team.body_of(robot)
         body = _body(hardware, cell)
         if recording is not None:
-            body = replace(body, speed=max(recording.speed_cells, 1.0), laser=recording.laser)
+            body = replace(body, speed=max(recording.speed_cells, 1.0), laser=recording.lasers[robot])
         elif noisy:
             body = replace(body, laser=laser_of(hardware, team.beams))
         bodies.append(body)

@@ -21,16 +21,12 @@ from agent.mapping.mapper import add_scan
 from deploy.scenario.errors import ScenarioError
 from deploy.scenario.scenario import Scenario
 from protocol.grid import FREE, MAX_SIDE, UNKNOWN, Cell
-from protocol.metric_scans import BeamAngles
 from protocol.range_scans import MAX_REACH_M, NO_MEASUREMENT, TURN, UNIT, Laser, RangeScan, beam_ends
 from worldsim.maps import Map, MapError
 from worldsim.recorded import reading
-from worldsim.recorded.log import LogError, RecordedLog
-from worldsim.recorded.options import RECORDED
+from worldsim.recorded.log import MAX_BACK_S, LogError, RecordedLog
+from worldsim.recorded.options import RECORDED, RecordingOptions
 from worldsim.recorded.world import Stretch
-
-MAX_BACK_S = 5.0
-"""Seconds by which a scan may be older than the one before it in the log; both count as taken at the same time."""
 
 MARGIN = 2
 """Cells around all cells that scans touch."""
@@ -44,8 +40,8 @@ class Recording:
     """The logs, without the scans that `every` leaves out."""
     stretches: tuple[Stretch, ...]
     """One per robot; those of listeners come last."""
-    laser: Laser
-    """The beams of all robots."""
+    lasers: tuple[Laser, ...]
+    """The beams of each robot; listeners have those of the first one."""
     map: Map
     """The map of all scans."""
 
@@ -62,13 +58,18 @@ class Recording:
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes on the logs for the user."""
-        return tuple(note for log in self.logs for note in log.notes)
+        return tuple(note for log in self.logs for note in log.notes) + tuple(
+            f"{log.name}: {log.jump}; if odometry was reset there, or localization failed, maps show walls twice"
+            for log in self.logs
+            if log.jump
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class _Part:
     """The scans of a log that one robot replays, each in its step; other arrays as in `RecordedLog`."""
 
+    laser: Laser
     steps: NDArray[np.int64]
     poses: NDArray[np.float64]
     ranges: NDArray[np.uint16]
@@ -81,42 +82,56 @@ def load_recording(scenario: Scenario) -> Recording:
     the area is too large for a map.
     """
     options = scenario.recording
+    reach_mm = round(1000 * min(scenario.sensor_range, MAX_REACH_M))
     try:
-        logs = [reading.read(Path(name), options.every, options.topic) for name in options.files]
-        angles = _same_angles(logs, options.files)
+        logs = [reading.read(Path(name), options.every, topic) for name, topic in options.sources]
         robots = scenario.robots - options.listeners if len(logs) == 1 else 1
         parts = [
             part
-            for name, log in zip(options.files, logs, strict=True)
-            for part in _cut(name, log, robots, recorded=options.pace == RECORDED)
+            for (name, _), log in zip(options.sources, logs, strict=True)
+            for part in _cut(name, log, robots, reach_mm, recorded=options.pace == RECORDED)
         ]
-        laser = Laser(
-            angles.beams, angles.first, angles.span, round(1000 * min(scenario.sensor_range, MAX_REACH_M))
-        )
+        if "steps" not in scenario.model_fields_set:
+            _check_steps(options, parts, scenario.steps)
         name = logs[0].name if len(logs) == 1 else f"{logs[0].name}-and-{len(logs) - 1}-more"
-        stretches, world_map = _build(name, parts, laser, options.resolution)
+        jumps = [f"in {log.name}, {log.jump}" for log in logs if log.jump]
+        stretches, world_map = _build(name, parts, options.resolution, jumps)
     except (LogError, MapError) as error:
         raise ScenarioError(str(error)) from None
-    return Recording(tuple(logs), stretches + (_silent(stretches[0]),) * options.listeners, laser, world_map)
+    listeners = options.listeners
+    return Recording(
+        tuple(logs),
+        stretches + (_silent(stretches[0]),) * listeners,
+        tuple(part.laser for part in parts) + (parts[0].laser,) * listeners,
+        world_map,
+    )
 
 
-def _same_angles(logs: Sequence[RecordedLog], files: Sequence[str]) -> BeamAngles:
-    """Return the angles of the beams of all logs; LogError if they differ."""
-    for name, log in zip(files, logs, strict=True):
-        if log.angles != logs[0].angles:
-            raise LogError(
-                f"{name}: {log.angles}, but {files[0]} has {logs[0].angles}: all logs must have the same laser"
-            )
-    return logs[0].angles
+def _check_steps(options: RecordingOptions, parts: Sequence[_Part], most: int) -> None:
+    """Raise LogError if a run would end by its default number of steps before all scans are replayed."""
+    last = max(int(part.steps[-1]) for part in parts)
+    if last <= most:
+        return
+    if options.pace == RECORDED:
+        gap = max(int(np.diff(part.steps, prepend=1).max()) for part in parts)
+        raise LogError(
+            f"{options.files[0]}: a robot's last scan is {last - 1} s after its first one (longest gap: {gap} s), and "
+            f"a run ends after {most} steps: leave out --pace recorded, or set --steps to more than {last}"
+        )
+    raise LogError(
+        f"{options.files[0]}: a robot has {last} scans, and a run ends after {most} steps: replay fewer scans (--every "
+        f"{-(-last // most) * options.every}), use more robots, or set --steps to more than {last}"
+    )
 
 
-def _cut(name: str, log: RecordedLog, robots: int, *, recorded: bool) -> Iterator[_Part]:
+def _cut(name: str, log: RecordedLog, robots: int, reach_mm: int, *, recorded: bool) -> Iterator[_Part]:
     """Yield equal stretches of a log, one per robot; LogError if it has too few scans, or no times if they count."""
     if log.scans < robots:
         raise LogError(
             f"{name}: {log.scans} scans for {robots} robots; each robot needs one scan at least: "
             f"set --robots to {log.scans} at most" + (", or --every to less" if log.scans > 1 else "")
         )
+    laser = Laser(log.angles.beams, log.angles.first, log.angles.span, reach_mm)
     stamps = _times(name, log) if recorded else np.empty(0)
     bounds = [log.scans * number // robots for number in range(robots + 1)]
     for begin, end in pairwise(bounds):
@@ -125,7 +140,7 @@ def _cut(name: str, log: RecordedLog, robots: int, *, recorded: bool) -> Iterato
             seconds = np.floor(stamps[begin:end] - stamps[begin]).astype(np.int64)
             steps, first = np.unique(seconds + 1, return_index=True)
             chosen = begin + first
-        yield _Part(steps.astype(np.int64), log.poses[chosen], log.ranges[chosen])
+        yield _Part(laser, steps.astype(np.int64), log.poses[chosen], log.ranges[chosen])
 
 
 def _times(name: str, log: RecordedLog) -> NDArray[np.float64]:
@@ -145,30 +160,31 @@ def _times(name: str, log: RecordedLog) -> NDArray[np.float64]:
 
 
 def _build(
-    name: str, parts: Sequence[_Part], laser: Laser, resolution: float
+    name: str, parts: Sequence[_Part], resolution: float, jumps: Sequence[str]
 ) -> tuple[tuple[Stretch, ...], Map]:
-    """Convert all poses to the frame of a grid, and map all scans."""
+    """Convert all poses to the frame of a grid, and map all scans; `jumps` are those of poses, for errors."""
     poses = np.concatenate([part.poses for part in parts])
     corner = np.floor(poses[:, :2].min(axis=0) / resolution)
+    wrong = "".join(f", or leave out wrong poses: {each}" for each in jumps[:1])
     extent = (poses[:, :2].max(axis=0) / resolution - corner).max()
     if not extent < MAX_SIDE:
         raise LogError(
             f"{name}: its poses are up to {extent * resolution:.0f} m apart, more than {MAX_SIDE} cells of "
-            f"{resolution:g} m: use larger cells (--resolution)"
+            f"{resolution:g} m: use larger cells (--resolution){wrong}"
         )
     left, bottom = (int(value) for value in corner)
     scans = [_scans(part, (left, bottom), resolution) for part in parts]
-    shift_x, shift_y, width, height = _bounds([each for some in scans for each in some], laser, resolution)
+    shift_x, shift_y, width, height = _bounds(parts, scans, resolution)
     if max(width, height) > MAX_SIDE:
         raise LogError(
             f"{name}: its scans cover {width} x {height} cells, and the maximum is {MAX_SIDE} x {MAX_SIDE}: "
-            "use larger cells (--resolution)"
+            f"use larger cells (--resolution){wrong}"
         )
     scans = [[_moved(each, -shift_x * UNIT, -shift_y * UNIT) for each in some] for some in scans]
     bottom -= shift_y + height
     origin = (left + shift_x) * resolution, bottom * resolution, 0.0
     everything = Estimator(height, width)
-    found = [_map(some, laser, resolution, everything) for some in scans]
+    found = [_map(some, part.laser, resolution, everything) for part, some in zip(parts, scans, strict=True)]
     world_map = Map(name, everything.states.copy(), resolution, origin)
     free = (world_map.cells == FREE).reshape(-1)
     stretches = tuple(
@@ -194,10 +210,12 @@ def _scans(part: _Part, corner: tuple[int, int], resolution: float) -> list[Rang
     return [RangeScan((column, row), heading, ranges) for column, row, heading, ranges in rows]
 
 
-def _bounds(scans: Sequence[RangeScan], laser: Laser, resolution: float) -> tuple[int, int, int, int]:
+def _bounds(
+    parts: Sequence[_Part], scans: Sequence[Sequence[RangeScan]], resolution: float
+) -> tuple[int, int, int, int]:
     """Return column and row of the corner, width, and height of the area that scans touch, in cells; y down."""
     low, high = np.full(2, np.iinfo(np.int64).max), np.full(2, np.iinfo(np.int64).min)
-    for scan in scans:
+    for laser, scan in ((part.laser, scan) for part, some in zip(parts, scans, strict=True) for scan in some):
         ends, _ = beam_ends(scan, laser, resolution)
         points = np.concatenate([np.array([scan.place], np.int64), ends])
         low, high = np.minimum(low, points.min(axis=0)), np.maximum(high, points.max(axis=0))

@@ -31,7 +31,7 @@ from deploy.scenario.team_settings import TeamSettings, has_errors
 from deploy.scenario.toml_files import beside, lay, read_toml, remove_preset_keys
 from protocol import faults
 from protocol.errors import shown
-from worldsim.recorded.options import RecordingOptions
+from worldsim.recorded.options import RecordingOptions, logs_of
 from worldsim.sensor_options import IDEAL, LASERS
 
 SHIPPED = Path(__file__).with_name("shipped")
@@ -91,8 +91,9 @@ class Scenario(RunSettings, CommunicationSettings, ControlSettings, TeamSettings
         if not isinstance(files, list | tuple) or not files:
             return data
         defaults = {"strategy": PLAYBACK, "sensor_range": RECORDED_RANGE_M, "min_coverage": 0.0}
-        if len(files) > 1 and isinstance(listeners, int):
-            defaults["robots"] = len(files) + listeners
+        logs = logs_of(files, str(table.get("topic", "")))
+        if logs > 1 and isinstance(listeners, int):
+            defaults["robots"] = logs + listeners
         predictive = data.get("predictive", {})
         if isinstance(predictive, dict):
             data = data | {"predictive": {"patience": RECORDED_PATIENCE} | predictive}
@@ -150,8 +151,8 @@ class Scenario(RunSettings, CommunicationSettings, ControlSettings, TeamSettings
 
     def _check_recording(self) -> None:
         """Raise ValueError if settings of recorded and of simulated runs are combined."""
-        files = self.recording.files
-        if not files:
+        logs = len(self.recording.sources)
+        if not logs:
             if self.strategy == PLAYBACK:
                 raise ValueError(f"strategy = {PLAYBACK!r}: replays logs: set recording.files (murmur play)")
             return
@@ -163,10 +164,10 @@ class Scenario(RunSettings, CommunicationSettings, ControlSettings, TeamSettings
                 f"recording.listeners = {listeners}: one robot must replay the log; set robots to {listeners + 1} "
                 "or more"
             )
-        if 1 < len(files) != self.robots - listeners:
+        if 1 < logs != self.robots - listeners:
             but = f", and {listeners} have none" if listeners else ""
             raise ValueError(
-                f"robots = {self.robots}: each of {len(files)} logs has one robot{but}; give one log, or as many "
+                f"robots = {self.robots}: each of {logs} logs has one robot{but}; give one log, or as many "
                 "as robots"
             )
         defaults = Scenario()

@@ -38,6 +38,9 @@ METRICS = (
 )  # fmt: skip
 """The metrics of the table, besides the compared one."""
 
+RECORDED_METRICS = ("steps_after_scans", "bytes_per_scan")
+"""More of them if all scenarios replay logs."""
+
 REPLACED = ("seed", "bus")
 """Settings of a scenario that the comparison replaces."""
 
@@ -132,7 +135,8 @@ def compare(
     variants = {name: {k: v for k, v in keys.items() if k not in taken} for name, keys in variants.items()}
     if len({repr(keys) for keys in variants.values()}) < len(variants):
         raise ScenarioError("two of the scenarios are the same")
-    metrics = list(dict.fromkeys((metric, *METRICS)))
+    recorded = RECORDED_METRICS if all("recording" in keys for keys in variants.values()) else ()
+    metrics = list(dict.fromkeys((metric, *recorded, *METRICS)))
     made = of_settings("compare", {}, {**settings, "seed": first_seeds(seeds, least=2)}, variants, metrics)
     panels = "map" if "map" in made.grid else ""
     boxes = Plot(metric, kind=BOXES, panels=panels)
@@ -145,6 +149,14 @@ def compare(
         for one, other in combinations(variants, 2)
     ]
     return Comparison(done, metric, judge([(rules, done.rows)]).findings)
+
+
+def varied(scenario: Path, key: str, values: Iterable[str]) -> dict[str, dict[str, Any]]:
+    """Return the settings of a scenario with each value of a setting, by the values.
+
+    Raises ScenarioError if the scenario cannot be read, or a value does not fit it.
+    """
+    return {value: _settings(load(scenario, {key: value})) for value in values}
 
 
 def _check_runs(done: Sweep, variants: Iterable[str]) -> None:

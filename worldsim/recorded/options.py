@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -25,7 +26,8 @@ class RecordingOptions(Options):
     pace: str = PER_SCAN
     """``scan``: one scan per robot and step; ``recorded``: a step is a second of the log."""
     topic: str = ""
-    """Topic of the laser, if a bag has several; empty: its only one."""
+    """Topic of the laser, if a bag has several; empty: its only one. Several, separated by commas: one log for each, as
+    of the robots of a team in one bag."""
     resolution: Annotated[float, Range(0.01, 10.0, "m per cell")] = 0.1
     """Side of a cell, meters."""
     listeners: int = 0
@@ -37,3 +39,22 @@ class RecordingOptions(Options):
             raise ValueError(f"pace = {self.pace!r}: must be {' or '.join(PACES)}")
         if self.listeners < 0:
             raise ValueError(f"listeners = {self.listeners}: must not be negative")
+        topics = self.topic.split(",")
+        if len(topics) > 1 and len(self.files) not in (0, 1, len(topics)):
+            raise ValueError(
+                f"topic = {self.topic!r}: has {len(topics)} topics for {len(self.files)} logs; give one bag, or one "
+                "per topic"
+            )
+
+    @property
+    def sources(self) -> list[tuple[str, str]]:
+        """File and topic of each log."""
+        topics = [each.strip() for each in self.topic.split(",")]
+        count = logs_of(self.files, self.topic)
+        files = self.files * count if len(self.files) == 1 else self.files
+        return list(zip(files, topics * count if len(topics) == 1 else topics, strict=True))
+
+
+def logs_of(files: Sequence[str], topic: str) -> int:
+    """Return how many logs these files, and the topics of their lasers, are."""
+    return max(len(files), topic.count(",") + 1) if files else 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from protocol.range_scans import NO_MEASUREMENT
+from protocol.range_scans import NO_MEASUREMENT, NOTHING
 from worldsim.recorded import carmen, ros_bag, scan_file
 from worldsim.recorded.log import LogError, RecordedLog
 
@@ -25,6 +25,11 @@ def read(path: Path, every: int = 1, topic: str = "") -> RecordedLog:
             f"{path}: no beam of its {log.scans} scans measured anything: each range is 0, below the minimum of the "
             "laser, or not a number"
         )
+    if ((log.ranges == NO_MEASUREMENT) | (log.ranges == NOTHING)).all():
+        raise LogError(
+            f"{path}: no beam of its {log.scans} scans met anything: each range is at the maximum of the laser, or "
+            "beyond 65 m; ranges must be in meters"
+        )
     return log
 
 
@@ -39,6 +44,8 @@ def _read(path: Path, every: int, topic: str) -> RecordedLog:
                     f"{path}: is a directory without metadata.yaml, so it is no bag; known are {FORMATS}"
                 )
             return ros_bag.read(path, every, topic)
+        if not path.stat().st_size:
+            raise LogError(f"{path}: is empty; was its recorder ended before it wrote anything?")
         if path.name.endswith(ros_bag.SUFFIXES):
             return ros_bag.read(path, every, topic)
         if topic:

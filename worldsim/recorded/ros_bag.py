@@ -1,8 +1,11 @@
 """Read bags of ROS 1 and ROS 2, and MCAP files: laser scans, and where the laser was.
 
-The pose of a scan is that of the laser's frame at the time of the scan, in the frame `map` if the transforms (tf)
-contain it, else in `odom`. Odometry messages count as transforms, where tf has none for the same frame. If nothing
-says where the laser is on the robot, it is where the odometry is.
+The pose of a scan is that of its frame at the time of the scan, in the frame `map` if the transforms (tf) contain it,
+else in `odom`. Odometry messages count as transforms, where tf has none for the same frame. If nothing says where the
+laser is on the robot, it is where the odometry is. Without odometry, any other frame in which the laser moves is used.
+
+If robots have namespaces, only topics in those around the scans count: frames of several robots may have equal names.
+Times are those in the headers of messages. Messages without one were sent when they were recorded.
 """
 
 from __future__ import annotations
@@ -11,13 +14,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from protocol.errors import there_are
-from protocol.metric_scans import BeamAngles, millimeters
+from protocol.metric_scans import MetricScan
 from protocol.packages import require
 from protocol.transforms import Pose, TransformBuffer, frame_name, mounting_of
-from worldsim.recorded.log import LogError, RecordedLog
+from worldsim.recorded.log import MAX_BACK_S, LogError, RecordedLog
 
 SUFFIXES = (".bag", ".mcap", ".db3")
 
@@ -25,6 +26,8 @@ SCAN, ODOMETRY = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry"
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 FIXED_FRAMES = ("map", "odom")
 """Frames in which poses are wanted, the best one first."""
+LONGEST_GAP_S = 2.0
+"""Seconds between two transforms from which on the motion between them is unknown."""
 
 
 @dataclass
@@ -39,21 +42,21 @@ class _Content:
     refused: dict[str, str] = field(default_factory=dict)
     """Why a frame has no pose in the plane, as those of tilted cameras; only frames below the laser matter."""
 
-    def add_odometry(self, topic: str, message: Any) -> None:
-        """Add an odometry message."""
+    def add_odometry(self, topic: str, message: Any, recorded: float) -> None:
+        """Add an odometry message that was recorded at a time."""
         parent, child = frame_name(message.header.frame_id), frame_name(message.child_frame_id)
         pose, is_flipped = self._pose(message.pose.pose, child)
         if pose is not None and not is_flipped:
-            entry = _seconds(message.header.stamp), parent, child, pose
+            entry = _seconds(message.header, recorded), parent, child, pose
             self.odometry.setdefault(topic, []).append(entry)
 
-    def add_transforms(self, message: Any, *, is_static: bool) -> None:
-        """Add a message of transforms."""
+    def add_transforms(self, message: Any, recorded: float, *, is_static: bool) -> None:
+        """Add a message of transforms that was recorded at a time."""
         for each in message.transforms:
             parent, child = frame_name(each.header.frame_id), frame_name(each.child_frame_id)
             pose, is_flipped = self._pose(each.transform, child)
             if pose is not None:
-                stamp = _seconds(each.header.stamp)
+                stamp = _seconds(each.header, recorded)
                 self.transforms.add(parent, child, stamp, pose, is_static=is_static, is_flipped=is_flipped)
 
     def _pose(self, message: Any, frame: str) -> tuple[Pose | None, bool]:
@@ -96,11 +99,15 @@ def read(path: Path, every: int, topic: str) -> RecordedLog:
 
 
 def _repair(path: Path) -> str:
-    """Return how to repair a bag whose recorder was killed; empty if no tool is known."""
+    """Return what may help: the bag of a single file, or a tool for bags whose recorder was killed."""
     files = [path] if path.is_file() else sorted(path.iterdir())
+    whole = path.is_file() and (path.parent / "metadata.yaml").is_file()
+    hints = [f"it is a file of the bag {path.parent}, which may be readable"] if whole else []
     if any(file.suffix == ".mcap" for file in files):
-        return "; mcap recover (https://mcap.dev) repairs files that were cut off"
-    return "; rosbag reindex repairs bags that were cut off" if path.suffix == ".bag" else ""
+        hints.append("mcap recover (https://mcap.dev) repairs files that were cut off")
+    elif path.suffix == ".bag":
+        hints.append("rosbag reindex repairs bags that were cut off")
+    return "".join(f"; {hint}" for hint in hints)
 
 
 def _scan_topic(path: Path, connections: list[Any], topic: str) -> str:
@@ -111,7 +118,10 @@ def _scan_topic(path: Path, connections: list[Any], topic: str) -> str:
     if not topic and len(topics) == 1:
         return topics[0]
     if not topic:
-        raise LogError(f"{path}: several lasers; choose one with --topic: {', '.join(topics)}")
+        raise LogError(
+            f"{path}: several lasers; choose one with --topic: {', '.join(topics)}; --topic "
+            f"{','.join(topics[:2])} makes a robot of each"
+        )
     if topic not in topics:
         raise LogError(f"{path}: topic = {topic!r}: no laser scans on it; {there_are(topics, topic)}")
     return topic
@@ -120,55 +130,105 @@ def _scan_topic(path: Path, connections: list[Any], topic: str) -> str:
 def _content(reader: Any, topic: str, every: int) -> _Content:
     """Read scans, transforms, and odometry."""
     content = _Content()
-    wanted = [
-        each
-        for each in reader.connections
-        if each.topic == topic or each.msgtype in TRANSFORMS or each.msgtype == ODOMETRY
-    ]
+    of_robot = {topic}
+    for is_one in (_is_static, _is_transform, lambda each: each.msgtype == ODOMETRY):
+        of_robot |= _around(topic, {each.topic for each in reader.connections if is_one(each)})
+    wanted = [each for each in reader.connections if each.topic in of_robot]
     count = 0
-    for connection, _, raw in reader.messages(connections=wanted):
+    for connection, nanoseconds, raw in reader.messages(connections=wanted):
         is_scan = connection.topic == topic
         count += is_scan
         if is_scan and (count - 1) % every:
             continue
-        message = reader.deserialize(raw, connection.msgtype)
+        message, recorded = reader.deserialize(raw, connection.msgtype), nanoseconds * 1e-9
         if is_scan:
-            content.scans.append((_seconds(message.header.stamp), message))
+            content.scans.append((_seconds(message.header, recorded), message))
         elif connection.msgtype == ODOMETRY:
-            content.add_odometry(connection.topic, message)
+            content.add_odometry(connection.topic, message, recorded)
         else:
-            content.add_transforms(message, is_static=connection.topic.endswith("tf_static"))
+            content.add_transforms(message, recorded, is_static=_is_static(connection))
     return content
+
+
+def _is_static(connection: Any) -> bool:
+    return connection.msgtype in TRANSFORMS and connection.topic.endswith("tf_static")
+
+
+def _is_transform(connection: Any) -> bool:
+    return connection.msgtype in TRANSFORMS and not _is_static(connection)
+
+
+def _around(scan: str, topics: set[str]) -> set[str]:
+    """Return the topics in namespaces around a topic of scans, as those of its robot; all if there are none."""
+    return {each for each in topics if scan.startswith(f"{each.rpartition('/')[0]}/")} or topics
 
 
 def _log(path: Path, content: _Content) -> RecordedLog:
     """Return the log: scans in the order of time, each with its pose."""
+    _check_times(path, content.scans)
     scans = sorted(content.scans, key=lambda each: each[0])
-    laser = frame_name(scans[0][1].header.frame_id)
-    frame, root = _add_odometry(path, content, laser)
-    angles, reverse = _angles(path, scans, -1 if content.transforms.is_flipped(frame, root) else 1)
-    found = [(stamp, each, content.transforms.pose(frame, root, stamp)) for stamp, each in scans]
-    placed = [(stamp, each, pose) for stamp, each, pose in found if pose is not None]
-    if not placed:
+    frames = dict.fromkeys(frame_name(each.header.frame_id) for _, each in scans)
+    lines = {laser: _add_odometry(path, content, laser) for laser in frames}
+    """The frame whose pose is that of the laser, and the fixed frame."""
+    frame, root = next(iter(lines.values()))
+    if other := next((laser for laser, line in lines.items() if line[1] != root), ""):
         raise LogError(
-            f"{path}: no poses: the transforms from {root} to {frame} are not of the time of any scan"
+            f"{path}: scans of frame {next(iter(frames))!r} have poses in {root!r}, and those of {other!r} in "
+            f"{lines[other][1]!r}; all must have them in one frame"
         )
-    notes: tuple[str, ...] = ()
-    if missing := len(scans) - len(placed):
-        notes = (f"{path}: {missing} of {len(scans)} scans have no pose at their time, and are left out",)
-    return RecordedLog(
-        path.name.removesuffix(path.suffix) if path.is_file() else path.name,
-        angles,
-        np.array([pose for *_, pose in placed], np.float64),
-        np.array(
-            [
-                millimeters(each.ranges, least=each.range_min, nothing=each.range_max, reverse=reverse)
-                for _, each, _ in placed
-            ]
-        ),
-        np.array([stamp for stamp, *_ in placed], np.float64),
-        notes,
-    )
+    transforms, placed, gaps = content.transforms, [], 0
+    for stamp, each in scans:
+        frame, _ = lines[frame_name(each.header.frame_id)]
+        pose = transforms.pose(frame, root, stamp, longest_gap=LONGEST_GAP_S)
+        if pose is None:
+            gaps += transforms.pose(frame, root, stamp) is not None
+            continue
+        scan = MetricScan.of_message(each, is_flipped=transforms.is_flipped(frame, root))
+        placed.append((scan, pose, stamp))
+    if not placed and gaps:
+        raise LogError(
+            f"{path}: no poses: all scans lie between transforms from {root} to {frame} that are more than "
+            f"{LONGEST_GAP_S:g} s apart"
+        )
+    if not placed:
+        first, last = transforms.times(frame, root)
+        raise LogError(
+            f"{path}: no poses: the transforms from {root} to {frame} are not of the time of any scan: they are of "
+            f"{first:.1f} to {last:.1f} s, and scans of {scans[0][0]:.1f} to {scans[-1][0]:.1f} s"
+        )
+    notes = [
+        f"{path}: {number} of {len(scans)} scans {why}, and are left out"
+        for number, why in (
+            (len(scans) - len(placed) - gaps, "have no pose at their time"),
+            (gaps, f"lie between transforms that are more than {LONGEST_GAP_S:g} s apart"),
+        )
+        if number
+    ]
+    fixed = root.rpartition("/")[2]
+    if fixed not in FIXED_FRAMES:
+        notes.append(
+            f"{path}: poses are those in frame {root!r}, as there is neither {' nor '.join(FIXED_FRAMES)}"
+        )
+    elif fixed != FIXED_FRAMES[0]:
+        notes.append(
+            f"{path}: poses are those of odometry, in frame {root!r}: their errors grow, and robots share no frame"
+        )
+    name = path.name.removesuffix(path.suffix) if path.is_file() else path.name
+    found, poses, stamps = zip(*placed, strict=True)
+    return RecordedLog.of(path, name, found, poses, stamps, notes)
+
+
+def _check_times(path: Path, scans: list[tuple[float, Any]]) -> None:
+    """Raise LogError if the time jumps back, so that some times are not unique."""
+    newest = scans[0][0]
+    for number, (stamp, _) in enumerate(scans, 1):
+        if newest - stamp > MAX_BACK_S:
+            raise LogError(
+                f"{path}: the time jumps back by {newest - stamp:.0f} s at scan {number}, so a clock was set back, or "
+                "the bag was recorded in parts; cut it there (for example mcap filter --start ... --end ...), and "
+                "replay one part"
+            )
+        newest = max(newest, stamp)
 
 
 def _add_odometry(path: Path, content: _Content, laser: str) -> tuple[str, str]:
@@ -181,6 +241,8 @@ def _add_odometry(path: Path, content: _Content, laser: str) -> tuple[str, str]:
     if top in content.refused:
         raise LogError(f"{path}: frame {top!r}: {content.refused[top]}")
     topics = sorted(content.odometry)
+    if not topics and transforms.has_moved(laser, top):
+        return laser, top
     if len(topics) > 1:
         listed = ", ".join(topics)
         raise LogError(
@@ -189,10 +251,15 @@ def _add_odometry(path: Path, content: _Content, laser: str) -> tuple[str, str]:
         )
     if not topics:
         known = " -> ".join(reversed(transforms.ancestors(laser)))
+        others = (
+            f"; only between {', '.join(transforms.frames)}: was /tf_static recorded?"
+            if transforms.frames
+            else ""
+        )
         raise LogError(
             f"{path}: no poses: it has no odometry ({ODOMETRY}), and no transforms (tf) from "
             f"{' or '.join(FIXED_FRAMES)} to the laser's frame {laser!r}"
-            + (f"; only {known}" if "->" in known else "")
+            + (f"; only {known}" if "->" in known else others)
         )
     for stamp, parent, child, pose in content.odometry[topics[0]]:
         transforms.add(parent or FIXED_FRAMES[-1], child or laser, stamp, pose, is_static=False)
@@ -211,31 +278,6 @@ def _fixed_frame(transforms: TransformBuffer, laser: str) -> str:
     return ""
 
 
-def _angles(path: Path, scans: list[tuple[float, Any]], sign: int) -> tuple[BeamAngles, bool]:
-    """Return the angles of all scans, and whether their beams run counterclockwise; LogError if they change.
-
-    `sign` is -1 for a laser that hangs upside down, so that its angles run the other way.
-    """
-    first, *_ = found = [
-        (len(each.ranges), float(each.angle_min), float(each.angle_increment)) for _, each in scans
-    ]
-    try:
-        angles = BeamAngles.of(first[0], sign * first[1], sign * first[2])
-    except ValueError as error:
-        raise LogError(f"{path}: {error}") from None
-    for number, here in enumerate(found, 1):
-        is_same = here[0] == first[0] and np.allclose(here[1:], first[1:], rtol=0, atol=1e-4)
-        if not is_same:
-            raise LogError(
-                f"{path}: scan {number} has {_described(here)}, after scans of {_described(first)}: "
-                "the laser must stay the same"
-            )
-    return angles, sign * first[2] > 0
-
-
-def _described(beams: tuple[int, float, float]) -> str:
-    return f"{beams[0]} beams from {beams[1]:.3f} rad, {beams[2]:.5f} rad apart"
-
-
-def _seconds(stamp: Any) -> float:
-    return float(stamp.sec + stamp.nanosec * 1e-9)
+def _seconds(header: Any, recorded: float) -> float:
+    """Return the time of a message; that at which it was recorded if its header has none."""
+    return float(header.stamp.sec + header.stamp.nanosec * 1e-9) or recorded

@@ -28,6 +28,8 @@ def test_a_run_prints_its_results_and_its_directory(room: str) -> None:
     assert lines[0].startswith("Replayed 12 scans in ")
     assert "B per scan" in lines[0]
     assert "100.00 % of the map of all scans" in lines[1]
+    assert lines[2].startswith("Map accuracy, relative to that map: ")
+    assert "within one cell of those of that map" in lines[3]
     assert lines[-1].startswith("Results: runs/room-predictive-2robots-seed0 (pictures: ")
 
 
@@ -57,7 +59,10 @@ def test_a_run_is_replayed_and_reported_without_the_log(room: str) -> None:
     result = murmur("replay", "run")
     assert result.stdout.startswith("Replay matches"), result.stderr
     assert murmur("report", "run").exit_code == 0
-    assert Path("run/report.html").exists()
+    page = Path("run/report.html").read_text()
+    assert "Replayed 12 scans in " in page
+    assert "Explored in" not in page
+    assert "12 scans of room.log.gz" in page
 
 
 def test_scans_that_are_gone_or_have_changed_are_reported(room: str) -> None:

@@ -21,6 +21,7 @@ from typer.testing import CliRunner
 from deploy.commands import study_output
 from deploy.commands.app import app
 from tests.deploy.study.small_experiment import EXPERIMENT, write
+from tests.worldsim.recorded.made_logs import write_carmen
 
 MURMUR = [sys.executable, "-m", "deploy.commands.main"]
 
@@ -360,6 +361,21 @@ def test_a_table_that_is_wider_than_the_terminal_is_turned_and_names_plug_ins_as
     }
 
 
+def test_radios_are_compared_with_the_settings_of_a_scenario_as_for_a_log(tmp_path: Path) -> None:
+    write_carmen(tmp_path / "room.log", scans=12)
+    scenario = tmp_path / "room.toml"
+    scenario.write_text('robots = 2\nbandwidth = 3\n[recording]\nfiles = ["room.log"]\npace = "recorded"\n')
+    words = [scenario, "--radios", "lora-sf12,zigbee", "--metric", "steps_after_scans", "--seeds", "2"]
+    code, text, errors = command(*words, "--out", tmp_path / "c", of="compare")
+    assert code == 0, errors
+    assert [
+        name for name in ("lora-sf12", "zigbee", "steps_after_scans", "bytes_per_scan") if name not in text
+    ] == []
+    runs = pl.read_parquet(tmp_path / "c" / "runs.parquet")
+    assert set(runs["range_m"]) == {132276.0, 107.0}
+    assert set(runs["bandwidth"]) == {"18", "15782"}, "the radio's, not the scenario's"
+
+
 def test_compare_has_flags_for_sensors_and_for_the_resolution_of_a_picture(tmp_path: Path) -> None:
     room = np.zeros((60, 60), np.uint8)
     room[3:-3, 3:-3] = 255
@@ -413,6 +429,12 @@ def test_an_error_of_size_is_all_that_it_prints(tmp_path: Path, words: tuple[str
     ("words", "output"),
     [
         (["compare"], "give either scenario files, --strategies, --map-encodings or --radios"),
+        (["compare", "a.toml", "b.toml", "--radios", "wifi"], "or one scenario file and one of these flags"),
+        (["compare", "a.toml", "--radios", "wifi,ble"], "scenario a.toml: no such file"),
+        (
+            ["size", "--radio", "wifi", "--set", 'recording.files=["a.log"]'],
+            "recording: murmur size lets teams explore a building; for a log, compare radios instead",
+        ),
         (["compare", "--strategies", "meier,meyer"], "did you mean meier"),
         (["compare", "--strategies", "meier"], "nothing to compare"),
         (

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +12,16 @@ from deploy.scenario.plan import make
 from deploy.scenario.recording import Recording, load_recording
 from deploy.scenario.scenario import load, parse
 from protocol.grid import FREE, OCCUPIED
+from protocol.range_scans import TURN
 from tests.worldsim.recorded.made_logs import (
     HEIGHT,
     WIDTH,
+    Bag,
     carmen_text,
     distances,
     drive,
     flaser,
+    robotlaser,
     sick_angles,
     write_carmen,
 )
@@ -163,12 +167,82 @@ def test_the_recorded_pace_needs_times(tmp_path: Path, text: str, error: str) ->
         recorded(tmp_path / "a.log", recording={"pace": "recorded"})
 
 
-def test_logs_of_one_team_have_the_same_laser(tmp_path: Path) -> None:
-    files = [write_carmen(tmp_path / f"{beams}.log", beams=beams) for beams in (180, 181)]
+def test_robots_of_one_team_may_have_different_lasers(tmp_path: Path) -> None:
+    one = write_carmen(tmp_path / "one.log", beams=180)
+    angles = np.radians(np.arange(-120.0, 121.0, 2.0))
+    lines = [robotlaser(pose, distances(pose, angles), angles[0], math.radians(2), 30.0) for pose in drive(9)]
+    (tmp_path / "other.log").write_text("".join(lines))
+    files = {"files": [str(one), str(tmp_path / "other.log")], "listeners": 1}
+    plan = make(parse({"recording": files, "robots": 3}))
+    lasers = [body.laser for body in plan.world.bodies]
+    assert [(each.beams, round(each.span * 360 / TURN)) for each in lasers if each] == [
+        (180, 179),
+        (121, 240),
+        (180, 179),
+    ]
+    assert plan.recording is not None
+    assert [each.ranges.shape[1] for each in plan.recording.stretches] == [180, 121, 180]
+    # the map of both has the room's size: all walls are in the right place
+    assert abs(plan.map.width - WIDTH / 0.1 - 4) <= 2
+
+
+def test_a_bag_of_a_team_has_a_robot_for_each_topic(tmp_path: Path) -> None:
+    pytest.importorskip("rosbags", reason="rosbags is in the extra mcap")
+    with Bag(tmp_path / "team", "mcap") as bag:
+        for robot in ("left", "right"):
+            for second in range(3 if robot == "left" else 5):
+                bag.scan(second, [1.0, 2.0], topic=f"/{robot}/scan", frame=f"{robot}/laser")
+                bag.transform(second, "map", f"{robot}/laser", (second, 0.0, 0.0))
+    table = {"files": [str(tmp_path / "team")], "topic": "/left/scan,/right/scan"}
+    scenario = parse({"recording": table})
+    assert scenario.robots == 2
+    assert steps(load_recording(scenario)) == [[1, 2, 3], [1, 2, 3, 4, 5]]
+    with pytest.raises(ScenarioError, match="robots = 3: each of 2 logs has one robot"):
+        parse({"recording": table, "robots": 3})
+    with pytest.raises(ScenarioError, match="has 2 topics for 3 logs; give one bag, or one per topic"):
+        parse({"recording": table | {"files": ["a", "b", "c"]}})
+
+
+def test_a_log_that_is_longer_than_a_run_is_refused_unless_the_steps_are_given(tmp_path: Path) -> None:
+    scan = [1.0, 2.0]
+    lines = [flaser((0, 0, 0), scan, at) for at in (0, 1, 2, 50_000, 50_001)]
+    (tmp_path / "gap.log").write_text("".join(lines))
+    (tmp_path / "long.log").write_text(flaser((0, 0, 0), scan) * 30_000)
+    assert steps(recorded(tmp_path / "gap.log")) == [[1, 2, 3, 4, 5]]
+    paced = {"pace": "recorded"}
     with pytest.raises(
-        ScenarioError, match=r"181.log: 181 beams from -90.0 to 90.0 degrees, but .*180 beams from -90.0"
+        ScenarioError, match=r"last scan is 50001 s after .* .longest gap: 49998 s.*--pace recorded"
     ):
-        recorded(*files, robots=2)
+        recorded(tmp_path / "gap.log", recording=paced)
+    assert steps(recorded(tmp_path / "gap.log", recording=paced, steps=10)) == [[1, 2, 3, 50_001, 50_002]]
+    with pytest.raises(
+        ScenarioError, match=r"has 15000 scans, .* 10000 steps: replay fewer scans .--every 2."
+    ):
+        recorded(tmp_path / "long.log", robots=2)
+
+
+def test_a_pose_that_jumps_is_noted(tmp_path: Path) -> None:
+    def jumps(name: str) -> list[str]:
+        return [note for note in recorded(tmp_path / f"{name}.log").notes if "the pose jumps" in note]
+
+    places = [0.0, 0.4, 0.8, 3.4, 3.8, 4.2]
+    for name, stamps in (
+        ("timed", [0.0, 0.2, 0.4, 0.6, 0.8, 1.0]),
+        ("slow", range(6)),
+        ("untimed", [None] * 6),
+    ):
+        lines = [flaser((x, 0, 0), [1.0, 2.0], at) for x, at in zip(places, stamps, strict=True)]
+        (tmp_path / f"{name}.log").write_text("".join(lines))
+    (note,) = jumps("timed")
+    assert note.startswith(
+        "timed: the pose jumps by 2.6 m within 0.2 s, before scan 4; if odometry was reset there"
+    )
+    assert jumps("slow") == jumps("untimed") == []
+    lines[2] = flaser((500.0, 0, 0), [1.0, 2.0])
+    (tmp_path / "far.log").write_text("".join(lines))
+    error = "or leave out wrong poses: in far, the pose jumps 2 times, first by 499.6 m, before scan 3"
+    with pytest.raises(ScenarioError, match=f"use larger cells .--resolution., {error}"):
+        recorded(tmp_path / "far.log")
 
 
 def test_the_number_of_robots_is_that_of_the_logs(tmp_path: Path) -> None:

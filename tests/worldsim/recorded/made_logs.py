@@ -48,6 +48,14 @@ def flaser(pose: PoseTuple, ranges: Iterable[float], stamp: float | None = None)
     return f"FLASER {len(values)} {' '.join(values)} {place} {place}{time}\n"
 
 
+def robotlaser(pose: PoseTuple, ranges: Iterable[float], first: float, increment: float, most: float) -> str:
+    """A line of a log of CARMEN that states angles (radians) and maximum (meters) of the laser; the time is 7."""
+    values = [f"{value:.3f}" for value in ranges]
+    head = f"0 {first:.6f} {increment * (len(values) - 1):.6f} {increment:.6f} {most:.3f} 0.01 0"
+    place = " ".join(f"{value:.6f}" for value in pose)
+    return f"ROBOTLASER1 {head} {len(values)} {' '.join(values)} 1 99 {place} 0 0 0 1 2 3 4 5 7 host 8\n"
+
+
 def carmen_text(scans: int = 24, beams: int = 181, period_s: float | None = 1.0) -> str:
     """A log of CARMEN, with a scan each `period_s` seconds; None: without times."""
     lines = ["# message formats defined\n", "PARAM robot_width 0.5\n"]
@@ -84,6 +92,8 @@ class Bag:
             plugin = rosbag2.StoragePlugin.MCAP if kind == "mcap" else rosbag2.StoragePlugin.SQLITE3
             self._writer = rosbag2.Writer(path, version=8, storage_plugin=plugin)
         self._connections: dict[str, Any] = {}
+        self.recorded: float | None = None
+        """When messages are recorded; None: at the times in their headers."""
 
     def __enter__(self) -> Bag:
         self._writer.__enter__()
@@ -99,7 +109,8 @@ class Bag:
             self._connections[topic] = self._writer.add_connection(topic, kind, typestore=self._types)
         message = self.make(kind, **fields)
         serialize = self._types.serialize_ros1 if self.is_ros1 else self._types.serialize_cdr
-        self._writer.write(self._connections[topic], round(1e9 * stamp), serialize(message, kind))
+        time = round(1e9 * (stamp if self.recorded is None else self.recorded))
+        self._writer.write(self._connections[topic], time, serialize(message, kind))
 
     def make(self, kind: str, **fields: Any) -> Any:
         """Make a message; fields that are left out are zero or empty."""
@@ -156,8 +167,9 @@ class Bag:
         *,
         static: bool = False,
         roll: float = 0.0,
+        namespace: str = "",
     ) -> None:
-        """Write a transform, on /tf or /tf_static."""
+        """Write a transform, on /tf or /tf_static behind a namespace."""
         x, y, _ = pose
         moved = self.make(
             "geometry_msgs/msg/Transform",
@@ -170,7 +182,8 @@ class Bag:
             child_frame_id=child,
             transform=moved,
         )
-        self.write("/tf_static" if static else "/tf", "tf2_msgs/TFMessage", stamp, transforms=[stamped])
+        topic = f"{namespace}/tf_static" if static else f"{namespace}/tf"
+        self.write(topic, "tf2_msgs/TFMessage", stamp, transforms=[stamped])
 
     def odometry(
         self, stamp: float, pose: PoseTuple, *, child: str = "base_link", topic: str = "/odom"

@@ -7,7 +7,15 @@ import numpy as np
 import pytest
 
 from protocol.range_scans import NO_MEASUREMENT, NOTHING, TURN
-from tests.worldsim.recorded.made_logs import carmen_text, distances, drive, flaser, sick_angles, write_carmen
+from tests.worldsim.recorded.made_logs import (
+    carmen_text,
+    distances,
+    drive,
+    flaser,
+    robotlaser,
+    sick_angles,
+    write_carmen,
+)
 from worldsim.recorded.log import LogError
 from worldsim.recorded.reading import read
 
@@ -60,7 +68,18 @@ GOOD = flaser((0, 0, 0), [1.0, 2.0, 3.0])
 @pytest.mark.parametrize(
     ("text", "error"),
     [
-        ("ODOM 0 0 0\n", "no laser scans: it has no FLASER lines"),
+        ("ODOM 0 0 0\n", "no laser scans: it has no FLASER lines, .*; docs/recorded.md shows how to convert"),
+        ("", "is empty"),
+        (
+            GOOD.replace(" ", ","),
+            "line 1: damaged FLASER line: it has 0 values; after .* separated by spaces",
+        ),
+        (
+            robotlaser((0, 0, 0), [1, 2], 0, 1, 9).replace(" 9.000 ", " x "),
+            "line 1: damaged ROBOTLASER1 line: .*; aft",
+        ),
+        (robotlaser((0, 0, 0), [1, 2], 0, 1, 9)[:50], "line 1: damaged ROBOTLASER1 line: it has . values"),
+        (flaser((0, 0, 0), [900.0] * 4), "no beam of its 1 scans met anything: .*; ranges must be in meters"),
         (
             GOOD + "FLASER 3 1.0 2.0\n",
             "line 2: damaged FLASER line: 2 numbers instead of 3 ranges and a pose",
@@ -74,7 +93,6 @@ GOOD = flaser((0, 0, 0), [1.0, 2.0, 3.0])
         (flaser((0, 0, 1e300), [1.0, 2.0]), "heading = 1e\\+300 is not a pose"),
         (flaser((0, 0, 0), [1.0] * 3601), "line 1: .*: 3601 beams; a scan must have 2 to 3600"),
         ("FLASER\n", "line 1: damaged FLASER line: .*; after FLASER must stand the number of beams"),
-        (GOOD + flaser((0, 0, 0), [1.0, 2.0]), "line 2: a scan of 2 beams, after scans of 3"),
     ],
 )
 def test_an_error_names_the_line_and_what_is_wrong(tmp_path: Path, text: str, error: str) -> None:
@@ -106,3 +124,53 @@ def test_only_bags_have_topics(tmp_path: Path) -> None:
 def test_headings_are_kept_in_radians(tmp_path: Path) -> None:
     (tmp_path / "a.log").write_text(flaser((1.0, -2.0, math.pi), [1.0, 2.0]))
     assert read(tmp_path / "a.log").poses[0].tolist() == pytest.approx([1.0, -2.0, math.pi])
+
+
+def test_lines_that_state_angles_and_maximum_of_the_laser_are_read(tmp_path: Path) -> None:
+    angles = np.radians(np.arange(-135.0, 135.1, 0.5))
+    ranges = np.minimum(distances((2.0, 2.0, 1.0), angles), 4.0)
+    line = robotlaser((2.0, 2.0, 1.0), ranges, angles[0], math.radians(0.5), 4.0)
+    (tmp_path / "a.log").write_text(line * 3)
+    log = read(tmp_path / "a.log")
+    assert str(log.angles) == "541 beams from -135.0 to 135.0 degrees"
+    assert np.allclose(log.poses, [(2.0, 2.0, 1.0)] * 3)
+    assert log.stamps.tolist() == [7, 7, 7]
+    is_met = ranges[::-1] < 4.0
+    assert np.array_equal(log.ranges[0] < NOTHING, is_met)
+    assert np.abs(log.ranges[0] / 1000 - ranges[::-1])[is_met].max() < 0.001
+    assert log.notes == ()
+    # a log with both kinds of lines has each scan twice
+    (tmp_path / "a.log").write_text(line + GOOD + line)
+    assert read(tmp_path / "a.log").ranges.tolist() == [[3000, 2000, 1000]]
+
+
+def test_a_last_line_that_was_cut_off_is_left_out(tmp_path: Path) -> None:
+    (tmp_path / "a.log").write_text(GOOD + GOOD + GOOD[:20])
+    log = read(tmp_path / "a.log")
+    assert (log.scans, log.notes[0]) == (
+        2,
+        f"{tmp_path / 'a.log'}: its last line, 3, was cut off, and is left out",
+    )
+
+
+def test_scans_of_other_beams_are_read_at_the_angles_of_most_scans(tmp_path: Path) -> None:
+    poses = drive(9)
+    counts = [361, 181, 181, 181, 181, 361, 361, 181, 90]
+    lines = [
+        flaser(pose, distances(pose, sick_angles(beams))) for pose, beams in zip(poses, counts, strict=True)
+    ]
+    (tmp_path / "a.log").write_text("".join(lines))
+    log = read(tmp_path / "a.log")
+    assert log.ranges.shape == (9, 181)
+    assert "4 of 9 scans do not have 181 beams from -90.0 to 90.0 degrees" in log.notes[0]
+    for at in (0, 3, 6):
+        wanted = distances(poses[at], sick_angles(181))[::-1]
+        assert np.abs(log.ranges[at] / 1000 - wanted).max() < 0.001
+
+
+def test_what_lines_do_not_state_about_the_laser_is_noted(tmp_path: Path) -> None:
+    (tmp_path / "wide.log").write_text(flaser((0, 0, 0), np.linspace(1, 2, 541)))
+    assert "its 541 beams are taken to cover 180 degrees" in read(tmp_path / "wide.log").notes[0]
+    (tmp_path / "short.log").write_text(flaser((0, 0, 0), [*np.linspace(1, 2, 120), *[5.6] * 60]))
+    assert "33 % of all ranges are 5.6 m: if that is the maximum" in read(tmp_path / "short.log").notes[0]
+    assert read(write_carmen(tmp_path / "room.log")).notes == ()

@@ -56,6 +56,7 @@ def test_poses_follow_the_odometry_where_there_is_no_tf(tmp_path: Path, kind: st
             bag.odometry(second, (0.25 * second, 1.0, 0.0))
     log = read(place(tmp_path, kind))
     assert np.allclose(log.poses, [(0.25 * second, 1.0, 0.0) for second in range(1, 7)])
+    assert "poses are those of odometry, in frame 'odom': their errors grow" in log.notes[0]
 
 
 def test_static_transforms_say_where_the_laser_is_on_the_robot_with_odometry(tmp_path: Path) -> None:
@@ -148,11 +149,22 @@ def test_an_error_names_what_a_bag_lacks(tmp_path: Path) -> None:
     with Bag(tmp_path / "other_time", "mcap") as bag:
         write_scans(bag)
         bag.transform(100.0, "map", "laser", (0.0, 0.0, 0.0))
-    with Bag(tmp_path / "other_beams", "mcap") as bag:
-        bag.scan(1.0, np.ones(10))
-        bag.scan(2.0, np.ones(11))
-        bag.transform(1.0, "map", "laser", (0.0, 0.0, 0.0))
-        bag.transform(2.0, "map", "laser", (0.0, 0.0, 0.0))
+    with Bag(tmp_path / "no_static", "mcap") as bag:
+        write_scans(bag)
+        bag.transform(0.0, "odom", "base_link", MOUNT)
+    with Bag(tmp_path / "rare", "mcap") as bag:
+        write_scans(bag)
+        for second in (0, 10):
+            bag.transform(second, "map", "laser", (second, 0.0, 0.0))
+    with Bag(tmp_path / "set_back", "mcap") as bag:
+        for number, second in enumerate((10, 11, 12, 4, 5)):
+            bag.recorded = 100.0 + number
+            bag.scan(second, np.ones(10))
+            bag.transform(second, "map", "laser", (0.0, 0.0, 0.0))
+    with Bag(tmp_path / "two_maps", "mcap") as bag:
+        for frame in ("left", "right"):
+            bag.scan(1.0, np.ones(10), frame=frame)
+            bag.transform(1.0, f"{frame}/map", frame, (0.0, 0.0, 0.0))
     with Bag(tmp_path / "tilted", "mcap") as bag:
         write_scans(bag)
         bag.transform(1.0, "map", "laser", (0.0, 0.0, 1.0), roll=math.pi / 2)
@@ -176,8 +188,15 @@ def test_an_error_names_what_a_bag_lacks(tmp_path: Path) -> None:
     for name, error in (
         ("no_scans", "no laser scans .sensor_msgs/msg/LaserScan.; it has nav_msgs/msg/Odometry"),
         ("no_poses", "no poses: it has no odometry .*, and no transforms .*; only base_link -> laser"),
-        ("other_time", "no poses: the transforms from map to laser are not of the time of any scan"),
-        ("other_beams", "scan 2 has 11 beams from .*, after scans of 10 beams"),
+        ("no_static", "no poses: .*; only between base_link, odom: was /tf_static recorded"),
+        (
+            "other_time",
+            "no poses: the transforms from map to laser are not of the time of any scan: they are of 100.0 to 100.0 s, "
+            "and scans of 1.0 to 6.0 s",
+        ),
+        ("rare", "no poses: all scans lie between transforms from map to laser that are more than 2 s apart"),
+        ("set_back", "the time jumps back by 8 s at scan 4, .*; cut it there .*, and replay one part"),
+        ("two_maps", "scans of frame 'left' have poses in 'left/map', and those of 'right' in 'right/map'"),
         ("tilted", "frame 'laser': it is tilted"),
         ("odometries", "no transforms .*, and several odometries: /left, /right"),
         ("no_angles", "beams from nan rad, 0.0349066 rad apart, are not those of a laser"),
@@ -238,3 +257,103 @@ def test_a_file_of_a_bag_is_a_log_of_its_own(tmp_path: Path, kind: str, suffix: 
     log = read(place(tmp_path) / f"run{suffix}")
     assert log.name == "run"
     assert log.stamps.tolist() == [1, 2, 3, 4, 5, 6]
+
+
+def test_scans_of_a_laser_whose_number_of_beams_varies_are_read_at_the_angles_of_most(tmp_path: Path) -> None:
+    counts = [40, 455, 454, 455, 457, 455]
+    with Bag(place(tmp_path), "mcap") as bag:
+        for second, (pose, beams) in enumerate(zip(drive(6), counts, strict=True), 1):
+            increment = math.tau / (beams - 1)
+            angles = -math.pi + increment * np.arange(beams)
+            bag.scan(second, distances(pose, angles), increment=increment)
+            bag.transform(second, "map", "laser", pose)
+    log = read(place(tmp_path))
+    assert log.ranges.shape == (6, 455)
+    assert "3 of 6 scans do not have 455 beams from -180.0 to 180.0 degrees" in log.notes[0]
+    angles = np.linspace(-math.pi, math.pi, 455)
+    for at in (2, 4):
+        wanted = distances(drive(6)[at], angles)[::-1]
+        assert np.median(np.abs(log.ranges[at] / 1000 - wanted)) < 0.01
+
+
+def test_lasers_with_frames_of_their_own_may_share_a_topic(tmp_path: Path) -> None:
+    mounts = {"front": (0.2, 0.0, 0.0), "rear": (-0.2, 0.0, math.pi)}
+    with Bag(place(tmp_path), "mcap") as bag:
+        for frame, mount in mounts.items():
+            bag.transform(0.0, "base_link", frame, mount, static=True, roll=math.pi if frame == "rear" else 0)
+        for second in range(4):
+            bag.transform(second, "map", "base_link", (second, 0.0, 0.0))
+            bag.scan(
+                second,
+                [1.0, 2.0, 3.0, 4.0],
+                frame="rear" if second % 2 else "front",
+                first=-0.3,
+                increment=0.2,
+            )
+    log = read(place(tmp_path))
+    assert np.allclose(log.poses[:, 0], [0.2, 0.8, 2.2, 2.8])
+    assert np.allclose(np.cos(log.poses[:, 2]), [1, -1, 1, -1])
+    assert log.ranges.tolist() == [[4000, 3000, 2000, 1000], [1000, 2000, 3000, 4000]] * 2
+
+
+def test_messages_without_a_time_were_sent_when_they_were_recorded(tmp_path: Path) -> None:
+    with Bag(place(tmp_path), "mcap") as bag:
+        for second in range(5, 9):
+            bag.recorded = second
+            bag.odometry(0.0, (0.5 * second, 0.0, 0.0))
+            bag.scan(0.0, [1.0, 2.0])
+    log = read(place(tmp_path))
+    assert log.stamps.tolist() == [5, 6, 7, 8]
+    assert np.allclose(log.poses[:, 0], [2.5, 3.0, 3.5, 4.0])
+
+
+def test_scans_in_a_gap_of_the_transforms_are_left_out_if_the_robot_has_moved(tmp_path: Path) -> None:
+    with Bag(place(tmp_path), "mcap") as bag:
+        for second in range(20):
+            bag.scan(second, [1.0, 2.0])
+            if second not in (*range(4, 8), *range(12, 16)):
+                bag.transform(second, "map", "laser", (min(second, 9), 0.0, 0.0))
+    log = read(place(tmp_path))
+    assert log.stamps.tolist() == [0, 1, 2, 3, *range(8, 20)]
+    assert log.notes == (
+        f"{place(tmp_path)}: 4 of 20 scans lie between transforms that are more than 2 s apart, and are left out",
+    )
+
+
+def test_poses_may_be_in_a_frame_of_any_name(tmp_path: Path) -> None:
+    with Bag(place(tmp_path), "mcap") as bag:
+        bag.transform(0.0, "base", "laser", MOUNT, static=True)
+        write_scans(bag)
+        for second in range(8):
+            bag.transform(second, "world", "base", (second, 0.0, 0.0))
+    log = read(place(tmp_path))
+    assert np.allclose(log.poses[:, 0], np.arange(1, 7) + 0.2)
+    assert log.notes == (
+        f"{place(tmp_path)}: poses are those in frame 'world', as there is neither map nor odom",
+    )
+
+
+def test_robots_with_namespaces_may_have_frames_of_equal_names(tmp_path: Path) -> None:
+    with Bag(tmp_path / "tf", "mcap") as bag, Bag(tmp_path / "odometry", "mcap") as other:
+        for robot in (1, 2):
+            space = f"/robot{robot}"
+            bag.transform(0.0, "base_link", "laser", (0.1 * robot, 0, 0), static=True, namespace=space)
+            for second in range(3):
+                bag.transform(second, "odom", "base_link", (10.0 * robot + second, 0, 0), namespace=space)
+                other.odometry(second, (10.0 * robot + second, 0.0, 0.0), topic=f"{space}/odom")
+                for each in (bag, other):
+                    each.scan(second, [1.0, 2.0], topic=f"{space}/scan")
+    for robot in (1, 2):
+        x = read(tmp_path / "tf", topic=f"/robot{robot}/scan").poses[:, 0]
+        assert np.allclose(x, 10.1 * robot + np.arange(3))
+        x = read(tmp_path / "odometry", topic=f"/robot{robot}/scan").poses[:, 0]
+        assert np.allclose(x, 10.0 * robot + np.arange(3))
+
+
+def test_an_error_of_a_file_names_the_bag_that_it_belongs_to(tmp_path: Path) -> None:
+    with Bag(place(tmp_path), "mcap") as bag:
+        write_scans(bag)
+    file = place(tmp_path) / "run.mcap"
+    file.write_bytes(file.read_bytes()[:500])
+    with pytest.raises(LogError, match=f"not a readable bag: .*; it is a file of the bag {place(tmp_path)}"):
+        read(file)
