@@ -22,7 +22,9 @@ STOP_S = 30.0
 def robot(
     file: Annotated[Path | None, argument("ROBOT.toml", "settings file of this robot")] = None,
     example: Annotated[bool, switch("--example", "print a commented settings file, and exit")] = False,
-    check: Annotated[bool, switch("--check", "check the settings and the key, and exit")] = False,
+    check: Annotated[
+        bool, switch("--check", "check the settings, the key, and the directories, and exit")
+    ] = False,
 ) -> None:
     """Run one robot of a team in the field: its sensors and motors over ROS 2, its radio without a relay.
 
@@ -43,6 +45,7 @@ def robot(
         from agent.radios.team_key import read_key  # noqa: PLC0415
 
         read_key(settings.key)
+        settings.check_directories()
         screen.print(f"{file}: robot {settings.settings.robot} of {settings.settings.robots}, no errors")
         screen.print(f"the robot's part of the team's map comes from {source(settings.settings)}")
         screen.print(f"radio: {radio_text(settings.settings)}")

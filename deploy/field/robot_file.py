@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -258,6 +259,15 @@ class RobotFile:
         """The directory of the session file."""
         given = self.settings.radio.sessions
         return self.folder / given if given else self.key.parent
+
+    def check_directories(self) -> None:
+        """Raise ScenarioError if a directory of the robot's files cannot be created or written; nothing is created."""
+        for name, folder in (("record.folder", self.record), ("radio.sessions", self.sessions)):
+            existing = next(each for each in (folder, *folder.parents) if each.exists())
+            if not existing.is_dir():
+                raise ScenarioError(f"{name} = {folder}: {existing} is not a directory; name another")
+            if not os.access(existing, os.W_OK | os.X_OK):
+                raise ScenarioError(f"{name} = {folder}: nothing can be written in {existing}; name another")
 
 
 def source(settings: RobotSettings) -> str:

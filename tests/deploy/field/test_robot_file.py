@@ -237,6 +237,21 @@ def test_the_check_says_what_the_robots_map_is_made_of(scan: str, source: str, t
     assert result.stdout.splitlines()[1] == f"the robot's part of the team's map comes from {source}"
 
 
+@pytest.mark.parametrize(("table", "key"), [("record", "folder"), ("radio", "sessions")])
+def test_the_check_finds_a_directory_that_cannot_be_created(table: str, key: str, tmp_path: Path) -> None:
+    data = settings()
+    data[table] = data.get(table, {}) | {key: "team.key/r0"}
+    file = write(tmp_path, data)
+    assert murmur("keys", "--team-key", str(tmp_path / "team.key")).exit_code == 0
+    result = murmur("robot", "--check", str(file))
+    assert result.exit_code == 2
+    assert (
+        f"{table}.{key} = {tmp_path / 'team.key/r0'}: {tmp_path / 'team.key'} is not a directory"
+        in result.stderr
+    )
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([file.name, "team.key"])
+
+
 @pytest.mark.parametrize(
     ("radio", "text"),
     [
