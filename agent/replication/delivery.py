@@ -10,8 +10,8 @@ sent again, as with negative acknowledgments (NORM, RFC 5740):
     a peer reports a gap                                        send the entries of the gap again
     a peer reports fewer entries than expected, without a gap,  send all entries again from there on
     longer after the last broadcast than frames may take
-    a peer has not acknowledged what it was sent of a map for   ask for reports of this map (`Acks.unacknowledged`)
-    `turn` steps
+    this robot sent entries of a map, and a peer in range has   ask for reports of this map (`Acks.unacknowledged`)
+    not acknowledged them `turn` steps later
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ PATIENCE = 6
 SHARE = 8
 """The part of the medium that all reports together may take, as a divisor; as for receivers of RTP (RFC 3550)."""
 
-
 WINDOW = 4096
-"""Entries behind the end of a log up to which entries are stored: a forger cannot fill the memory."""
+"""Entries are stored only if they begin fewer than so many entries after the end of a log; else a forger could fill
+the memory."""
 
 
 class Acks:
@@ -103,7 +103,7 @@ class Acks:
         return max(0, end - since)
 
     def broadcast(self, number: int) -> None:
-        """Note that this robot sent entries of a map."""
+        """Note that this robot sent entries of a map, of which it may have to ask for reports."""
         self._asked_at[number] = self._replica.step
 
     def unacknowledged(self, in_range: list[int]) -> Mask:

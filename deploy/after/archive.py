@@ -33,8 +33,8 @@ SETTINGS = ("robots", "seed", "strategy", "map_encoding", "bandwidth")
 """Settings that a run's scenario and its summary both have."""
 
 AFTER_BORDER = 0.5 + 1e-6
-"""From the border of a cell to its center, in cells, and more than floats are wrong: as in `protocol.grid.cell_of`,
-a border belongs to the cell on its right, or below."""
+"""From the border of a cell to its center, in cells, with a margin above rounding errors of floats: as in
+`protocol.grid.cell_of`, a border belongs to the cell on its right, or below."""
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ SCAN_DIFFERENCES = {
     UNSEEN: "unknown",
     WRONG_FREE: "free, not by all scans",
 }
-"""Text of the same differences if the map of all scans replaces it."""
+"""Texts of these differences for recorded runs, which are compared with the map of all scans."""
 
 
 def compare(grid: Grid, truth: Grid, reachable: Mask) -> NDArray[np.uint8]:

@@ -39,7 +39,7 @@ METRICS = (
 """The metrics of the table, besides the compared one."""
 
 RECORDED_METRICS = ("steps_after_scans", "bytes_per_scan")
-"""More of them if all scenarios replay logs."""
+"""Metrics that are added if all scenarios replay logs."""
 
 REPLACED = ("seed", "bus")
 """Settings of a scenario that the comparison replaces."""

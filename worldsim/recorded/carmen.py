@@ -38,12 +38,12 @@ HALF_TURN = (180, 181, 360, 361)
 """Numbers of beams of the lasers of FLASER lines, which cover 180 degrees."""
 
 SHARE_AT_MAXIMUM = 0.02
-"""Share of ranges that are equal to the largest one from which on it seems to be the maximum of the laser."""
+"""If at least this share of all ranges equals the largest range, that seems to be the maximum of the laser."""
 
 FORMS = {
-    OLD: "after FLASER must stand the number of beams, a range each, x, y, and heading, separated by spaces",
-    NEW: "after ROBOTLASER1 must stand type, first angle, field of view, resolution, maximum, accuracy, mode, the "
-    "number of beams, a range each, the number of remissions, these, x, y, and heading, separated by spaces",
+    OLD: "FLASER is followed by the number of beams, their ranges, x, y, and heading, separated by spaces",
+    NEW: "ROBOTLASER1 is followed by type, first angle, field of view, resolution, maximum, accuracy, mode, the "
+    "number of beams, their ranges, the number of remissions, these, x, y, and heading, separated by spaces",
 }
 
 LARGEST_POSE = 1e9
@@ -60,6 +60,8 @@ class _Scan(NamedTuple):
     pose: tuple[float, ...]
     stamp: float | None
     """Time; None: unknown."""
+    values: int
+    """Number of values from the pose on."""
 
 
 def read(path: Path, every: int) -> RecordedLog:
@@ -96,10 +98,14 @@ def _scans(path: Path, every: int, kind: bytes) -> tuple[list[_Scan], list[str]]
     for index, (number, line) in enumerate(_lines(path, kind)):
         if index % every:
             continue
+        may_be_cut_off = bool(found) and not line.endswith(b"\n")
         try:
-            found.append(_parsed(line.split(), kind))
+            scan = _parsed(line.split(), kind)
+            if may_be_cut_off and scan.values < found[-1].values:
+                raise ValueError("it has fewer values than the line before")
+            found.append(scan)
         except ValueError as error:
-            if found and not line.endswith(b"\n"):
+            if may_be_cut_off:
                 return found, [f"{path}: its last line, {number}, was cut off, and is left out"]
             raise LogError(f"{path}, line {number}: damaged {kind.decode()} line: {error}") from None
     return found, []
@@ -120,7 +126,7 @@ def _lines(path: Path, kind: bytes) -> Iterator[tuple[int, bytes]]:
                     yield number, line
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         raise LogError(
-            f"{path}: not a complete gzip file: {error}; zcat {path} > {path.stem} saves what it contains"
+            f"{path}: not a complete gzip file: {error}; zcat {path} > {path.stem} recovers the readable part"
         ) from None
 
 
@@ -134,7 +140,11 @@ def _parsed(fields: Sequence[bytes], kind: bytes) -> _Scan:
         head = [float(each) for each in fields[1:at]]
         values = [float(each) for each in fields[at + 1 : at + 1 + beams]]
         behind = at + 1 + beams
-        behind += 0 if kind == OLD else 1 + int(fields[behind])
+        if kind == NEW:
+            remissions = int(fields[behind])
+            if remissions < 0:
+                raise ValueError(f"{remissions} remissions")
+            behind += 1 + remissions
         pose = tuple(float(each) for each in fields[behind : behind + 3])
         at_time = behind + (6 if kind == OLD else 11)
         stamp = float(fields[at_time]) if len(fields) > at_time else None
@@ -155,7 +165,7 @@ def _parsed(fields: Sequence[bytes], kind: bytes) -> _Scan:
     if not all(abs(each) <= LARGEST_POSE for each in pose):
         x, y, heading = pose
         raise ValueError(f"x = {x:g}, y = {y:g}, heading = {heading:g} is not a pose")
-    return _Scan(_metric(ranges, head), pose, stamp)
+    return _Scan(_metric(ranges, head), pose, stamp, len(fields) - behind)
 
 
 def _metric(ranges: NDArray[np.float64], head: Sequence[float]) -> MetricScan:
@@ -176,7 +186,7 @@ def _doubts(scans: Sequence[MetricScan]) -> Iterator[str]:
             "have the angles of other lasers"
         )
     ranges = np.concatenate([each.ranges for each in scans])
-    largest = ranges.max()
+    largest = ranges.max(where=~np.isnan(ranges), initial=0)
     share = np.count_nonzero(ranges == largest) / len(ranges)
     if largest < NOTHING_M and share >= SHARE_AT_MAXIMUM:
         yield (

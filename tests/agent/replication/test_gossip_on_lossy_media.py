@@ -111,13 +111,20 @@ def test_a_forwarder_asks_a_silent_peer_once_for_a_report_by_one_of_its_own() ->
     assert len(reports(broadcasts(forwarder, [2], 10 * REFRESH))) <= 4, "reports in turn only"
 
 
-def test_a_robot_reports_what_it_lacks_until_the_entries_arrive_or_its_peer_leaves() -> None:
+def test_a_robot_reports_what_it_lacks_until_the_entries_arrive() -> None:
     each = engine(2, 3, acks=True)
     asked = reports(broadcasts(each, [0, 1], 100, (1, encode([HeldFirst(0, 3)]))))
     assert set(asked) == {HeldFirst(0, 0)}
     assert len(asked) > 4
     broadcasts(each, [0, 1], 20, (1, encode([FromFirst(0, 0)]) + b"".join(entries(0, 0, 3))))
     assert not reports(broadcasts(each, [0, 1], 100))
+
+
+def test_a_robot_reports_what_it_lacks_only_in_turn_once_the_peer_that_has_it_has_left() -> None:
+    each = engine(2, 3, acks=True)
+    broadcasts(each, [0, 1], 10, (1, encode([HeldFirst(0, 3)])))
+    turns = 6
+    assert len(reports(broadcasts(each, [0], turns * 3 * REFRESH))) <= turns + 1
 
 
 def test_a_robot_between_others_that_are_apart_repeats_its_reports() -> None:

@@ -72,11 +72,11 @@ GOOD = flaser((0, 0, 0), [1.0, 2.0, 3.0])
         ("", "is empty"),
         (
             GOOD.replace(" ", ","),
-            "line 1: damaged FLASER line: it has 0 values; after .* separated by spaces",
+            "line 1: damaged FLASER line: it has 0 values; FLASER is followed by .* separated by spaces",
         ),
         (
             robotlaser((0, 0, 0), [1, 2], 0, 1, 9).replace(" 9.000 ", " x "),
-            "line 1: damaged ROBOTLASER1 line: .*; aft",
+            "line 1: damaged ROBOTLASER1 line: .*; ROBOTLASER1 is followed by",
         ),
         (robotlaser((0, 0, 0), [1, 2], 0, 1, 9)[:50], "line 1: damaged ROBOTLASER1 line: it has . values"),
         (flaser((0, 0, 0), [900.0] * 4), "no beam of its 1 scans met anything: .*; ranges must be in meters"),
@@ -86,13 +86,13 @@ GOOD = flaser((0, 0, 0), [1.0, 2.0, 3.0])
         ),
         (
             GOOD + "\n" + GOOD.replace("2.000", "2.x"),
-            "line 3: damaged FLASER line: could not convert .*; after",
+            "line 3: damaged FLASER line: could not convert .*; FLASER is followed by",
         ),
         (GOOD.replace("2.000", "-2.0"), "line 1: damaged FLASER line: range 2 is -2; ranges are 0 or more"),
         (flaser((0, math.nan, 0), [1.0, 2.0]), "x = 0, y = nan, heading = 0 is not a pose"),
         (flaser((0, 0, 1e300), [1.0, 2.0]), "heading = 1e\\+300 is not a pose"),
         (flaser((0, 0, 0), [1.0] * 3601), "line 1: .*: 3601 beams; a scan must have 2 to 3600"),
-        ("FLASER\n", "line 1: damaged FLASER line: .*; after FLASER must stand the number of beams"),
+        ("FLASER\n", "line 1: damaged FLASER line: .*; FLASER is followed by the number of beams"),
     ],
 )
 def test_an_error_names_the_line_and_what_is_wrong(tmp_path: Path, text: str, error: str) -> None:
@@ -151,6 +151,23 @@ def test_a_last_line_that_was_cut_off_is_left_out(tmp_path: Path) -> None:
         2,
         f"{tmp_path / 'a.log'}: its last line, 3, was cut off, and is left out",
     )
+
+
+def test_a_last_line_that_was_cut_off_behind_its_pose_takes_no_times_from_the_others(tmp_path: Path) -> None:
+    text = carmen_text(scans=3)
+    (tmp_path / "a.log").write_text(text[: text.rindex(" ", 0, text.rindex("102") + 1)])
+    log = read(tmp_path / "a.log")
+    assert log.stamps.tolist() == [100, 101]
+    assert log.notes[0].endswith("was cut off, and is left out")
+
+
+def test_a_negative_number_of_remissions_is_refused(tmp_path: Path) -> None:
+    line = robotlaser((1, 1, 0), [1.0] * 5, -0.2, 0.1, 10.0).split()
+    assert line[9 + 5] == "1"
+    line[9 + 5] = "-4"
+    (tmp_path / "a.log").write_text(" ".join(line) + "\n")
+    with pytest.raises(LogError, match="line 1: damaged ROBOTLASER1 line: -4 remissions"):
+        read(tmp_path / "a.log")
 
 
 def test_scans_of_other_beams_are_read_at_the_angles_of_most_scans(tmp_path: Path) -> None:
