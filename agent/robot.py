@@ -21,6 +21,7 @@ from agent.encodings.catalog import check_entries, make_encoding
 from agent.mapping.mapper import WALL, cell_ahead, make_mapper
 from agent.outline.polygons import Polygons
 from agent.planning.noisy_grid import NoisyGrid, shortest_frontier
+from agent.planning.small_frontiers import without_small_frontiers
 from agent.replication.digests import INTERVAL
 from agent.replication.engine import make_replication
 from agent.replication.replica import Rejected
@@ -229,12 +230,14 @@ class Robot:
 
     def _explorable(self, sense: Sense) -> Grid:
         """Return the planning grid as the strategy sees it."""
-        if self._noisy_grid is None:
-            return self.planning
-        self._noisy_grid.drive(sense.x, sense.y)
-        if sense.blocked == WALL:
-            self._noisy_grid.bump(*cell_ahead(sense, self.settings.body.radius_cells))
-        return self._noisy_grid.explorable(self.planning, self.own)
+        grid = self.planning
+        if self._noisy_grid is not None:
+            self._noisy_grid.drive(sense.x, sense.y)
+            if sense.blocked == WALL:
+                self._noisy_grid.bump(*cell_ahead(sense, self.settings.body.radius_cells))
+            grid = self._noisy_grid.explorable(self.planning, self.own)
+        least = self.settings.min_frontier_cells
+        return without_small_frontiers(grid, least) if least > 1 else grid
 
     def avoid(self, target: Cell, steps: int) -> None:
         """Avoid a target that the robot could not reach for some steps; with exact lasers, this has no effect."""

@@ -83,6 +83,8 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=Tru
     """Options of the strategy by name."""
     resolution: float = 0.1
     """Side of a cell in meters."""
+    min_frontier_cells: float = 0.0
+    """Size in cells below which frontiers are not explored (`agent.planning.small_frontiers`)."""
     has_own_map: bool = False
     """Whether the robot makes its map by itself (`protocol.messages.Sense.own_map`); its laser then only bounds it."""
     people: bool = False

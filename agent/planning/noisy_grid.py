@@ -22,6 +22,7 @@ import numpy as np
 from agent.planning.avoided import AvoidedTargets
 from agent.planning.frontier import frontier_cells
 from agent.planning.path_planner import PathPlanner
+from agent.planning.small_frontiers import close_beside
 from protocol.arrays import Cells
 from protocol.body import Body
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Cell, Grid, Mask
@@ -230,12 +231,4 @@ def _close_specks(grid: Grid, frontier: Cells, shortest: int, marks: Grid) -> No
             for column in range(max(0, x - shortest + 1), min(width, x + shortest)):
                 count += marks[row, column]
         if count < shortest:
-            _close_beside(grid, x, y)
-
-
-@kernel
-def _close_beside(grid: Grid, x: int, y: int) -> None:
-    """Turn the unknown 4-neighbors of a cell into walls."""
-    for row, column in ((y, x - 1), (y, x + 1), (y - 1, x), (y + 1, x)):
-        if 0 <= row < grid.shape[0] and 0 <= column < grid.shape[1] and grid[row, column] == UNKNOWN:
-            grid[row, column] = OCCUPIED
+            close_beside(grid, x, y)

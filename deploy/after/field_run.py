@@ -214,6 +214,7 @@ def _scenario(starts: Sequence[FieldStart], timeline: Timeline) -> Scenario:
             "seed": settings.seed,
             "strategy": settings.strategy,
             "options": settings.options,
+            "min_frontier_size": settings.min_frontier_cells * settings.resolution,
             "map_encoding": encoding.name,
             "polygons": encoding.polygons,
             "predictive": encoding.predictive,

@@ -20,8 +20,8 @@ app = command_family()
 LOG = "Log"
 PACE_HELP = "scan: one scan per robot and step; recorded: a step is a second of the log"
 NOT_PLAYED = (
-    "map", "map_seed", "map_options.resolution", "start", "strategy", "speed", "finish", "laser.preset", "pose.preset",
-    "people.number",
+    "map", "map_seed", "map_options.resolution", "start", "strategy", "speed", "min_frontier_size", "finish",
+    "laser.preset", "pose.preset", "people.number",
 )  # fmt: skip
 """Settings of which this command has no flag."""
 LOG_FLAGS = {
@@ -66,7 +66,7 @@ def play(
     formats and results.
     """
     for name in settings:
-        if name.partition(".")[0] in (*NOT_RECORDED, "map", "strategy"):
+        if name.partition(".")[0] in (*NOT_RECORDED, "map", "strategy", "min_frontier_size"):
             raise ValueError(f"set = '{name}=...': {NOT_RECORDED_REASON}")
     scenario = load(None, settings | {"recording.files": [str(path) for path in logs]})
     choices = {"out": out, "pace": rate}

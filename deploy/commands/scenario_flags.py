@@ -12,7 +12,10 @@ from worldsim.sensor_options import LASERS, POSES
 
 SETTINGS = {
     WORLD: {"map": "FILE|NAME", "map_seed": "S", "start": "X,Y"},
-    ROBOTS: {"robots": "N", "strategy": "NAME", "sensor_range": "METERS", "speed": "METERS"},
+    ROBOTS: {
+        "robots": "N", "strategy": "NAME", "sensor_range": "METERS", "speed": "METERS",
+        "min_frontier_size": "METERS",
+    },
     RADIO: {
         "range": "METERS|P%", "bandwidth": "BYTES|unlimited", "map_encoding": "NAME", "dissemination": "NAME",
         "tolerance": "CELLS",

@@ -29,8 +29,8 @@ RADIUS_M = 0.2
 """Default of `radius`: robots that ROS drives are no points."""
 MIN_RATE, MAX_RATE = 1.0, 100.0
 NOT_SERVED = (
-    "strategy", "range", "bandwidth", "map_encoding", "dissemination", "tolerance", "steps", "finish", "bus",
-    "clock",
+    "strategy", "min_frontier_size", "range", "bandwidth", "map_encoding", "dissemination", "tolerance", "steps",
+    "finish", "bus", "clock",
 )  # fmt: skip
 """Settings of runs with agents, radio, and records."""
 SERVED = {

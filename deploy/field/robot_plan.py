@@ -61,6 +61,7 @@ def agent_settings(settings: RobotSettings, laser: Laser) -> Settings:
         medium=MediumSettings(Budget(team_bytes)),
         options=settings.options,
         resolution=cell,
+        min_frontier_cells=settings.min_frontier_size / cell,
         has_own_map=not settings.ros2.scan,
         incarnations=settings.starts,
     )

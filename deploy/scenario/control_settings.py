@@ -12,6 +12,9 @@ from deploy.scenario.tables import MAX_INTEGER, MAX_TOLERANCE, Table, Whole, exa
 
 DEFAULT_STRATEGY = "repairmen"
 
+MAX_FRONTIER_SIZE = 5.0
+"""Largest `min_frontier_size`, in meters: wider than most doors."""
+
 
 class ControlSettings(Table):
     """The strategy with its options, and the map encoding with its options."""
@@ -30,6 +33,14 @@ class ControlSettings(Table):
     )
     tolerance: Whole = Field(
         1, ge=0, le=MAX_TOLERANCE, description="cells between a wall and its copy on teammates' maps at most"
+    )
+
+    min_frontier_size: float = Field(
+        0.0,
+        strict=True,
+        ge=0,
+        le=MAX_FRONTIER_SIZE,
+        description="frontiers that are smaller are not explored, meters; 0: all are (docs/strategies.md)",
     )
 
     @field_validator("map_encoding")

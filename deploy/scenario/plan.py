@@ -193,6 +193,7 @@ def _robot_settings(
             medium=medium,
             options=scenario.options,
             resolution=world_map.resolution,
+            min_frontier_cells=scenario.min_frontier_size / world_map.resolution,
             people=scenario.people.number > 0,
             incarnations=radio.incarnations,
             record_maps=record_maps,
