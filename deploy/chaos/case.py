@@ -108,6 +108,9 @@ def case(seed: int) -> ChaosCase:
     tolerant = keyed_random(seed, "tolerance")
     if map_encoding == "predictive" and tolerant.random() < 0.5:
         settings["tolerance"] = int(tolerant.integers(1, MAX_TOLERANCE + 1))
+    frontiers = keyed_random(seed, "frontiers")
+    if frontiers.random() < 0.3:
+        settings["min_frontier_size"] = float(frontiers.choice([0.2, 0.3, 0.5]))
     lies = keyed_random(seed, "false map")
     false_map = (int(lies.integers(robots)), str(lies.choice(list(LIES))))
     is_exact = map_encoding != "polygons" and "tolerance" not in settings

@@ -27,6 +27,7 @@ def report_result(result: Any, *, as_json: bool) -> int:
     """Print the results of a run; return its exit code."""
     from deploy.commands.terminal import standstill, summary_lines  # noqa: PLC0415
     from deploy.record.run_directory import LOGS  # noqa: PLC0415
+    from deploy.record.summary import TOO_EARLY  # noqa: PLC0415
 
     report_deaths(result.deaths, result.directory / LOGS if result.directory is not None else None)
     if result.view_fault:
@@ -40,6 +41,11 @@ def report_result(result: Any, *, as_json: bool) -> int:
     is_simulated = "scans" not in result.summary
     if is_simulated and result.summary["reason"] == OUT_OF_STEPS and (note := standstill(result.records)):
         errors.print(note)
+    size = result.plan.scenario.min_frontier_size
+    if size and result.summary["reason"].endswith(TOO_EARLY):
+        errors.print(
+            f"min_frontier_size = {size:g} m may close passages: choose less than the narrowest is wide"
+        )
     if as_json:
         print(json.dumps(result.summary))
     else:

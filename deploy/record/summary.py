@@ -26,6 +26,9 @@ from worldsim.recorded.world import Stretch
 MARGIN = 1e-9
 """Largest rounding error of a computed share."""
 
+TOO_EARLY = "stopped too early"
+"""End of the reason of a run whose first robot to finish had seen too little."""
+
 POLYGONS = "polygons"
 """The map encoding that approximates maps."""
 
@@ -143,7 +146,7 @@ def _reason(end: End | None, *, finished: bool) -> str:
     """Why the run ended: a robot reports the end of its exploration, and the records show its true coverage."""
     if end is None:
         return "broken off"
-    return end.reason if finished or end.first < 0 else f"robot {end.first} stopped too early"
+    return end.reason if finished or end.first < 0 else f"robot {end.first} {TOO_EARLY}"
 
 
 def digest(records: Records, without: Collection[int] = ()) -> str:

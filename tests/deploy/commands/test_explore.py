@@ -23,6 +23,15 @@ def test_a_run_prints_its_results_and_its_directory(floor: str) -> None:
     assert "runs/floor-predictive-2robots-seed0-2" in explore(floor, "--steps", "3").stdout
 
 
+def test_a_size_of_frontiers_that_closes_passages_is_named_when_a_robot_stops_too_early(floor: str) -> None:
+    result = explore(floor, "--min-frontier-size", "4")
+    assert result.exit_code == 1
+    assert "stopped too early" in result.stdout
+    assert "min_frontier_size = 4 m may close passages" in result.stderr
+    result = explore(floor, "--min-frontier-size", "0.2")
+    assert (result.exit_code, result.stderr) == (0, "")
+
+
 def test_a_run_with_sensor_errors_prints_how_well_the_walls_fit(floor: str) -> None:
     result = explore(floor, "--laser", "utm-30lx", "--steps", "20")
     (line,) = [line for line in result.stdout.splitlines() if line.startswith("Walls: ")]
