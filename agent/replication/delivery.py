@@ -26,7 +26,11 @@ from agent.replication.replica import Replica
 from protocol.packets import Held
 
 PATIENCE = 6
-"""Steps after which a robot repeats its report of a gap, and after which the next peer forwards missing entries."""
+"""Least steps within which entries are acknowledged, and after which the next peer forwards missing entries; on a
+reliable medium, also those after which a map is reported again."""
+
+URGENT = 2
+"""Least steps after which a robot repeats its report of a gap on a lossy medium."""
 
 SHARE = 8
 """The part of the medium that all reports together may take, as a divisor; as for receivers of RTP (RFC 3550)."""
@@ -46,7 +50,7 @@ class Acks:
         peers = self._peers = replica.peers
         self.interval = PATIENCE
         """Steps within which a robot acknowledges entries; longer on a narrow medium."""
-        self.urgent_interval = PATIENCE
+        self.urgent_interval = PATIENCE if peers.reliable else URGENT
         """Steps after which a map may be reported again if entries are missing."""
         self.turn = PATIENCE
         """Steps after which a robot asks a silent peer for a report, and after which the next peer may forward entries
@@ -75,7 +79,7 @@ class Acks:
         if budget and not self._peers.reliable:
             robots = self._peers.robots
             self.interval = max(PATIENCE, math.ceil(SHARE * Held.size * robots * (robots - 1) / budget))
-            self.urgent_interval = max(2, self.interval // SHARE)
+            self.urgent_interval = max(URGENT, self.interval // SHARE)
             self.turn = self.interval + PATIENCE
 
     def sent(self, number: int, receivers: Mask, first: int, end: int) -> None:
