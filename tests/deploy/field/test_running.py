@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 from pathlib import Path
 
@@ -55,6 +56,25 @@ def test_a_killed_robot_is_forgotten(tmp_path: Path) -> None:
     entry.write_text(text)
     assert robots() == []
     assert not entry.exists()
+
+
+def test_robots_that_begin_and_end_meanwhile_do_not_hinder_the_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with running(tmp_path / "record"):
+        (entry,) = (tmp_path / "tmp").glob("murmur-robots-*/*")
+        ended, begun = entry.with_name("ended"), entry.with_name("begun")
+        ended.symlink_to("gone")
+        begun.touch()
+        assert robots() == [tmp_path / "record"]
+        assert begun.exists()
+
+
+def test_a_file_in_place_of_the_names_of_all_robots_is_reported(tmp_path: Path) -> None:
+    (tmp_path / "tmp" / f"murmur-robots-{os.getuid()}").touch()
+    with pytest.raises(ScenarioError, match="is not a directory of this user: remove it"):
+        robots()
 
 
 def test_without_a_robot_there_is_nothing_to_stop(tmp_path: Path) -> None:
