@@ -12,7 +12,7 @@ import numpy as np
 
 from agent.settings import Settings
 from agent.strategies.options import read_options
-from protocol.arrays import Cells
+from protocol.arrays import NO_CELLS, Cells
 from protocol.grid import UNKNOWN, Cell, Grid
 
 _FACES = ((1, 0, 0), (0, 1, 2), (-1, 0, 4), (0, -1, 6))
@@ -20,8 +20,6 @@ _FACES = ((1, 0, 0), (0, 1, 2), (-1, 0, 4), (0, -1, 6))
 
 FULL_TURN = 360.0
 """Degrees."""
-
-NO_CELLS = np.empty((0, 2), np.int32)
 
 
 def array_of(cells: Collection[Cell]) -> Cells:
