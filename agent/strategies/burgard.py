@@ -40,7 +40,7 @@ VISIBILITIES = ("linear", "learned")
 
 
 @dataclass(frozen=True)
-class Coordinated(BarringParts):
+class CoordinatedOptions(BarringParts):
     """Options of the coordinated strategies."""
 
     beta: float = option(1.0, "weight of cost against utility", least=0)
@@ -53,7 +53,7 @@ class Coordinated(BarringParts):
 
 
 @dataclass(frozen=True)
-class InTurn(Coordinated):
+class BurgardOptions(CoordinatedOptions):
     """Options of `burgard`."""
 
     visibility: str = option(
@@ -119,7 +119,7 @@ class Burgard(CoordinatedStrategy):
     name = "burgard"
     summary = "sub-teams assign frontier cells one by one, the best pair of robot and cell first"
     source = "Burgard et al. 2005, Algorithm 1 (section II-C), sub-teams (II-D)"
-    options_type = InTurn
+    options_type = BurgardOptions
 
     def __init__(self, options: Mapping[str, Any], settings: Settings) -> None:
         super().__init__(options, settings)
@@ -160,7 +160,7 @@ class BurgardOptimal(CoordinatedStrategy):
     name = "burgard-optimal"
     summary = "sub-teams search the assignment with the largest sum of utility minus squared cost"
     source = "Burgard et al. 2005, Algorithm 2 (section IV-C)"
-    options_type = Coordinated
+    options_type = CoordinatedOptions
 
     def assign(self, table: Table, situation: Situation, planner: PathPlanner) -> Assignment:
         """Assign goals; all members search from the same random starts."""
