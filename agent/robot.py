@@ -98,7 +98,7 @@ class Robot:
 
     @property
     def polygons(self) -> Mapping[int, Polygons]:
-        """The polygons of each map, this robot's own included, by map number."""
+        """The polygons of each map, this robot's own included, by map ID."""
         return self._encoding.polygons
 
     @property
