@@ -33,7 +33,7 @@ def cell_at(cells: Cells, index: int | np.integer[Any]) -> Cell:
     return x, y
 
 
-class Pose(NamedTuple):
+class TeammatePose(NamedTuple):
     """The cell that a teammate broadcast as its pose, and whether it leads."""
 
     x: int
@@ -66,7 +66,7 @@ class Situation:
     """Teammates in radio range, ascending."""
     connected: tuple[int, ...] = ()
     """Teammates out of radio range but connected through others, ascending; needs relayed states."""
-    poses: Mapping[int, Pose] = field(default_factory=dict)
+    poses: Mapping[int, TeammatePose] = field(default_factory=dict)
     """The last received pose of each teammate, by ascending number."""
     last_moved: Mapping[int, int] = field(default_factory=dict)
     """The step of the last change of each of these poses."""
