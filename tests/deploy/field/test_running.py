@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from deploy.field import running as registered
 from deploy.field.running import ask_to_stop, has_ended, is_running, robots, running
 from deploy.scenario.errors import ScenarioError
 from tests.deploy.commands.office_floor import murmur
@@ -69,6 +70,17 @@ def test_robots_that_begin_and_end_meanwhile_do_not_hinder_the_others(
         begun.touch()
         assert robots() == [tmp_path / "record"]
         assert begun.exists()
+
+
+def test_all_other_robots_are_stopped_if_one_has_just_ended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(registered, "robots", lambda: [tmp_path / "ended", tmp_path / "record"])
+    monkeypatch.setattr(registered, "has_ended", lambda *_: True)
+    with running(tmp_path / "record") as stop:
+        assert murmur("stop", "--all").exit_code == 0
+        assert stop.exists()
+        assert murmur("stop", str(tmp_path / "ended"), str(tmp_path / "record")).exit_code == 2
 
 
 def test_a_file_in_place_of_the_names_of_all_robots_is_reported(tmp_path: Path) -> None:
