@@ -127,7 +127,7 @@ class Acks:
         """Note that this robot asked for reports of a map: of its own it asks again and again, of others once."""
         self._asked_at[map_id] = self._replica.step if map_id == self._peers.own else NEVER
 
-    def report_received(self, peer: int, map_id: int, length: int, gap_end: int = 0) -> None:
+    def report_received(self, peer: int, map_id: int, length: int, gap_end: int) -> None:
         """Take a report that a peer holds so many entries of a map, and those from `gap_end` on if there is a gap."""
         expected, acked, step = self._peers.expected, self._peers.acked, self._replica.step
         if length > acked.item(peer, map_id) or self._peers.may_restart:
