@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from agent.strategies.base import TeammatePose
-from protocol.grid import FREE, UNKNOWN
+from protocol.grid import FREE, OCCUPIED, UNKNOWN
 from tests.agent.planning.planning_references import drawn
 from tests.agent.strategies.deciding import CORRIDOR, SHORTEST, decide, make_strategy, robot_at
 
@@ -38,6 +38,14 @@ def test_a_robot_out_of_range_is_no_member_but_its_last_target_is_remembered() -
     away = robot_at(4, poses={1: TeammatePose(5, 1, False)}, targets={1: (0, 1)}, target_steps={1: 1})
     assert decide("burgard", away, SHORTEST | {"beta": 0.5}).target == (14, 1)
     assert decide("hungarian", away).target == (14, 1)
+
+
+@pytest.mark.parametrize("name", ["burgard", "burgard-optimal"])
+def test_without_a_weight_of_costs_goals_that_a_teammate_cannot_reach_are_no_hindrance(name: str) -> None:
+    walled = CORRIDOR.copy()
+    walled[1, 10] = OCCUPIED
+    away = robot_at(4, grid=walled, peers=(1,), poses={1: TeammatePose(12, 1, leads=False)})
+    assert decide(name, away, SHORTEST | {"beta": 0.0}).target == (0, 1)
 
 
 def test_greedy_draws_the_same_order_of_robots_in_all_members() -> None:
