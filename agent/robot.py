@@ -26,7 +26,7 @@ from agent.replication.digests import INTERVAL
 from agent.replication.engine import make_replication
 from agent.replication.replica import Rejected
 from agent.settings import Settings
-from agent.strategies.base import Decision, Pose, Situation
+from agent.strategies.base import Decision, Situation, TeammatePose
 from agent.strategies.registry import strategy
 from agent.team_state import TeamState
 from protocol import packet_codec, packet_index
@@ -99,11 +99,11 @@ class Robot:
 
     @property
     def polygons(self) -> Mapping[int, Polygons]:
-        """The polygons of each map, this robot's own included, by map number."""
+        """The polygons of each map, this robot's own included, by map ID."""
         return self._encoding.polygons
 
     @property
-    def teammates(self) -> Mapping[int, Pose]:
+    def teammates(self) -> Mapping[int, TeammatePose]:
         """The last known pose of each teammate."""
         return self._team.poses
 

@@ -15,7 +15,7 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 from agent.settings import Settings
-from agent.strategies.base import Pose, Situation
+from agent.strategies.base import Situation, TeammatePose
 from protocol import packets
 from protocol.grid import Cell, Grid
 from protocol.messages import Sense
@@ -32,7 +32,7 @@ class TeamState:
         self.in_range: tuple[int, ...] = ()
         """Teammates in radio range."""
         self.relayed = RelayedState(settings)
-        self.poses: dict[int, Pose] = {}
+        self.poses: dict[int, TeammatePose] = {}
         """The last known pose of each teammate."""
         self.targets: dict[int, Cell] = {}
         """The target of each teammate, as of the last decision."""
@@ -71,7 +71,7 @@ class TeamState:
                 errors.append(f"{packet} is no target or pose on a {self._width} x {self._height} grid")
             elif isinstance(packet, packets.Pose):
                 self._pose_steps[peer] = self.step
-                self._note_pose(peer, Pose(packet.x, packet.y, bool(packet.leads)))
+                self._note_pose(peer, TeammatePose(packet.x, packet.y, bool(packet.leads)))
             elif isinstance(packet, packets.Target):
                 target = packet.x, packet.y
                 if subject == peer or (subject is not None and target != self.targets.get(subject)):
@@ -82,10 +82,10 @@ class TeamState:
                     errors.append(f"{packet} is no robot of {self._robots}")
                 elif packet.robot not in self.in_range and self.relayed.take(packet, self.step):
                     subject = packet.robot
-                    self._note_pose(subject, Pose(packet.x, packet.y, leads=False))
+                    self._note_pose(subject, TeammatePose(packet.x, packet.y, leads=False))
         return errors
 
-    def broadcast_pose(self, peer: int) -> Pose | None:
+    def broadcast_pose(self, peer: int) -> TeammatePose | None:
         """Return the pose that a teammate broadcast in this step, if it did."""
         return self.poses[peer] if self._pose_steps.get(peer) == self.step else None
 
@@ -95,7 +95,7 @@ class TeamState:
         if cell is None or before is None or before[:2] == cell:
             return
         if self._pose_steps[peer] < self.step:
-            self._note_pose(peer, Pose(*cell, before.leads))
+            self._note_pose(peer, TeammatePose(*cell, before.leads))
 
     def situation(self, sense: Sense, grid: Grid, *, log_entries: int, backlog: int) -> Situation:
         """Return what the strategy decides on, and take over the targets that are new."""
@@ -137,7 +137,7 @@ class TeamState:
                 table.clear()
                 table.update(ascending)
 
-    def _note_pose(self, peer: int, pose: Pose) -> None:
+    def _note_pose(self, peer: int, pose: TeammatePose) -> None:
         before = self.poses.get(peer)
         self.poses[peer] = pose
         if before is None:
@@ -188,7 +188,7 @@ class RelayedState:
         step: int,
         senders: Collection[int],
         peers: Collection[int],
-        poses: Mapping[int, Pose],
+        poses: Mapping[int, TeammatePose],
         targets: Mapping[int, Cell],
     ) -> list[packets.Passed | packets.Target]:
         """Return the states to forward to `peers`: of the `senders` of the step before, and relayed ones."""

@@ -31,3 +31,5 @@ BoolRows = Annotated[NDArray[np.bool_], "boolean[:,::1]"]
 
 Cells = Annotated[NDArray[np.int32], "int32[:,::1]"]
 """Cells (x, y) of a grid, shape (n, 2)."""
+
+NO_CELLS: Cells = np.empty((0, 2), np.int32)

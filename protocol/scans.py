@@ -17,9 +17,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from protocol.arrays import Int32Rows, Int32s, Uint16s
+from protocol.arrays import NO_CELLS, Cells, Int32Rows, Int32s, Uint16s
 from protocol.boxes import NO_BOXES, Box, Boxes, bounding_box
 from protocol.errors import ProtocolError
 from protocol.grid import FREE, MAX_SIDE, OCCUPIED, UNKNOWN, Grid, RayTable
@@ -132,11 +131,8 @@ class Change(NamedTuple):
         return Change(self.cells + other.cells, bounding_box([self.box, other.box]))
 
 
-_NO_CELLS = np.empty((0, 2), np.int32)
-
-
 def draw(
-    grid: Grid, ray_table: RayTable, x: int, y: int, readings: Readings, driven: NDArray[np.int32] = _NO_CELLS
+    grid: Grid, ray_table: RayTable, x: int, y: int, readings: Readings, driven: Cells = NO_CELLS
 ) -> Change:
     """Draw a scan taken in cell (x, y) on a grid, in place: crossed cells become free, cells that were hit occupied.
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.arrays import BoolRows, Cells, FloatRows
+from protocol.arrays import NO_CELLS, BoolRows, Cells, FloatRows
 from protocol.grid import FREE, Cell, Grid, Mask, enlarge
 from protocol.kernels import kernel
 from protocol.keyed_random import keyed_random
@@ -44,7 +44,7 @@ class PeopleSettings:
 @dataclass
 class _Person:
     cell: Cell
-    way: Cells = field(default_factory=lambda: np.empty((0, 2), np.int32))
+    way: Cells = field(default_factory=lambda: NO_CELLS)
     """The cells ahead."""
     stay: int = 0
     """Steps to stay at the end of the way, or left to stay there."""

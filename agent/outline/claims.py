@@ -25,7 +25,7 @@ from agent.outline.objects import (
     Table,
     bounds,
 )
-from agent.outline.polygons import Symbols, cell_of, place_of
+from agent.outline.polygons import Symbols, place_of, vertex_cell
 from agent.outline.raster import Edges, draw, fill
 from protocol.arrays import Int32s, Uint8s
 from protocol.boxes import NO_BOXES, Boxes, clip, whole_grid
@@ -155,7 +155,7 @@ def _measure(vertices: Symbols, chunks: Boxes) -> None:
     for begin in range(0, len(vertices), _CHUNK):
         end = begin + _CHUNK
         x0, y0, x1, y1 = bounds(vertices[begin:end])
-        x, y = cell_of(vertices[end if end < len(vertices) else 0])  # end of the last edge
+        x, y = vertex_cell(vertices[end if end < len(vertices) else 0])  # end of the last edge
         box = chunks[begin // _CHUNK]
         box[0], box[1], box[2], box[3] = min(x0, x - 1), min(y0, y - 1), max(x1, x + 2), max(y1, y + 2)
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.outline.polygons import Polygons, Symbols, cell_of
+from agent.outline.polygons import Polygons, Symbols, vertex_cell
 from protocol.arrays import Bools, Int32Rows, Int32s
 from protocol.kernels import kernel
 
@@ -61,7 +61,7 @@ def bounds(vertices: Symbols) -> tuple[int, int, int, int]:
     x0 = y0 = 1 << 20
     x1 = y1 = -1
     for symbol in vertices:
-        x, y = cell_of(symbol)
+        x, y = vertex_cell(symbol)
         x0, x1 = min(x0, x), max(x1, x)
         y0, y1 = min(y0, y), max(y1, y)
     return x0 - 1, y0 - 1, x1 + 2, y1 + 2

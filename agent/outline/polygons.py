@@ -81,7 +81,7 @@ class Polygons:
 
 
 @kernel
-def cell_of(symbol: Symbol) -> Cell:
+def vertex_cell(symbol: Symbol) -> Cell:
     """Return the cell (x, y) of a vertex."""
     return (symbol >> 3 & 0xFFF) - 1, (symbol >> 15) - 1
 
@@ -89,5 +89,5 @@ def cell_of(symbol: Symbol) -> Cell:
 @kernel
 def place_of(symbol: Symbol) -> tuple[int, int]:
     """Return the position of a vertex, in quarters of a cell."""
-    (x, y), side = cell_of(symbol), symbol >> 1 & 3
+    (x, y), side = vertex_cell(symbol), symbol >> 1 & 3
     return 4 * x + SIDE_X[side], 4 * y + SIDE_Y[side]

@@ -107,7 +107,7 @@ def representatives(cells: Cells, range_cells: float, at_least: int = 0) -> Cell
     return segment_clusters(cells, range_cells, at_least).medoids
 
 
-def segment_clusters(cells: Cells, range_cells: float, at_least: int = 0) -> Clusters:
+def segment_clusters(cells: Cells, range_cells: float, at_least: int) -> Clusters:
     """Divide each frontier segment into clusters; its number of cells and the sensor range give their number.
 
     `cells` are frontier cells, shape (n, 2), row by row, at least one; `range_cells` is the sensor range rho in cells.

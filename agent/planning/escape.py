@@ -19,8 +19,6 @@ STEPS = 10
 NEAR_M = 0.5
 """A robot has observed a frontier when none is left within this distance, in meters."""
 
-Point = tuple[float, float]
-
 
 class Escape:
     """The state of one robot.
@@ -30,13 +28,13 @@ class Escape:
 
     def __init__(self, moved_cells: float, near_cells: float) -> None:
         self._moved_cells, self._near_cells = moved_cells, near_cells
-        self._place: Point = (math.inf, math.inf)
+        self._place: tuple[float, float] = (math.inf, math.inf)
         """The center of the circle that the robot has not left since `_since`."""
         self._since = 0
         self._frontier: Cells | None = None
         """The frontier cell (x, y) to which the robot escapes; None while it follows forces."""
 
-    def is_needed(self, at: Point, step: int, planner: PathPlanner, frontier: Cells) -> bool:
+    def is_needed(self, at: tuple[float, float], step: int, planner: PathPlanner, frontier: Cells) -> bool:
         """Return whether a robot at `at`, in cells, drives to its closest frontier cell; call it once per step.
 
         `frontier` are all reachable frontier cells of the planner's grid, at least one.

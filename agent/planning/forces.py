@@ -24,8 +24,8 @@ _TOUCH = 0.01
 """Least distance in meters that counts, so that forces stay finite."""
 
 
-class Field(NamedTuple):
-    """Gains and ranges of the field."""
+class FieldParameters(NamedTuple):
+    """Gains and ranges of the potential field."""
 
     rho_robots: float
     rho_obstacles: float
@@ -55,7 +55,7 @@ def glide(
     velocity: Floats,
     frontier: Cells,
     robots: FloatRows,
-    field: Field,
+    field: FieldParameters,
     top_speed: float,
     drifts: FloatRows | None = None,
 ) -> tuple[FloatRows, Floats]:

@@ -23,7 +23,7 @@ from agent.planning.avoided import AvoidedTargets
 from agent.planning.frontier import frontier_cells
 from agent.planning.path_planner import PathPlanner
 from agent.planning.small_frontiers import close_beside
-from protocol.arrays import Cells
+from protocol.arrays import NO_CELLS, Cells
 from protocol.body import Body
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Cell, Grid, Mask
 from protocol.kernels import kernel
@@ -36,8 +36,6 @@ _UNKNOWN_SQUARE, _OPEN_SQUARE = 1, 2
 
 _NO_STATE = 255
 """Differs from all states of cells."""
-
-_NO_CELLS: Cells = np.empty((0, 2), np.int32)
 
 FEW_BEAMS = 3
 """Neighboring beams that may end behind a wall by errors; at the end of the range, they are some cells apart."""
@@ -150,7 +148,7 @@ class NoisyGrid:
     def _reaches_frontier(self, grid: Grid) -> bool:
         """Return whether the robot reaches a frontier cell on a cleaned grid."""
         planner = PathPlanner(grid, radius_cells=self._radius)
-        return self._here is not None and planner.first_frontier(*self._here, _NO_CELLS, 0.0) is not None
+        return self._here is not None and planner.first_frontier(*self._here, NO_CELLS, 0.0) is not None
 
 
 def shortest_frontier(bodies: Iterable[Body]) -> int:

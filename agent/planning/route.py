@@ -7,31 +7,29 @@ from itertools import zip_longest
 import numpy as np
 
 from agent.planning.path_planner import PathPlanner
-from protocol.arrays import Cells
+from protocol.arrays import NO_CELLS, Cells
 from protocol.grid import FINE, FREE, Cell, Grid, Point, cell_of
 from protocol.kernels import kernel
-
-_NOWHERE = np.empty((0, 2), np.int32)
 
 
 class Route:
     """The remaining way of a robot."""
 
     def __init__(self) -> None:
-        self.cells: Cells = _NOWHERE
+        self.cells: Cells = NO_CELLS
         """The cells of the way, without the robot's own cell: int32 array, shape (n, 2)."""
 
-    def lead(self, planner: PathPlanner, start: Cell, end: Cell) -> bool:
+    def plan(self, planner: PathPlanner, start: Cell, end: Cell) -> bool:
         """Plan a best way from `start` to `end`; return whether there is one. Without one, the route is empty."""
         found = planner.path(start, end)
-        self.cells = _NOWHERE if found is None else found
+        self.cells = NO_CELLS if found is None else found
         return found is not None
 
     def clear(self) -> None:
         """Make the route empty."""
-        self.cells = _NOWHERE
+        self.cells = NO_CELLS
 
-    def drive_to(self, x: int, y: int) -> None:
+    def advance_to(self, x: int, y: int) -> None:
         """Drop the cells up to (x, y), the robot's cell."""
         done = _cells_up_to(self.cells, x, y)
         if done:

@@ -17,7 +17,7 @@ from agent.planning.candidates import components
 from agent.planning.frontier import frontier_cells
 from agent.planning.path_planner import PathPlanner
 from agent.settings import Settings
-from protocol.arrays import Cells
+from protocol.arrays import NO_CELLS, Cells
 from protocol.grid import FREE, OCCUPIED, Cell, Grid, Mask
 
 PATIENCE = 20
@@ -37,8 +37,6 @@ SEGMENT_M = 0.5
 
 BEYOND = 2
 """A frontier is cut off if it is farther than this many cells, and the robot's radius, from all reachable cells."""
-
-_NOWHERE: Cells = np.empty((0, 2), np.int32)
 
 
 class SecondLook:
@@ -93,7 +91,7 @@ class SecondLook:
         longest = cut_off[sizes == sizes.max()]
         x, y = longest[int(np.argmin(away[longest[:, 1], longest[:, 0]]))].tolist()
         way = planner.path(here, (int(columns[y, x]), int(rows[y, x])))
-        return _NOWHERE if way is None else way
+        return NO_CELLS if way is None else way
 
     def _way_to_doubtful_wall(
         self, grid: Grid, here: Cell, frontier: Cells, planner: PathPlanner

@@ -38,11 +38,11 @@ class Task(NamedTuple):
     """Distance between goals, symmetric, shape (n, n)."""
     weights: Floats
     """Cost of each goal per cell of its arrival distance, shape (n,)."""
-    latency_weight: Floats
+    latency_weights: Floats
     """Cost of each goal per square of its arrival distance, shape (n,)."""
-    last: float
+    longest_weight: float
     """Cost per cell of the longest tour."""
-    way: float
+    length_weight: float
     """Cost per cell of every tour."""
     loads: Floats
     """Length that each goal adds to the end of its tour, for the expected work behind it, shape (n,)."""
@@ -76,7 +76,7 @@ def _drive(robot: int, task: _Task, plan: _Plan) -> float:
     `book[k]` has the arrival at place k, then sums of weight, latency weight, latency weight times arrival, and load.
     The length of the tour includes its loads.
     """
-    starts, between, weights, latency_weight, _, _, loads = task
+    starts, between, weights, latency_weights, _, _, loads = task
     tours, counts, books, ends = plan
     tour, count, book = tours[robot], counts[robot], books[robot]
     arrival = 0.0
@@ -85,13 +85,13 @@ def _drive(robot: int, task: _Task, plan: _Plan) -> float:
         goal = tour[place]
         arrival += starts[robot, goal] if place == 0 else between[tour[place - 1], goal]
         book[place, 0] = arrival
-        total += weights[goal] * arrival + latency_weight[goal] * arrival * arrival
+        total += weights[goal] * arrival + latency_weights[goal] * arrival * arrival
     book[count] = 0.0
     for place in range(count - 1, -1, -1):
         goal = tour[place]
         book[place, 1] = book[place + 1, 1] + weights[goal]
-        book[place, 2] = book[place + 1, 2] + latency_weight[goal]
-        book[place, 3] = book[place + 1, 3] + latency_weight[goal] * book[place, 0]
+        book[place, 2] = book[place + 1, 2] + latency_weights[goal]
+        book[place, 3] = book[place + 1, 3] + latency_weights[goal] * book[place, 0]
         book[place, 4] = book[place + 1, 4] + loads[goal]
     ends[robot] = book[count - 1, 0] + book[0, 4] if count else 0.0
     return total
@@ -132,7 +132,7 @@ def _longest(ends: Floats, ranks: _Ranks, one: int, other: int) -> float:
 @kernel
 def _best_place(goal: int, task: _Task, plan: _Plan) -> tuple[float, int, int]:
     """Find the cheapest insertion of a goal: the cost, the robot (-1 for an unreachable goal) and the place."""
-    starts, between, weights, latency_weight, last, way, loads = task
+    starts, between, weights, latency_weights, longest_weight, length_weight, loads = task
     tours, counts, books, ends = plan
     least, best_robot, best_place = np.inf, -1, -1
     ranks = _rank(ends)
@@ -145,13 +145,15 @@ def _best_place(goal: int, task: _Task, plan: _Plan) -> tuple[float, int, int]:
             if place:
                 before = tours[robot, place - 1]
                 arrival = books[robot, place - 1, 0] + between[before, goal]
-            cost = arrival * (weights[goal] + arrival * latency_weight[goal])
+            cost = arrival * (weights[goal] + arrival * latency_weights[goal])
             new_end = arrival + books[robot, 0, 4] + loads[goal]
             if place < counts[robot]:
                 later = arrival + between[goal, tours[robot, place]] - books[robot, place, 0]
                 cost += _delay(books, robot, place, later)
                 new_end = end + later + loads[goal]
-            cost += last * (max(others, new_end) - max(others, end)) + way * (new_end - end)
+            cost += longest_weight * (max(others, new_end) - max(others, end)) + length_weight * (
+                new_end - end
+            )
             if cost < least:
                 least, best_robot, best_place = cost, robot, place
     return least, best_robot, best_place
@@ -163,7 +165,7 @@ def _move_goals(order: Int64s, idle: int, attempts: int, task: _Task, plan: _Pla
 
     Takes and returns the number of attempts in a row that changed nothing; ends early when it reaches `attempts`.
     """
-    _, _, _, _, last, way, _ = task
+    _, _, _, _, longest_weight, length_weight, _ = task
     tours, counts, _, ends = plan
     for goal in order:
         if idle == attempts:
@@ -175,14 +177,14 @@ def _move_goals(order: Int64s, idle: int, attempts: int, task: _Task, plan: _Pla
                     robot, place = each, at
         if robot >= 0:
             others, end = _longest(ends, _rank(ends), robot, robot), ends[robot]
-            gain = last * max(others, end) + way * end
+            gain = longest_weight * max(others, end) + length_weight * end
             gain += _drive(robot, task, plan)
             counts[robot] -= 1
             for at in range(place, counts[robot]):
                 tours[robot, at] = tours[robot, at + 1]
             gain -= _drive(robot, task, plan)
             end = ends[robot]
-            gain -= last * max(others, end) + way * end
+            gain -= longest_weight * max(others, end) + length_weight * end
         cost, to_robot, to_place = _best_place(goal, task, plan)
         idle += 1
         if to_robot >= 0 and cost < gain - _LEAST:
@@ -204,7 +206,7 @@ def _swap_ends(idle: int, attempts: int, task: _Task, plan: _Plan) -> int:
 
     Takes and returns the number of attempts in a row that changed nothing; ends early when it reaches `attempts`.
     """
-    starts, between, _, _, last, way, _ = task
+    starts, between, _, _, longest_weight, length_weight, _ = task
     tours, counts, books, ends = plan
     ranks = _rank(ends)
     for one in range(len(counts)):
@@ -236,8 +238,8 @@ def _swap_ends(idle: int, attempts: int, task: _Task, plan: _Plan) -> int:
                         later = run + step - books[one, place, 0]
                         cost += _delay(books, one, place, later)
                         new_other = end_one + later - books[one, 0, 4] + load_other
-                    cost += last * (max(others, new_one, new_other) - now)
-                    cost += way * (new_one + new_other - end_one - end_other)
+                    cost += longest_weight * (max(others, new_one, new_other) - now)
+                    cost += length_weight * (new_one + new_other - end_one - end_other)
                     if cost < best:
                         best, best_one, best_other = cost, place, at
             if best_one >= 0:
@@ -262,7 +264,7 @@ def _exchange(one: int, place: int, other: int, at: int, task: _Task, plan: _Pla
 @kernel
 def _reverse_parts(idle: int, attempts: int, task: _Task, plan: _Plan) -> int:
     """Reverse the best part of each tour, if the cost decreases; arguments and result as those of `_swap_ends`."""
-    starts, between, weights, latency_weight, last, way, _ = task
+    starts, between, weights, latency_weights, longest_weight, length_weight, _ = task
     tours, counts, books, ends = plan
     for robot in range(len(counts)):
         if idle == attempts:
@@ -284,14 +286,16 @@ def _reverse_parts(idle: int, attempts: int, task: _Task, plan: _Plan) -> int:
                     else:
                         arrival = starts[robot, goal]
                     before = books[robot, at, 0]
-                    cost += (arrival - before) * (weights[goal] + latency_weight[goal] * (arrival + before))
+                    cost += (arrival - before) * (weights[goal] + latency_weights[goal] * (arrival + before))
                 new_end = arrival + books[robot, 0, 4]
                 if final + 1 < counts[robot]:
                     following = books[robot, final + 1, 0]
                     later = arrival + between[tours[robot, first], tours[robot, final + 1]] - following
                     cost += _delay(books, robot, final + 1, later)
                     new_end = end + later
-                cost += last * (max(others, new_end) - max(others, end)) + way * (new_end - end)
+                cost += longest_weight * (max(others, new_end) - max(others, end)) + length_weight * (
+                    new_end - end
+                )
                 if cost < best:
                     best, best_first, best_last = cost, first, final
         if best_first >= 0:

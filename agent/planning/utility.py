@@ -42,6 +42,12 @@ def proximity(grid: Grid, cells: Cells, target: Int32s, range_cells: float) -> F
     return -lowered
 
 
+def covers(grid: Grid, target: Cell, cell: Cell, range_cells: float) -> bool:
+    """Return whether a robot at its target sees a cell: within sensor range, with no occupied cell between them."""
+    (x, y), (to_x, to_y) = target, cell
+    return (x - to_x) ** 2 + (y - to_y) ** 2 < range_cells**2 and in_sight(grid, x, y, to_x, to_y)
+
+
 @kernel
 def in_sight(grid: Grid, x0: int, y0: int, x1: int, y1: int) -> bool:
     """Return whether no occupied cell lies on the straight line between two cells."""

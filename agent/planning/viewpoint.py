@@ -13,7 +13,7 @@ from functools import lru_cache
 import numpy as np
 
 from agent.planning.path_planner import PathPlanner
-from protocol.arrays import Bools, Cells, Floats, Int32Rows, Int32s, Int64s
+from protocol.arrays import NO_CELLS, Bools, Cells, Floats, Int32Rows, Int32s, Int64s
 from protocol.grid import FREE, UNKNOWN, Cell, Grid, RayTable
 from protocol.kernels import kernel
 
@@ -36,7 +36,7 @@ def viewpoint_cells(
     which count up to a length of `reach` cells. With `among`, find only those of these cells, int32 of shape (n, 2).
     """
     arrivals = _arrivals(around, min(reach, math.hypot(*grid.shape)))
-    candidates = np.empty((0, 2), np.int32) if among is None else among
+    candidates = NO_CELLS if among is None else among
     found: Cells = _trace_back(grid, goal, arrivals, among is None, candidates)
     return found
 

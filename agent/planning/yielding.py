@@ -80,10 +80,10 @@ class YieldBehavior:
         cost = around.costs_to(*here, np.array([end], np.int32)).item()
         if cost < len(route.cells) + reach:
             around.note_cost(here, end, cost)
-            route.lead(around, here, end)
+            route.plan(around, here, end)
             return around
         ys, xs = np.nonzero(around.costs(*here) <= reach)
         pick = int(keyed_random(self._seed, "step aside", self._robot, step).integers(len(xs)))
-        route.lead(around, here, (int(xs[pick]), int(ys[pick])))
+        route.plan(around, here, (int(xs[pick]), int(ys[pick])))
         self._doublings = min(self._doublings + 1, FARTHEST)
         return around

@@ -102,9 +102,8 @@ class LinkOptions:
             raise ValueError(
                 f"bytes_per_s = {self.bytes_per_s}: must be 1 to {MAX_RATE}, or 0 for the preset's"
             )
-        most = MAX_DATAGRAM if self.medium == "udp" else MAX_FRAME
         if self.frame_bytes:
-            check_bounds(self, "frame_bytes", MIN_FRAME, most)
+            check_bounds(self, "frame_bytes", MIN_FRAME, self._most)
         self.timing()
         self.pacer(seed=0, robot=0, now=0)
 
@@ -113,10 +112,14 @@ class LinkOptions:
         return self.preset or ("wifi" if self.medium == "udp" else "")
 
     @property
+    def _most(self) -> int:
+        """Bytes of the longest frame that the medium takes."""
+        return MAX_DATAGRAM if self.medium == "udp" else MAX_FRAME
+
+    @property
     def longest(self) -> int:
         """Bytes of the longest frame."""
-        most = MAX_DATAGRAM if self.medium == "udp" else MAX_FRAME
-        return self.frame_bytes or min(preset(self._preset).frame_bytes, most)
+        return self.frame_bytes or min(preset(self._preset).frame_bytes, self._most)
 
     @property
     def packet_bytes(self) -> int:

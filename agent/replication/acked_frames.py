@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from agent.replication.base import Replication, limited
-from agent.replication.control_packets import ParsedFrame, header, offer, offset, parse, report
+from agent.replication.control_packets import ParsedFrame, header, length_report, offer, offset, parse
 from agent.replication.peers import NEVER
 from agent.replication.policies import MAX_WAIT, Offer, Rounds
 from agent.replication.replica import Rejected, Replica
@@ -90,8 +90,8 @@ class AckedFrames(Replication):
     def _frame_to(self, peer: int, offers: list[Offer], budget: int) -> bytes:
         """Return a peer's frame: reports, then offers, then entries; only entries stop at the budget."""
         frame = b""
-        for number in sorted(number for receiver, number in self._reports_due if receiver == peer):
-            frame += report(number, len(self.logs[number]))
+        for map_id in sorted(map_id for receiver, map_id in self._reports_due if receiver == peer):
+            frame += length_report(map_id, len(self.logs[map_id]))
         answered = []
         for each in offers:
             is_recent = self._reported[peer, each.number] >= self._rounds.now - RECENT
@@ -99,8 +99,8 @@ class AckedFrames(Replication):
                 answered.append(each)
             else:
                 frame += offer(each.number, each.first)
-        for _, number, first in answered:
-            frame += self.logs[number].read(first, budget - len(frame), head=header(number, first))
+        for _, map_id, first in answered:
+            frame += self.logs[map_id].read(first, budget - len(frame), head=header(map_id, first))
         return frame
 
     def _note_sent(self, peer: int, frame: ParsedFrame) -> None:
@@ -110,20 +110,20 @@ class AckedFrames(Replication):
                 self._reports_due.discard((peer, control.map))
             elif isinstance(control, packets.Offer):
                 self._transmitted(peer, control.map)
-        for number, first, entries in self._sections(frame):
-            end = min(first + len(entries), len(self.logs[number]))
+        for map_id, first, entries in self._sections(frame):
+            end = min(first + len(entries), len(self.logs[map_id]))
             if end > first:  # else they were dropped meanwhile
-                self._transmitted(peer, number)
-                if number == self.peers.own:
+                self._transmitted(peer, map_id)
+                if map_id == self.peers.own:
                     self.own_log.sent(end)
 
-    def _transmitted(self, peer: int, number: int) -> None:
+    def _transmitted(self, peer: int, map_id: int) -> None:
         """Start the retransmission timeout of a map; it doubles with every transmission that no report follows."""
-        round_trip = self._round_trip.item(peer, number)
+        round_trip = self._round_trip.item(peer, map_id)
         timeout = min(max(MIN_TIMEOUT, round_trip + 1), MAX_TIMEOUT)
         longest = MAX_WAIT if round_trip == NEVER else max(MAX_TIMEOUT, 4 * round_trip)
-        self._sent[peer, number] = self._rounds.now
-        self._rounds.postpone(peer, number, timeout, longest)
+        self._sent[peer, map_id] = self._rounds.now
+        self._rounds.postpone(peer, map_id, timeout, longest)
 
     # --- receiving
 
@@ -136,36 +136,36 @@ class AckedFrames(Replication):
             return
         for control in parsed.controls:
             match control:
-                case Held(number, _) if number < len(logs):
-                    self._read_report(peer, number, offset(control, len(logs[number])))
-                case packets.Offer(number, _) if number < len(logs):
-                    self.peers.restarted(peer, number)
-                    self._owe_report(peer, number)
-                case From(number, _):
-                    self.peers.restarted(peer, number)
-        for number, first, entries in self._sections(parsed):
-            self._owe_report(peer, number)
-            self.peers.expect(peer, number, self._possible(number, first + len(entries)))
-            self.replica.receive(peer, number, first, entries)
+                case Held(map_id, _) if map_id < len(logs):
+                    self._read_report(peer, map_id, offset(control, len(logs[map_id])))
+                case packets.Offer(map_id, _) if map_id < len(logs):
+                    self.peers.restarted(peer, map_id)
+                    self._owe_report(peer, map_id)
+                case From(map_id, _):
+                    self.peers.restarted(peer, map_id)
+        for map_id, first, entries in self._sections(parsed):
+            self._owe_report(peer, map_id)
+            self.peers.expect(peer, map_id, self._possible(map_id, first + len(entries)))
+            self.replica.receive(peer, map_id, first, entries)
 
     def _sections(self, frame: ParsedFrame) -> Iterator[tuple[int, int, list[bytes]]]:
-        """Yield the map number, the first offset and the entries of each section of a frame that has a header."""
+        """Yield the map ID, the first offset and the entries of each section of a frame that has a header."""
         for head, entries in frame.sections:
             if head is not None and head.map < len(self.logs):
                 yield head.map, offset(head, len(self.logs[head.map])), entries
 
-    def _owe_report(self, peer: int, number: int) -> None:
+    def _owe_report(self, peer: int, map_id: int) -> None:
         """A peer must be sent a report, unless its entries of that map are not accepted."""
-        if number not in self.peers.own_maps and not self.replica.refuses(peer, number):
-            self._reports_due.add((peer, number))
+        if map_id not in self.peers.own_maps and not self.replica.refuses(peer, map_id):
+            self._reports_due.add((peer, map_id))
 
-    def _read_report(self, peer: int, number: int, length: int) -> None:
+    def _read_report(self, peer: int, map_id: int, length: int) -> None:
         """A peer reports how many entries of a map it holds; after restarts, a late report may claim too many."""
         if self.peers.may_restart:
-            self.peers.expected[peer, number] = 0
-        self.peers.expect(peer, number, self._possible(number, length))
-        rounds, tries = self._rounds, self._rounds.tries[peer, number]
-        if tries == 1 or (tries and self._round_trip[peer, number] == NEVER):
-            self._round_trip[peer, number] = rounds.now - self._sent[peer, number]
-        self._reported[peer, number] = rounds.due[peer, number] = rounds.now
-        rounds.tries[peer, number] = 0
+            self.peers.expected[peer, map_id] = 0
+        self.peers.expect(peer, map_id, self._possible(map_id, length))
+        rounds, tries = self._rounds, self._rounds.tries[peer, map_id]
+        if tries == 1 or (tries and self._round_trip[peer, map_id] == NEVER):
+            self._round_trip[peer, map_id] = rounds.now - self._sent[peer, map_id]
+        self._reported[peer, map_id] = rounds.due[peer, map_id] = rounds.now
+        rounds.tries[peer, map_id] = 0

@@ -10,7 +10,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
-from agent.replication.control_packets import offset, report
+from agent.replication.control_packets import length_report, offset
 from agent.replication.digests import INTERVAL
 from agent.replication.replica import LONGEST, Rejected, Replica
 from protocol import packet_codec
@@ -47,7 +47,7 @@ class Replication(ABC):
         self._digest_turn = 0
         """This robot's turn in which the last regular digest was due; robots take turns."""
         self._asked: dict[tuple[int, int], tuple[int, int]] = {}
-        """(peer, map number): before which step a peer's next request is not answered, and the steps after that."""
+        """(peer, map ID): before which step a peer's next request is not answered, and the steps after that."""
 
     @abstractmethod
     def open_round(self, number: int, in_range: list[int], budget: int | None) -> list[OutgoingFrame]:
@@ -89,25 +89,25 @@ class Replication(ABC):
         """Return the packets about logs to broadcast in this step: the digest that is due, and requests for entries."""
         digest = self._next_digest() if self.announces_digests else b""
         asked = self.replica.maps_to_ask_for() if self.announces_requests else []
-        return digest + b"".join(report(number, len(self.logs[number])) for number in asked)
+        return digest + b"".join(length_report(map_id, len(self.logs[map_id])) for map_id in asked)
 
     def announced(self) -> None:
         """Note that this step's broadcast was on the air."""
         if self.announces_digests:
             self.own_log.digest_length = 0
-        for number in self.replica.maps_to_ask_for() if self.announces_requests else ():
-            self.replica.asked(number)
+        for map_id in self.replica.maps_to_ask_for() if self.announces_requests else ():
+            self.replica.asked(map_id)
 
     def receive_announcement(self, peer: int, packet: LogDigest | Held) -> list[Rejected]:
         """Process a packet about logs that a peer broadcast; return the rejections of entries that it refutes."""
         if isinstance(packet, LogDigest):
             self.replica.receive_digest(peer, packet)
         elif packet.map < len(self.logs):
-            number, length = packet.map, offset(packet, len(self.logs[packet.map]))
-            step, wait = self._asked.get((peer, number), (0, 2))
-            if length < self.peers.expected.item(peer, number) and self.replica.step >= step:
-                self._asked[peer, number] = self.replica.step + wait, min(2 * wait, LONGEST)
-                self._peer_dropped(peer, number, length)
+            map_id, length = packet.map, offset(packet, len(self.logs[packet.map]))
+            step, wait = self._asked.get((peer, map_id), (0, 2))
+            if length < self.peers.expected.item(peer, map_id) and self.replica.step >= step:
+                self._asked[peer, map_id] = self.replica.step + wait, min(2 * wait, LONGEST)
+                self._peer_dropped(peer, map_id, length)
         return self.replica.take_rejected()
 
     def _next_digest(self) -> bytes:
@@ -124,12 +124,12 @@ class Replication(ABC):
             return b""
         return packet_codec.encode([verifier.digest(length, self.salt, complete=length == log.shared)])
 
-    def _possible(self, number: int, length: int) -> int:
+    def _possible(self, map_id: int, length: int) -> int:
         """Limit a log length that a peer claims: no robot holds entries of this robot's map that were not sent."""
-        return min(length, self.own_log.shared) if number == self.peers.own else length
+        return min(length, self.own_log.shared) if map_id == self.peers.own else length
 
-    def _peer_dropped(self, peer: int, number: int, length: int) -> None:
+    def _peer_dropped(self, peer: int, map_id: int, length: int) -> None:
         """A peer dropped the entries of a map from offset `length` on."""
-        if number == self.peers.own:
+        if map_id == self.peers.own:
             self.own_log.request_digest(length)
-        self.peers.dropped(peer, number, length)
+        self.peers.dropped(peer, map_id, length)

@@ -32,9 +32,9 @@ def block_of(length: int) -> int:
 
 
 @lru_cache(maxsize=1024)
-def offer(number: int, expected: int) -> bytes:
-    """Encode an offer of map `number` to a peer that is expected to hold so many entries."""
-    return packet_codec.encode([packets.Offer(number, block_of(expected))])
+def offer(map_id: int, expected: int) -> bytes:
+    """Encode an offer of map `map_id` to a peer that is expected to hold so many entries."""
+    return packet_codec.encode([packets.Offer(map_id, block_of(expected))])
 
 
 @lru_cache(maxsize=1 << 12)
@@ -74,23 +74,23 @@ def read_answer(payload: bytes, offered_block: int) -> int | None:
             raise ProtocolError("conn", 0, "expected an answer behind at most two blocks, or a decline")
 
 
-def header(number: int, first: int) -> bytes:
-    """Encode the shortest packet in front of entries of map `number`, from offset `first` on."""
-    return _shortest(number, first, packets.FromFirst, packets.FromEarly, packets.From)
+def header(map_id: int, first: int) -> bytes:
+    """Encode the shortest packet in front of entries of map `map_id`, from offset `first` on."""
+    return _shortest(map_id, first, packets.FromFirst, packets.FromEarly, packets.From)
 
 
-def report(number: int, length: int) -> bytes:
-    """Encode the shortest report that this robot holds `length` entries of map `number`."""
-    return _shortest(number, length, packets.HeldFirst, packets.HeldEarly, packets.Held)
+def length_report(map_id: int, length: int) -> bytes:
+    """Encode the shortest report that this robot holds `length` entries of map `map_id`."""
+    return _shortest(map_id, length, packets.HeldFirst, packets.HeldEarly, packets.Held)
 
 
-def _shortest(number: int, value: int, first: NamesOffset, early: NamesOffset, whole: NamesOffset) -> bytes:
-    """Encode map `number` and an offset in the shortest of three packets."""
-    if number < packets.FIRST_MAPS and value < packets.FIRST:
-        return packet_codec.encode([first(number, value)])
+def _shortest(map_id: int, value: int, first: NamesOffset, early: NamesOffset, whole: NamesOffset) -> bytes:
+    """Encode map `map_id` and an offset in the shortest of three packets."""
+    if map_id < packets.FIRST_MAPS and value < packets.FIRST:
+        return packet_codec.encode([first(map_id, value)])
     if value < packets.EARLY:
-        return packet_codec.encode([early(number, value)])
-    return packet_codec.encode([whole(number, value % packets.GOSSIP_WINDOW)])
+        return packet_codec.encode([early(map_id, value)])
+    return packet_codec.encode([whole(map_id, value % packets.GOSSIP_WINDOW)])
 
 
 def offset(packet: packets.From | packets.Held, length: int) -> int:

@@ -26,7 +26,11 @@ from agent.replication.replica import Replica
 from protocol.packets import Held
 
 PATIENCE = 6
-"""Steps after which a robot repeats its report of a gap, and after which the next peer forwards missing entries."""
+"""Least steps within which entries are acknowledged, and after which the next peer forwards missing entries; on a
+reliable medium, also those after which a map is reported again."""
+
+URGENT = 2
+"""Least steps after which a robot repeats its report of a gap on a lossy medium."""
 
 SHARE = 8
 """The part of the medium that all reports together may take, as a divisor; as for receivers of RTP (RFC 3550)."""
@@ -46,7 +50,7 @@ class Acks:
         peers = self._peers = replica.peers
         self.interval = PATIENCE
         """Steps within which a robot acknowledges entries; longer on a narrow medium."""
-        self.urgent_interval = PATIENCE
+        self.urgent_interval = PATIENCE if peers.reliable else URGENT
         """Steps after which a map may be reported again if entries are missing."""
         self.turn = PATIENCE
         """Steps after which a robot asks a silent peer for a report, and after which the next peer may forward entries
@@ -75,36 +79,36 @@ class Acks:
         if budget and not self._peers.reliable:
             robots = self._peers.robots
             self.interval = max(PATIENCE, math.ceil(SHARE * Held.size * robots * (robots - 1) / budget))
-            self.urgent_interval = max(2, self.interval // SHARE)
+            self.urgent_interval = max(URGENT, self.interval // SHARE)
             self.turn = self.interval + PATIENCE
 
-    def sent(self, number: int, receivers: Mask, first: int, end: int) -> None:
+    def sent(self, map_id: int, receivers: Mask, first: int, end: int) -> None:
         """Note that receivers were sent entries `first` to `end` - 1 of a map, by which their gaps may be filled."""
-        expected = self._peers.expected.T[number]
+        expected = self._peers.expected.T[map_id]
         raise_lengths(expected, receivers, first, end)
         if self._peers.reliable:
             return
-        sent_end, gap_ends, step = self._sent_end.T[number], self._gap_ends.T[number], self._replica.step
+        sent_end, gap_ends, step = self._sent_end.T[map_id], self._gap_ends.T[map_id], self._replica.step
         gap_ends[receivers & (gap_ends == 0) & (expected < first)] = first
         raise_lengths(sent_end, receivers, 0, end)
         filled = (gap_ends > 0) & (expected >= gap_ends)
         expected[filled] = np.maximum(expected, sent_end)[filled]
-        self._repaired_at.T[number][filled] = step
+        self._repaired_at.T[map_id][filled] = step
         gap_ends[filled] = 0
-        self._sent_at.T[number][receivers & (expected > self._peers.acked.T[number])] = step
+        self._sent_at.T[map_id][receivers & (expected > self._peers.acked.T[map_id])] = step
 
-    def gap_end(self, peer: int, number: int) -> int:
+    def gap_end(self, peer: int, map_id: int) -> int:
         """Return the offset of the first entry of a map that a peer holds behind a gap; 0: no gap is known."""
-        return self._gap_ends.item(peer, number)
+        return self._gap_ends.item(peer, map_id)
 
-    def waited(self, peer: int, number: int, since: int) -> int:
+    def waited(self, peer: int, map_id: int, since: int) -> int:
         """Return for how many steps after `since` a peer has lacked entries; on a lossy medium, by its last report."""
-        end = self._replica.step if self._peers.reliable else self._reported_at.item(peer, number)
+        end = self._replica.step if self._peers.reliable else self._reported_at.item(peer, map_id)
         return max(0, end - since)
 
-    def broadcast(self, number: int) -> None:
+    def broadcast(self, map_id: int) -> None:
         """Note that this robot sent entries of a map, of which it may have to ask for reports."""
-        self._asked_at[number] = self._replica.step
+        self._asked_at[map_id] = self._replica.step
 
     def unacknowledged(self, in_range: list[int]) -> Mask:
         """Return for each map whether a peer in range has not acknowledged entries of it that it was sent.
@@ -119,47 +123,47 @@ class Acks:
         unacknowledged[late] = is_open[:, in_range].any(axis=1)
         return unacknowledged
 
-    def asked(self, number: int) -> None:
+    def asked(self, map_id: int) -> None:
         """Note that this robot asked for reports of a map: of its own it asks again and again, of others once."""
-        self._asked_at[number] = self._replica.step if number == self._peers.own else NEVER
+        self._asked_at[map_id] = self._replica.step if map_id == self._peers.own else NEVER
 
-    def report_received(self, peer: int, number: int, length: int, gap_end: int = 0) -> None:
+    def report_received(self, peer: int, map_id: int, length: int, gap_end: int) -> None:
         """Take a report that a peer holds so many entries of a map, and those from `gap_end` on if there is a gap."""
         expected, acked, step = self._peers.expected, self._peers.acked, self._replica.step
-        if length > acked.item(peer, number) or self._peers.may_restart:
-            acked[peer, number] = length
-        self._reported_at[peer, number] = step
-        if 0 < self.gap_end(peer, number) <= length:
-            self._gap_ends[peer, number] = 0
-            self._peers.expect(peer, number, self._sent_end.item(peer, number))
-        before = int(expected.item(peer, number))
+        if length > acked.item(peer, map_id) or self._peers.may_restart:
+            acked[peer, map_id] = length
+        self._reported_at[peer, map_id] = step
+        if 0 < self.gap_end(peer, map_id) <= length:
+            self._gap_ends[peer, map_id] = 0
+            self._peers.expect(peer, map_id, self._sent_end.item(peer, map_id))
+        before = int(expected.item(peer, map_id))
         is_gap = gap_end > length
-        sent_at = (self._repaired_at if is_gap else self._sent_at).item(peer, number)
+        sent_at = (self._repaired_at if is_gap else self._sent_at).item(peer, map_id)
         if length <= before and (sent_at == NEVER or step - sent_at > self._peers.round_trip):
-            expected[peer, number] = length
-            self._gap_ends[peer, number] = gap_end if is_gap else 0
-        self._peers.expect(peer, number, length)
+            expected[peer, map_id] = length
+            self._gap_ends[peer, map_id] = gap_end if is_gap else 0
+        self._peers.expect(peer, map_id, length)
 
-    def lacks(self, lengths: Table, in_range: list[int]) -> Mask:
+    def is_behind(self, lengths: Table, in_range: list[int]) -> Mask:
         """Return for each map whether a peer in range certainly holds more entries of it than this robot."""
         return np.asarray((self._peers.acked[in_range] > lengths).any(axis=0))
 
-    def store(self, peer: int, number: int, first: int, entries: list[bytes]) -> None:
+    def store(self, peer: int, map_id: int, first: int, entries: list[bytes]) -> None:
         """Store entries that came behind a gap; on a reliable medium their sender sends them again."""
-        if not self._peers.reliable and first < len(self._replica.logs[number]) + WINDOW:
-            self._stored[number] |= {offset: (peer, entry) for offset, entry in enumerate(entries, first)}
+        if not self._peers.reliable and first < len(self._replica.logs[map_id]) + WINDOW:
+            self._stored[map_id] |= {offset: (peer, entry) for offset, entry in enumerate(entries, first)}
 
     def gaps(self) -> list[int]:
-        """Return the numbers of the maps of which entries are stored behind a gap."""
-        return [number for number, stored in self._stored.items() if stored]
+        """Return the IDs of the maps of which entries are stored behind a gap."""
+        return [map_id for map_id, stored in self._stored.items() if stored]
 
-    def first_stored(self, number: int) -> int | None:
+    def first_stored(self, map_id: int) -> int | None:
         """Return the offset of the first entry of a map that is stored behind a gap; None if there is none."""
-        return min(self._stored[number], default=None)
+        return min(self._stored[map_id], default=None)
 
-    def stored(self, number: int, length: int) -> tuple[int, bytes] | None:
+    def stored(self, map_id: int, length: int) -> tuple[int, bytes] | None:
         """Take the stored entry at offset `length`, with its sender; if there is none, drop those before it."""
-        stored = self._stored[number]
+        stored = self._stored[map_id]
         if stored and length not in stored:
-            self._stored[number] = {at: each for at, each in stored.items() if at > length}
+            self._stored[map_id] = {at: each for at, each in stored.items() if at > length}
         return stored.pop(length, None)

@@ -43,7 +43,7 @@ def make_replication(
 ) -> Replication:
     """Return a robot's end of the replication, by its settings; ValueError if there is no such dissemination.
 
-    `consume` decodes received entries; `dependencies` returns log ranges that depend on other logs, by map number;
+    `consume` decodes received entries; `dependencies` returns log ranges that depend on other logs, by map ID;
     `rebuild` decodes all logs again after entries were dropped.
     """
     dissemination = PLUGINS.find(settings.replication.dissemination)

@@ -17,10 +17,10 @@ this order:
 from __future__ import annotations
 
 from agent.replication.base import Replication, limited
-from agent.replication.control_packets import ParsedFrame, header, offset, parse, report
+from agent.replication.control_packets import ParsedFrame, header, length_report, offset, parse
 from agent.replication.delivery import Acks
 from agent.replication.gossip_policy import Dependencies, GossipPolicy
-from agent.replication.neighbors import BroadcastCursors, Meetings, Neighbors
+from agent.replication.neighbors import BroadcastCursors, Links, Meetings
 from agent.replication.peers import Table
 from agent.replication.replica import Rejected, Replica
 from agent.replication.reports import REFRESH, Reports
@@ -40,10 +40,10 @@ class Gossip(Replication):
         self.announces_digests, self.announces_requests = False, not reliable  # a late report is no request
         self._acks = Acks(replica)
         self._reports = Reports(replica, self._acks)
-        self._neighbors = Neighbors(peers.robot, robots)
+        self._links = Links(peers.robot, robots)
         self._meetings = Meetings(robots, settled=first_incarnation)
         self._cursors = BroadcastCursors(robots, known=first_incarnation, reliable=reliable)
-        self._policy = GossipPolicy(replica, self._neighbors, self._acks, dependencies)
+        self._policy = GossipPolicy(replica, self._links, self._acks, dependencies)
         self._frame = b""
         """The broadcast of this round, of `_budget` bytes at most."""
         self._budget = 0
@@ -58,12 +58,12 @@ class Gossip(Replication):
         self.replica.step += number == 0
         step = self.replica.step
         if number == 0:
-            self._neighbors.begin_step(in_range)
+            self._links.begin_step(in_range)
             self._meetings.begin_step(step, in_range)
             self._cursors.begin_step(in_range)
             self._acks.begin_step(budget)
-            if not self.peers.reliable and self._neighbors.have_parted and self._reports.is_turn():
-                self._neighbors.repeat(step // REFRESH % self.peers.robots)
+            if not self.peers.reliable and self._links.have_parted and self._reports.is_turn():
+                self._links.repeat(step // REFRESH % self.peers.robots)
         for dropped in self.replica.dropped:
             self._reports.dropped(dropped)
         self.replica.dropped.clear()
@@ -110,33 +110,33 @@ class Gossip(Replication):
 
     def delivered(self) -> bool:
         """Return whether peers are in range and all of this robot's log has been on the air."""
-        return bool(self._neighbors.in_range) and self.own_log.shared == self.own_log.length
+        return bool(self._links.in_range) and self.own_log.shared == self.own_log.length
 
     # --- sending
 
     def _add_reports(self, lengths: Table) -> None:
         """Add reports of this robot's range and of its log lengths to the frame."""
         self._owed = sorted(self._meetings.owed)
-        for robot, here in self._neighbors.news:
+        for robot, here in self._links.news:
             self._add(packet_codec.encode([Near(robot) if here else Gone(robot)]))
         self._add(self._next_digest())
-        in_range, parted = self._neighbors.in_range, self._neighbors.have_parted
-        for number in self._reports.due(lengths, in_range, self._owed, parted=parted):
-            stored = self._acks.first_stored(number)
-            gap = b"" if stored is None else header(number, stored)
-            length = self.own_log.shared if number == self.peers.own else len(self.logs[number])
-            self._add(gap + report(number, length))
+        in_range, parted = self._links.in_range, self._links.have_parted
+        for map_id in self._reports.due(lengths, in_range, self._owed, parted=parted):
+            stored = self._acks.first_stored(map_id)
+            gap = b"" if stored is None else header(map_id, stored)
+            length = self.own_log.shared if map_id == self.peers.own else len(self.logs[map_id])
+            self._add(gap + length_report(map_id, length))
 
     def _add(self, packet: bytes) -> None:
         """Add a packet to the frame if it fits."""
         if len(self._frame) + len(packet) <= self._budget:
             self._frame += packet
 
-    def _add_range(self, number: int, first: int, end: int) -> int:
+    def _add_range(self, map_id: int, first: int, end: int) -> int:
         """Add entries of a map to the frame, behind a header where one is needed; return the offset after the last."""
-        log, in_range = self.logs[number], self._neighbors.in_range
-        is_known = number == self.peers.own and self._cursors.known(first, in_range)
-        head = b"" if is_known and not parse(self._frame).sections else header(number, first)
+        log, in_range = self.logs[map_id], self._links.in_range
+        is_known = map_id == self.peers.own and self._cursors.known(first, in_range)
+        head = b"" if is_known and not parse(self._frame).sections else header(map_id, first)
         added = log.read(first, self._budget - len(self._frame), end, head)
         self._frame += added
         return log.offset_after(first, len(added) - len(head)) if added else first
@@ -147,36 +147,36 @@ class Gossip(Replication):
         for control in frame.controls:
             match control:
                 case Near(robot) | Gone(robot):
-                    self._neighbors.inform(robot, here=isinstance(control, Near))
+                    self._links.inform(robot, here=isinstance(control, Near))
                 case LogDigest():
                     self.own_log.digest_length = 0
-                case Held(number, _):
-                    self._acks.asked(number)
-                    self._reports.sent(number, self._neighbors.near[self.peers.robot])
+                case Held(map_id, _):
+                    self._acks.asked(map_id)
+                    self._reports.sent(map_id, self._links.near[self.peers.robot])
         unsent = parse(self._frame).controls[len(frame.controls) :]
         if self._frame and not any(isinstance(control, Held) for control in unsent):
             self._meetings.on("informed", *self._owed)
         for head, entries in frame.sections:
-            number = self.peers.own if head is None else head.map
-            first = self._cursors.own if head is None else offset(head, len(self.logs[number]))
+            map_id = self.peers.own if head is None else head.map
+            first = self._cursors.own if head is None else offset(head, len(self.logs[map_id]))
             end = first + len(entries)
-            self._note_receivers(self.peers.robot, number, first, end)
-            self._acks.broadcast(number)
-            if number == self.peers.own:
-                self._cursors.sent(end, self._neighbors.in_range)
+            self._note_receivers(self.peers.robot, map_id, first, end)
+            self._acks.broadcast(map_id)
+            if map_id == self.peers.own:
+                self._cursors.sent(end, self._links.in_range)
                 self.own_log.sent(end)
-            elif self.peers.author(number) == self.peers.robot:
+            elif self.peers.author(map_id) == self.peers.robot:
                 self._cursors.sent(end, [])  # receivers may take an earlier log for the current one
 
-    def _note_receivers(self, sender: int, number: int, first: int, end: int) -> None:
+    def _note_receivers(self, sender: int, map_id: int, first: int, end: int) -> None:
         """Note that all in range of a sender received entries `first` to `end` - 1 of a map, if they held those before.
 
         If this robot holds the entries, they know that.
         """
-        receivers = self._neighbors.near[sender]
-        self._acks.sent(number, receivers, first, end)
-        if len(self.logs[number]) >= end:
-            self._reports.inform(receivers, number, end)
+        receivers = self._links.near[sender]
+        self._acks.sent(map_id, receivers, first, end)
+        if len(self.logs[map_id]) >= end:
+            self._reports.inform(receivers, map_id, end)
 
     # --- receiving
 
@@ -185,11 +185,11 @@ class Gossip(Replication):
         self._cursors.others.pop(peer, None)
         self.replica.reject(peer, self.peers.current[peer], reason)
 
-    def _note_restart(self, peer: int, number: int) -> None:
+    def _note_restart(self, peer: int, map_id: int) -> None:
         """A peer that broadcasts a map of a new incarnation of its own lost its state."""
-        if self.peers.restarted(peer, number):
+        if self.peers.restarted(peer, map_id):
             self._cursors.forget(peer)
-            self._neighbors.restarted(peer)
+            self._links.restarted(peer)
             self._reports.restarted(peer)
             self._meetings.on("restarted", peer)
 
@@ -202,50 +202,50 @@ class Gossip(Replication):
         logs, robots, is_lossy = self.logs, self.peers.robots, not self.peers.reliable
         match control:
             case Near(robot) | Gone(robot) if robot < robots:
-                self._neighbors.near[peer, robot] = is_near = robot == peer or isinstance(control, Near)
-                self._neighbors.have_parted |= is_lossy and not is_near
-            case Held(number, _) if number < len(logs) and (
-                number != peer or self.peers.may_restart or is_lossy
+                self._links.near[peer, robot] = is_near = robot == peer or isinstance(control, Near)
+                self._links.have_parted |= is_lossy and not is_near
+            case Held(map_id, _) if map_id < len(logs) and (
+                map_id != peer or self.peers.may_restart or is_lossy
             ):
-                length = self._possible(number, offset(control, len(logs[number])))
+                length = self._possible(map_id, offset(control, len(logs[map_id])))
                 if is_lossy:
-                    is_question = number == self.peers.current[peer]
-                    self._reports.urgent[number] |= is_question or length > len(logs[number])
-                elif length < self.peers.expected.item(peer, number):
-                    self._peer_dropped(peer, number, length)
-                gap_end = offset(named[number], len(logs[number])) if number in named else 0
-                self._acks.report_received(peer, number, length, gap_end)
+                    is_question = map_id == self.peers.current[peer]
+                    self._reports.urgent[map_id] |= is_question or length > len(logs[map_id])
+                elif length < self.peers.expected.item(peer, map_id):
+                    self._peer_dropped(peer, map_id, length)
+                gap_end = offset(named[map_id], len(logs[map_id])) if map_id in named else 0
+                self._acks.report_received(peer, map_id, length, gap_end)
                 self._meetings.on("reported", peer)
             case LogDigest():
                 pass
-            case From(number, _) if number < len(logs):
+            case From(map_id, _) if map_id < len(logs):
                 pass
             case _:
                 self._reject_frame(peer, f"{control} is not valid in gossip of {robots} robots")
 
     def _read_entries(self, peer: int, head: From | None, entries: list[bytes]) -> None:
         """Accept new entries of a map, and note which peers received them and know that this robot did."""
-        number = self.peers.current[peer] if head is None else head.map
-        if number >= len(self.logs):
+        map_id = self.peers.current[peer] if head is None else head.map
+        if map_id >= len(self.logs):
             return
-        log, replica, reports = self.logs[number], self.replica, self._reports
+        log, replica, reports = self.logs[map_id], self.replica, self._reports
         first = self._cursors.others.get(peer) if head is None else offset(head, log.length)
         if first is None:
-            reports.urgent[number] = True
+            reports.urgent[map_id] = True
             return
         length = log.length
-        replica.receive(peer, number, first, entries)
-        end = max(first, self._possible(number, first + len(entries)))
+        replica.receive(peer, map_id, first, entries)
+        end = max(first, self._possible(map_id, first + len(entries)))
         if end == first:
             return
-        if number == self.peers.current[peer]:
+        if map_id == self.peers.current[peer]:
             self._cursors.received(peer, end)
-        self.peers.acknowledge(peer, number, end)
+        self.peers.acknowledge(peer, map_id, end)
         if self.peers.reliable:
-            reports.urgent[number] = first > length
-        if first > length and not replica.refuses(peer, number):
-            self._acks.store(peer, number, first, entries)
-        self._note_receivers(peer, number, first, end)
-        while (stored := self._acks.stored(number, log.length)) is not None:
-            reports.urgent[number] = True
-            replica.accept(stored[0], number, stored[1])
+            reports.urgent[map_id] = first > length
+        if first > length and not replica.refuses(peer, map_id):
+            self._acks.store(peer, map_id, first, entries)
+        self._note_receivers(peer, map_id, first, end)
+        while (stored := self._acks.stored(map_id, log.length)) is not None:
+            reports.urgent[map_id] = True
+            replica.accept(stored[0], map_id, stored[1])

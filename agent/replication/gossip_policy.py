@@ -17,17 +17,17 @@ import numpy as np
 
 from agent.encodings.base import Dependency
 from agent.replication.delivery import Acks
-from agent.replication.neighbors import Neighbors
+from agent.replication.neighbors import Links
 from agent.replication.peers import Table
 from agent.replication.replica import Replica
 from protocol.arrays import Int64Rows, Int64s
 from protocol.kernels import kernel
 
 Dependencies = Callable[[int], Sequence[Dependency]]
-"""Returns, for a map number, its log ranges that depend on other logs, in order (`MapEncoding.dependencies`)."""
+"""Returns, for a map ID, its log ranges that depend on other logs, in order (`MapEncoding.dependencies`)."""
 
 Add = Callable[[int, int, int], int]
-"""Adds a log range (map number, first, end) to the frame; returns the offset after the last entry that fits."""
+"""Adds a log range (map ID, first, end) to the frame; returns the offset after the last entry that fits."""
 
 MAX_PRIORITY = 255
 
@@ -52,17 +52,15 @@ MAX_LENGTH = 1 << 62
 class GossipPolicy:
     """What peers in range lack, since when, and which of that this robot broadcasts."""
 
-    def __init__(
-        self, replica: Replica, neighbors: Neighbors, acks: Acks, dependencies: Dependencies
-    ) -> None:
+    def __init__(self, replica: Replica, links: Links, acks: Acks, dependencies: Dependencies) -> None:
         self._replica = replica
         self._peers = replica.peers
         self._logs = replica.logs
-        self._neighbors = neighbors
+        self._links = links
         self._acks = acks
         self._dependencies = dependencies
         self._lacks: dict[int, dict[int, int]] = {}
-        """By peer and map number: how many entries this robot holds that the peer should not hold yet."""
+        """By peer and map ID: how many entries this robot holds that the peer should not hold yet."""
         self._since = self._peers.new_table()
         """``_since[peer, map]``: the step since which the peer lacks some."""
         self._served: int | None = None
@@ -72,18 +70,18 @@ class GossipPolicy:
         self._sent: dict[int, tuple[int, int]] = {}
         """The range of each map that is in this round's frame."""
         self._too_long: set[tuple[int, int]] = set()
-        """Map numbers and first offsets of entries for which this round's frame has no room."""
+        """Map IDs and first offsets of entries for which this round's frame has no room."""
 
     def compare(self, known: list[int], lengths: Table) -> None:
         """Compare log lengths with the version vectors of the peers in range whose report is not awaited."""
         before, self._lacks = self._lacks, {}
         current = self._peers.current
         missing: Table = _missing(np.array(known, np.int64), self._peers.expected.T, lengths)
-        for peer, number, count in missing.tolist():
-            if number != current[peer]:
-                self._lacks.setdefault(peer, {})[number] = count
-                if number not in before.get(peer, ()):
-                    self._since[peer, number] = self._replica.step
+        for peer, map_id, count in missing.tolist():
+            if map_id != current[peer]:
+                self._lacks.setdefault(peer, {})[map_id] = count
+                if map_id not in before.get(peer, ()):
+                    self._since[peer, map_id] = self._replica.step
 
     def serve(self, add: Add) -> None:
         """Add what peers lack to this round's frame."""
@@ -93,64 +91,64 @@ class GossipPolicy:
         for peer, will_hold in held.items():
             will_hold[self._peers.current[peer]] = MAX_LENGTH
         repairs = [] if self._peers.reliable else self._gaps()
-        for peer, number, end in repairs:
-            self._bring(add, peer, held[peer], number, end)
+        for peer, map_id, end in repairs:
+            self._bring(add, peer, held[peer], map_id, end)
         self._repairs = bool(self._sent)
         for peer in order:
             will_hold, lacks = held[peer], self._lacks[peer]
-            for number in sorted(lacks, key=lambda each: (each != self._peers.own, lacks[each], each)):
-                if not self._acks.gap_end(peer, number):
-                    self._bring(add, peer, will_hold, number, len(self._logs[number]))
+            for map_id in sorted(lacks, key=lambda each: (each != self._peers.own, lacks[each], each)):
+                if not self._acks.gap_end(peer, map_id):
+                    self._bring(add, peer, will_hold, map_id, len(self._logs[map_id]))
             if self._served is None and self._sent:
                 self._served = peer
 
     def _gaps(self) -> list[tuple[int, int, int]]:
-        """Return the gaps in the logs of peers: the peer, the map number, and the end of the gap."""
+        """Return the gaps in the logs of peers: the peer, the map ID, and the end of the gap."""
         return [
-            (peer, number, end)
+            (peer, map_id, end)
             for peer, lacks in sorted(self._lacks.items())
-            for number in sorted(lacks)
-            if (end := min(self._acks.gap_end(peer, number), len(self._logs[number])))
+            for map_id in sorted(lacks)
+            if (end := min(self._acks.gap_end(peer, map_id), len(self._logs[map_id])))
         ]
 
-    def _bring(self, add: Add, peer: int, will_hold: list[int], number: int, end: int) -> None:
+    def _bring(self, add: Add, peer: int, will_hold: list[int], map_id: int, end: int) -> None:
         """Send the entries of a map before offset `end` that a peer lacks, each range behind those on which it depends.
 
         `will_hold` are the peer's log lengths once it has received the frame.
         """
-        dependencies = self._dependencies(number)
-        for each in dependencies[bisect_right(dependencies, will_hold[number], key=attrgetter("end")) :]:
+        dependencies = self._dependencies(map_id)
+        for each in dependencies[bisect_right(dependencies, will_hold[map_id], key=attrgetter("end")) :]:
             if each.first >= end:
                 break
-            if _lacks(will_hold, each.requires):
-                self._send(add, peer, will_hold, number, each.first)
+            if _lacks_any(will_hold, each.requires):
+                self._send(add, peer, will_hold, map_id, each.first)
                 for other, length in each.requires:
                     self._bring(add, peer, will_hold, other, length)
-                if _lacks(will_hold, each.requires):
+                if _lacks_any(will_hold, each.requires):
                     return
-        self._send(add, peer, will_hold, number, end)
+        self._send(add, peer, will_hold, map_id, end)
 
-    def _send(self, add: Add, peer: int, will_hold: list[int], number: int, end: int) -> None:
+    def _send(self, add: Add, peer: int, will_hold: list[int], map_id: int, end: int) -> None:
         """Send the entries of a map before offset `end` that a peer lacks, unless the frame has them already."""
-        first = will_hold[number]
+        first = will_hold[map_id]
         if first >= end:
             return
-        low, high = self._sent.get(number, (end, end))
+        low, high = self._sent.get(map_id, (end, end))
         if low <= first:
             first = max(first, high)
         else:
             end = min(end, low)
-        if first < end and (number == self._peers.own or self._is_forwarder(peer, number)):
-            is_too_long = (number, first) in self._too_long
-            end = first if is_too_long else add(number, first, end)
+        if first < end and (map_id == self._peers.own or self._is_forwarder(peer, map_id)):
+            is_too_long = (map_id, first) in self._too_long
+            end = first if is_too_long else add(map_id, first, end)
             if end > first:
-                low, high = self._sent.get(number, (first, end))
-                self._sent[number] = min(low, first), max(high, end)
+                low, high = self._sent.get(map_id, (first, end))
+                self._sent[map_id] = min(low, first), max(high, end)
             else:
-                self._too_long.add((number, first))
-        will_hold[number] = max(first, end)
+                self._too_long.add((map_id, first))
+        will_hold[map_id] = max(first, end)
 
-    def _is_forwarder(self, peer: int, number: int) -> bool:
+    def _is_forwarder(self, peer: int, map_id: int) -> bool:
         """Return whether it is this robot's turn to forward what a peer lacks of a map.
 
         Candidates hold more of the map and are in range of the peer. After each `Acks.turn`, one more forwards it.
@@ -158,13 +156,13 @@ class GossipPolicy:
         current, expected, robots = self._peers.current, self._peers.expected, self._peers.robots
         candidates = [
             each
-            for each in self._neighbors.in_range
-            if self._neighbors.near[each, peer]
-            and (current[each] == number or expected[each, number] > expected[peer, number])
+            for each in self._links.in_range
+            if self._links.near[each, peer]
+            and (current[each] == map_id or expected[each, map_id] > expected[peer, map_id])
         ]
         candidates.append(self._peers.robot)
-        candidates.sort(key=lambda each: (current[each] != number, (each - number) % robots))
-        waited = self._acks.waited(peer, number, self._since.item(peer, number))
+        candidates.sort(key=lambda each: (current[each] != map_id, (each - map_id) % robots))
+        waited = self._acks.waited(peer, map_id, self._since.item(peer, map_id))
         return candidates.index(self._peers.robot) <= waited // self._acks.turn
 
     def priority(self, size: int, waited: int, urgency: float | None) -> int:
@@ -176,7 +174,7 @@ class GossipPolicy:
         lacks, and by their size.
         """
         served, log = self._served, self._replica.own_log
-        if self._neighbors.have_parted:
+        if self._links.have_parted:
             held = 0 if served is None else int(self._peers.expected[served].sum())
             priority = min(MAX_HELD_PRIORITY, held // HELD_PER_PRIORITY)
         elif log.last_append < log.shared < log.length:
@@ -191,25 +189,25 @@ class GossipPolicy:
         return min(MAX_PRIORITY - 1, priority + AGING * waited)
 
 
-def _lacks(held: list[int], requires: tuple[tuple[int, int], ...]) -> bool:
+def _lacks_any(held: list[int], requires: tuple[tuple[int, int], ...]) -> bool:
     """Return whether a peer that holds so many entries of each map lacks any of these dependencies."""
-    for number, length in requires:  # noqa: SIM110  a generator takes twice as long
-        if held[number] < length:
+    for map_id, length in requires:  # noqa: SIM110  a generator takes twice as long
+        if held[map_id] < length:
             return True
     return False
 
 
 @kernel
 def _missing(peers: Int64s, expected: Int64Rows, lengths: Int64s) -> Int64Rows:
-    """Return rows (peer, map number, count): how many entries of a map each of `peers` is expected to lack.
+    """Return rows (peer, map ID, count): how many entries of a map each of `peers` is expected to lack.
 
     `expected` has a row for each map.
     """
     rows = np.empty((len(peers) * len(lengths), 3), np.int64)
     count = 0
     for peer in peers:
-        for number in range(len(lengths)):
-            if expected[number, peer] < lengths[number]:
-                rows[count] = peer, number, lengths[number] - expected[number, peer]
+        for map_id in range(len(lengths)):
+            if expected[map_id, peer] < lengths[map_id]:
+                rows[count] = peer, map_id, lengths[map_id] - expected[map_id, peer]
                 count += 1
     return rows[:count].copy()

@@ -40,10 +40,10 @@ TRANSITIONS: dict[tuple[State, Event], State] = {
 
 
 class Connection(msgspec.Struct, eq=False, gc=False):
-    """One end of a connection, with the peer at the other end and the map's number."""
+    """One end of a connection, with the peer at the other end and the map's ID."""
 
     peer: int
-    number: int
+    map_id: int
     length: int = 0
     """As offerer: entries that the peer holds, by its answer; before the answer, as expected."""
     state: State = "idle"
@@ -80,17 +80,17 @@ class Handshakes(Replication):
         taken: set[int] = set()
         for delivery in offers:
             sender, offered = delivery.sender, read_offer(delivery.payload)
-            number = offered.map
-            if number >= len(self.logs):
-                raise ProtocolError(offered.name, 0, f"map {number} of {len(self.logs)} robots")
-            connection = self._received[delivery.connection] = Connection(sender, number)
-            if number in taken or number in self.peers.own_maps or self.replica.refuses(sender, number):
+            map_id = offered.map
+            if map_id >= len(self.logs):
+                raise ProtocolError(offered.name, 0, f"map {map_id} of {len(self.logs)} maps")
+            connection = self._received[delivery.connection] = Connection(sender, map_id)
+            if map_id in taken or map_id in self.peers.own_maps or self.replica.refuses(sender, map_id):
                 connection.on("unwanted offer")
                 reply = DECLINE
             else:
                 connection.on("first offer")
-                taken.add(number)
-                reply = answer(self.logs[number].length, offered.block)
+                taken.add(map_id)
+                reply = answer(self.logs[map_id].length, offered.block)
             frames.append(OutgoingFrame(sender, reply, delivery.connection))
         return frames
 
@@ -103,13 +103,13 @@ class Handshakes(Replication):
         frames = []
         left = limited(self._rounds.budget)
         for delivery in answers:
-            sender, number = delivery.sender, delivery.map_id
-            connection = self._offered.get((sender, number))
+            sender, map_id = delivery.sender, delivery.map_id
+            connection = self._offered.get((sender, map_id))
             if connection is None or connection.state != "offered":
                 raise ProtocolError("conn", 0, f"robot {sender} answers an offer that was not made")
             self._answered[delivery.connection] = connection
             if connection.on(self._read_answer(connection, delivery.payload)) == "sending":
-                entries = self.logs[number].read(connection.length, left)
+                entries = self.logs[map_id].read(connection.length, left)
                 if entries:
                     frames.append(OutgoingFrame(sender, entries, delivery.connection))
                 left -= len(entries)
@@ -122,13 +122,13 @@ class Handshakes(Replication):
                 self._settle(answered, carried.data)
         for carried in report.connections:
             if carried.offer and (received := self._received.get(carried.connection)):
-                self.peers.restarted(received.peer, received.number)
+                self.peers.restarted(received.peer, received.map_id)
         for delivery in report.deliveries:
             taken, sender = self._received.get(delivery.connection), delivery.sender
             if taken is None or taken.state != "taking":
                 continue
-            if self.replica.accept(sender, taken.number, delivery.payload):
-                self.peers.expect(sender, taken.number, self.logs[taken.number].length)
+            if self.replica.accept(sender, taken.map_id, delivery.payload):
+                self.peers.expect(sender, taken.map_id, self.logs[taken.map_id].length)
         return self.replica.take_rejected()
 
     def delivered(self) -> bool:
@@ -137,7 +137,7 @@ class Handshakes(Replication):
 
     def _read_answer(self, connection: Connection, payload: bytes) -> Event:
         """Note the peer's log length, and compare it with this robot's."""
-        expected, length = connection.length, self.logs[connection.number].length
+        expected, length = connection.length, self.logs[connection.map_id].length
         claimed = read_answer(payload, block_of(expected))
         if claimed is None:
             return "declined"
@@ -146,12 +146,12 @@ class Handshakes(Replication):
 
     def _settle(self, connection: Connection, sent: int) -> None:
         """An answer was carried, and so many bytes of data after it."""
-        pair, reached = (connection.peer, connection.number), connection.length
+        pair, reached = (connection.peer, connection.map_id), connection.length
         if connection.state == "refused":
             self._rounds.postpone(*pair, 1, MAX_WAIT)
         elif connection.state == "sending":
             self._rounds.tries[pair] = 0
-            reached = self.logs[connection.number].offset_after(reached, sent)
-        if connection.number == self.peers.own:
+            reached = self.logs[connection.map_id].offset_after(reached, sent)
+        if connection.map_id == self.peers.own:
             self.own_log.sent(reached)
         self.peers.expect(*pair, reached)

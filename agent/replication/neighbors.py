@@ -60,7 +60,7 @@ class Meetings:
         return [peer for peer in in_range if peer not in self._awaited]
 
 
-class Neighbors:
+class Links:
     """Which robots are in range of each other, and so received a broadcast.
 
     Each robot reports arrivals and departures in its own range (`Near`, `Gone`) until all peers in range have received

@@ -1,7 +1,7 @@
 """The peer table: how many entries of each map every peer holds, as far as this robot knows.
 
 A row of the table is a peer's version vector: one log length for each map. A robot that restarts without its state
-begins a new log (`agent.identity`), so a robot may have several maps. The number of a map is its author's plus
+begins a new log (`agent.identity`), so a robot may have several maps. The ID of a map is its author's plus
 `robots` times the author's incarnation.
 """
 
@@ -21,9 +21,9 @@ Mask = NDArray[np.bool_]
 
 
 class PeerTable:
-    """One robot's knowledge of its peers' logs. Tables have a row for each robot and a column for each map number.
+    """One robot's knowledge of its peers' logs. Tables have a row for each robot and a column for each map ID.
 
-    `own`: the number of this robot's map; `maps`: how many maps the team may write; `reliable`: the medium loses
+    `own`: the ID of this robot's map; `maps`: how many maps the team may write; `reliable`: the medium loses
     nothing, and keeps the order of a robot's frames; `round_trip`: the most steps after a broadcast in
     which a report may arrive that its sender sent before it received the broadcast.
     """
@@ -39,11 +39,11 @@ class PeerTable:
         self.robot = self.author(own)
         """This robot."""
         self.own_maps = range(own, maps, robots)
-        """Numbers of the maps that only this robot may write: its own, and those of its later incarnations."""
+        """IDs of the maps that only this robot may write: its own, and those of its later incarnations."""
         self.may_restart = maps > robots
         """Whether robots may lose their state: an old report of a peer then claims more than the peer holds."""
         self.current = list(range(robots))
-        """The number of each robot's map in its current incarnation, as far as this robot has received it."""
+        """The ID of each robot's map in its current incarnation, as far as this robot has received it."""
         self.current[self.robot] = own
         self.expected = self.new_table()
         """``expected[peer, map]``: entries that the peer should hold by now."""
@@ -52,9 +52,9 @@ class PeerTable:
         self._deliveries: list[tuple[Table, int]] = []
         """The tables of `delivery_table`, with the values that they start from."""
 
-    def author(self, number: int) -> int:
+    def author(self, map_id: int) -> int:
         """Return the robot that writes a map."""
-        return number % self.robots
+        return map_id % self.robots
 
     def new_table(self) -> Table:
         """Return a table of zeros, which takes no memory before it is used; columns are contiguous, as maps arrive."""
@@ -68,33 +68,33 @@ class PeerTable:
         self._deliveries.append((table, start))
         return table
 
-    def expect(self, peer: int, number: int, length: int) -> None:
+    def expect(self, peer: int, map_id: int, length: int) -> None:
         """Note that a peer should hold at least so many entries of a map."""
-        if length > self.expected.item(peer, number):
-            self.expected[peer, number] = length
+        if length > self.expected.item(peer, map_id):
+            self.expected[peer, map_id] = length
 
-    def acknowledge(self, peer: int, number: int, length: int) -> None:
+    def acknowledge(self, peer: int, map_id: int, length: int) -> None:
         """Note that a peer certainly holds so many entries of a map."""
-        if length > self.acked.item(peer, number):
-            self.acked[peer, number] = length
-        self.expect(peer, number, length)
+        if length > self.acked.item(peer, map_id):
+            self.acked[peer, map_id] = length
+        self.expect(peer, map_id, length)
 
-    def restarted(self, peer: int, number: int) -> bool:
-        """Return whether a peer's use of a map number shows that it restarted; it lost all received entries then."""
-        if not self.current[peer] < number < self.maps or self.author(number) != peer:
+    def restarted(self, peer: int, map_id: int) -> bool:
+        """Return whether a peer's use of a map ID shows that it restarted; it lost all received entries then."""
+        if not self.current[peer] < map_id < self.maps or self.author(map_id) != peer:
             return False
-        self.current[peer] = number
+        self.current[peer] = map_id
         self.expected[peer] = self.acked[peer] = 0
         for table, start in self._deliveries:
             table[peer] = start
         return True
 
-    def dropped(self, peer: int, number: int, length: int) -> None:
+    def dropped(self, peer: int, map_id: int, length: int) -> None:
         """Note that a peer dropped the entries of a map from offset `length` on."""
-        self.expected[peer, number] = length
-        self.acked[peer, number] = min(self.acked.item(peer, number), length)
+        self.expected[peer, map_id] = length
+        self.acked[peer, map_id] = min(self.acked.item(peer, map_id), length)
         for table, start in self._deliveries:
-            table[peer, number] = start
+            table[peer, map_id] = start
 
 
 @kernel

@@ -23,7 +23,7 @@ CROWD = 16
 
 
 class Offer(NamedTuple):
-    """A map of which a peer is expected to lack the entries from offset `first` on."""
+    """A map, by its ID `number`, of which a peer is expected to lack the entries from offset `first` on."""
 
     peer: int
     number: int
@@ -68,11 +68,11 @@ class Rounds:
             lengths[np.arange(len(lengths)) != self.peers.own] = 0
         return self._dissemination.offers(self, lengths) if in_range and lengths.any() else []
 
-    def postpone(self, peer: int, number: int, first_wait: int, longest: int) -> None:
+    def postpone(self, peer: int, map_id: int, first_wait: int, longest: int) -> None:
         """Offer a map to a peer again after `first_wait` rounds; they double with each further try, up to `longest`."""
-        tries = self.tries.item(peer, number)
-        self.due[peer, number] = self.now + min(first_wait << tries, longest)
-        self.tries[peer, number] = tries + 1
+        tries = self.tries.item(peer, map_id)
+        self.due[peer, map_id] = self.now + min(first_wait << tries, longest)
+        self.tries[peer, map_id] = tries + 1
 
     def delivered(self, most_tries: int) -> bool:
         """Return whether peers are in range, and each should hold this robot's log, or had over `most_tries` tries."""
@@ -105,12 +105,12 @@ class Thesis(OfferDissemination):
     def offers(self, rounds: Rounds, lengths: Table) -> list[Offer]:
         """Return the offers of a round."""
         peers, held = rounds.peers, lengths.tolist()
-        numbers = [peers.own, *(number for number in range(len(held)) if number != peers.own)]
+        map_ids = [peers.own, *(map_id for map_id in range(len(held)) if map_id != peers.own)]
         return [
-            Offer(peer, number, first)
+            Offer(peer, map_id, first)
             for peer in rounds.in_range
-            for number in numbers
-            if number != peers.current[peer] and (first := peers.expected.item(peer, number)) < held[number]
+            for map_id in map_ids
+            if map_id != peers.current[peer] and (first := peers.expected.item(peer, map_id)) < held[map_id]
         ]
 
 
@@ -140,9 +140,9 @@ class Backoff(OfferDissemination):
             missing[np.arange(rounds.peers.robots), rounds.peers.current] = 0
             most = missing.argmax(axis=1).tolist()
             for peer in in_range:
-                number = most[peer]
-                if (rounds.single or peer not in offers) and missing.item(peer, number) > 0:
-                    offers[peer] = Offer(peer, number, expected.item(peer, number))
+                map_id = most[peer]
+                if (rounds.single or peer not in offers) and missing.item(peer, map_id) > 0:
+                    offers[peer] = Offer(peer, map_id, expected.item(peer, map_id))
         chosen = [offers[peer] for peer in in_range if peer in offers]
         crowd = len(in_range) + 1
         if rounds.budget is None or crowd <= CROWD:

@@ -52,7 +52,7 @@ class Reports:
         return self._replica.step % REFRESH == self._replica.peers.robot % REFRESH
 
     def due(self, lengths: Table, in_range: list[int], owed: list[int], *, parted: bool) -> list[int]:
-        """Return the numbers of the maps to report in this round, ascending.
+        """Return the IDs of the maps to report in this round, ascending.
 
         `lengths`: of this robot's logs. `owed`: the peers to which meetings owe reports. `parted`: whether any robot
         has been out of another's range before.
@@ -69,36 +69,36 @@ class Reports:
         for peer in owed:
             due |= self._informed[peer] < lengths
         if is_turn:
-            numbers = np.arange(peers.maps)
-            in_turn = numbers % peers.robots == step // REFRESH % peers.robots
-            due |= in_turn & ((numbers < peers.robots) | (lengths > 0))
+            map_ids = np.arange(peers.maps)
+            in_turn = map_ids % peers.robots == step // REFRESH % peers.robots
+            due |= in_turn & ((map_ids < peers.robots) | (lengths > 0))
         due[asked] = True
         if not peers.reliable:
-            due |= self._acks.lacks(lengths, in_range) & (waited >= self._acks.turn * delays)
+            due |= self._acks.is_behind(lengths, in_range) & (waited >= self._acks.turn * delays)
             due |= (lengths > self._lengths) & (waited >= self._acks.interval)
         due[peers.own] = False
         if not peers.reliable:
             due |= self._acks.unacknowledged(in_range)
-        return [int(number) for number in due.nonzero()[0]]
+        return [int(map_id) for map_id in due.nonzero()[0]]
 
-    def sent(self, number: int, receivers: Mask) -> None:
+    def sent(self, map_id: int, receivers: Mask) -> None:
         """Note that a report was on the air."""
-        self._replica.asked(number)
-        self._steps[number] = self._replica.step
-        length = len(self._replica.logs[number])
-        self._repeats[number] = self._repeats[number] + 1 if length == self._lengths[number] else 0
-        self._lengths[number] = length
-        self.urgent[number] = False
-        self.inform(receivers, number, length)
+        self._replica.asked(map_id)
+        self._steps[map_id] = self._replica.step
+        length = len(self._replica.logs[map_id])
+        self._repeats[map_id] = self._repeats[map_id] + 1 if length == self._lengths[map_id] else 0
+        self._lengths[map_id] = length
+        self.urgent[map_id] = False
+        self.inform(receivers, map_id, length)
 
-    def inform(self, peers: Mask, number: int, length: int) -> None:
+    def inform(self, peers: Mask, map_id: int, length: int) -> None:
         """Note that peers know that this robot holds so many entries of a map."""
-        raise_lengths(self._informed.T[number], peers, 0, length)
+        raise_lengths(self._informed.T[map_id], peers, 0, length)
 
-    def dropped(self, number: int) -> None:
+    def dropped(self, map_id: int) -> None:
         """Note that this robot dropped entries of a map, so peers know that it holds more than it does."""
-        self._lengths[number] = length = len(self._replica.logs[number])
-        self._informed[:, number] = np.minimum(self._informed[:, number], length)
+        self._lengths[map_id] = length = len(self._replica.logs[map_id])
+        self._informed[:, map_id] = np.minimum(self._informed[:, map_id], length)
 
     def restarted(self, peer: int) -> None:
         """Note that a peer lost its state: it has received no report."""

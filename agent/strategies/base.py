@@ -12,7 +12,7 @@ import numpy as np
 
 from agent.settings import Settings
 from agent.strategies.options import read_options
-from protocol.arrays import Cells
+from protocol.arrays import NO_CELLS, Cells
 from protocol.grid import UNKNOWN, Cell, Grid
 
 _FACES = ((1, 0, 0), (0, 1, 2), (-1, 0, 4), (0, -1, 6))
@@ -20,8 +20,6 @@ _FACES = ((1, 0, 0), (0, 1, 2), (-1, 0, 4), (0, -1, 6))
 
 FULL_TURN = 360.0
 """Degrees."""
-
-NO_CELLS = np.empty((0, 2), np.int32)
 
 
 def array_of(cells: Collection[Cell]) -> Cells:
@@ -35,7 +33,7 @@ def cell_at(cells: Cells, index: int | np.integer[Any]) -> Cell:
     return x, y
 
 
-class Pose(NamedTuple):
+class TeammatePose(NamedTuple):
     """The cell that a teammate broadcast as its pose, and whether it leads."""
 
     x: int
@@ -68,7 +66,7 @@ class Situation:
     """Teammates in radio range, ascending."""
     connected: tuple[int, ...] = ()
     """Teammates out of radio range but connected through others, ascending; needs relayed states."""
-    poses: Mapping[int, Pose] = field(default_factory=dict)
+    poses: Mapping[int, TeammatePose] = field(default_factory=dict)
     """The last received pose of each teammate, by ascending number."""
     last_moved: Mapping[int, int] = field(default_factory=dict)
     """The step of the last change of each of these poses."""

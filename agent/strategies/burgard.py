@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from agent.planning.assignment import Assignment, best_of_all, in_turn
+from agent.planning.assignment import Assignment, Costs, best_of_all, in_turn
 from agent.planning.measured_distances import MeasuredDistances
 from agent.planning.path_planner import PathPlanner
 from agent.planning.utility import proximity, utilities
@@ -40,7 +40,7 @@ VISIBILITIES = ("linear", "learned")
 
 
 @dataclass(frozen=True)
-class Coordinated(BarringParts):
+class CoordinatedOptions(BarringParts):
     """Options of the coordinated strategies."""
 
     beta: float = option(1.0, "weight of cost against utility", least=0)
@@ -53,7 +53,7 @@ class Coordinated(BarringParts):
 
 
 @dataclass(frozen=True)
-class InTurn(Coordinated):
+class BurgardOptions(CoordinatedOptions):
     """Options of `burgard`."""
 
     visibility: str = option(
@@ -106,6 +106,12 @@ class CoordinatedStrategy(TeamStrategy):
             for robot in self.team(situation)
         )
 
+    def weighted(self, costs: Costs) -> Costs:
+        """Return costs times beta; infinite ones remain so, also without a weight."""
+        weighted: Costs = np.full_like(costs, np.inf)
+        np.multiply(self.options.beta, costs, out=weighted, where=np.isfinite(costs))
+        return weighted
+
     def utility(self, table: Table, situation: Situation) -> Floats:
         """Return the utility of each goal, lowered by the last targets of teammates out of range, shape (n,)."""
         remembered = self.remembered(situation)
@@ -119,7 +125,7 @@ class Burgard(CoordinatedStrategy):
     name = "burgard"
     summary = "sub-teams assign frontier cells one by one, the best pair of robot and cell first"
     source = "Burgard et al. 2005, Algorithm 1 (section II-C), sub-teams (II-D)"
-    options_type = InTurn
+    options_type = BurgardOptions
 
     def __init__(self, options: Mapping[str, Any], settings: Settings) -> None:
         super().__init__(options, settings)
@@ -136,7 +142,7 @@ class Burgard(CoordinatedStrategy):
 
     def assign(self, table: Table, situation: Situation, planner: PathPlanner) -> Assignment:
         """Assign goals."""
-        costs = self.options.beta * table.costs / self.settings.scale_cells
+        costs = self.weighted(table.costs) / self.settings.scale_cells
         ranges = self.settings.ranges_of(table.robots)
         visibility = proximity if self._measured is None else self._measured.proximity
         return in_turn(situation.grid, table.goals, self.utility(table, situation), costs, ranges, visibility)
@@ -160,11 +166,11 @@ class BurgardOptimal(CoordinatedStrategy):
     name = "burgard-optimal"
     summary = "sub-teams search the assignment with the largest sum of utility minus squared cost"
     source = "Burgard et al. 2005, Algorithm 2 (section IV-C)"
-    options_type = Coordinated
+    options_type = CoordinatedOptions
 
     def assign(self, table: Table, situation: Situation, planner: PathPlanner) -> Assignment:
         """Assign goals; all members search from the same random starts."""
-        costs = self.options.beta * (table.costs / self.settings.scale_cells) ** 2
+        costs = self.weighted((table.costs / self.settings.scale_cells) ** 2)
         return best_of_all(
             situation.grid, table.goals, self.utility(table, situation), costs,
             self.settings.ranges_of(table.robots), self.draw("assignment", situation),

@@ -48,7 +48,7 @@ replans at each step."""
 
 
 @dataclass(frozen=True)
-class Allocating(Parts):
+class AllocatingOptions(Parts):
     """Options of the allocating strategies."""
 
     small_segments: str = option(
@@ -67,17 +67,17 @@ fewer goals than robots, goals are assigned as in IA. ``idle``: it has no goal, 
 
 
 @dataclass(frozen=True)
-class Touring(Allocating):
+class TouringOptions(AllocatingOptions):
     """Options of the strategies with tours."""
 
     tours: str = option("nearest-12", "which goals of its cluster a robot's tour leads through", TOURS)
     empty_clusters: str = option("filled", "what a robot with an empty cluster does", EMPTY_CLUSTERS)
 
 
-_OPTIONS = with_defaults(Allocating, candidates="anr")
-_DEPOT_OPTIONS = with_defaults(Allocating, candidates="anr", mission="return")
-_TOURING_OPTIONS = with_defaults(Touring, candidates="anr")
-_TOURING_DEPOT_OPTIONS = with_defaults(Touring, candidates="anr", mission="return")
+_OPTIONS = with_defaults(AllocatingOptions, candidates="anr")
+_DEPOT_OPTIONS = with_defaults(AllocatingOptions, candidates="anr", mission="return")
+_TOURING_OPTIONS = with_defaults(TouringOptions, candidates="anr")
+_TOURING_DEPOT_OPTIONS = with_defaults(TouringOptions, candidates="anr", mission="return")
 
 _OPEN = Clash(
     ("mission",),

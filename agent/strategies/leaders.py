@@ -95,7 +95,9 @@ class FieldStrategy(Strategy):
 
     def __init__(self, options: Mapping[str, Any], settings: Settings) -> None:
         super().__init__(options, settings)
-        self._field = forces.Field(*(getattr(self.options, name) for name in forces.Field._fields))
+        self._field = forces.FieldParameters(
+            *(getattr(self.options, name) for name in forces.FieldParameters._fields)
+        )
         self._velocity = np.zeros(2)
         self._route = Route()
         self._yielding = YieldBehavior(settings.seed, settings.robot, settings.body.range_cells)
@@ -205,10 +207,10 @@ class FieldStrategy(Strategy):
         """Return the closest frontier cell, and waypoints of the shortest way to it."""
         costs = planner.costs(*situation.here)[frontier[:, 1], frontier[:, 0]]
         goal = cell_at(frontier, np.argmin(costs))
-        self._route.drive_to(*situation.here)
+        self._route.advance_to(*situation.here)
         stopped = situation.blocked in MOBILE
         self._yielding.note(self._route, situation.here, situation.step, stopped=stopped)
-        self._route.lead(planner, situation.here, goal)
+        self._route.plan(planner, situation.here, goal)
         if self._yielding.has_waited:
             planner = self._yielding.pass_by(self._route, planner, situation.here, goal, situation.step)
         start = situation.x * FINE + situation.offset[0], situation.y * FINE + situation.offset[1]

@@ -44,7 +44,7 @@ def option_lines(kind: type) -> list[OptionLine]:
 
 
 def read_options(
-    kind: type[Options], options: Mapping[str, Any], owner: str, refused: Mapping[str, str] | None = None
+    kind: type[Options], options: Mapping[str, Any], owner: str, refused: Mapping[str, str]
 ) -> Options:
     """Make an options dataclass, of fields made by `option`, from values by name.
 
@@ -53,7 +53,7 @@ def read_options(
     """
     known = {line.name: line for line in option_lines(kind)}
     for name, value in options.items():
-        if refused and name in refused:
+        if name in refused:
             raise ValueError(f"{owner} takes no option {name!r}: {refused[name]}")
         if name not in known:
             there_are = ", ".join(known) or "none"

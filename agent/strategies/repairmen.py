@@ -44,11 +44,11 @@ from agent.planning.team_tours import Task, team_tours
 from agent.planning.viewpoint import best_viewpoint, tour_viewpoints
 from agent.planning.yielding import MEMORY
 from agent.settings import Settings
-from agent.strategies.base import Situation, array_of
+from agent.strategies.base import FULL_TURN, Situation, array_of
 from agent.strategies.options import option
 from agent.strategies.targets import Parts
 from agent.strategies.team import PLAN_ALONE_AFTER, Table, TeamStrategy
-from protocol.arrays import Cells, FloatRows, Floats, Int64s
+from protocol.arrays import NO_CELLS, Cells, FloatRows, Floats, Int64s
 from protocol.grid import Cell, Grid, ray_table
 from protocol.kernels import kernel
 
@@ -156,7 +156,7 @@ class Repairmen(TeamStrategy):
         self._lengths = np.empty(0, np.int64)
         self._between = np.empty((0, 0))
         self._tour: list[int] = []
-        self._next = np.empty((0, 2), np.int32), np.empty(0, np.bool_)
+        self._next = NO_CELLS, np.empty(0, np.bool_)
         self._observed_in_vain: set[Cell] = set()
         self._given_up: dict[int, int] = {}
         """By teammate that the robot no longer relies on: the step of its last received target at that time."""
@@ -302,7 +302,7 @@ class Repairmen(TeamStrategy):
     def _uses_viewpoints(self) -> bool:
         """Whether one scan, in any heading, observes everything within range."""
         settings = self.settings
-        full_turn = settings.body.field_of_view >= 360.0 and settings.body.turn_steps == 1
+        full_turn = settings.body.field_of_view >= FULL_TURN and settings.body.turn_steps == 1
         return full_turn and self.options.replan != "at-goal" and self.options.viewpoint_range > 0
 
     def _is_stranded(self, here: Cell) -> bool:
@@ -332,9 +332,9 @@ class Repairmen(TeamStrategy):
             starts=ways,
             between=between,
             weights=worth + self.options.small_frontier,
-            latency_weight=np.full(len(table.goals), self.options.latency_weight / (2 * range_cells)),
-            last=self.options.longest_tour,
-            way=self.options.total_length * demand,
+            latency_weights=np.full(len(table.goals), self.options.latency_weight / (2 * range_cells)),
+            longest_weight=self.options.longest_tour,
+            length_weight=self.options.total_length * demand,
             loads=self.options.expected_work * range_cells * worth,
         )
         tours = self._cache.get(task.key(), partial(team_tours, task))

@@ -78,7 +78,7 @@ class ContinuousReplan(StopScanReplan):
 
 
 @dataclass(frozen=True)
-class Bids(HerdingParts):
+class BidOptions(HerdingParts):
     """Options of `sheng-bid`."""
 
     gain: float = option(1.0, "w1: weight of the unknown share of the sensor's disc", least=0)
@@ -94,7 +94,7 @@ class ShengBid(TargetStrategy):
     name = "sheng-bid"
     summary = "takes the frontier cell of the best bid: unknown area, distance, nearness to teammates"
     source = "Sheng et al. 2006, as Al-khawaldah and Nuechter 2014 quote it, Eq. (1)"
-    options_type: ClassVar[type] = Bids
+    options_type: ClassVar[type] = BidOptions
     clashes = (*TargetStrategy.clashes, SINGLE_CANDIDATE)
     publishes_pose = True
 
@@ -131,4 +131,4 @@ class Classical(ShengBid):
     name = "classical"
     summary = "scans at its targets alone, a full turn each, and takes the best bid"
     source = "Al-khawaldah and Nuechter 2014, section 3.4"
-    options_type = with_defaults(Bids, replan="after-turn", scan="at-target", share="at-target")
+    options_type = with_defaults(BidOptions, replan="after-turn", scan="at-target", share="at-target")

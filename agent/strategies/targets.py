@@ -24,7 +24,7 @@ from agent.planning.candidates import CANDIDATES, SEARCHED, goal_candidates, sea
 from agent.planning.frontier import is_frontier
 from agent.planning.path_planner import COSTS, PathPlanner
 from agent.planning.route import Route
-from agent.planning.utility import in_sight
+from agent.planning.utility import covers
 from agent.planning.yielding import MOBILE, YieldBehavior
 from agent.settings import Settings
 from agent.strategies.base import Decision, Situation, Strategy
@@ -175,12 +175,10 @@ class TargetStrategy(Strategy):
         """
         if self.target is None or not getattr(self.options, "herding", False):
             return False
-        own_x, own_y = self.target
         return any(
             other < self.settings.robot
-            and (x - own_x) ** 2 + (y - own_y) ** 2 < self.settings.bodies[other].range_cells ** 2
-            and in_sight(situation.grid, x, y, own_x, own_y)
-            for other, (x, y) in situation.new_targets.items()
+            and covers(situation.grid, target, self.target, self.settings.bodies[other].range_cells)
+            for other, target in situation.new_targets.items()
         )
 
     def team_size(self, situation: Situation) -> int:
@@ -192,7 +190,7 @@ class TargetStrategy(Strategy):
         here = situation.here
         self._scanner_steps = (self._scanner_steps if here == self._at else 0) + self._scans
         self._at = here
-        self._route.drive_to(*here)
+        self._route.advance_to(*here)
         self._yielding.note(self._route, here, situation.step, stopped=situation.blocked in MOBILE)
         planner = self.planner(situation)
         before, left, gives_up = self.target, True, self._yielding.gives_up()
@@ -283,7 +281,7 @@ class TargetStrategy(Strategy):
         if goal is None:
             self._route.clear()
             return False
-        return self._route.lead(planner, situation.here, goal)
+        return self._route.plan(planner, situation.here, goal)
 
     def _is_stranded(self, here: Cell) -> bool:
         """Whether the route has ended in another cell than the target, after a detour."""

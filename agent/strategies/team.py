@@ -18,7 +18,7 @@ import numpy as np
 
 from agent.planning.assignment import Assignment, Costs
 from agent.planning.path_planner import PathPlanner
-from agent.planning.utility import in_sight
+from agent.planning.utility import covers
 from agent.settings import Settings
 from agent.strategies.base import Situation, array_of, cell_at
 from agent.strategies.targets import Clash, TargetStrategy, is_searched
@@ -161,12 +161,9 @@ class TeamStrategy(TargetStrategy):
 
 def unclaimed(situation: Situation, goals: Cells, targets: Mapping[int, Cell], settings: Settings) -> Cells:
     """Return the goals not within sensor range and in sight of a robot's target; all goals if none would be left."""
+    taken = [(target, settings.bodies[robot].range_cells) for robot, target in targets.items()]
     keep = [
-        all(
-            (x - tx) ** 2 + (y - ty) ** 2 >= settings.bodies[robot].range_cells ** 2
-            or not in_sight(situation.grid, x, y, tx, ty)
-            for robot, (tx, ty) in targets.items()
-        )
+        not any(covers(situation.grid, target, (x, y), range_cells) for target, range_cells in taken)
         for x, y in goals.tolist()
     ]
     return goals[keep] if any(keep) else goals

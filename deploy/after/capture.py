@@ -25,7 +25,7 @@ from protocol.packets import ALL_KINDS, AnyPacket, Fragment, Update
 CARRIED = 0
 
 _COLUMNS = "{:>6} {:>2} {:>5} {:>6} {:>6} {:>3}  {:<9} {:>8}  {:<38}  {}"
-_TITLES = ("step", "ex", "conn", "from", "to", "map", "frame", "bytes", "packets", "verdict")
+_TITLES = ("step", "rd", "conn", "from", "to", "map", "frame", "bytes", "packets", "verdict")
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from deploy.after.archive import Archive
 from deploy.dashboard.shapes import outline_strips
 from deploy.record.colors import GROUPS
-from deploy.record.map_pictures import rgb, robot_color, save, show_grid
+from deploy.record.map_pictures import rgb, robot_rgb, save, show_grid
 from protocol.budget import WORD_FOR_UNLIMITED
 from protocol.grid import FREE
 
@@ -74,7 +74,7 @@ def maps_over_time(archive: Archive) -> Figure:
             panel.set(xticks=[], yticks=[], xlabel="")
         axes[row, 0].set_ylabel(f"step {step}")
     for robot in robots:
-        axes[0, robot].set_title(f"robot {robot}", color=robot_color(robot))
+        axes[0, robot].set_title(f"robot {robot}", color=robot_rgb(robot))
     sent = ", and (red) the approximation that it sends" if archive.maps.maps_held(0) else ""
     figure.suptitle(f"Each robot's planning map{sent}")
     return figure
@@ -223,13 +223,13 @@ def _draw_curves(panel: Axes, curves: Curves, label: str) -> None:
     every = np.arange(1, table.shape[1] + 1)
     if len(curves) <= MOST_CURVES:
         for robot, values in curves.items():
-            panel.plot(every, values, color=robot_color(robot), linewidth=1.0, label=f"{label} robot {robot}")
+            panel.plot(every, values, color=robot_rgb(robot), linewidth=1.0, label=f"{label} robot {robot}")
         return
     known = np.isfinite(table).any(axis=0)
     shares = np.full((5, len(every)), np.nan)
     shares[:, known] = np.nanpercentile(table[:, known], [0, 25, 50, 75, 100], axis=0)
     low, lower, middle, upper, high = shares
-    color = robot_color(1)
+    color = robot_rgb(1)
     every_robot = f"{label} all {len(curves)} robots"
     panel.fill_between(every, low, high, color=color, alpha=0.13, linewidth=0, label=every_robot)
     panel.fill_between(every, lower, upper, color=color, alpha=0.3, linewidth=0, label="middle half")

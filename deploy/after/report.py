@@ -149,8 +149,9 @@ def comparison(runs: dict[Path, Archive]) -> str:
         maps = archive.directory / run_directory.PICTURE
         if maps.is_file():
             pictures.append(_picture(maps.read_bytes(), f"{name}: {CAPTIONS[maps.name]}"))
-    figures = [report_rows.figure_rows(summary) for summary in summaries]
-    rows = [[row[0], *(dict(each).get(row[0], "-") for each in figures)] for row in figures[0]]
+    figures = [dict(report_rows.figure_rows(summary)) for summary in summaries]
+    figure_names = dict.fromkeys(name for each in figures for name in each)
+    rows = [[name, *(each.get(name, "-") for each in figures)] for name in figure_names]
     shown = [Frames(archive, PAIR_WIDTH) for archive in archives]
     differing = report_rows.differing_settings(archives)
     return _render(

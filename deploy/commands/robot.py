@@ -9,11 +9,11 @@ import typer
 
 from deploy.commands.console import fail, screen
 from deploy.commands.flags import argument, command_family, switch
-from deploy.run.exit_codes import BAD_INPUT, BROKEN_OFF
+from deploy.run.exit_codes import BAD_INPUT, BROKEN_OFF, NOT_FINISHED
+from deploy.scenario.errors import ScenarioError
 
 app = command_family()
 
-NOT_FINISHED = 1
 STOP_S = 30.0
 """Seconds for which `murmur stop` waits for a robot."""
 
@@ -78,7 +78,11 @@ def stop(
     if not chosen:
         screen.print("no robot of this user runs on this host")
     for folder in chosen:
-        running.ask_to_stop(folder)
+        try:
+            running.ask_to_stop(folder)
+        except ScenarioError:  # with --all, it may have ended since
+            if not every:
+                raise
     late = [str(folder) for folder in chosen if not running.has_ended(folder, STOP_S)]
     for folder in chosen:
         if str(folder) not in late:

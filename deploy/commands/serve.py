@@ -165,7 +165,7 @@ def _print_json(scenario: Scenario, swarm: Swarm, chosen: ServeSettings, _: Agen
 
 def _print_text(scenario: Scenario, swarm: Swarm, chosen: ServeSettings, files: AgentFiles | None) -> None:
     """Print the map and the router, and how to start the agents with their settings files, or else the settings."""
-    from deploy.serve.agent_files import agent_settings  # noqa: PLC0415
+    from deploy.serve.agent_files import file_settings  # noqa: PLC0415
 
     started = "a router started" if chosen.own_router else "the router"
     screen.print(
@@ -180,7 +180,7 @@ def _print_text(scenario: Scenario, swarm: Swarm, chosen: ServeSettings, files: 
         screen.print("\nSettings of their agents (--write-robots DIR writes whole files):")
         for robot, namespace in enumerate(chosen.namespaces):
             screen.print(f"\n# {namespace}.toml")
-            for name, value in agent_settings(scenario, swarm, chosen, robot).items():
+            for name, value in file_settings(scenario, swarm, chosen, robot).items():
                 screen.print(f"{name} = {_toml(value)}")
     sys.stdout.flush()  # for a program that reads them
 

@@ -51,7 +51,7 @@ Say = Callable[[str], None]
 
 
 @dataclass(frozen=True)
-class Ending:
+class MissionEnd:
     """How a mission ended: the reason, and whether everything is explored and delivered."""
 
     reason: str
@@ -86,7 +86,7 @@ class StopRequest:
         self._signal = signal.Signals(number).name
 
 
-def explore(file: RobotFile, say: Say) -> Ending:
+def explore(file: RobotFile, say: Say) -> MissionEnd:
     """Run one robot until its mission ends; whatever happens, it then stands still.
 
     ValueError: key, session file, journal, interface, port, or router cannot be used; the message says what to do.
@@ -100,7 +100,7 @@ def explore(file: RobotFile, say: Say) -> Ending:
         ros = Ros2Robot(file.settings)
         stack.callback(ros.close)
         if not wait_for_readings(ros, stop, say):
-            return Ending(f"stopped by {stop.reason}", is_complete=False)
+            return MissionEnd(f"stopped by {stop.reason}", is_complete=False)
         return Mission(file, key, ros, transport, stop, say).run()
 
 
@@ -162,7 +162,7 @@ class Mission:
         self._shown = ""
         """The last status that the user was shown."""
 
-    def run(self) -> Ending:
+    def run(self) -> MissionEnd:
         """Play steps until the end."""
         robots = self._settings.robots
         self._say(f"robot {self._settings.robot} of {robots} explores; records in {self._recorder.folder}")
@@ -178,7 +178,7 @@ class Mission:
         if self._field.move is not None:
             self._published.clear()
             self._publish(self._reason)
-        return Ending(self._reason, self._is_complete, self._step, self._recorder.folder)
+        return MissionEnd(self._reason, self._is_complete, self._step, self._recorder.folder)
 
     def _wait(self, duration: int) -> None:
         """Wait for a slice of a step at most, or until a frame arrives, and take the messages of the robot."""

@@ -25,12 +25,13 @@ POLL_S = 0.1
 
 
 def registry() -> Path:
-    """Return the directory that names the robots of this user; ValueError if it is another user's, or there is none."""
+    """Return the directory that names the robots of this user; ScenarioError if it is not one of this user."""
     folder = Path(system_folder()) / f"murmur-robots-{os.getuid()}"
-    folder.mkdir(mode=0o700, exist_ok=True)
+    with contextlib.suppress(FileExistsError):
+        folder.mkdir(mode=0o700)
     status = folder.lstat()
     if status.st_uid != os.getuid() or not folder.is_dir() or folder.is_symlink():
-        raise ScenarioError(f"{folder} belongs to another user: remove it")
+        raise ScenarioError(f"{folder} is not a directory of this user: remove it")
     return folder
 
 
@@ -64,10 +65,13 @@ def robots() -> list[Path]:
     """Return the record directories of this user's robots that run on this host; those of killed ones are forgotten."""
     found = []
     for entry in sorted(registry().iterdir()):
-        folder = Path(entry.read_text(encoding="utf-8").rstrip("\n"))
-        if is_running(folder):
-            found.append(folder)
-        else:
+        try:
+            name = entry.read_text(encoding="utf-8").rstrip("\n")
+        except FileNotFoundError:  # its robot has ended since
+            continue
+        if is_running(Path(name)):
+            found.append(Path(name))
+        elif name:  # else its robot is about to write it
             entry.unlink(missing_ok=True)
     return found
 

@@ -1,4 +1,4 @@
-"""Colors of robots, cells and packets, the same on the dashboard and in all pictures."""
+"""Colors of robots and packets, the same on the dashboard and in all pictures, and of cells."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TEAM, QUIET = (138, 132, 118), (172, 178, 186)
 """Data of the whole team; robots other than the selected one. Both are visible on white and on black."""
 
 CELLS: tuple[Color, ...] = ((176, 182, 190), PAPER, (20, 24, 30))
-"""Unknown, free, occupied."""
+"""Unknown, free, occupied; `deploy.record.map_pictures` has paler ones, as paths lie on them."""
 
 FALSE_WALL, UNSEEN, WRONG_FREE = (226, 40, 40), (255, 200, 92), (40, 110, 235)
 MAP_ERRORS: tuple[Color, ...] = ((222, 225, 229), PAPER, (84, 90, 98), FALSE_WALL, UNSEEN, WRONG_FREE)

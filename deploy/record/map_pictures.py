@@ -30,6 +30,7 @@ from deploy.record.map_errors import (
 )
 from deploy.record.records import Records
 from deploy.record.summary import percent
+from deploy.record.ticks import round_number
 from deploy.scenario.plan import Plan
 from protocol.grid import Grid
 from worldsim.atomic_files import write_whole
@@ -57,8 +58,8 @@ def rgb(color: Color) -> Rgb:
     return red / 255, green / 255, blue / 255
 
 
-def robot_color(robot: int) -> Rgb:
-    """The color of a robot in all pictures."""
+def robot_rgb(robot: int) -> Rgb:
+    """The color of a robot, for matplotlib."""
     return rgb(colors.robot_color(robot))
 
 
@@ -121,7 +122,7 @@ def maps_figure(plan: Plan, records: Records, summary: dict[str, Any]) -> Figure
             title = f"robot {robot}: {right} {like}" + (", finished first" if is_first else "")
         else:
             title = f"{robot}: {right}" + (" \N{CHECK MARK}" if is_first else "")
-        _set_title(panel, title, fontsize=size, color=robot_color(robot))
+        _set_title(panel, title, fontsize=size, color=robot_rgb(robot))
     bandwidth = summary["bandwidth"]
     medium = bandwidth if isinstance(bandwidth, str) else f"{bandwidth} bytes per step"
     top = 1 - 0.26 / figure.get_figheight()
@@ -165,7 +166,7 @@ def draw_paths(axes: Axes, plan: Plan, records: Records) -> None:
     lines: list[NDArray[np.float64]] = []
     shades: list[NDArray[np.float64]] = []
     for robot, steps, places in paths:
-        color = np.array(robot_color(robot))
+        color = np.array(robot_rgb(robot))
         bounds = np.linspace(0, len(places) - 1, min(SHADES, len(places)) + 1).round().astype(int)
         parts = [places[a : b + 1] for a, b in pairwise(bounds)]
         lines += parts
@@ -183,7 +184,7 @@ def draw_paths(axes: Axes, plan: Plan, records: Records) -> None:
     )  # fmt: skip
     for robot, _, places in paths:
         axes.plot(
-            *places[-1], "o", markersize=8.5 * size, color=robot_color(robot), markeredgecolor="white",
+            *places[-1], "o", markersize=8.5 * size, color=robot_rgb(robot), markeredgecolor="white",
             markeredgewidth=0.5, zorder=5 + robot / 1000,
         )  # fmt: skip
         axes.text(
@@ -194,9 +195,7 @@ def draw_paths(axes: Axes, plan: Plan, records: Records) -> None:
 
 def mark_steps(last: int) -> int:
     """Steps between two dots on a path: a round number, for about ten dots per run."""
-    rough = max(1.0, last / 10)
-    power = 10 ** math.floor(math.log10(rough))
-    return int(next(power * factor for factor in (1, 2, 5, 10) if power * factor >= rough))
+    return int(round_number(max(1.0, last / 10)))
 
 
 def _paths(plan: Plan, records: Records) -> Iterator[tuple[int, NDArray[np.int64], NDArray[np.float64]]]:

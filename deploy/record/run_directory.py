@@ -222,7 +222,7 @@ def load_writers() -> None:
 
 
 def write_results(
-    out: Path, plan: Plan, records: Records, summary: dict[str, Any], failures: Sequence[OSError] = ()
+    out: Path, plan: Plan, records: Records, summary: dict[str, Any], failures: Sequence[OSError]
 ) -> None:
     """Write summary, tables, maps and their changes: each file that can be written.
 

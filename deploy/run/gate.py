@@ -13,7 +13,7 @@ POLL_S = 0.02
 class Gate:
     """Delays the world's steps, in the world's process; state shared with `Control`."""
 
-    def __init__(self, credit: Any, period: Any, free: int = 0) -> None:
+    def __init__(self, credit: Any, period: Any, free: int) -> None:
         self._credit, self._period, self._free = credit, period, free
         self._due = 0.0
 

@@ -43,7 +43,7 @@ class Need:
     data: float
 
 
-def needed(robots: int, cells: float, bus: str, grids: int = 0) -> Need:
+def needed(robots: int, cells: float, bus: str, grids: int) -> Need:
     """Estimate the memory of a run with this many robots on this host, and a map of this many cells.
 
     `grids` is the number of grids that each robot has for the maps of its team.

@@ -249,9 +249,9 @@ class _Plan:
             lengths[:robots].copy(),
             lengths[robots:].copy(),
             np.full(count, 0.1 / max(1, count)),
-            latency_weight=np.zeros(count),
-            last=1.0,
-            way=0.0,
+            latency_weights=np.zeros(count),
+            longest_weight=1.0,
+            length_weight=0.0,
             loads=np.zeros(count),
         )
         tours = team_tours(task)

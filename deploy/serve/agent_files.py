@@ -58,7 +58,7 @@ class AgentFiles:
                 create_key(key)
             for robot, name in enumerate(self.names):
                 radio = {"medium": "udp", "interface": self.interface, "key": KEY}
-                settings = agent_settings(scenario, swarm, served, robot) | {
+                settings = file_settings(scenario, swarm, served, robot) | {
                     "robots": self.team,
                     "radio": radio,
                 }
@@ -69,7 +69,7 @@ class AgentFiles:
             raise ScenarioError(f"write-robots = {self.folder}: {error.strerror}") from None
 
 
-def agent_settings(scenario: Scenario, swarm: Swarm, served: ServeSettings, robot: int) -> dict[str, Any]:
+def file_settings(scenario: Scenario, swarm: Swarm, served: ServeSettings, robot: int) -> dict[str, Any]:
     """Return what the settings file of a robot's agent needs, besides radio and records."""
     hardware, (x, y, yaw) = scenario.body_of(robot), swarm.robots[robot].start
     settings: dict[str, Any] = {

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.serve.giving_way import Others, pocket
+from protocol.arrays import NO_CELLS
 from protocol.grid import FINE, FREE, Cell, Grid
 from protocol.map_frame import MapFrame
 from protocol.range_scans import UNIT
@@ -80,7 +81,7 @@ class Navigator:
         """The floor of the last plan, without the cells that others occupied then."""
         self._parts, _ = ndimage.label(floor == FREE)
         self._no_robot = np.zeros(floor.shape, np.bool_)
-        self.path: NDArray[np.int32] = np.empty((0, 2), np.int32)
+        self.path = NO_CELLS
         """The cells ahead, shape (n, 2)."""
         self._anchor = Pose(0.0, 0.0, 0.0)
         """Where the robot last made progress."""

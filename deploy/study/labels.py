@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from typing import Any, Final
 
+from deploy.study.tables import MIN, RELATIVE
 from netshaper.ledger import CAUSES
 from protocol.packets import ALL_KINDS
 
@@ -61,7 +62,7 @@ def label(text: str) -> str:
 
     Metrics may be sums and quotients, or relative to a variant, as in tables (`deploy.study.tables`).
     """
-    name, relative, against = text.removeprefix("min ").partition(" relative to ")
+    name, relative, against = text.removeprefix(MIN).partition(RELATIVE)
     parts = name.split(" / ")
     named = " / ".join(" + ".join(_name(key) for key in part.split(" + ")) for part in parts)
     units = [unit(part.split(" + ")[0]) for part in parts]

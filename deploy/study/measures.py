@@ -171,6 +171,7 @@ EXPLORED = (
     "load.first_quarter", "load.last_quarter", "load.emerging", "load.rendezvous",
     "known.bytes", "known.raw_scan_bytes", "known.scan_values",
 )  # fmt: skip
+"""Metrics that measures of explorations have, besides those of a summary."""
 RECORDED = "scans", "bytes_per_scan", "steps_after_scans", "backlog_after_scans", "backlog"
 """Metrics that only recorded runs have."""
 

@@ -22,7 +22,7 @@ from __future__ import annotations
 import base64
 import io
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final, Literal
@@ -34,7 +34,7 @@ from deploy.study.figure_style import DEFAULT, FigureStyle
 from deploy.study.measures import SERIES
 from deploy.study.results import PLACE, Results, Row
 from deploy.study.statistics import interval
-from deploy.study.tables import VARIANT, check, check_keys, has_finished, levels_of, metric_value, short
+from deploy.study.tables import VARIANT, check, check_keys, has_finished, levels_of, metric_value, names_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -54,6 +54,9 @@ SHARES = ("explored", "coverage", "finished")
 """Metrics whose axis ends at 1, or just above it."""
 
 CURVE_POINTS = 200
+
+Level = tuple[Any, str]
+"""A value of a key, and its label."""
 
 
 @dataclass(frozen=True)
@@ -90,22 +93,22 @@ def draw(plot: Plot, rows: Sequence[Row], results: Results, style: FigureStyle =
     from matplotlib.figure import Figure  # noqa: PLC0415  half a second to import
 
     rows = [row for row in rows if all(row[PLACE][key] in plot.where[key] for key in plot.where)]
-    panels = (levels_of(rows, plot.panels) if plot.panels else []) or [None]
-    lines = levels_of(rows, plot.lines) if plot.lines else [None]
+    panels = list(_named(rows, plot.panels)) or [(None, "")]
+    lines = list(_named(rows, plot.lines))
     columns, (width, height) = style.layout(len(panels))
     across = math.ceil(len(panels) / columns)
     with style.applied():
         canvas = Figure(figsize=(width * columns, height * across), layout="constrained")
         grid = canvas.subplots(across, columns, sharey=True, squeeze=False).ravel()
         axes, unused = list(grid[: len(panels)]), grid[len(panels) :]
-        for panel, shown in zip(axes, panels, strict=True):
+        for panel, (shown, name) in zip(axes, panels, strict=True):
             painter = {LINES: _lines, BOXES: _boxes, CURVES: _curves}[plot.kind]
             if rows:
                 painter(panel, plot, _of(rows, plot.panels, shown), lines, results)
             else:
                 panel.set_title("no runs")
             if shown is not None:
-                panel.set_title(labels.level(plot.panels, shown, short(shown)))
+                panel.set_title(labels.level(plot.panels, shown, name))
             panel.set_xlabel(_x_label(plot, rows))
             panel.grid(visible=True, color="#e5e5e5", linewidth=0.6)
             panel.set_axisbelow(True)
@@ -164,7 +167,7 @@ def as_html(canvas: Figure) -> str:
     return f'<img src="data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}">'
 
 
-def _lines(panel: Axes, plot: Plot, rows: Sequence[Row], lines: Sequence[Any], _: Results) -> None:
+def _lines(panel: Axes, plot: Plot, rows: Sequence[Row], lines: Sequence[Level], _: Results) -> None:
     levels = levels_of(rows, plot.x)
     numbers = [number for level in levels if (number := _number(level)) is not None]
     is_axis = len(numbers) == len(levels) and numbers == sorted(numbers)
@@ -172,7 +175,7 @@ def _lines(panel: Axes, plot: Plot, rows: Sequence[Row], lines: Sequence[Any], _
     is_log = is_axis and figure_layout.spread(numbers)
     shown = np.log(places) if is_log else places
     nudge = 0.02 * np.ptp(shown) if len(shown) else 0.0
-    for n, line in enumerate(lines):
+    for n, (line, name) in enumerate(lines):
         of_line = _of(rows, plot.lines, line)
         means = [interval(_metrics(plot, _of(of_line, plot.x, level))) for level in levels]
         there = np.array([bool(mean.n) for mean in means], np.bool_)
@@ -182,20 +185,20 @@ def _lines(panel: Axes, plot: Plot, rows: Sequence[Row], lines: Sequence[Any], _
                 (np.exp(at) if is_log else at)[there],
                 [mean.mean for mean in means if mean.n],
                 np.nan_to_num([mean.half for mean in means if mean.n]),
-                label=_name(line), color=COLORS[n % len(COLORS)],
+                label=name, color=COLORS[n % len(COLORS)],
                 marker=MARKERS[n % len(MARKERS)], markersize=4, linewidth=1.3, capsize=2,
             )  # fmt: skip
     if is_log:
         panel.set_xscale("log")
         panel.minorticks_off()
-    panel.set_xticks(places, [short(level) for level in levels])
+    panel.set_xticks(places, [name for _, name in _named(rows, plot.x)])
 
 
-def _boxes(panel: Axes, plot: Plot, rows: Sequence[Row], lines: Sequence[Any], _: Results) -> None:
+def _boxes(panel: Axes, plot: Plot, rows: Sequence[Row], lines: Sequence[Level], _: Results) -> None:
     """A group of boxes for each value of `plot.x`; without it, one box for each line."""
     levels = levels_of(rows, plot.x) if plot.x else [None]
     step, width = (0.8 / len(lines), 0.64 / len(lines)) if plot.x else (1.0, 0.6)
-    for n, line in enumerate(lines):
+    for n, (line, name) in enumerate(lines):
         color = COLORS[n % len(COLORS)]
         boxes = panel.boxplot(
             [_metrics(plot, _of(_of(rows, plot.x, level), plot.lines, line)) for level in levels],
@@ -205,14 +208,14 @@ def _boxes(panel: Axes, plot: Plot, rows: Sequence[Row], lines: Sequence[Any], _
         for box in boxes["boxes"]:
             box.set_facecolor(color + "80")
         if plot.x:
-            panel.plot([], [], color=color, linewidth=6, label=_name(line))
+            panel.plot([], [], color=color, linewidth=6, label=name)
     places = range(len(levels)) if plot.x else [n - (len(lines) - 1) / 2 for n in range(len(lines))]
-    panel.set_xticks(places, [short(value) for value in (levels if plot.x else lines)])
+    panel.set_xticks(places, [name for _, name in (_named(rows, plot.x) if plot.x else lines)])
 
 
-def _curves(panel: Axes, plot: Plot, rows: Sequence[Row], lines: Sequence[Any], results: Results) -> None:
+def _curves(panel: Axes, plot: Plot, rows: Sequence[Row], lines: Sequence[Level], results: Results) -> None:
     """Means with 95 % intervals over the steps; a finished run keeps its last value."""
-    for n, line in enumerate(lines):
+    for n, (line, name) in enumerate(lines):
         found = results.series(plot.y, {row["key"] for row in _of(rows, plot.lines, line)})
         series = [np.asarray(found[key]) for key in sorted(found) if len(found[key])]
         if not series:
@@ -221,7 +224,7 @@ def _curves(panel: Axes, plot: Plot, rows: Sequence[Row], lines: Sequence[Any], 
         means = [interval([values[min(step, len(values) - 1)] for values in series]) for step in at]
         color = COLORS[n % len(COLORS)]
         dashes = DASHES[n % len(DASHES)]
-        panel.plot(at + 1, [m.mean for m in means], dashes, color=color, label=_name(line), linewidth=1.4)
+        panel.plot(at + 1, [m.mean for m in means], dashes, color=color, label=name, linewidth=1.4)
         panel.fill_between(
             at + 1, [m.low for m in means], [m.high for m in means], color=color, alpha=0.2, linewidth=0
         )
@@ -233,9 +236,14 @@ def _metrics(plot: Plot, rows: Sequence[Row]) -> list[float]:
     return [value for row in counted if (value := metric_value(row, plot.y)) is not None]
 
 
-def _name(line: Any) -> str | None:
-    """The label of a line in the legend; None if there is only one."""
-    return None if line is None else short(line)
+def _named(rows: Sequence[Row], key: str) -> Iterator[Level]:
+    """Yield the values of a key, each with its label; without a key, a single value without a label."""
+    if not key:
+        yield None, ""
+        return
+    names = names_of(rows, key)
+    for value in levels_of(rows, key):
+        yield value, names[repr(value)]
 
 
 def _of(rows: Sequence[Row], key: str, value: Any) -> list[Row]:

@@ -73,7 +73,7 @@ def cases(experiment: Experiment) -> list[Case]:
     count = math.prod(map(len, (*experiment.grid.values(), experiment.variants)))
     if count > MAX_RUNS:
         raise ScenarioError(f"{experiment.where}: {count} runs: must be at most {MAX_RUNS}")
-    files: dict[str, bytes] = {}
+    files: dict[tuple[str, str], bytes] = {}
     checked: set[str] = set()
     result = []
     for combination in itertools.product(*experiment.grid.values()):
@@ -88,16 +88,17 @@ def cases(experiment: Experiment) -> list[Case]:
             where = f"{experiment.where} ({here})"
             scenario = _scenario(experiment, (experiment.base, settings, keys), where)
             plugins.check_importable(scenario, "the processes of a sweep")
+            building = scenario.map, repr(scenario.map_options)
             try:
-                if is_file(scenario.map) and scenario.map not in files:
-                    files[scenario.map] = content(plans.load_map(scenario))
+                if is_file(scenario.map) and building not in files:
+                    files[building] = content(plans.load_map(scenario))
                 without_seeds = repr(scenario.model_copy(update={"seed": 0, "map_seed": 0}))
                 if without_seeds not in checked:
                     memory.check(plans.make(scenario))
                     checked.add(without_seeds)
             except ScenarioError as error:
                 raise ScenarioError(f"{where}: {error}") from None
-            world, measure = files.get(scenario.map, b""), experiment.measure
+            world, measure = files.get(building, b""), experiment.measure
             key = identity(scenario, measure, world)
             result.append(
                 Case(place, scenario, measure, key, code_of(scenario), world and zlib.compress(world))

@@ -22,7 +22,7 @@ from deploy.study.measures import EXPLORATION, METRICS
 from deploy.study.progress import counting
 from deploy.study.results import PLACE, open_results
 from deploy.study.runs import StudyRuns, cases, make
-from deploy.study.tables import DEFAULT_METRICS, VARIANT, Table, check, described, means, short, tabulate
+from deploy.study.tables import DEFAULT_METRICS, VARIANT, Table, check, described, means, names_of, tabulate
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -46,9 +46,10 @@ class Sweep(StudyRuns):
     @property
     def runs(self) -> pl.DataFrame:
         """A row per run: keys of the grid and the variant first, then all settings and metrics."""
+        names = {key: names_of(self.rows, key) for key in (self.rows[0][PLACE] if self.rows else ())}
         return pl.DataFrame(
             [
-                {name: short(value) if isinstance(value, str | dict | list) else value
+                {name: names[name][repr(value)] if isinstance(value, str | dict | list) else value
                  for name, value in row[PLACE].items()}
                 | {name: value for name, value in row.items() if name != PLACE and name not in row[PLACE]}
                 for row in self.rows

@@ -8,6 +8,7 @@ all runs instead of their mean.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -172,11 +173,15 @@ def _cells(
     added = [key for key in METHODS if len({repr(run[PLACE].get(key)) for run in runs}) > 1]
     keys = list(dict.fromkeys([*table.keys, *added]))
     twins = {key_of(run[PLACE]): run for run in runs}
+    names = {key: names_of(runs, key) for key in keys}
     members: dict[tuple[str, ...], list[Row]] = {}
     for run in runs:
-        members.setdefault(tuple(short(run[PLACE][key]) for key in keys), []).append(run)
+        members.setdefault(tuple(repr(run[PLACE][key]) for key in keys), []).append(run)
     return keys, [
-        (dict(zip(keys, cell, strict=True)), [_statistics(table, name, some, twins) for name in table.values])
+        (
+            {key: names[key][value] for key, value in zip(keys, cell, strict=True)},
+            [_statistics(table, name, some, twins) for name in table.values],
+        )
         for cell, some in members.items()
     ]
 
@@ -247,6 +252,13 @@ def _value(summary: Row, text: str, twins: dict[Any, Row]) -> float | None:
 def levels_of(runs: Sequence[Row], key: str) -> list[Any]:
     """The values of a key, in the order of the grid."""
     return list({repr(run[PLACE][key]): run[PLACE][key] for run in runs}.values())
+
+
+def names_of(runs: Sequence[Row], key: str) -> dict[str, str]:
+    """The labels of a key's values, by their `repr`; files of one name in several folders have their whole paths."""
+    levels = levels_of(runs, key)
+    counts = Counter(map(short, levels))
+    return {repr(value): short(value) if counts[short(value)] == 1 else str(value) for value in levels}
 
 
 def short(value: object) -> str:

@@ -55,10 +55,12 @@ class Episode:
         self.plan = with_control(plan, robots)
         self.situations: dict[int, Situation] = {}
         """What each robot under control knows, by its number; of a lost robot, what it knew last."""
-        self.active: tuple[int, ...] = ()
-        """Robots under control that take part in the run, ascending; empty once it is over."""
+        self._waiting: tuple[int, ...] = ()
+        """Robots under control that wait for the caller, ascending; empty once the run is over."""
         self._most = most
         self._every = every
+        self._strategies: dict[int, ChosenGoals] = {}
+        """The strategy of each robot under control, by its number; of a lost robot, its last one."""
         self._candidates: dict[int, Candidates] = {}
         self.step = 0
         """The last step in which a robot under control took part."""
@@ -76,14 +78,23 @@ class Episode:
         have none stay for a step.
         """
         for robot, goal in goals.items():
-            self._strategy(robot).goal = goal
+            self._strategies[robot].goal = goal
         step, seen, sent = self.step, self._seen, self._sent
-        while self.active:
-            for robot in self.active:
+        while self._waiting:
+            for robot in self._waiting:
                 self._run.agents[robot].decide()
             if self._run_to_choice() or self.step - step == self._every:
                 break
         return self._progress(step, seen, sent)
+
+    @property
+    def active(self) -> tuple[int, ...]:
+        """Robots under control that take part in the run, or will again, ascending; empty once the run is over."""
+        return tuple(
+            robot
+            for robot in self.situations
+            if self._waiting and (robot in self._waiting or self._returns(robot))
+        )
 
     @property
     def begun(self) -> Progress:
@@ -105,20 +116,20 @@ class Episode:
         return conclude(self.plan, Outcome(self._run.records, {}), None, seconds)
 
     def candidates(self, robot: int) -> Candidates:
-        """Return the goals that a robot can choose from."""
+        """Return the goals that a robot can choose from; none if it takes no part now."""
         if robot not in self._candidates:
-            strategy = self._strategy(robot)
-            self._candidates[robot] = strategy.candidates(self.situations[robot], self._most)
+            most = 0 if self._is_away(robot) else self._most
+            self._candidates[robot] = self._strategies[robot].candidates(self.situations[robot], most)
         return self._candidates[robot]
 
     def needs_goal(self, robot: int) -> bool:
         """Return whether there are goals, and a robot has no target or is done with it."""
-        needs = self._strategy(robot).needs_goal(self.situations[robot])
+        needs = self._strategies[robot].needs_goal(self.situations[robot])
         return needs and len(self.candidates(robot).cells) > 0
 
     def target(self, robot: int) -> Cell | None:
         """Return the cell to which a robot drives."""
-        return self._strategy(robot).target
+        return self._strategies[robot].target
 
     def team_map(self) -> Grid:
         """Return the cells that the team has seen, uint8 of shape (h, w)."""
@@ -135,7 +146,7 @@ class Episode:
     def _run_to_choice(self) -> bool:
         """Run until robots under control wait at the end of a step; return whether one of them needs a goal."""
         self._candidates.clear()
-        self.active = ()
+        self._waiting = ()
         for _ in self._moments:
             agents = enumerate(self._run.agents)
             waiting = {
@@ -143,18 +154,33 @@ class Episode:
             }
             if waiting:
                 self.situations |= waiting
-                self.active = tuple(waiting)
+                self._strategies |= {robot: self._strategy(robot) for robot in waiting}
+                self._waiting = tuple(waiting)
                 self.step = self._run.records.step
                 self._seen = self._run.records.world[-1].seen
                 self._sent += self._run.records.carried
                 break
-        return any(self.needs_goal(robot) for robot in self.active)
+        return any(self.needs_goal(robot) for robot in self._waiting)
 
     def _progress(self, step: int, seen: int, sent: int) -> Progress:
         """Return what has happened since a step, up to which the team had seen and sent so much."""
         reachable = self._run.records.world[-1].reachable
         done, new_cells, sent_bytes = self.step - step, self._seen - seen, self._sent - sent
-        return Progress(done, new_cells, self._seen, reachable, sent_bytes, is_over=not self.active)
+        return Progress(done, new_cells, self._seen, reachable, sent_bytes, is_over=not self._waiting)
+
+    def _is_away(self, robot: int) -> bool:
+        """Return whether a robot takes no part in a run that is not over."""
+        return bool(self._waiting) and robot not in self._waiting
+
+    def _returns(self, robot: int) -> bool:
+        """Return whether a robot that takes no part now will again: it is stopped for some steps, or restarts later."""
+        return any(
+            self.step <= fault.step
+            if fault.kind == "restart"
+            else fault.kind == "stop" and fault.step <= self.step < fault.step + fault.steps
+            for fault in self.plan.scenario.faults
+            if fault.robot == robot
+        )
 
     def _strategy(self, robot: int) -> ChosenGoals:
         """Return the strategy of a robot under control."""

@@ -27,8 +27,9 @@ class TeamEnv(GoalEnv, ParallelEnv[str, Observation, np.int64]):  # type: ignore
     drive to a target may keep it (action 0), or take another. An agent without an action keeps its target. All agents
     get the same reward.
 
-    An agent that is lost is terminated. The others are terminated when the run ends, and truncated when the scenario
-    has no steps left.
+    An agent that is lost is terminated. One whose robot is stopped for some steps, or restarts later, remains, but its
+    actions have no effect meanwhile. The others are terminated when the run ends, and truncated when the scenario has
+    no steps left.
 
     Parameters
     ----------

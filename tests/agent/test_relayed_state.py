@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from agent.robot import Robot
-from agent.strategies.base import Pose, Situation
+from agent.strategies.base import Situation, TeammatePose
 from agent.strategies.burgard import Burgard
 from agent.team_state import RelayedState
 from netshaper.admission import is_broadcast
@@ -96,7 +96,7 @@ def test_in_a_chain_of_three_all_plan_for_three_with_relayed_states(
         assert line.teams[1] == (0, 1, 2)
     situation = line.robots[2].strategy.situation  # type: ignore[attr-defined]
     assert situation.connected == (0,)
-    assert situation.poses[0] == Pose(6, 10, leads=False), "where it was a step ago"
+    assert situation.poses[0] == TeammatePose(6, 10, leads=False), "where it was a step ago"
     assert situation.targets[0] in targets
     assert situation.traveled[0] == 1.0
 
@@ -116,7 +116,7 @@ def test_a_robot_with_an_outdated_relayed_state_is_no_member(
 
 def test_a_relayed_state_circulates_no_longer_than_through_a_chain_of_all_robots() -> None:
     one, two = (RelayedState(settings_for(GRID, robot=robot, robots=5)) for robot in (1, 2))
-    poses: dict[int, Pose] = {0: Pose(3, 4, leads=False)}
+    poses: dict[int, TeammatePose] = {0: TeammatePose(3, 4, leads=False)}
     targets: dict[int, Cell] = {0: (8, 9)}
     sent = {1: one.forward(1, [0], [2], poses, targets), 2: two.forward(1, [], [1], poses, targets)}
     assert sent == {1: [Passed(0, 1, 3, 4), Target(8, 9)], 2: []}

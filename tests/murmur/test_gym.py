@@ -222,6 +222,33 @@ def test_a_lost_robot_is_terminated() -> None:
     assert team.result.summary["finished"]
 
 
+@pytest.mark.parametrize(
+    ("faults", "away"),
+    [
+        ([{"robot": 1, "step": 4, "kind": "stop", "steps": 3}], range(4, 7)),
+        (
+            [{"robot": 1, "step": 4, "kind": "kill"}, {"robot": 1, "step": 7, "kind": "restart"}],
+            range(4, 7),
+        ),
+        ([{"robot": 1, "step": 4, "kind": "restart"}], range(0)),
+    ],
+)
+def test_an_agent_whose_robot_will_take_part_again_remains_and_cannot_act_meanwhile(
+    faults: list[dict[str, Any]], away: range
+) -> None:
+    team = TeamEnv(every=1, steps=12, fault=faults, **SMALL)
+    observations, _ = team.reset(seed=0)
+    unable = []
+    while team.agents:
+        assert team.agents == ["r0", "r1"]
+        actions = {agent: nearest(observations[agent]) for agent in team.agents}
+        observations, _, _, _, infos = team.step(actions)
+        if observations["r1"]["action_mask"].sum() == 1:
+            unable.append(infos["r1"]["step"])
+    assert unable == list(away)
+    assert team.result.summary["steps"] == 12
+
+
 def test_settings_of_one_episode_are_options_of_its_reset() -> None:
     settings = SMALL | {"map": "unstructured", "map_options": {"resolution": 0.4}}
     env = ExploreEnv(render_mode="rgb_array", **settings)

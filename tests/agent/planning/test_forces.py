@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from agent.planning.forces import SUBSTEPS, TIME_STEP, Field, closest_obstacle, glide, repulsion
+from agent.planning.forces import SUBSTEPS, TIME_STEP, FieldParameters, closest_obstacle, glide, repulsion
 from protocol.grid import FREE, OCCUPIED
 
-FIELD = Field(
+FIELD = FieldParameters(
     rho_robots=2.0, rho_obstacles=0.5, gain_robots=0.5, gain_obstacles=0.01, gain_frontier=1.0, damping=1.5
 )
 NO_ROBOTS = np.empty((0, 2))

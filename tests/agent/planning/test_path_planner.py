@@ -184,9 +184,9 @@ def test_a_route_is_closed_by_a_wall_on_it_or_beside_a_diagonal_and_by_nothing_e
 def test_a_route_forgets_the_cells_up_to_where_the_robot_is_and_none_if_it_is_elsewhere() -> None:
     route = Route()
     route.cells = np.array([(1, 1), (2, 1), (1, 1), (0, 1)], np.int32)
-    route.drive_to(5, 5)
+    route.advance_to(5, 5)
     assert len(route.cells) == 4
-    route.drive_to(1, 1)
+    route.advance_to(1, 1)
     assert route.cells.tolist() == [[0, 1]]
-    route.drive_to(0, 1)
+    route.advance_to(0, 1)
     assert route.cells.tolist() == []

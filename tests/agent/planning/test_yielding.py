@@ -32,7 +32,7 @@ def stopped_at(
 @given(st.sets(st.tuples(st.just(1), st.integers(1, 5)), min_size=1), st.integers(1, 1000))
 def test_a_robot_finds_its_way_around_any_row_of_teammates(held: set[tuple[int, int]], step: int) -> None:
     route, yielding = Route(), YieldBehavior(0, 0, 9.0)
-    route.lead(HALL, START, END)
+    route.plan(HALL, START, END)
     tries = 0
     while first_cell(route) in held:
         assert tries < len(held)

@@ -153,11 +153,12 @@ def test_reports_that_may_have_been_under_way_with_the_entries_show_no_loss(
     assert bool(each.open_round(1, [1], None)) == again
 
 
-def test_a_gap_that_no_robot_fills_is_reported_more_and_more_rarely() -> None:
+@pytest.mark.parametrize("budget", [50, None])
+def test_a_gap_that_no_robot_fills_is_reported_more_and_more_rarely(budget: int | None) -> None:
     each = engine(1, 2, acks=True)
     reported = []
     for now in range(1200):
-        sent = each.open_round(0, [0], 50)
+        sent = each.open_round(0, [0], budget)
         reported += [now] * bool(sent)
         forged = [(0, encode([FromFirst(0, 9)]) + entry(0, 9))] if now == 0 else []
         each.close_round(closing(*forged, sent=len(sent[0].payload) if sent else 0))

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from agent.replication.control_packets import parse
 from agent.replication.digests import MAX_OPEN, LogVerifier
 from agent.replication.log import Log
-from agent.replication.neighbors import GREETING, BroadcastCursors, Meetings, Neighbors
+from agent.replication.neighbors import GREETING, BroadcastCursors, Links, Meetings
 from agent.replication.peers import PeerTable
 from agent.replication.replica import ASK_AGAIN, LONGEST, MANY, TRIES, Replica
 from protocol import packet_index
@@ -83,7 +83,7 @@ def test_a_frame_is_split_into_control_packets_and_entries_behind_their_headers(
 
 
 def test_all_robots_are_neighbors_until_they_report_otherwise() -> None:
-    neighbors = Neighbors(0, 4)
+    neighbors = Links(0, 4)
     neighbors.begin_step([1, 2, 3])
     assert neighbors.news == []
     assert not neighbors.have_parted
@@ -95,7 +95,7 @@ def test_all_robots_are_neighbors_until_they_report_otherwise() -> None:
 
 
 def test_a_departure_is_news_until_all_in_range_received_it() -> None:
-    neighbors = Neighbors(0, 4)
+    neighbors = Links(0, 4)
     neighbors.begin_step([1])
     assert neighbors.news == [(2, False), (3, False)]
     neighbors.inform(3, here=False)
@@ -109,7 +109,7 @@ def test_a_departure_is_news_until_all_in_range_received_it() -> None:
 
 
 def test_a_robot_that_restarts_has_received_and_sent_nothing() -> None:
-    neighbors = Neighbors(0, 3)
+    neighbors = Links(0, 3)
     neighbors.near[1, 2] = False
     neighbors.begin_step([1])
     neighbors.inform(2, here=False)

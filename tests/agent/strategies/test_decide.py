@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from agent.planning.path_planner import PathPlanner
-from agent.strategies.base import Pose, Situation
+from agent.strategies.base import Situation, TeammatePose
 from agent.strategies.burgard import Nearest
 from agent.strategies.homing import HOME_AFTER
 from agent.strategies.registry import strategy
@@ -156,10 +156,10 @@ def test_without_frontiers_an_open_mission_is_done_and_a_returning_robot_drives_
 def test_a_member_of_a_team_is_done_in_every_step_without_frontiers(name: str, mission: str) -> None:
     known = drawn("#######", ".......", "#######")
     member = make_strategy(name, {"mission": mission}, known)
-    at_home = robot_at(5, grid=known, peers=(1,), poses={1: Pose(2, 1, False)})
+    at_home = robot_at(5, grid=known, peers=(1,), poses={1: TeammatePose(2, 1, False)})
     done = [member.decide(replace(at_home, step=step)).explored for step in range(1, 2 * PLAN_ALONE_AFTER)]
     assert all(done)
-    left = robot_at(5, peers=(1,), poses={1: Pose(2, 1, False)})
+    left = robot_at(5, peers=(1,), poses={1: TeammatePose(2, 1, False)})
     assert not member.decide(replace(left, step=2 * PLAN_ALONE_AFTER)).explored
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from agent.planning.route import crossed
-from agent.strategies.base import Pose
+from agent.strategies.base import TeammatePose
 from agent.strategies.leaders import STALL_STEPS, elect
 from protocol.grid import FREE, UNKNOWN
 from tests.agent.planning.planning_references import drawn
@@ -48,7 +48,7 @@ def test_a_leader_is_sensed_within_rho_lead_and_radio_range() -> None:
     # Cells of a meter, and rho_lead is 4 m: robot 1 becomes a leader itself if it senses none.
     def leads(x: int, *, leading: bool = True, in_range: bool = True) -> bool:
         trooper = make_strategy("leaders", robot=1, resolution=1.0)
-        near = {0: Pose(x, 1, leads=leading)}
+        near = {0: TeammatePose(x, 1, leads=leading)}
         trooper.decide(robot_at(10, peers=(0,) if in_range else (), poses=near))
         return trooper.leads
 
@@ -63,7 +63,7 @@ def test_teammates_in_radio_range_repel_a_trooper() -> None:
     grid[0, 20] = UNKNOWN
     ends = []
     for peers in ((), (0,)):
-        beside = robot_at(20, 20, grid=grid, peers=peers, poses={0: Pose(14, 20, leads=False)})
+        beside = robot_at(20, 20, grid=grid, peers=peers, poses={0: TeammatePose(14, 20, leads=False)})
         points = decide("potential-field", beside, robot=1, resolution=0.1, speed_cells=10.0).points
         ends.append(points[-1].tolist())
     assert ends[0][0] == 20000
@@ -80,7 +80,7 @@ def end_of_trooper(teammates: str, seen: list[tuple[int, tuple[int, ...]]]) -> l
     options = {"teammates": teammates}
     trooper = make_strategy("potential-field", options, grid, robot=1, resolution=0.1, speed_cells=10.0)
     for column, peers in seen:
-        poses = {0: Pose(column, 20, leads=False)}
+        poses = {0: TeammatePose(column, 20, leads=False)}
         points = trooper.decide(robot_at(20, 20, grid=grid, peers=peers, poses=poses)).points
     end: list[int] = points[-1].tolist()
     return end

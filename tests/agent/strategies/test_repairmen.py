@@ -10,7 +10,7 @@ import pytest
 
 from agent.planning.path_planner import PathPlanner
 from agent.settings import Settings
-from agent.strategies.base import Decision, Pose, Situation
+from agent.strategies.base import Decision, Situation, TeammatePose
 from agent.strategies.repairmen import RECALL, STILL, Repairmen
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from tests.agent.planning.planning_references import settings_for
@@ -80,7 +80,7 @@ def both(situations: list[Situation]) -> list[Decision]:
 
 
 def test_two_robots_in_range_divide_the_goals() -> None:
-    poses = [Pose(20, 4, leads=False), Pose(22, 4, leads=False)]
+    poses = [TeammatePose(20, 4, leads=False), TeammatePose(22, 4, leads=False)]
     found = both([
         robot_at(*poses[robot][:2], peers=(1 - robot,), poses={1 - robot: poses[1 - robot]})
         for robot in (0, 1)
@@ -126,7 +126,7 @@ def test_two_robots_that_leave_the_last_goal_to_each_other_both_drive_there(
                 4,
                 CLOSED,
                 peers=(1 - robot,),
-                poses={1 - robot: Pose(known[1 - robot], 4, leads=False)},
+                poses={1 - robot: TeammatePose(known[1 - robot], 4, leads=False)},
             )
         )
         for robot in (0, 1)
@@ -144,7 +144,7 @@ def test_a_waiting_robot_takes_over_the_goal_of_a_teammate_that_stands_still() -
                 robot_at(9, 4, grid),
                 step=step,
                 peers=(1,),
-                poses={1: Pose(5, 4, leads=False)},
+                poses={1: TeammatePose(5, 4, leads=False)},
                 targets={1: (30, 4)},
                 target_steps={1: 1},
                 last_moved={1: 1},
@@ -160,7 +160,7 @@ def test_a_robot_without_other_goals_takes_one_of_a_teammate_on_a_longer_way() -
     grid = np.full((9, 100), OCCUPIED, np.uint8)
     grid[1:-1, 1:-1] = FREE
     grid[0, 10] = grid[0, 40] = UNKNOWN
-    poses = [Pose(20, 4, leads=False), Pose(74, 4, leads=False)]
+    poses = [TeammatePose(20, 4, leads=False), TeammatePose(74, 4, leads=False)]
     found = [
         make_strategy(robot, grid=grid)
         .decide(robot_at(*poses[robot][:2], grid, peers=(1 - robot,), poses={1 - robot: poses[1 - robot]}))
@@ -176,7 +176,7 @@ def test_a_robot_without_a_tour_follows_its_teammate_also_in_a_narrow_corridor(w
     grid[1:-1, 1:50] = FREE
     grid[1:-1, 50:] = UNKNOWN
     middle = (width + 1) // 2
-    here = robot_at(20, middle, grid, peers=(1,), poses={1: Pose(30, middle, leads=False)})
+    here = robot_at(20, middle, grid, peers=(1,), poses={1: TeammatePose(30, middle, leads=False)})
     assert make_strategy(grid=grid).decide(here).target == (49, middle)
 
 
@@ -185,7 +185,7 @@ def test_a_robot_with_much_expected_work_gets_fewer_other_goals(work: float, fir
     # A small frontier is a short detour on robot 1's way to the end, a longer one on robot 0's way to the gap.
     grid = HALL.copy()
     grid[0, 32] = UNKNOWN
-    here = robot_at(28, 4, grid, peers=(1,), poses={1: Pose(31, 7, leads=False)})
+    here = robot_at(28, 4, grid, peers=(1,), poses={1: TeammatePose(31, 7, leads=False)})
     assert (
         make_strategy(grid=grid, options={"expected_work": work, "total_length": 0.0}).decide(here).target
         == first
@@ -220,7 +220,7 @@ def test_an_open_field_has_as_many_goals_as_robots_unless_they_would_be_too_clos
     # 80 frontier cells around a square are goals of at most 7.5 cells if there are 11 of them.
     grid = np.full((41, 41), UNKNOWN, np.uint8)
     grid[10:31, 10:31] = FREE
-    poses = {robot: Pose(20, 20, leads=False) for robot in range(1, team)}
+    poses = {robot: TeammatePose(20, 20, leads=False) for robot in range(1, team)}
     robot = Repairmen({}, settings_for(grid, 0, team, ranges_cells=[10.0] * team))
     situation = robot_at(20, 20, grid, peers=tuple(poses), poses=poses)
     assert len(robot.goals(situation, PathPlanner(grid))) == goals

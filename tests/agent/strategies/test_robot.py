@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from agent.announcements import REPEAT_POSE
 from agent.completion import SURE_AFTER, SURE_AFTER_NOISE, SURE_AFTER_NOISE_IN_TEAM, sure_after
 from agent.robot import Robot
-from agent.strategies.base import Decision, Pose, Situation, Strategy
+from agent.strategies.base import Decision, Situation, Strategy, TeammatePose
 from protocol import packet_codec, packets
 from protocol.grid import ray_table
 from protocol.messages import Delivery, RoundReport, SendReport, Sense
@@ -116,7 +116,7 @@ def test_a_depot_is_the_first_received_pose_and_distances_add_up_from_pose_to_po
     situation = Witness.situation
     assert situation.homes == {0: (10, 10), 1: (3, 4)}
     assert situation.home == (10, 10)
-    assert situation.poses == {1: Pose(6, 10, leads=False)}
+    assert situation.poses == {1: TeammatePose(6, 10, leads=False)}
     assert situation.traveled == {0: 3.0, 1: 5.0 + 2.0}
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from agent.planning.path_planner import PathPlanner
-from agent.strategies.base import Pose
+from agent.strategies.base import TeammatePose
 from agent.strategies.rotating import ShengBid
 from tests.agent.planning.planning_references import drawn, settings_for
 from tests.agent.strategies.deciding import CORRIDOR, make_strategy, robot_at
@@ -71,7 +71,7 @@ def test_a_bid_is_that_of_equation_1() -> None:
     situation = robot_at(1, grid=grid)
     np.testing.assert_allclose(bids.bids(situation, goals, PathPlanner(grid)), expected)
     # A teammate at (5, 1) will see all that (3, 1) shows but (2, 0) and (3, 0).
-    near = replace(situation, poses={1: Pose(5, 1, False)})
+    near = replace(situation, poses={1: TeammatePose(5, 1, False)})
     seen_by_it = 2.0 * (3 - 1) / (4 * np.pi)
     np.testing.assert_allclose(
         bids.bids(near, goals, PathPlanner(grid))[1], seen_by_it - 0.5 * 2 / 2 - 0.25 * 2 / 2

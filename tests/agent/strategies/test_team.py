@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agent.planning.path_planner import PathPlanner
-from agent.strategies.base import Pose, Situation
+from agent.strategies.base import Situation, TeammatePose
 from agent.strategies.faigl import cluster_goals
 from agent.strategies.registry import strategy
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
@@ -47,7 +47,7 @@ def views(random: np.random.Generator, grid: Grid, robots: int) -> list[Situatio
             homes=dict.fromkeys(range(robots + 1), cells[0]),
             home=cells[0],
             peers=tuple(peer for peer in team if peer != robot),
-            poses={peer: Pose(*cells[peer], leads=False) for peer in team if peer != robot},
+            poses={peer: TeammatePose(*cells[peer], leads=False) for peer in team if peer != robot},
             targets={robots: gone},
             target_steps={robots: -99},
         )
@@ -119,7 +119,7 @@ def test_a_wide_robot_is_assigned_reachable_goals() -> None:
     grid[10, 10] = FREE
     grid[10, 0] = grid[10, 39] = UNKNOWN
     view = Situation(
-        step=1, grid=grid, x=14, y=10, home=(14, 10), peers=(1,), poses={1: Pose(16, 10, leads=False)}
+        step=1, grid=grid, x=14, y=10, home=(14, 10), peers=(1,), poses={1: TeammatePose(16, 10, leads=False)}
     )
     for radii, target in (([0.0, 3.0], (1, 10)), ([3.0, 0.0], (38, 10))):
         planning_robot = strategy("burgard")(
@@ -151,7 +151,8 @@ def targets_in_a_corridor(**options: Any) -> list[Any]:
         cells = [(35, 2), (36, 2)]
         (x, y), other = cells[robot], cells[1 - robot]
         view = Situation(
-            step=1, grid=grid, x=x, y=y, home=(x, y), peers=(1 - robot,), poses={1 - robot: Pose(*other, leads=False)}
+            step=1, grid=grid, x=x, y=y, home=(x, y), peers=(1 - robot,),
+            poses={1 - robot: TeammatePose(*other, leads=False)},
         )  # fmt: skip
         found.append(
             strategy("burgard")(options, settings_for(grid, robot, ranges_cells=[20.0] * 2))

@@ -163,6 +163,8 @@ def test_two_runs_are_compared_on_a_page(directory: Path, tmp_path: Path) -> Non
         summary = run_directory.read_summary(folder)
         assert summary["digest"] in page.words
         assert f"{summary['bytes']['total']:,}" in page.words
+    turned = Page(write_report(other, directory).read_text(encoding="utf-8"))
+    assert re.search(r"approximation error \(Eq. 6.1\)\s+-\s+\d", turned.words), "only the second run has one"
 
 
 def test_a_run_without_traffic_has_a_page(tmp_path: Path) -> None:

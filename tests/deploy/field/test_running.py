@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 from pathlib import Path
 
 import pytest
 
+from deploy.field import running as registered
 from deploy.field.running import ask_to_stop, has_ended, is_running, robots, running
 from deploy.scenario.errors import ScenarioError
 from tests.deploy.commands.office_floor import murmur
@@ -55,6 +57,36 @@ def test_a_killed_robot_is_forgotten(tmp_path: Path) -> None:
     entry.write_text(text)
     assert robots() == []
     assert not entry.exists()
+
+
+def test_robots_that_begin_and_end_meanwhile_do_not_hinder_the_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with running(tmp_path / "record"):
+        (entry,) = (tmp_path / "tmp").glob("murmur-robots-*/*")
+        ended, begun = entry.with_name("ended"), entry.with_name("begun")
+        ended.symlink_to("gone")
+        begun.touch()
+        assert robots() == [tmp_path / "record"]
+        assert begun.exists()
+
+
+def test_all_other_robots_are_stopped_if_one_has_just_ended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(registered, "robots", lambda: [tmp_path / "ended", tmp_path / "record"])
+    monkeypatch.setattr(registered, "has_ended", lambda *_: True)
+    with running(tmp_path / "record") as stop:
+        assert murmur("stop", "--all").exit_code == 0
+        assert stop.exists()
+        assert murmur("stop", str(tmp_path / "ended"), str(tmp_path / "record")).exit_code == 2
+
+
+def test_a_file_in_place_of_the_names_of_all_robots_is_reported(tmp_path: Path) -> None:
+    (tmp_path / "tmp" / f"murmur-robots-{os.getuid()}").touch()
+    with pytest.raises(ScenarioError, match="is not a directory of this user: remove it"):
+        robots()
 
 
 def test_without_a_robot_there_is_nothing_to_stop(tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from deploy.study import labels
 from murmur import RunFailed, Scenario, compare, size, sweep
 from tests.deploy.study.small_experiment import EXPERIMENT, write
 from tests.worldsim.recorded.made_logs import write_carmen
+from worldsim import generators, maps
 
 ROOMS: dict[str, Any] = {
     "map": "leader-rooms", "robots": 3, "sensor_range": 2.5, "speed": 1.0, "map_encoding": "scans",
@@ -31,6 +32,27 @@ def test_a_sweep_runs_each_value_of_a_list(tmp_path: Path) -> None:
     assert done.runs.select("steps", "seed").rows() == [(2, 0), (2, 1), (3, 0), (3, 1)]
     assert len(pl.read_parquet(out)) == 4 and len(done.table) == 6
     assert repr(done) == "<Sweep sweep: 4 of 4 runs>" and "<table" in done._repr_html_()
+
+
+def test_maps_of_one_name_in_several_folders_are_told_apart(tmp_path: Path) -> None:
+    files = [tmp_path / site / "map.yaml" for site in ("north", "south")]
+    for width, file in zip((12, 14), files, strict=True):
+        file.parent.mkdir()
+        maps.save(generators.make("office", width_m=width, height_m=12), file)
+    done = sweep(map=files, steps=2, seed=[0, 1], robots=1, metrics=["steps"], **QUIET)
+    assert done.table.select("map", "runs").rows() == [(str(file), 2) for file in files]
+    assert done.runs["map"].unique(maintain_order=True).to_list() == list(map(str, files))
+    compared = compare([{"strategy": "nearest"}, {"strategy": "meier"}], map=files, steps=2, seeds=2, **QUIET)
+    titles = [panel.get_title() for panel in compared.plot().axes]
+    assert [title.replace("\n", "") for title in titles] == [f"map {file}" for file in files]
+
+
+def test_a_picture_is_a_map_of_each_resolution(tmp_path: Path) -> None:
+    maps.save(generators.make("office", width_m=12, height_m=12), tmp_path / "plan.yaml")
+    resolutions = {"map_options.resolution": [0.05, 0.1]}
+    done = sweep(map=tmp_path / "plan.png", steps=2, seed=0, robots=1, **resolutions, **QUIET)
+    half, whole = done.runs["range_m"]
+    assert whole == pytest.approx(2 * half)
 
 
 def test_numbers_and_lists_of_numpy_and_polars_are_those_of_python(tmp_path: Path) -> None:
