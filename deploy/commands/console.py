@@ -5,15 +5,18 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import sys
+import textwrap
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NoReturn
 
 import typer
 from rich.console import Console
+from rich.text import Text
 
-from deploy.run.exit_codes import BAD_INPUT, BROKEN_OFF
+from deploy.run.exit_codes import BAD_INPUT, BROKEN_OFF, INTERRUPTED
 from deploy.run.failure import RunFailed
 from worldsim.atomic_files import DISK_ERRORS
 from worldsim.ending import OUT_OF_STEPS
@@ -79,6 +82,18 @@ def explain_difference(before: dict[str, Any], now: dict[str, Any]) -> None:
             errors.print(f"  {key}: was {before[key]}, is {now[key]}")
 
 
+def print_entries(entries: Mapping[str, str]) -> None:
+    """Print names and descriptions, wrapped beside the names on a terminal; elsewhere, a line each, as grep expects."""
+    width = max(screen.width, 60) if screen.is_terminal else sys.maxsize
+    column = max(map(len, entries)) + 2
+    indent = " " * column
+    for name, description in entries.items():
+        text = textwrap.fill(
+            description, width, initial_indent=indent, subsequent_indent=indent, break_on_hyphens=False
+        )
+        screen.print(Text.assemble((f"{name:{column}}", "bold"), text[column:]))
+
+
 def progress(*, shown: bool, message: Callable[[], str] = lambda: "") -> Any:
     """A progress line with a `message` below it, on the error stream, which is not piped to other programs."""
     from deploy.commands import terminal  # noqa: PLC0415
@@ -88,7 +103,7 @@ def progress(*, shown: bool, message: Callable[[], str] = lambda: "") -> Any:
 
 @contextlib.contextmanager
 def report_user_errors() -> Iterator[None]:
-    """Turn errors that the user can fix into a message: exit code 2 for bad input, 3 for work that was aborted.
+    """Turn Ctrl-C and errors that the user can fix into a message: exit code 2 for bad input, 3 for aborted work.
 
     With the environment variable ``MURMUR_TRACEBACK``, the traceback of a ValueError is printed too.
     """
@@ -106,6 +121,8 @@ def report_user_errors() -> Iterator[None]:
         from deploy.run.limits import out_of_memory  # noqa: PLC0415
 
         fail(out_of_memory(), BROKEN_OFF)
+    except KeyboardInterrupt:
+        fail("interrupted", INTERRUPTED)
     except BrokenPipeError:
         raise
     except OSError as error:

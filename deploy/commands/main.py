@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import sys
 from types import FrameType
 
+from deploy.run.exit_codes import INTERRUPTED
 from protocol.signals import is_importing
 
-INTERRUPTED = 130
-"""Exit code after Ctrl-C, as that of a process that the signal ended."""
+MESSAGE = b"murmur: interrupted\n"
+"""What `deploy.commands.console.report_user_errors` prints at other times than during imports."""
 
 
 def main() -> None:
@@ -38,6 +40,8 @@ def _open_closed_streams() -> None:
 def _interrupt(number: int, frame: FrameType | None) -> None:
     """Raise KeyboardInterrupt; during an import, end this process: commands that must not lose data prevent this."""
     if is_importing(frame):
+        with contextlib.suppress(OSError):  # the terminal is gone
+            os.write(2, MESSAGE)
         os._exit(INTERRUPTED)
     signal.default_int_handler(number, None)
 

@@ -5,9 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-from rich.text import Text
-
-from deploy.commands.console import screen
+from deploy.commands.console import print_entries, screen
 from deploy.commands.flag_values import named_values
 from deploy.commands.flags import argument, command_family, file_option, option, subcommands
 
@@ -25,10 +23,7 @@ def map_list() -> None:
     """List the generators of maps; the YAML file of a ROS map can be used instead."""
     from worldsim import generators  # noqa: PLC0415
 
-    names = generators.names()
-    for name in names:
-        padded = f"{name:{max(map(len, names))}}"
-        screen.print(Text.assemble((padded, "bold"), "  ", generators.describe(name)))
+    print_entries({name: generators.describe(name) for name in generators.names()})
 
 
 @maps_app.command("make")

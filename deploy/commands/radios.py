@@ -5,9 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-from rich.text import Text
-
-from deploy.commands.console import screen
+from deploy.commands.console import print_entries, screen
 from deploy.commands.flag_values import position
 from deploy.commands.flags import argument, command_family, file_option, option, subcommands
 from protocol.presets import PRESETS
@@ -19,18 +17,16 @@ radio_app = subcommands(app, "radio", "List radio presets, and show their covera
 @radio_app.command("list")
 def radio_list() -> None:
     """List the radio presets, with ranges behind walls and legal limits (docs/radios.md)."""
-    width = max(map(len, PRESETS))
+    lines = {}
     for name, preset in PRESETS.items():
         assert preset.link is not None
         ranges = ", ".join(f"{preset.link.range_m(walls)}" for walls in (0, 2, 4))
         duty = f"{100 * preset.limit.duty_cycle:g} %" if preset.limit.duty_cycle < 1 else "no"
-        screen.print(
-            Text.assemble(
-                (f"{name:{width}}", "bold"),
-                f"  {preset.description}; {preset.bandwidth} bytes per second; {ranges} m behind 0, 2, 4 walls; ",
-                f"{duty} duty cycle, {preset.limit.source}",
-            )
+        lines[name] = (
+            f"{preset.description}; {preset.bandwidth} bytes per second; {ranges} m behind 0, 2, 4 walls; "
+            f"{duty} duty cycle, {preset.limit.source}"
         )
+    print_entries(lines)
 
 
 @radio_app.command("coverage")

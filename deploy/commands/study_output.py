@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.table import Column, Table
 
 from deploy.commands.console import errors, fail, screen
-from deploy.run.exit_codes import BROKEN_OFF
+from deploy.run.exit_codes import BROKEN_OFF, INTERRUPTED
 
 FILE_WIDTH = 160
 """Columns of a table printed to a file or another program."""
@@ -44,7 +44,7 @@ def stopping(out: Path | None) -> Iterator[None]:
         with signals_as_ctrl_c():
             yield
     except KeyboardInterrupt:
-        fail("stopped" + (f"; the same command continues from {out}" if out is not None else ""), 130)
+        fail("stopped" + (f"; the same command continues from {out}" if out is not None else ""), INTERRUPTED)
 
 
 def end_study(failures: Collection[str], code: int = 0) -> NoReturn:

@@ -193,6 +193,11 @@ def read_summary(directory: Path) -> dict[str, Any]:
     """Read the summary of a run directory; ScenarioError if it has none."""
     try:
         summary = json.loads(read_file(directory / SUMMARY))
+    except FileNotFoundError:
+        repeat = f"murmur explore {shlex.quote(str(directory / SCENARIO))}"
+        raise ScenarioError(
+            f"{directory}: no readable {SUMMARY}: the run has not ended, or was killed; to repeat it: {repeat}"
+        ) from None
     except (OSError, ValueError, RecursionError) as error:
         raise ScenarioError(f"{directory}: no readable {SUMMARY} ({error})") from None
     missing = [key for key in REQUIRED_KEYS if not isinstance(summary, dict) or key not in summary]

@@ -47,8 +47,8 @@ UNREACHED = 255
 
 MAX_OUTPUT = 8 * MAX_LOG
 """Maximum bytes that a host sends, per robot: JSON and UTF-8 may lengthen its output."""
-MAX_ERRORS, MAX_TEXT = 2**16, 2000
-"""Bytes that are kept of a host's last error output, and characters of a line or a report from it."""
+MAX_ERRORS, MAX_TEXT, MAX_LINES = 2**16, 2000, 20
+"""Bytes that are kept of a host's last error output, characters of a line or a report from it, and lines in errors."""
 
 
 class _Hello(msgspec.Struct):
@@ -380,7 +380,10 @@ class _Link:
         if self._fault:
             return self._fault
         if code == UNREACHED:
-            return f"ssh cannot reach {self._host.target}: {self._last_output()}"
+            return (
+                f"ssh cannot reach {self._host.target}: {self._all_output()}\n"
+                f"ssh must connect without a prompt; test it with: {shlex.join(_connection(self._host))} true"
+            )
         if code in NO_COMMAND:
             return (
                 f"Murmur was not found: {self._last_output()}; install it there, or set command in the hosts file "
@@ -388,7 +391,7 @@ class _Link:
             )
         return (
             f"{self._host.command} run agents failed (exit code {code}): {self._last_output()}; "
-            "install the same version of Murmur on both"
+            "install the same version of Murmur on both, or correct command in the hosts file"
         )
 
     def _why_gone(self) -> str:
@@ -407,8 +410,12 @@ class _Link:
         return self._stderr.decode(errors="replace")
 
     def _last_output(self) -> str:
+        return self._all_output().splitlines()[-1]
+
+    def _all_output(self) -> str:
+        """Return the last lines that ssh and the host printed: ssh may need several to explain an error."""
         lines = [*self._other_output, *map(_printable, self._errors().splitlines())]
-        return next(filter(None, reversed(lines)), "no output")
+        return "\n".join(list(filter(None, lines))[-MAX_LINES:]) or "no output"
 
 
 def command_line(host: Host, plugins: Mapping[str, str]) -> list[str]:
@@ -416,8 +423,6 @@ def command_line(host: Host, plugins: Mapping[str, str]) -> list[str]:
 
     It never asks for a password and contains no credential.
     """
-    given = [part for option in host.options for part in ("-o", option)]
-    port = ["-p", str(host.port)] if host.port is not None else []
     plain = [
         "BatchMode=yes", f"ConnectTimeout={CONNECT_S}", f"ServerAliveInterval={ALIVE_S}",
         f"ServerAliveCountMax={ALIVE_TIMES}", "ControlPath=none", "ClearAllForwardings=yes", "LogLevel=ERROR",
@@ -425,8 +430,15 @@ def command_line(host: Host, plugins: Mapping[str, str]) -> list[str]:
     # ssh uses the first value of an option that is given twice.
     ours = [part for option in plain for part in ("-o", option)]
     needs = "".join(f" --plugin {shlex.quote(f'{setting}={name}')}" for setting, name in plugins.items())
-    remote = f"{host.command} run agents{needs}"
-    return ["ssh", "-T", "-a", "-x", *given, *ours, *port, "--", host.target, remote]
+    ssh, *given, target = _connection(host)
+    return [ssh, "-T", "-a", "-x", *given, *ours, "--", target, f"{host.command} run agents{needs}"]
+
+
+def _connection(host: Host) -> list[str]:
+    """Return the ssh command line that connects to a host as a user would, with the settings of the hosts file."""
+    given = [part for option in host.options for part in ("-o", option)]
+    port = ["-p", str(host.port)] if host.port is not None else []
+    return ["ssh", *given, *port, host.target]
 
 
 def _printable(text: str) -> str:

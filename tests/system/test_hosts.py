@@ -175,5 +175,9 @@ def test_an_unusable_host_is_reported_before_anything_starts(far: FarHost, tmp_p
     with launched(tmp_path, far) as run:
         _, faults = run.communicate(timeout=PATIENCE_S)
     assert run.returncode == 2
-    assert re.fullmatch(r"murmur: host far: ssh cannot reach 10\.213\.77\.2: .*Connection refused\n", faults)
+    assert re.fullmatch(
+        r"murmur: host far: ssh cannot reach 10\.213\.77\.2: .*Connection refused\n"
+        r"murmur: ssh must connect without a prompt; test it with: ssh .* 10\.213\.77\.2 true\n",
+        faults,
+    )
     assert not (tmp_path / "run").exists()

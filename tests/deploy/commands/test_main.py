@@ -104,7 +104,7 @@ def test_light_commands_import_no_compiler(words: tuple[str, ...], allowed: set[
 
 
 @pytest.mark.parametrize("module", ["typer", "rich", "pydantic", "numpy"])
-def test_ctrl_c_during_an_import_ends_the_command_without_a_traceback(tmp_path: Path, module: str) -> None:
+def test_ctrl_c_during_an_import_ends_the_command_with_a_message(tmp_path: Path, module: str) -> None:
     # Short sleeps: Python handles a signal that arrives just before a sleep only after it.
     lines = ("import time", "print('importing', flush=True)", "for _ in range(6000):", "    time.sleep(0.01)")
     (tmp_path / f"{module}.py").write_text("\n".join(lines))
@@ -120,7 +120,18 @@ def test_ctrl_c_during_an_import_ends_the_command_without_a_traceback(tmp_path: 
         assert started.stdout.readline() == "importing\n"
         started.send_signal(signal.SIGINT)
         _, output = started.communicate(timeout=60)
-    assert (started.returncode, output) == (130, "")
+    assert (started.returncode, output) == (130, "murmur: interrupted\n")
+
+
+def test_ctrl_c_at_other_times_ends_the_command_with_the_same_message(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def interrupt(_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("worldsim.generators.describe", interrupt)
+    result = murmur("map", "list")
+    assert (result.exit_code, result.stderr) == (130, "murmur: interrupted\n")
 
 
 @pytest.mark.parametrize("closed", ["0<&-", "1>&-", "2>&-", "0<&- 1>&- 2>&-"])

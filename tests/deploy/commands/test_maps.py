@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
+from deploy.commands.console import screen
 from tests.deploy.commands.office_floor import explore, murmur
 from worldsim import generators
 
@@ -20,6 +23,22 @@ def test_maps_can_be_made_shown_and_explored(floor: str) -> None:
     assert {line[0] + line[-1] for line in drawing} == {"██"}
     listed = murmur("map", "list").stdout
     assert all(name in listed for name in generators.names())
+
+
+@pytest.mark.parametrize("family", ["map", "radio"])
+def test_lists_are_wrapped_beside_the_names_on_a_terminal_only(
+    family: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    piped = murmur(family, "list").stdout
+    monkeypatch.setattr(screen, "_force_terminal", True)
+    monkeypatch.setattr(screen, "_width", 80)
+    monkeypatch.setattr(screen, "_color_system", None)
+    shown = murmur(family, "list").stdout
+    assert shown.split() == piped.split()
+    assert max(map(len, piped.splitlines())) > 80, "a line each, for grep"
+    assert max(map(len, shown.splitlines())) <= 80
+    names = [line.split()[0] for line in piped.splitlines()]
+    assert [line.split()[0] for line in shown.splitlines() if not line.startswith(" ")] == names
 
 
 def test_the_size_of_a_picture_is_printed_because_its_resolution_may_be_in_a_wrong_unit(floor: str) -> None:

@@ -60,7 +60,11 @@ def wait_until(true: Callable[[], object]) -> None:
             "murmurr-is-not-there",
             r"h0: Murmur was not found: .*not found; install it there, or set command in",
         ),
-        ("echo no; exit 255;", r"h0: ssh cannot reach h0: no$"),
+        (
+            "echo 'No host key is known' >&2; echo 'Host key verification failed.' >&2; exit 255;",
+            r"h0: ssh cannot reach h0: No host key is known\nHost key verification failed\.\n"
+            r"ssh must connect without a prompt; test it with: ssh h0 true$",
+        ),
         (
             "echo Welcome; echo 'No such command' >&2; exit 2;",
             r"run agents failed \(exit code 2\): No such command",
