@@ -90,13 +90,16 @@ def run_with_defect(drawn: ChaosCase, defect: str) -> None:
     plan = plans.make(drawn.scenario)
     checker = InvariantChecker(plan, ())
     run = MemoryRun(plan)
+    first_known = {}
     for step in run.steps():
         for agent in run.agents:
             robot = agent.robot
             if robot is None or agent.done:
                 continue
+            if step == 1:
+                first_known[robot.settings.robot] = tuple(np.argwhere(robot.own != UNKNOWN)[0])
             if step == 25:
-                known = tuple(np.argwhere(robot.own != UNKNOWN)[0])
+                known = first_known[robot.settings.robot]
                 if defect == "forgets":
                     robot.own[known] = UNKNOWN
                 if defect == "invents":
