@@ -47,7 +47,7 @@ def report_result(result: Any, *, as_json: bool) -> int:
     size = result.plan.scenario.min_frontier_size
     if size and result.summary["reason"].endswith(TOO_EARLY):
         errors.print(
-            f"min_frontier_size = {size:g} m may close passages: choose less than the narrowest is wide"
+            f"min_frontier_size = {size:g} m may close passages: choose less than the width of the narrowest one"
         )
     if as_json:
         print(json.dumps(result.summary))

@@ -27,7 +27,7 @@ def test_a_size_of_frontiers_that_closes_passages_is_named_when_a_robot_stops_to
     result = explore(floor, "--min-frontier-size", "4")
     assert result.exit_code == 1
     assert "stopped too early" in result.stdout
-    assert "min_frontier_size = 4 m may close passages" in result.stderr
+    assert "min_frontier_size = 4 m may close passages: choose less" in result.stderr
     result = explore(floor, "--min-frontier-size", "0.2")
     assert (result.exit_code, result.stderr) == (0, "")
 
