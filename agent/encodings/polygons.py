@@ -25,6 +25,7 @@ from agent.outline.polygons import Polygons
 from agent.outline.receiver import Receiver
 from agent.outline.simplify import refine
 from agent.outline.splitting import SplitAllowance
+from agent.planning.small_frontiers import without_small_frontiers
 from agent.settings import Settings
 from protocol.grid import Grid
 from protocol.range_scans import RangeScan
@@ -114,9 +115,7 @@ class PolygonEncoding(MapEncoding):
         splits = self._allowance.next_step()
         if not self._outdated and not splits:
             return []
-        exact = self._tracer.contours(own, (scan.x, scan.y), self._untraced.take(own))
-        if self._options.moving_starts:
-            exact = extracted(exact)
+        exact = self._contours(own, scan)
         held = self._held.held
         repaired = repair(held.polygons, exact)
         refined = refine(
@@ -136,6 +135,18 @@ class PolygonEncoding(MapEncoding):
         if script:
             self._held.feed(script)
         return packets
+
+    def _contours(self, own: Grid, scan: Scan | RangeScan) -> Polygons:
+        """Extract the contours of the self-explored grid.
+
+        Where robots leave small frontiers, these are walls. If they stayed unknown, coarse edges would drop the walls
+        around them, and teammates would find frontiers along these.
+        """
+        changed, least = self._untraced.take(own), self.settings.min_frontier_cells
+        if least > 1:
+            own, changed = without_small_frontiers(own, least), None
+        exact = self._tracer.contours(own, (scan.x, scan.y), changed)
+        return extracted(exact) if self._options.moving_starts else exact
 
     def _edits(self, held: NumberedPolygons, exact: Polygons, marks: Marks) -> list[bytes]:
         """Encode the packets that turn the held approximation into that of `marks`.

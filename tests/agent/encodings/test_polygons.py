@@ -21,6 +21,7 @@ from agent.outline.merge import TeamMap, approximation_error
 from agent.outline.objects import Objects
 from agent.outline.polygons import Polygons
 from agent.outline.simplify import refine
+from agent.planning.small_frontiers import without_small_frontiers
 from agent.settings import EncodingSettings, MediumSettings, ReplicationSettings, Settings
 from protocol import packet_codec
 from protocol.body import Body
@@ -47,11 +48,13 @@ def settings_of(
     robots: int = 3,
     bandwidth: Budget = DEFAULT_BANDWIDTH,
     options: PolygonOptions = DEFAULT_OPTIONS,
+    least: float = 0.0,
 ) -> Settings:
     return Settings(
         robot=robot, bodies=(Body(20.0, 360.0, 5.0),) * robots, width=shape[1], height=shape[0], beams=360,
         seed=0, strategy="meier", encoding=EncodingSettings("polygons", options),
         replication=ReplicationSettings("backoff"), medium=MediumSettings(bandwidth, 1000.0),
+        min_frontier_cells=least,
     )  # fmt: skip
 
 
@@ -107,6 +110,16 @@ def test_receivers_hold_the_authors_approximation_after_every_step(
         entries = record(one, grid, cell)
         other.apply(0, b"".join(entries), **LATE)
         assert canonical(other.polygons[0]) == canonical(one.polygons[0])
+
+
+@given(growing_maps(), st.sampled_from([UNLIMITED, Budget(50)]))
+def test_where_robots_leave_small_frontiers_the_approximation_has_walls(
+    steps: list[tuple[Grid, Cell]], bandwidth: Budget
+) -> None:
+    shape = steps[0][0].shape
+    leaving, exploring = (maker(shape, bandwidth=bandwidth, least=least) for least in (3.0, 0.0))
+    closed = [(without_small_frontiers(grid, 3.0), cell) for grid, cell in steps]
+    assert reported(leaving, steps) == reported(exploring, closed)
 
 
 def test_each_log_entry_is_one_packet_and_a_step_ends_with_a_save_point() -> None:
