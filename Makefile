@@ -12,6 +12,9 @@ BIN := $(VENV)/bin
 QUICK := tests/agent tests/protocol tests/netshaper tests/worldsim tests/murmur tests/fuzz $(addprefix tests/deploy/,scenario record chaos)
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
+# Tests start hundreds of processes, each of which would compile all modules again if the environment forbids bytecode.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: setup demo test quick check bench fuzz figures docs clean
 
 setup: $(VENV)/main.stamp
@@ -25,9 +28,10 @@ $(VENV)/main.stamp: pyproject.toml constraints.txt | $(BIN)/python
 	$(BIN)/murmur setup
 	touch $@
 
-$(VENV)/dev.stamp: $(VENV)/main.stamp
+$(VENV)/dev.stamp: pyproject.toml constraints.txt | $(BIN)/python
 	$(PIP) --editable '.[view,mcap,ros2,film,cluster,gym,pandas,docs,dev,bench]'
-	touch $@
+	$(BIN)/murmur setup
+	touch $(VENV)/main.stamp $@
 
 demo: setup
 	$(BIN)/murmur explore --map office --robots 5 --bandwidth 50
