@@ -10,7 +10,12 @@ VENV := .venv
 PYTHON ?= python3
 BIN := $(VENV)/bin
 QUICK := tests/agent tests/protocol tests/netshaper tests/worldsim tests/murmur tests/fuzz $(addprefix tests/deploy/,scenario record chaos)
-PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --constraint constraints.txt
+# Bytecode of all packages but their tests, by all processors: pip writes it with one.
+COMPILE := $(BIN)/python -m compileall -qq -j 0 -x '/tests?/' $(VENV)/lib || true
+
+# Tests start hundreds of processes, each of which would compile all modules again if the environment forbids bytecode.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: setup demo test quick check bench fuzz figures docs clean
 
@@ -22,12 +27,15 @@ $(BIN)/python:
 
 $(VENV)/main.stamp: pyproject.toml constraints.txt | $(BIN)/python
 	$(PIP) --editable '.[view,mcap,film]'
+	$(COMPILE)
 	$(BIN)/murmur setup
 	touch $@
 
-$(VENV)/dev.stamp: $(VENV)/main.stamp
+$(VENV)/dev.stamp: pyproject.toml constraints.txt | $(BIN)/python
 	$(PIP) --editable '.[view,mcap,ros2,film,cluster,gym,pandas,docs,dev,bench]'
-	touch $@
+	$(COMPILE)
+	$(BIN)/murmur setup
+	touch $(VENV)/main.stamp $@
 
 demo: setup
 	$(BIN)/murmur explore --map office --robots 5 --bandwidth 50

@@ -17,6 +17,12 @@ from numpy.typing import NDArray
 PIXEL = 1.0
 
 
+def _lay_out(figure: Figure) -> None:
+    """Draw a figure, unless it has not changed since it was drawn."""
+    if figure.stale:
+        figure.draw_without_rendering()
+
+
 def paths(axes: Axes) -> Iterator[NDArray[np.float64]]:
     """The vertices of all lines, bars, boxes, areas and intervals of some axes, in pixels."""
     for line in axes.lines:
@@ -34,7 +40,7 @@ def _vertices(path: Path) -> NDArray[np.float64]:
 
 def assert_shows_all(figure: Figure) -> None:
     """Fail if a point of a line, bar, box, area or interval is outside its axes."""
-    figure.draw_without_rendering()
+    _lay_out(figure)
     for axes in figure.axes:
         box = axes.bbox
         for vertices in paths(axes):
@@ -70,7 +76,7 @@ def _outside(axis: Axis) -> Iterator[Text]:
 
 def assert_text_fits(figure: Figure) -> None:
     """Fail if a text is cut at the border of a figure, or two texts overlap."""
-    figure.draw_without_rendering()
+    _lay_out(figure)
     boxes = [(text.get_text(), text.get_window_extent()) for text in shown_texts(figure)]
     assert boxes
     for text, box in boxes:

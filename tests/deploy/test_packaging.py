@@ -126,3 +126,13 @@ def test_the_packages_of_the_project_are_those_of_the_wheel() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     include = project["tool"]["setuptools"]["packages"]["find"]["include"]
     assert [name.removesuffix("*") for name in include] == list(PACKAGES)
+
+
+@pytest.mark.skipif(shutil.which("make") is None, reason="make is not installed")
+def test_make_keeps_bytecode_also_if_the_environment_forbids_it() -> None:
+    rule = 'probe: ; @echo "[$$PYTHONDONTWRITEBYTECODE]"'
+    command = ["make", "--silent", f"--eval={rule}", "probe"]
+    env = {name: value for name, value in os.environ.items() if not name.startswith("MAKE")}
+    env["PYTHONDONTWRITEBYTECODE"] = "1"
+    done = subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"

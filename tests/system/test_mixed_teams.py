@@ -38,7 +38,7 @@ KINDS = {"exact": EXACT, "noisy": NOISY}
 
 
 def run(**settings: Any) -> Result:
-    result = explore(**({"bus": "memory"} | SMALL | settings))
+    result = explore(**({"bus": "memory", "keep": False} | SMALL | settings))
     assert not result.records.protocol_errors.texts
     return result
 

@@ -22,7 +22,7 @@ SMALL: dict[str, Any] = {
 
 
 def run(**settings: Any) -> Result:
-    return explore(parse(SMALL | settings))
+    return explore(parse(SMALL | settings), keep=False)
 
 
 def walks(result: Result) -> list[bytes]:
