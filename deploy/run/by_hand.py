@@ -39,7 +39,7 @@ from netshaper.router import Router
 from protocol import keys as names
 from protocol.bus import BusClosed
 from protocol.keys import Keys
-from protocol.zenoh_bus import Credential, join
+from protocol.zenoh_bus import Credential, certificate_fault, join
 
 STANDARD_INPUT = Path("-")
 
@@ -151,7 +151,7 @@ def serve_robot(credential: Path) -> None:
     """Serve as the robot that the credential names; ``-`` is standard input."""
     if credential == STANDARD_INPUT:
         read = Credential.parse(sys.stdin.read(), "credential on standard input")
-        _check_code(read, "credential on standard input")
+        _check(read, "credential on standard input")
     else:
         read = _read(credential)
         beside = credential.parent / run_directory.SCENARIO
@@ -242,12 +242,17 @@ def _credential(path: Path, name: str) -> Credential:
 
 def _read(path: Path) -> Credential:
     read = Credential.read(path)
-    _check_code(read, f"credential {path}")
+    _check(read, f"credential {path}")
     return read
 
 
-def _check_code(read: Credential, where: str) -> None:
-    """Raise ScenarioError if the relay runs other code: messages could be misread, or the digest differ."""
+def _check(read: Credential, where: str) -> None:
+    """Raise ScenarioError if a hub would refuse the certificate, or the relay runs other code.
+
+    With other code, messages could be misread, or the digest differ.
+    """
+    if fault := certificate_fault(read):
+        raise ScenarioError(f"{where}: {fault}")
     here = code_digest(STARTERS)
     if read.code not in ("", here):
         raise ScenarioError(

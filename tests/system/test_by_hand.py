@@ -23,7 +23,8 @@ import pytest
 from deploy.run.by_hand import STANDARD_INPUT, serve_netshaper, serve_recorder, serve_robot, serve_worldsim
 from deploy.scenario.errors import ScenarioError
 from deploy.scenario.scenario import parse
-from netshaper import access
+from netshaper import access, certificates
+from protocol.zenoh_bus import Credential
 from tests.deploy.commands.office_floor import murmur
 
 ROOT = Path(__file__).parents[2]
@@ -191,6 +192,18 @@ def test_a_credential_of_a_relay_with_other_code_is_rejected(
     monkeypatch.setattr("sys.stdin", io.StringIO((tmp_path / "r0.json").read_text()))
     with pytest.raises(ScenarioError, match=f"^credential on standard input: its {message}"):
         serve_robot(STANDARD_INPUT)
+
+
+@pytest.mark.parametrize(
+    ("days", "name", "fault"), [(0, "r0", r"valid from .*; set the clock"), (9, "r1", "of r0$")]
+)
+def test_a_certificate_that_a_hub_would_refuse_is_rejected_before_the_process_joins(
+    tmp_path: Path, days: int, name: str, fault: str
+) -> None:
+    certificate = certificates.make(2, ["127.0.0.1"], days=days)["r0"]
+    Credential("run", name, "tls/127.0.0.1:1", certificate=certificate).write(tmp_path / "robot.json")
+    with pytest.raises(ScenarioError, match=rf"^credential \S*robot.json: its certificate is .*{fault}"):
+        serve_robot(tmp_path / "robot.json")
 
 
 def test_a_relay_that_cannot_listen_leaves_no_credentials(tmp_path: Path) -> None:
