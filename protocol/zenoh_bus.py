@@ -68,6 +68,8 @@ class Credential:
         Of a router (`netshaper.router`): the names of the robots that join through it.
     code : str
         Digest of the relay's code, for processes that are started by hand; empty: not to be compared.
+    map : str
+        Digest of the relay's map, likewise.
     """
 
     run: str
@@ -77,6 +79,7 @@ class Credential:
     certificate: Certificate | None = None
     robots: tuple[str, ...] = ()
     code: str = ""
+    map: str = ""
 
     def write(self, path: Path) -> None:
         """Write a JSON file that only its owner can read."""

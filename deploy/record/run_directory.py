@@ -68,7 +68,11 @@ REQUIRED_KEYS = (
 
 
 def check_free(out: Path | None) -> None:
-    """Raise ScenarioError if `out` cannot be used for a new run: it is a file, or not empty."""
+    """Raise ScenarioError if `out` cannot be used for a new run: it is a file, not empty, or its name not UTF-8."""
+    try:
+        str(out).encode()
+    except UnicodeEncodeError:
+        raise ScenarioError(f"out = {str(out)!r}: not UTF-8; use another name, or LC_ALL=C.UTF-8") from None
     if out is not None and out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise ScenarioError(f"out = {out}: already exists; name a new directory, or empty this one")
     if out is None and RUNS.exists() and not RUNS.is_dir():

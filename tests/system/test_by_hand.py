@@ -26,6 +26,7 @@ from deploy.scenario.scenario import parse
 from netshaper import access, certificates
 from protocol.zenoh_bus import Credential
 from tests.deploy.commands.office_floor import murmur
+from worldsim import generators, maps
 
 ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "docs" / "several-terminals.md").read_text(encoding="utf-8")
@@ -174,6 +175,32 @@ def test_a_scenario_that_differs_from_the_relay_s_is_rejected_by_setting(tmp_pat
     ):
         serve_recorder(ours, tmp_path / "recorder.json", tmp_path / "run", None)
     assert not (tmp_path / "run").exists()
+
+
+def test_a_map_that_differs_from_the_relay_s_is_rejected(tmp_path: Path) -> None:
+    for host, seed in (("relay", 1), ("other", 2)):
+        (tmp_path / host).mkdir()
+        maps.save(
+            generators.make("office", seed=seed, width_m=10, height_m=10), tmp_path / host / "floor.yaml"
+        )
+    theirs, ours = (parse({"map": str(tmp_path / host / "floor.yaml")}) for host in ("relay", "other"))
+    credentials = tmp_path / "credentials"
+    with pytest.raises(StopServingError):
+        serve_netshaper(theirs, free_address(), credentials, stop_serving)
+    message = r"^map = \S*floor.yaml: differs from the map of the relay: copy the same file to all hosts$"
+    with pytest.raises(ScenarioError, match=message):
+        serve_worldsim(ours, credentials / "world.json")
+    with pytest.raises(ScenarioError, match=message):
+        serve_recorder(ours, credentials / "recorder.json", tmp_path / "run", None)
+    assert not (tmp_path / "run").exists()
+
+
+class StopServingError(Exception):
+    """The relay has written its credentials."""
+
+
+def stop_serving(_: str) -> None:
+    raise StopServingError
 
 
 def test_a_credential_of_a_relay_with_other_code_is_rejected(

@@ -395,6 +395,14 @@ def test_pipes_and_directories_are_no_input_files(desk: Path, words: str, kind: 
     assert contents(desk).keys() - before.keys() <= {".it.parquet.lock"}
 
 
+def test_a_name_that_is_not_utf_8_is_refused_before_anything_is_written(desk: Path) -> None:
+    name = os.fsdecode(b"gr\xfcn")
+    result = murmur("explore", "--map", "room.yaml", "--robots", "1", "--bus", "memory", "--out", name)
+    assert result.exit_code == 2
+    assert result.stderr.startswith("murmur: out = 'gr\\udcfcn': not UTF-8; ")
+    assert not (desk / name).exists()
+
+
 def test_a_compiler_that_is_turned_off_is_reported(desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
     before = contents(desk)
