@@ -107,9 +107,9 @@ class Fleet:
         self._notify = notify
 
     @property
-    def robots(self) -> set[str]:
-        """Names of the robots on other hosts."""
-        return {robot for _, robots in self._placing for robot in robots}
+    def robots(self) -> dict[str, str]:
+        """The robots on other hosts, each with the name of its host."""
+        return {robot: host.name for host, robots in self._placing for robot in robots}
 
     def __enter__(self) -> Self:
         """Connect to all hosts.
