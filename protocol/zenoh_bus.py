@@ -47,6 +47,8 @@ OTHER_HOST = (62, 64)
 RECONNECT_S = 3.0
 """Time limit for a robot's connection to be restored after it was cut. The robot itself waits a second longer."""
 LEASE_MS, KEEP_ALIVE_MS = 10_000, 100
+BATCH_BYTES = 8192
+"""Maximum bytes that are sent at once between hosts: on a slow link, the lease must not end while these arrive."""
 
 
 @dataclass(frozen=True)
@@ -426,9 +428,12 @@ def use_tls(config: zenoh.Config, certificate: Certificate, side: str) -> None:
     """Configure mutual TLS for the side that is to ``listen`` or to ``connect``.
 
     TLS keeps the bytes that a full socket does not take until more is sent. Keep-alive messages ten times a second
-    flush them; otherwise the end of a long message could wait for seconds.
+    flush them; otherwise the end of a long message could wait for seconds. On a slow link, a sender waits as long as
+    the lease for its turn before it gives up the connection.
     """
     insert(config, "transport/link/tls", mutual_tls(certificate, side))
+    insert(config, "transport/link/tx/batch_size", BATCH_BYTES)
+    insert(config, "transport/link/tx/queue/congestion_control/block/wait_before_close", 1000 * LEASE_MS)
     insert(config, "transport/link/tx/lease", LEASE_MS)
     insert(config, "transport/link/tx/keep_alive", LEASE_MS // KEEP_ALIVE_MS)
 

@@ -110,6 +110,18 @@ def test_delay_and_loss_change_no_result_and_no_secret_is_on_a_command_line(
 
 
 @pytest.mark.long
+def test_a_link_of_16_kilobytes_per_second_changes_no_result(tmp_path: Path) -> None:
+    """On this map, two robots report 260 kB of map changes every five steps."""
+    with far_host(tmp_path, bytes_per_s=16_000) as far:
+        write_inputs(tmp_path, far, "steps = 8\n", robots="2")
+        with launched(tmp_path, far) as run:
+            output, faults = run.communicate(timeout=PATIENCE_S)
+    assert run.returncode == 1, faults
+    here = explore(load(tmp_path / "team.toml", {"bus": "memory"}), keep=False)
+    assert json.loads(output)["digest"] == here.summary["digest"]
+
+
+@pytest.mark.long
 def test_a_run_on_two_hosts_by_the_wall_clock_is_repeated_from_its_record(
     far: FarHost, tmp_path: Path
 ) -> None:
