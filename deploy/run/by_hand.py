@@ -51,6 +51,8 @@ def serve_netshaper(
 ) -> None:
     """Write credentials for a new run into `folder`, then serve as its hub and relay.
 
+    Raises ConnectionError if the run was broken off, as after the death of the world or the recorder.
+
     With `keys`, a directory that `murmur keys` made, participants authenticate with its certificates, else with
     passwords.
     """
@@ -72,7 +74,9 @@ def serve_netshaper(
         _hand_out(credentials, folder, _map_digest(plan.map))
         (folder / run_directory.SCENARIO).write_text(scenario.to_toml(), encoding="utf-8")
         notify(f"run {run} at {endpoint}; credentials in {folder}: {', '.join(credentials)}")
-        relay(bus, run, plan.radio, scenario.reply_timeout_s, notify=notify)
+        fault = relay(bus, run, plan.radio, scenario.reply_timeout_s, notify=notify)
+    if fault:
+        raise ConnectionError(f"the run was broken off: {fault}")
 
 
 def serve_routing(credential: Path, listen: str, folder: Path, notify: Callable[[str], object]) -> None:

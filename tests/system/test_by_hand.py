@@ -138,6 +138,22 @@ def test_ctrl_c_in_each_terminal_has_the_documented_effect(tmp_path: Path) -> No
     assert (tmp_path / "by-hand" / "maps.png").exists()
 
 
+def test_a_relay_says_why_it_has_broken_off_the_run(tmp_path: Path) -> None:
+    address = free_address()
+    by_hand = [command.replace(ADDRESS, address) for command in COMMANDS[:-1]]
+    netshaper, *_, recorder = by_hand
+    with terminals(tmp_path) as running:
+        (tmp_path / "hand.toml").write_text(SCENARIO + "speed = 0.005\n")  # not over before the recorder dies
+        for command in by_hand:
+            running[command] = start(command, tmp_path)
+            wait_for(tmp_path / "credentials" / "scenario.toml", running[netshaper])
+        wait_for(tmp_path / "by-hand" / "radio.pcapng", running[recorder], size=10_000)
+        running[recorder].kill()
+        _, faults = running[netshaper].communicate(timeout=PATIENCE_S)
+    assert running[netshaper].returncode == 3
+    assert faults == "murmur: the run was broken off: the recorder died\n"
+
+
 def test_a_robot_that_is_started_again_ends_and_counts_as_lost(tmp_path: Path) -> None:
     """Within three seconds, the relay takes the new process for the old one, whose connection was restored."""
     address = free_address()
