@@ -52,7 +52,10 @@ def _check_dates(path: Path, certificate: x509.Certificate) -> None:
     if now >= last:
         raise ValueError(f"keys {path}: expired on {last:%Y-%m-%d}; {ANEW}, and --days for a longer time")
     if now < first:
-        raise ValueError(f"keys {path}: is valid from {first:%Y-%m-%d} on; set the clock of this host")
+        raise ValueError(
+            f"keys {path}: is valid from {first:%Y-%m-%d} on, and the clock of this host shows {now:%Y-%m-%d}; "
+            f"set the clock, or {ANEW}"
+        )
 
 
 def _check_key(path: Path, text: str, certificate: x509.Certificate) -> None:

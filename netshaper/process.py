@@ -70,7 +70,8 @@ class RelayNode:
         self._present: set[str] = set()
         self._watched = False
         self._begun = False
-        self._ended = False
+        self.fault: str | None = None
+        """Why the relay has broken off the run: empty if the world ended it, None if it has not ended."""
         self._settings: dict[int, bytes] = {}
         """Each robot's `Configure` message, for when it joins."""
         self._protocol_errors: Counter[str] = Counter()
@@ -85,7 +86,7 @@ class RelayNode:
     @property
     def phase(self) -> tuple[object, ...]:
         """The phase of the run; it changes whenever the relay makes progress."""
-        return self._begun, self._ended, self.shutting_down, len(self._present), self._radio.phase
+        return self._begun, self.fault, self.shutting_down, len(self._present), self._radio.phase
 
     def waiting_for(self) -> list[int]:
         """Robots whose messages the relay is waiting for."""
@@ -266,12 +267,12 @@ class RelayNode:
 
     def break_off(self, reason: str) -> None:
         """End the run because a process that it needs is gone."""
-        if not self._ended:
-            self._end(messages.End(-1, reason, -1))
+        if self.fault is None:
+            self._end(messages.End(-1, reason, -1), reason)
 
-    def _end(self, end: messages.End) -> None:
+    def _end(self, end: messages.End, fault: str = "") -> None:
         """Send the end of the run to the recorder, which then requests the robots' maps."""
-        self._ended = True
+        self.fault = fault
         self._report(end)
 
     def _shut_down(self) -> None:

@@ -42,9 +42,13 @@ CONNECT_S = 10.0
 PROBE_S = 2.0
 """Time limit for a connection that shows whether a program listens at all."""
 POLL_S = 0.002
+OTHER_HOST = (62, 64)
+"""OpenSSL's codes for a certificate that names another host, or another IP address (X509_V_ERR_...)."""
 RECONNECT_S = 3.0
 """Time limit for a robot's connection to be restored after it was cut. The robot itself waits a second longer."""
 LEASE_MS, KEEP_ALIVE_MS = 10_000, 100
+BATCH_BYTES = 8192
+"""Maximum bytes that are sent at once between hosts: on a slow link, the lease must not end while these arrive."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +70,8 @@ class Credential:
         Of a router (`netshaper.router`): the names of the robots that join through it.
     code : str
         Digest of the relay's code, for processes that are started by hand; empty: not to be compared.
+    map : str
+        Digest of the relay's map, likewise.
     """
 
     run: str
@@ -75,6 +81,7 @@ class Credential:
     certificate: Certificate | None = None
     robots: tuple[str, ...] = ()
     code: str = ""
+    map: str = ""
 
     def write(self, path: Path) -> None:
         """Write a JSON file that only its owner can read."""
@@ -330,8 +337,7 @@ def open_connected(config: zenoh.Config, credential: Credential) -> zenoh.Sessio
     try:
         return zenoh.open(config)
     except zenoh.ZError:
-        dated = "" if credential.certificate is None else _invalid_now(credential.certificate)
-        cause = dated or _refusal(credential)
+        cause = certificate_fault(credential) or _refusal(credential)
         raise ConnectionError(
             f"{credential.name}: cannot join at {credential.hub} within {CONNECT_S:g} s: {cause}"
         ) from None
@@ -340,25 +346,58 @@ def open_connected(config: zenoh.Config, credential: Credential) -> zenoh.Sessio
 def _refusal(credential: Credential) -> str:
     """Return why the hub did not accept a credential: nothing listens at its address, or it has refused."""
     host, _, port = credential.hub.partition("/")[2].rpartition(":")
+    host = host.strip("[]")
+    certificate = credential.certificate
     try:
-        socket.create_connection((host.strip("[]"), int(port)), PROBE_S).close()
+        with socket.create_connection((host, int(port)), PROBE_S) as link:
+            cause = "" if certificate is None else _cause_by_tls(link, host, certificate)
     except OSError as error:
         reason = str(error.strerror or error)
         return f"no hub answers ({reason}); does it run, and does its firewall admit this port?"
-    if credential.certificate is None:
+    if certificate is None:
         return f"a program answers, but the password is not valid for its run ({credential.run})"
-    hub = f"the certificate of the hub names no {host}, or is of another run"
-    return f"a program answers, but the certificate is not valid for its run ({credential.run}); or {hub}"
+    return f"a program answers, but the certificate is not valid for its run ({credential.run}): {cause}"
 
 
-def _invalid_now(certificate: Certificate) -> str:
-    """Return why a certificate is not valid by the clock of this host; empty if it is, or is damaged."""
-    from cryptography import x509  # noqa: PLC0415  needed only for this message
+def _cause_by_tls(link: socket.socket, host: str, certificate: Certificate) -> str:
+    """Return why hub and client do not accept each other's certificates, by a handshake without the client's."""
+    import ssl  # noqa: PLC0415  needed only for this message
+
+    context = ssl.create_default_context(cadata=certificate.authority)
+    try:
+        context.wrap_socket(link, server_hostname=host).close()
+    except ssl.SSLCertVerificationError as error:
+        if error.verify_code in OTHER_HOST:
+            return f"the certificate of the hub names no {host}"
+        return (
+            f"that of the hub is not valid ({error.verify_message}); is it of the same call of murmur keys?"
+        )
+    except OSError as error:
+        return f"the program does not use TLS ({error})"
+    return (
+        "the hub refuses it; is it of the same call of murmur keys, and is the clock of the hub's host right?"
+    )
+
+
+def certificate_fault(credential: Credential) -> str:
+    """Return why a hub would refuse the certificate of a credential: its name, or its dates by the clock of this host.
+
+    Empty if there is no such reason, or no certificate.
+    """
+    if credential.certificate is None:
+        return ""
+    from cryptography import x509  # noqa: PLC0415  needed only for credentials of users, and for this message
 
     try:
-        read = x509.load_pem_x509_certificate(certificate.certificate.encode())
+        _, read = (
+            x509.load_pem_x509_certificate(pem.encode())
+            for pem in (credential.certificate.authority, credential.certificate.certificate)
+        )
     except ValueError:
-        return ""
+        return "its certificate, or that of the authority, is damaged"
+    owner = read.subject.rfc4514_string().removeprefix("CN=")
+    if owner != credential.name:
+        return f"its certificate is that of {owner}"
     now, first, last = datetime.now(UTC), read.not_valid_before_utc, read.not_valid_after_utc
     if first <= now < last:
         return ""
@@ -389,9 +428,12 @@ def use_tls(config: zenoh.Config, certificate: Certificate, side: str) -> None:
     """Configure mutual TLS for the side that is to ``listen`` or to ``connect``.
 
     TLS keeps the bytes that a full socket does not take until more is sent. Keep-alive messages ten times a second
-    flush them; otherwise the end of a long message could wait for seconds.
+    flush them; otherwise the end of a long message could wait for seconds. On a slow link, a sender waits as long as
+    the lease for its turn before it gives up the connection.
     """
     insert(config, "transport/link/tls", mutual_tls(certificate, side))
+    insert(config, "transport/link/tx/batch_size", BATCH_BYTES)
+    insert(config, "transport/link/tx/queue/congestion_control/block/wait_before_close", 1000 * LEASE_MS)
     insert(config, "transport/link/tx/lease", LEASE_MS)
     insert(config, "transport/link/tx/keep_alive", LEASE_MS // KEEP_ALIVE_MS)
 

@@ -100,6 +100,10 @@ class Totals:
 def opened(path: Path) -> Iterator[Reader]:
     """Open the capture of a run directory, or a capture file; CaptureError if it cannot be read."""
     file = path / CAPTURE if path.is_dir() else path
+    if not path.exists():
+        raise CaptureError(f"{path}: neither a run directory nor a capture is there")
+    if path.is_dir() and not file.exists():
+        raise CaptureError(f"{path}: not a run directory: {CAPTURE} is missing")
     try:
         with open_file(file) as stream:
             yield Reader(stream)

@@ -28,6 +28,7 @@ from typing import Any
 from deploy.after.archive import read
 from protocol.nanoseconds import SECOND
 from protocol.packages import require
+from worldsim.atomic_files import naming
 
 BAG = "rosbag"
 
@@ -54,7 +55,10 @@ def export_mcap(directory: Path) -> Path:
 
     messages = BagMessages(read(directory))
     types = messages.ros.types
-    with tempfile.TemporaryDirectory(dir=directory, prefix=".export-") as folder:
+    with (
+        naming(directory / BAG),
+        tempfile.TemporaryDirectory(dir=directory, prefix=".export-") as folder,
+    ):
         writer = Writer(Path(folder) / BAG, version=8, storage_plugin=StoragePlugin.MCAP)
         writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
         with writer:

@@ -22,7 +22,7 @@ from deploy.after.archive import Archive
 from deploy.after.figures import draw_explored, draw_load
 from deploy.after.frame_legend import draw_axes, draw_legend, font
 from deploy.record.colors import CELLS, GREY, IN_RANGE, INK, PAPER, SIGNAL, mix, robot_color
-from deploy.record.map_pictures import counted
+from deploy.record.number_texts import counted
 from protocol.grid import FREE, UNKNOWN, Grid, Mask
 from worldsim.maps import to_cell
 

@@ -53,11 +53,11 @@ class RecordedRun:
         """Return the tables as pandas frames, as `Result.to_pandas` does."""
         return to_pandas(steps=self.steps, ledger=self.ledger)
 
-    def report(self) -> Path:
-        """Write ``report.html`` into the directory, as ``murmur report`` does, and return it."""
+    def report(self, out: Path | str | None = None) -> Path:
+        """Write ``report.html`` into the directory, or the page `out`, as ``murmur report`` does; return the page."""
         from deploy.after.report import write_report  # noqa: PLC0415  loads matplotlib
 
-        return write_report(self.directory)
+        return write_report(self.directory, out=None if out is None else Path(out))
 
     def __repr__(self) -> str:
         return f"<RecordedRun: {self.summary['robots']} robots on {self.summary['map']}, in {self.directory}>"

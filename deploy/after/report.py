@@ -6,6 +6,7 @@ The template is ``report.html.jinja``; this module computes its contents, and `r
 from __future__ import annotations
 
 import base64
+import contextlib
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,7 +22,8 @@ from deploy.after.figures import APPROXIMATION, CHANNEL_LOAD, MAPS_OVER_TIME, co
 from deploy.after.frames import Frames, side_by_side
 from deploy.after.robot_table import CAPTION, robot_table
 from deploy.record import run_directory
-from deploy.record.map_pictures import counted
+from deploy.record.number_texts import counted
+from protocol.temporary import temporary_folder
 from worldsim.atomic_files import write_whole
 
 REPORT = "report.html"
@@ -96,20 +98,25 @@ class Section:
         return not (has_lines or self.pictures or self.frames or self.texts)
 
 
-def write_report(directory: Path, other: Path | None = None) -> Path:
+def write_report(directory: Path, other: Path | None = None, out: Path | None = None) -> Path:
     """Draw the figures of a run and write its page, or a page that compares it with another run; return the page.
+
+    With `out`, which names the page, nothing is written into `directory`.
 
     Raises ScenarioError if a directory is not a run directory, or a table is missing.
     """
     archive = read(directory)
     if other is None:
-        figures = write_figures(archive, directory / run_directory.PICTURES)
-        if (directory / run_directory.PICTURE).is_file():
-            figures.append(directory / run_directory.PICTURE)
-        path, text = directory / REPORT, page(archive, figures)
+        with contextlib.ExitStack() as stack:
+            pictures = stack.enter_context(temporary_folder()) if out else directory / run_directory.PICTURES
+            figures = write_figures(archive, pictures)
+            if (directory / run_directory.PICTURE).is_file():
+                figures.append(directory / run_directory.PICTURE)
+            text = page(archive, figures)
     else:
-        path = directory / f"compared-with-{other.resolve().name}.html"
         text = comparison({directory: archive, other: read(other)})
+    name = REPORT if other is None else f"compared-with-{other.resolve().name}.html"
+    path = out or directory / name
     write_whole(path, lambda file: file.write(text.encode()))
     return path
 

@@ -7,8 +7,8 @@ from statistics import fmean
 from typing import Any
 
 from deploy.after.archive import Archive
-from deploy.record.map_pictures import counted
-from deploy.record.summary import percent, replayed
+from deploy.record.number_texts import counted, percent
+from deploy.record.summary import replayed
 from netshaper.ledger import CAUSES
 from protocol.packets import ALL_KINDS
 
@@ -86,8 +86,8 @@ def abstract(summary: dict[str, Any]) -> str:
         return f"{replayed(summary)} {radio}"
     if summary["finished"]:
         first = f"robot {summary['first_robot']} finished first"
-        return f"Explored in {summary['steps']} steps; {first}. {radio}"
-    return f"Not finished after {summary['steps']} steps: {summary['reason']}. {radio}"
+        return f"Explored in {counted(summary['steps'], 'step')}; {first}. {radio}"
+    return f"Not finished after {counted(summary['steps'], 'step')}: {summary['reason']}. {radio}"
 
 
 def figure_rows(summary: dict[str, Any]) -> list[list[str]]:
@@ -129,9 +129,9 @@ def _recorded_figures(summary: dict[str, Any]) -> list[list[str]]:
     if "scans" not in summary:
         return []
     per_scan = "-" if summary["bytes_per_scan"] is None else f"{summary['bytes_per_scan']} bytes"
-    late = f"{summary['steps_after_scans']} steps" if summary["finished"] else "never"
+    late = counted(summary["steps_after_scans"], "step") if summary["finished"] else "never"
     return [
-        ["replayed", f"{summary['scans']} scans of {', '.join(summary['logs'])}"],
+        ["replayed", f"{counted(summary['scans'], 'scan')} of {', '.join(summary['logs'])}"],
         ["transmitted per scan", per_scan],
         ["after the last scan, teammates held all maps within", late],
     ]

@@ -12,6 +12,7 @@ import typer
 
 from deploy.commands.console import errors, explain_difference, progress, report_deaths, screen
 from deploy.commands.flags import JsonFlag, argument, command_family, option, switch
+from deploy.record.number_texts import counted
 from deploy.run.exit_codes import BROKEN_OFF
 from deploy.scenario import plugins
 from deploy.scenario.errors import ScenarioError
@@ -23,17 +24,20 @@ app = command_family()
 @app.command()
 def report(
     directories: Annotated[list[Path], argument("DIR [OTHER]", "a run directory, or two to compare")],
+    out: Annotated[
+        Path | None, option("FILE", "the page (default: report.html in DIR, or compared-with-OTHER.html)")
+    ] = None,
 ) -> None:
     """Write an HTML page of a run, with pictures and a slider; or compare two runs.
 
-    The page is report.html in DIR, or compared-with-OTHER.html. It is self-contained.
+    The page is self-contained. Without --out, the pictures of a run are also written to DIR/pictures.
     """
     from deploy.after.report import write_report  # noqa: PLC0415
 
     directory, *others = directories
     if len(others) > 1:
         raise ValueError("report takes one run directory, or two")
-    page = write_report(directory, *others)
+    page = write_report(directory, others[0] if others else None, out)
     screen.print(f"{page}: report of the {'runs' if others else 'run'}")
 
 
@@ -119,9 +123,13 @@ def replay(
     if as_json:
         print(json.dumps({"holds": same, "digest": now, "before": before["digest"]}))
     elif same:
-        screen.print(f"Replay matches: {result.summary['steps']} steps, digest {before['digest'][:16]}…")
+        screen.print(
+            f"Replay matches: {counted(result.summary['steps'], 'step')}, digest {before['digest'][:16]}…"
+        )
     else:
         explain_difference(before, result.summary)
+        for name in run_directory.changed_inputs(directory, before):
+            errors.print(f"  {directory / name} has changed since the run")
         for part in plugins.named(scenario):
             if part.name not in part.plugins.built_in:
                 errors.print(f"  {part.name} may have changed since, draw random numbers, or read a clock")
@@ -198,8 +206,9 @@ def merge(
     if error_s is not None:
         bound = f"within {1000 * error_s:.1f} ms"
     screen.print(
-        f"{out}: {summary['robots']} robots, {summary['steps']} steps of {summary['step_s']:g} s; {summary['frames']} "
-        f"frames, {summary['frames_lost']} of which no robot recorded as received; clocks agree {bound}"
+        f"{out}: {counted(summary['robots'], 'robot')}, {counted(summary['steps'], 'step')} of "
+        f"{summary['step_s']:g} s; {counted(summary['frames'], 'frame')}, {summary['frames_lost']} of which no robot "
+        f"recorded as received; clocks agree {bound}"
     )
     if not summary["finished"]:
         screen.print(f"not finished: {summary['reason']}")

@@ -118,6 +118,7 @@ def _kernels(compiled_before: int = 0) -> str:
 
 
 def _swarm(bus: str) -> str:
+    from deploy.record.number_texts import counted  # noqa: PLC0415
     from deploy.run import exploration  # noqa: PLC0415
     from deploy.scenario.scenario import parse  # noqa: PLC0415
     from protocol.temporary import temporary_folder  # noqa: PLC0415
@@ -127,7 +128,7 @@ def _swarm(bus: str) -> str:
         result = exploration.explore(scenario, out=folder / "run")
     if result.deaths or result.records.lost:
         raise RuntimeError(f"processes died: {result.deaths or result.records.lost}")
-    return f"{result.summary['steps']} steps, {result.summary['steps_per_s']} steps/s"
+    return f"{counted(result.summary['steps'], 'step')}, {result.summary['steps_per_s']} steps/s"
 
 
 def _viewer() -> str:

@@ -1,4 +1,4 @@
-"""Entry point of the `murmur` command. It imports nothing slow before it handles Ctrl-C."""
+"""Entry point of the `murmur` command. It imports almost nothing before it handles Ctrl-C."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import sys
 from types import FrameType
 
 from deploy.run.exit_codes import INTERRUPTED
-from protocol.signals import is_importing
 
 MESSAGE = b"murmur: interrupted\n"
 """What `deploy.commands.console.report_user_errors` prints at other times than during imports."""
@@ -17,7 +16,7 @@ MESSAGE = b"murmur: interrupted\n"
 
 def main() -> None:
     """Run the command line; once a command is over, a signal does not change its exit code any more."""
-    signal.signal(signal.SIGINT, _interrupt)
+    _handle_signals()
     _open_closed_streams()
     from deploy.commands.app import app  # noqa: PLC0415
 
@@ -37,13 +36,29 @@ def _open_closed_streams() -> None:
             setattr(sys, name, null)
 
 
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    """Raise KeyboardInterrupt; during an import, end this process: commands that must not lose data prevent this."""
-    if is_importing(frame):
-        with contextlib.suppress(OSError):  # the terminal is gone
-            os.write(2, MESSAGE)
-        os._exit(INTERRUPTED)
-    signal.default_int_handler(number, None)
+def _handle_signals() -> None:
+    """Let Ctrl-C and SIGTERM raise KeyboardInterrupt; during an import, let them end this process.
+
+    Commands that must not lose data prevent the latter.
+    """
+    both = signal.SIGINT, signal.SIGTERM
+    for number in both:
+        signal.signal(number, _leave)
+    from protocol.signals import is_importing  # noqa: PLC0415
+
+    def interrupt(_: int, frame: FrameType | None) -> None:
+        if is_importing(frame):
+            _leave()
+        raise KeyboardInterrupt
+
+    for number in both:
+        signal.signal(number, interrupt)
+
+
+def _leave(*_: object) -> None:
+    with contextlib.suppress(OSError):  # the terminal is gone
+        os.write(2, MESSAGE)
+    os._exit(INTERRUPTED)
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ import typer
 
 from deploy.commands.console import fail, screen
 from deploy.commands.flags import argument, command_family, switch
+from deploy.record.number_texts import counted
 from deploy.run.exit_codes import BAD_INPUT, BROKEN_OFF, NOT_FINISHED
 from deploy.scenario.errors import ScenarioError
 
@@ -54,7 +55,7 @@ def robot(
 
     ending = explore(settings, screen.print)
     if ending.records is not None:
-        screen.print(f"{ending.steps} steps; records in {ending.records}")
+        screen.print(f"{counted(ending.steps, 'step')}; records in {ending.records}")
     screen.print(f"the robot stands still: {ending.reason}")
     raise typer.Exit(0 if ending.is_complete else NOT_FINISHED)
 

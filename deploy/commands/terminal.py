@@ -11,9 +11,10 @@ from rich.console import Console, RenderableType
 from rich.progress import BarColumn, Progress, ProgressColumn, TaskID, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
+from deploy.record.number_texts import counted, percent
 from deploy.record.records import Records
 from deploy.record.run_directory import LOGS, PICTURE, PICTURES
-from deploy.record.summary import percent, replayed
+from deploy.record.summary import replayed
 from deploy.scenario.plan import Plan
 
 Watch = Callable[[Plan, Records], object]
@@ -108,10 +109,10 @@ def summary_lines(summary: dict[str, Any], directory: Path | None, *, noisy: boo
     elif summary["finished"]:
         by = " by all robots" if summary["finish"] == "all" else ""
         lines.append(
-            f"Explored in {summary['steps']} steps{by}; robot {summary['first_robot']} finished first."
+            f"Explored in {counted(summary['steps'], 'step')}{by}; robot {summary['first_robot']} finished first."
         )
     else:
-        lines.append(f"Not finished after {summary['steps']} steps: {summary['reason']}.")
+        lines.append(f"Not finished after {counted(summary['steps'], 'step')}: {summary['reason']}.")
     area = "map of all scans" if "scans" in summary else "reachable area"
     lines.append(f"The team saw {_percent(summary['coverage'])} of the {area}.")
     lines += _accuracy_line(summary)
@@ -173,10 +174,8 @@ def _wall_line(summary: dict[str, Any]) -> list[str]:
         parts.append(f"F1 {_percent(f1)} within one cell of {which} (worst robot {worst})")
     if (held := summary["walls_within_tolerance"]) is not None:
         cells, worst = summary["tolerance"], _percent(summary["worst_walls_within_tolerance"])
-        plural = "" if cells == 1 else "s"
-        parts.append(
-            f"robots hold {_percent(held)} of each other's within {cells} cell{plural} (worst pair {worst})"
-        )
+        within = f"within {counted(cells, 'cell')}"
+        parts.append(f"robots hold {_percent(held)} of each other's {within} (worst pair {worst})")
     return [f"Walls: {'; '.join(parts)}."] if parts else []
 
 

@@ -30,6 +30,7 @@ from deploy.field.robot_plan import (
 from deploy.field.ros2_robot import Ros2Robot
 from deploy.field.running import running
 from deploy.record.field_records import FieldRecorder
+from deploy.record.number_texts import counted
 from protocol.errors import ProtocolError
 from protocol.nanoseconds import SECOND
 from protocol.signals import ending_signals, handled
@@ -169,7 +170,7 @@ class Mission:
         try:
             late = drive(self._field, self._step_ns, time.monotonic_ns, self._wait, self._is_over)
             if late:
-                self._say(f"{late} steps took longer than {self._settings.step_s:g} s")
+                self._say(f"{counted(late, 'step')} took longer than {self._settings.step_s:g} s")
         except StoppedError:
             pass
         finally:
@@ -202,7 +203,7 @@ class Mission:
         if self._done_steps >= finish:
             self._reason, self._is_complete = self._explored(), True
         elif step >= self._settings.steps:
-            self._reason = f"{step} steps are over"
+            self._reason = f"{counted(step, 'step')} {'is' if step == 1 else 'are'} over"
         return bool(self._reason)
 
     def _end_step(self, step: int, records: list[FrameRecord]) -> None:

@@ -133,7 +133,7 @@ SUMMARY = {
     "reconnected": "step and robot of each connection that was cut and restored",
     "returned": "step and robot of each restart after an unexpected death",
     "digest, versions": "hash of all results; versions of the code and its libraries, which equal digests require",
-    "tables": "SHA-256 of each parquet file, and of the scans that a recorded run has replayed",
+    "tables": "SHA-256 of each parquet file, of scenario and map, and of the scans that a recorded run has replayed",
     "wall_s, steps_per_s, work_us_median": "performance; not part of the result",
 }
 """Keys of ``summary.json`` and their meaning."""

@@ -28,8 +28,8 @@ from deploy.record.map_errors import (
     compare,
     share_correct,
 )
+from deploy.record.number_texts import counted, percent
 from deploy.record.records import Records
-from deploy.record.summary import percent
 from deploy.record.ticks import round_number
 from deploy.scenario.plan import Plan
 from protocol.grid import Grid
@@ -273,8 +273,3 @@ def _show(axes: Axes, cells: NDArray[np.uint8], palette: ListedColormap, world_m
         cells, cmap=palette, vmin=0, vmax=palette.N - 1, extent=extent, interpolation="nearest",
         interpolation_stage="rgba",
     )  # fmt: skip
-
-
-def counted(number: int, noun: str) -> str:
-    """A number with its noun in singular or plural."""
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

@@ -50,6 +50,7 @@ from worldsim.recorded import scan_file
 SCENARIO, SUMMARY, STEPS, LEDGER = "scenario.toml", "summary.json", "steps.parquet", "ledger.parquet"
 CAPTURE, NEW_CAPTURE = "radio.pcapng", ".radio.pcapng"
 MAP = "map.yaml"
+INPUTS = SCENARIO, MAP, "map.png"
 SCANS = "scans-{}.npz"
 PICTURE = "maps.png"
 PICTURES = "pictures"
@@ -67,7 +68,11 @@ REQUIRED_KEYS = (
 
 
 def check_free(out: Path | None) -> None:
-    """Raise ScenarioError if `out` cannot be used for a new run: it is a file, or not empty."""
+    """Raise ScenarioError if `out` cannot be used for a new run: it is a file, not empty, or its name not UTF-8."""
+    try:
+        str(out).encode()
+    except UnicodeEncodeError:
+        raise ScenarioError(f"out = {str(out)!r}: not UTF-8; use another name, or LC_ALL=C.UTF-8") from None
     if out is not None and out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise ScenarioError(f"out = {out}: already exists; name a new directory, or empty this one")
     if out is None and RUNS.exists() and not RUNS.is_dir():
@@ -219,6 +224,14 @@ def check_inputs(directory: Path, summary: dict[str, Any]) -> None:
             raise ScenarioError(f"{path}: has changed since the run: its SHA-256 is not that in {SUMMARY}")
 
 
+def changed_inputs(directory: Path, summary: dict[str, Any]) -> list[str]:
+    """Return the files from which a run is repeated whose SHA-256 is not that in its summary."""
+    digests = summary.get("tables")
+    known = digests if isinstance(digests, dict) else {}
+    present = (name for name in INPUTS if name in known and (directory / name).is_file())
+    return [name for name in present if sha256(directory / name) != known[name]]
+
+
 def load_writers() -> None:
     """Import what `write_results` needs: at the end of a run, an import could fail and lose the run."""
     from pyarrow import parquet  # noqa: F401, PLC0415
@@ -231,7 +244,7 @@ def write_results(
 ) -> None:
     """Write summary, tables, maps and their changes: each file that can be written.
 
-    If all of them are, the digests of the tables are added to the summary.
+    If all of them are, the digests of tables and inputs are added to the summary.
 
     Raises OSError at the end if one cannot be written, or if `failures` has a file that could not be written before;
     the error names all such files.
@@ -271,7 +284,7 @@ def write_results(
         unwritten = ", ".join(dict.fromkeys(str(error.filename) for error in failed))
         raise OSError(failed[0].errno, failed[0].strerror, unwritten)
     logs = plan.recording.logs if plan.recording is not None else ()
-    names = [*FILES, *(SCANS.format(number) for number in range(len(logs)))]
+    names = [*INPUTS, *FILES, *(SCANS.format(number) for number in range(len(logs)))]
     summary["tables"] = {name: sha256(out / name) for name in names if (out / name).is_file()}
     write_summary()
 

@@ -13,6 +13,7 @@ from deploy.record import map_quality, missed_phases
 from deploy.record.ledger_figures import budgets, duty_cycle, over_budget, per_kind, undelivered
 from deploy.record.map_code import map_code_figures
 from deploy.record.map_quality import Figures
+from deploy.record.number_texts import counted
 from deploy.record.records import Records
 from deploy.record.team_effort import longest_path_m, overlaps, report_at
 from deploy.record.versions import versions
@@ -22,9 +23,6 @@ from netshaper.ledger import sort_rows
 from protocol.grid import FREE, OCCUPIED, Grid, Mask
 from protocol.messages import End
 from worldsim.recorded.world import Stretch
-
-MARGIN = 1e-9
-"""Largest rounding error of a computed share."""
 
 TOO_EARLY = "stopped too early"
 """End of the reason of a run whose first robot to finish had seen too little."""
@@ -36,18 +34,12 @@ SCAN_VALUES, VALUE_BYTES = 362, 2
 """Size of a raw scan by the thesis' formula (section 6.3): 360 ranges and a position, sent to each teammate."""
 
 
-def percent(share: float, decimals: int = 1) -> str:
-    """A share as text, rounded; as 100 % only if it is complete."""
-    most = 100 - (10**-decimals if share < 1 - MARGIN else 0)
-    return f"{min(100 * share, most):.{decimals}f} %"
-
-
 def replayed(summary: dict[str, Any]) -> str:
     """Return how much of a log a recorded run has replayed, and whether teammates hold all maps."""
-    first = f"Replayed {summary['scans']} scans in {summary['steps']} steps"
+    first = f"Replayed {counted(summary['scans'], 'scan')} in {counted(summary['steps'], 'step')}"
     late = summary["steps_after_scans"]
     if summary["finished"]:
-        when = f"{late} steps after the last scan" if late else "in the step of the last scan"
+        when = f"{counted(late, 'step')} after the last scan" if late else "in the step of the last scan"
         return f"{first}; teammates held all maps {when}. {summary['bytes_per_scan']} B per scan."
     missing = f"teammates lack {summary['backlog']} log entries"
     return f"{first}, not finished: {summary['reason']}; {missing}."

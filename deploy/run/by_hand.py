@@ -6,6 +6,7 @@ compare theirs.
 
 from __future__ import annotations
 
+import hashlib
 import math
 import re
 import secrets
@@ -39,7 +40,8 @@ from netshaper.router import Router
 from protocol import keys as names
 from protocol.bus import BusClosed
 from protocol.keys import Keys
-from protocol.zenoh_bus import Credential, join
+from protocol.zenoh_bus import Credential, certificate_fault, join
+from worldsim.maps import Map
 
 STANDARD_INPUT = Path("-")
 
@@ -48,6 +50,8 @@ def serve_netshaper(
     scenario: Scenario, listen: str, folder: Path, notify: Callable[[str], object], keys: Path | None = None
 ) -> None:
     """Write credentials for a new run into `folder`, then serve as its hub and relay.
+
+    Raises ConnectionError if the run was broken off, as after the death of the world or the recorder.
 
     With `keys`, a directory that `murmur keys` made, participants authenticate with its certificates, else with
     passwords.
@@ -67,10 +71,12 @@ def serve_netshaper(
         endpoint = endpoint.replace("tcp/", "tls/", 1)
         credentials, certificate = certificates.credentials(run, endpoint, made), made[names.RELAY]
     with closing(open_hub(run, endpoint, credentials, certificate)) as bus:
-        _hand_out(credentials, folder)
+        _hand_out(credentials, folder, _map_digest(plan.map))
         (folder / run_directory.SCENARIO).write_text(scenario.to_toml(), encoding="utf-8")
         notify(f"run {run} at {endpoint}; credentials in {folder}: {', '.join(credentials)}")
-        relay(bus, run, plan.radio, scenario.reply_timeout_s, notify=notify)
+        fault = relay(bus, run, plan.radio, scenario.reply_timeout_s, notify=notify)
+    if fault:
+        raise ConnectionError(f"the run was broken off: {fault}")
 
 
 def serve_routing(credential: Path, listen: str, folder: Path, notify: Callable[[str], object]) -> None:
@@ -96,11 +102,11 @@ def _check_new(folder: Path) -> None:
         raise ScenarioError(f"credentials = {folder}: it exists already; name a new directory")
 
 
-def _hand_out(credentials: Mapping[str, Credential], folder: Path) -> None:
+def _hand_out(credentials: Mapping[str, Credential], folder: Path, map_digest: str = "") -> None:
     folder.mkdir(parents=True, exist_ok=True)
     code = code_digest(STARTERS)
     for name, credential in credentials.items():
-        replace(credential, code=code).write(folder / f"{name}.json")
+        replace(credential, code=code, map=map_digest).write(folder / f"{name}.json")
 
 
 def _endpoint(listen: str) -> str:
@@ -142,16 +148,18 @@ def serve_worldsim(scenario: Scenario, credential: Path) -> None:
     _check_same(scenario, credential)
     _load_kernels()
     plan = plans.make(scenario)
+    read = _credential(credential, names.WORLD)
+    _check_map(plan, read)
     limit = scenario.reply_timeout_s
     task = WorldTask(plan.make_world(), scenario.steps, 1000 * plan.map.resolution, reply_timeout_s=limit)
-    serve_world(_credential(credential, names.WORLD), task)
+    serve_world(read, task)
 
 
 def serve_robot(credential: Path) -> None:
     """Serve as the robot that the credential names; ``-`` is standard input."""
     if credential == STANDARD_INPUT:
         read = Credential.parse(sys.stdin.read(), "credential on standard input")
-        _check_code(read, "credential on standard input")
+        _check(read, "credential on standard input")
     else:
         read = _read(credential)
         beside = credential.parent / run_directory.SCENARIO
@@ -173,6 +181,7 @@ def serve_recorder(
     _check_same(scenario, credential)
     plan = plans.make(scenario, record_maps=True)
     read = _credential(credential, names.RECORDER)
+    _check_map(plan, read)
     run_directory.check_free(out)
     bus = join(read)
     interrupt = Interrupt(notify)
@@ -204,8 +213,9 @@ def serve_viewer(scenario: Scenario, credential: Path, out: Path, window: Window
     """Serve as a viewer: show a run and record it into `out`, from now to its end."""
     _check_same(scenario, credential)
     out.mkdir(parents=True, exist_ok=True)
-    task = ViewTask(plans.make(scenario), out, port=window.port)
-    serve(_credential(credential, names.VIEW), task, window.open)
+    plan, read = plans.make(scenario), _credential(credential, names.VIEW)
+    _check_map(plan, read)
+    serve(read, ViewTask(plan, out, port=window.port), window.open)
 
 
 def _load_kernels() -> None:
@@ -226,6 +236,20 @@ def _check_same(scenario: Scenario, credential: Path) -> None:
             )
 
 
+def _map_digest(world_map: Map) -> str:
+    """Return the digest of a map, which is the same on all hosts."""
+    place = f"{world_map.cells.shape} {world_map.resolution!r} {world_map.origin!r} "
+    return hashlib.sha256(place.encode() + world_map.cells.tobytes()).hexdigest()[:16]
+
+
+def _check_map(plan: Plan, read: Credential) -> None:
+    """Raise ScenarioError if the map is not that of the relay: files of one name may differ between hosts."""
+    if read.map not in ("", _map_digest(plan.map)):
+        raise ScenarioError(
+            f"map = {plan.scenario.map}: differs from the map of the relay: copy the same file to all hosts"
+        )
+
+
 def _without_folders(key: str, value: Any) -> Any:
     """Return a setting, paths as names of files."""
     if key == "map":
@@ -242,12 +266,17 @@ def _credential(path: Path, name: str) -> Credential:
 
 def _read(path: Path) -> Credential:
     read = Credential.read(path)
-    _check_code(read, f"credential {path}")
+    _check(read, f"credential {path}")
     return read
 
 
-def _check_code(read: Credential, where: str) -> None:
-    """Raise ScenarioError if the relay runs other code: messages could be misread, or the digest differ."""
+def _check(read: Credential, where: str) -> None:
+    """Raise ScenarioError if a hub would refuse the certificate, or the relay runs other code.
+
+    With other code, messages could be misread, or the digest differ.
+    """
+    if fault := certificate_fault(read):
+        raise ScenarioError(f"{where}: {fault}")
     here = code_digest(STARTERS)
     if read.code not in ("", here):
         raise ScenarioError(

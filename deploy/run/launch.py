@@ -20,7 +20,7 @@ from agent.journal import journal_name
 from deploy.dashboard.process import ViewTask
 from deploy.dashboard.watch import announced
 from deploy.record.map_history import MapHistory
-from deploy.record.records import RecorderNode, Records
+from deploy.record.records import NO_MAPS, RecorderNode, Records
 from deploy.run.gate import Gate
 from deploy.run.limits import out_of_memory
 from deploy.run.process_table import FORK_SERVER, UNKNOWN, ProcessTable
@@ -132,7 +132,7 @@ def run(
                 captures=capture is not None, may_return=plan.incarnations > 1,
             ),
             names.WORLD: partial(serve_world, rendezvous.credentials[names.WORLD], world, wrap),
-            **_robots(plan, rendezvous, fleet.robots if fleet is not None else set(), journals, wrap),
+            **_robots(plan, rendezvous, set(fleet.robots) if fleet is not None else set(), journals, wrap),
         }  # fmt: skip
         supervisor = _Supervisor(processes, table, fleet)
         stack.enter_context(announced(live, rendezvous.credentials[names.VIEW], port))
@@ -244,7 +244,10 @@ class _Supervisor:
                     self._fleet.give_up(names.robot(robot))
 
     def conclude(self, records: Records) -> None:
-        """End lost robots, wait for processes that leave, and remove the deaths that the end of the relay caused."""
+        """End lost robots, wait for processes that leave, and remove the deaths that the end of the relay caused.
+
+        Causes of losses then name the hosts of the robots.
+        """
         if records.end is not None and records.end.step < 0:
             time.sleep(POLL_S)  # the process ends a moment after it has left the bus
         self.end_lost(records.lost)
@@ -256,6 +259,9 @@ class _Supervisor:
             self._processes.forget_disconnected()
             if self._fleet is not None:
                 self._fleet.forget_disconnected(self.deaths)
+        for name, host in (self._fleet.robots if self._fleet is not None else {}).items():
+            if records.lost.get(names.number(name), NO_MAPS) != NO_MAPS:
+                records.lost[names.number(name)] += f"; it ran on host {host}"
 
 
 def _start_viewer(processes: ProcessTable, rendezvous: Rendezvous, show: Show) -> None:

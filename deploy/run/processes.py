@@ -126,8 +126,8 @@ def relay(
     waits: bool = True,
     captures: bool = True,
     may_return: bool = False,
-) -> None:
-    """Serve as the relay at an open hub until all participants have left.
+) -> str:
+    """Serve as the relay at an open hub until all participants have left; return why it has broken off the run.
 
     `pause_s` is the world's maximum pause between two steps. `notify` is called with the missing participants whenever
     they change. Unless the relay `waits`, the run ends if no participant joins within `reply_timeout_s`. Lost robots
@@ -154,6 +154,7 @@ def relay(
         if missing != reported:
             reported = missing
             notify(f"waiting for {', '.join(missing)}" if missing else "all participants have joined")
+    return node.fault or ""
 
 
 def work(bus: Bus, node: RelayNode | WorldNode) -> None:

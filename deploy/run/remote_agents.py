@@ -15,6 +15,7 @@ import os
 import select
 import signal
 import sys
+import time
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from io import RawIOBase
@@ -45,16 +46,16 @@ STARTERS = (
 
 
 def hello(plugins: Mapping[str, str]) -> dict[str, Any]:
-    """Return the first message to the launcher: the versions of Murmur, its code, its dependencies, and its plug-ins.
+    """Return the first message to the launcher: versions of Murmur and dependencies, its code, its plug-ins, its clock.
 
     `plugins` are those that the robots need, by setting. The message has digests of their code in ``plugins``, and in
-    ``missing`` why the others cannot be imported.
+    ``missing`` why the others cannot be imported. ``clock`` is in seconds since 1970, by which it judges certificates.
     """
     found = versions()
     digests, missing = plugin_checks.digests(plugins) if plugins else ({}, {})
     return {
         "murmur": found.pop("murmur-robots"), "code": code_digest(STARTERS), "versions": found, "plugins": digests,
-        "missing": missing,
+        "missing": missing, "clock": int(time.time()),
     }  # fmt: skip
 
 

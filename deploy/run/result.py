@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deploy.record import run_directory
+from deploy.record.number_texts import counted
 from deploy.record.pandas_tables import to_pandas
 from deploy.record.records import Records
 from deploy.record.summary import summarize
@@ -93,7 +94,8 @@ class Result:
         where = f", in {self.directory}" if self.directory is not None else ""
         share = f"coverage {summary['coverage']:.3f}, " if summary["coverage"] is not None else ""
         return (
-            f"<Result: {summary['robots']} robots on {summary['map']}, {ended} after {summary['steps']} steps, "
+            f"<Result: {counted(summary['robots'], 'robot')} on {summary['map']}, {ended} after "
+            f"{counted(summary['steps'], 'step')}, "
             f"{share}{summary['bytes']['total']} bytes{where}>"
         )
 

@@ -16,6 +16,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import IO, Annotated, Any, Self
 
@@ -43,7 +44,9 @@ NO_COMMAND = (126, 127)
 """Exit codes of a shell that cannot run the command."""
 UNREACHED = 255
 """Exit code of ssh if the connection fails."""
-
+DAY_S = 86_400
+CLOCK_BEHIND_S, CLOCK_AHEAD_S = DAY_S, 29 * DAY_S
+"""How far another host's clock may be behind or ahead, so that certificates are valid there for at least a day."""
 
 MAX_OUTPUT = 8 * MAX_LOG
 """Maximum bytes that a host sends, per robot: JSON and UTF-8 may lengthen its output."""
@@ -61,6 +64,8 @@ class _Hello(msgspec.Struct):
     """Digests of the code of plug-ins, by setting."""
     missing: dict[str, str] = {}
     """Why plug-ins cannot be imported, by setting."""
+    clock: Annotated[int, msgspec.Meta(ge=0, lt=2**35)] = 0
+    """The time there, in seconds since 1970."""
 
 
 class _Event(msgspec.Struct):
@@ -102,9 +107,9 @@ class Fleet:
         self._notify = notify
 
     @property
-    def robots(self) -> set[str]:
-        """Names of the robots on other hosts."""
-        return {robot for _, robots in self._placing for robot in robots}
+    def robots(self) -> dict[str, str]:
+        """The robots on other hosts, each with the name of its host."""
+        return {robot: host.name for host, robots in self._placing for robot in robots}
 
     def __enter__(self) -> Self:
         """Connect to all hosts.
@@ -238,6 +243,11 @@ class _Link:
             raise HostError(
                 f"{where}: has different code, Murmur {_printable(there.murmur)} ({_printable(there.code)}; "
                 f"here {here['murmur']}, {here['code']}): install the same version on both"
+            )
+        if not -CLOCK_BEHIND_S < there.clock - here["clock"] < CLOCK_AHEAD_S:
+            raise HostError(
+                f"{where}: its clock shows {_utc(there.clock)}, and that of this host {_utc(here['clock'])}: "
+                "the certificates of the run would not be valid there; set the clock"
             )
         for setting, digest in here["plugins"].items():
             if setting in there.missing:
@@ -439,6 +449,10 @@ def _connection(host: Host) -> list[str]:
     given = [part for option in host.options for part in ("-o", option)]
     port = ["-p", str(host.port)] if host.port is not None else []
     return ["ssh", *given, *port, host.target]
+
+
+def _utc(seconds: int) -> str:
+    return f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%d %H:%M} UTC"
 
 
 def _printable(text: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import re
 import socket
 import stat
 from collections.abc import Iterator
@@ -138,21 +139,36 @@ def test_the_hub_refuses_clients_without_a_certificate_or_with_one_of_another_ru
         certified.session(mixed, authority="not of this run")
 
 
-def test_a_refused_client_gets_possible_reasons(
-    certified: Certified, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_refused_client_gets_the_reason(certified: Certified, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("protocol.zenoh_bus.CONNECT_S", 0.4)
-    stranger = certificates.make(2, ["127.0.0.1"])["r1"]
-    with pytest.raises(
-        ConnectionError, match=r"r1: cannot join at tls/127.* the certificate is not valid for"
-    ):
-        join(Credential(KEYS.run, "r1", certified.endpoint, certificate=stranger))
+
+    def refused(certificate: Certificate, hub: str = certified.endpoint) -> str:
+        with pytest.raises(ConnectionError) as caught:
+            join(Credential(KEYS.run, "r1", hub, certificate=certificate))
+        return str(caught.value)
+
+    right, stranger = certified.certificates["r1"], certificates.make(2, ["127.0.0.1"])["r1"]
+    not_valid = "r1: cannot join at tls/127.* the certificate is not valid for its run .*"
+    assert re.match(
+        f"{not_valid} that of the hub is not valid \\(certificate signature failure", refused(stranger)
+    )
+    mixed = Certificate(right.authority, stranger.certificate, stranger.key)
+    assert re.match(f"{not_valid} the hub refuses it", refused(mixed))
+    elsewhere = certified.endpoint.replace("127.0.0.1", "localhost")
+    assert "the certificate of the hub names no localhost" in refused(right, elsewhere)
     expired = certificates.make(2, ["127.0.0.1"], days=0)["r1"]
-    with pytest.raises(
-        ConnectionError,
-        match=r"is valid from 20\S+ to 20\S+, and the clock of this host shows 20\S+; set the clock",
-    ):
-        join(Credential(KEYS.run, "r1", certified.endpoint, certificate=expired))
+    assert re.search(
+        r"is valid from 20\S+ to 20\S+, and the clock of this host shows 20\S+; set the clock",
+        refused(expired),
+    )
+    other = certified.certificates["r0"]
+    assert "its certificate is that of r0" in refused(other, "tls/127.0.0.1:1")
+    damaged = Certificate("", right.certificate, right.key)
+    assert "its certificate, or that of the authority, is damaged" in refused(damaged)
+    with closing(socket.create_server(("127.0.0.1", 0))) as silent:
+        monkeypatch.setattr("protocol.zenoh_bus.PROBE_S", 0.2)
+        hub = f"tls/127.0.0.1:{silent.getsockname()[1]}"
+        assert "the program does not use TLS" in refused(right, hub)
 
 
 @pytest.mark.parametrize(

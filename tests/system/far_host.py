@@ -1,8 +1,8 @@
 """Another host, for tests: a network namespace with an SSH server in it, behind a link that delays and loses.
 
 The link is two TUN devices, one in a namespace for each end, and a process between them that carries IP packets from
-one to the other: each later by the delay, some not at all. So it is the kernel's own TCP that meets delay and loss,
-also where the kernel has no netem.
+one to the other: each later by the delay, some not at all, and only so many bytes per second. So it is the kernel's own
+TCP that meets delay and loss, also where the kernel has no netem.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import contextlib
 import fcntl
 import heapq
 import itertools
+import math
 import os
 import random
 import select
@@ -34,6 +35,8 @@ TOOLS = ("ip", "ssh", "ssh-keygen", SSHD)
 _TUNSETIFF = 0x400454CA
 _IFF_TUN, _IFF_NO_PI = 0x0001, 0x1000
 _MTU = 1500
+QUEUE_S = 2.0
+"""Longest time for which a packet waits for those before it."""
 
 
 def why_not() -> str:
@@ -82,6 +85,16 @@ class FarHost:
         lines = [f"{key} = {value}" for key, value in settings.items()]
         return "\n".join([f'address = "{address}"', "[[host]]", *lines]) + "\n"
 
+    @contextlib.contextmanager
+    def vanished(self) -> Iterator[None]:
+        """Within the context, nothing that the far host sends arrives."""
+        route = "blackhole", f"{NEAR}/32"
+        _ip("-n", self.far, "route", "add", *route)
+        try:
+            yield
+        finally:
+            _ip("-n", self.far, "route", "del", *route)
+
     def processes(self) -> list[int]:
         """What runs in the far namespace, other than the SSH server."""
         found = subprocess.run(["ip", "netns", "pids", self.far], capture_output=True, text=True, check=True)
@@ -90,8 +103,10 @@ class FarHost:
 
 
 @contextlib.contextmanager
-def far_host(folder: Path, round_trip_ms: float = 0.0, loss: float = 0.0) -> Iterator[FarHost]:
-    """Make another host; `loss` is the share of packets that get lost, each way."""
+def far_host(
+    folder: Path, round_trip_ms: float = 0.0, loss: float = 0.0, bytes_per_s: float = math.inf
+) -> Iterator[FarHost]:
+    """Make another host; `loss` is the share of packets that get lost, each way, and `bytes_per_s` holds each way."""
     with contextlib.ExitStack() as stack:
         host = FarHost(f"murmur-near-{os.getpid()}", f"murmur-far-{os.getpid()}", folder)
         ends = []
@@ -109,23 +124,27 @@ def far_host(folder: Path, round_trip_ms: float = 0.0, loss: float = 0.0) -> Ite
                 ("link", "set", device, "mtu", str(_MTU), "up"),
             ):
                 _ip("-n", name, *words)
-        stack.enter_context(_link(ends, round_trip_ms / 2000, loss))
+        stack.enter_context(_link(ends, round_trip_ms / 2000, loss, bytes_per_s))
         stack.enter_context(_ssh_server(host))
         yield host
 
 
-def carry(ends: list[int], delay_s: float, loss: float) -> None:
-    """Carry packets between two TUN devices until killed."""
+def carry(ends: list[int], delay_s: float, loss: float, bytes_per_s: float) -> None:
+    """Carry packets between two TUN devices until killed; drop those that would wait for `QUEUE_S`."""
     draw = random.Random(0)
     order = itertools.count()
     under_way: list[tuple[float, int, int, bytes]] = []
+    is_free_at = dict.fromkeys(ends, 0.0)
     while True:
         wait = max(0.0, under_way[0][0] - time.monotonic()) if under_way else None
         for end in select.select(ends, [], [], wait)[0]:
             packet = os.read(end, 1 << 16)
             other = ends[1] if end == ends[0] else ends[0]
-            if draw.random() >= loss:
-                heapq.heappush(under_way, (time.monotonic() + delay_s, next(order), other, packet))
+            now = time.monotonic()
+            begins = max(now, is_free_at[other])
+            if draw.random() >= loss and begins < now + QUEUE_S:
+                is_free_at[other] = begins + len(packet) / bytes_per_s
+                heapq.heappush(under_way, (is_free_at[other] + delay_s, next(order), other, packet))
         while under_way and under_way[0][0] <= time.monotonic():
             *_, end, packet = heapq.heappop(under_way)
             with contextlib.suppress(OSError):  # the end is gone
@@ -133,8 +152,10 @@ def carry(ends: list[int], delay_s: float, loss: float) -> None:
 
 
 @contextlib.contextmanager
-def _link(ends: list[int], delay_s: float, loss: float) -> Iterator[None]:
-    script = f"from tests.system.far_host import carry; carry({ends}, {delay_s}, {loss})"
+def _link(ends: list[int], delay_s: float, loss: float, bytes_per_s: float) -> Iterator[None]:
+    script = (
+        f"from tests.system.far_host import carry; carry({ends}, {delay_s}, {loss}, float('{bytes_per_s}'))"
+    )
     process = subprocess.Popen([sys.executable, "-c", script], cwd=ROOT, pass_fds=ends)
     try:
         yield

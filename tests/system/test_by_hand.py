@@ -23,8 +23,10 @@ import pytest
 from deploy.run.by_hand import STANDARD_INPUT, serve_netshaper, serve_recorder, serve_robot, serve_worldsim
 from deploy.scenario.errors import ScenarioError
 from deploy.scenario.scenario import parse
-from netshaper import access
+from netshaper import access, certificates
+from protocol.zenoh_bus import Credential
 from tests.deploy.commands.office_floor import murmur
+from worldsim import generators, maps
 
 ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "docs" / "several-terminals.md").read_text(encoding="utf-8")
@@ -136,6 +138,22 @@ def test_ctrl_c_in_each_terminal_has_the_documented_effect(tmp_path: Path) -> No
     assert (tmp_path / "by-hand" / "maps.png").exists()
 
 
+def test_a_relay_says_why_it_has_broken_off_the_run(tmp_path: Path) -> None:
+    address = free_address()
+    by_hand = [command.replace(ADDRESS, address) for command in COMMANDS[:-1]]
+    netshaper, *_, recorder = by_hand
+    with terminals(tmp_path) as running:
+        (tmp_path / "hand.toml").write_text(SCENARIO + "speed = 0.005\n")  # not over before the recorder dies
+        for command in by_hand:
+            running[command] = start(command, tmp_path)
+            wait_for(tmp_path / "credentials" / "scenario.toml", running[netshaper])
+        wait_for(tmp_path / "by-hand" / "radio.pcapng", running[recorder], size=10_000)
+        running[recorder].kill()
+        _, faults = running[netshaper].communicate(timeout=PATIENCE_S)
+    assert running[netshaper].returncode == 3
+    assert faults == "murmur: the run was broken off: the recorder died\n"
+
+
 def test_a_robot_that_is_started_again_ends_and_counts_as_lost(tmp_path: Path) -> None:
     """Within three seconds, the relay takes the new process for the old one, whose connection was restored."""
     address = free_address()
@@ -175,6 +193,32 @@ def test_a_scenario_that_differs_from_the_relay_s_is_rejected_by_setting(tmp_pat
     assert not (tmp_path / "run").exists()
 
 
+def test_a_map_that_differs_from_the_relay_s_is_rejected(tmp_path: Path) -> None:
+    for host, seed in (("relay", 1), ("other", 2)):
+        (tmp_path / host).mkdir()
+        maps.save(
+            generators.make("office", seed=seed, width_m=10, height_m=10), tmp_path / host / "floor.yaml"
+        )
+    theirs, ours = (parse({"map": str(tmp_path / host / "floor.yaml")}) for host in ("relay", "other"))
+    credentials = tmp_path / "credentials"
+    with pytest.raises(StopServingError):
+        serve_netshaper(theirs, free_address(), credentials, stop_serving)
+    message = r"^map = \S*floor.yaml: differs from the map of the relay: copy the same file to all hosts$"
+    with pytest.raises(ScenarioError, match=message):
+        serve_worldsim(ours, credentials / "world.json")
+    with pytest.raises(ScenarioError, match=message):
+        serve_recorder(ours, credentials / "recorder.json", tmp_path / "run", None)
+    assert not (tmp_path / "run").exists()
+
+
+class StopServingError(Exception):
+    """The relay has written its credentials."""
+
+
+def stop_serving(_: str) -> None:
+    raise StopServingError
+
+
 def test_a_credential_of_a_relay_with_other_code_is_rejected(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -191,6 +235,18 @@ def test_a_credential_of_a_relay_with_other_code_is_rejected(
     monkeypatch.setattr("sys.stdin", io.StringIO((tmp_path / "r0.json").read_text()))
     with pytest.raises(ScenarioError, match=f"^credential on standard input: its {message}"):
         serve_robot(STANDARD_INPUT)
+
+
+@pytest.mark.parametrize(
+    ("days", "name", "fault"), [(0, "r0", r"valid from .*; set the clock"), (9, "r1", "of r0$")]
+)
+def test_a_certificate_that_a_hub_would_refuse_is_rejected_before_the_process_joins(
+    tmp_path: Path, days: int, name: str, fault: str
+) -> None:
+    certificate = certificates.make(2, ["127.0.0.1"], days=days)["r0"]
+    Credential("run", name, "tls/127.0.0.1:1", certificate=certificate).write(tmp_path / "robot.json")
+    with pytest.raises(ScenarioError, match=rf"^credential \S*robot.json: its certificate is .*{fault}"):
+        serve_robot(tmp_path / "robot.json")
 
 
 def test_a_relay_that_cannot_listen_leaves_no_credentials(tmp_path: Path) -> None:

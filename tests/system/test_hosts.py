@@ -110,6 +110,18 @@ def test_delay_and_loss_change_no_result_and_no_secret_is_on_a_command_line(
 
 
 @pytest.mark.long
+def test_a_link_of_16_kilobytes_per_second_changes_no_result(tmp_path: Path) -> None:
+    """On this map, two robots report 260 kB of map changes every five steps."""
+    with far_host(tmp_path, bytes_per_s=16_000) as far:
+        write_inputs(tmp_path, far, "steps = 8\n", robots="2")
+        with launched(tmp_path, far) as run:
+            output, faults = run.communicate(timeout=PATIENCE_S)
+    assert run.returncode == 1, faults
+    here = explore(load(tmp_path / "team.toml", {"bus": "memory"}), keep=False)
+    assert json.loads(output)["digest"] == here.summary["digest"]
+
+
+@pytest.mark.long
 def test_a_run_on_two_hosts_by_the_wall_clock_is_repeated_from_its_record(
     far: FarHost, tmp_path: Path
 ) -> None:
@@ -137,7 +149,7 @@ def test_a_far_robot_that_dies_is_named_with_its_host_and_the_others_finish(
         output, faults = run.communicate(timeout=PATIENCE_S)
     assert run.returncode == 3
     assert "r2 died: on far: killed by SIGKILL, no output" in faults
-    assert "robot 2 was lost: its process ended" in faults
+    assert re.search("^robot 2 was lost: its process ended.*; it ran on host far$", faults, re.M)
     assert list(json.loads(output)["lost"]) == ["2"]
     assert json.loads(output)["steps"] == STEPS + 10
     assert far.processes() == []
@@ -157,6 +169,22 @@ def test_a_lost_connection_is_reported_with_its_robots(far: FarHost, tmp_path: P
         _, faults = run.communicate(timeout=PATIENCE_S)
     assert run.returncode == 3
     assert re.search(r"^far died: .*; with it r0, r1, r2$", faults, re.M), faults
+    wait_until(lambda: far.processes() == [])
+
+
+@pytest.mark.long
+def test_a_host_that_vanishes_is_named_and_the_others_finish(far: FarHost, tmp_path: Path) -> None:
+    write_inputs(tmp_path, far, f"steps = {STEPS + 10}\n", robots="2")
+    with launched(tmp_path, far) as run:
+        wait_until(lambda: has_begun(tmp_path), run)
+        with far.vanished():
+            output, faults = run.communicate(timeout=PATIENCE_S)
+    assert run.returncode == 3
+    for robot in (0, 1):
+        assert re.search(
+            rf"^robot {robot} was lost: .*connection was cut.*; it ran on host far$", faults, re.M
+        )
+    assert json.loads(output)["steps"] == STEPS + 10
     wait_until(lambda: far.processes() == [])
 
 

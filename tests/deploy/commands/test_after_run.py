@@ -12,11 +12,12 @@ from typing import Any
 import pytest
 
 from deploy.record import run_directory
+from deploy.run import exploration
 from deploy.run.in_memory import MemoryRun
 from deploy.run.launch import Outcome
 from deploy.run.result import conclude
 from deploy.scenario import plan as plans
-from deploy.scenario.scenario import parse
+from deploy.scenario.scenario import load, parse
 from protocol import keys as names
 from protocol import rights
 from protocol.bus import Bus
@@ -47,6 +48,49 @@ def test_a_replay_lists_changed_settings_first(floor: str) -> None:
     assert result.exit_code == 1
     assert result.stderr.splitlines()[1] == "  robots: was 2, is 3"
     assert "map: " not in result.stderr
+
+
+def test_a_replay_that_differs_names_inputs_that_have_changed(floor: str) -> None:
+    explore(floor, "--steps", "4", "--seed", "7", "--out", "run")
+    scenario = Path("run/scenario.toml")
+    lines = scenario.read_text().splitlines(keepends=True)
+    scenario.write_text("".join(lines[: next(n for n, line in enumerate(lines) if line.startswith("steps"))]))
+    result = murmur("replay", "run")
+    assert result.exit_code == 1
+    assert result.stderr.splitlines()[-1] == "  run/scenario.toml has changed since the run"
+    assert "map.yaml" not in result.stderr
+
+
+def test_a_run_of_one_step_has_one_step_in_all_texts(floor: str) -> None:
+    explored = explore(floor, "--steps", "1", "--out", "run").stdout
+    assert "Not finished after 1 step: " in explored
+    assert murmur("replay", "run").stdout.startswith("Replay matches: 1 step, digest ")
+    assert murmur("report", "run").exit_code == 0
+    assert "Not finished after 1 step: " in Path("run/report.html").read_text()
+    again = exploration.explore(load(Path("run/scenario.toml")), keep=False)
+    assert " after 1 step, " in repr(again)
+
+
+def test_a_report_is_written_where_out_says_and_nothing_else_changes(floor: str) -> None:
+    for name, seed in (("run", "1"), ("other", "2")):
+        explore(floor, "--steps", "4", "--seed", seed, "--out", name)
+    before = {path: path.stat().st_mtime_ns for path in Path("run").rglob("*")}
+    for words, page in ((["run"], "page.html"), (["run", "other"], "both.html")):
+        result = murmur("report", *words, "--out", page)
+        assert (result.exit_code, result.stdout[: len(page)]) == (0, page), result.stderr
+        assert "<img" in Path(page).read_text()
+    assert {path: path.stat().st_mtime_ns for path in Path("run").rglob("*")} == before
+    assert murmur("report", "run", "--out", "missing/page.html").stderr.startswith(
+        "murmur: missing/page.html: No such"
+    )
+
+
+def test_errors_say_that_there_is_no_capture(floor: str) -> None:
+    Path("empty").mkdir()
+    missing, empty = murmur("capture", "missing"), murmur("capture", "empty")
+    assert (missing.exit_code, empty.exit_code) == (2, 2)
+    assert missing.stderr == "murmur: missing: neither a run directory nor a capture is there\n"
+    assert empty.stderr == "murmur: empty: not a run directory: radio.pcapng is missing\n"
 
 
 @pytest.mark.parametrize(
@@ -107,6 +151,7 @@ app(sys.argv[1:])
     [
         "explore --map floor.yaml --bus memory --out two --json",
         pytest.param("report run", marks=pytest.mark.long),
+        "export run --mcap",
     ],
 )
 def test_a_full_disk_is_named_with_the_file_and_ends_with_3(floor: str, words: str) -> None:
@@ -122,5 +167,6 @@ def test_a_full_disk_is_named_with_the_file_and_ends_with_3(floor: str, words: s
     assert (done.returncode, done.stdout) == (3, ""), done.stderr
     assert last.startswith("murmur: ")
     assert last.endswith("File too large")
+    assert last.startswith(("murmur: two/", "murmur: run/"))
     assert "Traceback" not in done.stderr
-    assert not list(Path("run").glob("pictures/*"))
+    assert not [*Path("run").glob("pictures/*"), *Path("run").glob("rosbag"), *Path("run").glob(".*")]

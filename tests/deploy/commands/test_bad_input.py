@@ -301,7 +301,7 @@ OTHERS = {
     "report full": "full: not a run directory: scenario.toml is missing",
     "export full --mcap": "full: not a run directory: scenario.toml is missing",
     "watch full": "full: no recording (run.rrd), and no run in progress",
-    "capture missing": "missing: No such file or directory",
+    "capture missing": "missing: neither a run directory nor a capture is there",
     "report [/x]": "[/x]: not a run directory: scenario.toml is missing",
     "capture torn.pcapng": "torn.pcapng: not a pcapng file",
     "capture torn.pcapng --json": "torn.pcapng: not a pcapng file",
@@ -393,6 +393,14 @@ def test_pipes_and_directories_are_no_input_files(desk: Path, words: str, kind: 
     assert "is a pipe, not a file" in result.stderr or kind == "directory"
     assert "irectory" in result.stderr or kind == "pipe"
     assert contents(desk).keys() - before.keys() <= {".it.parquet.lock"}
+
+
+def test_a_name_that_is_not_utf_8_is_refused_before_anything_is_written(desk: Path) -> None:
+    name = os.fsdecode(b"gr\xfcn")
+    result = murmur("explore", "--map", "room.yaml", "--robots", "1", "--bus", "memory", "--out", name)
+    assert result.exit_code == 2
+    assert result.stderr.startswith("murmur: out = 'gr\\udcfcn': not UTF-8; ")
+    assert not (desk / name).exists()
 
 
 def test_a_compiler_that_is_turned_off_is_reported(desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:

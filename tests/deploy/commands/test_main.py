@@ -103,8 +103,13 @@ def test_light_commands_import_no_compiler(words: tuple[str, ...], allowed: set[
     assert done.stdout.endswith("heavy: []\n")
 
 
-@pytest.mark.parametrize("module", ["typer", "rich", "pydantic", "numpy"])
-def test_ctrl_c_during_an_import_ends_the_command_with_a_message(tmp_path: Path, module: str) -> None:
+@pytest.mark.parametrize(
+    ("module", "number"),
+    [(name, signal.SIGINT) for name in ("typer", "rich", "pydantic", "numpy")] + [("numpy", signal.SIGTERM)],
+)
+def test_a_signal_during_an_import_ends_the_command_with_a_message(
+    tmp_path: Path, module: str, number: signal.Signals
+) -> None:
     # Short sleeps: Python handles a signal that arrives just before a sleep only after it.
     lines = ("import time", "print('importing', flush=True)", "for _ in range(6000):", "    time.sleep(0.01)")
     (tmp_path / f"{module}.py").write_text("\n".join(lines))
@@ -118,7 +123,7 @@ def test_ctrl_c_during_an_import_ends_the_command_with_a_message(tmp_path: Path,
     ) as started:
         assert started.stdout is not None
         assert started.stdout.readline() == "importing\n"
-        started.send_signal(signal.SIGINT)
+        started.send_signal(number)
         _, output = started.communicate(timeout=60)
     assert (started.returncode, output) == (130, "murmur: interrupted\n")
 

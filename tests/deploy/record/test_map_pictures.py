@@ -25,8 +25,9 @@ from deploy.record.map_errors import (
     share_correct,
 )
 from deploy.record.map_pictures import PAGE_SHAPE, maps_figure, mark_steps
+from deploy.record.number_texts import percent
 from deploy.record.records import Records
-from deploy.record.summary import percent, summarize
+from deploy.record.summary import summarize
 from deploy.run.in_memory import MemoryRun
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from tests.deploy.small_run import small_plan, small_run

@@ -94,6 +94,20 @@ def test_silent_host_times_out(monkeypatch: pytest.MonkeyPatch) -> None:
         pytest.fail("the host was accepted")
 
 
+@pytest.mark.parametrize("days", [-2, 40])
+def test_a_host_whose_clock_is_wrong_is_refused_because_certificates_would_not_be_valid_there(
+    days: int,
+) -> None:
+    there = hello({})
+    there["clock"] += days * 86_400
+    command = f"echo '{json.dumps(there)}'; cat; exit;"
+    message = (
+        r"host h0: its clock shows 20\S+ \S+ UTC, and that of this host 20\S+ \S+ UTC: .*; set the clock$"
+    )
+    with pytest.raises(HostError, match=message), Fleet(hosts(command), 3):
+        pytest.fail("the host was accepted")
+
+
 def test_other_versions_of_packages_cause_a_warning_only() -> None:
     there = hello({}) | {"versions": hello({})["versions"] | {"numpy": "1.0"}}
     command = f"echo '{json.dumps(there)}'; cat; exit;"
