@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import os
 import signal
 import sys
@@ -19,6 +20,7 @@ def main() -> None:
     """Run the command line; once a command is over, a signal does not change its exit code any more."""
     signal.signal(signal.SIGINT, _interrupt)
     _open_closed_streams()
+    _replace_unknown_characters()
     from deploy.commands.app import app  # noqa: PLC0415
 
     try:
@@ -35,6 +37,12 @@ def _open_closed_streams() -> None:
             null = open(os.devnull, "r+", encoding="utf-8")  # noqa: SIM115, PTH123  for the whole process
             os.set_inheritable(null.fileno(), True)
             setattr(sys, name, null)
+
+
+def _replace_unknown_characters() -> None:
+    """Print ``?`` for characters that the encoding of the output lacks, so that the results of a run are not lost."""
+    if isinstance(sys.stdout, io.TextIOWrapper) and not sys.stdout.encoding.lower().startswith("utf"):
+        sys.stdout.reconfigure(errors="replace")
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,11 +25,14 @@ from deploy.record.map_errors import (
     compare,
     share_correct,
 )
-from deploy.record.map_pictures import PAGE_SHAPE, maps_figure, mark_steps
+from deploy.record.map_pictures import PAGE_SHAPE, draw_map, maps_figure, mark_steps
 from deploy.record.records import Records
 from deploy.record.summary import percent, summarize
 from deploy.run.in_memory import MemoryRun
+from deploy.scenario import plan as plans
+from deploy.scenario.scenario import parse
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
+from tests.deploy.figure_checks import assert_text_fits
 from tests.deploy.small_run import small_plan, small_run
 
 pytestmark = pytest.mark.slow
@@ -128,3 +132,36 @@ def shown(panel: Axes) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
 @pytest.mark.parametrize(("last", "every"), [(1, 1), (9, 1), (40, 5), (154, 20), (1000, 100), (2001, 500)])
 def test_paths_have_about_ten_dots_at_round_steps(last: int, every: int) -> None:
     assert mark_steps(last) == every
+
+
+@pytest.mark.parametrize(("width", "height"), [(60, 700), (700, 60)], ids=["tall", "wide"])
+def test_titles_and_labels_fit_on_narrow_maps_with_long_names(
+    tmp_path: Path, width: int, height: int
+) -> None:
+    picture = tmp_path / f"{'the-plan-of-the-east-wing-of-the-hospital-' * 3}.png"
+    cells = np.zeros((height, width), np.uint8)
+    cells[1:-1, 1:-1] = 255
+    Image.fromarray(cells).save(picture)
+    settings = {
+        "map": str(picture),
+        "map_options": {"resolution": 0.1},
+        "robots": 4,
+        "steps": 3,
+        "bus": "memory",
+    }
+    plan = plans.make(parse(settings))
+    records = MemoryRun(plan).complete()
+    figure = maps_figure(plan, records, summarize(plan, records, 1.0))
+    for number in figure.axes[0].texts:
+        number.set_visible(False)  # robots that are close hide each other's numbers
+    assert_text_fits(figure)
+    draw_map(tmp_path / "map.png", plan.map)
+    with Image.open(tmp_path / "map.png") as drawn_map:
+        assert max(drawn_map.size) < 2000
+
+
+def test_text_in_the_color_of_a_robot_is_readable_on_white() -> None:
+    for robot in range(30):
+        parts = np.array(colors.text_color(robot)) / 255
+        linear = np.where(parts <= 0.03928, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+        assert 1.05 / (linear @ (0.2126, 0.7152, 0.0722) + 0.05) > 2.9
