@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -165,3 +166,23 @@ def test_text_in_the_color_of_a_robot_is_readable_on_white() -> None:
         parts = np.array(colors.text_color(robot)) / 255
         linear = np.where(parts <= 0.03928, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
         assert 1.05 / (linear @ (0.2126, 0.7152, 0.0722) + 0.05) > 2.9
+
+
+VISIONS = {
+    "common": np.eye(3),
+    "deuteranopia": np.array([[0.367, 0.861, -0.228], [0.280, 0.673, 0.047], [-0.012, 0.043, 0.969]]),
+    "protanopia": np.array([[0.152, 1.053, -0.205], [0.115, 0.786, 0.099], [-0.004, -0.048, 1.052]]),
+    "tritanopia": np.array([[1.256, -0.077, -0.179], [-0.078, 0.931, 0.148], [0.005, 0.691, 0.304]]),
+}
+"""How linear RGB appears with each kind of color vision (Machado, Oliveira, and Fernandes 2009, severity 1)."""
+XYZ = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
+
+
+@pytest.mark.parametrize("vision", VISIONS)
+def test_color_blind_readers_distinguish_the_robots_of_small_teams(vision: str) -> None:
+    parts = np.array(colors.ROBOTS[:6]) / 255
+    linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+    x, y, z = np.cbrt(XYZ @ np.clip(VISIONS[vision] @ linear.T, 0, 1) / [[0.9505], [1.0], [1.089]])
+    lab = np.array([116 * y - 16, 500 * (x - y), 200 * (y - z)]).T
+    apart = [float(np.linalg.norm(one - other)) for one, other in combinations(lab, 2)]
+    assert min(apart) > 15
