@@ -62,6 +62,8 @@ class Robot:
         """The self-explored grid."""
         self.planning: Grid = self.own.copy()
         """The planning grid: the self-explored one merged with teammates' maps."""
+        self.explorable: Grid = self.planning
+        """The planning grid as the strategy sees it, without frontiers that are left unexplored."""
         self._noisy_grid = None
         if settings.laser is not None:
             radius, shortest = settings.body.radius_cells, shortest_frontier(settings.bodies)
@@ -197,9 +199,10 @@ class Robot:
             raise RuntimeError("assess before the first perceive")
         self.planning = self._encoding.merge(self.own, self._team.in_range)
         self._report_false_maps()
+        self.explorable = self._without_ignored_frontiers(sense)
         return self._team.situation(
             sense,
-            self._explorable(sense),
+            self.explorable,
             log_entries=self.replication.own_log.length,
             backlog=self.replication.undelivered(),
         )
@@ -228,8 +231,8 @@ class Robot:
             points_to_bytes(decision.points[:MAX_WAY_CELLS]),
         )
 
-    def _explorable(self, sense: Sense) -> Grid:
-        """Return the planning grid as the strategy sees it."""
+    def _without_ignored_frontiers(self, sense: Sense) -> Grid:
+        """Return the planning grid without the frontiers that are small, or due to errors of the sensors."""
         grid = self.planning
         if self._noisy_grid is not None:
             self._noisy_grid.drive(sense.x, sense.y)

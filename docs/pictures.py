@@ -99,9 +99,9 @@ def sent(runs: dict[str, list[Step]]) -> plt.Figure:
                 axes.bar(numbers, size, bottom=below, label=group.label, color=_rgb(group.color), width=1.0)
                 below += size
         axes.axhline(BUDGET, color=_rgb(ALARM), linewidth=1)
-        axes.set(xlim=(0.5, len(taken) + 0.5), ylim=(0, 1.35 * BUDGET), ylabel="bytes transmitted")
+        axes.set(xlim=(0.5, len(taken) + 0.5), ylim=(0, 1.7 * BUDGET), ylabel="bytes transmitted")
         axes.set_title(f"{title}: {below.mean():.0f} bytes per step", loc="left")
-        axes.legend(frameon=False, loc="upper right", ncols=5)
+        axes.legend(frameon=False, loc="upper right", ncols=3)
         axes.spines[["top", "right"]].set_visible(False)
     panels[-1].set_xlabel("step")
     return figure
@@ -116,7 +116,7 @@ def gallery(path: Path) -> None:
     plans = {name: plan.make(parse(scenario | {"strategy": name})) for name in strategies()}
     rows = -(-len(plans) // 4)
     figure, panels = plt.subplots(
-        rows, 4, figsize=(14.4, 4 * rows), sharex=True, sharey=True, layout="constrained"
+        rows, 4, figsize=(14.4, 3.1 * rows), sharex=True, sharey=True, layout="constrained"
     )
     for axes, (name, made) in zip(panels.flat, plans.items(), strict=False):
         records = MemoryRun(made).complete()

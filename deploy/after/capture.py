@@ -66,10 +66,11 @@ class Totals:
     """Totals of the frames shown.
 
     `carried`: (packets, bytes) by kind, as in the summary of a run. `refused`: (frames, bytes) by verdict, because the
-    capture stores only the beginning of these frames.
+    capture stores only the beginning of these frames. `unreadable`: bytes of carried frames that are no packets.
     """
 
     frames: int = 0
+    unreadable: int = 0
     carried: dict[str, tuple[int, int]] = field(default_factory=dict)
     refused: dict[str, tuple[int, int]] = field(default_factory=dict)
 
@@ -77,6 +78,7 @@ class Totals:
         """Add a frame, with the counts of its packets."""
         self.frames += 1
         if on_air(frame.cause):
+            self.unreadable += len(frame.payload) - sum(size for _, size in count(frame.payload).values())
             for kind, (number, size) in counts.items():
                 before = self.carried.get(kind, (0, 0))
                 self.carried[kind] = (before[0] + number, before[1] + size)
@@ -144,6 +146,11 @@ def lines(path: Path, wanted: Filter, *, every_packet: bool) -> Iterator[str]:
                 for piece, packet in _decoded(frame.payload):
                     yield f"{'':42}{packet.name:<7}{_describe(piece, packet)}"
         yield from _total_lines(totals)
+        if totals.unreadable:
+            yield (
+                f"{totals.unreadable} bytes of carried frames are not readable, and not in these totals: packets "
+                f"are malformed, or another version of Murmur wrote the capture."
+            )
         if reader.torn:
             yield f"The last {reader.torn} bytes are an incomplete block: the run was killed."
 

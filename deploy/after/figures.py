@@ -2,7 +2,7 @@
 
 maps over time     planning maps, and the outlines that each robot sends (Figure A.2)
 approximation      one robot's own map and its approximation over time (Figure 4.8)
-channel load       explored area over time; transmitted bytes, bytes over the budget and undelivered log entries
+channel load       explored area over time; transmitted bytes, bytes without budget and undelivered log entries
                    (Figures 6.17, 6.18)
 """
 
@@ -16,12 +16,14 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike, NDArray
 
 from deploy.after.archive import Archive
 from deploy.dashboard.shapes import outline_strips
-from deploy.record.colors import GROUPS
+from deploy.record.colors import GROUPS, text_color
 from deploy.record.map_pictures import rgb, robot_rgb, save, show_grid
+from deploy.record.number_texts import percent
 from protocol.budget import WORD_FOR_UNLIMITED
 from protocol.grid import FREE
 
@@ -31,8 +33,12 @@ MOST_ROBOTS = 8
 MOST_CURVES = 10
 """Maximum number of robots with a curve each."""
 MOMENTS = 6
+LEAST_WIDTH = 3.6
+"""Inches of the picture of maps over time at least: as wide as its title."""
 LEAST_ROW = 0.75
 """Inches of a row in the picture of maps over time at least: as high as the label beside it."""
+MOST_ROW, LEAST_COLUMN = 5.0, 0.75
+"""Inches of a row of maps at most, which matters for tall maps, and of a column at least, as wide as its title."""
 COMPARED = ("#20242a", "#d9730d", "#1f77b4", "#2ca02c")
 """Colors of compared runs."""
 RED = "#d62728"
@@ -60,7 +66,9 @@ def maps_over_time(archive: Archive) -> Figure:
     moments = _moments(archive.last_step)
     shape = archive.plan.map.height / archive.plan.map.width
     wide = max(1.45, 11 / len(robots)) if len(robots) > 3 else 3.2
-    size = wide * len(robots) + 0.4, (max(wide * shape, LEAST_ROW) + 0.1) * len(moments) + 0.7
+    wide = max(min(wide, MOST_ROW / shape), LEAST_COLUMN)
+    row = min(max(wide * shape, LEAST_ROW), MOST_ROW)
+    size = max(wide * len(robots) + 0.4, LEAST_WIDTH), (row + 0.1) * len(moments) + 0.7
     figure = Figure(figsize=size, layout="constrained")
     axes = np.atleast_2d(figure.subplots(len(moments), len(robots), squeeze=False))
     for row, step in enumerate(moments):
@@ -74,9 +82,15 @@ def maps_over_time(archive: Archive) -> Figure:
             panel.set(xticks=[], yticks=[], xlabel="")
         axes[row, 0].set_ylabel(f"step {step}")
     for robot in robots:
-        axes[0, robot].set_title(f"robot {robot}", color=robot_rgb(robot))
-    sent = ", and (red) the approximation that it sends" if archive.maps.maps_held(0) else ""
-    figure.suptitle(f"Each robot's planning map{sent}")
+        axes[0, robot].set_title(f"robot {robot}", color=rgb(text_color(robot)), fontsize=min(12, 10 * wide))
+    every = archive.plan.scenario.robots
+    whose = (
+        "Each robot's planning map"
+        if len(robots) == every
+        else f"Planning maps of robots 0 to {robots[-1]} of {every}"
+    )
+    sent = ",\nand (red) the approximation that a robot sends" if archive.maps.maps_held(0) else ""
+    figure.suptitle(f"{whose}{sent}")
     return figure
 
 
@@ -87,7 +101,7 @@ def approximation(archive: Archive) -> Figure:
     """
     moments = _moments(archive.last_step)
     shape = archive.plan.map.height / archive.plan.map.width
-    figure = Figure(figsize=(11, 2 * (11 / 3 * shape + 0.3) + 0.6), layout="constrained")
+    figure = Figure(figsize=(11, 2 * (min(11 / 3 * shape, MOST_ROW) + 0.3) + 0.6), layout="constrained")
     for panel, step in zip(figure.subplots(2, 3).ravel(), moments, strict=False):
         own = archive.maps.own(0, step)
         if own is None:
@@ -102,7 +116,7 @@ def approximation(archive: Archive) -> Figure:
 
 
 def channel_load(archive: Archive) -> Figure:
-    """Draw the explored area over time; below it, the use of the budget by traffic type, and queued data.
+    """Draw the explored area over time; below it, the use of the budget by traffic type, and what was not transmitted.
 
     Teams of up to `MOST_CURVES` robots have a curve per robot; larger ones have the median, the middle half and the
     extremes.
@@ -114,10 +128,8 @@ def channel_load(archive: Archive) -> Figure:
     packets = _draw_waiting(wait, archive)
     for axes in (load, wait, packets):
         axes.set_ylim(0, max(1.0, axes.get_ylim()[1]))
-    explored.set_ylim(0, 102)
     for panel, other in ((explored, None), (load, None), (wait, packets)):
         panel.grid(alpha=0.25)
-        panel.margins(x=0)
         lines, labels = panel.get_legend_handles_labels()
         if other is not None:
             more_lines, more_labels = other.get_legend_handles_labels()
@@ -127,7 +139,14 @@ def channel_load(archive: Archive) -> Figure:
                 lines, labels, loc="upper left", bbox_to_anchor=(1.1, 1.03), fontsize=8, frameon=False
             )
     wait.set_xlabel("step")
+    show_steps(wait, archive.last_step)
     return figure
+
+
+def show_steps(panel: Axes, last: int) -> None:
+    """Set the limits of an axis of steps, from the left of the bar of step 1 to the right of the last one."""
+    panel.set_xlim(0.5, last + 0.5)
+    panel.xaxis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 5, 10], integer=True, min_n_ticks=1))
 
 
 def compared(archives: dict[str, Archive]) -> Figure:
@@ -138,10 +157,12 @@ def compared(archives: dict[str, Archive]) -> Figure:
     for number, (name, archive) in enumerate(archives.items()):
         color = COMPARED[number % len(COMPARED)]
         steps, at = np.unique(archive.steps["step"], return_index=True)
-        explored.plot(steps, 100 * archive.steps["team_seen"][at], color=color, linewidth=2, label=name)
+        explored.plot(
+            steps, 100 * archive.steps["team_seen"][at], _mark(archive), color=color, linewidth=2, label=name
+        )
         carried = _per_step(archive.ledger, archive.ledger["carried"].astype(bool), archive.last_step)
-        load.step(np.arange(1, len(carried) + 1), carried, color=color, linewidth=1, where="mid",
-                  label=f"{name}: {carried.sum():,} B in total")  # fmt: skip
+        load.stairs(carried, _edges(archive), color=color, linewidth=1, baseline=None,
+                    label=f"{name}: {carried.sum():,.0f} B in total")  # fmt: skip
     if len(budgets) == 1 and WORD_FOR_UNLIMITED not in budgets:
         load.axhline(float(*budgets), color=RED, linewidth=1.2, label="budget")
     explored.set(title="Explored", ylabel="% of reachable area, seen by the team", ylim=(0, 102))
@@ -149,8 +170,8 @@ def compared(archives: dict[str, Archive]) -> Figure:
     load.set(title="Transmitted", xlabel="step", ylabel="bytes per step", ylim=ylim)
     for panel in (explored, load):
         panel.grid(alpha=0.25)
-        panel.margins(x=0)
         panel.legend(loc="lower right" if panel is explored else "best", fontsize=9)
+    show_steps(load, max(archive.last_step for archive in archives.values()))
     return figure
 
 
@@ -158,7 +179,14 @@ def draw_explored(panel: Axes, archive: Archive) -> None:
     """Draw the area that the team has seen over time, and the area on each robot's map."""
     first = archive.steps
     steps, at = np.unique(first["step"], return_index=True)
-    panel.plot(steps, 100 * first["team_seen"][at], color="black", linewidth=2.2, label="seen by the team")
+    panel.plot(
+        steps,
+        100 * first["team_seen"][at],
+        _mark(archive),
+        color="black",
+        linewidth=2.2,
+        label="seen by the team",
+    )
     reachable = archive.plan.reachable
     curves: Curves = {}
     for robot in range(archive.plan.scenario.robots):
@@ -166,64 +194,81 @@ def draw_explored(panel: Axes, archive: Archive) -> None:
         grids = [archive.maps.planning(robot, step) for step in changed]
         known = [100 * float((grid[reachable] == FREE).mean()) for grid in grids if grid is not None]
         curves[robot] = _per_lived_step(archive, robot, changed, known)
-    _draw_curves(panel, curves, "on the map of")
-    panel.set(title="Explored", ylabel="% of reachable area")
+    _draw_curves(panel, curves, "on the map of", _mark(archive))
+    panel.set(title="Explored", ylabel="% of reachable area", ylim=(0, 102))
 
 
 def draw_load(panel: Axes, archive: Archive) -> None:
     """Draw transmitted bytes by traffic type and step, and their share of the budget."""
-    ledger, last = archive.ledger, archive.last_step
-    steps = np.arange(1, last + 1)
+    ledger, last, edges = archive.ledger, archive.last_step, _edges(archive)
     carried = {
         name: _per_step(ledger, np.isin(ledger["kind"], group.kinds) & ledger["carried"], last)
         for name, group in GROUPS.items()
     }
     shown = {name: values for name, values in carried.items() if values.any()}
-    if shown:
-        panel.stackplot(
-            steps, *shown.values(), labels=[GROUPS[name].label for name in shown],
-            colors=[rgb(GROUPS[name].color) for name in shown], step="mid", linewidth=0,
+    below = np.zeros(last)
+    for name, values in shown.items():
+        panel.stairs(
+            below + values, edges, baseline=below, fill=True, color=rgb(GROUPS[name].color), linewidth=0,
+            label=GROUPS[name].label,
         )  # fmt: skip
+        below = below + values
     budgets = archive.budgets[1:]
     title = "Transmitted"
     if np.isfinite(budgets).any():
         few = f": {budgets[0]:.0f} bytes per step" if len(set(budgets.tolist())) == 1 else ""
-        panel.step(steps, budgets, where="mid", color=RED, linewidth=1.2, label=f"budget{few}")
+        panel.stairs(budgets, edges, baseline=None, color=RED, linewidth=1.2, label=f"budget{few}")
     if np.isfinite(budgets).all():
         used = sum(values.sum() for values in carried.values()) / max(1.0, budgets.sum())
-        title += f": {100 * used:.0f} % of the budget"
+        title += f": {percent(used, 0)} of the budget"
     if len(set(budgets.tolist())) == 1 and 0 < budgets[0] < math.inf:
-        percent = budgets[0] / 100
-        scales = (lambda size: size / percent), (lambda share: share * percent)
+        hundredth = budgets[0] / 100
+        scales = (lambda size: size / hundredth), (lambda share: share * hundredth)
         share = panel.secondary_yaxis("right", functions=scales)
         share.set_ylabel("% of the budget")
     panel.set(title=title, ylabel="bytes per step")
 
 
 def _draw_waiting(panel: Axes, archive: Archive) -> Axes:
-    """Draw bytes over the budget, and each robot's undelivered log entries on a second axis, which is returned."""
-    last = archive.last_step
-    cut = _per_step(archive.ledger, archive.ledger["cause"] == "budget", last)
-    steps = np.arange(1, last + 1)
-    panel.fill_between(steps, cut, step="mid", color="#c9ccd1", label="bytes over the step's budget")
-    panel.set(title="Queued", ylabel="bytes per step")
+    """Draw bytes without budget, and each robot's undelivered log entries on a second axis, which is returned.
+
+    With gossip, poses and targets have a share of the budget, so that some are refused although budget is left.
+    """
+    cut = _per_step(archive.ledger, archive.ledger["cause"] == "budget", archive.last_step)
+    shares = "\nor the share of poses and targets" if archive.plan.radio.gossip else ""
+    panel.stairs(
+        cut, _edges(archive), fill=True, color="#c9ccd1", label=f"bytes over the step's budget{shares}"
+    )
+    panel.set(title="Not transmitted", ylabel="bytes per step")
     entries = panel.twinx()
     rows = {robot: archive.of_robot(robot) for robot in range(archive.plan.scenario.robots)}
     backlogs = {
         robot: _per_lived_step(archive, robot, own["step"], own["backlog"]) for robot, own in rows.items()
     }
-    _draw_curves(entries, backlogs, "log entries of")
+    _draw_curves(entries, backlogs, "log entries of", _mark(archive))
     entries.set_ylabel("undelivered log entries")
     return entries
 
 
-def _draw_curves(panel: Axes, curves: Curves, label: str) -> None:
+def _edges(archive: Archive) -> NDArray[np.float64]:
+    """The edges between the bars of steps."""
+    return np.arange(archive.last_step + 1, dtype=np.float64) + 0.5
+
+
+def _mark(archive: Archive) -> str:
+    """The format of curves: a line, or a dot for a run of one step."""
+    return "-" if archive.last_step > 1 else "o"
+
+
+def _draw_curves(panel: Axes, curves: Curves, label: str, mark: str) -> None:
     """Draw a curve per robot, or the distribution over many robots."""
     table = np.stack(list(curves.values()))
     every = np.arange(1, table.shape[1] + 1)
     if len(curves) <= MOST_CURVES:
         for robot, values in curves.items():
-            panel.plot(every, values, color=robot_rgb(robot), linewidth=1.0, label=f"{label} robot {robot}")
+            panel.plot(
+                every, values, mark, color=robot_rgb(robot), linewidth=1.0, label=f"{label} robot {robot}"
+            )
         return
     known = np.isfinite(table).any(axis=0)
     shares = np.full((5, len(every)), np.nan)
@@ -233,7 +278,7 @@ def _draw_curves(panel: Axes, curves: Curves, label: str) -> None:
     every_robot = f"{label} all {len(curves)} robots"
     panel.fill_between(every, low, high, color=color, alpha=0.13, linewidth=0, label=every_robot)
     panel.fill_between(every, lower, upper, color=color, alpha=0.3, linewidth=0, label="middle half")
-    panel.plot(every, middle, color=color, linewidth=1.4, label="median")
+    panel.plot(every, middle, mark, color=color, linewidth=1.4, label="median")
 
 
 def _per_lived_step(archive: Archive, robot: int, steps: ArrayLike, values: ArrayLike) -> NDArray[np.float64]:

@@ -14,6 +14,8 @@ from worldsim.maps import Map
 
 SMALL = 10
 """Points of the letters of axes and legend."""
+LABEL = 40
+"""Points from the label of a tick to that of the next at least."""
 GAP = 22
 """Points between two entries of the legend."""
 
@@ -26,13 +28,15 @@ def draw_axes(draw: ImageDraw.ImageDraw, world: Map, at: Pixel, size: Pixel, sca
     per_meter = wide / (world.width * world.resolution)
     x0, y0 = world.origin[:2]
     letters, tick = font(round(SMALL * scale)), round(4 * scale)
-    across = tick_values(x0, x0 + world.width * world.resolution, 6)
+    across = tick_values(x0, x0 + world.width * world.resolution, max(1, min(6, wide / (LABEL * scale))))
     for x in across:
         column = left + per_meter * (x - x0)
         draw.line([(column, top + tall), (column, top + tall + tick)], GREY, 1)
         text = f"{x:g} m" if x == across[-1] else f"{x:g}"
         draw.text((column, top + tall + 1.5 * tick), text, INK, letters, "ma")
-    up = tick_values(y0, y0 + world.height * world.resolution, max(2, round(6 * tall / wide)))
+    up = tick_values(
+        y0, y0 + world.height * world.resolution, max(1, min(6 * tall / wide, tall / (LABEL * scale)))
+    )
     for y in up:
         row = top + tall - per_meter * (y - y0)
         draw.line([(left - tick, row), (left, row)], GREY, 1)

@@ -19,10 +19,11 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from deploy.after.archive import Archive
-from deploy.after.figures import draw_explored, draw_load
+from deploy.after.figures import draw_explored, draw_load, show_steps
 from deploy.after.frame_legend import draw_axes, draw_legend, font
-from deploy.record.colors import CELLS, GREY, IN_RANGE, INK, PAPER, SIGNAL, mix, robot_color
-from deploy.record.number_texts import counted
+from deploy.record.colors import CELLS, GREY, IN_RANGE, INK, PAPER, SIGNAL, mix, robot_color, text_color
+from deploy.record.map_pictures import shortened
+from deploy.record.number_texts import counted, percent
 from protocol.grid import FREE, UNKNOWN, Grid, Mask
 from worldsim.maps import to_cell
 
@@ -35,6 +36,8 @@ WORLD_SHARE, CHARTS_SHAPE = 0.44, 0.21
 """Width of the true map / width of the frame; height / width of the curves."""
 FINE = 2
 """Factor by which lines are drawn larger before they are reduced, to smooth them."""
+MANY_LINKS = 30
+"""More links with data are drawn thin, so that they do not hide the robots' paths."""
 VEIL = 0.32
 """Opacity of the gray over cells that no robot knows."""
 
@@ -113,7 +116,8 @@ class Frames:
         limit = scenario.bandwidth
         medium = limit if isinstance(limit, str) else f"{limit} bytes per step"
         title = (
-            f"{self._archive.summary['map']}: {counted(scenario.robots, 'robot')}, {scenario.strategy}, "
+            f"{shortened(self._archive.summary['map'])}: {counted(scenario.robots, 'robot')}, "
+            f"{shortened(scenario.strategy, 20)}, "
             f"{scenario.map_encoding}, {medium}"
         )
         draw.text((px(MARGIN), px(24)), title, INK, font(px(15)), "lm")
@@ -123,8 +127,11 @@ class Frames:
         plan = self._archive.plan
         what = "the building" if plan.recording is None else "the map of all scans"
         what = what if plan.has_truth else "the team's map at the end"
-        label = f"{what}: {100 * seen:.0f} % seen"
-        draw.text((self._world_at[0], px(HEAD + LABEL / 2)), label, INK, font(px(12)), "lm")
+        letters = font(px(12))
+        for label in (f"{what}: {percent(seen, 0)} seen", f"{percent(seen, 0)} seen", percent(seen, 0)):
+            if letters.getlength(label) <= self._world_size[0]:
+                break
+        draw.text((self._world_at[0], px(HEAD + LABEL / 2)), label, INK, letters, "lm")
 
     def _draw_robots_maps(self, frame: Image.Image, draw: ImageDraw.ImageDraw, step: int) -> Mask:
         """Draw each robot's map; return the cells that any robot knows."""
@@ -141,9 +148,9 @@ class Frames:
             draw.rectangle(
                 (left - 1, top - 1, left + picture.width, top + picture.height), outline=mix(GREY, PAPER, 0.4)
             )
-            text = f"robot {robot}: {100 * share:.0f} %" if self._panel_width > px(110) else f"{robot}"
+            text = f"robot {robot}: {percent(share, 0)}" if self._panel_width > px(110) else f"{robot}"
             letters = font(px(12 if self._panel_width > px(60) else 9))
-            draw.text((left, top - px(LABEL / 2)), text, robot_color(robot), letters, "lm")
+            draw.text((left, top - px(LABEL / 2)), text, text_color(robot), letters, "lm")
             if robot in here:
                 x, y = self._cell(rows["x"][here[robot]], rows["y"][here[robot]])
                 size = self._panel_width / self._archive.plan.map.width
@@ -188,7 +195,7 @@ class Frames:
         }
         for color, width, pairs in (
             (IN_RANGE, thin, self._archive.in_range(step) - busy),
-            (SIGNAL, 2 * thin, busy),
+            (SIGNAL, 2 * thin if len(busy) <= MANY_LINKS else thin, busy),
         ):
             for pair in sorted(pairs):
                 draw.line([places[robot] for robot in pair], color, width)
@@ -221,8 +228,7 @@ class Frames:
         frame.paste(charts, (0, self._charts_top))
         draw = ImageDraw.Draw(frame, "RGBA")
         for left, right, top, bottom in spans:
-            last = max(1, self.last_step)
-            x = min(right, left + (right - left) * (step - 1) / max(1, last - 1))  # rounding may exceed it
+            x = min(right, left + (right - left) * (step / self.last_step))  # rounding may exceed it
             up, down = self._charts_top + top, self._charts_top + bottom
             draw.rectangle((x, up, right, down), (255, 255, 255, 205))
             draw.line([(x, up), (x, down)], (*INK, 255), max(1, self._px(1.4)))
@@ -238,10 +244,10 @@ class Frames:
             draw_explored(explored, self._archive)
             draw_load(load, self._archive)
             for panel in (explored, load):
-                panel.set_xlim(1, max(2, self.last_step))
-                panel.set_ylim(0, max(1.0, panel.get_ylim()[1]))
+                show_steps(panel, self.last_step)
                 panel.grid(alpha=0.25)
                 panel.set_xlabel("step")
+            load.set_ylim(0, max(1.0, load.get_ylim()[1]))
             explored.set(title="Explored: by the team (thick), and on each robot's map", ylabel="%")
             handles, labels = load.get_legend_handles_labels()
             figure.legend(handles, labels, loc="outside lower right", ncols=len(labels), frameon=False)

@@ -29,7 +29,7 @@ from worldsim.atomic_files import write_whole
 REPORT = "report.html"
 
 CAPTIONS = {
-    CHANNEL_LOAD: "Explored area over time; transmitted bytes, bytes over the budget and undelivered log entries.",
+    CHANNEL_LOAD: "Explored area over time; transmitted bytes, bytes without budget and undelivered log entries.",
     MAPS_OVER_TIME: "Each robot's planning map over time, and in red the outlines that it sends, if any.",
     APPROXIMATION: "Robot 0's own map, and in red its approximation of it. White outside the line and gray inside "
     "it are errors.",

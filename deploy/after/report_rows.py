@@ -31,7 +31,7 @@ KINDS = {
 assert sorted(KINDS) == sorted(ALL_KINDS)
 
 UNDELIVERED = {
-    "budget": "the budget of the step was spent",
+    "budget": "the budget of the step was spent, or the share of poses and targets",
     "range": "the receiver was out of range",
     "protocol": "they were malformed or out of order",
     "lost": "the other robot was lost",
@@ -98,7 +98,7 @@ def figure_rows(summary: dict[str, Any]) -> list[list[str]]:
         *_wall_figures(summary),
         *_missed_figures(summary),
         ["strategy, seed", f"{summary['strategy']}, {summary['seed']}"],
-        *([] if error is None else [["approximation error (Eq. 6.1)", f"{error:.2%} of the cells"]]),
+        *([] if error is None else [["approximation error (Eq. 6.1)", f"{100 * error:.2f} % of the cells"]]),
         ["transmitted", f"{summary['bytes']['total']:,} bytes in {summary['packets']['total']:,} packets"],
         ["bus", f"{summary['bus']}, {summary['steps_per_s']} steps per second"],
     ]
@@ -119,7 +119,10 @@ def _true_map_figures(summary: dict[str, Any]) -> list[list[str]]:
         *_recorded_figures(summary),
         [seen, _percent(summary["coverage"])],
         [right, _accuracy(summary)],
-        ["team had seen 90 %, 99 %", f"step {summary['t90'] or '-'}, step {summary['t99'] or '-'}"],
+        [
+            "team had seen 90 %, 99 %",
+            ", ".join(f"step {at}" if at else "not reached" for at in (summary["t90"], summary["t99"])),
+        ],
         ["steps over the budget", str(summary["over_budget_steps"])],
     ]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import os
 import signal
 import sys
@@ -18,6 +19,7 @@ def main() -> None:
     """Run the command line; once a command is over, a signal does not change its exit code any more."""
     _handle_signals()
     _open_closed_streams()
+    _replace_unknown_characters()
     from deploy.commands.app import app  # noqa: PLC0415
 
     try:
@@ -59,6 +61,12 @@ def _leave(*_: object) -> None:
     with contextlib.suppress(OSError):  # the terminal is gone
         os.write(2, MESSAGE)
     os._exit(INTERRUPTED)
+
+
+def _replace_unknown_characters() -> None:
+    """Print ``?`` for characters that the encoding of the output lacks, so that the results of a run are not lost."""
+    if isinstance(sys.stdout, io.TextIOWrapper) and not sys.stdout.encoding.lower().startswith("utf"):
+        sys.stdout.reconfigure(errors="replace")
 
 
 if __name__ == "__main__":

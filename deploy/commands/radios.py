@@ -34,19 +34,26 @@ def radio_coverage(
     names: Annotated[str, argument("NAME,...", "radio presets, a panel each")],
     map_: Annotated[str, option("FILE|NAME", "the building", name="--map")] = "office",
     map_seed: Annotated[int, option("S", "the generator's seed", min=0)] = 0,
+    resolution: Annotated[
+        float | None, option("M", "meters per cell of a generated map or a picture")
+    ] = None,
     at: Annotated[str | None, option("X,Y", "the place in meters (default: where robots start)")] = None,
     out: Annotated[Path, file_option("FILE.png", "the picture")] = Path("coverage.png"),
 ) -> None:
     """Draw where robots receive one that stands in one place, with each of some radio presets."""
     from deploy.record.coverage import draw_coverage  # noqa: PLC0415
+    from deploy.record.number_texts import percent  # noqa: PLC0415
     from deploy.scenario import plan as plans  # noqa: PLC0415
     from deploy.scenario.scenario import load  # noqa: PLC0415
 
-    settings = {"map": map_, "map_seed": map_seed, "robots": 1, "start": position(at, "at") if at else None}
+    settings = {
+        "map": map_, "map_seed": map_seed, "map_options.resolution": resolution, "robots": 1,
+        "start": position(at, "at") if at else None,
+    }  # fmt: skip
     listed = [name.strip() for name in names.split(",")]
     shares = draw_coverage(
         out, {name: plans.make(load(None, {**settings, "radio.preset": name})) for name in listed}
     )
     for name, share in shares.items():
-        screen.print(f"{name}: {100 * share:.1f} % of the free cells are in range")
+        screen.print(f"{name}: {percent(share)} of the free cells are in range")
     screen.print(f"drawn to {out}")

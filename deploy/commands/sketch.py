@@ -14,6 +14,9 @@ COLORS = ("grey50", "white", "black")
 INK = {(2, 2): "█", (2, 1): "▀", (2, 0): "▀", (1, 2): "▄", (0, 2): "▄", (0, 0): "░"}
 """Characters for an upper and a lower cell without colors; free cells are blank."""
 
+PLAIN = {(2, 2): "#", (2, 1): '"', (2, 0): '"', (1, 2): "_", (0, 2): "_", (0, 0): "."}
+"""The same for an encoding without these characters."""
+
 
 def sketch(grid: Grid, console: Console) -> Text:
     """Draw a grid with half-block characters, as wide as `console`, in colors if it supports them."""
@@ -23,13 +26,14 @@ def sketch(grid: Grid, console: Console) -> Text:
     solid = (blocks == OCCUPIED).any(axis=(1, 3))
     free = (blocks == FREE).any(axis=(1, 3))
     shade = np.where(solid, 2, np.where(free, 1, 0))
-    colored = console.color_system is not None and not console.no_color
+    is_plain = not console.encoding.startswith("utf")
+    colored = console.color_system is not None and not console.no_color and not is_plain
     text = Text()
     for upper, lower in zip(shade[::2].tolist(), shade[1::2].tolist(), strict=True):
         for pair in zip(upper, lower, strict=True):
             if colored:
                 text.append("▀", style=f"{COLORS[pair[0]]} on {COLORS[pair[1]]}")
             else:
-                text.append(INK.get(pair, " "))
+                text.append((PLAIN if is_plain else INK).get(pair, " "))
         text.append("\n")
     return text

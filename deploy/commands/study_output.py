@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn
@@ -55,25 +55,37 @@ def end_study(failures: Collection[str], code: int = 0) -> NoReturn:
 def print_table(lines: list[list[str]]) -> None:
     """Print a table, header first, as wide as the terminal or `FILE_WIDTH`.
 
-    A table that is wider is turned, with a line per column, if that is narrower; else long text is wrapped.
+    A table that is wider is turned, with a line per column, if that is narrower. If it is still wider, names are
+    wrapped between their words; if that is not enough either, the turned table is printed in parts, as many columns in
+    each as fit.
     """
     paper = screen if screen.is_terminal else Console(width=FILE_WIDTH, highlight=False, markup=False)
     turned = [list(column) for column in zip(*lines, strict=True)]
-    turns = _width(lines) > max(paper.width, _width(turned))
-    lines = turned if turns else lines
-    if _width(lines) > paper.width:
-        first = _wrapped if turns else str
-        lines = [[*map(_wrapped, lines[0])], *([first(line[0]), *line[1:]] for line in lines[1:])]
-    table = Table(*(Column(head, overflow="fold") for head in lines[0]), box=SIMPLE)
-    for line in lines[1:]:
-        table.add_row(*line)
-    paper.print(table)
+    both = [[*map(_wrapped, turned[0])], *([_wrapped(line[0]), *line[1:]] for line in turned[1:])]
+    forms = (lines, turned, [[*map(_wrapped, lines[0])], *lines[1:]], both)
+    fitting = (form for form in forms if _width(form) <= paper.width)
+    for part in _parts(next(fitting, both), paper.width):
+        table = Table(*(Column(head, overflow="fold") for head in part[0]), box=SIMPLE)
+        for line in part[1:]:
+            table.add_row(*line)
+        paper.print(table)
 
 
-def _width(lines: list[list[str]]) -> int:
-    """The width of a table without wrapped text: columns have two spaces between them and at both ends."""
+def _parts(lines: list[list[str]], width: int) -> list[list[list[str]]]:
+    """Split a table into tables of some of its columns, the first one repeated, that are at most `width` wide."""
+    first, *columns = zip(*lines, strict=True)
+    parts = [[first]]
+    for column in columns:
+        if len(parts[-1]) > 1 and _width([*zip(*parts[-1], column, strict=True)]) > width:
+            parts.append([first])
+        parts[-1].append(column)
+    return [[list(line) for line in zip(*part, strict=True)] for part in parts]
+
+
+def _width(lines: Sequence[Sequence[str]]) -> int:
+    """The width of a table whose cells may have line breaks: columns have two spaces between them and at both ends."""
     columns = zip(*lines, strict=True)
-    return 2 + sum(3 + max(map(len, column)) for column in columns)
+    return 2 + sum(3 + max(len(line) for cell in column for line in cell.split("\n")) for column in columns)
 
 
 def _wrapped(name: str) -> str:

@@ -28,20 +28,23 @@ KIND_LABELS = {
 """Labels of packet kinds."""
 
 
+WIDE = 80
+"""Columns of a terminal that the whole progress line needs; narrower ones show only its figures."""
+
 STANDSTILL = 50
 """Steps without a motion that are reported."""
 
 
 class _ProgressWithMessage(Progress):
-    def __init__(self, message: Callable[[], str], *columns: ProgressColumn, **options: Any) -> None:
-        self._message = message
-        super().__init__(*columns, **options)
+    def __init__(self, message: Callable[[], str], console: Console, *columns: ProgressColumn) -> None:
+        self._message, self._terminal = message, console
+        super().__init__(*columns, console=console, transient=True)
 
     def get_renderables(self) -> Iterator[RenderableType]:
         """The progress line, and the message if there is one."""
         yield self.make_tasks_table(self.tasks)
         if message := self._message():
-            yield Text(message, style="dim", overflow="ellipsis", no_wrap=True)
+            yield from Text(message, style="dim").wrap(self._terminal, self._terminal.width)
 
 
 @contextlib.contextmanager
@@ -56,31 +59,30 @@ def progress(
     if not shown or not console.is_terminal:
         yield None
         return
-    bar = _ProgressWithMessage(
-        message,
-        TextColumn("step {task.fields[step]:>5}"),
-        BarColumn(),
-        TextColumn("{task.percentage:>5.1f} % explored"),
-        TextColumn("{task.fields[medium]}"),
-        TextColumn("{task.fields[alive]} robots"),
-        TimeElapsedColumn(),
-        console=console,
-        transient=True,
-    )
-    task: TaskID = bar.add_task("explore", total=1.0, step=0, medium="", alive=0)
+    is_wide = console.width >= WIDE
+    figures = ("{task.fields[medium]}", "{task.fields[alive]}")
+    if is_wide:
+        texts = ("step {task.fields[step]:>5}", "{task.percentage:>5.1f} % explored", *figures)
+    else:
+        texts = ("step {task.fields[step]}", "{task.percentage:.0f} %", *figures)
+    step, *others = map(TextColumn, texts)
+    columns = (step, BarColumn(), *others, TimeElapsedColumn()) if is_wide else (step, *others)
+    bar = _ProgressWithMessage(message, console, *columns)
+    task: TaskID = bar.add_task("explore", total=1.0, step=0, medium="", alive="")
 
     def watch(plan: Plan, records: Records) -> None:
-        if records.step:
-            bar.start()
         budgets = [plan.radio.budget, *(each.budget for each in records.changes if each.budget is not None)]
         of = "" if budgets[-1].unlimited else f" of {budgets[-1]}"
+        alive = plan.scenario.robots - len(records.lost.keys() | records.killed)
         bar.update(
             task,
             completed=records.explored,
             step=records.step,
-            medium=f"{records.carried}{of} B transmitted",
-            alive=plan.scenario.robots - len(records.lost.keys() | records.killed),
+            medium=f"{records.carried}{of} B" + (" transmitted" if is_wide else ""),
+            alive=f"{alive} robot" + ("" if alive == 1 else "s"),
         )
+        if records.step:
+            bar.start()
 
     try:
         yield watch

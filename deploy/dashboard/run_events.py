@@ -151,7 +151,7 @@ class RunEvents:
         }
         self.bytes += Counter(sizes)
         groups = {name: sum(sizes[kind] for kind in group.kinds) for name, group in GROUPS.items()}
-        cut = int(rows["bytes"][rows["cause"] == BUDGET].sum())
+        cut = self._cut_by_a_full_channel(rows)
         received = np.frombuffer(report.links, LINK).tolist()
         self.traffic = StepTraffic(groups, {(sender, receiver): size for sender, receiver, size in received})
         events = _emergences(report.step, carried)
@@ -160,6 +160,20 @@ class RunEvents:
             if cut:
                 events.append(Event(report.step, f"channel full: {cut} B not sent", 1))
         return events
+
+    def _cut_by_a_full_channel(self, rows: NDArray[np.void]) -> int:
+        """Return the bytes that the budget has cut; 0 if it had room for them.
+
+        With gossip, poses and targets have a share of the budget: a channel is not full because they exceed it.
+        """
+        cut = rows[rows["cause"] == BUDGET]
+        carried = int(rows["bytes"][rows["carried"] == 1].sum())
+        if not len(cut):
+            return 0
+        only_broadcasts = np.isin(cut["kind"], [KIND_NUMBER["targ"], KIND_NUMBER["pose"]]).all()
+        if only_broadcasts and self.budget.fits(carried + int(cut["bytes"].min())):
+            return 0
+        return int(cut["bytes"].sum())
 
     def _status(self, robot: int, report: RobotStatus) -> list[Event]:
         self.backlog[robot] = report.backlog

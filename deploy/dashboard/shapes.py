@@ -71,7 +71,8 @@ def corner(map_: Map) -> Point:
 def axes(map_: Map, most: int, room: float) -> tuple[list[Strip], list[Point], list[str]]:
     """Axes along a map's left and lower side: lines, and the positions of labels, with the unit on the last one.
 
-    `room` is that for labels, in map sides. The corner has one label.
+    `most` is the number of labels along the longer side; `room` is that for labels, in map sides. The corner has one
+    label.
     """
     left, top = corner(map_)
     right, bottom = left + map_.width * map_.resolution, top + map_.height * map_.resolution
@@ -80,12 +81,12 @@ def axes(map_: Map, most: int, room: float) -> tuple[list[Strip], list[Point], l
     strips: list[Strip] = [[(left, top), (left, bottom), (right, bottom)]]
     places: list[Point] = []
     labels: list[str] = []
-    across = tick_values(left, right, most)
+    across = tick_values(left, right, max(1, most * (right - left) / side))
     for x in across:
         strips.append([(x, bottom), (x, bottom + tick)])
         places.append((x, bottom + 0.3 * margin))
         labels.append(f"{x:g} m" if x == across[-1] else f"{x:g}")
-    for y in tick_values(-bottom, -top, most):
+    for y in tick_values(-bottom, -top, max(1, most * (bottom - top) / side)):
         strips.append([(left, -y), (left - tick, -y)])
         if bottom + y > 0.4 * margin:
             places.append((left - 0.5 * margin, -y - 0.25 * margin))

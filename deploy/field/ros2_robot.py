@@ -149,8 +149,8 @@ class Ros2Robot:
         self._team_map.publish(message, now)
 
     def publish_markers(self, robot: Robot) -> None:
-        """Publish the robot's target, its teammates, and the frontiers."""
-        shown = layers(robot.planning, robot.target, [pose[:2] for pose in robot.teammates.values()])
+        """Publish the robot's target, its teammates, and the frontiers that it may explore."""
+        shown = layers(robot.explorable, robot.target, [pose[:2] for pose in robot.teammates.values()])
         message = marker_array(
             self._node.messages, shown, self._grid, self._map_pose, self._names.map_frame, self._stamp()
         )

@@ -9,10 +9,13 @@ from protocol.packets import ALL_KINDS
 Color = tuple[int, int, int]
 
 ROBOTS: tuple[Color, ...] = (
-    (214, 39, 40), (31, 119, 180), (44, 160, 44), (255, 127, 14), (148, 103, 189),
-    (0, 158, 168), (227, 86, 180), (140, 86, 75), (150, 150, 0), (70, 70, 200),
+    (214, 39, 40), (0, 158, 168), (70, 70, 200), (255, 127, 14), (148, 103, 189),
+    (140, 86, 75), (31, 119, 180), (44, 160, 44), (227, 86, 180), (150, 150, 0),
 )  # fmt: skip
-"""Colors of robots in turn: distinguishable, and readable on white and on black."""
+"""Colors of robots in turn: readable on white and on black; color-blind readers distinguish the first six."""
+
+READABLE = 0.3
+"""Largest luminance of text on white: its contrast is 3 : 1 then."""
 
 INK, PAPER, GREY = (20, 24, 30), (255, 255, 255), (128, 134, 142)
 IN_RANGE, SIGNAL, ALARM = (176, 184, 196), (70, 82, 104), (240, 60, 50)
@@ -57,6 +60,21 @@ def robot_color(robot: int) -> Color:
     """The color of a robot: `ROBOTS`, then darker, then paler shades; thirty in total."""
     color, turn = ROBOTS[robot % len(ROBOTS)], robot // len(ROBOTS) % 3
     return (color, mix(color, INK, 0.4), mix(color, PAPER, 0.35))[turn]
+
+
+def text_color(robot: int) -> Color:
+    """A robot's color for text on white: pale ones are darkened."""
+    color = robot_color(robot)
+    while _luminance(color) > READABLE:
+        color = mix(color, INK, 0.1)
+    return color
+
+
+def _luminance(color: Color) -> float:
+    """The relative luminance of a color, 0 to 1 (WCAG 2.1)."""
+    parts = [part / 255 for part in color]
+    red, green, blue = (x / 12.92 if x <= 0.03928 else ((x + 0.055) / 1.055) ** 2.4 for x in parts)
+    return 0.2126 * red + 0.7152 * green + 0.0722 * blue
 
 
 def mix(color: Color, other: Color, share: float) -> Color:

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from deploy.record.map_pictures import save, show_grid
+from deploy.record.number_texts import percent
 from deploy.scenario.plan import Plan
 from netshaper.connectivity import margin_db, walls_from
 from protocol.grid import FREE, OCCUPIED
@@ -20,6 +21,8 @@ STEPS_DB = (0, 10, 20, 40, 1000)
 COLORS = ListedColormap(["#c6dbef", "#6baed6", "#2171b5", "#08306b"])
 PANEL_IN = 4.2
 """Width of a panel in inches."""
+MOST_IN = 12.0
+"""Height of a panel in inches at most."""
 
 Margins = NDArray[np.float64]
 """How much stronger than necessary a robot in each cell receives, in dB; negative where it receives nothing."""
@@ -38,7 +41,7 @@ def coverage(plan: Plan) -> Margins:
 def draw_coverage(path: Path, plans: Mapping[str, Plan]) -> dict[str, float]:
     """Draw the coverage of radios on one map, a panel each; return the covered share of the free cells of each."""
     first = next(iter(plans.values())).map
-    height = PANEL_IN * first.height / first.width + 1.6
+    height = min(PANEL_IN * first.height / first.width, MOST_IN) + 1.6
     figure = Figure(figsize=(PANEL_IN * len(plans), height), layout="constrained")
     shares = {}
     norm = BoundaryNorm(STEPS_DB, COLORS.N)
@@ -54,9 +57,9 @@ def draw_coverage(path: Path, plans: Mapping[str, Plan]) -> dict[str, float]:
         left, right, _, top = extent
         cell = (right - left) / plan.map.width
         axes.plot(left + (x + 0.5) * cell, top - (y + 0.5) * cell, "o", color="#d55e00", markersize=6)
-        axes.set_title(f"{name}: {100 * shares[name]:.0f} % of the free cells", fontsize=10)
+        axes.set_title(f"{name}: {percent(shares[name], 0)} of the free cells", fontsize=10)
     bar = figure.colorbar(image, ax=panels.tolist(), location="bottom", shrink=0.5, ticks=STEPS_DB[:-1])
-    bar.set_label("margin, dB", fontsize=8)
+    bar.set_label("margin, dB; white: out of range", fontsize=8)
     bar.ax.tick_params(labelsize=7)
     save(path, figure, dpi=110)
     return shares

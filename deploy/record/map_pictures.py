@@ -48,6 +48,10 @@ HEAD, FOOT, MARGIN, TITLE = 0.4, 0.8, 0.4, 0.22
 """Space in inches above and below all panels, for the tick labels at the left, and for the title of a panel."""
 SPACING = ((6, 1, 0.28), (30, 2, 0.28), (90, 3, 0.14), (math.inf, 5, 0.1))
 """Per maximum number of robots: size of the two large panels in robot panels, and the gap between panels in inches."""
+NAME_LENGTH = 40
+"""Characters of a map's name in a title at most."""
+LETTER = 0.52
+"""Average width of a letter / font size."""
 SHADES = 24
 """Number of shades along a path."""
 
@@ -81,14 +85,22 @@ def _write_png(file: IO[bytes], figure: Figure, dpi: int) -> None:
     picture.save(file, "PNG", dpi=(dpi, dpi), compress_level=4)
 
 
+def shortened(name: str, most: int = NAME_LENGTH) -> str:
+    """A name without its middle if it is longer than `most` characters."""
+    half = (most - 1) // 2
+    return name if len(name) <= most else f"{name[:half]}\N{HORIZONTAL ELLIPSIS}{name[-half:]}"
+
+
 def draw_map(path: Path, world_map: Map) -> None:
     """Draw a map with meters on its axes."""
-    figure = Figure(figsize=(7, 7 * world_map.height / world_map.width + 0.6), layout="constrained")
+    tall = min(7 * world_map.height / world_map.width, 14.0)
+    figure = Figure(figsize=(7, tall + 0.6), layout="constrained")
     axes = figure.add_subplot()
     show_grid(axes, world_map, world_map.cells)
-    axes.set_title(
-        f"{world_map.name}: {world_map.width} x {world_map.height} cells of {world_map.resolution:g} m"
-    )
+    figure.suptitle(
+        f"{shortened(world_map.name)}: {world_map.width} x {world_map.height} cells of "
+        f"{world_map.resolution:g} m", fontsize=11,
+    )  # fmt: skip
     save(path, figure, dpi=110)
 
 
@@ -102,14 +114,16 @@ def maps_figure(plan: Plan, records: Records, summary: dict[str, Any]) -> Figure
     show_grid(world, plan.map, plan.map.cells)
     draw_paths(world, plan, records)
     what, like, differences = _reference(plan)
-    _set_title(world, f"{what} and the robots' paths", fontsize=11)
+    _set_title(world, f"{what} and the robots' paths", 11)
     seen = records.team_map(summary["refuted_maps"])
     reachable = plan.reachable
     _show_errors(team, plan, compare(seen, plan.map.cells, reachable))
-    team.tick_params(labelsize=7)
+    team.tick_params(labelbottom=False, labelleft=False)
     share = f": {percent(summary['coverage'])}" if plan.has_truth else ""
-    _set_title(team, f"seen by the team{share}", fontsize=11)
-    size = min(11.0, 3.2 + 3.0 * panels[0].get_position().width * PAGE_WIDTH) if panels else 0
+    _set_title(team, f"seen by the team{share}", 11)
+    width = panels[0].get_position().width * PAGE_WIDTH if panels else 0
+    size = min(11.0, 3.2 + 3.0 * width)
+    is_short = size <= 8 or width < LETTER * 7 / 72 * len(f"robot 0: 100.0 % {like}, finished first")
     for panel, robot in zip(panels, robots, strict=True):
         is_first = robot == summary["first_robot"]
         errors = compare(records.planning[robot], plan.map.cells, reachable)
@@ -118,16 +132,16 @@ def maps_figure(plan: Plan, records: Records, summary: dict[str, Any]) -> Figure
             axis.set_visible(False)
         panel.spines[:].set(linewidth=0.6, color="#9aa1a9")
         right = percent(share_correct(errors, reachable))
-        if size > 8:
-            title = f"robot {robot}: {right} {like}" + (", finished first" if is_first else "")
-        else:
+        if is_short:
             title = f"{robot}: {right}" + (" \N{CHECK MARK}" if is_first else "")
-        _set_title(panel, title, fontsize=size, color=robot_rgb(robot))
+        else:
+            title = f"robot {robot}: {right} {like}" + (", finished first" if is_first else "")
+        _set_title(panel, title, size, color=rgb(colors.text_color(robot)))
     bandwidth = summary["bandwidth"]
     medium = bandwidth if isinstance(bandwidth, str) else f"{bandwidth} bytes per step"
     top = 1 - 0.26 / figure.get_figheight()
     figure.suptitle(
-        f"{plan.map.name}: {counted(summary['robots'], 'robot')}, {summary['map_encoding']}, {medium}; "
+        f"{shortened(plan.map.name)}: {counted(summary['robots'], 'robot')}, {summary['map_encoding']}, {medium}; "
         f"{counted(summary['steps'], 'step')}, {summary['bytes']['total']:,} B transmitted",
         y=top, va="center",
     )  # fmt: skip
@@ -151,9 +165,13 @@ def show_grid(axes: Axes, world_map: Map, grid: Grid) -> None:
     axes.set_xlabel("m", fontsize=7, labelpad=1)
 
 
-def _set_title(axes: Axes, title: str, **style: Any) -> None:
-    """Set the title above a panel; its height is given, as matplotlib lays out all texts to find one."""
-    axes.set_title(title, y=1.0, pad=4, **style)
+def _set_title(axes: Axes, title: str, size: float, **style: Any) -> None:
+    """Set the title above a panel, as wide as the panel at most.
+
+    Its height and an estimate of its width are given, as matplotlib lays out all texts to find them.
+    """
+    size = min(size, axes.get_position().width * PAGE_WIDTH * 72 / (LETTER * len(title)))
+    axes.set_title(title, y=1.0, pad=4, fontsize=size, **style)
 
 
 def draw_paths(axes: Axes, plan: Plan, records: Records) -> None:
@@ -161,7 +179,8 @@ def draw_paths(axes: Axes, plan: Plan, records: Records) -> None:
     every = mark_steps(records.step)
     figure = axes.get_figure()
     assert isinstance(figure, Figure)
-    size = min(1.5, axes.get_position().width * figure.get_figwidth() / 3.6)
+    place = axes.get_position()
+    size = min(1.5, max(place.width * figure.get_figwidth(), place.height * figure.get_figheight()) / 3.6)
     paths = list(_paths(plan, records))
     lines: list[NDArray[np.float64]] = []
     shades: list[NDArray[np.float64]] = []

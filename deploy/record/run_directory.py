@@ -183,8 +183,16 @@ def read_scenario(directory: Path, **overrides: Any) -> Scenario:
     """
     if not (directory / SCENARIO).is_file():
         raise ScenarioError(f"{directory}: not a run directory: {SCENARIO} is missing")
-    with without_import():
-        return load(directory / SCENARIO, overrides)
+    try:
+        with without_import():
+            return load(directory / SCENARIO, overrides)
+    except ScenarioError as error:
+        if not (directory / SUMMARY).is_file():
+            raise
+        raise ScenarioError(
+            f"{error}\n{directory}: the settings of a finished run cannot be read: another version of Murmur wrote "
+            f"them, or they were changed; use that version, or undo the change"
+        ) from None
 
 
 def read_plan(directory: Path) -> Plan:

@@ -214,7 +214,8 @@ def _boxes(panel: Axes, plot: Plot, rows: Sequence[Row], lines: Sequence[Level],
 
 
 def _curves(panel: Axes, plot: Plot, rows: Sequence[Row], lines: Sequence[Level], results: Results) -> None:
-    """Means with 95 % intervals over the steps; a finished run keeps its last value."""
+    """Means with 95 % intervals over the steps, within the possible values; a finished run keeps its last value."""
+    most = 1.0 if plot.y in SHARES else math.inf
     for n, (line, name) in enumerate(lines):
         found = results.series(plot.y, {row["key"] for row in _of(rows, plot.lines, line)})
         series = [np.asarray(found[key]) for key in sorted(found) if len(found[key])]
@@ -225,9 +226,8 @@ def _curves(panel: Axes, plot: Plot, rows: Sequence[Row], lines: Sequence[Level]
         color = COLORS[n % len(COLORS)]
         dashes = DASHES[n % len(DASHES)]
         panel.plot(at + 1, [m.mean for m in means], dashes, color=color, label=name, linewidth=1.4)
-        panel.fill_between(
-            at + 1, [m.low for m in means], [m.high for m in means], color=color, alpha=0.2, linewidth=0
-        )
+        low, high = np.clip([(m.low, m.high) for m in means], 0.0, most).T
+        panel.fill_between(at + 1, low, high, color=color, alpha=0.2, linewidth=0)
     panel.set_xlim(left=0)
 
 

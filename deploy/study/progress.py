@@ -43,11 +43,12 @@ def _lines(console: Console, title: str) -> Report:
     before: int | None = None
 
     def report(done: int, total: int) -> None:
-        nonlocal printed, before
+        nonlocal began, printed, before
         now = time.monotonic()
-        if before is None:
-            before = done
-            console.print(f"{title}: {done} of {total}")
+        if not before:  # the first item takes longer: programs start, and libraries are loaded
+            if before is None or 0 < done < total:
+                console.print(f"{title}: {done} of {total}")
+            before, began, printed = done, now, now
         elif before < done < total and now - printed >= min((now - began) / SPARSER, INTERVAL_S):
             printed = now
             console.print(

@@ -54,12 +54,12 @@ def assert_shows_all(figure: Figure) -> None:
 
 
 def shown_texts(figure: Figure) -> list[Text]:
-    """The texts that a figure shows; labels of ticks outside an axis, and the axes that are off, are not drawn."""
+    """The texts that a figure shows; labels of ticks outside an axis, and axes and axis that are off, are not drawn."""
     hidden: set[Text] = set()
     for axes in figure.axes:
-        if not axes.axison:
-            hidden |= {*axes.xaxis.findobj(Text), *axes.yaxis.findobj(Text)}
         for axis in (axes.xaxis, axes.yaxis):
+            if not (axes.axison and axis.get_visible()):
+                hidden |= set(axis.findobj(Text))
             hidden |= set(_outside(axis))
     texts = (text for text in figure.findobj(Text) if text.get_visible() and text.get_text().strip())
     return [text for text in texts if text not in hidden]

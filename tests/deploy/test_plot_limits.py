@@ -76,3 +76,36 @@ def test_a_long_corridor_has_room_for_its_labels(tmp_path: Path) -> None:
     explore(parse({**settings, "map_options": {"resolution": 0.1}}), out=tmp_path / "run")
     figure = figures.maps_over_time(archive.read(tmp_path / "run"))
     assert_text_fits(figure)
+
+
+def test_a_run_of_one_step_is_drawn(tmp_path: Path) -> None:
+    explore(parse({"robots": 2, "steps": 1, "bus": "memory", "map": "leader-rooms"}), out=tmp_path / "run")
+    figure = figures.channel_load(archive.read(tmp_path / "run"))
+    assert_text_fits(figure)
+    explored, transmitted, *_ = figure.axes
+    assert explored.get_xlim() == (0.5, 1.5)
+    assert [tick for tick in explored.get_xticks() if 0.5 <= tick <= 1.5] == [1.0]
+    assert {line.get_marker() for line in explored.lines} == {"o"}
+    assert all(np.ptp(patch.get_path().vertices[:, 0]) == 1 for patch in transmitted.patches)
+
+
+def test_maps_over_time_of_a_tall_map_fit_a_picture_of_common_size(tmp_path: Path) -> None:
+    cells = np.zeros((400, 30), np.uint8)
+    cells[1:-1, 1:-1] = 254
+    Image.fromarray(cells).save(tmp_path / "shaft.png")
+    settings = {"robots": 9, "steps": 12, "bus": "memory", "map": str(tmp_path / "shaft.png")}
+    explore(parse({**settings, "map_options": {"resolution": 0.1}}), out=tmp_path / "run")
+    figure = figures.maps_over_time(archive.read(tmp_path / "run"))
+    assert_text_fits(figure)
+    assert figure.get_figheight() < 35
+    assert figure.get_suptitle() == "Planning maps of robots 0 to 7 of 9"
+
+
+def test_intervals_of_a_share_are_within_0_and_1(monkeypatch: pytest.MonkeyPatch) -> None:
+    results, runs = Results(None), rows("steps", {"one": 10.0})
+    series = {row["key"]: [0.1, 0.2 + 0.19 * (number % 5)] for number, row in enumerate(runs)}
+    monkeypatch.setattr(results, "series", lambda _, keys: {key: series[key] for key in keys})
+    figure = plots.draw(Plot("explored", kind="curves", panels="map"), runs, results)
+    assert_shows_all(figure)
+    low, high = figure.axes[0].get_ylim()
+    assert low == 0.0 and 1.0 <= high < 1.05

@@ -11,6 +11,10 @@ pytest.importorskip("rosbags", reason="rosbags is not installed: pip install 'mu
 pytest.importorskip("xxhash", reason="xxhash is not installed: pip install 'murmur-robots[ros2]'")
 
 from agent.bodies.markers import ADD, DELETE, MOST_POINTS, layers, marker_array
+from agent.planning.small_frontiers import without_small_frontiers
+from deploy.run.in_memory import MemoryRun
+from deploy.scenario import plan as plans
+from deploy.scenario.scenario import parse
 from protocol.grid import FREE, OCCUPIED, UNKNOWN
 from protocol.map_frame import MapFrame
 from protocol.ros2.messages import MARKERS, Messages
@@ -43,3 +47,29 @@ def test_large_frontiers_are_thinned_out() -> None:
     grid[::2] = UNKNOWN
     frontiers, _, _ = layers(grid, None, [])
     assert 0 < len(frontiers.cells) <= MOST_POINTS
+
+
+@pytest.mark.parametrize(
+    "sensors",
+    [{}, {"laser": {"preset": "utm-30lx"}, "pose": {"preset": "graph-slam"}}],
+    ids=["exact", "noisy"],
+)
+def test_frontiers_that_robots_ignore_have_no_markers(sensors: dict[str, dict[str, str]]) -> None:
+    settings = {
+        "map": "office",
+        "robots": 1,
+        "bus": "memory",
+        "steps": 30,
+        "min_frontier_size": 0.8,
+        **sensors,
+    }
+    run = MemoryRun(plans.make(parse(settings)))
+    (agent,), ignored = run.agents, 0
+    for _ in run.steps():
+        if agent.robot is None:
+            continue
+        grid = agent.robot.explorable
+        shown = layers(grid, None, [])[0].cells
+        assert without_small_frontiers(grid, 8) is grid, "no small frontier is left"
+        ignored += len(layers(agent.robot.planning, None, [])[0].cells) - len(shown)
+    assert ignored > 0

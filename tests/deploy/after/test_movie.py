@@ -19,6 +19,8 @@ from deploy.after.frames import VEIL, Frames, side_by_side
 from deploy.after.movie import MP4, MovieError, write_movie
 from deploy.commands.app import app
 from deploy.record.colors import GREY, PAPER, SIGNAL, Color, mix, robot_color
+from deploy.run.exploration import explore
+from deploy.scenario.scenario import parse
 from protocol.grid import FREE, UNKNOWN
 from protocol.packages import MissingPackageError
 from tests.deploy.small_run import small_directory
@@ -228,3 +230,46 @@ def test_a_full_disk_is_an_error_of_the_disk_and_no_film_remains(tmp_path: Path)
     done = CliRunner().invoke(app, ["movie", str(small_directory()), "--out", str(tmp_path / "film.mp4")])
     assert (done.exit_code, list(tmp_path.iterdir())) == (3, [])
     assert done.stderr.endswith(f"murmur: {tmp_path / 'film.mp4'}: No space left on device\n")
+
+
+def test_texts_of_narrow_maps_with_long_names_do_not_overlap(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cells = np.zeros((500, 40), np.uint8)
+    cells[1:-1, 1:-1] = 255
+    plan = tmp_path / f"{'the-plan-of-the-east-wing-' * 6}.png"
+    Image.fromarray(cells).save(plan)
+    settings = {
+        "map": str(plan),
+        "map_options": {"resolution": 0.1},
+        "robots": 2,
+        "steps": 2,
+        "bus": "memory",
+    }
+    explore(parse(settings), out=tmp_path / "run")
+    boxes: list[tuple[float, float, float, float]] = []
+    write = ImageDraw.ImageDraw.text
+
+    def note(self: ImageDraw.ImageDraw, xy: Any, text: str, fill: Any, letters: Any, anchor: str) -> None:
+        if self.mode == "RGB":
+            boxes.append(self.textbbox(xy, text, letters, anchor))
+        write(self, xy, text, fill, letters, anchor)
+
+    monkeypatch.setattr(ImageDraw.ImageDraw, "text", note)
+    width = Frames(archive.read(tmp_path / "run")).at(2).width
+    assert all(0 <= left < right <= width for left, _, right, _ in boxes)
+    for one, other in combinations(boxes, 2):
+        assert one[2] <= other[0] or other[2] <= one[0] or one[3] <= other[1] or other[3] <= one[1]
+
+
+def test_the_axis_of_the_explored_share_ends_at_the_whole(tmp_path: Path) -> None:
+    explore(parse({"robots": 1, "steps": 1, "bus": "memory", "map": "office"}), out=tmp_path / "run")
+    run = Frames(archive.read(tmp_path / "run"))
+    whole, at_end = (np.asarray(run.at(step)) for step in (1, 2))
+    assert (whole == at_end).all()
+    charts, spans = run._charts
+    assert all(right - left > 100 for left, right, *_ in spans)
+    left, right, top, bottom = map(round, spans[0])
+    dot = np.asarray(charts)[top:bottom, left:right]
+    rows = np.flatnonzero((np.abs(dot.astype(int) - robot_color(0)).max(axis=2) < 3).any(axis=1))
+    assert len(rows) and rows.min() > 0.85 * (bottom - top), "6 % are drawn near the lower end"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -18,6 +19,8 @@ from deploy.run.launch import Outcome
 from deploy.run.result import conclude
 from deploy.scenario import plan as plans
 from deploy.scenario.scenario import load, parse
+from netshaper.capture import read
+from netshaper.pcapng import Reader
 from protocol import keys as names
 from protocol import rights
 from protocol.bus import Bus
@@ -170,3 +173,27 @@ def test_a_full_disk_is_named_with_the_file_and_ends_with_3(floor: str, words: s
     assert last.startswith(("murmur: two/", "murmur: run/"))
     assert "Traceback" not in done.stderr
     assert not [*Path("run").glob("pictures/*"), *Path("run").glob("rosbag"), *Path("run").glob(".*")]
+
+
+def test_settings_that_another_version_wrote_are_named_as_such(floor: str) -> None:
+    explore(floor, "--steps", "4", "--out", "run")
+    scenario = Path("run/scenario.toml")
+    scenario.write_text("death = 3\n" + scenario.read_text())
+    for words in (["report"], ["movie"], ["export", "--mcap"], ["replay"]):
+        result = murmur(*words, "run")
+        assert result.exit_code == 2
+        assert "death: unknown setting" in result.stderr
+        assert (
+            "run: the settings of a finished run cannot be read: another version of Murmur" in result.stderr
+        )
+
+
+def test_a_capture_says_how_many_bytes_it_cannot_read(floor: str) -> None:
+    explore(floor, "--steps", "4", "--out", "run")
+    assert "not readable" not in murmur("capture", "run").stdout
+    capture = Path("run/radio.pcapng")
+    with capture.open("rb") as file:
+        first = next(frame.payload for frame in read(Reader(file)) if len(frame.payload) > 20)
+    capture.write_bytes(capture.read_bytes().replace(first, b"\xff" * len(first)))
+    last = murmur("capture", "run").stdout.splitlines()[-1]
+    assert re.match(r"\d+ bytes of carried frames are not readable, and not in these totals", last)

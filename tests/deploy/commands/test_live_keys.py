@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import pty
+import re
 import sys
 import termios
 import time
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
 from deploy.commands.live_keys import HELP, Keys
+from deploy.commands.terminal import progress
 from deploy.run.control import Control
+from deploy.run.exploration import explore
 from deploy.scenario.plan import make
 from deploy.scenario.scenario import load, parse
 from tests.deploy.commands.office_floor import murmur
@@ -95,3 +100,19 @@ def test_keys_control_a_run_which_can_be_replayed_and_the_terminal_is_restored(
     repeated = murmur("replay", str(out))
     assert repeated.exit_code == 0, repeated.stderr
     assert json.loads((out / "summary.json").read_text())["digest"][:16] in repeated.stdout
+
+
+@pytest.mark.parametrize("width", [40, 60, 80, 200])
+def test_the_progress_line_fits_the_terminal(width: int, tmp_path: Path) -> None:
+    text = io.StringIO()
+    console = Console(file=text, force_terminal=True, width=width, soft_wrap=True, color_system=None)
+    with progress(console, shown=True, message=lambda: HELP) as watch:
+        assert watch is not None
+        result = explore(parse({"robots": 1, "steps": 3, "bus": "memory"}), out=tmp_path / "run")
+        watch(result.plan, result.records)
+    lines = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", text.getvalue()).replace("\r", "\n").splitlines()
+    assert all(len(line.rstrip()) <= width for line in lines)
+    assert not any("\N{HORIZONTAL ELLIPSIS}" in line for line in lines)
+    first = next(line for line in lines if line.startswith("step"))
+    assert first.split()[1] == "3" and "1 robot" in first and "1 robots" not in first
+    assert "r range" in " ".join(lines)

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from deploy.commands.console import screen
 from tests.deploy.commands.office_floor import explore, murmur
@@ -54,3 +59,34 @@ def test_size_and_clutter_of_a_map_are_options(floor: str) -> None:
     assert "caves: 200 x 160 cells of 0.1 m" in murmur("map", "show", "caves", *words).stdout
     plain, full = (murmur("map", "show", "caves", *words, "--option", f"clutter={n}").stdout for n in (0, 9))
     assert plain != full
+
+
+@pytest.mark.parametrize(
+    ("encoding", "wall"), [("latin-1", b"#"), ("ascii", b"#"), ("utf-8", "\u2588".encode())]
+)
+def test_a_map_is_drawn_in_characters_that_the_output_has(encoding: str, wall: bytes) -> None:
+    command = [sys.executable, "-m", "deploy.commands.main", "map", "show", "leader-rooms"]
+    done = subprocess.run(
+        command, env=os.environ | {"PYTHONIOENCODING": encoding}, capture_output=True, check=True
+    )
+    assert done.stdout.startswith(wall) and b"?" not in done.stdout
+
+
+def test_output_replaces_characters_that_its_encoding_lacks(tmp_path: Path) -> None:
+    plan = tmp_path / "b\u00fcro.png"
+    Image.fromarray(np.full((40, 40), 255, np.uint8)).save(plan)
+    command = [sys.executable, "-m", "deploy.commands.main", "map", "show", str(plan), "--resolution", "0.1"]
+    done = subprocess.run(
+        command, env=os.environ | {"PYTHONIOENCODING": "ascii"}, capture_output=True, check=True
+    )
+    assert b"b?ro: 40 x 40 cells" in done.stdout
+
+
+def test_the_coverage_of_a_picture_needs_its_resolution(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Image.fromarray(np.full((40, 40), 255, np.uint8)).save("plan.png")
+    refused = murmur("radio", "coverage", "ble", "--map", "plan.png")
+    assert refused.exit_code == 2 and "--resolution" in refused.stderr
+    assert murmur("radio", "coverage", "ble", "--map", "plan.png", "--resolution", "0.1").exit_code == 0

@@ -361,6 +361,19 @@ def test_a_table_that_is_wider_than_the_terminal_is_turned_and_names_plug_ins_as
     }
 
 
+@pytest.mark.parametrize("width", [40, 60, 80, 160])
+def test_a_table_with_many_columns_is_printed_in_parts_without_breaking_numbers(
+    width: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(study_output, "FILE_WIDTH", width)
+    rows = [[f"kind-{number}", "1.000 \u00b1 0.125", "12345 \u00b1 6789"] for number in range(7)]
+    study_output.print_table([["variant", "claimed_worst_wall_f1", "bytes.total"], *rows])
+    text = capsys.readouterr().out
+    assert all(len(line) <= width for line in text.splitlines())
+    assert text.count("1.000 \u00b1 0.125") == text.count("12345 \u00b1 6789") == 7
+    assert all(f"kind-{number} " in text for number in range(7))
+
+
 def test_radios_are_compared_with_the_settings_of_a_scenario_as_for_a_log(tmp_path: Path) -> None:
     write_carmen(tmp_path / "room.log", scans=12)
     scenario = tmp_path / "room.toml"

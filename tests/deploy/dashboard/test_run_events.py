@@ -181,3 +181,18 @@ def test_the_help_text_describes_this_run() -> None:
     assert "Circles" not in text
     mixed = parse({"robots": 3, "robot": [{"robot": 1, "sensor_range": 6.5}]})
     assert "Sensor range: 5 to 6.5 m" in explain(make(mixed))
+
+
+def test_a_channel_with_room_is_not_full_because_poses_exceed_their_share(events: RunEvents) -> None:
+    pose, update, refused = KIND_NUMBER["pose"], KIND_NUMBER["update"], CAUSES.index("budget")
+    limit = 1000
+    more = {"kind": pose, "bytes": 4, "sender": 1, "receiver": -1, "carried": 0, "cause": refused}
+    assert (
+        texts(
+            events, "relay", air(3, {"kind": update, "bytes": limit - 4, "sender": 0, "receiver": -1}, more)
+        )
+        == []
+    )
+    assert texts(
+        events, "relay", air(4, {"kind": update, "bytes": limit - 3, "sender": 0, "receiver": -1}, more)
+    ) == ["channel full: 4 B not sent"]

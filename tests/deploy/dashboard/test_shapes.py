@@ -101,3 +101,10 @@ def test_a_simplified_path_keeps_only_its_corners() -> None:
 
 def test_flipping_twice_changes_nothing() -> None:
     assert flip(flip((2.0, -3.0))) == (2.0, -3.0)
+
+
+def test_the_short_side_of_a_narrow_map_has_few_labels() -> None:
+    shaft = Map("shaft", np.ones((700, 60), np.uint8), 0.1)
+    _, places, labels = axes(shaft, most=6, room=0.2)
+    assert sum(place[1] > 0 for place in places) == 1
+    assert labels[-1] == "60"

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+from itertools import combinations
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,12 +26,15 @@ from deploy.record.map_errors import (
     compare,
     share_correct,
 )
-from deploy.record.map_pictures import PAGE_SHAPE, maps_figure, mark_steps
+from deploy.record.map_pictures import PAGE_SHAPE, draw_map, maps_figure, mark_steps
 from deploy.record.number_texts import percent
 from deploy.record.records import Records
 from deploy.record.summary import summarize
 from deploy.run.in_memory import MemoryRun
+from deploy.scenario import plan as plans
+from deploy.scenario.scenario import parse
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
+from tests.deploy.figure_checks import assert_text_fits
 from tests.deploy.small_run import small_plan, small_run
 
 pytestmark = pytest.mark.slow
@@ -129,3 +134,56 @@ def shown(panel: Axes) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
 @pytest.mark.parametrize(("last", "every"), [(1, 1), (9, 1), (40, 5), (154, 20), (1000, 100), (2001, 500)])
 def test_paths_have_about_ten_dots_at_round_steps(last: int, every: int) -> None:
     assert mark_steps(last) == every
+
+
+@pytest.mark.parametrize(("width", "height"), [(60, 700), (700, 60)], ids=["tall", "wide"])
+def test_titles_and_labels_fit_on_narrow_maps_with_long_names(
+    tmp_path: Path, width: int, height: int
+) -> None:
+    picture = tmp_path / f"{'the-plan-of-the-east-wing-of-the-hospital-' * 3}.png"
+    cells = np.zeros((height, width), np.uint8)
+    cells[1:-1, 1:-1] = 255
+    Image.fromarray(cells).save(picture)
+    settings = {
+        "map": str(picture),
+        "map_options": {"resolution": 0.1},
+        "robots": 4,
+        "steps": 3,
+        "bus": "memory",
+    }
+    plan = plans.make(parse(settings))
+    records = MemoryRun(plan).complete()
+    figure = maps_figure(plan, records, summarize(plan, records, 1.0))
+    for number in figure.axes[0].texts:
+        number.set_visible(False)  # robots that are close hide each other's numbers
+    assert_text_fits(figure)
+    draw_map(tmp_path / "map.png", plan.map)
+    with Image.open(tmp_path / "map.png") as drawn_map:
+        assert max(drawn_map.size) < 2000
+
+
+def test_text_in_the_color_of_a_robot_is_readable_on_white() -> None:
+    for robot in range(30):
+        parts = np.array(colors.text_color(robot)) / 255
+        linear = np.where(parts <= 0.03928, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+        assert 1.05 / (linear @ (0.2126, 0.7152, 0.0722) + 0.05) > 2.9
+
+
+VISIONS = {
+    "common": np.eye(3),
+    "deuteranopia": np.array([[0.367, 0.861, -0.228], [0.280, 0.673, 0.047], [-0.012, 0.043, 0.969]]),
+    "protanopia": np.array([[0.152, 1.053, -0.205], [0.115, 0.786, 0.099], [-0.004, -0.048, 1.052]]),
+    "tritanopia": np.array([[1.256, -0.077, -0.179], [-0.078, 0.931, 0.148], [0.005, 0.691, 0.304]]),
+}
+"""How linear RGB appears with each kind of color vision (Machado, Oliveira, and Fernandes 2009, severity 1)."""
+XYZ = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
+
+
+@pytest.mark.parametrize("vision", VISIONS)
+def test_color_blind_readers_distinguish_the_robots_of_small_teams(vision: str) -> None:
+    parts = np.array(colors.ROBOTS[:6]) / 255
+    linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+    x, y, z = np.cbrt(XYZ @ np.clip(VISIONS[vision] @ linear.T, 0, 1) / [[0.9505], [1.0], [1.089]])
+    lab = np.array([116 * y - 16, 500 * (x - y), 200 * (y - z)]).T
+    apart = [float(np.linalg.norm(one - other)) for one, other in combinations(lab, 2)]
+    assert min(apart) > 15

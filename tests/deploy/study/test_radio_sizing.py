@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import time
 from pathlib import Path
 from typing import Any
 
@@ -95,3 +96,13 @@ def test_progress_without_a_terminal_begins_at_once_and_estimates_the_rest() -> 
     assert lines[1] == "size: 2 of 6"
     assert lines[2].startswith("size: 3 of 6, ") and lines[2].endswith(" s left")
     assert len(lines) == 3
+
+
+def test_the_start_of_the_programs_does_not_lengthen_the_estimate(monkeypatch: pytest.MonkeyPatch) -> None:
+    times = iter((0.0, 0.0, 10.0, 10.1, 10.2))
+    monkeypatch.setattr(time, "monotonic", lambda: next(times))
+    text = io.StringIO()
+    with counting(Console(file=text), "compare") as report:
+        for done in range(4):
+            report(done, 100)
+    assert text.getvalue().splitlines()[-1] == "compare: 3 of 100, 10 s left"
