@@ -30,11 +30,7 @@ from protocol.packets import (
 )
 
 ENOUGH_STEPS = 4
-"""Steps for which few new cells wait at most, if bandwidth is scarce."""
-
-NARROW_ENOUGH_STEPS = 2
-"""The same on a narrow medium that all robots hear, where entries are short anyway. Meanwhile, others may drive to
-these cells."""
+"""Steps for which fewer new cells wait at most, if bandwidth is scarce."""
 
 FAIR_SHARE = 28
 """Bytes per robot and step for which they wait one step; with half of it they wait two steps, and so on."""
@@ -79,7 +75,7 @@ class UpdateLimits:
     If `is_narrow`, the limit of an update: `FULL_STEPS` or `FULL_TILE_STEPS` budgets; with `fills`, as many packets.
     """
     wait_steps: int
-    """Steps for which few new cells wait (`ENOUGH_STEPS`, `NARROW_ENOUGH_STEPS`)."""
+    """Steps for which few new cells wait (`ENOUGH_STEPS`)."""
     fills: int = 0
     """The budget of a step that one packet fills; 0: packets are shorter.
 
@@ -115,8 +111,7 @@ class UpdateLimits:
             full_steps = FULL_TILE_STEPS if has_tiles else FULL_STEPS
             step_bytes = full_steps * content
         scarcity = FAIR_SHARE * settings.robots / max(bandwidth, 1)
-        waits_less = is_narrow and hear_all and not is_filled
-        wait_steps = min(max(math.ceil(scarcity), 1), NARROW_ENOUGH_STEPS if waits_less else ENOUGH_STEPS)
+        wait_steps = min(max(math.ceil(scarcity), 1), ENOUGH_STEPS)
         return cls(size, fragment_bytes, step_bytes, wait_steps, fills, full_steps, is_narrow)
 
     def packets(self, message: bytes, number: int, offset: int) -> list[bytes]:

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from agent.encoding_options import PredictiveOptions
 from agent.encodings.update_packets import (
-    FAIR_SHARE,
     FULL_TILE_STEPS,
     NARROW,
     NARROW_APART,
@@ -104,13 +103,3 @@ def test_a_medium_is_narrow_below_its_limit_and_sooner_for_scans_where_robots_ma
     assert limits(budget).is_narrow == limits(budget, tolerance=1).is_narrow == (budget < NARROW)
     assert limits(budget, reach=20.0).is_narrow == (budget < NARROW_APART)
     assert limits(budget, tolerance=1, reach=20.0).is_narrow == (budget < NARROW)
-
-
-@given(st.integers(1, 400))
-def test_few_new_cells_wait_less_on_a_wide_medium_and_on_a_narrow_one_with_short_packets_that_all_hear(
-    budget: int,
-) -> None:
-    scarcity = math.ceil(FAIR_SHARE * 8 / budget)
-    most = 2 if limits(budget).is_narrow and not limits(budget).fills else 4
-    assert limits(budget).wait_steps == min(scarcity, most)
-    assert limits(budget, reach=20.0).wait_steps == min(scarcity, 4)
