@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Any
@@ -23,37 +22,11 @@ class CompiledKernel:
     """Content of the object file."""
 
 
-class _NoEngine:
-    """Takes the place of LLVM's engine, which would also generate machine code for calls in this process."""
-
-    def __init__(self, engine: Any) -> None:
-        self.engine = engine
-        """LLVM's engine, which owns objects that the compiler uses."""
-        self._pointer = ctypes.c_void_p()
-
-    def add_module(self, module: Any) -> None:
-        """Take a module of functions, which are not called."""
-
-    def finalize_object(self) -> None:
-        """Generate machine code of all modules: none."""
-
-    def is_symbol_defined(self, _name: str) -> bool:
-        """Whether machine code has a symbol."""
-        return False
-
-    def get_global_value_address(self, _name: str) -> int:
-        """Return where numba writes a pointer to a function's environment."""
-        return ctypes.addressof(self._pointer)
-
-
 def compile_to_object(kernel: Kernel) -> CompiledKernel:
     """Compile a kernel and those that it calls. ValueError if its code is valid in this process only.
 
-    This process cannot call kernels later: numba has no machine code for them.
+    This process must not call kernels later: their modules have compiled functions then that only kernels can call.
     """
-    codegen = import_numba().core.registry.cpu_target.target_context.codegen()
-    if not isinstance(codegen._engine, _NoEngine):
-        codegen._engine = _NoEngine(codegen._engine)
     (compiled,) = _compile(kernel).overloads.values()
     if compiled.library.has_dynamic_globals:
         raise ValueError(f"kernel {kernel.function.__qualname__} depends on addresses of this process")
