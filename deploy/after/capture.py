@@ -103,7 +103,7 @@ def opened(path: Path) -> Iterator[Reader]:
     """Open the capture of a run directory, or a capture file; CaptureError if it cannot be read."""
     file = path / CAPTURE if path.is_dir() else path
     if not path.exists():
-        raise CaptureError(f"{path}: neither a run directory nor a capture is there")
+        raise CaptureError(f"{path}: No such file or directory; name the directory of a run, or a capture")
     if path.is_dir() and not file.exists():
         raise CaptureError(f"{path}: not a run directory: {CAPTURE} is missing")
     try:

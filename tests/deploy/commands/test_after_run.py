@@ -92,7 +92,10 @@ def test_errors_say_that_there_is_no_capture(floor: str) -> None:
     Path("empty").mkdir()
     missing, empty = murmur("capture", "missing"), murmur("capture", "empty")
     assert (missing.exit_code, empty.exit_code) == (2, 2)
-    assert missing.stderr == "murmur: missing: neither a run directory nor a capture is there\n"
+    assert (
+        missing.stderr
+        == "murmur: missing: No such file or directory; name the directory of a run, or a capture\n"
+    )
     assert empty.stderr == "murmur: empty: not a run directory: radio.pcapng is missing\n"
 
 

@@ -301,7 +301,7 @@ OTHERS = {
     "report full": "full: not a run directory: scenario.toml is missing",
     "export full --mcap": "full: not a run directory: scenario.toml is missing",
     "watch full": "full: no recording (run.rrd), and no run in progress",
-    "capture missing": "missing: neither a run directory nor a capture is there",
+    "capture missing": "missing: No such file or directory; name the directory of a run, or a capture",
     "report [/x]": "[/x]: not a run directory: scenario.toml is missing",
     "capture torn.pcapng": "torn.pcapng: not a pcapng file",
     "capture torn.pcapng --json": "torn.pcapng: not a pcapng file",
