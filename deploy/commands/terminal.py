@@ -79,7 +79,7 @@ def progress(
             completed=records.explored,
             step=records.step,
             medium=f"{records.carried}{of} B" + (" transmitted" if is_wide else ""),
-            alive=f"{alive} robot" + ("" if alive == 1 else "s"),
+            alive=counted(alive, "robot"),
         )
         if records.step:
             bar.start()
