@@ -11,7 +11,8 @@ PYTHON ?= python3
 BIN := $(VENV)/bin
 QUICK := tests/agent tests/protocol tests/netshaper tests/worldsim tests/murmur tests/fuzz $(addprefix tests/deploy/,scenario record chaos)
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --constraint constraints.txt
-# Bytecode of all packages but their tests, by all processors: pip writes it with one.
+# Bytecode of all packages but their tests, on all processors; pip uses one. Some packages have files for other versions
+# of Python, which cannot be compiled, and are not needed.
 COMPILE := $(BIN)/python -m compileall -qq -j 0 -x '/tests?/' $(VENV)/lib || true
 
 # Tests start hundreds of processes, each of which would compile all modules again if the environment forbids bytecode.

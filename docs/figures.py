@@ -75,6 +75,7 @@ NOT_CHECKED = {
     "results/kinds.md | | `burgard-optimal` |": "the command above the table: 180 runs",
     "results/predictive.md | | intel |": "the two commands of the page's first table: 400 runs",
     "results/predictive.md | `office` | `mixed` |": "the three commands above the table: 200 runs",
+    "results/predictive.md | encoding, frontiers |": "its two commands, also with the setting: 240 runs",
     "results/predictive.md | map | 50 B |": "the two commands above the table: 360 runs",
     "results/strategies.md | strategy | steps |": "murmur bench strategies: times depend on the machine",
     "results/strategies.md | size |": "the two commands above the tables: 240 runs",

@@ -71,7 +71,7 @@ class RelayNode:
         self._watched = False
         self._begun = False
         self.fault: str | None = None
-        """Why the relay has broken off the run: empty if the world ended it, None if it has not ended."""
+        """Why the relay has broken off the run; empty if the world has ended it, None while it continues."""
         self._settings: dict[int, bytes] = {}
         """Each robot's `Configure` message, for when it joins."""
         self._protocol_errors: Counter[str] = Counter()

@@ -360,7 +360,7 @@ def _refusal(credential: Credential) -> str:
 
 
 def _cause_by_tls(link: socket.socket, host: str, certificate: Certificate) -> str:
-    """Return why hub and client do not accept each other's certificates, by a handshake without the client's."""
+    """Return why hub and client refuse each other, by a TLS handshake in which the client shows no certificate."""
     import ssl  # noqa: PLC0415  needed only for this message
 
     context = ssl.create_default_context(cadata=certificate.authority)
@@ -369,14 +369,10 @@ def _cause_by_tls(link: socket.socket, host: str, certificate: Certificate) -> s
     except ssl.SSLCertVerificationError as error:
         if error.verify_code in OTHER_HOST:
             return f"the certificate of the hub names no {host}"
-        return (
-            f"that of the hub is not valid ({error.verify_message}); is it of the same call of murmur keys?"
-        )
+        return f"that of the hub is not valid ({error.verify_message}); were both made by the same call of murmur keys?"
     except OSError as error:
         return f"the program does not use TLS ({error})"
-    return (
-        "the hub refuses it; is it of the same call of murmur keys, and is the clock of the hub's host right?"
-    )
+    return "the hub refuses it; were both made by the same call of murmur keys, and is the clock of its host right?"
 
 
 def certificate_fault(credential: Credential) -> str:

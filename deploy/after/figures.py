@@ -116,7 +116,7 @@ def approximation(archive: Archive) -> Figure:
 
 
 def channel_load(archive: Archive) -> Figure:
-    """Draw the explored area over time; below it, the use of the budget by traffic type, and what was not transmitted.
+    """Draw three panels over time: the explored area, transmitted bytes by traffic type, and bytes not transmitted.
 
     Teams of up to `MOST_CURVES` robots have a curve per robot; larger ones have the median, the middle half and the
     extremes.

@@ -6,6 +6,9 @@ from functools import cache
 from pathlib import Path
 from tempfile import mkdtemp
 
+import numpy as np
+from PIL import Image
+
 from deploy.after.archive import read
 from deploy.after.figures import write_figures
 from deploy.dashboard.process import ViewNode
@@ -21,6 +24,14 @@ SETTINGS = {
     "map": "office", "robots": 3, "map_encoding": "polygons", "strategy": "meier", "range": "30%", "steps": 40,
     "bus": "memory",
 }  # fmt: skip
+
+
+def hall(picture: Path, height: int, width: int) -> dict[str, object]:
+    """Draw a hall of so many cells, and return the settings of a run there."""
+    cells = np.zeros((height, width), np.uint8)
+    cells[1:-1, 1:-1] = 255
+    Image.fromarray(cells).save(picture)
+    return {"map": str(picture), "map_options": {"resolution": 0.1}, "bus": "memory"}
 
 
 @cache

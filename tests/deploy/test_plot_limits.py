@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from deploy.after import archive, figures
 from deploy.after.archive import Archive
@@ -17,6 +16,7 @@ from deploy.study import plots
 from deploy.study.plots import Plot
 from deploy.study.results import Results
 from tests.deploy.figure_checks import assert_shows_all, assert_text_fits
+from tests.deploy.small_run import hall
 
 
 def rows(metric: str, scales: dict[str, float]) -> list[dict[str, Any]]:
@@ -69,11 +69,8 @@ def test_figures_of_a_run_show_all_points(run: Archive) -> None:
 
 
 def test_a_long_corridor_has_room_for_its_labels(tmp_path: Path) -> None:
-    cells = np.zeros((7, 400), np.uint8)
-    cells[1:-1, 1:-1] = 254
-    Image.fromarray(cells).save(tmp_path / "corridor.png")
-    settings = {"robots": 2, "steps": 30, "bus": "memory", "map": str(tmp_path / "corridor.png")}
-    explore(parse({**settings, "map_options": {"resolution": 0.1}}), out=tmp_path / "run")
+    settings = hall(tmp_path / "corridor.png", 7, 400) | {"robots": 2, "steps": 30}
+    explore(parse(settings), out=tmp_path / "run")
     figure = figures.maps_over_time(archive.read(tmp_path / "run"))
     assert_text_fits(figure)
 
@@ -90,11 +87,8 @@ def test_a_run_of_one_step_is_drawn(tmp_path: Path) -> None:
 
 
 def test_maps_over_time_of_a_tall_map_fit_a_picture_of_common_size(tmp_path: Path) -> None:
-    cells = np.zeros((400, 30), np.uint8)
-    cells[1:-1, 1:-1] = 254
-    Image.fromarray(cells).save(tmp_path / "shaft.png")
-    settings = {"robots": 9, "steps": 12, "bus": "memory", "map": str(tmp_path / "shaft.png")}
-    explore(parse({**settings, "map_options": {"resolution": 0.1}}), out=tmp_path / "run")
+    settings = hall(tmp_path / "shaft.png", 400, 30) | {"robots": 9, "steps": 12}
+    explore(parse(settings), out=tmp_path / "run")
     figure = figures.maps_over_time(archive.read(tmp_path / "run"))
     assert_text_fits(figure)
     assert figure.get_figheight() < 35

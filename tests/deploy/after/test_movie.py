@@ -23,7 +23,7 @@ from deploy.run.exploration import explore
 from deploy.scenario.scenario import parse
 from protocol.grid import FREE, UNKNOWN
 from protocol.packages import MissingPackageError
-from tests.deploy.small_run import small_directory
+from tests.deploy.small_run import hall, small_directory
 from worldsim.maps import to_world
 
 ffmpeg = pytest.importorskip(
@@ -235,18 +235,8 @@ def test_a_full_disk_is_an_error_of_the_disk_and_no_film_remains(tmp_path: Path)
 def test_texts_of_narrow_maps_with_long_names_do_not_overlap(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    cells = np.zeros((500, 40), np.uint8)
-    cells[1:-1, 1:-1] = 255
-    plan = tmp_path / f"{'the-plan-of-the-east-wing-' * 6}.png"
-    Image.fromarray(cells).save(plan)
-    settings = {
-        "map": str(plan),
-        "map_options": {"resolution": 0.1},
-        "robots": 2,
-        "steps": 2,
-        "bus": "memory",
-    }
-    explore(parse(settings), out=tmp_path / "run")
+    settings = hall(tmp_path / f"{'the-plan-of-the-east-wing-' * 6}.png", 500, 40)
+    explore(parse(settings | {"robots": 2, "steps": 2}), out=tmp_path / "run")
     boxes: list[tuple[float, float, float, float]] = []
     write = ImageDraw.ImageDraw.text
 
@@ -257,6 +247,7 @@ def test_texts_of_narrow_maps_with_long_names_do_not_overlap(
 
     monkeypatch.setattr(ImageDraw.ImageDraw, "text", note)
     width = Frames(archive.read(tmp_path / "run")).at(2).width
+    assert boxes
     assert all(0 <= left < right <= width for left, _, right, _ in boxes)
     for one, other in combinations(boxes, 2):
         assert one[2] <= other[0] or other[2] <= one[0] or one[3] <= other[1] or other[3] <= one[1]

@@ -35,7 +35,7 @@ from deploy.scenario import plan as plans
 from deploy.scenario.scenario import parse
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from tests.deploy.figure_checks import assert_text_fits
-from tests.deploy.small_run import small_plan, small_run
+from tests.deploy.small_run import hall, small_plan, small_run
 
 pytestmark = pytest.mark.slow
 
@@ -140,18 +140,8 @@ def test_paths_have_about_ten_dots_at_round_steps(last: int, every: int) -> None
 def test_titles_and_labels_fit_on_narrow_maps_with_long_names(
     tmp_path: Path, width: int, height: int
 ) -> None:
-    picture = tmp_path / f"{'the-plan-of-the-east-wing-of-the-hospital-' * 3}.png"
-    cells = np.zeros((height, width), np.uint8)
-    cells[1:-1, 1:-1] = 255
-    Image.fromarray(cells).save(picture)
-    settings = {
-        "map": str(picture),
-        "map_options": {"resolution": 0.1},
-        "robots": 4,
-        "steps": 3,
-        "bus": "memory",
-    }
-    plan = plans.make(parse(settings))
+    settings = hall(tmp_path / f"{'the-plan-of-the-east-wing-of-the-hospital-' * 3}.png", height, width)
+    plan = plans.make(parse(settings | {"robots": 4, "steps": 3}))
     records = MemoryRun(plan).complete()
     figure = maps_figure(plan, records, summarize(plan, records, 1.0))
     for number in figure.axes[0].texts:
