@@ -35,6 +35,8 @@ TOOLS = ("ip", "ssh", "ssh-keygen", SSHD)
 _TUNSETIFF = 0x400454CA
 _IFF_TUN, _IFF_NO_PI = 0x0001, 0x1000
 _MTU = 1500
+_NUMBERS = itertools.count()
+"""Numbers of the far hosts of this process, several of which may exist at a time."""
 QUEUE_S = 2.0
 """Longest time for which a packet waits for those before it."""
 
@@ -108,12 +110,13 @@ def far_host(
 ) -> Iterator[FarHost]:
     """Make another host; `loss` is the share of packets that get lost, each way, and `bytes_per_s` holds each way."""
     with contextlib.ExitStack() as stack:
-        host = FarHost(f"murmur-near-{os.getpid()}", f"murmur-far-{os.getpid()}", folder)
+        unique = f"{os.getpid() % 1000000}-{next(_NUMBERS)}"
+        host = FarHost(f"murmur-near-{unique}", f"murmur-far-{unique}", folder)
         ends = []
         for number, (name, address, six) in enumerate(((host.near, NEAR, NEAR_6), (host.far, FAR, FAR_6))):
             _ip("netns", "add", name)
             stack.callback(_ip, "netns", "del", name)
-            device = f"mm{number}t{os.getpid() % 1000000}"
+            device = f"mm{number}t{unique}"
             ends.append(_tun(device))
             stack.callback(os.close, ends[-1])
             _ip("link", "set", device, "netns", name)
