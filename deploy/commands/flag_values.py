@@ -71,12 +71,19 @@ def named_values(texts: list[str], flag: str, example: str) -> dict[str, Any]:
             raise ValueError(f"{flag} = {text!r}: {name} is given twice")
         try:
             values[name] = json.loads(value)
+            _visit(values[name])
         except RecursionError:
             raise ValueError(f"{flag} = '{name}=...': nested too deeply") from None
         except ValueError:
             is_nested = value.lstrip()[:1] in {"[", "{"}
             values[name] = _toml_value(value, f"{flag} = '{name}=...'") if is_nested else value
     return values
+
+
+def _visit(value: Any) -> None:
+    """Visit all parts of a value; RecursionError if it is nested too deeply, which JSON accepts since Python 3.12."""
+    for each in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+        _visit(each)
 
 
 def _toml_value(text: str, where: str) -> Any:

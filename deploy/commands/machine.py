@@ -22,7 +22,8 @@ MAX_COMPILERS = 4
 """Processes that compile kernels at once, at most; each needs half a gigabyte."""
 
 WITHOUT_LIBRARY = (
-    "no library, so each process loads numba (130 MB, 1.7 s): with a C compiler, `murmur setup` builds it"
+    "no library, so each process loads numba (130 MB, 1.7 s): with a C compiler and Python's headers, "
+    "`murmur setup` builds it"
 )
 
 
@@ -30,9 +31,10 @@ WITHOUT_LIBRARY = (
 def setup() -> None:
     """Compile the kernels for this machine, once, which takes a minute.
 
-    With a C compiler, they become a library, from which every process starts without numba. Without a compiler, numba
-    keeps them in its cache. Otherwise the first run compiles them before its first step. The error stream shows the
-    progress. Exit codes: 0 the kernels are ready, 1 they cannot be kept, so each start compiles again.
+    With a C compiler and Python's headers, they become a library, from which every process starts without numba.
+    Without these, numba keeps them in its cache. If this command is not called, the first run compiles them before its
+    first step. The error stream shows the progress. Exit codes: 0 the kernels are ready, 1 they cannot be kept, so each
+    start compiles again.
     """
     from deploy.run import processes  # noqa: F401, PLC0415  all kernels, which it must not load
     from protocol.kernels import compile_in_parallel  # noqa: PLC0415

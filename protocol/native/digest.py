@@ -60,6 +60,8 @@ def _text(value: Any) -> str:
             return repr(value)
         case tuple() if type(value) is tuple:
             return f"({','.join(map(_text, value))})"
+        case slice():  # a constant since Python 3.14
+            return f"slice{_text((value.start, value.stop, value.step))}"
         case np.ndarray():
             return f"{value.dtype.str}{value.shape}{hashlib.sha256(value.tobytes()).hexdigest()}"
         case np.generic():
