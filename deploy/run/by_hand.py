@@ -58,8 +58,8 @@ def serve_netshaper(
     """
     _load_kernels()
     plan = plans.make(scenario)
-    endpoint = _endpoint(listen)
     _check_new(folder)
+    endpoint = _endpoint(listen)
     run = secrets.token_hex(4)
     credentials = access.issue(run, endpoint, scenario.robots)
     certificate = None
@@ -87,8 +87,8 @@ def serve_routing(credential: Path, listen: str, folder: Path, notify: Callable[
             f"credential {credential} is that of {read.name}; a router's is needed here, "
             "as murmur run netshaper writes it for keys that were made with --router"
         )
-    endpoint = _endpoint(listen)
     _check_new(folder)
+    endpoint = _endpoint(listen)
     credentials = access.passwords(read.run, endpoint, read.robots)
     with closing(Router(read, endpoint, credentials)) as router:
         _hand_out(credentials, folder)

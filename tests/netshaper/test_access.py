@@ -6,7 +6,6 @@ participants. All tests run twice: at the hub, and at a router through which rob
 
 from __future__ import annotations
 
-import socket
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, closing
@@ -15,6 +14,7 @@ from typing import Any
 import pytest
 import zenoh
 
+from deploy.dashboard.windows import free_port
 from netshaper import access, certificates
 from netshaper.hub import open_hub
 from netshaper.router import Router
@@ -155,13 +155,6 @@ def rogue_config(
         insert(config, "transport/auth/usrpwd/user", user)
         insert(config, "transport/auth/usrpwd/password", password)
     return config
-
-
-def free_port() -> int:
-    with closing(socket.socket()) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
 
 
 def close(session: zenoh.Session) -> None:

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import socket
 import threading
 import time
 from collections.abc import Iterator
@@ -15,6 +14,7 @@ from typing import Any
 import pytest
 import zenoh
 
+from deploy.dashboard.windows import free_port
 from netshaper import access, certificates
 from netshaper.hub import open_hub
 from netshaper.router import Router
@@ -71,13 +71,6 @@ def wait_for_subscriber(session: zenoh.Session, key: str) -> None:
         assert time.monotonic() < deadline, f"the session knows no subscriber of {key}"
         time.sleep(0.01)
     publisher.undeclare()
-
-
-def free_port() -> int:
-    with closing(socket.socket()) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
 
 
 def test_robots_behind_a_router_have_no_certificate_and_the_router_s_lists_them(routed: Routed) -> None:

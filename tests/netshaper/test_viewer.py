@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from deploy.dashboard.windows import free_port
 from netshaper import access
 from netshaper.hub import open_hub
 from netshaper.process import RelayNode
@@ -166,15 +167,6 @@ def test_reports_to_a_viewer_that_hangs_delay_no_participant(stopped: bool) -> N
         hub.close()
     assert received == list(range(200))
     assert took < 4  # where it waits, zenoh gives a stopped peer up after 5 s
-
-
-def free_port() -> int:
-    import socket
-
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
 
 
 def test_credentials_are_for_the_viewer_as_well(tmp_path: Path) -> None:

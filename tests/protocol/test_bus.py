@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import socket
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
 from dataclasses import dataclass
 
 import pytest
 
+from deploy.dashboard.windows import free_port
 from netshaper import access
 from netshaper.hub import open_hub
 from protocol import keys as names
@@ -90,13 +90,6 @@ def rendezvous(request: pytest.FixtureRequest) -> Iterator[Rendezvous]:
 def close_all(ends: dict[str, Bus]) -> None:
     for end in reversed(ends.values()):
         end.close()
-
-
-def free_port() -> int:
-    with closing(socket.socket()) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
 
 
 ROUTES = [

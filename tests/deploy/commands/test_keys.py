@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 from agent.radios.team_key import read_key
 from deploy.commands.app import app
+from deploy.dashboard.windows import free_port
 from deploy.run import preload  # noqa: F401  which the servers do, in threads with a time limit
 from deploy.run.by_hand import serve_netshaper, serve_routing
 from deploy.scenario.errors import ScenarioError
@@ -129,7 +130,7 @@ def test_keys_of_a_smaller_run_are_refused_by_the_hub(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"r1\.pem: No such file"):
         serve_netshaper(
             parse({"map": "em", "robots": 2}),
-            "127.0.0.1:7447",
+            f"127.0.0.1:{free_port()}",
             tmp_path / "credentials",
             print,
             tmp_path / "keys",
