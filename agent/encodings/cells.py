@@ -18,7 +18,7 @@ from protocol.boxes import NO_BOXES, union
 from protocol.errors import ProtocolError
 from protocol.grid import OCCUPIED, Grid
 from protocol.range_scans import RangeScan
-from protocol.scans import Change, Scan, contents, fragments
+from protocol.scans import GridChange, Scan, contents, fragments
 
 RUNS, ZSTD = 0, 1
 """Compression of a patch: run lengths, or a zstd frame."""
@@ -63,7 +63,7 @@ class CellEncoding(GridEncoding):
         self._partial: dict[int, bytes] = {}
 
     def encode_changes(
-        self, own: Grid, scan: Scan | RangeScan, change: Change, *, delivered: bool
+        self, own: Grid, scan: Scan | RangeScan, change: GridChange, *, delivered: bool
     ) -> list[bytes]:
         """Encode a patch of all changed cells, once all teammates in range hold the patches before."""
         self.own_changes.add(own, change)

@@ -25,7 +25,7 @@ from protocol.range_scans import (
     range_scan_size,
     smoothed,
 )
-from protocol.scans import NONE, Change, Scan, contents, decode_scan, encode_scan, fragments, scan_size
+from protocol.scans import NONE, GridChange, Scan, contents, decode_scan, encode_scan, fragments, scan_size
 
 Report = tuple[Int32s, Uint8s, Box]
 """Cells, as indices of the flat grid, each once, their states, and a box that contains them."""
@@ -51,7 +51,7 @@ class ScanEncoding(GridEncoding):
         return ExactScans(settings) if settings.laser is None else RangeScans(settings)
 
     def encode_changes(
-        self, own: Grid, scan: Scan | RangeScan, change: Change, *, delivered: bool
+        self, own: Grid, scan: Scan | RangeScan, change: GridChange, *, delivered: bool
     ) -> list[bytes]:
         """Encode the scan, unless it repeats the last one or has no readings."""
         self.own_changes.add(own, change)

@@ -19,7 +19,7 @@ from protocol.boxes import NO_BOX, Box
 from protocol.grid import FREE, OCCUPIED, UNKNOWN, Grid
 from protocol.kernels import kernel
 from protocol.range_scans import Vector
-from protocol.scans import Change
+from protocol.scans import GridChange
 
 Int8Grid = Annotated[NDArray[np.int8], "int8[:,::1]"]
 
@@ -51,29 +51,29 @@ class Estimator:
         self._marks: NDArray[np.int16] = np.zeros((height, width), np.int16)
         self._looks: NDArray[np.uint8] = np.zeros((height, width), np.uint8)
 
-    def add(self, x: int, y: int, ends: NDArray[np.int32], hits: NDArray[np.bool_]) -> Change:
+    def add(self, x: int, y: int, ends: NDArray[np.int32], hits: NDArray[np.bool_]) -> GridChange:
         """Add a scan taken at (x, y).
 
         `ends`, shape (beams, 2), are where beams end; `hits` are beams that ended at an obstacle.
         """
         return self._apply(_mark_beams(self._marks, x, y, ends, hits))
 
-    def strike(self, x: int, y: int) -> Change:
+    def strike(self, x: int, y: int) -> GridChange:
         """Note that the robot has bumped into something in cell (x, y): it is occupied for the time being."""
         height, width = self.states.shape
         if not (0 <= x < width and 0 <= y < height):
-            return Change(0, NO_BOX)
+            return GridChange(0, NO_BOX)
         self.log_odds[y, x] = max(self.log_odds[y, x], 0)
         self._marks[y, x] = TOUCHED
         return self._apply((x, y, x + 1, y + 1))
 
-    def stand(self, x: int, y: int) -> Change:
+    def stand(self, x: int, y: int) -> GridChange:
         """Note that the robot stands in cell (x, y): it is free."""
         self.log_odds[y, x] = min(self.log_odds[y, x], CLEAR - 1 - PASS)
         self._marks[y, x] = TOUCHED - 1
         return self._apply((x, y, x + 1, y + 1))
 
-    def close(self, x: int, y: int, reach: int, first: Vector, last: Vector) -> Change:
+    def close(self, x: int, y: int, reach: int, first: Vector, last: Vector) -> GridChange:
         """Note that a scan from cell (x, y) has not entered the unknown cells in sight within `reach` cells.
 
         Beams cross every open cell that near. After `NEAR_LOOKS` scans such a cell is a wall, until a beam crosses it:
@@ -82,12 +82,12 @@ class Estimator:
         """
         known, box = _close(self.states, self._looks, x, y, reach, first, last)
         self.known_cells += known
-        return Change(known, box if known else NO_BOX)
+        return GridChange(known, box if known else NO_BOX)
 
-    def _apply(self, touched: Box) -> Change:
+    def _apply(self, touched: Box) -> GridChange:
         known, changed, box = _apply(self.log_odds, self.states, self._marks, touched)
         self.known_cells += known
-        return Change(changed, box if changed else NO_BOX)
+        return GridChange(changed, box if changed else NO_BOX)
 
 
 @kernel
