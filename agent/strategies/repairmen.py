@@ -413,7 +413,8 @@ def _prefer(ways: FloatRows, goals: Cells, targets: Cells, same: float, less: fl
 def _follow(firsts: Int64s, ways: FloatRows, worth: Floats, least: float) -> None:
     """Send robots without a tour, those of which the first goal is -1, after their teammates.
 
-    Each follows to the nearest one of those goals to which the fewest robots drive and whose worth is at least `least`.
+    Each follows to the nearest one of those goals to which the fewest robots drive. Goals count that it can reach, and
+    whose worth is at least `least`.
     """
     headed = np.zeros(len(worth), np.int64)
     for goal in firsts:
@@ -425,8 +426,9 @@ def _follow(firsts: Int64s, ways: FloatRows, worth: Floats, least: float) -> Non
         best = -1
         for goal in range(len(worth)):
             rank, least_rank = (headed[goal], ways[robot, goal]), (headed[best], ways[robot, best])
-            if worth[goal] >= least and (best < 0 or rank < least_rank):
+            is_candidate = worth[goal] >= least and np.isfinite(ways[robot, goal])
+            if is_candidate and (best < 0 or rank < least_rank):
                 best = goal
-        if best >= 0 and np.isfinite(ways[robot, best]):
+        if best >= 0:
             firsts[robot] = best
             headed[best] += 1
