@@ -100,7 +100,8 @@ class FieldStrategy(Strategy):
         )
         self._velocity = np.zeros(2)
         self._route = Route()
-        self._yielding = YieldBehavior(settings.seed, settings.robot, settings.body.range_cells)
+        body = settings.body
+        self._yielding = YieldBehavior(settings.seed, settings.robot, body.range_cells, body.speed)
         self._anchor: tuple[float, float] = (0.0, 0.0)
         self._anchor_step = 0
         self._known = -1
@@ -144,13 +145,14 @@ class FieldStrategy(Strategy):
         robots, drifts = self._teammates(situation)
         if situation.blocked:
             self._velocity = np.zeros(2)
+        stalled = self._is_stalled(situation, at)
         if not len(frontier):
             return Decision(
                 explored=True,
                 heading=situation.heading,
+                stalled=stalled,
                 status="idle: no reachable frontier on the planning grid",
             )
-        stalled = self._is_stalled(situation, at)
         self.leads = self.is_leader(situation)
         escapes = self._escape is not None and self._escape.is_needed(at, situation.step, planner, frontier)
         if self.leads or escapes:
