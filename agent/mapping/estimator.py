@@ -74,7 +74,7 @@ class Estimator:
         return self._apply((x, y, x + 1, y + 1))
 
     def close(self, x: int, y: int, reach: int, first: Vector, last: Vector) -> GridChange:
-        """Note that a scan from cell (x, y) has not entered the unknown cells in sight within `reach` cells.
+        """Note that a scan from cell (x, y) has not entered unknown cells in sight, up to `reach` rows and columns away.
 
         Beams cross every open cell that near. After `NEAR_LOOKS` scans such a cell is a wall, until a beam crosses it:
         walls right beside a robot are nearer than a laser can measure, or lost to the errors of poses. `first` and

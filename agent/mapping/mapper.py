@@ -155,9 +155,14 @@ def add_scan(estimator: Estimator, scan: RangeScan, laser: Laser, resolution: fl
 
 
 def _near_cells(laser: Laser, resolution: float) -> int:
-    """Return the distance in cells up to which beams are at most half a cell apart, and `NEAR_M` at most."""
-    near = min(NEAR_M, laser.reach_mm / 1000) / resolution
-    return int(min(near, 0.5 / laser.spacing_rad)) if laser.beams > 1 else 0
+    """Return the distance in cells, along rows and columns, up to which beams cross every open cell; `NEAR_M` at most.
+
+    Up to there, beams are at most half a cell apart, and reach the corners of the square around the robot.
+    """
+    if laser.beams < 2:
+        return 0
+    to_corner = laser.reach_mm / 1000 / resolution
+    return max(0, int(min(NEAR_M / resolution, 0.5 / laser.spacing_rad, to_corner / math.sqrt(2) - 1)))
 
 
 def cell_ahead(sense: Sense, radius_cells: float) -> Cell:

@@ -145,6 +145,20 @@ def test_a_malformed_patch_is_rejected_and_changes_nothing(wrong: str) -> None:
     assert receiver.merge(nothing)[:2, :2].all()
 
 
+def test_rejected_frames_do_not_count_as_entries_of_their_author() -> None:
+    # Robot 2 forges entries of robot 0 in step 5: the first one is possible, but not the second.
+    receiver, cell = CellEncoding(settings_of(1)), np.full((1, 1), FREE + 1, np.uint8)
+    forged = encode([Fragment(pack(0, 0, cell))]) + encode([Fragment(pack(WIDTH - 1, HEIGHT - 1, cell))])
+    for _ in range(30):
+        with pytest.raises(ProtocolError, match="its author can have observed"):
+            receiver.apply(0, forged, step=5, sender=2)
+    own = np.full((HEIGHT, WIDTH), FREE, np.uint8)
+    everything = GridChange(own.size, (0, 0, WIDTH, HEIGHT))
+    packets = CellEncoding(settings_of(0)).encode_changes(own, NO_SCAN, everything, delivered=True)
+    receiver.apply(0, b"".join(packets), step=25, sender=0)
+    assert (receiver.merge(np.zeros_like(own)) == own).all()
+
+
 @given(st.binary(max_size=40))
 def test_any_bytes_are_a_patch_inside_the_grid_or_none(data: bytes) -> None:
     try:
