@@ -61,6 +61,7 @@ class CellEncoding(GridEncoding):
         self._pending = NO_BOXES
         """Where the self-explored grid has changed since the last patch."""
         self._partial: dict[int, bytes] = {}
+        """The beginning of a message of which the rest has not arrived, by map ID."""
 
     def encode_changes(
         self, own: Grid, scan: Scan | RangeScan, change: GridChange, *, delivered: bool

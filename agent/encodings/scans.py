@@ -44,7 +44,9 @@ class ScanEncoding(GridEncoding):
         self._format = self.make_format(settings)
         self._most = settings.medium.frame_bytes or packets.Fragment.size
         self._partial: dict[int, bytes] = {}
+        """The beginning of a message of which the rest has not arrived, by map ID."""
         self._last = b""
+        """The last scan that was encoded."""
 
     def make_format(self, settings: Settings) -> ExactScans | RangeScans:
         """Return the format of the scans."""

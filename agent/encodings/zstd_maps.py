@@ -45,6 +45,7 @@ class ZstdMapEncoding(GridEncoding):
         super().__init__(settings)
         self._most = settings.medium.frame_bytes or packets.Fragment.size
         self._partial: dict[int, bytes] = {}
+        """The beginning of a message of which the rest has not arrived, by map ID."""
         self._maps: dict[int, Grid] = {}
         """The last received map, by map ID."""
         self._sent: Grid = np.zeros_like(self.received)

@@ -53,8 +53,11 @@ class YieldBehavior:
         """Steps for which the robot waits this time."""
         self._at: Cell | None = None
         self._stops = 0
+        """How often the robot was stopped since it came to its cell, `_at`."""
         self._held: dict[Cell, int] = {}
+        """Cells in which a teammate stopped it, and the step of the last time."""
         self._doublings = 0
+        """How often the yield distance was doubled for this target."""
 
     def note(self, route: Route, here: Cell, step: int, *, stopped: bool) -> None:
         """Take the result of the last move along `route`."""

@@ -105,6 +105,8 @@ class FieldStrategy(Strategy):
         self._anchor: tuple[float, float] = (0.0, 0.0)
         self._anchor_step = 0
         self._known = -1
+        """`_anchor`, `_anchor_step`, `_known`: the robot's place, the step, and the known cells of its planning grid
+        when it last made progress (`_is_stalled`)."""
         self._poses: dict[int, Cell] = {}
         """The cells of the teammates that were in range at the last decision."""
         self._escape: Escape | None = None

@@ -115,8 +115,10 @@ class TargetStrategy(Strategy):
         self.defers_publication = self.options.share == "at-target"
         self.has_diagonal_frontier = self.options.candidates == "hops"
         self.target: Cell | None = None
+        """The goal that the robot has chosen; None if it has none."""
         self._route = Route()
         self._goal: Cell | None = None
+        """The end of the route: the target, a viewpoint (`stand`), or the depot."""
         body = settings.body
         self._yielding = YieldBehavior(settings.seed, settings.robot, body.range_cells, body.speed)
         self._homing = Homing(settings)
@@ -124,6 +126,7 @@ class TargetStrategy(Strategy):
         """Steps in which the scanner has worked since the robot came to its cell, `_at`."""
         self._at: Cell | None = None
         self._scans = True
+        """Whether the scanner works since the last decision."""
         self._cache = NO_CACHE
 
     def use_shared_cache(self, cache: dict[str, Any]) -> None:
